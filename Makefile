@@ -1,0 +1,58 @@
+# Targets that a new clone needs. PYTHON is the interpreter that makes the environment.
+PYTHON ?= python3
+VENV   ?= .venv
+BIN    := $(VENV)/bin
+OUT    ?= demo
+
+.PHONY: help install demo test fast lint proto figures bench clean
+
+help:
+	@echo "make demo   install, record 16 envs x 10 runs of inclined-collision with MuJoCo C, evaluate, write a report"
+	@echo "make test   install what is missing and run every check and test"
+	@echo "make fast   the same without the slow tests"
+	@echo "make lint   style, types and the import contract"
+	@echo "make proto  rebuild the descriptor set after a change of schemas/proto"
+	@echo "make figures  redraw the README's table and picture from recordings/"
+	@echo "make bench  every performance claim, measured here"
+
+$(VENV)/.installed-demo: pyproject.toml constraints.txt
+	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "Python 3.11 or newer is needed: make PYTHON=python3.12")'
+	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[mujoco]'
+	touch $@
+
+$(VENV)/.installed-test: $(VENV)/.installed-demo
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[test]'
+	touch $@
+
+install: $(VENV)/.installed-demo
+
+demo: install
+	$(BIN)/gsb-record --sim mujoco --out $(OUT)
+	$(BIN)/gsb-eval $(OUT)/*.mcap --html $(OUT)/report --json $(OUT)/results.json
+
+lint: $(VENV)/.installed-test
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+
+test: lint
+	$(BIN)/python -m pytest
+
+fast: lint
+	$(BIN)/python -m pytest -m 'not slow'
+
+proto: $(VENV)/.installed-test
+	$(BIN)/python schemas/build_descriptors.py
+
+figures: install
+	$(BIN)/python docs/make_figures.py
+
+bench: install
+	$(BIN)/python benchmarks/record_throughput.py
+	$(BIN)/python benchmarks/evaluate_set.py
+	$(BIN)/python benchmarks/start_up.py
+
+clean:
+	rm -rf $(VENV) build dist *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache

@@ -1,0 +1,9 @@
+"""What a recording is: messages, topics, units, provenance. No simulator and no metric lives here."""
+
+FORMAT = "gsb.v1"
+"""Name of the format, also the MCAP profile and the package of every message."""
+
+PARTIAL = ".partial"
+"""Ending of a recording that is being written, or that a crash left behind."""
+
+__version__ = "0.1.0"

@@ -1,0 +1,70 @@
+"""The identity of a recording: SHA-256 over its decoded content, in an order that does not depend on its encoding.
+
+Each stream and each attachment has a digest of its own:
+
+    attachment <name>      the attachment's bytes
+    state <group>/<field>  dtype, shape of a row and steps as one text line, then the array in [step, env, item, width]
+                           order, little-endian
+    <other topic>          every message in the order of its sequence number, each preceded by its length as uint64
+
+The content hash is the SHA-256 of the lines "<name> <digest>\\n", sorted by name, with the run's status and reason as
+two more of them. Splitting, compressing or re-chunking a file leaves it as it is.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import struct
+from collections.abc import Mapping
+from typing import Any
+
+from numpy.typing import NDArray
+
+from schemas.blocks import little_endian, raw_bytes
+from schemas.fields import StateField
+
+
+def attachment_name(name: str) -> str:
+    """Key of an attachment's digest."""
+    return f"attachment {name}"
+
+
+def state_name(field: StateField) -> str:
+    """Key of a state field's digest."""
+    return f"state {field.name}"
+
+
+class ContentDigest:
+    """Digests of the streams of one recording, fed in canonical order."""
+
+    def __init__(self) -> None:
+        self._hashes: dict[str, Any] = {}
+
+    def attachment(self, name: str, data: bytes) -> None:
+        """Add an attachment."""
+        self._hashes[attachment_name(name)] = hashlib.sha256(data)
+
+    def state(self, field: StateField, n_env: int, array: NDArray[Any]) -> None:
+        """Add the next rows [step, env, item, width] of a field, all environments."""
+        name = state_name(field)
+        if name not in self._hashes:
+            line = f"{field.dtype} {n_env} {len(field.items)} {field.width}\n"
+            self._hashes[name] = hashlib.sha256(line.encode())
+        self._hashes[name].update(raw_bytes(little_endian(array)))
+
+    def message(self, topic: str, data: bytes | memoryview) -> None:
+        """Add the next message of any other topic."""
+        digest = self._hashes.setdefault(topic, hashlib.sha256())
+        digest.update(struct.pack("<Q", len(data)))
+        digest.update(data)
+
+    def digests(self) -> dict[str, str]:
+        """Hexadecimal digests by stream."""
+        return {name: digest.hexdigest() for name, digest in self._hashes.items()}
+
+
+def content_hash(digests: Mapping[str, str], status: str, reason: str) -> str:
+    """The identity of a recording from its digests and its end."""
+    lines = [f"{name} {digest}\n" for name, digest in digests.items()]
+    lines += [f"status {status}\n", f"reason {reason}\n"]
+    return hashlib.sha256("".join(sorted(lines)).encode()).hexdigest()

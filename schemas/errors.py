@@ -1,0 +1,60 @@
+"""Every error that a user can meet, with the exit code that a command ends with.
+
+GsbError                  1  something failed
+├── UsageError            2  the command was asked for something that cannot be
+├── RecordingError        3  a file cannot be read as what it should be
+│   ├── NotARecording     3  it is something else: not MCAP, another profile, an unknown format version
+│   └── DamagedRecording  3  bytes are missing or changed
+├── DataLost              3  finished, but data was lost
+├── GateFailed            4  a regression, an audit mismatch, a broken rule
+└── NothingComparable     5  nothing was measured
+"""
+
+from __future__ import annotations
+
+from enum import IntEnum
+
+
+class ExitCode(IntEnum):
+    """Exit codes shared by all commands."""
+
+    OK = 0
+    FAILURE = 1
+    USAGE = 2
+    DATA_LOST = 3
+    GATE_FAILED = 4
+    NOTHING_COMPARABLE = 5
+
+
+class GsbError(Exception):
+    """An error with one message for the user: what was wrong and what to do."""
+
+    exit_code = ExitCode.FAILURE
+
+
+class UsageError(GsbError):
+    exit_code = ExitCode.USAGE
+
+
+class RecordingError(GsbError):
+    exit_code = ExitCode.DATA_LOST
+
+
+class NotARecording(RecordingError):
+    pass
+
+
+class DamagedRecording(RecordingError):
+    pass
+
+
+class DataLost(GsbError):
+    exit_code = ExitCode.DATA_LOST
+
+
+class GateFailed(GsbError):
+    exit_code = ExitCode.GATE_FAILED
+
+
+class NothingComparable(GsbError):
+    exit_code = ExitCode.NOTHING_COMPARABLE

@@ -1,0 +1,111 @@
+"""Units, frames and components of the state fields: the vocabulary that every recording uses."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+from schemas.errors import DamagedRecording
+
+
+@dataclass(frozen=True)
+class FieldKind:
+    """What a state field means.
+
+    components  names of the numbers of an item; empty where they depend on the joint (qpos, qvel)
+    unit        SI unit
+    frame       "world": the engine's global frame, including the env's origin; "env": relative to the env's
+                origin; "joint": joint coordinates
+    """
+
+    components: tuple[str, ...]
+    unit: str
+    frame: str
+
+
+FIELD_KINDS = {
+    "position": FieldKind(("x", "y", "z"), "m", "world"),
+    "orientation": FieldKind(("w", "x", "y", "z"), "unit quaternion", "world"),
+    "linear_velocity": FieldKind(("x", "y", "z"), "m/s", "world"),
+    "angular_velocity": FieldKind(("x", "y", "z"), "rad/s", "world"),
+    "qpos": FieldKind((), "m or rad", "joint"),
+    "qvel": FieldKind((), "m/s or rad/s", "joint"),
+}
+
+BODY_FIELDS = ("position", "orientation", "linear_velocity", "angular_velocity")
+
+
+@dataclass(frozen=True)
+class StateField:
+    """One recorded array of a run, shape [step, env, item, width].
+
+    group       bodies that belong together: cubes, ball, robot
+    field       a key of FIELD_KINDS
+    dtype       "float32" or "float64": what the engine computes in
+    items       names of the bodies or joints, in order
+    components  names of the numbers of one item
+    unit        SI unit
+    frame       see FieldKind
+    note        how the recorded number differs from what the engine returns; empty where it does not
+    """
+
+    group: str
+    field: str
+    dtype: str
+    items: tuple[str, ...]
+    components: tuple[str, ...]
+    unit: str
+    frame: str
+    note: str = ""
+
+    @property
+    def name(self) -> str:
+        """ "group/field", unique within a recording."""
+        return f"{self.group}/{self.field}"
+
+    @property
+    def width(self) -> int:
+        """Numbers per item."""
+        return len(self.components)
+
+    def to_metadata(self) -> dict[str, str]:
+        """The strings that a channel carries; lists are joined by commas."""
+        return {
+            "group": self.group,
+            "field": self.field,
+            "dtype": self.dtype,
+            "shape": "step,env,item,component",
+            "items": ",".join(self.items),
+            "components": ",".join(self.components),
+            "unit": self.unit,
+            "frame": self.frame,
+            "note": self.note,
+        }
+
+    @classmethod
+    def from_json(cls, record: Any) -> StateField:
+        """From the JSON of a recording; DamagedRecording where a key is missing or of the wrong kind."""
+        try:
+            return cls(
+                group=str(record["group"]),
+                field=str(record["field"]),
+                dtype=str(record["dtype"]),
+                items=tuple(str(i) for i in record["items"]),
+                components=tuple(str(c) for c in record["components"]),
+                unit=str(record["unit"]),
+                frame=str(record["frame"]),
+                note=str(record.get("note", "")),
+            )
+        except (KeyError, TypeError, AttributeError) as error:
+            raise DamagedRecording(f"the description of a state field is unreadable: {error!r}") from None
+
+
+def body_field(group: str, field: str, dtype: str, items: tuple[str, ...], *, note: str = "") -> StateField:
+    """A pose or velocity field of a group of bodies, with the unit and frame that the format gives it."""
+    kind = FIELD_KINDS[field]
+    return StateField(group, field, dtype, items, kind.components, kind.unit, kind.frame, note)
+
+
+def with_frame(field: StateField, frame: str) -> StateField:
+    """The same field in another declared frame ("env" for engines that return env-local coordinates)."""
+    return replace(field, frame=frame)

@@ -1,0 +1,56 @@
+"""Message classes of the format, made from the descriptor set beside this module.
+
+The classes are built at run time rather than generated as code, so that any protobuf runtime from 5 on reads and
+writes the same recordings. ``make proto`` rebuilds the descriptor set from ``proto/gsb/v1/*.proto``.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from importlib.resources import files
+from typing import Any
+
+from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
+
+DESCRIPTOR_SET = "gsb_v1.binpb"
+
+
+@cache
+def _files() -> descriptor_pb2.FileDescriptorSet:
+    data = (files("schemas") / DESCRIPTOR_SET).read_bytes()
+    return descriptor_pb2.FileDescriptorSet.FromString(data)
+
+
+@cache
+def _pool() -> descriptor_pool.DescriptorPool:
+    pool = descriptor_pool.DescriptorPool()
+    for file in _files().file:
+        pool.Add(file)
+    return pool
+
+
+@cache
+def message_class(name: str) -> Any:
+    """The class of a message by its full name, for example ``gsb.v1.StateBlock``."""
+    return message_factory.GetMessageClass(_pool().FindMessageTypeByName(name))
+
+
+@cache
+def enum_values(name: str) -> dict[str, int]:
+    """Numbers of an enum by value name, for example of ``gsb.v1.RunStatus``."""
+    return {v.name: v.number for v in _pool().FindEnumTypeByName(name).values}
+
+
+@cache
+def message_names() -> tuple[str, ...]:
+    """Full names of all messages of the format."""
+    return tuple(f"{f.package}.{m.name}" for f in _files().file for m in f.message_type)
+
+
+@cache
+def embedded_schema(name: str) -> bytes:
+    """The FileDescriptorSet that a recording carries for a message, comments included."""
+    for file in _files().file:
+        if any(f"{file.package}.{m.name}" == name for m in file.message_type):
+            return bytes(descriptor_pb2.FileDescriptorSet(file=[file]).SerializeToString())
+    raise KeyError(name)

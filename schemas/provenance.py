@@ -1,0 +1,162 @@
+"""Where a recording comes from: two JSON attachments.
+
+provenance.json  written before any device context exists: what was asked, by whom, on what machine, with what
+                 software. A run that dies at once still says this much.
+simulation.json  written once the simulator is built: the options really in force, the parameters of the scene that the
+                 engine could not honour, the layout of the state.
+
+Readers ignore keys they do not know.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+from schemas import FORMAT
+from schemas.configuration import RunConfiguration
+from schemas.errors import DamagedRecording
+from schemas.fields import StateField
+
+PROVENANCE = "provenance.json"
+SIMULATION = "simulation.json"
+PACKAGES = "pip-freeze.txt"
+SCENE = "scene.json"
+ENGINE_LOG = "engine-log.txt"
+TRIALS = "trials.csv"
+
+REAL = "real"
+"""Simulator name of a recording of real trials."""
+
+
+@dataclass(frozen=True)
+class Provenance:
+    """What is known before the run begins.
+
+    run_id         unique to the run (UUID4)
+    created_utc    ISO 8601, seconds
+    argv           the command as the user gave it
+    configuration  what was asked
+    host           operating system, CPU, cores, memory
+    gpus           one record per GPU that NVML shows: name, driver, memory, clocks, ECC and MIG mode; empty without any
+    software       versions of Python, the recorder (with its git commit) and the packages that can change numbers
+    environment    environment variables that can change numbers, such as XLA_FLAGS
+    """
+
+    run_id: str
+    created_utc: str
+    argv: tuple[str, ...]
+    configuration: RunConfiguration
+    host: dict[str, Any] = field(default_factory=dict)
+    gpus: tuple[dict[str, Any], ...] = ()
+    software: dict[str, Any] = field(default_factory=dict)
+    environment: dict[str, str] = field(default_factory=dict)
+
+    def to_json(self) -> str:
+        """As the text of the attachment."""
+        record = {**asdict(self), "configuration": self.configuration.to_json(), "format": FORMAT}
+        return _dump(record)
+
+    @classmethod
+    def from_json(cls, text: str | bytes) -> Provenance:
+        """From the attachment; DamagedRecording where it cannot be read."""
+        record = _load(PROVENANCE, text)
+        try:
+            return cls(
+                run_id=str(record["run_id"]),
+                created_utc=str(record["created_utc"]),
+                argv=tuple(str(a) for a in record["argv"]),
+                configuration=RunConfiguration.from_json(record["configuration"]),
+                host=dict(record.get("host", {})),
+                gpus=tuple(dict(g) for g in record.get("gpus", ())),
+                software=dict(record.get("software", {})),
+                environment={str(k): str(v) for k, v in record.get("environment", {}).items()},
+            )
+        except (KeyError, TypeError, ValueError, AttributeError) as error:
+            raise DamagedRecording(f"{PROVENANCE} is unreadable: {error!r}") from None
+
+
+@dataclass(frozen=True)
+class Deviation:
+    """A parameter of the scene that the engine could not honour.
+
+    parameter  dotted name, for example "cubes.restitution"
+    wanted     the scene's value
+    used       what the engine has instead, in words or as a number
+    reason     why
+    """
+
+    parameter: str
+    wanted: str
+    used: str
+    reason: str
+
+
+@dataclass(frozen=True)
+class Simulation:
+    """What is known once the simulator is built.
+
+    version          of the engine
+    device           "cpu", or the name of the GPU that steps
+    options          every option in force, defaults included
+    switches         determinism switches and whatever else decides which numbers come out
+    deviations       parameters of the scene that were not honoured
+    fields           layout of the state, in recording order
+    env_origins      origin of each environment in the engine's world frame [m]; empty when all are at zero
+    scene            the scene's name and parameters, and the SHA-256 of its description
+    timing_covers    what lies between the clocks of the phase "timed"
+    fresh_start      how the capture phase came to its initial state
+    """
+
+    version: str
+    device: str
+    options: dict[str, Any]
+    switches: dict[str, Any]
+    deviations: tuple[Deviation, ...]
+    fields: tuple[StateField, ...]
+    scene: dict[str, Any]
+    env_origins: tuple[tuple[float, float, float], ...] = ()
+    timing_covers: str = ""
+    fresh_start: str = "rebuilt"
+
+    def to_json(self) -> str:
+        """As the text of the attachment."""
+        return _dump(asdict(self))
+
+    @classmethod
+    def from_json(cls, text: str | bytes) -> Simulation:
+        """From the attachment; DamagedRecording where it cannot be read."""
+        record = _load(SIMULATION, text)
+        try:
+            return cls(
+                version=str(record["version"]),
+                device=str(record["device"]),
+                options=dict(record["options"]),
+                switches=dict(record["switches"]),
+                deviations=tuple(
+                    Deviation(str(d["parameter"]), str(d["wanted"]), str(d["used"]), str(d["reason"]))
+                    for d in record["deviations"]
+                ),
+                fields=tuple(StateField.from_json(f) for f in record["fields"]),
+                scene=dict(record["scene"]),
+                env_origins=tuple(tuple(float(x) for x in o) for o in record.get("env_origins", ())),  # type: ignore[misc]
+                timing_covers=str(record.get("timing_covers", "")),
+                fresh_start=str(record.get("fresh_start", "")),
+            )
+        except (KeyError, TypeError, ValueError, AttributeError) as error:
+            raise DamagedRecording(f"{SIMULATION} is unreadable: {error!r}") from None
+
+
+def _dump(record: dict[str, Any]) -> str:
+    return json.dumps(record, indent=1, sort_keys=True, ensure_ascii=False) + "\n"
+
+
+def _load(name: str, text: str | bytes) -> dict[str, Any]:
+    try:
+        record = json.loads(text)
+    except ValueError as error:
+        raise DamagedRecording(f"{name} is not JSON: {error}") from None
+    if not isinstance(record, dict):
+        raise DamagedRecording(f"{name} is not a JSON object")
+    return record

@@ -1,0 +1,53 @@
+"""Topic names of a recording."""
+
+from __future__ import annotations
+
+import re
+from typing import NamedTuple
+
+RUN_EVENT = "/run/event"
+RUN_END = "/run/end"
+RUN_DROPOUT = "/run/dropout"
+MEMORY_HOST = "/memory/host"
+
+_STATE = re.compile(r"/state/([a-z0-9_]+)/([a-z0-9_]+)/(\d+)")
+_ENV_DIGITS = 6
+
+
+class StateTopic(NamedTuple):
+    """Parts of a state topic."""
+
+    group: str
+    field: str
+    env_start: int
+
+
+def state(group: str, field: str, env_start: int) -> str:
+    """Topic of the state blocks of one field whose first environment is `env_start`."""
+    return f"/state/{group}/{field}/{env_start:0{_ENV_DIGITS}d}"
+
+
+def parse_state(topic: str) -> StateTopic | None:
+    """Parts of a state topic, or None where the topic is another."""
+    match = _STATE.fullmatch(topic)
+    return StateTopic(match[1], match[2], int(match[3])) if match else None
+
+
+def action(name: str, env_start: int) -> str:
+    """Topic of the actions of one actuator group."""
+    return f"/action/{name}/{env_start:0{_ENV_DIGITS}d}"
+
+
+def timing(phase: str) -> str:
+    """Topic of the clocks of a phase."""
+    return f"/timing/{phase}"
+
+
+def fingerprint(phase: str) -> str:
+    """Topic of the state hashes of a phase."""
+    return f"/fingerprint/{phase}"
+
+
+def gpu_memory(device: int, source: str) -> str:
+    """Topic of one memory source ("device", "process" or "allocator") of a GPU."""
+    return f"/memory/gpu{device}/{source}"

@@ -1,0 +1,59 @@
+"""Real recordings, made once, and the commands as a user calls them."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from hypothesis import HealthCheck, settings
+
+# The machine that runs the tests may be slow or busy; a test says what is right, not how fast.
+settings.register_profile("any-machine", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+settings.load_profile("any-machine")
+
+Command = Callable[..., subprocess.CompletedProcess[str]]
+
+SMALL = ("--steps", "100", "--warmup", "10", "--timed-steps", "20")
+"""A run of a second of simulated time; evaluated with --sample-time 1."""
+
+
+def command(name: str) -> list[str]:
+    """The installed command of that name."""
+    return [str(Path(sys.executable).parent / name)]
+
+
+def call(name: str, *arguments: object, **keywords: object) -> subprocess.CompletedProcess[str]:
+    """Run a command to its end; nothing is raised for its exit code."""
+    return subprocess.run(  # type: ignore[call-overload,no-any-return]
+        [*command(name), *map(str, arguments)], **{"capture_output": True, "text": True, "timeout": 120, **keywords}
+    )
+
+
+@pytest.fixture(scope="session")
+def gsb_record() -> Command:
+    """Call gsb-record with the given arguments."""
+    return lambda *arguments, **keywords: call("gsb-record", *arguments, **keywords)
+
+
+@pytest.fixture(scope="session")
+def gsb_eval() -> Command:
+    """Call gsb-eval with the given arguments."""
+    return lambda *arguments, **keywords: call("gsb-eval", *arguments, **keywords)
+
+
+@pytest.fixture(scope="session")
+def small_set(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    """Three runs of four environments of inclined-collision, 1 s each; must not be written to."""
+    folder = tmp_path_factory.mktemp("small-set")
+    done = call("gsb-record", "--sim", "mujoco", "--n-env", "4", "--runs", "3", *SMALL, "--out", folder)
+    assert done.returncode == 0, done.stderr
+    return sorted(folder.glob("*.mcap"))
+
+
+@pytest.fixture(scope="session")
+def small(small_set: list[Path]) -> Path:
+    """The first of the small set."""
+    return small_set[0]

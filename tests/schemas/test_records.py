@@ -1,0 +1,163 @@
+"""Descriptors, provenance and digests: what shared files rely on for years."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from google.protobuf import descriptor_pb2
+from hypothesis import given
+from hypothesis import strategies as st
+
+import schemas
+from schemas.build_descriptors import build
+from schemas.configuration import RunConfiguration, sim_time_ns
+from schemas.digest import ContentDigest, content_hash
+from schemas.errors import DamagedRecording
+from schemas.fields import BODY_FIELDS, body_field
+from schemas.messages import DESCRIPTOR_SET, embedded_schema, message_names
+from schemas.provenance import Deviation, Provenance, Simulation
+from schemas.topics import StateTopic, parse_state, state
+
+_FIELDS = tuple(body_field("cubes", name, "float64", ("a", "b")) for name in BODY_FIELDS)
+
+# Numbers of fields never change once a file was shared; see the evolution rules in schemas/README.md.
+_WIRE = {
+    "StateBlock": {
+        "first_step": 1, "steps": 2, "stride": 3, "env_start": 4, "envs": 5, "items": 6, "width": 7,
+        "sim_time_ns": 8, "encoding": 9, "crc32": 10, "packed": 11, "data": 12, "data64": 13,
+    },
+    "ActionBlock": {
+        "first_step": 1, "steps": 2, "stride": 3, "env_start": 4, "envs": 5, "width": 6, "sim_time_ns": 7,
+        "crc32": 8, "data": 9, "data64": 10,
+    },
+    "StepTiming": {"first_step": 1, "steps_per_interval": 2, "start_ns": 3, "end_ns": 4},
+    "MemorySample": {
+        "source": 1, "device": 2, "monotonic_ns": 3, "used_bytes": 4, "total_bytes": 5, "phase": 6, "checkpoint": 7,
+    },
+    "Event": {"kind": 1, "phase": 2, "monotonic_ns": 3, "unix_ns": 4, "text": 5},
+    "FingerprintBlock": {"first_step": 1, "steps": 2, "stride": 3, "env_start": 4, "envs": 5, "hashes": 6},
+    "Dropout": {"topic": 1, "first_step": 2, "steps": 3, "reason": 4},
+    "RunEnd": {
+        "status": 1, "reason": 2, "last_step": 3, "digests": 4, "content_hash": 5, "peak_rss_bytes": 6,
+    },
+}  # fmt: skip
+
+
+def _configuration(**changes: Any) -> RunConfiguration:
+    return RunConfiguration(**{"simulator": "s", "scene": "c", "n_env": 2, "dt": 0.01, "steps": 5, **changes})
+
+
+def test_descriptor_set_is_current(tmp_path: Path) -> None:
+    """Hold the descriptor set to its .proto files; make proto rebuilds it."""
+
+    def described(data: bytes) -> Any:
+        files = descriptor_pb2.FileDescriptorSet.FromString(data).file
+        for file in files:
+            file.ClearField("source_code_info")  # its layout may differ between versions of protoc
+        return {file.name: file for file in files}
+
+    build(tmp_path / "new.binpb")
+    kept = (Path(schemas.__file__).parent / DESCRIPTOR_SET).read_bytes()
+    assert described((tmp_path / "new.binpb").read_bytes()) == described(kept)
+
+
+@pytest.mark.parametrize("name", message_names())
+def test_field_numbers_never_change(name: str) -> None:
+    """Keep the wire format that shared files have."""
+    (file,) = descriptor_pb2.FileDescriptorSet.FromString(embedded_schema(name)).file
+    message = next(m for m in file.message_type if f"gsb.v1.{m.name}" == name)
+    found = {field.name: field.number for field in message.field}
+    expected = _WIRE[message.name]
+    assert {k: found.get(k) for k in expected} == expected
+    assert not file.dependency, "an embedded schema is complete in itself"
+
+
+def test_comments_travel_with_the_schema() -> None:
+    """Carry the .proto's comments in every recording."""
+    (file,) = descriptor_pb2.FileDescriptorSet.FromString(embedded_schema("gsb.v1.StateBlock")).file
+    assert any("[steps, envs, items, width]" in loc.leading_comments for loc in file.source_code_info.location)
+
+
+def test_provenance_round_trip() -> None:
+    """Return what was written, and ignore keys of a later version."""
+    provenance = Provenance(
+        "id", "2026-01-01T00:00:00Z", ("gsb-record", "--sim"), _configuration(options={"cone": "elliptic"}),
+        host={"cpu": "x"}, gpus=({"name": "g"},), software={"python": "3"}, environment={"XLA_FLAGS": "-x"},
+    )  # fmt: skip
+    assert Provenance.from_json(provenance.to_json()) == provenance
+    later = {**json.loads(provenance.to_json()), "added_later": 1}
+    later["configuration"]["added_later"] = [2]
+    assert Provenance.from_json(json.dumps(later)) == provenance
+
+
+def test_simulation_round_trip() -> None:
+    """Return what was written of the built simulator."""
+    simulation = Simulation(
+        "4.0", "cpu", {"iterations": 100}, {"precision": "float64"}, (Deviation("a", "1", "2", "because"),), _FIELDS,
+        {"name": "c"}, env_origins=((0.0, 1.0, 2.0),), timing_covers="all", fresh_start="rebuilt",
+    )  # fmt: skip
+    assert Simulation.from_json(simulation.to_json()) == simulation
+
+
+@pytest.mark.parametrize(
+    "text", ["", "[]", "{}", "null", '{"run_id": 1}', '{"run_id":"a","created_utc":"b","argv":3,"configuration":{}}']
+)
+def test_unreadable_provenance_is_damage(text: str) -> None:
+    """Raise DamagedRecording on provenance that says nothing."""
+    for kind in (Provenance, Simulation):
+        with pytest.raises(DamagedRecording):
+            kind.from_json(text)
+
+
+@given(st.dictionaries(st.sampled_from(["n_env", "dt", "steps", "stride", "phases"]), st.none() | st.text(max_size=3)))
+def test_configuration_of_wrong_kinds_is_damage(changes: dict[str, Any]) -> None:
+    """Raise DamagedRecording, never anything else, on a configuration of wrong types."""
+    record = {**_configuration().to_json(), **changes}
+    try:
+        RunConfiguration.from_json(record)
+    except DamagedRecording:
+        return
+    assert set(changes) <= {"phases"}
+
+
+@given(st.integers(1, 60), st.lists(st.integers(1, 59), max_size=5))
+def test_digest_ignores_how_rows_are_split(rows: int, cuts: list[int]) -> None:
+    """Give the same digest however the rows were split into blocks."""
+    array = np.random.default_rng(rows).standard_normal((rows, 2, 2, 3))
+    whole, parts = ContentDigest(), ContentDigest()
+    whole.state(_FIELDS[0], 2, array)
+    for part in np.split(array, sorted({c for c in cuts if c < rows})):
+        parts.state(_FIELDS[0], 2, part)
+    assert whole.digests() == parts.digests()
+
+
+def test_content_hash_covers_everything() -> None:
+    """Change with any stream, any attachment and the way the run ended."""
+    base = {"state cubes/position": "aa", "attachment scene.json": "bb"}
+    hashes = {
+        content_hash(base, "complete", ""),
+        content_hash({**base, "attachment scene.json": "bc"}, "complete", ""),
+        content_hash({**base, "more": ""}, "complete", ""),
+        content_hash(base, "invalid", ""),
+        content_hash(base, "complete", "why"),
+    }
+    assert len(hashes) == 5
+    assert content_hash(dict(reversed(base.items())), "complete", "") in hashes
+
+
+def test_state_topics() -> None:
+    """Write and read the names that others rely on."""
+    assert state("cubes", "position", 64) == "/state/cubes/position/000064"
+    assert parse_state("/state/cubes/position/000064") == StateTopic("cubes", "position", 64)
+    assert parse_state("/state/cubes/position") is None
+    assert parse_state("/statex/cubes/position/0") is None
+
+
+@given(st.integers(0, 10**7), st.sampled_from([0.01, 0.002, 1 / 3, 1e-4, 0.005]))
+def test_times_name_steps(step: int, dt: float) -> None:
+    """Recover a step from its simulated time in nanoseconds."""
+    assert round(sim_time_ns(step, dt) / (dt * 1e9)) == step
