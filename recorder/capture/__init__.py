@@ -1,0 +1,1 @@
+"""From a simulator's arrays to the bytes of a file."""

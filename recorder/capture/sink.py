@@ -1,0 +1,164 @@
+"""The file being written: an MCAP under a name ending in .partial until it is whole.
+
+The end record is the last message; only then is the file finished, flushed to the disk, renamed and its folder
+flushed. So a file under its final name is whole and says how the run ended, and whatever a crash leaves behind keeps
+its .partial name and has no end record.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any, BinaryIO
+
+from mcap.writer import CompressionType, Writer
+
+from recorder.interruption import shielded
+from schemas import FORMAT, PARTIAL, __version__, topics
+from schemas.digest import ContentDigest, content_hash
+from schemas.errors import DataLost, UsageError
+from schemas.messages import embedded_schema, enum_values, message_class
+
+# A state block of this size or more closes its chunk at once, so a crash loses no block that was written.
+_CHUNK_BYTES = 128 * 1024
+
+EPOCH_NS = 1_000_000_000
+"""log_time of simulated time zero: zero itself reads as "no time" in some tools."""
+
+COMPRESSIONS = {"none": CompressionType.NONE, "lz4": CompressionType.LZ4, "zstd": CompressionType.ZSTD}
+
+
+class Sink:
+    """Writes one recording.
+
+    path         final name; the file must not exist
+    compression  a key of COMPRESSIONS
+    """
+
+    def __init__(self, path: Path, *, compression: str) -> None:
+        self.path = path
+        self.partial = path.with_name(path.name + PARTIAL)
+        if path.exists():
+            raise UsageError(f"{path} exists already; recordings are never overwritten")
+        try:
+            self._stream: BinaryIO = self.partial.open("xb")  # noqa: SIM115 - closed by finish or abandon
+        except FileExistsError:
+            raise UsageError(f"{self.partial} exists already; another recorder may be writing it") from None
+        except OSError as error:
+            raise UsageError(f"cannot write to {path.parent}: {error.strerror}") from None
+        self._digest = ContentDigest()
+        self._schemas: dict[str, int] = {}
+        self._channels: dict[str, int] = {}
+        self._sequence: dict[str, int] = {}
+        self._began_ns = time.perf_counter_ns()
+        self._writer = Writer(
+            self._stream,
+            chunk_size=_CHUNK_BYTES,
+            compression=COMPRESSIONS[compression],
+            enable_crcs=True,
+            enable_data_crcs=True,
+        )
+        with self._disk():
+            self._writer.start(profile=FORMAT, library=f"gpusimbench {__version__}")
+
+    def metadata(self, name: str, values: dict[str, str]) -> None:
+        """A short list of texts for tools that show no more; never read back by the evaluator."""
+        with self._disk():
+            self._writer.add_metadata(name, values)
+
+    def attach(self, name: str, media_type: str, data: bytes) -> None:
+        """An attachment, part of the recording's identity."""
+        self._digest.attachment(name, data)
+        now = time.time_ns()
+        with self._disk():
+            self._writer.add_attachment(now, now, name, media_type, data)
+
+    def channel(self, topic: str, message: str, metadata: dict[str, str] | None = None) -> None:
+        """Declare a topic and the message type that it carries."""
+        if message not in self._schemas:
+            self._schemas[message] = self._writer.register_schema(message, "protobuf", embedded_schema(message))
+        self._channels[topic] = self._writer.register_channel(topic, "protobuf", self._schemas[message], metadata or {})
+
+    def write(self, topic: str, data: bytes, *, sim_ns: int | None = None, digest: bool = True) -> None:
+        """A serialised message on a declared topic.
+
+        sim_ns  simulated time [ns]; None for messages about the run itself, which are placed by the time since its
+                beginning
+        digest  False where the content is digested otherwise (states)
+        """
+        if digest:
+            self._digest.message(topic, data)
+        elapsed = time.perf_counter_ns() - self._began_ns if sim_ns is None else sim_ns
+        sequence = self._sequence.get(topic, 0)
+        self._sequence[topic] = sequence + 1
+        with self._disk():
+            self._writer.add_message(
+                self._channels[topic],
+                log_time=EPOCH_NS + elapsed,
+                data=data,
+                publish_time=time.time_ns(),
+                sequence=sequence,
+            )
+            self._stream.flush()
+
+    @property
+    def digest(self) -> ContentDigest:
+        """Digests of what was written so far."""
+        return self._digest
+
+    def finish(self, status: str, reason: str, *, last_step: int, peak_rss_bytes: int) -> Path:
+        """Write the end record, make the file durable and give it its final name.
+
+        status  COMPLETE, FAILED or INVALID
+        """
+        digests = self._digest.digests()
+        end: Any = message_class("gsb.v1.RunEnd")(
+            status=enum_values("gsb.v1.RunStatus")[f"RUN_STATUS_{status}"],
+            reason=reason,
+            last_step=last_step,
+            digests=digests,
+            content_hash=content_hash(digests, status.lower(), reason),
+            peak_rss_bytes=peak_rss_bytes,
+        )
+        self.channel(topics.RUN_END, "gsb.v1.RunEnd")
+        self.write(topics.RUN_END, end.SerializeToString(deterministic=True), digest=False)
+        with self._disk():
+            self._writer.finish()
+            self._stream.flush()
+            os.fsync(self._stream.fileno())
+            self._stream.close()
+            self._rename()
+        return self.path
+
+    def abandon(self) -> None:
+        """Close the file as it is: without an end record and under its .partial name."""
+        with suppress(OSError):  # the error that led here is the one to report
+            self._stream.close()
+
+    def _rename(self) -> None:
+        try:
+            os.link(self.partial, self.path)  # unlike rename, never replaces a file
+        except FileExistsError:
+            raise DataLost(f"{self.path} appeared meanwhile; this run is in {self.partial}") from None
+        except OSError:  # a file system without hard links
+            os.rename(self.partial, self.path)
+        else:
+            os.unlink(self.partial)
+        folder = os.open(self.path.parent, os.O_RDONLY)
+        try:
+            os.fsync(folder)
+        finally:
+            os.close(folder)
+
+    @contextmanager
+    def _disk(self) -> Iterator[None]:
+        """Whole writes only, and one clear message where the disk takes no more."""
+        try:
+            with shielded():
+                yield
+        except OSError as error:
+            what = error.strerror or str(error)
+            raise DataLost(f"writing stopped: {what}; what was written is in {self.partial}") from None

@@ -1,0 +1,84 @@
+"""GPUs as NVML shows them. Absent NVML, an absent driver and no GPU all mean: no GPUs."""
+
+from __future__ import annotations
+
+import os
+from types import TracebackType
+from typing import Any
+
+
+class Gpus:
+    """The GPUs of this machine; a context manager that holds NVML open."""
+
+    def __init__(self) -> None:
+        self._nvml: Any = None
+        self._handles: list[Any] = []
+
+    def __enter__(self) -> Gpus:
+        try:
+            import pynvml
+        except ImportError:
+            return self
+        try:
+            pynvml.nvmlInit()
+        except pynvml.NVMLError:  # no driver, or no GPU
+            return self
+        self._nvml = pynvml
+        self._handles = [pynvml.nvmlDeviceGetHandleByIndex(i) for i in range(pynvml.nvmlDeviceGetCount())]
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._nvml:
+            self._nvml.nvmlShutdown()
+            self._nvml, self._handles = None, []
+
+    def __len__(self) -> int:
+        return len(self._handles)
+
+    def describe(self) -> tuple[dict[str, Any], ...]:
+        """Name, driver, memory, clocks and modes of each GPU; what a GPU does not tell is left out."""
+        nvml = self._nvml
+        described = []
+        for handle in self._handles:
+            queries = {
+                "name": lambda h: nvml.nvmlDeviceGetName(h),
+                "driver": lambda h: nvml.nvmlSystemGetDriverVersion(),
+                "cuda_driver": lambda h: nvml.nvmlSystemGetCudaDriverVersion_v2(),
+                "memory_bytes": lambda h: nvml.nvmlDeviceGetMemoryInfo(h).total,
+                "compute_capability": lambda h: list(nvml.nvmlDeviceGetCudaComputeCapability(h)),
+                "sm_clock_max_mhz": lambda h: nvml.nvmlDeviceGetMaxClockInfo(h, nvml.NVML_CLOCK_SM),
+                "sm_clock_mhz": lambda h: nvml.nvmlDeviceGetClockInfo(h, nvml.NVML_CLOCK_SM),
+                "memory_clock_mhz": lambda h: nvml.nvmlDeviceGetClockInfo(h, nvml.NVML_CLOCK_MEM),
+                "power_limit_mw": lambda h: nvml.nvmlDeviceGetEnforcedPowerLimit(h),
+                "ecc": lambda h: bool(nvml.nvmlDeviceGetEccMode(h)[0]),
+                "mig": lambda h: bool(nvml.nvmlDeviceGetMigMode(h)[0]),
+                "persistence_mode": lambda h: bool(nvml.nvmlDeviceGetPersistenceMode(h)),
+            }
+            record: dict[str, Any] = {}
+            for key, query in queries.items():
+                try:
+                    value = query(handle)
+                except nvml.NVMLError:
+                    continue
+                record[key] = value.decode() if isinstance(value, bytes) else value
+            described.append(record)
+        return tuple(described)
+
+    def device_memory(self, index: int) -> tuple[int, int]:
+        """Bytes in use on the whole device, and its capacity."""
+        info = self._nvml.nvmlDeviceGetMemoryInfo(self._handles[index])
+        return int(info.used), int(info.total)
+
+    def process_memory(self, index: int) -> int | None:
+        """Bytes that NVML attributes to this process; None where it does not tell (as in most containers)."""
+        pid = os.getpid()
+        try:
+            processes = self._nvml.nvmlDeviceGetComputeRunningProcesses(self._handles[index])
+        except self._nvml.NVMLError:
+            return None
+        for process in processes:
+            if process.pid == pid and process.usedGpuMemory is not None:
+                return int(process.usedGpuMemory)
+        return None

@@ -1,0 +1,81 @@
+"""The machine that records."""
+
+from __future__ import annotations
+
+import os
+import platform
+from pathlib import Path
+from typing import Any
+
+NUMERIC_ENVIRONMENT = (
+    "CUDA_",
+    "CUBLAS_",
+    "GLIBC_TUNABLES",
+    "JAX_",
+    "LD_PRELOAD",
+    "MKL_",
+    "MUJOCO_",
+    "NPY_",
+    "NVIDIA_TF32_OVERRIDE",
+    "NVIDIA_VISIBLE_DEVICES",
+    "OMP_",
+    "OPENBLAS_",
+    "PYTHONHASHSEED",
+    "TF_CUDNN",
+    "TF_DETERMINISTIC",
+    "WARP_",
+    "XLA_",
+)
+"""Prefixes of environment variables that can change numbers or speed."""
+
+
+def describe_host() -> dict[str, Any]:
+    """CPU, memory and operating system. No host name and no user: recordings are shared."""
+    import psutil
+
+    return {
+        "cpu": _cpu_model(),
+        "cpu_flags": _cpu_flags(),
+        "cores": psutil.cpu_count(logical=False),
+        "threads": psutil.cpu_count(),
+        "usable_threads": len(os.sched_getaffinity(0)),
+        "memory_bytes": psutil.virtual_memory().total,
+        "machine": platform.machine(),
+        "system": platform.system(),
+        "kernel": platform.release(),
+        "libc": " ".join(platform.libc_ver()),
+    }
+
+
+def numeric_environment() -> dict[str, str]:
+    """The environment variables of NUMERIC_ENVIRONMENT that are set."""
+    return {k: v for k, v in sorted(os.environ.items()) if k.startswith(NUMERIC_ENVIRONMENT)}
+
+
+def peak_rss_bytes() -> int:
+    """Largest resident set of this process so far [bytes]."""
+    import resource
+
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
+
+
+def _cpuinfo(key: str) -> str:
+    try:
+        for line in Path("/proc/cpuinfo").read_text().splitlines():
+            name, _, value = line.partition(":")
+            if name.strip() == key:
+                return value.strip()
+    except OSError:
+        pass
+    return ""
+
+
+def _cpu_model() -> str:
+    return _cpuinfo("model name") or platform.processor() or "unknown"
+
+
+def _cpu_flags() -> list[str]:
+    # the vector units decide which kernels a maths library picks, and so the last bits of its results
+    relevant = ("sse4_2", "avx", "avx2", "fma", "avx512f", "avx512vl", "avx512_bf16", "amx_tile", "asimd", "sve")
+    present = set((_cpuinfo("flags") or _cpuinfo("Features")).split())
+    return [flag for flag in relevant if flag in present]

@@ -1,0 +1,84 @@
+"""Memory readings during a run, from a thread of their own."""
+
+from __future__ import annotations
+
+import threading
+import time
+from dataclasses import dataclass
+
+from recorder.probes.gpu import Gpus
+from schemas import topics
+from schemas.messages import enum_values
+
+INTERVAL_S = 0.01
+
+
+@dataclass(frozen=True)
+class Reading:
+    """One reading of one source: the content of a MemorySample, and its topic."""
+
+    topic: str
+    source: int
+    device: int
+    monotonic_ns: int
+    used_bytes: int
+    total_bytes: int
+    phase: str
+    checkpoint: str
+
+
+class MemorySampler:
+    """Reads host and GPU memory at 100 Hz while running, and at checkpoints when told to."""
+
+    def __init__(self, gpus: Gpus) -> None:
+        import psutil
+
+        self._process = psutil.Process()
+        self._host_total = psutil.virtual_memory().total
+        self._gpus = gpus
+        self._sources = enum_values("gsb.v1.MemorySource")
+        self._readings: list[Reading] = []
+        self._lock = threading.Lock()
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._loop, name="memory-sampler", daemon=True)
+        self.phase = ""
+
+    def start(self) -> None:
+        """Begin sampling."""
+        self._thread.start()
+
+    def stop(self) -> None:
+        """End sampling; readings can still be taken."""
+        self._stop.set()
+        if self._thread.is_alive():
+            self._thread.join()
+
+    def checkpoint(self, name: str) -> None:
+        """Read every source now, under the name of a checkpoint of the protocol."""
+        self._read(name)
+
+    def take(self) -> list[Reading]:
+        """The readings since the last call, in order of time."""
+        with self._lock:
+            readings, self._readings = self._readings, []
+        return readings
+
+    def _loop(self) -> None:
+        while not self._stop.wait(INTERVAL_S):
+            self._read("")
+
+    def _read(self, checkpoint: str) -> None:
+        with self._lock:
+            now = time.perf_counter_ns()
+            self._add(topics.MEMORY_HOST, "HOST_RSS", 0, now, self._process.memory_info().rss,
+                      self._host_total, checkpoint)  # fmt: skip
+            for index in range(len(self._gpus)):
+                used, total = self._gpus.device_memory(index)
+                self._add(topics.gpu_memory(index, "device"), "GPU_DEVICE", index, now, used, total, checkpoint)
+                own = self._gpus.process_memory(index)
+                if own is not None:
+                    self._add(topics.gpu_memory(index, "process"), "GPU_PROCESS", index, now, own, total, checkpoint)
+
+    def _add(self, topic: str, source: str, device: int, now: int, used: int, total: int, checkpoint: str) -> None:
+        number = self._sources[f"MEMORY_SOURCE_{source}"]
+        self._readings.append(Reading(topic, number, device, now, used, total, self.phase, checkpoint))

@@ -1,0 +1,78 @@
+"""The software that records: versions, commit, installed packages."""
+
+from __future__ import annotations
+
+import platform
+import subprocess
+import sys
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import schemas
+
+DISTRIBUTION = "gpusimbench"
+
+NUMERIC_PACKAGES = (
+    "brax",
+    "genesis-world",
+    "isaaclab",
+    "jax",
+    "jaxlib",
+    "mani-skill",
+    "mcap",
+    "mujoco",
+    "mujoco-mjx",
+    "mujoco-warp",
+    "newton",
+    "numpy",
+    "ovphysx",
+    "playground",
+    "protobuf",
+    "sapien",
+    "taichi",
+    "torch",
+    "warp-lang",
+)
+"""Distributions whose version can change a number; the whole list is attached as pip-freeze.txt."""
+
+
+def describe_software() -> dict[str, Any]:
+    """Versions of Python, of the recorder and of NUMERIC_PACKAGES."""
+    return {
+        "python": sys.version.split()[0],
+        "implementation": platform.python_implementation(),
+        "recorder": {"version": schemas.__version__, **_commit()},
+        "packages": {name: version for name in NUMERIC_PACKAGES if (version := _version(name))},
+    }
+
+
+def package_list() -> str:
+    """Every installed distribution, one "name==version" a line."""
+    names = {(d.metadata["Name"] or "?", d.version) for d in metadata.distributions()}
+    return "".join(f"{name}=={version}\n" for name, version in sorted(names, key=lambda n: n[0].lower()))
+
+
+def _version(distribution: str) -> str | None:
+    try:
+        return metadata.version(distribution)
+    except metadata.PackageNotFoundError:
+        return None
+
+
+def _commit() -> dict[str, Any]:
+    root = Path(schemas.__file__).resolve().parent.parent
+    # only a checkout of this project itself: an installed package may lie inside somebody else's repository
+    if not ((root / ".git").exists() and (root / "pyproject.toml").exists()):
+        return {"commit": None}
+    try:
+        commit = _git(root, "rev-parse", "HEAD")
+        changed = _git(root, "status", "--porcelain", "--untracked-files=no", "--", "schemas", "recorder")
+    except (OSError, subprocess.SubprocessError):
+        return {"commit": None}
+    return {"commit": commit, "modified": bool(changed)}
+
+
+def _git(root: Path, *arguments: str) -> str:
+    done = subprocess.run(["git", "-C", str(root), *arguments], capture_output=True, text=True, check=True, timeout=10)
+    return done.stdout.strip()

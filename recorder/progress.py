@@ -1,0 +1,104 @@
+"""Progress of a set of runs on stderr: a bar on a terminal, one line a run elsewhere."""
+
+from __future__ import annotations
+
+import sys
+import time
+from types import TracebackType
+from typing import Any, Protocol
+
+from recorder.launch import Result
+
+
+class Progress(Protocol):
+    """What the command shows while it works; a context manager."""
+
+    def __enter__(self) -> Progress: ...
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None: ...
+
+    def update(self, run: int, phase: str, done: int, of: int) -> None:
+        """`done` of `of` steps of a phase of a run (from 0) are done."""
+
+    def finish(self, result: Result) -> None:
+        """A run ended."""
+
+
+def make_progress(title: str, runs: int) -> Progress:
+    """A bar where stderr is a terminal, lines otherwise."""
+    return BarProgress(title, runs) if sys.stderr.isatty() else LineProgress(title, runs)
+
+
+def describe(result: Result, runs: int, elapsed: float) -> str:
+    """One line on how a run ended."""
+    line = f"run {result.run_index + 1}/{runs} {result.status} in {elapsed:.1f} s"
+    return line if result.status == "complete" else f"{line}: {result.reason}"
+
+
+class LineProgress:
+    """One line for the set, one for each run's end."""
+
+    def __init__(self, title: str, runs: int) -> None:
+        self._title = title
+        self._runs = runs
+        self._began = time.monotonic()
+
+    def __enter__(self) -> LineProgress:
+        print(self._title, file=sys.stderr)
+        return self
+
+    def __exit__(self, *details: object) -> None:
+        return None
+
+    def update(self, run: int, phase: str, done: int, of: int) -> None:
+        """Nothing: a log is not a place for bars."""
+
+    def finish(self, result: Result) -> None:
+        """See Progress.finish."""
+        now = time.monotonic()
+        print(describe(result, self._runs, now - self._began), file=sys.stderr)
+        self._began = now
+
+
+class BarProgress:
+    """Two bars: the runs, and the phase of the present one."""
+
+    def __init__(self, title: str, runs: int) -> None:
+        from rich.console import Console
+        from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn
+        from rich.progress import Progress as RichProgress
+
+        self._bars: Any = RichProgress(
+            TextColumn("{task.description:<24}"),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TimeElapsedColumn(),
+            console=Console(stderr=True),
+            transient=True,
+        )
+        self._title = title
+        self._runs = runs
+        self._began = time.monotonic()
+
+    def __enter__(self) -> BarProgress:
+        self._bars.start()
+        self._bars.console.print(self._title, highlight=False)
+        self._run_bar = self._bars.add_task("runs", total=self._runs)
+        self._phase_bar = self._bars.add_task("starting", total=None)
+        return self
+
+    def __exit__(self, *details: object) -> None:
+        self._bars.stop()
+
+    def update(self, run: int, phase: str, done: int, of: int) -> None:
+        """See Progress.update."""
+        self._bars.update(self._phase_bar, description=f"run {run + 1}: {phase}", completed=done, total=of)
+
+    def finish(self, result: Result) -> None:
+        """See Progress.finish."""
+        now = time.monotonic()
+        self._bars.console.print(describe(result, self._runs, now - self._began), highlight=False, markup=False)
+        self._began = now
+        self._bars.advance(self._run_bar)

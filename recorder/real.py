@@ -1,0 +1,114 @@
+"""gsb-record --sim real: measured trials as a recording, so that alignment needs no special case.
+
+A trial takes the place of an environment. The recording has one step of one sample time, and no state at step 0: what
+was not measured is not there.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import uuid
+
+import numpy as np
+
+from recorder.capture.sink import Sink
+from recorder.plan import prepare_folder, recording_path, utc_now
+from recorder.probes.software import describe_software
+from recorder.scenes.registry import make_scene
+from recorder.trials import UNITS, Trials, parse_trials
+from schemas import topics
+from schemas.blocks import encode_state
+from schemas.configuration import RunConfiguration, sim_time_ns
+from schemas.errors import DataLost, UsageError
+from schemas.fields import FIELD_KINDS, StateField
+from schemas.provenance import PROVENANCE, REAL, SCENE, SIMULATION, TRIALS, Provenance, Simulation
+
+_GROUP = "cubes"
+
+
+def record_trials(arguments: argparse.Namespace, argv: tuple[str, ...]) -> int:
+    """Write one recording from a CSV file; returns the exit code. Nothing is written unless every row is good."""
+    if arguments.trials is None:
+        raise UsageError("--sim real needs --trials FILE.csv with the header trial,cube,x,y or trial,cube,x,y,z")
+    if arguments.unit is None:
+        raise UsageError(f"--sim real needs --unit {' or '.join(UNITS)}: the unit of the positions in the file")
+    if not 0 < arguments.sample_time < float("inf"):
+        raise UsageError(f"--sample-time is a time in seconds above 0, not {arguments.sample_time}")
+    try:
+        data = arguments.trials.read_bytes()
+        text = data.decode("utf-8")
+    except OSError as error:
+        raise UsageError(f"cannot read {arguments.trials}: {error.strerror}") from None
+    except UnicodeDecodeError:
+        raise UsageError(f"{arguments.trials} is not a text file in UTF-8") from None
+    scene = make_scene(arguments.scene)
+    cubes = scene.groups().get(_GROUP, ())
+    if not cubes:
+        raise UsageError(f"scene {scene.name} has no {_GROUP} to measure")
+    try:
+        trials = parse_trials(text, unit=arguments.unit, cubes=len(cubes))
+    except UsageError as error:
+        raise UsageError(f"{arguments.trials}: {error}") from None
+
+    configuration = RunConfiguration(
+        simulator=REAL,
+        scene=scene.name,
+        n_env=len(trials.names),
+        dt=arguments.sample_time,
+        steps=1,
+        warmup=0,
+        timed_steps=0,
+        phases=("capture",),
+        compression=arguments.compression,
+        options={"unit": arguments.unit},
+    )
+    prepare_folder(arguments.out)
+    created = utc_now()
+    path = recording_path(arguments.out, configuration, created)
+    provenance = Provenance(str(uuid.uuid4()), created, argv, configuration, software=describe_software())
+    sink = Sink(path, compression=configuration.compression)
+    try:
+        _write(sink, configuration, provenance, trials, cubes, scene.to_json(), scene.sha256(), data)
+    except BaseException as error:
+        sink.abandon()
+        if not isinstance(error, DataLost):
+            sink.partial.unlink(missing_ok=True)
+        raise
+    print(f"{len(trials.names)} trials of {len(cubes)} cubes", file=sys.stderr)
+    print(path)
+    return 0
+
+
+def _write(
+    sink: Sink, configuration: RunConfiguration, provenance: Provenance, trials: Trials,
+    cubes: tuple[str, ...], scene: str, scene_hash: str, source: bytes,
+) -> None:  # fmt: skip
+    kind = FIELD_KINDS["position"]
+    field = StateField(
+        _GROUP, "position", "float64", cubes, trials.components, kind.unit, "env",
+        note="measured; step 1 is the time of the measurement",
+    )  # fmt: skip
+    simulation = Simulation(
+        version="measured",
+        device="real",
+        options={"unit": configuration.options["unit"], "trials": list(trials.names)},
+        switches={},
+        deviations=(),
+        fields=(field,),
+        scene={"name": configuration.scene, "sha256": scene_hash, "parameters": {}},
+        fresh_start="each trial was set up anew",
+    )
+    sink.attach(PROVENANCE, "application/json", provenance.to_json().encode())
+    sink.attach(SCENE, "application/json", scene.encode())
+    sink.attach(SIMULATION, "application/json", simulation.to_json().encode())
+    sink.attach(TRIALS, "text/csv", source)
+    topic = topics.state(_GROUP, "position", 0)
+    sink.channel(topic, "gsb.v1.StateBlock", field.to_metadata())
+    array = trials.positions[np.newaxis]
+    time = sim_time_ns(1, configuration.dt)
+    sink.digest.state(field, configuration.n_env, array)
+    sink.write(
+        topic, encode_state(array, first_step=1, stride=1, env_start=0, sim_time_ns=time), sim_ns=time, digest=False
+    )
+    sink.finish("COMPLETE", "", last_step=1, peak_rss_bytes=0)

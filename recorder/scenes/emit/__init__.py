@@ -1,0 +1,1 @@
+"""Translations of a scene into the languages that engines read."""

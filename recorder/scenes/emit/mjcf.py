@@ -1,0 +1,106 @@
+"""A scene as MJCF, MuJoCo's model language, for every engine that reads it."""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ET
+from collections.abc import Iterable, Mapping
+
+from recorder.scenes.base import IDENTITY, Body, Box, Plane, Scene, Shape, Sphere
+from schemas.provenance import Deviation
+
+_TORSIONAL = 0.005  # [m], MuJoCo's default; without effect at condim 3
+_ROLLING = 0.0001  # [m], MuJoCo's default; without effect below condim 6
+
+
+def _number(value: float) -> str:
+    return repr(float(value))
+
+
+def _numbers(values: Iterable[float]) -> str:
+    return " ".join(_number(v) for v in values)
+
+
+def _geom_shape(shape: Shape) -> dict[str, str]:
+    match shape:
+        case Box(size):
+            return {"type": "box", "size": _numbers(edge / 2 for edge in size)}
+        case Sphere(radius):
+            return {"type": "sphere", "size": _number(radius)}
+        case Plane():
+            return {"type": "plane", "size": "0 0 1"}
+
+
+def _add_body(world: ET.Element, body: Body) -> None:
+    geom = {
+        "name": body.name,
+        **_geom_shape(body.shape),
+        "friction": _numbers((body.material.kinetic_friction, _TORSIONAL, _ROLLING)),
+    }
+    pose = {"pos": _numbers(body.position)}
+    if body.orientation != IDENTITY:
+        pose["quat"] = _numbers(body.orientation)
+    if body.mass is None:
+        ET.SubElement(world, "geom", {**geom, **pose})
+        return
+    element = ET.SubElement(world, "body", {"name": body.name, **pose})
+    ET.SubElement(element, "freejoint", {"name": body.name})
+    ET.SubElement(element, "geom", {**geom, "mass": _number(body.mass)})
+
+
+def emit_mjcf(
+    scene: Scene, *, dt: float, option: Mapping[str, str], geom: Mapping[str, str], autoreset: bool = False
+) -> str:
+    """MJCF of one environment; bodies, joints and geoms carry the scene's names.
+
+    dt         step [s]
+    option     further attributes of <option>, such as integrator and cone
+    geom       defaults of <geom>, such as solref and condim
+    autoreset  whether MuJoCo may restart a simulation that went bad; off, since a restart would look like good data
+    """
+    root = ET.Element("mujoco", {"model": scene.name})
+    ET.SubElement(root, "compiler", {"angle": "radian", "autolimits": "true"})
+    settings = {"timestep": _number(dt), "gravity": _numbers(scene.gravity), **option}
+    element = ET.SubElement(root, "option", settings)
+    ET.SubElement(element, "flag", {"autoreset": "enable" if autoreset else "disable"})
+    ET.SubElement(ET.SubElement(root, "default"), "geom", dict(geom))
+    world = ET.SubElement(root, "worldbody")
+    for body in scene.bodies:
+        _add_body(world, body)
+    ET.indent(root)
+    return ET.tostring(root, encoding="unicode") + "\n"
+
+
+def deviations(scene: Scene) -> tuple[Deviation, ...]:
+    """What MuJoCo's contact model cannot take from the scene.
+
+    One Coulomb coefficient per geom, combined over a pair by the larger of the two; no coefficient of restitution:
+    contacts are damped springs (solref, solimp).
+    """
+    materials = {body.material.name: body.material for body in scene.bodies}
+    found = [
+        Deviation(
+            "contact.friction_combination",
+            "not given",
+            "the larger coefficient of the two",
+            "MuJoCo's rule for a pair of geoms of equal priority",
+        )
+    ]
+    for name, material in materials.items():
+        found.append(
+            Deviation(
+                f"{name}.static_friction",
+                str(material.static_friction),
+                str(material.kinetic_friction),
+                "MuJoCo has one friction coefficient; the kinetic one is used",
+            )
+        )
+        found.append(
+            Deviation(
+                f"{name}.restitution",
+                str(material.restitution),
+                "0 (critically damped contacts)",
+                "MuJoCo has no coefficient of restitution; underdamped contacts of this stiffness gain energy at "
+                "a step of 0.01 s",
+            )
+        )
+    return tuple(found)

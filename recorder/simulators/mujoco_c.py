@@ -1,0 +1,174 @@
+"""MuJoCo C on the CPU: the embedded default and the float64 reference.
+
+Environments are the simulations of one ``mujoco.batch.Batch``, stepped on a pool of threads; MuJoCo promises results
+that are bit-identical to a loop over one MjData each, at any number of threads.
+"""
+
+from __future__ import annotations
+
+import os
+from dataclasses import asdict, dataclass
+
+import mujoco
+import numpy as np
+from mujoco.batch import Batch
+from numpy.typing import NDArray
+
+from recorder.scenes.emit.mjcf import deviations, emit_mjcf
+from recorder.simulators.base import Description, Simulator, States
+from schemas.fields import BODY_FIELDS, body_field
+
+_QPOS = 7  # of a free joint: position 3, orientation wxyz 4
+_QVEL = 6  # of a free joint: linear velocity in the world frame 3, angular velocity in the body's frame 3
+
+_CHOICES = {
+    "integrator": ("Euler", "RK4", "implicit", "implicitfast"),
+    "cone": ("elliptic", "pyramidal"),
+    "solver": ("Newton", "CG", "PGS"),
+}
+
+
+@dataclass(frozen=True)
+class MujocoOptions:
+    """Options of MuJoCo, named as in MJCF.
+
+    threads  0: as many as the process may use
+    solref   time constant [s] and damping ratio of contacts
+    """
+
+    integrator: str = "implicitfast"
+    cone: str = "elliptic"
+    solver: str = "Newton"
+    iterations: int = 100
+    ls_iterations: int = 50
+    tolerance: float = 1e-8
+    impratio: float = 1.0
+    solref: str = "0.02 1"
+    solimp: str = "0.9 0.95 0.001 0.5 2"
+    condim: int = 3
+    threads: int = 0
+
+    def __post_init__(self) -> None:
+        for name, allowed in _CHOICES.items():
+            if getattr(self, name) not in allowed:
+                raise ValueError(f"{name} is one of {', '.join(allowed)}, not '{getattr(self, name)}'")
+        for name in ("solref", "solimp"):
+            try:
+                [float(word) for word in getattr(self, name).split()]
+            except ValueError:
+                raise ValueError(f"{name} is a list of numbers, not '{getattr(self, name)}'") from None
+        if self.threads < 0:
+            raise ValueError("threads is 0 (all that the process may use) or a positive number")
+
+
+_OPTION_ATTRIBUTES = ("integrator", "cone", "solver", "iterations", "ls_iterations", "tolerance", "impratio")
+_GEOM_ATTRIBUTES = ("solref", "solimp", "condim")
+
+
+class MujocoC(Simulator):
+    """N free-body environments on MuJoCo C."""
+
+    Options = MujocoOptions
+
+    def build(self) -> Description:
+        """See Simulator.build."""
+        options: MujocoOptions = self.options
+        xml = emit_mjcf(
+            self.scene,
+            dt=self.dt,
+            option={name: str(getattr(options, name)) for name in _OPTION_ATTRIBUTES},
+            geom={name: str(getattr(options, name)) for name in _GEOM_ATTRIBUTES},
+        )
+        model = mujoco.MjModel.from_xml_string(xml)
+        threads = options.threads or len(os.sched_getaffinity(0))
+        self._batch = Batch(model, nsim=self.n_env, nthread=threads)
+        self._batch.reset()
+        self._qpos = self._batch.bind("qpos")
+        self._qvel = self._batch.bind("qvel")
+        self._place_bodies(model)
+        self._warned = np.zeros((self.n_env, int(mujoco.mjtWarning.mjNWARNING)), dtype=np.int64)
+        note = "rotated by the recorder from the body's frame, in which MuJoCo holds it"
+        return Description(
+            version=mujoco.__version__,
+            device="cpu",
+            options={**asdict(options), "threads": threads},
+            switches={"precision": "float64"},
+            deviations=deviations(self.scene),
+            fields=tuple(
+                body_field(group, field, "float64", names, note=note if field == "angular_velocity" else "")
+                for group, names in self.scene.groups().items()
+                for field in BODY_FIELDS
+            ),
+            timing_covers="Batch.step of all environments on all threads; no state is copied, nothing is drawn",
+            attachments={"scene.xml": ("application/xml", xml.encode())},
+        )
+
+    def _place_bodies(self, model: mujoco.MjModel) -> None:
+        # groups in recording order, each the rows of its bodies within the free joints
+        joint = {name: model.joint(name).id for names in self.scene.groups().values() for name in names}
+        self._groups = [np.array([joint[n] for n in names]) for names in self.scene.groups().values()]
+        bodies = {body.name: body for body in self.scene.moving()}
+        velocity = self._qvel.reshape(self.n_env, -1, _QVEL)
+        for name, row in joint.items():
+            body = bodies[name]
+            velocity[:, row, :3] = body.linear_velocity
+            velocity[:, row, 3:] = rotate_to_body(np.array(body.orientation), np.array(body.angular_velocity))
+
+    def step(self, n_step: int) -> None:
+        """See Simulator.step."""
+        self._batch.step(nstep=n_step)
+
+    def state(self) -> States:
+        """See Simulator.state."""
+        return self._split(self._qpos, self._qvel)
+
+    def states(self, n_step: int) -> States:
+        """See Simulator.states."""
+        # Not Batch.rollout: it stops a simulation whose warning counters rise and repeats its last state.
+        qpos = np.empty((n_step, *self._qpos.shape))
+        qvel = np.empty((n_step, *self._qvel.shape))
+        for k in range(n_step):
+            self._batch.step()
+            qpos[k] = self._qpos
+            qvel[k] = self._qvel
+        return self._split(qpos, qvel)
+
+    def _split(self, qpos: NDArray[np.float64], qvel: NDArray[np.float64]) -> States:
+        pose = qpos.reshape(*qpos.shape[:-1], -1, _QPOS)
+        velocity = qvel.reshape(*qvel.shape[:-1], -1, _QVEL)
+        arrays: list[NDArray[np.float64]] = []
+        for rows in self._groups:
+            orientation = pose[..., rows, 3:]
+            arrays += [
+                pose[..., rows, :3],
+                orientation,
+                velocity[..., rows, :3],
+                rotate_to_world(orientation, velocity[..., rows, 3:]),
+            ]
+        return tuple(arrays)
+
+    def gates(self) -> list[str]:
+        """See Simulator.gates; every MuJoCo warning but inertia's is a gate."""
+        counts = np.asarray(self._batch.warning)[:, :, 1].astype(np.int64)
+        risen = counts - self._warned
+        self._warned = counts
+        fired = []
+        for kind in range(counts.shape[1]):
+            envs = np.flatnonzero(risen[:, kind])
+            if envs.size:
+                name = mujoco.mjtWarning(kind).name
+                fired.append(f"MuJoCo warning {name}: {int(risen[:, kind].sum())} times, first in env {envs[0]}")
+        return fired
+
+
+def rotate_to_world(quaternion: NDArray[np.float64], vector: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Rotate vectors [..., 3] by unit quaternions wxyz [..., 4]: v + 2 s (u x v) + 2 u x (u x v)."""
+    scalar, axis = quaternion[..., :1], quaternion[..., 1:]
+    twice = 2.0 * np.cross(axis, vector)
+    return np.asarray(vector + scalar * twice + np.cross(axis, twice))
+
+
+def rotate_to_body(quaternion: NDArray[np.float64], vector: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Rotate vectors [..., 3] by the inverse of unit quaternions wxyz [..., 4]."""
+    inverse = quaternion * np.array([1.0, -1.0, -1.0, -1.0])
+    return rotate_to_world(inverse, vector)

@@ -1,0 +1,118 @@
+"""The scenes say what the published tables say, and MuJoCo loads them as they are."""
+
+from __future__ import annotations
+
+import json
+import math
+
+import mujoco
+import numpy as np
+import pytest
+
+from recorder.scenes.base import Box, Plane, Sphere
+from recorder.scenes.emit.mjcf import deviations, emit_mjcf
+from recorder.scenes.free_fall import DROP_HEIGHT
+from recorder.scenes.inclined_collision import SLOPE_ANGLE
+from recorder.scenes.registry import SCENES, make_scene
+from schemas.errors import UsageError
+
+scenes = pytest.mark.parametrize("name", SCENES)
+
+
+def _model(name: str) -> mujoco.MjModel:
+    return mujoco.MjModel.from_xml_string(emit_mjcf(make_scene(name), dt=0.01, option={}, geom={}))
+
+
+@scenes
+def test_names_are_unique_and_groups_known(name: str) -> None:
+    """Give every body a name of its own, and every moving one a group that the format knows."""
+    scene = make_scene(name)
+    assert len({b.name for b in scene.bodies}) == len(scene.bodies)
+    assert set(scene.groups()) <= {"cubes", "ball", "robot"}
+    assert all(b.group for b in scene.moving())
+    assert scene.name == name
+
+
+@scenes
+def test_orientations_are_unit_quaternions(name: str) -> None:
+    """Rotate without scaling."""
+    for body in make_scene(name).bodies:
+        assert math.isclose(math.hypot(*body.orientation), 1.0, abs_tol=1e-15)
+
+
+@scenes
+def test_description_is_json_with_an_identity(name: str) -> None:
+    """Write the description as JSON whose hash depends on nothing but the scene."""
+    scene = make_scene(name)
+    record = json.loads(scene.to_json())
+    assert [b["name"] for b in record["bodies"]] == [b.name for b in scene.bodies]
+    assert {b["shape"]["kind"] for b in record["bodies"]} <= {"box", "sphere", "plane"}
+    assert scene.sha256() == make_scene(name).sha256()
+
+
+@scenes
+def test_mujoco_has_the_same_bodies(name: str) -> None:
+    """Emit positions, orientations, masses, sizes and friction as described."""
+    scene = make_scene(name)
+    model = _model(name)
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    for body in scene.bodies:
+        geom = model.geom(body.name)
+        assert np.allclose(data.geom_xpos[geom.id], body.position, atol=1e-15)
+        rotation = np.zeros(9)
+        mujoco.mju_quat2Mat(rotation, np.array(body.orientation))
+        assert np.allclose(data.geom_xmat[geom.id], rotation, atol=1e-15)
+        assert geom.friction[0] == body.material.kinetic_friction
+        match body.shape:
+            case Box(size):
+                assert np.array_equal(geom.size * 2, size)
+            case Sphere(radius):
+                assert geom.size[0] == radius
+            case Plane():
+                assert geom.type[0] == mujoco.mjtGeom.mjGEOM_PLANE
+        if body.mass is not None:
+            assert model.body(body.name).mass[0] == body.mass
+    assert model.nv == 6 * len(scene.moving())
+    assert tuple(model.opt.gravity) == scene.gravity
+
+
+@scenes
+def test_every_material_loss_is_declared(name: str) -> None:
+    """Declare what MuJoCo cannot honour of every material."""
+    declared = {d.parameter for d in deviations(make_scene(name))}
+    for body in make_scene(name).bodies:
+        assert {f"{body.material.name}.static_friction", f"{body.material.name}.restitution"} <= declared
+
+
+def test_inclined_collision_is_consistent() -> None:
+    """Start the ball touching the slope, 0.25 m before its foot, and the stack standing on the board."""
+    bodies = {b.name: b for b in make_scene("inclined-collision").bodies}
+    slope, ball, board = bodies["slope"], bodies["ball"], bodies["board"]
+    normal = np.array([math.sin(SLOPE_ANGLE), 0.0, math.cos(SLOPE_ANGLE)])
+    down = np.array([math.cos(SLOPE_ANGLE), 0.0, -math.sin(SLOPE_ANGLE)])
+    offset = np.subtract(ball.position, slope.position)
+    assert isinstance(slope.shape, Box)
+    assert isinstance(ball.shape, Sphere)
+    assert isinstance(board.shape, Box)
+    assert math.isclose(offset @ normal, ball.shape.radius + slope.shape.size[2] / 2, abs_tol=2e-5)
+    assert math.isclose(slope.shape.size[0] / 2 - offset @ down, 0.25, abs_tol=0.02)
+    cubes = np.array([bodies[n].position for n in make_scene("inclined-collision").groups()["cubes"]])
+    assert len(cubes) == 27
+    top = board.position[2] + board.shape.size[2] / 2
+    assert math.isclose(cubes[:, 2].min() - 0.01, top, abs_tol=1e-12)
+    assert np.allclose(cubes.mean(axis=0), (0.08, 0.0, 0.05))
+    assert np.array_equal(cubes[0], (0.06, -0.02, 0.03)), "nesting order is x, y, z"
+    assert np.array_equal(cubes[1], (0.06, -0.02, 0.05))
+
+
+def test_free_fall_starts_at_the_stated_height() -> None:
+    """Put the lowest faces at the drop height."""
+    scene = make_scene("free-fall")
+    assert math.isclose(min(b.position[2] for b in scene.moving()) - 0.01, DROP_HEIGHT, abs_tol=1e-12)
+
+
+def test_an_unknown_scene_names_the_known_ones() -> None:
+    """List the scenes that there are."""
+    with pytest.raises(UsageError, match="inclined-collision"):
+        make_scene("outer-space")
