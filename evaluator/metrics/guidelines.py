@@ -1,0 +1,193 @@
+"""Guidelines: which simulator for which need, each pick derived by a rule that is printed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from evaluator.metrics.radar import SimulatorResult, radar, require_unique_names
+from evaluator.metrics.regime import is_present
+
+Results = Sequence[SimulatorResult]
+
+# "Large parallelism" is within this factor of the largest N_env^max that any simulator sustains.
+LARGE_FACTOR = 4
+
+_FIGURE_TEXT: dict[str, str] = {
+    "fps": "{:.4g} FPS",
+    "n_max": "N_env^max {}",
+    "memory_gb": "{:.4g} GB",
+    "w1_real": "EMD to real {:.2f} cm",
+    "parallel": "parallel {:.2f} cm",
+    "run_to_run": "run-to-run {:.2f} cm",
+    "fps_articulated": "{:.4g} FPS",
+    "n_max_articulated": "N_env^max {}",
+}
+
+
+@dataclass(frozen=True)
+class Guideline:
+    """One row: a need and the simulator that meets it best among those compared.
+
+    need       what a user wants
+    pick       the simulator, exact ties joined by ", "; None where no pick can be made
+    rule       how the pick is made, in words
+    evidence   the numbers that decided, best first; None without a pick
+    reason     why no pick can be made; None with a pick
+    """
+
+    need: str
+    pick: str | None
+    rule: str
+    evidence: str | None
+    reason: str | None
+
+
+@dataclass(frozen=True)
+class _Rule:
+    """A rule as data.
+
+    figures   fields of SimulatorResult that a candidate must have
+    narrow    candidates, all with these figures -> those that qualify
+    score     candidate, all results -> key, highest is best
+    """
+
+    need: str
+    words: str
+    figures: tuple[str, ...]
+    narrow: Callable[[Results], list[SimulatorResult]]
+    score: Callable[[SimulatorResult, Results], float]
+
+
+def guidelines(results: Results) -> list[Guideline]:
+    """One row for every need of the benchmark's guidelines.
+
+    The needs are those of GPUSimBench; the paper gives picks and no rule, so the rules are this
+    project's own. A simulator that lacks a figure that a rule names is left out of that rule and
+    listed. One simulator alone is no comparison and yields no pick.
+
+    Raises:
+        ValueError: two results of the same name.
+    """
+    require_unique_names(results)
+    return [_apply(rule, results) for rule in _RULES]
+
+
+def _apply(rule: _Rule, results: Results) -> Guideline:
+    measured = [r for r in results if all(getattr(r, f) is not None for f in rule.figures)]
+    unmeasured = [r.name for r in results if r not in measured]
+    if len(measured) < 2:
+        have = f"only {measured[0].name} has" if measured else "no simulator has"
+        return _no_pick(rule, f"{have} all the figures that the rule needs")
+    qualified = rule.narrow(measured)
+    if not qualified:
+        figures = "; ".join(_figures(rule, r) for r in measured)
+        return _no_pick(rule, f"no simulator qualifies: {figures}")
+    scores = {r.name: rule.score(r, results) for r in qualified}
+    ranked = sorted(qualified, key=lambda r: scores[r.name], reverse=True)
+    best = scores[ranked[0].name]
+    evidence = [_figures(rule, r, results) for r in ranked]
+    disqualified = [_figures(rule, r) for r in measured if r not in qualified]
+    if disqualified:
+        evidence.append("do not qualify: " + ", ".join(disqualified))
+    if unmeasured:
+        evidence.append("not measured: " + ", ".join(unmeasured))
+    pick = ", ".join(r.name for r in ranked if scores[r.name] == best)
+    return Guideline(rule.need, pick, rule.words, "; ".join(evidence), None)
+
+
+def _no_pick(rule: _Rule, reason: str) -> Guideline:
+    return Guideline(rule.need, None, rule.words, None, reason)
+
+
+def _figures(rule: _Rule, result: SimulatorResult, results: Results | None = None) -> str:
+    """A simulator and its figures, e.g. "MJX (5340 FPS, N_env^max 512)"."""
+    texts = [_FIGURE_TEXT[f].format(getattr(result, f)) for f in rule.figures]
+    if rule.score is _radar_mean and results is not None:
+        texts.insert(0, f"radar mean {_radar_mean(result, results):.3f}")
+    return f"{result.name} ({', '.join(texts)})"
+
+
+def _radar_mean(result: SimulatorResult, results: Results) -> float:
+    mean = radar(results).mean(result.name)
+    assert mean is not None  # the rule admits only simulators with all six figures
+    return mean
+
+
+def _highest(figure: str) -> Callable[[SimulatorResult, Results], float]:
+    return lambda result, _: float(getattr(result, figure))
+
+
+def _smallest(figure: str) -> Callable[[SimulatorResult, Results], float]:
+    return lambda result, _: -float(getattr(result, figure))
+
+
+def _everyone(results: Results) -> list[SimulatorResult]:
+    return list(results)
+
+
+def _all_zero(*figures: str) -> Callable[[Results], list[SimulatorResult]]:
+    return lambda results: [r for r in results if not any(is_present(getattr(r, f)) for f in figures)]
+
+
+def _large(figure: str) -> Callable[[Results], list[SimulatorResult]]:
+    def narrow(results: Results) -> list[SimulatorResult]:
+        largest = max(getattr(r, figure) for r in results)
+        return [r for r in results if getattr(r, figure) * LARGE_FACTOR >= largest]
+
+    return narrow
+
+
+_LARGE_WORDS = f"N_env^max within a factor {LARGE_FACTOR} of the largest ({{scene}}), then the highest FPS at N_env^max"
+
+_RULES = (
+    _Rule(
+        "overall balance",
+        "highest mean over the six radar axes, among simulators with all six",
+        ("fps", "n_max", "memory_gb", "w1_real", "parallel", "run_to_run"),
+        _everyone,
+        _radar_mean,
+    ),
+    _Rule(
+        "reproducible and fair comparison, repeated runs",
+        "run-to-run 0.00 cm and parallel 0.00 cm, then the highest FPS",
+        ("run_to_run", "parallel", "fps"),
+        _all_zero("run_to_run", "parallel"),
+        _highest("fps"),
+    ),
+    _Rule(
+        "sim-to-real, contact-rich, tuning over repeated runs",
+        "run-to-run 0.00 cm, then the smallest EMD to real",
+        ("run_to_run", "w1_real"),
+        _all_zero("run_to_run"),
+        _smallest("w1_real"),
+    ),
+    _Rule(
+        "sim-to-real, contact-rich, single run",
+        "smallest EMD to real",
+        ("w1_real",),
+        _everyone,
+        _smallest("w1_real"),
+    ),
+    _Rule(
+        "large parallelism with articulated robots",
+        _LARGE_WORDS.format(scene="articulated robot"),
+        ("n_max_articulated", "fps_articulated"),
+        _large("n_max_articulated"),
+        _highest("fps_articulated"),
+    ),
+    _Rule(
+        "large parallelism with simple agents",
+        _LARGE_WORDS.format(scene="simple bodies"),
+        ("n_max", "fps"),
+        _large("n_max"),
+        _highest("fps"),
+    ),
+    _Rule(
+        "memory-limited, modest parallelism",
+        "smallest peak memory increment at N_env^max",
+        ("memory_gb",),
+        _everyone,
+        _smallest("memory_gb"),
+    ),
+)

@@ -1,0 +1,131 @@
+"""Variability: how far envs of one run, and runs of one configuration, lie apart."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from evaluator.metrics.identity import bitwise_classes, count_distinct
+from evaluator.transport.pair import in_canonical_order, point_array, wasserstein1
+from evaluator.transport.small import pairwise_wasserstein1
+
+CM_PER_M = 100.0
+
+
+@dataclass(frozen=True)
+class ParallelVariability:
+    """Env-to-env variability within one run.
+
+    mean_cm      mean W1 over env pairs e < e' [cm]
+    matrix_cm    W1 between envs [cm], shape [n_env, n_env]
+    n_distinct   number of bitwise different envs; 1 is stronger than a mean of 0.00, since envs
+                 whose items only swapped places also have distance zero
+    """
+
+    mean_cm: float
+    matrix_cm: npt.NDArray[np.float64]
+    n_distinct: int
+
+
+@dataclass(frozen=True)
+class RunToRun:
+    """Run-to-run variability of one configuration.
+
+    mean_cm      mean W1 over run pairs r < r' [cm]
+    sd_cm        standard deviation over the pairs [cm] (n - 1 in the denominator); None for one
+                 pair. As published: the pairs share runs, so it is no standard error.
+    matrix_cm    W1 between runs [cm], shape [n_run, n_run]
+    n_distinct   number of bitwise different runs
+    """
+
+    mean_cm: float
+    sd_cm: float | None
+    matrix_cm: npt.NDArray[np.float64]
+    n_distinct: int
+
+
+def sampling_step(t_s: float, dt: float) -> int:
+    """Step at which the outcome is sampled (GPUSimBench definition): N_s = round(t_s / dt).
+
+    Args:
+        t_s: sampling time [s].
+        dt: time step [s].
+
+    Raises:
+        ValueError: the time is negative, the step is not positive, or either is not finite.
+    """
+    if not (math.isfinite(t_s) and t_s >= 0.0):
+        raise ValueError(f"sampling time must be finite and not negative, got {t_s} s")
+    if not (math.isfinite(dt) and dt > 0.0):
+        raise ValueError(f"time step must be positive and finite, got {dt} s")
+    return round(t_s / dt)
+
+
+def parallel_variability(positions: npt.ArrayLike) -> ParallelVariability:
+    """Parallel variability of one run (GPUSimBench definition).
+
+        mean over env pairs e < e' of  W1(e, e')
+
+    Args:
+        positions: planar item positions [m] at the sampling step, relative to each env's own
+            origin, shape [n_env, n_item, 2].
+
+    Raises:
+        ValueError: fewer than two envs, or positions that are empty, not planar or not finite.
+    """
+    positions = np.asarray(positions)
+    points = _planar(positions, "positions", ndim=3)
+    n_env = len(points)
+    if n_env < 2:
+        raise ValueError("parallel variability needs at least two envs, got 1")
+    matrix = pairwise_wasserstein1(points) * CM_PER_M
+    # The diagonal is zero and every pair stands twice in the sum.
+    mean = float(matrix.sum()) / (n_env * (n_env - 1))
+    return ParallelVariability(mean, matrix, count_distinct(positions))
+
+
+def run_to_run_variability(runs: npt.ArrayLike) -> RunToRun:
+    """Run-to-run variability of one configuration (GPUSimBench definition).
+
+        mean over run pairs r < r' of  W1(r, r'),  each run the n_env * n_item points of its envs
+
+    Args:
+        runs: planar item positions [m] at the sampling step, relative to each env's own origin,
+            shape [n_run, n_env, n_item, 2].
+
+    Raises:
+        ValueError: fewer than two runs, or positions that are empty, not planar or not finite.
+    """
+    runs = np.asarray(runs)
+    points = _planar(runs, "runs", ndim=4)
+    n_run = len(points)
+    if n_run < 2:
+        raise ValueError("run-to-run variability needs at least two runs, got 1")
+    matrix = _between_runs(points.reshape(n_run, -1, 2)) * CM_PER_M
+    pairs = matrix[np.triu_indices(n_run, k=1)]
+    # Measured from the first pair, so that equal pairs give exactly that value and deviation zero.
+    offset = pairs - pairs[0]
+    mean = float(pairs[0] + offset.mean())
+    sd = float(offset.std(ddof=1)) if len(pairs) > 1 else None
+    return RunToRun(mean, sd, matrix, count_distinct(runs))
+
+
+def _between_runs(points: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """W1 between runs, shape [n_run, n_point, 2] -> [n_run, n_run]; equal runs solved once."""
+    sets = in_canonical_order(points)
+    classes = bitwise_classes(sets)
+    _, first = np.unique(classes, return_index=True)
+    distinct = np.zeros((len(first), len(first)))
+    for i, j in zip(*np.triu_indices(len(first), k=1), strict=True):
+        distinct[i, j] = distinct[j, i] = wasserstein1(sets[first[i]], sets[first[j]]).value
+    return distinct[np.ix_(classes, classes)]
+
+
+def _planar(positions: npt.NDArray[np.generic], name: str, *, ndim: int) -> npt.NDArray[np.float64]:
+    points = point_array(positions, name, ndim=ndim)
+    if points.shape[-1] != 2:
+        raise ValueError(f"{name} must be planar, got coordinates of width {points.shape[-1]}")
+    return points

@@ -1,0 +1,321 @@
+"""One recording: what it says of itself, and its streams as arrays."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from evaluator.container import Container
+from evaluator.state_array import StateArray
+from schemas import topics
+from schemas.blocks import decode_fingerprints
+from schemas.configuration import RunConfiguration
+from schemas.digest import ContentDigest, content_hash
+from schemas.errors import DamagedRecording, GsbError
+from schemas.fields import StateField
+from schemas.messages import enum_values, message_class
+from schemas.provenance import PROVENANCE, SCENE, SIMULATION, Provenance, Simulation
+
+_VERIFY_ROWS = 64
+
+
+@dataclass(frozen=True)
+class StepTiming:
+    """Clocks of a phase.
+
+    first_step          simulator step that the first interval begins with
+    steps_per_interval  simulator steps per interval
+    start_ns, end_ns    host's monotonic clock at the begin and end of each interval [ns], shape [interval]
+    """
+
+    first_step: int
+    steps_per_interval: int
+    start_ns: NDArray[np.int64]
+    end_ns: NDArray[np.int64]
+
+    @property
+    def elapsed_s(self) -> float:
+        """From the first begin to the last end [s]."""
+        return float(self.end_ns[-1] - self.start_ns[0]) * 1e-9
+
+
+@dataclass(frozen=True)
+class MemoryTrace:
+    """Readings of one memory source, in order of time.
+
+    time_ns      host's monotonic clock, shape [sample]
+    used_bytes   shape [sample]
+    phase        of the run, one per sample
+    checkpoint   name of the protocol's checkpoint, or empty, one per sample
+    total_bytes  capacity, 0 where unknown
+    """
+
+    time_ns: NDArray[np.int64]
+    used_bytes: NDArray[np.int64]
+    phase: tuple[str, ...]
+    checkpoint: tuple[str, ...]
+    total_bytes: int
+
+    def at(self, checkpoint: str) -> int | None:
+        """Bytes in use at a checkpoint, None where it was not reached."""
+        for name, used in zip(self.checkpoint, self.used_bytes, strict=True):
+            if name == checkpoint:
+                return int(used)
+        return None
+
+    def peak(self, phase: str) -> int | None:
+        """Largest reading of a phase, None where it has none."""
+        used = [int(u) for u, p in zip(self.used_bytes, self.phase, strict=True) if p == phase]
+        return max(used) if used else None
+
+
+@dataclass(frozen=True)
+class Fingerprints:
+    """State hashes of a phase.
+
+    steps   simulator step of each row, shape [row]
+    hashes  shape [row, env]
+    """
+
+    steps: NDArray[np.int64]
+    hashes: NDArray[np.uint64]
+
+
+@dataclass(frozen=True)
+class Event:
+    """A moment of the run: its kind (PHASE_BEGIN, PHASE_END, NOTE, GATE), phase, clocks and text."""
+
+    kind: str
+    phase: str
+    monotonic_ns: int
+    unix_ns: int
+    text: str
+
+
+class Recording:
+    """A recording, opened for reading.
+
+    path           of the file
+    status         complete, incomplete (no end record), failed (the run said why) or invalid (a validity gate fired)
+    reason         why the status is not "complete"
+    configuration  what was asked
+    provenance     by whom, where, with what software
+    simulation     what the simulator said of itself; None where the run ended before it was built
+    content_hash   the identity that the end record claims, empty without one; `verify` checks it
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        self.path = Path(path)
+        self._container = Container(self.path)
+        text = self._container.attachment(PROVENANCE)
+        if text is None:
+            raise DamagedRecording(
+                f"{self.path}: cut short before its provenance was written; nothing can be said of it"
+            )
+        self.provenance = self._named(Provenance.from_json, text)
+        self.configuration: RunConfiguration = self.provenance.configuration
+        text = self._container.attachment(SIMULATION)
+        self.simulation: Simulation | None = self._named(Simulation.from_json, text) if text is not None else None
+        self._end = self._read_end()
+        if self._end is None:
+            self.status, self.reason = "incomplete", "no end record: the run's process died or the file was cut short"
+        else:
+            names = {number: name for name, number in enum_values("gsb.v1.RunStatus").items()}
+            self.status = names.get(self._end.status, "unknown").removeprefix("RUN_STATUS_").lower()
+            self.reason = self._end.reason
+            if self.status not in ("complete", "failed", "invalid"):
+                raise DamagedRecording(f"{self.path}: the end record has no status")
+        self.content_hash: str = self._end.content_hash if self._end is not None else ""
+
+    def __repr__(self) -> str:
+        c = self.configuration
+        return f"<Recording {c.simulator} {c.scene} n_env={c.n_env} run={c.run_index} {self.status}>"
+
+    @property
+    def fields(self) -> tuple[StateField, ...]:
+        """The state fields, in recording order; empty where the run ended before the simulator was built."""
+        return self.simulation.fields if self.simulation else ()
+
+    def state(self, group: str, field: str) -> StateArray:
+        """A state field, shape [step, env, item, width], read when indexed; KeyError names the recorded ones."""
+        for described in self.fields:
+            if (described.group, described.field) == (group, field):
+                last = int(self._end.last_step) if self._end is not None else None
+                return StateArray(self._container, self.configuration, described, last_step=last)
+        known = ", ".join(f.name for f in self.fields) or "none"
+        raise KeyError(f"{self.path} has no state {group}/{field}; it has: {known}")
+
+    @cached_property
+    def timing(self) -> dict[str, StepTiming]:
+        """Clocks by phase ("warmup", "timed")."""
+        found = {}
+        for topic in self._container.channels:
+            if not topic.startswith("/timing/"):
+                continue
+            parts = [self._parse("gsb.v1.StepTiming", c) for c in self._container.in_sequence(topic)]
+            if not parts:
+                continue
+            start = np.concatenate([np.array(p.start_ns, dtype=np.int64) for p in parts])
+            end = np.concatenate([np.array(p.end_ns, dtype=np.int64) for p in parts])
+            if len(start) != len(end) or not len(start):
+                if len(start) == len(end):
+                    continue  # a phase of no steps
+                raise DamagedRecording(f"{self.path}: {topic} has {len(start)} begins and {len(end)} ends")
+            name = topic.removeprefix("/timing/")
+            found[name] = StepTiming(parts[0].first_step, parts[0].steps_per_interval, start, end)
+        return found
+
+    @cached_property
+    def memory(self) -> dict[str, MemoryTrace]:
+        """Memory readings by source: "host", "gpu0/device", "gpu0/process", ..."""
+        found = {}
+        for topic in self._container.channels:
+            if not topic.startswith("/memory/"):
+                continue
+            samples = [self._parse("gsb.v1.MemorySample", c) for c in self._container.in_sequence(topic)]
+            if samples:
+                found[topic.removeprefix("/memory/")] = MemoryTrace(
+                    np.array([s.monotonic_ns for s in samples], dtype=np.int64),
+                    np.array([s.used_bytes for s in samples], dtype=np.int64),
+                    tuple(s.phase for s in samples),
+                    tuple(s.checkpoint for s in samples),
+                    int(samples[-1].total_bytes),
+                )
+        return found
+
+    def fingerprints(self, phase: str) -> Fingerprints | None:
+        """State hashes of a phase ("capture", "timed"); None where it has none."""
+        topic = topics.fingerprint(phase)
+        if topic not in self._container.channels:
+            return None
+        steps, hashes = [], []
+        for content in self._container.in_sequence(topic):
+            header, block = decode_fingerprints(content)
+            steps.append(header.first_step + np.arange(header.steps, dtype=np.int64) * header.stride)
+            hashes.append(block)
+        if not hashes or len({block.shape[1] for block in hashes}) != 1:
+            return None
+        return Fingerprints(np.concatenate(steps), np.concatenate(hashes))
+
+    @cached_property
+    def events(self) -> tuple[Event, ...]:
+        """Phases, notes and gates, in order."""
+        if topics.RUN_EVENT not in self._container.channels:
+            return ()
+        names = {number: name.removeprefix("EVENT_KIND_") for name, number in enum_values("gsb.v1.EventKind").items()}
+        parsed = [self._parse("gsb.v1.Event", c) for c in self._container.in_sequence(topics.RUN_EVENT)]
+        return tuple(
+            Event(names.get(e.kind, "UNSPECIFIED"), e.phase, e.monotonic_ns, e.unix_ns, e.text) for e in parsed
+        )
+
+    @cached_property
+    def dropouts(self) -> tuple[str, ...]:
+        """One sentence for each stretch of data that the recorder says was lost."""
+        if topics.RUN_DROPOUT not in self._container.channels:
+            return ()
+        parsed = [self._parse("gsb.v1.Dropout", c) for c in self._container.in_sequence(topics.RUN_DROPOUT)]
+        return tuple(f"{d.topic}: {d.steps} steps from step {d.first_step}: {d.reason}" for d in parsed)
+
+    @cached_property
+    def scene(self) -> dict[str, Any]:
+        """The engine-neutral description of the scene; empty where there is none."""
+        text = self._container.attachment(SCENE)
+        if text is None:
+            return {}
+        try:
+            scene = json.loads(text)
+        except ValueError as error:
+            raise DamagedRecording(f"{self.path}: {SCENE} is not JSON: {error}") from None
+        return scene if isinstance(scene, dict) else {}
+
+    def attachment(self, name: str) -> bytes | None:
+        """An attachment's bytes, None where there is none of that name."""
+        return self._container.attachment(name)
+
+    def attachment_names(self) -> list[str]:
+        """Names of all attachments."""
+        return self._container.attachment_names()
+
+    def verify(self) -> None:
+        """Read everything and check it: CRCs of the file, digests of its content, the content hash.
+
+        Raises DamagedRecording that names the first thing that does not match. A recording without an end record has
+        no digests; only its CRCs are checked.
+        """
+        self._container.verify()
+        if self._end is None:
+            return
+        claimed = dict(self._end.digests)
+        found = self._recompute().digests()
+        for name in sorted(claimed.keys() | found.keys()):
+            if claimed.get(name) != found.get(name):
+                what = "is missing" if name not in found else "was added" if name not in claimed else "was changed"
+                raise DamagedRecording(f"{self.path}: {name} {what} since the recording was made")
+        if content_hash(claimed, self.status, self.reason) != self.content_hash:
+            raise DamagedRecording(f"{self.path}: the end record was changed since the recording was made")
+
+    def _recompute(self) -> ContentDigest:
+        digest = ContentDigest()
+        for name in self._container.attachment_names():
+            digest.attachment(name, self._container.attachment(name) or b"")
+        stated = {(p.group, p.field) for p in map(topics.parse_state, self._container.channels) if p}
+        for field in self.fields:
+            if (field.group, field.field) in stated:
+                array = self.state(field.group, field.field)
+                for row in range(0, len(array), _VERIFY_ROWS):
+                    block = array.read(slice(row, row + _VERIFY_ROWS), slice(None))
+                    digest.state(field, self.configuration.n_env, block)
+        for topic in self._container.channels:
+            if topic != topics.RUN_END and topics.parse_state(topic) is None:
+                for content in self._container.in_sequence(topic):
+                    digest.message(topic, content)
+        return digest
+
+    def _read_end(self) -> Any:
+        if topics.RUN_END not in self._container.channels:
+            return None
+        contents = list(self._container.in_sequence(topics.RUN_END))
+        if not contents:
+            return None
+        if not self._container.finished:
+            return None  # the end was written, but the file was cut short behind it
+        return self._parse("gsb.v1.RunEnd", contents[-1])
+
+    def _parse(self, name: str, content: memoryview) -> Any:
+        try:
+            return message_class(name).FromString(bytes(content))
+        except Exception as error:  # protobuf's DecodeError differs between its backends
+            raise DamagedRecording(f"{self.path}: a {name} message cannot be parsed: {error}") from None
+
+    def _named(self, parse: Any, text: bytes) -> Any:
+        try:
+            return parse(text)
+        except DamagedRecording as error:
+            raise DamagedRecording(f"{self.path}: {error}") from None
+
+
+@dataclass(frozen=True)
+class Unreadable:
+    """A file that could not be opened or failed its checks, and why."""
+
+    path: Path
+    error: GsbError
+
+
+def open_all(paths: list[Path], *, verify: bool) -> Iterator[Recording | Unreadable]:
+    """Open each file; one that cannot be read is an item too, so that the others are not lost with it."""
+    for path in paths:
+        try:
+            recording = Recording(path)
+            if verify:
+                recording.verify()
+            yield recording
+        except GsbError as error:
+            yield Unreadable(path, error)

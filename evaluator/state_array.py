@@ -1,0 +1,172 @@
+"""A recorded state field as an array that is read when it is indexed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from evaluator.container import Container, Message
+from schemas.blocks import decode_state
+from schemas.configuration import RunConfiguration, sim_time_ns
+from schemas.errors import DamagedRecording
+from schemas.fields import StateField
+from schemas.topics import parse_state
+
+_EPOCH_NS = 1_000_000_000  # log_time of simulated time zero
+
+
+@dataclass(frozen=True)
+class _Block:
+    first_row: int
+    rows: int
+    env_start: int
+    message: Message
+
+
+class StateArray:
+    """A state field, shape [step, env, item, width].
+
+    Indexing works as in numpy and reads only the blocks that the first two indices touch; numpy.asarray reads all.
+
+    field  what the numbers mean
+    steps  simulator step of each row; a simulation's row i is step i * stride
+    """
+
+    def __init__(
+        self, container: Container, configuration: RunConfiguration, field: StateField, *, last_step: int | None
+    ) -> None:
+        self._container = container
+        self.field = field
+        self._n_env = configuration.n_env
+        self._stride = configuration.stride
+        self._blocks = self._index(configuration, last_step)
+        # Measured trials have no state at step 0; everything else begins there.
+        self._first_row = min((b.first_row for b in self._blocks), default=0)
+        rows = max((b.first_row + b.rows for b in self._blocks), default=0) - self._first_row
+        self.steps = (self._first_row + np.arange(rows, dtype=np.int64)) * self._stride
+        self.shape = (rows, self._n_env, len(field.items), field.width)
+        self.dtype = np.dtype(field.dtype)
+        self.ndim = 4
+
+    def __len__(self) -> int:
+        return self.shape[0]
+
+    def __repr__(self) -> str:
+        return f"<StateArray {self.field.name} [{self.field.unit}] {self.shape} {self.dtype}>"
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
+        array = self.read(slice(None), slice(None))
+        return array if dtype is None else array.astype(dtype, copy=False)
+
+    def __getitem__(self, index: Any) -> NDArray[Any]:
+        index = index if isinstance(index, tuple) else (index,)
+        if any(part is Ellipsis for part in index):
+            at = next(i for i, part in enumerate(index) if part is Ellipsis)
+            index = (*index[:at], *[slice(None)] * (self.ndim - len(index) + 1), *index[at + 1 :])
+        if len(index) > self.ndim or any(part is None for part in index):
+            raise IndexError(f"{len(index)} indices for an array of {self.ndim} dimensions, or a new axis")
+        index = (*index, *[slice(None)] * (self.ndim - len(index)))
+        steps, step_index = self._bounds(index[0], 0)
+        envs, env_index = self._bounds(index[1], 1)
+        picked: NDArray[Any] = self.read(steps, envs)[(step_index, env_index, *index[2:])]
+        return picked
+
+    def at_step(self, step: int) -> NDArray[Any]:
+        """The state after `step` simulator steps, [env, item, width]; KeyError where it was not recorded."""
+        row, rest = divmod(step, self._stride)
+        row -= self._first_row
+        if rest or not 0 <= row < len(self):
+            raise KeyError(f"step {step} of {self.field.name} is not recorded")
+        return self[row]
+
+    def read(self, steps: slice, envs: slice) -> NDArray[Any]:
+        """Rows and environments of contiguous ranges, [step, env, item, width]; only their blocks are read."""
+        first, stop, _ = steps.indices(self.shape[0])
+        env_first, env_stop, _ = envs.indices(self.shape[1])
+        out = np.empty((max(0, stop - first), max(0, env_stop - env_first), *self.shape[2:]), dtype=self.dtype)
+        filled = 0
+        for block in self._blocks:
+            at = block.first_row - self._first_row
+            begin, end = max(first, at), min(stop, at + block.rows)
+            if begin >= end or block.env_start >= env_stop:
+                continue
+            array = self._decode(block)
+            env_begin, env_end = max(env_first, block.env_start), min(env_stop, block.env_start + array.shape[1])
+            if env_begin >= env_end:
+                continue
+            part = array[
+                begin - at : end - at,
+                env_begin - block.env_start : env_end - block.env_start,
+            ]
+            out[begin - first : end - first, env_begin - env_first : env_end - env_first] = part
+            filled += part.size
+        if filled != out.size:
+            raise DamagedRecording(
+                f"{self._container.path}: blocks of {self.field.name} are missing or overlap: "
+                f"{filled} of {out.size} numbers are there"
+            )
+        return out
+
+    def _bounds(self, index: Any, axis: int) -> tuple[slice, Any]:
+        # the contiguous range to read, and the index into what was read
+        size = self.shape[axis]
+        if isinstance(index, slice):
+            picked = range(size)[index]
+            if not picked:
+                return slice(0, 0), slice(0, 0)
+            low, high = min(picked[0], picked[-1]), max(picked[0], picked[-1])
+            return slice(low, high + 1), np.asarray(picked) - low if index.step not in (None, 1) else slice(None)
+        if isinstance(index, (int, np.integer)):
+            position = int(index) + size if index < 0 else int(index)
+            if not 0 <= position < size:
+                raise IndexError(f"index {index} is out of bounds for axis {axis} of size {size}")
+            return slice(position, position + 1), 0
+        return slice(None), index
+
+    def _decode(self, block: _Block) -> NDArray[Any]:
+        _, content = self._container.read(block.message)
+        header, array = decode_state(content)
+        expected = (block.first_row * self._stride, block.env_start, block.rows, *self.shape[2:])
+        found = (header.first_step, header.env_start, *array.shape[:1], *array.shape[2:])
+        if found != expected or array.dtype != self.dtype:
+            raise DamagedRecording(
+                f"{self._container.path}: a block of {self.field.name} says (step, env, rows, items, width) "
+                f"= {found}, its place in the file says {expected}"
+            )
+        return array
+
+    def _index(self, configuration: RunConfiguration, last_step: int | None) -> list[_Block]:
+        # A block's place follows from its topic and time, so that nothing has to be decompressed to find a step.
+        blocks = []
+        for topic in self._container.channels:
+            parts = parse_state(topic)
+            if parts is None or (parts.group, parts.field) != (self.field.group, self.field.field):
+                continue
+            messages = self._container.messages(topic)
+            rows = [self._row(m, configuration.dt) for m in messages]
+            if len(set(rows)) != len(rows):
+                raise DamagedRecording(f"{self._container.path}: {topic} has two blocks of one step")
+            if messages:
+                rows.append(self._end_row(messages[-1], last_step))
+            blocks += [
+                _Block(row, after - row, parts.env_start, message)
+                for row, after, message in zip(rows, rows[1:], messages, strict=False)
+            ]
+        return blocks
+
+    def _row(self, message: Message, dt: float) -> int:
+        step = round((message.log_time - _EPOCH_NS) / (dt * 1e9))
+        if message.log_time - _EPOCH_NS != sim_time_ns(step, dt) or step % self._stride:
+            raise DamagedRecording(
+                f"{self._container.path}: a block of {self.field.name} has a time that no recorded step has"
+            )
+        return step // self._stride
+
+    def _end_row(self, last: Message, last_step: int | None) -> int:
+        if last_step is not None:
+            return last_step // self._stride + 1
+        header, array = decode_state(self._container.read(last)[1])
+        return header.first_step // self._stride + int(array.shape[0])

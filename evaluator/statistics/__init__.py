@@ -1,0 +1,1 @@
+"""What a number is worth: intervals and permutation floors for the metrics."""

@@ -1,0 +1,127 @@
+"""Density maps."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import array_shapes, arrays
+
+from evaluator.metrics.density import HexGrid, log_density, marginal
+
+GRID = HexGrid((-0.2, 0.6, -0.3, 0.3), 0.05)
+POINTS = arrays(
+    np.float64,
+    array_shapes(min_dims=1, max_dims=2, min_side=0, max_side=30).map(lambda s: (*s, 2)),
+    elements=st.floats(-1.0, 1.0) | st.sampled_from([np.nan, np.inf, -np.inf]),
+)
+FEW = settings(max_examples=60, deadline=None)
+
+
+@FEW
+@given(POINTS)
+def test_every_point_is_counted_once(points: np.ndarray) -> None:
+    """Account for every point, in a bin or off the map."""
+    density = GRID.bin(points)
+    assert density.counts.sum() + density.off_map == points.size // 2
+    assert (density.counts >= 1).all()
+    assert len(np.unique(density.centres.round(9), axis=0)) == len(density.counts)
+
+
+@FEW
+@given(arrays(np.float64, (1, 2), elements=st.floats(-0.2, 0.3)))
+def test_point_lies_in_its_hexagon(point: np.ndarray) -> None:
+    """Put a point into the hexagon that contains it."""
+    (centre,) = GRID.bin(point).centres
+    normals = np.radians(np.arange(0, 360, 60))
+    reach = np.column_stack([np.cos(normals), np.sin(normals)]) @ (point[0] - centre)
+    assert reach.max() <= GRID.bin_m / 2 + 1e-12
+
+
+def test_centres_are_the_nearest() -> None:
+    """Choose the nearest of all bin centres."""
+    points = np.random.default_rng(0).uniform([-0.2, -0.3], [0.6, 0.3], size=(2000, 2))
+    centres = GRID.bin(points).centres
+    for point in points:
+        (own,) = GRID.bin(point[None]).centres
+        nearest = np.linalg.norm(centres - point, axis=1).min()
+        assert np.linalg.norm(own - point) <= nearest + 1e-12
+
+
+def test_neighbours_are_one_width_apart() -> None:
+    """Space neighbouring centres by the bin width."""
+    points = np.random.default_rng(0).uniform([-0.2, -0.3], [0.6, 0.3], size=(5000, 2))
+    centres = GRID.bin(points).centres
+    distance = np.linalg.norm(centres[:, None] - centres, axis=-1)
+    assert distance[distance > 0].min() == pytest.approx(GRID.bin_m)
+
+
+def test_grid_does_not_depend_on_the_points() -> None:
+    """Give a point the same bin whatever else is counted."""
+    one = GRID.bin([[0.11, 0.07]]).centres[0]
+    both = GRID.bin([[0.11, 0.07], [-0.15, 0.2]]).centres
+    assert (both == one).all(axis=1).any()
+
+
+def test_middle_of_the_map() -> None:
+    """Centre one hexagon on the middle of the extent."""
+    density = GRID.bin([[0.2, 0.0], [0.21, 0.01]])
+    assert density.centres == pytest.approx(np.array([[0.2, 0.0]]))
+    assert density.counts.tolist() == [2]
+
+
+def test_border_belongs_to_the_map() -> None:
+    """Count points on the border and send those beyond it off the map."""
+    density = GRID.bin([[-0.2, -0.3], [0.6, 0.3], [0.6000001, 0.0]])
+    assert (density.counts.sum(), density.off_map) == (2, 1)
+
+
+def test_nothing_on_the_map() -> None:
+    """Return no bins where nothing landed."""
+    density = GRID.bin(np.full((3, 2), 9.0))
+    assert density.centres.shape == (0, 2)
+    assert (len(density.counts), density.off_map) == (0, 3)
+
+
+def test_corners() -> None:
+    """Draw hexagons that share their corners with their neighbours."""
+    corners = GRID.corners()
+    assert np.linalg.norm(corners, axis=1) == pytest.approx(GRID.bin_m / np.sqrt(3.0))
+    assert np.ptp(corners[:, 0]) == pytest.approx(GRID.bin_m)
+
+
+@pytest.mark.parametrize(
+    ("extent", "width"),
+    [((0, 0, 0, 1), 0.1), ((0, 1, 1, 0), 0.1), ((0, np.inf, 0, 1), 0.1), ((0, 1, 0, 1), 0.0)],
+)
+def test_grid_refuses(extent: tuple[float, float, float, float], width: float) -> None:
+    """Refuse an empty extent and a bin without width."""
+    with pytest.raises(ValueError):
+        HexGrid(extent, width)
+
+
+def test_bin_refuses_spatial_positions() -> None:
+    """Refuse positions that are not planar."""
+    with pytest.raises(ValueError, match=r"\[\.\.\., 2\]"):
+        GRID.bin(np.zeros((4, 3)))
+
+
+def test_log_density() -> None:
+    """Map counts 0 and 1 to zero and 100 to two."""
+    assert log_density([0, 1, 10, 100]).tolist() == [0.0, 0.0, 1.0, 2.0]
+    with pytest.raises(ValueError, match="negative"):
+        log_density([-1])
+
+
+def test_marginal() -> None:
+    """Count between edges and leave out what lies beyond them."""
+    values = [-1.0, 0.0, 0.5, 1.0, 2.0, 2.1, np.nan, np.inf]
+    assert marginal(values, [0.0, 1.0, 2.0]).tolist() == [2, 2]
+
+
+@pytest.mark.parametrize("edges", [[0.0], [1.0, 0.0], [0.0, 0.0], [0.0, np.nan]])
+def test_marginal_refuses(edges: list[float]) -> None:
+    """Refuse edges that bound no bins."""
+    with pytest.raises(ValueError, match="edges"):
+        marginal([0.0], edges)

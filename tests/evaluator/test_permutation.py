@@ -1,0 +1,109 @@
+"""Permutation floor of W1."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+import pytest
+
+from evaluator.statistics import permutation
+from evaluator.statistics.permutation import permutation_floor
+
+
+def envs(n_env: int, seed: int, shift: float = 0.0, n_item: int = 27) -> np.ndarray:
+    return np.random.default_rng(seed).normal(shift, 1.0, size=(n_env, n_item, 2))
+
+
+def test_identical_envs() -> None:
+    """Skip the draw where all envs are the same: floor zero, p one."""
+    a = np.stack([envs(1, 0)[0]] * 16)
+    result = permutation_floor(a, a, n_permutation=19, seed=0)
+    assert (result.observed, result.floor_mean, result.floor_q95, result.p_value) == (0, 0, 0, 1)
+
+
+def test_shifted_law_is_found() -> None:
+    """Reach the smallest possible p for clouds far apart."""
+    result = permutation_floor(envs(8, 0), envs(8, 1, shift=5.0), n_permutation=19, seed=0)
+    assert result.p_value == 1 / 20
+    assert result.observed > result.floor_q95 >= result.floor_mean > 0.0
+
+
+def test_same_law_is_at_the_floor() -> None:
+    """Find an observed W1 of one and the same law near its floor."""
+    result = permutation_floor(envs(8, 2), envs(8, 3), n_permutation=19, seed=0)
+    assert result.observed == pytest.approx(result.floor_mean, rel=0.5)
+    assert result.p_value > 0.05
+
+
+def test_p_is_uniform_under_the_same_law() -> None:
+    """Reject one and the same law about as often as the level says."""
+    p = [
+        permutation_floor(envs(4, 2 * i, n_item=3), envs(4, 2 * i + 1, n_item=3), n_permutation=9, seed=i).p_value
+        for i in range(100)
+    ]
+    assert 0.02 <= np.mean(np.array(p) <= 0.1) <= 0.2
+
+
+def test_equal_sides_have_p_one() -> None:
+    """Give p one where both sides hold the same envs."""
+    a = envs(6, 4)
+    result = permutation_floor(a, a[::-1], n_permutation=19, seed=0)
+    assert (result.observed, result.p_value) == (0.0, 1.0)
+    assert result.floor_mean > 0.0
+
+
+def test_whole_envs_are_exchanged() -> None:
+    """Keep the items of an env together."""
+    low, high = np.zeros((27, 2)), np.ones((27, 2))
+    result = permutation_floor([low, high], [low, high], n_permutation=50, seed=0)
+    # Two envs a side: either one of each kind (0) or one kind a side (sqrt 2), nothing between.
+    assert result.floor_q95 == pytest.approx(np.sqrt(2.0))
+    assert 0.2 < result.floor_mean / np.sqrt(2.0) < 0.5
+
+
+def test_equal_arrangements_are_solved_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Solve each arrangement of identical envs once."""
+    solved = []
+    solve = permutation.wasserstein1
+    monkeypatch.setattr(permutation, "wasserstein1", lambda a, b: solved.append(1) or solve(a, b))
+    low, high = np.zeros((27, 2)), np.ones((27, 2))
+    permutation_floor([low] * 4, [low] * 3 + [high], n_permutation=99, seed=0)
+    assert len(solved) == 2
+
+
+def test_seed_decides() -> None:
+    """Repeat under one seed."""
+    a, b = envs(4, 5, n_item=5), envs(4, 6, n_item=5)
+    first, again, other = (permutation_floor(a, b, n_permutation=9, seed=s) for s in (1, 1, 2))
+    assert first == again
+    assert first.floor_mean != other.floor_mean
+    assert first.observed == other.observed
+
+
+def test_unequal_sides() -> None:
+    """Mark sides of different size as an extension."""
+    result = permutation_floor(envs(3, 0), envs(5, 1), n_permutation=5, seed=0)
+    assert result.extension is not None
+
+
+def test_is_quick() -> None:
+    """Take little time at the benchmark's size of 432 points a side."""
+    start = time.perf_counter()
+    permutation_floor(envs(16, 7), envs(16, 8), n_permutation=19, seed=0)
+    assert time.perf_counter() - start < 10.0  # under half a second on an idle core
+
+
+@pytest.mark.parametrize(
+    ("a", "b", "n", "message"),
+    [
+        (np.zeros((2, 3, 2)), np.zeros((2, 4, 2)), 9, "different shape"),
+        (np.zeros((2, 3, 2)), np.zeros((2, 3, 2)), 0, "n_permutation"),
+        (np.full((2, 3, 2), np.nan), np.zeros((2, 3, 2)), 9, "non-finite"),
+        (np.zeros((3, 2)), np.zeros((2, 3, 2)), 9, "3 axes"),
+    ],
+)
+def test_refuses(a: np.ndarray, b: np.ndarray, n: int, message: str) -> None:
+    """Name what is wrong with envs that cannot be exchanged."""
+    with pytest.raises(ValueError, match=message):
+        permutation_floor(a, b, n_permutation=n, seed=0)

@@ -1,0 +1,43 @@
+"""Throughput and memory."""
+
+from __future__ import annotations
+
+import pytest
+
+from evaluator.metrics.memory import Checkpoints, peak_increment
+from evaluator.metrics.throughput import frames_per_second
+
+
+def test_frames_per_second() -> None:
+    """Count every env's steps per second."""
+    assert frames_per_second(4096, 1000, 20.0) == 204800.0
+
+
+@pytest.mark.parametrize(
+    ("n_env", "n_step", "elapsed_s"),
+    [(0, 1, 1.0), (1, 0, 1.0), (1, 1, 0.0), (1, 1, float("nan")), (1, 1, float("inf"))],
+)
+def test_frames_per_second_refuses(n_env: int, n_step: int, elapsed_s: float) -> None:
+    """Refuse a phase that was not timed."""
+    with pytest.raises(ValueError):
+        frames_per_second(n_env, n_step, elapsed_s)
+
+
+def test_peak_increment() -> None:
+    """Subtract what was in use before the run."""
+    assert peak_increment(615, 2048) == 1433
+    assert peak_increment(615, 615) == 0
+
+
+@pytest.mark.parametrize(("base", "peak"), [(-1, 5), (5, 4)])
+def test_peak_increment_refuses(base: int, peak: int) -> None:
+    """Refuse figures that say nothing about the run."""
+    with pytest.raises(ValueError):
+        peak_increment(base, peak)
+
+
+def test_checkpoints() -> None:
+    """Derive the increment where both ends were sampled, and only there."""
+    assert Checkpoints(baseline=100, peak=350).peak_increment == 250
+    assert Checkpoints(baseline=100, final=200).peak_increment is None
+    assert Checkpoints(peak=100).peak_increment is None

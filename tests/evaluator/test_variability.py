@@ -1,0 +1,142 @@
+"""Parallel and run-to-run variability."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from evaluator.metrics import variability
+from evaluator.metrics.variability import (
+    parallel_variability,
+    run_to_run_variability,
+    sampling_step,
+)
+
+
+@pytest.fixture
+def env() -> np.ndarray:
+    """Positions of 27 items [m], shape [27, 2]."""
+    return np.random.default_rng(0).uniform(-0.3, 0.3, size=(27, 2))
+
+
+@pytest.mark.parametrize(("t_s", "dt", "step"), [(5.0, 0.01, 500), (5.0, 0.003, 1667), (0.0, 1, 0)])
+def test_sampling_step(t_s: float, dt: float, step: int) -> None:
+    """Round the sampling time to the nearest step."""
+    assert sampling_step(t_s, dt) == step
+
+
+@pytest.mark.parametrize(("t_s", "dt"), [(5.0, 0.0), (-1.0, 0.1), (np.nan, 0.1), (1.0, np.inf)])
+def test_sampling_step_refuses(t_s: float, dt: float) -> None:
+    """Refuse times that no step has."""
+    with pytest.raises(ValueError):
+        sampling_step(t_s, dt)
+
+
+def test_equal_envs(env: np.ndarray) -> None:
+    """Measure zero and one distinct env where all agree."""
+    result = parallel_variability(np.stack([env] * 16))
+    assert result.mean_cm == 0.0
+    assert result.n_distinct == 1
+    assert result.matrix_cm.shape == (16, 16)
+
+
+def test_swapped_items(env: np.ndarray) -> None:
+    """Measure zero for swapped items, and yet count two distinct envs."""
+    result = parallel_variability(np.stack([env, env[::-1]]))
+    assert result.mean_cm == 0.0
+    assert result.n_distinct == 2
+
+
+def test_shifted_envs(env: np.ndarray) -> None:
+    """Average the shifts over env pairs, in centimetres."""
+    result = parallel_variability(np.stack([env, env + [0.01, 0.0], env + [0.03, 0.0]]))
+    assert result.matrix_cm[0] == pytest.approx([0.0, 1.0, 3.0])
+    assert result.mean_cm == pytest.approx((1.0 + 3.0 + 2.0) / 3)
+
+
+def test_one_moved_item(env: np.ndarray) -> None:
+    """Spread one item's way over the 27 items."""
+    moved = env.copy()
+    moved[env[:, 0].argmax(), 0] += 0.27
+    assert parallel_variability(np.stack([env, moved])).mean_cm == pytest.approx(1.0)
+
+
+def test_distinct_envs_are_counted_as_recorded(env: np.ndarray) -> None:
+    """Count float32 positions by their own bytes."""
+    env = env.astype(np.float32)
+    env[0, 0] = 0.0
+    neighbour, negated = env.copy(), env.copy()
+    neighbour[0, 0] = np.nextafter(np.float32(0.0), np.float32(1.0))
+    negated[0, 0] = -0.0
+    assert parallel_variability(np.stack([env, neighbour, negated])).n_distinct == 3
+    assert parallel_variability(np.stack([env, negated])).mean_cm == 0.0
+
+
+def test_needs_two_envs(env: np.ndarray) -> None:
+    """Refuse a single env."""
+    with pytest.raises(ValueError, match="needs at least two envs"):
+        parallel_variability(env[None])
+
+
+def test_needs_planar_positions() -> None:
+    """Refuse spatial positions."""
+    with pytest.raises(ValueError, match="planar"):
+        parallel_variability(np.zeros((2, 27, 3)))
+
+
+def test_refuses_non_finite_positions() -> None:
+    """Refuse positions that blew up."""
+    with pytest.raises(ValueError, match="non-finite"):
+        parallel_variability(np.full((2, 27, 2), np.nan))
+
+
+def test_shifted_runs(env: np.ndarray) -> None:
+    """Give mean and sample deviation over run pairs, each run pooled over its envs."""
+    run = np.stack([env, env + 0.001])
+    result = run_to_run_variability(np.stack([run, run + [0.01, 0.0], run + [0.03, 0.0]]))
+    assert result.mean_cm == pytest.approx(2.0)
+    assert result.sd_cm == pytest.approx(1.0)
+    assert result.n_distinct == 3
+
+
+def test_runs_are_pooled_over_envs(env: np.ndarray) -> None:
+    """See no difference between runs whose envs swapped places."""
+    run = np.stack([env, env + 0.1])
+    result = run_to_run_variability(np.stack([run, run[::-1]]))
+    assert (result.mean_cm, result.n_distinct) == (0.0, 2)
+
+
+def test_one_pair_has_no_deviation(env: np.ndarray) -> None:
+    """Leave the deviation out for a single pair."""
+    result = run_to_run_variability(np.stack([env[None], env[None] + [0.0, 0.02]]))
+    assert result.mean_cm == pytest.approx(2.0)
+    assert result.sd_cm is None
+
+
+def test_identical_runs_are_not_solved_twice(env: np.ndarray, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Solve one pair for ten runs that hold two outcomes, none for one outcome."""
+    solved = []
+    solve = variability.wasserstein1
+    monkeypatch.setattr(variability, "wasserstein1", lambda a, b: solved.append(len(a)) or solve(a, b))
+    run = np.stack([env] * 4)
+    same = run_to_run_variability(np.stack([run] * 10))
+    assert (same.mean_cm, same.sd_cm, same.n_distinct, solved) == (0.0, 0.0, 1, [])
+    two = run_to_run_variability(np.stack([run] * 9 + [run + [0.01, 0.0]]))
+    assert solved == [4 * 27]
+    assert two.mean_cm == pytest.approx(9 / 45)
+    assert two.n_distinct == 2
+
+
+def test_equal_pairs_have_no_deviation() -> None:
+    """Give exactly zero deviation where all pairs are equally far apart."""
+    runs = np.eye(3)[:, None, :, None] * [0.0421, 0.0]  # each run moves another one of 3 items
+    far_apart = np.array([[0.0, 0.0], [0.0, 1.0], [0.0, 2.0]])
+    result = run_to_run_variability(runs + far_apart)
+    assert result.mean_cm == pytest.approx(2 * 4.21 / 3)
+    assert result.sd_cm == 0.0
+
+
+def test_needs_two_runs(env: np.ndarray) -> None:
+    """Refuse a single run."""
+    with pytest.raises(ValueError, match="needs at least two runs"):
+        run_to_run_variability(env[None, None])
