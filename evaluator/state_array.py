@@ -118,7 +118,8 @@ class StateArray:
             if not picked:
                 return slice(0, 0), slice(0, 0)
             low, high = min(picked[0], picked[-1]), max(picked[0], picked[-1])
-            return slice(low, high + 1), np.asarray(picked) - low if index.step not in (None, 1) else slice(None)
+            # both ends were picked, so stepping through what was read picks the same
+            return slice(low, high + 1), slice(None, None, index.step)
         if isinstance(index, (int, np.integer)):
             position = int(index) + size if index < 0 else int(index)
             if not 0 <= position < size:

@@ -1,7 +1,8 @@
 """The process of one run: ``python -m recorder.child``, started by ``recorder.launch``.
 
-Standard input holds the task as JSON; the file descriptor named there takes progress, one JSON object a line. Whatever
-the engine prints goes to a temporary file that becomes an attachment of the recording.
+Standard input holds the task as JSON; the file descriptor named there takes progress, one JSON object a line. The run
+works in a scratch folder. Whatever the engine prints, and whatever log files it leaves there, becomes an attachment of
+the recording.
 """
 
 from __future__ import annotations
@@ -19,13 +20,20 @@ from recorder import interruption
 from schemas.configuration import RunConfiguration
 from schemas.errors import ExitCode, GsbError
 
+_LOG_BYTES = 1 << 20  # of each file; an engine that warns at every step would fill a disk
+
 
 def main() -> int:
     """Record the run that standard input describes; returns the exit code."""
     interruption.install()
     task = json.load(sys.stdin)
     report = _reporter(task["report_fd"])
-    log = _capture_output()
+    with tempfile.TemporaryDirectory(prefix="gsb-run-") as scratch:
+        os.chdir(scratch)
+        return _record(task, report, _capture_output(Path(scratch)))
+
+
+def _record(task: dict[str, Any], report: Callable[[dict[str, Any]], None], log: Callable[[], bytes]) -> int:
     try:
         from recorder.run import Run
 
@@ -62,8 +70,8 @@ def _reporter(fd: int) -> Callable[[dict[str, Any]], None]:
     return report
 
 
-def _capture_output() -> Callable[[], bytes]:
-    file = tempfile.TemporaryFile()  # noqa: SIM115 - lives as long as the process
+def _capture_output(scratch: Path) -> Callable[[], bytes]:
+    file = (scratch / "output").open("w+b")  # lives as long as the process
     for stream in (sys.stdout, sys.stderr):
         stream.flush()
     os.dup2(file.fileno(), 1)
@@ -72,9 +80,14 @@ def _capture_output() -> Callable[[], bytes]:
     def read() -> bytes:
         for stream in (sys.stdout, sys.stderr):
             stream.flush()
-        return os.pread(file.fileno(), os.fstat(file.fileno()).st_size, 0)
+        return b"".join(_head(path) for path in sorted(scratch.iterdir()) if path.is_file() and path.stat().st_size)
 
     return read
+
+
+def _head(path: Path) -> bytes:
+    with path.open("rb") as stream:
+        return f"--- {path.name}\n".encode() + stream.read(_LOG_BYTES) + b"\n"
 
 
 if __name__ == "__main__":

@@ -53,7 +53,7 @@ def launch(
     reader, writer = os.pipe()
     task = {
         "configuration": configuration.to_json(),
-        "path": str(path),
+        "path": str(path.absolute()),
         "run_id": run_id,
         "created": created,
         "argv": list(argv),
@@ -107,7 +107,8 @@ class Interrupted(KeyboardInterrupt):
 def _environment() -> dict[str, str]:
     # the child imports the same packages, also from a checkout that is not installed
     root = str(Path(__file__).resolve().parent.parent)
-    paths = [root, *filter(None, os.environ.get("PYTHONPATH", "").split(os.pathsep))]
+    given = filter(None, os.environ.get("PYTHONPATH", "").split(os.pathsep))
+    paths = [root, *map(os.path.abspath, given)]  # the run works in a folder of its own
     return {**os.environ, "PYTHONPATH": os.pathsep.join(dict.fromkeys(paths))}
 
 

@@ -39,7 +39,10 @@ def parse_trials(text: str, *, unit: str, cubes: int) -> Trials:
 
     Raises UsageError naming row (the header is row 1) and column of the first thing that is wrong.
     """
-    rows = list(csv.reader(io.StringIO(text.removeprefix("\ufeff"))))
+    try:
+        rows = list(csv.reader(io.StringIO(text.removeprefix("\ufeff"), newline=None)))
+    except csv.Error as error:
+        raise UsageError(f"not readable as CSV: {error}") from None
     while rows and not any(cell.strip() for cell in rows[-1]):
         rows.pop()
     if not rows:

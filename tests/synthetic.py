@@ -1,4 +1,4 @@
-"""Recordings of given positions, written by the recorder's own sink: real files with an outcome known by construction."""
+"""Recordings of given positions: real files, by the recorder's own sink, with an outcome known by construction."""
 
 from __future__ import annotations
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from types import TracebackType
 from typing import Any
 
@@ -42,7 +43,7 @@ class Gpus:
         nvml = self._nvml
         described = []
         for handle in self._handles:
-            queries = {
+            queries: dict[str, Callable[[Any], Any]] = {
                 "name": lambda h: nvml.nvmlDeviceGetName(h),
                 "driver": lambda h: nvml.nvmlSystemGetDriverVersion(),
                 "cuda_driver": lambda h: nvml.nvmlSystemGetCudaDriverVersion_v2(),

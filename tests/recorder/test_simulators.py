@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -191,8 +192,9 @@ class TestMujoco:
             states.append(simulator.states(60))
         assert all(a.tobytes() == b.tobytes() for a, b in zip(*states, strict=True))
 
-    def test_a_warning_is_a_gate(self) -> None:
+    def test_a_warning_is_a_gate(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         """Report MuJoCo's own warnings, once."""
+        monkeypatch.chdir(tmp_path)  # MuJoCo writes its log to the working folder
         scene = make_scene("free-fall")
         fast = replace(scene.bodies[1], linear_velocity=(1e12, 0.0, 0.0), orientation=IDENTITY)
         simulator, _ = build("mujoco", replace(scene, bodies=(scene.bodies[0], fast)))

@@ -1,0 +1,152 @@
+"""gsb-eval: every metric of a set of recordings, from the files alone."""
+
+from __future__ import annotations
+
+import argparse
+import shlex
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import schemas
+from schemas import PARTIAL
+from schemas.errors import ExitCode, GsbError, NothingComparable, UsageError
+
+if TYPE_CHECKING:
+    from evaluator.recording import Recording, Unreadable
+    from evaluator.results import Evaluation
+
+_EPILOG = """\
+exit codes:
+  0  every file was read and every recording is complete, failed or invalid by its own word
+  2  the command asks for something that cannot be
+  3  the rest was evaluated, but a file is damaged, cut short or no recording, or a recording lost data
+  5  no recording could be evaluated
+
+examples:
+  gsb-eval recordings/*.mcap
+  gsb-eval recordings/*.mcap --html report/ --published
+  gsb-eval recordings/*.mcap --reference trials.mcap --json results.json
+"""
+
+
+def parser() -> argparse.ArgumentParser:
+    """The command's arguments."""
+    p = argparse.ArgumentParser(
+        prog="gsb-eval",
+        description="Compute throughput, memory, variability and alignment from recordings. Files are grouped by what "
+        "they hold: simulator, version, switches, scene, environments, step, device.",
+        epilog=_EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    p.add_argument("files", nargs="+", type=Path, metavar="FILE", help="recordings (.mcap)")
+    p.add_argument("--reference", type=Path, metavar="FILE", help="recording to compare positions with")
+    p.add_argument("--sample-time", type=float, default=5.0, metavar="S", help="simulated time (default: 5.0)")
+    p.add_argument("--json", metavar="FILE", help="write the results as JSON; - for standard output, alone")
+    p.add_argument("--html", type=Path, metavar="DIR", help="write a report to DIR/index.html")
+    p.add_argument("--published", action="store_true", help="show the paper's figures beside, marked as such")
+    p.add_argument("--no-verify", action="store_true", help="skip the digests; CRCs of what is read are still checked")
+    p.add_argument("--version", action="version", version=f"gpusimbench {schemas.__version__}")
+    return p
+
+
+def run(arguments: argparse.Namespace, command: str) -> int:
+    """Evaluate and print; returns the exit code."""
+    from evaluator.evaluate import evaluate
+
+    if not 0 < arguments.sample_time < float("inf"):
+        raise UsageError(f"--sample-time is a time in seconds above 0, not {arguments.sample_time}")
+    if arguments.json not in (None, "-") and Path(arguments.json).suffix in (".mcap", PARTIAL):
+        # "--json *.mcap" would otherwise overwrite the first recording with the results
+        raise UsageError(f"--json takes the file to write, or -; {arguments.json} is named like a recording")
+    recordings, unreadable = _open(arguments.files, verify=not arguments.no_verify)
+    reference = _open_reference(arguments.reference, verify=not arguments.no_verify) if arguments.reference else None
+    for failure in unreadable:
+        print(f"gsb-eval: {failure.error}", file=sys.stderr)
+    if not recordings:
+        if len(unreadable) == 1:
+            return int(unreadable[0].error.exit_code)
+        raise NothingComparable(f"none of the {len(unreadable)} files is a recording that can be read")
+    evaluation = evaluate(
+        recordings, reference=reference, sample_time=arguments.sample_time, unreadable=tuple(unreadable)
+    )
+    _present(evaluation, arguments, command)
+    return _exit_code(evaluation, recordings)
+
+
+def _open(files: list[Path], *, verify: bool) -> tuple[list[Recording], list[Unreadable]]:
+    from evaluator.recording import Recording, Unreadable, open_all
+
+    opened = list(open_all(list(dict.fromkeys(files)), verify=verify))
+    return (
+        [o for o in opened if isinstance(o, Recording)],
+        [o for o in opened if isinstance(o, Unreadable)],
+    )
+
+
+def _open_reference(path: Path, *, verify: bool) -> Recording:
+    recordings, unreadable = _open([path], verify=verify)
+    if unreadable:
+        raise unreadable[0].error
+    return recordings[0]
+
+
+def _present(evaluation: Evaluation, arguments: argparse.Namespace, command: str) -> None:
+    from evaluator.report.json import dump_json
+
+    if arguments.json == "-":
+        sys.stdout.write(dump_json(evaluation))
+    else:
+        from evaluator.report.published_tables import print_published
+        from evaluator.report.tables import print_tables
+
+        print_tables(evaluation, sys.stdout)
+        if arguments.published:
+            print_published(sys.stdout)
+        if arguments.json:
+            _write(Path(arguments.json), dump_json(evaluation))
+    if arguments.html:
+        from evaluator.report.html import write_html
+
+        try:
+            page = write_html(evaluation, arguments.html, published=arguments.published, command=command)
+        except OSError as error:
+            raise GsbError(f"cannot write the report to {arguments.html}: {error.strerror}") from None
+        print(f"report: {page}", file=sys.stderr if arguments.json == "-" else sys.stdout)
+
+
+def _write(path: Path, text: str) -> None:
+    try:
+        path.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise GsbError(f"cannot write {path}: {error.strerror}") from None
+
+
+def _exit_code(evaluation: Evaluation, recordings: list[Recording]) -> int:
+    lost = any(r.status == "incomplete" or r.dropouts for r in recordings)
+    if evaluation.unreadable or lost:
+        return int(ExitCode.DATA_LOST)
+    if not any(r.status == "complete" for r in recordings):
+        return int(ExitCode.NOTHING_COMPARABLE)
+    return int(ExitCode.OK)
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Entry point of gsb-eval."""
+    given = sys.argv[1:] if argv is None else argv
+    arguments = parser().parse_args(given)
+    try:
+        return run(arguments, shlex.join(["gsb-eval", *given]))
+    except GsbError as error:
+        print(f"gsb-eval: {error}", file=sys.stderr)
+        return int(error.exit_code)
+    except KeyboardInterrupt:
+        print("gsb-eval: interrupted", file=sys.stderr)
+        return int(ExitCode.FAILURE)
+    except BrokenPipeError:
+        sys.stderr.close()  # the reader of our output has gone; nothing is left to say to it
+        return int(ExitCode.FAILURE)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,259 @@
+"""An evaluation as one HTML page that needs nothing but itself: no script, no network, no other file.
+
+What recordings say is a stranger's text: the template escapes every value, figures escape their own.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import jinja2
+import numpy as np
+from markupsafe import Markup
+from numpy.typing import NDArray
+
+import schemas
+from evaluator import published as paper
+from evaluator.group_metrics import status_notes
+from evaluator.metrics.density import Density, marginal
+from evaluator.metrics.radar import Axis
+from evaluator.metrics.regime import REGIME_MEANING
+from evaluator.recording import Recording
+from evaluator.report import numbers
+from evaluator.report.figures import density_map, matrix, palette, radar_chart
+from evaluator.report.figures.svg import printable
+from evaluator.results import Evaluation, GroupResult, Map, Metric, Reference
+from schemas.provenance import Deviation
+
+_TEMPLATE = "report.html.j2"
+_DEPTH = 3
+_AXIS_METRIC = {
+    Axis.THROUGHPUT: "fps",
+    Axis.MEMORY: "memory_peak_increment",
+    Axis.EMD_TO_REAL: "w1_real",
+    Axis.PARALLEL: "w1_parallel",
+    Axis.RUN_TO_RUN: "w1_run_to_run",
+}
+
+Marginals = tuple[NDArray[np.int64], NDArray[np.int64]]
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A figure with the words below it; `svg` is None where there is nothing to draw and the caption says why."""
+
+    label: str
+    caption: str
+    svg: Markup | None
+
+
+@dataclass(frozen=True)
+class Problem:
+    """A file that a reader must know about: its name, what is wrong, and why."""
+
+    name: str
+    kind: str
+    reason: str
+
+
+def write_html(evaluation: Evaluation, folder: Path, *, published: bool, command: str) -> Path:
+    """Write `index.html` into the folder, which is made where it is missing; returns the page's path.
+
+    A reader never meets half a page: it is written beside and then put in place. OSError where that cannot be done.
+    """
+    # Names of files may hold bytes that are no text; they are shown as escapes instead of failing the report.
+    content = render_html(evaluation, published=published, command=command).encode("utf-8", "backslashreplace")
+    folder.mkdir(parents=True, exist_ok=True)
+    page = folder / "index.html"
+    unfinished = folder / f".index.html.{os.getpid()}"
+    try:
+        unfinished.write_bytes(content)
+        os.replace(unfinished, page)
+    finally:
+        unfinished.unlink(missing_ok=True)
+    return page
+
+
+def render_html(evaluation: Evaluation, *, published: bool, command: str) -> str:
+    """The page's text.
+
+    published  whether the paper's figures are shown as well, marked as the paper's
+    command    that made the page, as a shell would take it
+    """
+    notes = [(r.label, note) for r in evaluation.results for note in r.notes if note not in status_notes(r.group)]
+    return (
+        _environment()
+        .get_template(_TEMPLATE)
+        .render(
+            evaluation=evaluation,
+            results=evaluation.results,
+            recordings=[(r.label, one) for r in evaluation.results for one in r.group.recordings],
+            problems=list(_problems(evaluation)),
+            notes=[("", note) for note in evaluation.notes] + notes,
+            maps=list(_maps(evaluation)),
+            count_scale=Markup(density_map.count_scale(evaluation.map.max_count)) if evaluation.map else None,
+            parallel_matrices=[_matrix(r, r.parallel_matrix, "env", "w1_parallel") for r in evaluation.results],
+            run_matrices=[_matrix(r, r.run_matrix, "run", "w1_run_to_run") for r in evaluation.results],
+            radar=Markup(radar_chart.radar_chart(evaluation.radar)) if evaluation.radar else None,
+            axes=list(Axis),
+            axis_metric=_AXIS_METRIC,
+            swatches=[Markup(radar_chart.swatch(i)) for i in range(len(evaluation.results))],
+            hatch=Markup(matrix.hatch()),
+            deviations=_deviations(evaluation),
+            regimes=REGIME_MEANING,
+            paper=paper if published else None,
+            command=command,
+            version=schemas.__version__,
+            colours={
+                "light": Markup(palette.variables(dark=False)),
+                "dark": Markup(palette.variables(dark=True)),
+                "rules": Markup(palette.rules()),
+            },
+        )
+        .lstrip()
+    )
+
+
+def _environment() -> jinja2.Environment:
+    environment = jinja2.Environment(
+        loader=jinja2.FileSystemLoader(Path(__file__).parent),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        finalize=_visible,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters.update(
+        mean_sd=numbers.mean_sd,
+        interval=_interval,
+        figure=numbers.figure,
+        pairs=lambda record: list(_pairs(record)),
+        power=_power_of_two,
+    )
+    environment.globals.update(origins=_origins, simulation_of=_simulation_of)
+    return environment
+
+
+def _visible(value: Any) -> Any:
+    """Text without characters that a page cannot hold; markup of our own is left alone."""
+    return printable(value) if isinstance(value, str) and not isinstance(value, Markup) else value
+
+
+def _interval(metric: Metric) -> str:
+    if metric.ci95 is not None:
+        return numbers.interval(metric)
+    why_not = metric.extra.get("interval_why_not") or ("one run" if metric.n == 1 else "")
+    return f"no interval: {why_not}" if why_not else "no interval"
+
+
+def _power_of_two(count: int) -> Markup:
+    return Markup("2<sup>{}</sup>").format(count.bit_length() - 1)
+
+
+def _problems(evaluation: Evaluation) -> Iterator[Problem]:
+    for failure in evaluation.unreadable:
+        yield Problem(failure.path.name, "could not be read", str(failure.error))
+    for result in evaluation.results:
+        for recording in result.group.recordings:
+            if recording.status != "complete":
+                yield Problem(recording.path.name, recording.status, recording.reason)
+            for lost in recording.dropouts:
+                yield Problem(recording.path.name, "lost data", lost)
+
+
+def _maps(evaluation: Evaluation) -> Iterator[Picture]:
+    shared = evaluation.map
+    if shared is None:
+        return
+    reference = evaluation.reference
+    shown: list[tuple[str, Density, Marginals, str]] = []
+    if reference is not None and reference.density is not None:
+        shown.append((f"reference: {reference.label}", reference.density, _sides(reference, shared), reference.scene))
+    for result in evaluation.results:
+        if result.cloud is not None:
+            shown.append((result.label, result.cloud.density, result.cloud.marginals, result.group.key.scene))
+    boards = {r.group.key.scene: _board(r) for r in evaluation.results}
+    share_max = max((_largest_share(density, sides) for _, density, sides, _ in shown), default=1.0)
+    for label, density, sides, scene in shown:
+        svg = density_map.density_map(
+            density, sides, shared, name=label, share_max=share_max, board=boards.get(scene)
+        )  # fmt: skip
+        yield Picture(label, density_map.caption(density), Markup(svg))
+    for result in evaluation.results:
+        if result.cloud is None:
+            yield Picture(result.label, f"No map: {_why_no_cloud(result)}.", None)
+
+
+def _sides(reference: Reference, shared: Map) -> Marginals:
+    x, y = reference.positions[..., 0], reference.positions[..., 1]
+    return marginal(x, shared.edges[0]), marginal(y, shared.edges[1])
+
+
+def _largest_share(density: Density, sides: Marginals) -> float:
+    n_point = int(density.counts.sum()) + density.off_map
+    return max(float(density_map.shares(counts, n_point).max(initial=0.0)) for counts in sides)
+
+
+def _why_no_cloud(result: GroupResult) -> str:
+    metric = result.metrics.get("w1_parallel")
+    return metric.why_not if metric and metric.why_not else "no positions were recorded at the sample time"
+
+
+def _board(result: GroupResult) -> density_map.Outline | None:
+    """The board that the scene names, where its description can be read."""
+    scene = result.group.recordings[0].scene if result.group.recordings else {}
+    try:
+        board = next(b for b in scene["bodies"] if b["name"] == scene["board"])
+        (x, y), (length, width) = board["position"][:2], board["shape"]["size"][:2]
+        edges = [float(x - length / 2), float(x + length / 2), float(y - width / 2), float(y + width / 2)]
+    except (KeyError, TypeError, ValueError, StopIteration):
+        return None
+    return density_map.Outline(*edges) if np.isfinite(edges).all() else None
+
+
+def _matrix(result: GroupResult, values: NDArray[np.float64] | None, of: str, name: str) -> Picture:
+    if values is None:
+        metric = result.metrics.get(name)
+        why_not = metric.why_not if metric and metric.why_not else "it was not computed"
+        return Picture(result.label, f"No matrix: {why_not}.", None)
+    svg = Markup(matrix.matrix_map(values, of=of, name=result.label))
+    return Picture(result.label, matrix.caption(values, of=of), svg)
+
+
+def _deviations(evaluation: Evaluation) -> list[tuple[Deviation, list[str]]]:
+    """Every parameter that was not honoured, once, with the groups that it holds for."""
+    found: dict[Deviation, list[str]] = {}
+    for result in evaluation.results:
+        simulation = _simulation_of(result)
+        for deviation in dict.fromkeys(simulation.deviations if simulation else ()):
+            found.setdefault(deviation, []).append(result.label)
+    return list(found.items())
+
+
+def _simulation_of(result: GroupResult) -> Any:
+    return next((r.simulation for r in result.group.recordings if r.simulation), None)
+
+
+def _origins(result: GroupResult) -> list[tuple[str, Recording]]:
+    """One recording for each machine and software that the group's runs come from, with those runs' indices."""
+    alike: dict[str, list[Recording]] = {}
+    for recording in result.group.recordings:
+        p = recording.provenance
+        alike.setdefault(repr((p.host, p.gpus, p.software, p.environment)), []).append(recording)
+    return [(", ".join(str(r.configuration.run_index) for r in runs), runs[0]) for runs in alike.values()]
+
+
+def _pairs(record: dict[str, Any], prefix: str = "") -> Iterator[tuple[str, str]]:
+    """Names and values of a record; nested ones with dotted names down to a depth that can be read, lists as text."""
+    for key in record:
+        value, name = record[key], f"{prefix}{key}"
+        if isinstance(value, dict) and value and prefix.count(".") < _DEPTH:
+            yield from _pairs(value, f"{name}.")
+        elif isinstance(value, (list, tuple)):
+            yield name, ", ".join(str(v) for v in value) or "none"
+        else:
+            yield name, "none" if value is None or value in ("", {}) else str(value)

@@ -1,0 +1,137 @@
+"""An evaluation as tables in a terminal."""
+
+from __future__ import annotations
+
+from typing import IO
+
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from evaluator.metrics.regime import REGIME_MEANING
+from evaluator.report.numbers import NONE, interval, mean_sd
+from evaluator.results import Evaluation, GroupResult, Metric
+
+_WIDTH_WITHOUT_TERMINAL = 120
+
+
+def print_tables(evaluation: Evaluation, stream: IO[str]) -> None:
+    """Print the evaluation; what a stranger's recording says is printed as text, never as markup."""
+    console = make_console(stream)
+    for scene in dict.fromkeys(r.group.key.scene for r in evaluation.results):
+        results = [r for r in evaluation.results if r.group.key.scene == scene]
+        _print_scene(console, evaluation, scene, results)
+    _print_notes(console, evaluation)
+    _print_guidelines(console, evaluation)
+
+
+def make_console(stream: IO[str]) -> Console:
+    """A console that prints text as it is, in colour on a terminal alone."""
+    console = Console(file=stream, highlight=False, markup=False, emoji=False)
+    if console.is_terminal:
+        return console
+    return Console(
+        file=stream, highlight=False, markup=False, emoji=False, width=_WIDTH_WITHOUT_TERMINAL, color_system=None
+    )
+
+
+def plain_table(*titles: str) -> Table:
+    """A table without rules; the first column to the left, the others to the right."""
+    table = Table(show_edge=False, pad_edge=False, box=None, header_style="bold")
+    for index, title in enumerate(titles):
+        table.add_column(title, overflow="fold", justify="right" if index else "left")
+    return table
+
+
+def _print_scene(console: Console, evaluation: Evaluation, scene: str, results: list[GroupResult]) -> None:
+    console.print(f"{scene}, positions at t = {evaluation.sample_time:g} s", style="bold")
+    table = plain_table("", *(result.label for result in results))
+
+    def row(title: str, cells: list[str]) -> None:
+        table.add_row(Text(title), *(Text(c) for c in cells))
+
+    def both(title: str, name: str, *, with_interval: bool = True) -> None:
+        found = [r.metrics[name] for r in results]
+        row(title, [mean_sd(m) for m in found])
+        if with_interval and any(m.ci95 and m.value is not None for m in found):
+            row("  95 % interval", [interval(m) for m in found])
+
+    row("version", [r.group.key.version or NONE for r in results])
+    row("device", [r.group.key.device or NONE for r in results])
+    row("envs x complete runs", [f"{r.group.key.n_env} x {len(r.group.complete)}" for r in results])
+    both("throughput [env-steps/s]", "fps")
+    both("GPU memory increment [GB]", "memory_peak_increment")
+    both("host memory increment [MB]", "host_memory_peak_increment")
+    both("W1 between envs [cm]", "w1_parallel")
+    both("W1 between runs [cm]", "w1_run_to_run")
+    both("W1 to reference [cm]", "w1_real")
+    row("distinct envs, bitwise", [_of(r.metrics["distinct_envs"]) for r in results])
+    row("distinct runs, bitwise", [_of(r.metrics["distinct_runs"]) for r in results])
+    both("cubes off the board per env", "left_board")
+    row("published type", [_regime(r.metrics["regime_published"]) for r in results])
+    row("capture changed the states", [_capture(r.metrics["capture_changes_states"]) for r in results])
+    console.print(table)
+    for why in _reasons(results):
+        console.print(f"  {why}", style="dim")
+    console.print()
+
+
+def _of(metric: Metric) -> str:
+    return NONE if metric.value is None else f"{metric.value:.0f} of {metric.n}"
+
+
+def _regime(metric: Metric) -> str:
+    if metric.value is None:
+        return NONE
+    number = int(metric.value)
+    return f"{number}: {REGIME_MEANING[number]}"
+
+
+def _capture(metric: Metric) -> str:
+    if metric.value is None:
+        return NONE
+    return f"in {metric.value:.0f} of {metric.n} runs"
+
+
+def _reasons(results: list[GroupResult]) -> list[str]:
+    # metrics that miss for the same reason share a line, and so do columns
+    metrics: dict[tuple[int, str], list[str]] = {}
+    for number, result in enumerate(results, start=1):
+        for metric in result.metrics.values():
+            if metric.value is None:
+                metrics.setdefault((number, metric.why_not), []).append(metric.name)
+    columns: dict[tuple[str, str], list[int]] = {}
+    for (column, why), missing in metrics.items():
+        columns.setdefault((", ".join(missing), why), []).append(column)
+    lines = []
+    for (names, why), found in columns.items():
+        plural = "column" if len(found) == 1 else "columns"
+        where = "" if len(found) == len(results) else f"{plural} {', '.join(map(str, found))}: "
+        lines.append(f"{where}no {names}: {why}")
+    return lines
+
+
+def _print_notes(console: Console, evaluation: Evaluation) -> None:
+    lines = list(evaluation.notes)
+    if evaluation.reference:
+        lines.append(evaluation.reference_note)
+    for result in evaluation.results:
+        lines += [f"{result.label}: {note}" for note in result.notes]
+    for line in lines:
+        console.print(f"note: {line}")
+    if lines:
+        console.print()
+
+
+def _print_guidelines(console: Console, evaluation: Evaluation) -> None:
+    picked = [g for g in evaluation.guidelines if g.pick]
+    if not picked:
+        return
+    console.print("which for which need, from these recordings alone", style="bold")
+    table = Table(show_edge=False, pad_edge=False, box=None, header_style="bold")
+    for title in ("need", "pick", "rule"):
+        table.add_column(title, overflow="fold")
+    for guideline in picked:
+        table.add_row(Text(guideline.need), Text(guideline.pick or ""), Text(guideline.rule))
+    console.print(table)
+    console.print()

@@ -1,0 +1,211 @@
+"""Files that are whole, cut short, damaged, or something else."""
+
+from __future__ import annotations
+
+import io
+import random
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+from mcap.writer import CompressionType, Writer
+
+from evaluator import open_recording
+from evaluator.container import Container
+from schemas.errors import DamagedRecording, NotARecording, RecordingError
+from tests.synthetic import grid, write_recording
+
+compressions = pytest.mark.parametrize("compression", ["none", "lz4", "zstd"])
+
+
+@pytest.fixture
+def tiny(tmp_path: Path) -> Path:
+    """A small whole recording."""
+    return write_recording(tmp_path, grid(2), name="tiny.mcap")
+
+
+@compressions
+def test_same_content_however_compressed(tmp_path: Path, compression: str) -> None:
+    """Give the same arrays and the same digests whatever the chunks are compressed with."""
+    final = np.random.default_rng(0).standard_normal((3, 27, 3))
+    recording = open_recording(write_recording(tmp_path, final, compression=compression))
+    recording.verify()
+    assert np.array_equal(recording.state("cubes", "position")[-1], final)
+
+
+def test_the_official_reader_agrees(small: Path) -> None:
+    """Find the messages and attachments that the official MCAP reader finds."""
+    container = Container(small)
+    with small.open("rb") as stream:
+        reader = make_reader(stream, validate_crcs=True)
+        official: dict[str, list[tuple[int, int]]] = {}
+        for _, channel, message in reader.iter_messages(log_time_order=False):
+            official.setdefault(channel.topic, []).append((message.sequence, hash(message.data)))
+        attachments = {a.name: a.data for a in reader.iter_attachments()}
+        header = reader.get_header()
+    assert header.profile == "gsb.v1"
+    for topic, messages in official.items():
+        ours = [(s, hash(bytes(c))) for s, c in (container.read(m) for m in container.messages(topic))]
+        assert sorted(ours) == sorted(messages)
+    assert set(container.channels) == set(official) | {"/memory/host"}
+    assert {n: container.attachment(n) for n in container.attachment_names()} == attachments
+
+
+@compressions
+def test_rewritten_by_another_tool(tmp_path: Path, compression: str) -> None:
+    """Keep arrays, status and identity when another writer copies the messages into other chunks."""
+    original = write_recording(tmp_path, grid(3))
+    copy = tmp_path / "copy.mcap"
+    _rewrite(original, copy, CompressionType[compression.upper()], chunk_size=700)
+    a, b = open_recording(original), open_recording(copy)
+    b.verify()
+    assert a.content_hash == b.content_hash
+    assert np.array_equal(np.asarray(a.state("cubes", "position")), np.asarray(b.state("cubes", "position")))
+
+
+def test_without_chunks_or_indexes(tmp_path: Path) -> None:
+    """Read a file that has neither chunks nor message indexes."""
+    original = write_recording(tmp_path, grid(2))
+    copy = tmp_path / "flat.mcap"
+    _rewrite(original, copy, CompressionType.NONE, use_chunking=False)
+    open_recording(copy).verify()
+
+
+def _rewrite(source: Path, target: Path, compression: CompressionType, **options: object) -> None:
+    with source.open("rb") as stream, target.open("wb") as out:
+        reader = make_reader(stream)
+        writer = Writer(out, compression=compression, **options)  # type: ignore[arg-type]
+        writer.start(profile=reader.get_header().profile)
+        schemas: dict[int, int] = {}
+        channels: dict[int, int] = {}
+        for attachment in reader.iter_attachments():
+            writer.add_attachment(0, 0, attachment.name, attachment.media_type, attachment.data)
+        for schema, channel, message in reader.iter_messages(log_time_order=False):
+            assert schema is not None
+            if schema.id not in schemas:
+                schemas[schema.id] = writer.register_schema(schema.name, schema.encoding, schema.data)
+            if channel.id not in channels:
+                channels[channel.id] = writer.register_channel(
+                    channel.topic, channel.message_encoding, schemas[schema.id], channel.metadata
+                )
+            writer.add_message(
+                channels[channel.id], message.log_time, message.data, message.publish_time, message.sequence
+            )
+        writer.finish()
+
+
+def test_cut_short_anywhere(tiny: Path, tmp_path: Path) -> None:
+    """Read a file cut at any byte as incomplete, up to its last whole record, or refuse it; never as complete."""
+    data = tiny.read_bytes()
+    whole = np.asarray(open_recording(tiny).state("cubes", "position"))
+    cut = tmp_path / "cut.mcap"
+    seen = set()
+    for size in [*range(0, len(data) - 1, 311), *range(len(data) - 60, len(data))]:
+        cut.write_bytes(data[:size])
+        try:
+            recording = open_recording(cut)
+        except RecordingError:
+            seen.add("refused")
+            continue
+        assert recording.status == "incomplete"
+        seen.add("incomplete")
+        if recording.fields:
+            array = recording.state("cubes", "position")
+            assert np.array_equal(array[:], whole[: len(array)])
+            seen.add(len(array))
+    assert {"refused", "incomplete", 0, 6} <= seen
+
+
+@compressions
+def test_no_flipped_bit_passes(tmp_path: Path, compression: str) -> None:
+    """Notice every single flipped bit: refused on opening, or by verify; no wrong number is handed out."""
+    source = write_recording(tmp_path, grid(1), compression=compression)
+    data = source.read_bytes()
+    flipped = tmp_path / "flipped.mcap"
+    rng = random.Random(1)
+    passed = []
+    for _ in range(300):
+        changed = bytearray(data)
+        position = rng.randrange(len(data))
+        changed[position] ^= 1 << rng.randrange(8)
+        flipped.write_bytes(changed)
+        try:
+            recording = open_recording(flipped)
+            recording.verify()
+        except RecordingError:
+            continue
+        if recording.status == "incomplete":
+            continue
+        passed.append(position)
+    # The summary behind the data section repeats what the data section says, and is not read.
+    summary = data.index(bytes([15]) + (4).to_bytes(8, "little"))
+    assert all(position > summary for position in passed), [p for p in passed if p <= summary]
+
+
+def test_any_mutation_is_an_error_of_ours(tiny: Path, tmp_path: Path) -> None:
+    """Raise nothing but our own errors on overwritten lengths, spliced parts and doubled parts."""
+    data = tiny.read_bytes()
+    rng = random.Random(2)
+    mutated = tmp_path / "mutated.mcap"
+    for number in range(400):
+        changed = bytearray(data)
+        a, b = sorted(rng.randrange(len(data)) for _ in range(2))
+        match number % 4:
+            case 0:
+                changed[a : a + 8] = rng.choice([b"\xff" * 8, b"\0" * 8, (2**40).to_bytes(8, "little")])
+            case 1:
+                del changed[a:b]
+            case 2:
+                changed[b:b] = data[a:b]
+            case 3:
+                changed[a : a + 64] = rng.randbytes(64)
+        mutated.write_bytes(changed)
+        try:
+            recording = open_recording(mutated)
+            recording.verify()
+            for field in recording.fields:
+                np.asarray(recording.state(field.group, field.field))
+            _ = recording.timing, recording.memory, recording.events, recording.dropouts, recording.scene
+        except (RecordingError, KeyError):
+            continue
+
+
+def test_a_decompression_bomb_is_refused(tmp_path: Path) -> None:
+    """Refuse a chunk that would unpack into more than it announces, or announces too much."""
+    import zstandard
+
+    bomb = zstandard.ZstdCompressor().compress(b"\0" * (1 << 26))
+    data = bytearray(write_recording(tmp_path, grid(1), compression="zstd").read_bytes())
+    at = data.index(b"zstd", 100) - 4
+    head = at - 4 - 8 - 16 - 9
+    length = int.from_bytes(data[head + 1 : head + 9], "little")
+    body = data[head + 9 : at + 8] + len(bomb).to_bytes(8, "little") + bomb
+    forged = data[: head + 1] + len(body).to_bytes(8, "little") + body + data[head + 9 + length :]
+    (tmp_path / "bomb.mcap").write_bytes(forged)
+    with pytest.raises(DamagedRecording, match="more than it announces"):
+        open_recording(tmp_path / "bomb.mcap").verify()
+
+
+def test_something_else_is_named(tmp_path: Path) -> None:
+    """Tell apart what is no MCAP, a foreign MCAP, another version of the format, and no file at all."""
+    text = tmp_path / "notes.mcap"
+    text.write_text("these are not the bytes that you are looking for")
+    empty = tmp_path / "empty.mcap"
+    empty.write_bytes(b"")
+    for path in (text, empty):
+        with pytest.raises(NotARecording, match="is not an MCAP file"):
+            open_recording(path)
+    with pytest.raises(NotARecording, match="No such file"):
+        open_recording(tmp_path / "missing.mcap")
+    with pytest.raises(NotARecording, match="Is a directory"):
+        open_recording(tmp_path)
+    for profile, message in (("ros2", "not a recording of a simulator"), ("gsb.v9", "format gsb.v9.*update")):
+        stream = io.BytesIO()
+        writer = Writer(stream)
+        writer.start(profile=profile)
+        writer.finish()
+        path = tmp_path / f"{profile}.mcap"
+        path.write_bytes(stream.getvalue())
+        with pytest.raises(NotARecording, match=message):
+            open_recording(path)

@@ -1,0 +1,384 @@
+"""The HTML report."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+import xml.etree.ElementTree as ET
+from dataclasses import replace
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from evaluator import published
+from evaluator.evaluate import evaluate
+from evaluator.metrics.density import HexGrid, marginal
+from evaluator.metrics.guidelines import guidelines
+from evaluator.metrics.radar import SimulatorResult, radar
+from evaluator.recording import Recording, Unreadable
+from evaluator.report.html import render_html, write_html
+from evaluator.results import Cloud, Evaluation, GroupResult, Map, Metric, Reference, not_computed
+from schemas.errors import DamagedRecording
+
+ROOT = Path(__file__).parents[2]
+HOSTILE = "\"'><script>alert(1)</script><img src=https://x.example/>"
+COMMAND = "gsb-eval a.mcap --html report"
+GRID = HexGrid((-0.2, 0.7, -0.4, 0.4), 0.01)
+EDGES = (np.linspace(-0.2, 0.7, 91), np.linspace(-0.4, 0.4, 81))
+VOID = {"meta", "br", "hr", "img", "link", "input"}
+FETCHING = {"src", "href", "srcset", "data", "action", "poster", "background", "xlink:href"}
+
+
+class Page(HTMLParser):
+    """Elements of a page as a browser would find them, and whether they nest."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__(convert_charrefs=True)
+        self.opened: list[str] = []
+        self.tags: list[tuple[str, dict[str, str | None]]] = []
+        self.words: list[str] = []
+        self.feed(text)
+        self.close()
+        assert self.opened == []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append((tag, dict(attrs)))
+        if tag not in VOID:
+            self.opened.append(tag)
+
+    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append((tag, dict(attrs)))
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.opened.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        self.words.append(data)
+
+    @property
+    def text(self) -> str:
+        """What is read, in one line; without the style sheet."""
+        shown = " ".join(w for w in self.words if "prefers-color-scheme" not in w)
+        return re.sub(r"\s+", " ", shown)
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> Recording:
+    """A small recording of MuJoCo."""
+    pytest.importorskip("mujoco")
+    out = tmp_path_factory.mktemp("html")
+    wanted = ["--n-env", "2", "--runs", "1", "--steps", "20", "--warmup", "2", "--timed-steps", "5"]
+    subprocess.run(
+        [sys.executable, "-m", "recorder.cli", "--sim", "mujoco", *wanted, "--out", str(out)],
+        check=True, cwd=ROOT, env={**os.environ, "PYTHONPATH": str(ROOT)}, capture_output=True,
+    )  # fmt: skip
+    return Recording(next(out.glob("*.mcap")))
+
+
+def cloud(positions: np.ndarray) -> Cloud:
+    """A cloud of positions [m], shape [run, env, item, 2]."""
+    sides = (marginal(positions[..., 0], EDGES[0]), marginal(positions[..., 1], EDGES[1]))
+    return Cloud(positions, GRID.bin(positions), sides)
+
+
+def result(base: GroupResult, label: str, seed: int, *, off_map: int = 0) -> GroupResult:
+    """A group with every value, all of them made up, and positions around the board's middle."""
+    rng = np.random.default_rng(seed)
+    positions = rng.normal(0.2, 0.05, (3, 4, 27, 2)) * [1.0, 0.3]
+    positions.reshape(-1, 2)[:off_map] = 9.0
+    half = np.triu(rng.random((4, 4)), k=1)
+    made = [
+        Metric("fps", 1_234_567.0 + seed, "env-steps/s", "higher", "m", n=3, sd=321.0, ci95=(1_233_000.0, 1_236_000.0)),
+        Metric("memory_peak_increment", 2.5 + seed, "GB", "lower", "m", n=3, sd=0.25, ci95=(2.0, 3.0)),
+        Metric("host_memory_peak_increment", 77.25, "MB", "lower", "m", n=3, sd=0.5, ci95=(76.0, 78.0)),
+        Metric("distinct_envs", 3.0, "", "neither", "m", n=4, extra={"first_difference_step": 118}),
+        Metric("distinct_runs", 1.0, "", "neither", "m", n=3, extra={"first_difference_step": None}),
+        Metric("capture_changes_states", 0.0, "", "lower", "m", n=3),
+        Metric("w1_parallel", 0.00001234 + seed, "cm", "lower", "m", n=3, sd=0.0, ci95=(0.0, 0.5)),
+        Metric("w1_run_to_run", 0.0, "cm", "lower", "m", n=3, sd=0.0, ci95=(0.0, 0.0)),
+        Metric("w1_real", 3.375 + seed, "cm", "lower", "m", n=3, sd=0.125, ci95=(3.0, 4.0)),
+        Metric("left_board", 0.25, "cubes per env", "lower", "m", n=12, extra={"total": 3, "of": 324}),
+        Metric("regime_published", 1.0, "type", "neither", "m"),
+    ]
+    return GroupResult(
+        group=base.group, label=label, metrics={m.name: m for m in made}, cloud=cloud(positions),
+        parallel_matrix=half + half.T, run_matrix=np.zeros((3, 3)), notes=(f"a note on {label}",),
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def alone(recorded: Recording) -> Evaluation:
+    """One real group and no reference, sampled at a step that was recorded."""
+    return evaluate([recorded], sample_time=0.1)
+
+
+@pytest.fixture(scope="module")
+def several(alone: Evaluation) -> Evaluation:
+    """Three groups with made-up values and a reference."""
+    results = tuple(result(alone.results[0], f"engine {i}", i, off_map=101 if i == 2 else 0) for i in range(3))
+    real = np.random.default_rng(9).normal(0.2, 0.05, (16, 27, 2))
+    clouds = [r.cloud.density for r in results if r.cloud] + [GRID.bin(real)]
+    compared = [SimulatorResult(r.label, fps=r.metrics["fps"].value, w1_real=r.metrics["w1_real"].value)
+                for r in results]  # fmt: skip
+    return Evaluation(
+        sample_time=5.0,
+        results=results,
+        unreadable=(Unreadable(Path("/data/torn.mcap"), DamagedRecording("torn.mcap: chunk 7 fails its CRC")),),
+        reference=Reference("16 real trials", Path("/data/trials.mcap"), True, "inclined-collision", real, clouds[-1]),
+        reference_note="compared with 16 real trials",
+        radar=radar(compared),
+        guidelines=tuple(guidelines(compared)),
+        map=Map(GRID, EDGES, max(int(d.counts.max()) for d in clouds if len(d.counts))),
+        notes=("a note on the whole set",),
+    )
+
+
+def render(evaluation: Evaluation, *, published: bool = False) -> str:
+    """The page's text."""
+    return render_html(evaluation, published=published, command=COMMAND)
+
+
+def pictures(page: str) -> list[ET.Element]:
+    """All pictures of a page, parsed as XML."""
+    return [ET.fromstring(one) for one in re.findall(r"<svg.*?</svg>", page, flags=re.DOTALL)]
+
+
+@pytest.mark.parametrize("kind", ["alone", "several"])
+def test_page_is_well_formed(kind: str, request: pytest.FixtureRequest) -> None:
+    """Close every element that is opened, and draw pictures that are XML."""
+    text = render(request.getfixturevalue(kind), published=True)
+    page = Page(text)
+    identities = [a["id"] for _, a in page.tags if "id" in a]
+    assert len(identities) == len(set(identities))
+    assert len(pictures(text)) == text.count("<svg")
+
+
+@pytest.mark.parametrize("kind", ["alone", "several"])
+def test_page_needs_nothing_else(kind: str, request: pytest.FixtureRequest) -> None:
+    """Refer to places in the page only: no script, no import, no address."""
+    text = render(request.getfixturevalue(kind), published=True)
+    for tag, attributes in Page(text).tags:
+        assert tag not in {"script", "link", "iframe", "object", "embed", "img", "base", "form"}
+        for name, value in attributes.items():
+            assert not name.startswith("on")
+            assert name not in FETCHING or str(value).startswith("#")
+    assert "@import" not in text
+    assert "http://" not in text
+    assert "https://" not in text
+    assert set(re.findall(r"url\(([^)]*)\)", text)) <= {"#hatch"}
+
+
+def test_sections_of_the_contents_exist(several: Evaluation) -> None:
+    """Lead from every link to a heading."""
+    page = Page(render(several, published=True))
+    identities = {a.get("id") for _, a in page.tags}
+    links = [str(a["href"]) for tag, a in page.tags if tag == "a"]
+    assert links
+    assert all(link.removeprefix("#") in identities for link in links)
+
+
+def test_every_group_and_metric_appears(several: Evaluation) -> None:
+    """Name every group, every metric and every note."""
+    text = Page(render(several)).text
+    for group in several.results:
+        assert group.label in text
+        assert all(note in text for note in group.notes)
+        assert all(name in text for name in group.metrics)
+    assert "a note on the whole set" in text
+    assert all(g.need in text and g.rule in text for g in several.guidelines)
+    assert all((g.evidence or g.reason or "") in text for g in several.guidelines)
+
+
+def test_values_have_sensible_digits(several: Evaluation) -> None:
+    """Print thousands separators, the SD and interval, and no rounded zero for what is not zero."""
+    text = Page(render(several)).text
+    assert "1,234,567 ± 321" in text
+    assert "[1,233,000, 1,236,000]" in text
+    assert "3.375 ± 0.125" in text
+    assert "1.2e-05" in text
+    assert "3 of 4" in text
+    assert "first differ at step 118" in text
+    assert "3 of 324" in text
+
+
+def test_missing_values_are_reasons(alone: Evaluation) -> None:
+    """Print why there is no value, in its row, and never a zero."""
+    text = render(alone)
+    for metric in alone.results[0].metrics.values():
+        if metric.value is None:
+            assert metric.why_not
+            assert f"not computed: {metric.why_not}" in Page(text).text
+    base = alone.results[0]
+    reasons = {name: not_computed(name, m.unit, m.direction, f"reason of {name}") for name, m in base.metrics.items()}
+    empty = replace(base, metrics=reasons, cloud=None, parallel_matrix=None, run_matrix=None)
+    text = render(replace(alone, results=(empty,), map=None))
+    rows = re.findall(r"<tbody>(.*?)</tbody>", text, flags=re.DOTALL)
+    for name in reasons:
+        assert f"not computed: reason of {name}" in Page(text).text
+    for row in rows[:2]:
+        assert not re.search(r'<td class="num">\s*\d', row)
+    assert "No matrix: reason of w1_parallel." in text
+
+
+def test_off_map_counts_are_printed(several: Evaluation) -> None:
+    """Say how many positions a map leaves out."""
+    assert "101 are off the map" in Page(render(several)).text
+
+
+def test_maps_share_one_colour_scale(several: Evaluation) -> None:
+    """Draw one scale, labelled with the largest count, for the reference and all groups."""
+    text = render(several)
+    assert several.map is not None
+    assert text.count("Colour scale: 1 to") == 1
+    assert f"Colour scale: 1 to {several.map.max_count:,} positions" in text
+    assert text.count('aria-label="Density map of') == 4
+    assert text.index("Density map of reference: 16 real trials") < text.index("Density map of engine 0")
+    tops = set(re.findall(r'<text x="[\d.]+" y="11" class="small">(\d+ %)</text>', text))
+    assert len(tops) == 1  # and one for the marginals
+
+
+def test_problems_stand_above_the_results(several: Evaluation, recorded: Recording) -> None:
+    """Name files that were damaged, failed or cut short, with their reasons, before any table."""
+    failed = Recording(recorded.path)
+    failed.status, failed.reason = "failed", "the engine ran out of memory"
+    base = several.results[0]
+    bad = replace(base, group=replace(base.group, recordings=(failed,)))
+    text = Page(render(replace(several, results=(bad, *several.results[1:])))).text
+    before = text[: text.index("mean ± SD over runs")]
+    assert "torn.mcap" in before
+    assert "chunk 7 fails its CRC" in before
+    assert recorded.path.name in before
+    assert "failed : the engine ran out of memory" in before
+    assert "Files with problems" not in Page(render(replace(several, unreadable=()))).text
+
+
+def test_hostile_text_stays_text(several: Evaluation, recorded: Recording) -> None:
+    """Let nothing that a file says become an element or an attribute."""
+    hostile = Recording(recorded.path)
+    hostile.status, hostile.reason, hostile.content_hash = "failed", HOSTILE, HOSTILE
+    hostile.path = Path(f"{HOSTILE.replace('/', '|')}\udcff.mcap")
+    assert hostile.simulation is not None
+    deviation = replace(hostile.simulation.deviations[0], parameter=HOSTILE, reason=HOSTILE, used=HOSTILE)
+    hostile.simulation = replace(
+        hostile.simulation, version=HOSTILE, deviations=(deviation,), options={HOSTILE: {HOSTILE: [HOSTILE, "\x00"]}}
+    )
+    hostile.provenance = replace(
+        hostile.provenance, argv=(HOSTILE,), host={"cpu": HOSTILE}, gpus=({"name": HOSTILE},), created_utc=HOSTILE
+    )
+    base = several.results[0]
+    group = replace(base.group, recordings=(hostile,), key=replace(base.group.key, scene=HOSTILE, version=HOSTILE))
+    metrics = {**base.metrics, "fps": not_computed("fps", HOSTILE, "higher", HOSTILE)}
+    one = replace(base, group=group, label=HOSTILE, metrics=metrics, notes=(HOSTILE,))
+    assert several.reference is not None
+    evaluation = replace(
+        several,
+        results=(one, *several.results[1:]),
+        unreadable=(Unreadable(Path("x.mcap"), DamagedRecording(HOSTILE)),),
+        reference=replace(several.reference, label=HOSTILE),
+        reference_note=HOSTILE,
+        notes=(HOSTILE,),
+    )
+    plain = Page(render(several))
+    text = render_html(evaluation, published=False, command=HOSTILE)
+    page = Page(text)
+    assert {tag for tag, _ in page.tags} <= {tag for tag, _ in plain.tags} | {"section", "pre", "p", "h4"}
+    assert not any(name.startswith("on") or name == "src" for _, a in page.tags for name in a)
+    assert page.text.count(HOSTILE) > 10
+    assert "<script" not in text
+    assert "\x00" not in text
+    assert len(pictures(text)) == text.count("<svg")
+
+
+def test_deviations_are_in_sight(alone: Evaluation) -> None:
+    """List what the engine could not honour outside of any folded part."""
+    text = render(alone)
+    section = text[text.index('<h2 id="deviations">') : text.index('<h2 id="provenance">')]
+    assert "<details" not in section
+    simulation = alone.results[0].group.recordings[0].simulation
+    assert simulation is not None
+    for deviation in simulation.deviations:
+        shown = Page(section.replace("</section>", "").rsplit("<section", 1)[0]).text
+        assert deviation.parameter in shown
+        assert deviation.reason in shown
+
+
+def test_provenance_is_complete(alone: Evaluation, recorded: Recording) -> None:
+    """Show the machine, the software, the switches and the recording's full hash."""
+    text = render(alone)
+    page = Page(text)
+    assert recorded.simulation is not None
+    for record in (recorded.provenance.host, recorded.simulation.switches, recorded.simulation.options):
+        for name, value in record.items():
+            assert name in page.text
+            if isinstance(value, str) and value:
+                assert value in page.text
+    assert recorded.content_hash in {a.get("title") for _, a in page.tags}
+    assert recorded.path.name in page.text
+    assert recorded.provenance.created_utc in page.text
+    assert COMMAND in page.text
+
+
+def test_published_figures_are_marked_as_the_papers(several: Evaluation) -> None:
+    """Show the paper's figures only when asked, under its name, away from the results."""
+    assert published.SOURCE not in render(several)
+    text = Page(render(several, published=True)).text
+    assert "These are the paper's figures, not results of this report." in text
+    assert published.SOURCE in text
+    start = text.index(published.SOURCE)
+    for row in published.VARIABILITY:
+        assert text.index(str(row.w1_real), start) > start
+        assert row.simulator not in text[:start]
+    assert "11,124,000" in text[start:]
+    assert "not supported" in text[start:]
+
+
+def test_published_types_follow_from_the_published_values() -> None:
+    """Copy the paper's tables without a slip that its own rule would show."""
+    for row in published.VARIABILITY:
+        present = (row.parallel.mean > 0, row.run_to_run.mean > 0)
+        assert row.regime == {(True, False): 1, (False, False): 2, (True, True): 3, (False, True): 4}[present]
+    assert {r.simulator for r in published.SCALING} == {r.simulator for r in published.VARIABILITY}
+    assert {r.simulator for r in published.SCALING} == set(published.SIMULATOR_VERSIONS)
+
+
+def test_evaluation_of_nothing_is_a_page(several: Evaluation) -> None:
+    """Write a page even where no group is left, with the files that could not be read."""
+    nothing = Evaluation(5.0, (), several.unreadable, None, "no reference", None, (), None)
+    text = Page(render(nothing)).text
+    assert "torn.mcap" in text
+    assert "No map" in text
+
+
+def test_page_is_written_whole(several: Evaluation, tmp_path: Path) -> None:
+    """Make the folder, write one file in it, and put a new page in the place of the old one."""
+    folder = tmp_path / "new" / "report"
+    page = write_html(several, folder, published=False, command=COMMAND)
+    assert page == folder / "index.html"
+    assert page.read_text(encoding="utf-8") == render(several)
+    write_html(several, folder, published=True, command="gsb-eval 'caf\udce9.mcap'")
+    assert [p.name for p in folder.iterdir()] == ["index.html"]
+    assert published.SOURCE in page.read_text(encoding="utf-8")
+
+
+def test_failed_write_leaves_the_old_page(several: Evaluation, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Keep what was there, and leave nothing half-written, where the page cannot be put in place."""
+    page = write_html(several, tmp_path, published=False, command=COMMAND)
+    before = page.read_bytes()
+
+    def refuse(*_: object) -> None:
+        raise OSError("no space left")
+
+    monkeypatch.setattr(os, "replace", refuse)
+    with pytest.raises(OSError, match="no space"):
+        write_html(several, tmp_path, published=True, command=COMMAND)
+    assert page.read_bytes() == before
+    assert [p.name for p in tmp_path.iterdir()] == ["index.html"]
+
+
+def test_same_evaluation_gives_the_same_page(several: Evaluation) -> None:
+    """Render without clock, chance or order of a set."""
+    assert render(several) == render(several)

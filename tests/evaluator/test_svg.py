@@ -1,0 +1,228 @@
+"""Figures of the report."""
+
+from __future__ import annotations
+
+import re
+import xml.etree.ElementTree as ET
+
+import numpy as np
+import pytest
+
+from evaluator.metrics.density import HexGrid, marginal
+from evaluator.metrics.radar import SimulatorResult, radar
+from evaluator.report.figures import axis, density_map, matrix, palette, radar_chart, svg
+from evaluator.results import Map
+
+GRID = HexGrid((-0.1, 0.7, -0.3, 0.3), 0.02)
+EDGES = (np.linspace(-0.1, 0.7, 41), np.linspace(-0.3, 0.3, 31))
+HOSTILE = "<script>alert(\"1\")</script>\x00\udcff & 'quoted'"
+
+
+def draw_map(points: np.ndarray, *, max_count: int, name: str = "a", share_max: float = 1.0) -> ET.Element:
+    """A density map of points [m], shape [n, 2], parsed."""
+    sides = (marginal(points[:, 0], EDGES[0]), marginal(points[:, 1], EDGES[1]))
+    board = density_map.Outline(0.0, 0.6, -0.3, 0.3)
+    shared = Map(GRID, EDGES, max_count)
+    return ET.fromstring(
+        density_map.density_map(GRID.bin(points), sides, shared, name=name, share_max=share_max, board=board)
+    )
+
+
+def classes(root: ET.Element) -> list[str]:
+    """The class attributes of all elements that have one."""
+    return [c for e in root.iter() if (c := e.get("class"))]
+
+
+def hexagons(root: ET.Element) -> dict[str, int]:
+    """Number of hexagons by colour class."""
+    paths = [e for e in root.iter("path") if (e.get("class") or "").endswith(" hex")]
+    return {str(e.get("class")).split()[0]: str(e.get("d")).count("Z") for e in paths}
+
+
+def test_density_map_draws_one_hexagon_for_each_occupied_bin() -> None:
+    """Draw what was counted and nothing for empty bins."""
+    points = np.array([[0.1, 0.0]] * 10 + [[0.3, 0.1]] + [[5.0, 5.0]] * 3)
+    assert hexagons(draw_map(points, max_count=10)) == {f"q{palette.LEVELS - 1}": 1, "q0": 1}
+
+
+def test_density_maps_share_one_scale() -> None:
+    """Give a count the colour that the shared maximum makes of it, whatever else is on the map."""
+    ten = np.array([[0.1, 0.0]] * 10)
+    alone = hexagons(draw_map(ten, max_count=1000))
+    with_more = hexagons(draw_map(np.concatenate([ten, [[0.3, 0.1]] * 1000]), max_count=1000))
+    expected = f"q{palette.level(np.log10(10) / np.log10(1000))}"
+    assert alone == {expected: 1}
+    assert with_more[expected] == 1
+    assert len(with_more) == 2
+
+
+def test_density_map_hexagons_lie_where_their_centres_are() -> None:
+    """Put x to the right and y upwards, with the frame at the extent's ends."""
+    root = draw_map(np.array([[0.1, 0.0], [0.5, 0.2]]), max_count=2)
+    frame = next(e for e in root.iter("rect") if e.get("class") == "frame")
+    left, top = float(frame.get("x", "")), float(frame.get("y", ""))
+    scale = float(frame.get("width", "")) / 0.8
+    path = next(e for e in root.iter("path") if (e.get("class") or "").endswith(" hex"))
+    drawn = []
+    for outline in str(path.get("d")).strip("Z").split("Z"):
+        corners = np.array([[float(v) for v in p.split()] for p in outline.strip("M").split("L")])
+        middle = corners.mean(axis=0)
+        drawn.append([(middle[0] - left) / scale - 0.1, 0.3 - (middle[1] - top) / scale])
+    centres = GRID.bin([[0.1, 0.0], [0.5, 0.2]]).centres
+    np.testing.assert_allclose(sorted(drawn), sorted(centres.tolist()), atol=1e-4)
+
+
+def test_density_caption_counts_what_is_off_the_map() -> None:
+    """Say how many positions the map does not show."""
+    density = GRID.bin([[0.1, 0.0]] * 4 + [[9.0, 0.0]] * 1234 + [[np.nan, 0.0]])
+    assert "1,235 are off the map" in density_map.caption(density)
+    assert "all are on the map" in density_map.caption(GRID.bin([[0.1, 0.0]]))
+
+
+def test_density_map_without_positions_is_empty() -> None:
+    """Draw a frame around nothing, with no hexagon and no bar."""
+    root = draw_map(np.empty((0, 2)), max_count=1, share_max=0.0)
+    assert not hexagons(root)
+    assert "bar" not in classes(root)
+
+
+def test_marginals_are_shares_of_all_positions() -> None:
+    """Give a strip that holds a quarter of the positions a quarter of the full height."""
+    root = draw_map(np.array([[0.11, 0.01]] * 1 + [[5.0, 5.0]] * 3), max_count=1)
+    bar = next(e for e in root.iter("path") if e.get("class") == "bar")
+    assert re.search(r"v-11h", str(bar.get("d")))  # 44 units high at 100 %
+
+
+def test_board_is_drawn_only_where_the_map_is() -> None:
+    """Leave out the edges of the board that lie on or beyond the map's own edges."""
+    root = draw_map(np.array([[0.1, 0.0]]), max_count=1)
+    assert str(next(e for e in root.iter("path") if e.get("class") == "edge").get("d")).count("M") == 2
+    shared = Map(GRID, EDGES, 1)
+    nothing = (np.zeros(40, dtype=np.int64), np.zeros(30, dtype=np.int64))
+    far = density_map.density_map(
+        GRID.bin([[0.1, 0.0]]), nothing, shared, name="a", share_max=1.0, board=density_map.Outline(3, 4, 3, 4)
+    )
+    assert 'class="board"' not in far
+
+
+@pytest.mark.parametrize("largest", [1, 2, 9, 10, 4320, 10_000_000])
+def test_count_scale_names_both_ends(largest: int) -> None:
+    """Label the largest count, and 1 where they differ."""
+    labels = [e.text for e in ET.fromstring(density_map.count_scale(largest)).iter("text")]
+    assert f"{largest:,}" in labels
+    assert "1" in labels
+
+
+def test_exact_zero_differs_from_the_smallest_nonzero() -> None:
+    """Hatch exact zeros and colour everything above, however small."""
+    values = np.array([[0.0, 0.0, 1e-12], [0.0, 0.0, 3.0], [1e-12, 3.0, 0.0]])
+    root = ET.fromstring(matrix.matrix_map(values, of="env", name="a"))
+    cells = [c for c in classes(root) if c.startswith("cell ")]
+    assert sorted(cells) == sorted(["cell zero"] * 2 + ["cell q0 flat"] * 2 + [f"cell q{palette.LEVELS - 1} flat"] * 2)
+    assert "1.0e-12 cm" in "".join(root.itertext())
+
+
+def test_matrix_of_zeros_says_so() -> None:
+    """Say that every distance is exactly zero, and draw no scale."""
+    said = matrix.caption(np.zeros((4, 4)), of="run")
+    assert said == "6 pairs of runs. Every distance is exactly 0 (hatched)."
+    drawn = matrix.matrix_map(np.zeros((4, 4)), of="run", name="a")
+    assert "flat" not in drawn
+
+
+@pytest.mark.parametrize("n", [1, 2, 20, 21, 128, 129, 300])
+def test_matrix_of_any_size_is_well_formed(n: int) -> None:
+    """Draw every size, larger ones in blocks that the caption states."""
+    rng = np.random.default_rng(n)
+    half = np.triu(rng.random((n, n)), k=1)
+    values = half + half.T
+    root = ET.fromstring(matrix.matrix_map(values, of="env", name="a"))
+    assert root.tag == "svg"
+    blocks, block = matrix.in_blocks(values)
+    assert len(blocks) <= matrix.LARGEST
+    assert ("blocks" in matrix.caption(values, of="env")) == (block > 1) == (n > matrix.LARGEST)
+
+
+def test_blocks_hold_their_largest_value() -> None:
+    """Keep a single outlier visible when a matrix is drawn in blocks."""
+    values = np.zeros((300, 300))
+    values[17, 299] = values[299, 17] = 5.0
+    blocks, block = matrix.in_blocks(values)
+    assert block == 3
+    assert blocks[17 // 3, 299 // 3] == 5.0
+    assert (blocks != 0).sum() == 2
+
+
+def test_matrix_marks_what_is_not_finite() -> None:
+    """Show a distance that is not finite as lost, neither as zero nor as large."""
+    values = np.array([[0.0, np.nan], [np.nan, 0.0]])
+    assert "cell lost" in matrix.matrix_map(values, of="env", name="a")
+    assert "Not finite (red edge): 1." in matrix.caption(values, of="env")
+
+
+def test_radar_leaves_gaps_open() -> None:
+    """Give no mark to an axis without a value, and say that nobody has one."""
+    compared = [
+        SimulatorResult("a", fps=1.0, w1_real=1.0, parallel=0.0, run_to_run=0.0),
+        SimulatorResult("b", fps=2.0, w1_real=2.0, parallel=0.0, run_to_run=1.0),
+    ]
+    root = ET.fromstring(radar_chart.radar_chart(radar(compared)))
+    assert len(list(root.iter("circle"))) == 4
+    words = [e.text for e in root.iter("text")]
+    assert words.count("not measured") == 2
+    assert words.count("no difference") == 1
+    outline = next(e for e in root.iter("path") if e.get("class") == "g0 line")
+    assert "Z" not in str(outline.get("d"))
+
+
+def test_swatches_tell_many_groups_apart() -> None:
+    """Repeat neither colour with dash nor colour with mark among more groups than there are colours."""
+    drawn = [radar_chart.swatch(i) for i in range(2 * len(palette.GROUPS_LIGHT))]
+    assert len(set(drawn)) == len(drawn)
+
+
+@pytest.mark.parametrize("dark", [False, True])
+def test_palette_is_ordered(dark: bool) -> None:
+    """Let lightness go one way from the lowest to the highest value, so that grey print keeps the order."""
+    luminance = [_luminance(c) for c in palette.scale(dark=dark)]
+    steps = np.diff(luminance)
+    assert (steps > 0).all() if dark else (steps < 0).all()
+    page = _luminance("#14171b" if dark else "#ffffff")
+    contrasts = [(max(c, page) + 0.05) / (min(c, page) + 0.05) for c in luminance]
+    assert min(contrasts) > 1.4
+    assert max(contrasts) > 10
+
+
+def _luminance(colour: str) -> float:
+    red, green, blue = (int(colour[i : i + 2], 16) / 255 for i in (1, 3, 5))
+    linear = [c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in (red, green, blue)]
+    return 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]
+
+
+@pytest.mark.parametrize(("low", "high"), [(-0.1, 0.7), (0.0, 1.0), (-1e-6, 1e-6), (3.0, 1e5)])
+def test_ticks_are_few_round_and_inside(low: float, high: float) -> None:
+    """Place ticks within the axis only."""
+    found = axis.ticks(low, high)
+    assert 2 <= len(found) <= 8
+    assert min(found) >= low - 1e-9 * abs(low)
+    assert max(found) <= high + 1e-9 * abs(high)
+
+
+def test_hostile_text_stays_text() -> None:
+    """Escape what a recording says, in text and in attributes, and show what XML cannot hold."""
+    for drawn in (
+        svg.text(HOSTILE, 0, 0),
+        svg.figure(1, 1, HOSTILE, svg.title(HOSTILE)),
+        matrix.matrix_map(np.zeros((2, 2)), of="env", name=HOSTILE),
+    ):
+        root = ET.fromstring(drawn)
+        assert "script" not in {e.tag for e in root.iter()}
+        assert "\x00" not in drawn
+        drawn.encode("utf-8")
+
+
+def test_coordinates_must_be_finite() -> None:
+    """Refuse a coordinate that no picture can hold."""
+    with pytest.raises(ValueError, match="finite"):
+        svg.number(float("nan"))
+    assert svg.number(-0.001) == "0"

@@ -1,0 +1,232 @@
+"""gsb-record as a user calls it: files, phases, provenance, and clear refusals."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from evaluator import open_recording
+from recorder.capture.states import StateWriter, env_block, steps_per_block
+from recorder.scenes.registry import make_scene
+from schemas.configuration import RunConfiguration
+from schemas.fields import BODY_FIELDS, body_field
+from tests.conftest import SMALL, Command
+
+_NAME = re.compile(r"mujoco-inclined-collision-n4-r(\d)-\d{8}T\d{6}Z\.mcap")
+
+
+def test_one_whole_file_a_run(small_set: list[Path]) -> None:
+    """Name files by simulator, scene, environments, run and time, and leave nothing else behind."""
+    matches = [_NAME.fullmatch(p.name) for p in small_set]
+    assert [m and m[1] for m in matches] == ["0", "1", "2"]
+    assert {p.name for p in small_set[0].parent.iterdir()} == {p.name for p in small_set}
+    recordings = [open_recording(p) for p in small_set]
+    assert {r.status for r in recordings} == {"complete"}
+    assert len({r.provenance.run_id for r in recordings}) == 3
+    assert len({r.content_hash for r in recordings}) == 3
+    for recording in recordings:
+        recording.verify()
+
+
+def test_provenance_is_complete(small: Path) -> None:
+    """Say who, what, where and with what, without naming a user or a host."""
+    recording = open_recording(small)
+    provenance, simulation = recording.provenance, recording.simulation
+    assert simulation is not None
+    assert provenance.argv[:3] == ("gsb-record", "--sim", "mujoco")
+    assert {"cpu", "usable_threads", "memory_bytes", "kernel"} <= provenance.host.keys()
+    assert {"mujoco", "numpy", "protobuf", "mcap"} <= provenance.software["packages"].keys()
+    assert "version" in provenance.software["recorder"]
+    assert b"mujoco==" in (recording.attachment("pip-freeze.txt") or b"")
+    assert b"<mujoco" in (recording.attachment("scene.xml") or b"")
+    assert recording.scene["name"] == "inclined-collision"
+    assert simulation.options["integrator"] == "implicitfast"
+    assert simulation.switches["precision"] == "float64"
+    assert {d.parameter for d in simulation.deviations} >= {"304 steel.restitution", "smooth wood.static_friction"}
+    assert recording.configuration == RunConfiguration(
+        "mujoco", "inclined-collision", n_env=4, dt=0.01, steps=100, warmup=10, timed_steps=20
+    )
+
+
+def test_provenance_comes_first(small: Path) -> None:
+    """Write provenance before anything of the run, so that a crash cannot take it away."""
+    head = small.read_bytes()[:20_000]
+    assert head.index(b"provenance.json") < head.index(b"pip-freeze.txt")
+    assert b"/run/event" not in head[: head.index(b"pip-freeze.txt")]
+
+
+def test_phases_in_order(small: Path) -> None:
+    """Pass through all phases, each with its begin and end, clocks and memory."""
+    recording = open_recording(small)
+    marks = [(e.kind, e.phase) for e in recording.events]
+    phases = ("baseline", "init", "warmup", "timed", "capture")
+    assert marks == [(f"PHASE_{mark}", phase) for phase in phases for mark in ("BEGIN", "END")]
+    times = [e.monotonic_ns for e in recording.events]
+    assert times == sorted(times)
+    assert len(recording.timing["warmup"].start_ns) == 10
+    timed = recording.timing["timed"]
+    assert (timed.first_step, len(timed.start_ns)) == (10, 20)
+    assert (timed.end_ns >= timed.start_ns).all()
+    assert (timed.start_ns[1:] >= timed.end_ns[:-1]).all()
+    host = recording.memory["host"]
+    checkpoints = [c for c in host.checkpoint if c]
+    assert checkpoints == ["baseline", "post-init", "post-warmup", "final"]
+    assert (np.diff(host.time_ns) >= 0).all()
+    assert (host.used_bytes > 1e6).all()
+
+
+def test_states_from_the_initial_one_on(small: Path) -> None:
+    """Record step 0 as the scene describes it, then every step."""
+    recording = open_recording(small)
+    cubes = recording.state("cubes", "position")
+    assert cubes.shape == (101, 4, 27, 3)
+    assert cubes.dtype == np.float64
+    assert cubes.steps.tolist() == list(range(101))
+    bodies = {b.name: b for b in make_scene("inclined-collision").bodies}
+    assert np.array_equal(cubes[0, 0], [bodies[n].position for n in cubes.field.items])
+    assert recording.state("ball", "orientation").shape == (101, 4, 1, 4)
+    hashes = recording.fingerprints("capture")
+    assert hashes is not None
+    assert hashes.hashes.shape == (101, 4)
+    timed = recording.fingerprints("timed")
+    assert timed is not None
+    assert timed.steps.tolist() == [10, 30]
+    assert np.array_equal(timed.hashes, hashes.hashes[[10, 30]]), "capturing changed the states"
+
+
+def test_stride_keeps_all_fingerprints(gsb_record: Command, tmp_path: Path, small: Path) -> None:
+    """Store every 20th state, hash every one, and change none of them."""
+    done = gsb_record(
+        "--sim", "mujoco", "--n-env", 4, "--runs", 1, *SMALL, "--stride", 20, "--compression", "zstd",
+        "--phases", "capture", "--out", tmp_path,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    strided, whole = open_recording(done.stdout.strip()), open_recording(small)
+    strided.verify()
+    cubes = strided.state("cubes", "position")
+    assert cubes.steps.tolist() == [0, 20, 40, 60, 80, 100]
+    assert np.array_equal(np.asarray(cubes), whole.state("cubes", "position")[::20])
+    a, b = strided.fingerprints("capture"), whole.fingerprints("capture")
+    assert a is not None
+    assert b is not None
+    assert np.array_equal(a.hashes, b.hashes)
+    assert not strided.timing
+
+
+@pytest.mark.parametrize("stride", [1, 3, 7, 50, 120, 840])
+def test_strided_rows_are_the_right_ones(tmp_path: Path, stride: int) -> None:
+    """Keep rows 0, stride, 2 stride... whatever the sizes of the pieces that arrive."""
+    from recorder.capture.sink import Sink
+
+    fields = [body_field("cubes", name, "float32", ("a", "b")) for name in BODY_FIELDS]
+    rng = np.random.default_rng(stride)
+    states = [rng.standard_normal((841, 3, 2, f.width)).astype(np.float32) for f in fields]
+    sink = Sink(tmp_path / "x.mcap", compression="none")
+    writer = StateWriter(sink, fields, n_env=3, dt=0.01, stride=stride)
+    position = 0
+    while position < 841:
+        size = 1 if not position else int(rng.integers(1, 60))
+        writer.feed([s[position : position + size] for s in states])
+        position += size
+    writer.flush()
+    assert writer.last_step == 840
+    path = _finish(sink, fields, stride)
+    recording = open_recording(path)
+    recording.verify()
+    for field, expected in zip(fields, states, strict=True):
+        assert np.array_equal(np.asarray(recording.state(field.group, field.field)), expected[::stride])
+
+
+def _finish(sink, fields, stride):  # type: ignore[no-untyped-def]
+    from schemas.provenance import PROVENANCE, SIMULATION, Provenance, Simulation
+
+    configuration = RunConfiguration("s", "free-fall", n_env=3, dt=0.01, steps=840, stride=stride)
+    sink.attach(PROVENANCE, "application/json", Provenance("i", "t", (), configuration).to_json().encode())
+    simulation = Simulation("1", "cpu", {}, {}, (), tuple(fields), {})
+    sink.attach(SIMULATION, "application/json", simulation.to_json().encode())
+    return sink.finish("COMPLETE", "", last_step=840, peak_rss_bytes=0)
+
+
+def test_block_sizes() -> None:
+    """Keep topics few and messages of a few megabytes at most, from 1 to 131072 environments."""
+    fields = [body_field("cubes", "position", "float64", tuple(map(str, range(27))))]
+    for n_env in (1, 16, 64, 1000, 4096, 131072):
+        blocks = -(-n_env // env_block(n_env))
+        assert blocks <= 64
+        size = steps_per_block(n_env, fields) * min(n_env, env_block(n_env)) * 27 * 3 * 8
+        assert size <= 4 << 20
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("--sim", "mujoco", "--n-env", "0"), "--n-env is at least 1, not 0"),
+        (("--sim", "mujoco", "--n-env", "-3"), "--n-env is at least 1"),
+        (("--sim", "mujoco", "--runs", "0"), "--runs is at least 1"),
+        (("--sim", "mujoco", "--steps", "0"), "--steps is at least 1"),
+        (("--sim", "mujoco", "--dt", "0"), "--dt is a step in seconds"),
+        (("--sim", "mujoco", "--dt", "nan"), "--dt is a step in seconds"),
+        (("--sim", "mujoco", "--stride", "3"), "--stride 3 does not divide --steps 500"),
+        (("--sim", "mujoco", "--phases", "lunch"), "--phases takes timed and capture"),
+        (("--sim", "mujoco", "--phases", ""), "--phases takes timed and capture"),
+        (("--sim", "mujoco", "--timed-steps", "0"), "--timed-steps is at least 1"),
+        (("--sim", "mujoco", "--warmup", "-1"), "--warmup is at least 0"),
+        (("--sim", "mujoco", "--scene", "moon"), "there is no scene 'moon'; known scenes: inclined-collision"),
+        (("--sim", "abacus"), "there is no simulator 'abacus'; known: mujoco"),
+        ((), "say which simulator with --sim"),
+        (("--sim", "mujoco", "--option", "cone=square"), "cone is one of elliptic, pyramidal, not 'square'"),
+        (("--sim", "mujoco", "--option", "colour=red"), "has no option 'colour'; it has: integrator"),
+        (("--sim", "mujoco", "--option", "iterations=many"), "option 'iterations' of simulator 'mujoco' is a int"),
+        (("--sim", "mujoco", "--option", "cone"), "--option wants NAME=VALUE"),
+    ],
+)
+def test_what_cannot_be_is_refused(
+    gsb_record: Command, tmp_path: Path, arguments: tuple[str, ...], message: str
+) -> None:
+    """Say what is wrong in one line, end with exit code 2, and write nothing."""
+    done = gsb_record(*arguments, "--out", tmp_path / "out")
+    assert done.returncode == 2
+    assert message in done.stderr
+    assert len(done.stderr.strip().splitlines()) == 1
+    assert not done.stdout
+    assert not (tmp_path / "out").exists()
+
+
+def test_an_output_that_is_a_file(gsb_record: Command, tmp_path: Path) -> None:
+    """Say that the output folder cannot be written."""
+    (tmp_path / "taken").write_text("")
+    done = gsb_record("--sim", "mujoco", "--out", tmp_path / "taken")
+    assert done.returncode == 1
+    assert "cannot write to" in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_nothing_is_overwritten(gsb_record: Command, tmp_path: Path) -> None:
+    """Find another name for a run that starts in the same second."""
+    arguments = ("--sim", "mujoco", "--n-env", 1, "--runs", 1, "--steps", 1, "--phases", "capture", "--out", tmp_path)
+    for _ in range(4):
+        assert gsb_record(*arguments).returncode == 0
+    assert len(list(tmp_path.glob("*.mcap"))) == 4
+
+
+def test_list(gsb_record: Command) -> None:
+    """Show simulators and scenes, for people and for programs."""
+    text = gsb_record("--list")
+    assert text.returncode == 0
+    assert "mujoco" in text.stdout
+    assert "free-fall" in text.stdout
+    record = json.loads(gsb_record("--list", "--json").stdout)
+    assert record["schema_version"] == 1
+    assert {"mujoco", "real"} <= {s["name"] for s in record["simulators"]}
+
+
+def test_json_result(gsb_record: Command, tmp_path: Path) -> None:
+    """Print results as JSON alone on standard output."""
+    done = gsb_record("--sim", "mujoco", "--n-env", 1, "--runs", 2, *SMALL, "--json", "--out", tmp_path)
+    runs = json.loads(done.stdout)["runs"]
+    assert [r["status"] for r in runs] == ["complete", "complete"]
+    assert all(Path(r["file"]).exists() for r in runs)

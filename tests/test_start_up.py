@@ -1,0 +1,50 @@
+"""Commands start fast because nothing heavy is imported before it is needed."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import pytest
+
+HEAVY = (
+    "numpy",
+    "scipy",
+    "mujoco",
+    "jax",
+    "torch",
+    "warp",
+    "matplotlib",
+    "polars",
+    "rich",
+    "jinja2",
+    "google.protobuf",
+    "mcap",
+)
+
+
+@pytest.mark.parametrize("module", ["recorder.cli", "evaluator.cli.eval"])
+@pytest.mark.parametrize("argument", ["--help", "--version"])
+def test_help_imports_nothing_heavy(module: str, argument: str) -> None:
+    """Print help and version without loading a numerical library, a simulator or a file format."""
+    code = (
+        f"import sys\nfrom {module} import main\n"
+        f"try:\n    main([{argument!r}])\nexcept SystemExit as end:\n    assert end.code in (0, None), end.code\n"
+        f"print([m for m in {HEAVY!r} if m in sys.modules], file=sys.stderr)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout
+    assert done.stderr.strip() == "[]"
+
+
+@pytest.mark.parametrize("module", ["evaluator.evaluate", "evaluator.report.html", "evaluator.report.tables"])
+def test_evaluation_needs_no_simulator(module: str) -> None:
+    """Evaluate without importing any simulator, JAX, torch, or the recorder."""
+    code = (
+        f"import sys, {module}\n"
+        "print([m for m in ('mujoco', 'jax', 'torch', 'warp', 'pynvml', 'psutil', 'recorder') if m in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.strip() == "[]"
