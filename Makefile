@@ -50,9 +50,7 @@ figures: install
 	$(BIN)/python docs/make_figures.py
 
 bench: install
-	$(BIN)/python benchmarks/record_throughput.py
-	$(BIN)/python benchmarks/evaluate_set.py
-	$(BIN)/python benchmarks/start_up.py
+	$(BIN)/python -m benchmarks.all
 
 clean:
 	rm -rf $(VENV) build dist *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache

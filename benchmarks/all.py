@@ -1,0 +1,27 @@
+"""Runs every benchmark and writes RESULTS.md (``make bench``)."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from datetime import UTC, datetime
+from pathlib import Path
+
+HERE = Path(__file__).resolve().parent
+SCRIPTS = ("record_throughput", "evaluate_set", "start_up", "capture_overhead")
+
+
+def main() -> None:
+    """Run, print, keep."""
+    parts = [f"# Results\n\nMade by `make bench` on {datetime.now(UTC):%Y-%m-%d}; medians, smallest and largest.\n"]
+    for name in SCRIPTS:
+        done = subprocess.run(
+            [sys.executable, "-m", f"benchmarks.{name}"], cwd=HERE.parent, check=True, capture_output=True, text=True
+        )
+        print(f"{name}\n{done.stdout}", flush=True)
+        parts.append(f"## {name}.py\n\n```\n{done.stdout}```\n")
+    (HERE / "RESULTS.md").write_text("\n".join(parts))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,55 @@
+"""Evaluation of 10 recordings of 16 environments against hashing the same bytes, in turn.
+
+usage: python -m benchmarks.evaluate_set [--repeats 5]
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+from benchmarks.machine import machine, spread
+
+
+def _timed(command: list[str]) -> float:
+    began = time.perf_counter()
+    subprocess.run(command, check=True, capture_output=True)
+    return time.perf_counter() - began
+
+
+def main() -> None:
+    """Measure and print."""
+    p = argparse.ArgumentParser(description=__doc__)
+    p.add_argument("--repeats", type=int, default=5)
+    a = p.parse_args()
+    with tempfile.TemporaryDirectory() as folder:
+        subprocess.run(
+            [sys.executable, "-m", "recorder.cli", "--sim", "mujoco", "--timed-steps", "100", "--out", folder],
+            check=True, capture_output=True,
+        )  # fmt: skip
+        files = sorted(str(f) for f in Path(folder).glob("*.mcap"))
+        size = sum(Path(f).stat().st_size for f in files)
+        table, page, floor = [], [], []
+        for _ in range(a.repeats):
+            command = [sys.executable, "-m", "evaluator.cli.eval", *files]
+            table.append(_timed(command))
+            page.append(_timed([*command, "--html", f"{folder}/report"]))
+            began = time.perf_counter()
+            for file in files:
+                hashlib.sha256(Path(file).read_bytes()).hexdigest()
+            floor.append(time.perf_counter() - began)
+    print(f"machine                     {machine()}")
+    print(f"set                         {len(files)} recordings, {size / 1e6:.0f} MB, every byte verified")
+    print(f"gsb-eval, table [s]         {spread(table, 2)}   claim: under 5 s")
+    print(f"gsb-eval, table and HTML    {spread(page, 2)}   claim: under 5 s")
+    print(f"reading and SHA-256 [s]     {spread(floor, 2)}")
+    print(f"ratio table / floor         {spread([t / f for t, f in zip(table, floor, strict=True)], 1)}")
+
+
+if __name__ == "__main__":
+    main()

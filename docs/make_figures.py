@@ -1,0 +1,75 @@
+"""Redraws what README.md shows from recordings/: the table between its markers, and docs/figures/density.svg.
+
+usage: python docs/make_figures.py
+"""
+
+from __future__ import annotations
+
+import io
+import re
+from pathlib import Path
+
+from evaluator.evaluate import evaluate
+from evaluator.recording import Recording
+from evaluator.report.html import render_html
+from evaluator.report.tables import print_tables
+from evaluator.results import Evaluation
+
+ROOT = Path(__file__).resolve().parent.parent
+BEGIN, END = "<!-- table: make figures -->", "<!-- end of table -->"
+_COLUMN = 400
+
+
+def shipped() -> Evaluation:
+    """The evaluation of the recordings that ship with the project."""
+    return evaluate([Recording(path) for path in sorted((ROOT / "recordings").glob("*.mcap"))])
+
+
+def table(evaluation: Evaluation) -> str:
+    """What gsb-eval prints."""
+    stream = io.StringIO()
+    print_tables(evaluation, stream)
+    return "\n".join(line.rstrip() for line in stream.getvalue().splitlines()).strip()
+
+
+def with_table(readme: str, text: str) -> str:
+    """The README with the table between its markers replaced."""
+    head, rest = readme.split(BEGIN)
+    _, tail = rest.split(END)
+    return f"{head}{BEGIN}\n```text\n{text}\n```\n{END}{tail}"
+
+
+def picture(evaluation: Evaluation) -> str:
+    """The report's density maps beside each other, as one SVG that follows the page's light or dark theme."""
+    page = render_html(evaluation, published=False, command="")
+    style = re.search(r"<style>(.*?)</style>", page, re.DOTALL)
+    maps = re.findall(r"<svg [^>]*Density map of.*?</svg>", page, re.DOTALL)
+    assert style is not None
+    assert maps
+    parts, height = [], 0.0
+    for index, (one, result) in enumerate(zip(maps, evaluation.results, strict=True)):
+        box = re.search(r'viewBox="0 0 ([\d.]+) ([\d.]+)"', one)
+        assert box is not None
+        width, tall = map(float, box.groups())
+        height = max(height, tall + 24)
+        placed = one.replace("<svg ", f'<svg x="{index * _COLUMN}" y="24" width="{width}" height="{tall}" ', 1)
+        parts.append(f'<text x="{index * _COLUMN + 44}" y="16">{result.label}</text>{placed}')
+    return (
+        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {len(maps) * _COLUMN} {height:.0f}">'
+        f"<style>{style[1]}</style>{''.join(parts)}</svg>\n"
+    )
+
+
+def main() -> None:
+    """Write both."""
+    evaluation = shipped()
+    readme = ROOT / "README.md"
+    readme.write_text(with_table(readme.read_text(encoding="utf-8"), table(evaluation)), encoding="utf-8")
+    target = ROOT / "docs" / "figures" / "density.svg"
+    target.parent.mkdir(exist_ok=True)
+    target.write_text(picture(evaluation), encoding="utf-8")
+    print(f"{readme}\n{target}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,145 @@
+"""Every command and every program that the documents show runs as shown."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.conftest import command
+
+ROOT = Path(__file__).resolve().parent.parent
+DOCUMENTS = sorted(
+    p for p in ROOT.rglob("*.md") if not any(part.startswith(".") or part == "node_modules" for part in p.parts)
+)
+
+
+def blocks(document: Path, language: str) -> list[str]:
+    """Fenced blocks of one language."""
+    return re.findall(rf"^```{language}\n(.*?)^```", document.read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE)
+
+
+def commands(document: Path) -> list[str]:
+    """Commands of the console blocks, one a line."""
+    return [line for block in blocks(document, "console") for line in block.splitlines() if line.strip()]
+
+
+def shell(line: str, folder: Path, environment: dict[str, str] | None = None) -> subprocess.CompletedProcess[str]:
+    """Run one line as a shell would, with the installed commands first on the path."""
+    path = os.pathsep.join([str(Path(command("gsb-eval")[0]).parent), os.environ["PATH"]])
+    return subprocess.run(
+        line, shell=True, cwd=folder, capture_output=True, text=True, timeout=300,
+        env={**os.environ, **(environment or {}), "PATH": path},
+    )  # fmt: skip
+
+
+@pytest.mark.slow
+def test_readme_commands(tmp_path: Path) -> None:
+    """Run every command of the README in a folder that has the sample recordings."""
+    shutil.copytree(ROOT / "recordings", tmp_path / "recordings")
+    lines = commands(ROOT / "README.md")
+    assert len(lines) >= 7
+    for line in lines:
+        done = shell(line, tmp_path)
+        assert done.returncode == 0, f"{line}\n{done.stdout}\n{done.stderr}"
+        assert done.stdout
+    assert (tmp_path / "report" / "index.html").exists()
+
+
+def test_readme_python() -> None:
+    """Run every Python block of the README from the repository's root."""
+    for block in blocks(ROOT / "README.md", "python"):
+        done = subprocess.run([sys.executable, "-c", block], cwd=ROOT, capture_output=True, text=True, timeout=60)
+        assert done.returncode == 0, done.stderr
+        assert "(501, 16, 27, 3)" in done.stdout
+
+
+def test_the_adapter_of_the_guide(tmp_path: Path) -> None:
+    """Write the guide's adapter and its entry point as shown, and run the guide's commands with it."""
+    guide = ROOT / "docs" / "your-simulator.md"
+    (adapter,) = blocks(guide, "python")
+    (project,) = blocks(guide, "toml")
+    (tmp_path / "ballistic.py").write_text(adapter)
+    found = re.search(r'\[project.entry-points."gsb.simulators"\]\n(.*)\n', project)
+    assert found is not None
+    info = tmp_path / "ballistic-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: ballistic\nVersion: 1.0\n")
+    (info / "entry_points.txt").write_text(f"[gsb.simulators]\n{found[1].replace(chr(34), '')}\n")
+    for line in commands(guide):
+        done = shell(line, tmp_path, {"PYTHONPATH": str(tmp_path)})
+        assert done.returncode == 0, f"{line}\n{done.stderr}"
+    assert "ballistic" in shell("gsb-record --list", tmp_path, {"PYTHONPATH": str(tmp_path)}).stdout
+
+
+def _figures():  # type: ignore[no-untyped-def]
+    spec = importlib.util.spec_from_file_location("make_figures", ROOT / "docs" / "make_figures.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_readme_table_is_what_the_recordings_give() -> None:
+    """Hold the README's table and picture to the recordings that they are of."""
+    figures = _figures()
+    evaluation = figures.shipped()
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    assert figures.with_table(readme, figures.table(evaluation)) == readme, "run make figures"
+    kept = (ROOT / "docs" / "figures" / "density.svg").read_text(encoding="utf-8")
+    assert figures.picture(evaluation) == kept, "run make figures"
+
+
+def test_sample_recordings_are_whole() -> None:
+    """Ship recordings that are complete, verify, name no machine's paths and stay small."""
+    from evaluator import open_recording
+
+    files = sorted((ROOT / "recordings").glob("*.mcap"))
+    assert len(files) >= 8
+    assert sum(f.stat().st_size for f in files) < 60e6
+    for file in files:
+        recording = open_recording(file)
+        recording.verify()
+        assert recording.status == "complete"
+        for name in recording.attachment_names():
+            text = (recording.attachment(name) or b"").decode()
+            assert not re.search(r"/(home|root|work|tmp|Users)/", text), f"{file.name}: {name}"
+
+
+@pytest.mark.parametrize("document", DOCUMENTS, ids=lambda p: str(p.relative_to(ROOT)))
+def test_links_lead_somewhere(document: Path) -> None:
+    """Point every relative link at a file that exists."""
+    for target in re.findall(r"\]\(([^)#]+)", document.read_text(encoding="utf-8")):
+        if not target.startswith(("http:", "https:")):
+            assert (document.parent / target).exists(), f"{document.name}: {target}"
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(shutil.which("make") is None, reason="make is not installed")
+def test_make_demo(tmp_path: Path) -> None:
+    """Record, evaluate and report with the README's first command."""
+    done = subprocess.run(
+        ["make", "demo", f"VENV={sys.prefix}", f"OUT={tmp_path / 'demo'}"],
+        cwd=ROOT, capture_output=True, text=True, timeout=900,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert len(list((tmp_path / "demo").glob("*.mcap"))) == 10
+    assert "16 x 10" in done.stdout
+    assert str(tmp_path / "demo" / "report" / "index.html") in done.stdout
+
+
+def test_the_help_shows_its_exit_codes() -> None:
+    """Document exit codes and examples in every command's help, and run the examples that need no file."""
+    for name in ("gsb-record", "gsb-eval"):
+        done = subprocess.run([*command(name), "--help"], capture_output=True, text=True, timeout=60)
+        assert "exit codes:" in done.stdout
+        for line in done.stdout.split("examples:")[1].strip().splitlines():
+            assert shlex.split(line)[0] == name
