@@ -145,6 +145,9 @@ def distinct(group: Group) -> tuple[Metric, Metric]:
 
 
 def _distinct_envs(group: Group, hashes: list[NDArray[np.uint64]], method: str) -> Metric:
+    if group.complete[0].action_names:
+        why = "the environments were given different actions, so they differ by design"
+        return not_computed("distinct_envs", "", "neither", why)
     simulation = group.complete[0].simulation
     if simulation and len(set(simulation.env_origins)) > 1:
         why = "environments at different origins cannot be compared by bits"

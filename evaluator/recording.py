@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from evaluator.container import Container
 from evaluator.state_array import StateArray
 from schemas import topics
-from schemas.blocks import decode_fingerprints
+from schemas.blocks import decode_action, decode_fingerprints
 from schemas.configuration import RunConfiguration
 from schemas.digest import ContentDigest, content_hash
 from schemas.errors import DamagedRecording, GsbError
@@ -151,6 +151,33 @@ class Recording:
                 return StateArray(self._container, self.configuration, described, last_step=last)
         known = ", ".join(f.name for f in self.fields) or "none"
         raise KeyError(f"{self.path} has no state {group}/{field}; it has: {known}")
+
+    @property
+    def action_names(self) -> tuple[str, ...]:
+        """Names of the recorded action streams."""
+        parsed = (topics.parse_action(topic) for topic in self._container.channels)
+        return tuple(dict.fromkeys(p.name for p in parsed if p))
+
+    def actions(self, name: str) -> NDArray[Any]:
+        """An action stream, shape [step, env, action]; row i leads from the state of step i to the next."""
+        columns = []
+        for topic in sorted(self._container.channels):
+            parts = topics.parse_action(topic)
+            if parts is None or parts.name != name:
+                continue
+            rows, expected = [], 0
+            for content in self._container.in_sequence(topic):
+                header, block = decode_action(content)
+                if (header.first_step, header.env_start) != (expected, parts.env_start):
+                    raise DamagedRecording(f"{self.path}: actions from step {expected} on are missing in {topic}")
+                rows.append(block)
+                expected += header.steps
+            columns.append(np.concatenate(rows) if rows else np.empty((0, 0, 0)))
+        if not columns:
+            raise KeyError(f"{self.path} has no actions {name}; it has: {', '.join(self.action_names) or 'none'}")
+        if len({len(column) for column in columns}) != 1:
+            raise DamagedRecording(f"{self.path}: the environments have actions for different numbers of steps")
+        return np.concatenate(columns, axis=1)
 
     @cached_property
     def timing(self) -> dict[str, StepTiming]:

@@ -20,8 +20,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from recorder import interruption
+from recorder.capture.actions import declare_actions, write_actions
 from recorder.capture.sink import Sink
 from recorder.capture.states import StateWriter, declare_fingerprints, write_fingerprints
 from recorder.options import parse_options
@@ -193,10 +195,12 @@ class Run:
         hashes = []
         # The whole warm-up's clocks are kept too: its first step shows what compilation costs.
         with _Phase(self, sink, memory, "warmup", phase):
+            simulator.prepare(self._actions(simulator.scene, 0, configuration.warmup))
             clocks = self._step_with_clocks(simulator, "warmup", configuration.warmup, interval)
             hashes.append(fingerprint(simulator.state()))
             memory.checkpoint("post-warmup")
         self._write_timing(sink, "warmup", clocks, 0, interval, "")
+        simulator.prepare(self._actions(simulator.scene, configuration.warmup, configuration.timed_steps))
         with _Phase(self, sink, memory, "timed", phase):
             clocks = self._step_with_clocks(simulator, "timed", configuration.timed_steps, interval)
         state = simulator.state()
@@ -244,17 +248,30 @@ class Run:
         writer = StateWriter(
             sink, description.fields, n_env=configuration.n_env, dt=configuration.dt, stride=configuration.stride
         )
+        if simulator.scene.actions is not None:
+            declare_actions(sink, simulator.scene.actions, n_env=configuration.n_env)
         problem = writer.feed([array[np.newaxis] for array in simulator.state()])
         while writer.last_step < configuration.steps and not problem:
             self._progress("capture", writer.last_step, configuration.steps)
-            remaining = configuration.steps - writer.last_step
-            problem = writer.feed(simulator.states(min(writer.steps_per_block, remaining)))
+            first = writer.last_step
+            count = min(writer.steps_per_block, configuration.steps - first)
+            actions = self._actions(simulator.scene, first, count)
+            if actions is not None and simulator.scene.actions is not None:
+                write_actions(sink, simulator.scene.actions.name, actions, first_step=first, dt=configuration.dt)
+            simulator.prepare(actions)
+            problem = writer.feed(simulator.states(count))
             self._last_step = writer.last_step
         writer.flush()
         if problem:
             self._gate(sink, "capture", problem)
         for fired in simulator.gates():
             self._gate(sink, "capture", fired)
+
+    def _actions(self, scene: Scene, first_step: int, n_step: int) -> NDArray[np.float32] | None:
+        if scene.actions is None:
+            return None
+        c = self._configuration
+        return scene.actions.draw(c.seed, n_env=c.n_env, first_step=first_step, n_step=n_step)
 
     def _gate(self, sink: Sink, phase: str, problem: str) -> None:
         self._problems.append(problem)

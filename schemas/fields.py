@@ -106,6 +106,12 @@ def body_field(group: str, field: str, dtype: str, items: tuple[str, ...], *, no
     return StateField(group, field, dtype, items, kind.components, kind.unit, kind.frame, note)
 
 
+def joint_field(group: str, field: str, dtype: str, joints: tuple[str, ...]) -> StateField:
+    """Positions ("qpos") or velocities ("qvel") of hinges, one number a joint."""
+    units = {"qpos": "rad", "qvel": "rad/s"}
+    return StateField(group, field, dtype, joints, ("angle",), units[field], FIELD_KINDS[field].frame)
+
+
 def with_frame(field: StateField, frame: str) -> StateField:
     """The same field in another declared frame ("env" for engines that return env-local coordinates)."""
     return replace(field, frame=frame)

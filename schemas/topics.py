@@ -10,6 +10,7 @@ RUN_END = "/run/end"
 RUN_DROPOUT = "/run/dropout"
 MEMORY_HOST = "/memory/host"
 
+_ACTION = re.compile(r"/action/([a-z0-9_]+)/(\d+)")
 _STATE = re.compile(r"/state/([a-z0-9_]+)/([a-z0-9_]+)/(\d+)")
 _ENV_DIGITS = 6
 
@@ -19,6 +20,13 @@ class StateTopic(NamedTuple):
 
     group: str
     field: str
+    env_start: int
+
+
+class ActionTopic(NamedTuple):
+    """Parts of an action topic."""
+
+    name: str
     env_start: int
 
 
@@ -36,6 +44,12 @@ def parse_state(topic: str) -> StateTopic | None:
 def action(name: str, env_start: int) -> str:
     """Topic of the actions of one actuator group."""
     return f"/action/{name}/{env_start:0{_ENV_DIGITS}d}"
+
+
+def parse_action(topic: str) -> ActionTopic | None:
+    """Parts of an action topic, or None where the topic is another."""
+    match = _ACTION.fullmatch(topic)
+    return ActionTopic(match[1], int(match[2])) if match else None
 
 
 def timing(phase: str) -> str:

@@ -8,8 +8,12 @@ from __future__ import annotations
 
 import hashlib
 import json
-from dataclasses import asdict, dataclass, field
-from typing import Any
+from dataclasses import dataclass, field, fields, is_dataclass
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from recorder.scenes.actions import JointTargets
+    from recorder.scenes.articulation import Robot
 
 Vector = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
@@ -38,11 +42,23 @@ class Sphere:
 
 
 @dataclass(frozen=True)
+class Capsule:
+    """A cylinder along z with hemispherical ends, centred on its body.
+
+    radius  [m]
+    length  of the cylinder, between the hemispheres' centres [m]
+    """
+
+    radius: float
+    length: float
+
+
+@dataclass(frozen=True)
 class Plane:
     """The half-space below z = 0 of its body; for fixed bodies only."""
 
 
-Shape = Box | Sphere | Plane
+Shape = Box | Sphere | Capsule | Plane
 
 
 @dataclass(frozen=True)
@@ -93,6 +109,8 @@ class Scene:
     """One environment.
 
     bodies       in recording order; moving bodies belong to a group
+    robot        None where there is none; recorded as group "robot", joint by joint
+    actions      what is applied at each step; None where nothing is
     gravity      [m/s2]
     dt           the protocol's step [s]
     sample_time  when the outcome is read [s]
@@ -103,6 +121,8 @@ class Scene:
     name: str
     summary: str
     bodies: tuple[Body, ...]
+    robot: Robot | None = None
+    actions: JointTargets | None = None
     gravity: Vector = (0.0, 0.0, -9.81)
     dt: float = 0.01
     sample_time: float = 5.0
@@ -122,11 +142,22 @@ class Scene:
 
     def to_json(self) -> str:
         """As the text that a recording carries; shapes are tagged with their kind."""
-        record = asdict(self)
-        for body, source in zip(record["bodies"], self.bodies, strict=True):
-            body["shape"] = {"kind": type(source.shape).__name__.lower(), **body["shape"]}
-        return json.dumps(record, indent=1, sort_keys=True) + "\n"
+        return json.dumps(_plain(self), indent=1, sort_keys=True) + "\n"
 
     def sha256(self) -> str:
         """Identity of the description [hex]."""
         return hashlib.sha256(self.to_json().encode()).hexdigest()
+
+
+def _plain(value: Any) -> Any:
+    """Dataclasses as dictionaries, shapes tagged with their kind, what is absent left out."""
+    if is_dataclass(value):
+        record = {f.name: _plain(getattr(value, f.name)) for f in fields(value)}
+        if isinstance(value, Shape):
+            record["kind"] = type(value).__name__.lower()
+        return {name: item for name, item in record.items() if item is not None}
+    if isinstance(value, (tuple, list)):
+        return [_plain(item) for item in value]
+    if isinstance(value, dict):
+        return {key: _plain(item) for key, item in value.items()}
+    return value

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from recorder.scenes.base import Scene
+from recorder.scenes.franka import franka
 from recorder.scenes.free_fall import free_fall
 from recorder.scenes.inclined_collision import inclined_collision
 from schemas.errors import UsageError
@@ -12,6 +13,7 @@ from schemas.errors import UsageError
 SCENES: dict[str, Callable[[], Scene]] = {
     "inclined-collision": inclined_collision,
     "free-fall": free_fall,
+    "franka": franka,
 }
 
 

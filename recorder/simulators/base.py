@@ -1,8 +1,8 @@
 """The contract of a simulator adapter. This page is all that an engine must provide.
 
 An adapter holds N identical environments of one scene. The recorder calls, in this order: the constructor, ``build``
-once, ``step`` and ``states`` any number of times, ``gates`` after each phase, ``close``. A capture that needs a fresh
-start gets a new instance, so nothing has to be reset.
+once, then ``prepare``, ``step`` or ``states`` and ``gates`` any number of times, ``close``. A capture that needs a
+fresh start gets a new instance, so nothing has to be reset.
 """
 
 from __future__ import annotations
@@ -77,6 +77,13 @@ class Simulator(ABC):
         """Load the scene into the engine, in its initial state, ready to step.
 
         Raises UsageError where the engine cannot simulate this scene or was given an option it does not have.
+        """
+
+    def prepare(self, actions: NDArray[np.float32] | None) -> None:  # noqa: B027 - most scenes have no actions
+        """Take the actions of the next steps, shape [step, env, action]; None where the scene has none.
+
+        Outside the timed region: an adapter moves them to its device here. The steps that follow use them in order,
+        one row a step; row i is held during step i.
         """
 
     @abstractmethod

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from recorder.scenes.emit.mjcf import deviations, emit_mjcf
 from recorder.simulators.base import Description, Simulator, States
-from schemas.fields import BODY_FIELDS, body_field
+from schemas.fields import BODY_FIELDS, StateField, body_field, joint_field
 
 _QPOS = 7  # of a free joint: position 3, orientation wxyz 4
 _QVEL = 6  # of a free joint: linear velocity in the world frame 3, angular velocity in the body's frame 3
@@ -66,7 +66,7 @@ _GEOM_ATTRIBUTES = ("solref", "solimp", "condim")
 
 
 class MujocoC(Simulator):
-    """N free-body environments on MuJoCo C."""
+    """N environments on MuJoCo C."""
 
     Options = MujocoOptions
 
@@ -85,38 +85,72 @@ class MujocoC(Simulator):
         self._batch.reset()
         self._qpos = self._batch.bind("qpos")
         self._qvel = self._batch.bind("qvel")
-        self._place_bodies(model)
+        self._set_initial_state(model)
         self._warned = np.zeros((self.n_env, int(mujoco.mjtWarning.mjNWARNING)), dtype=np.int64)
-        note = "rotated by the recorder from the body's frame, in which MuJoCo holds it"
         return Description(
             version=mujoco.__version__,
             device="cpu",
             options={**asdict(options), "threads": threads},
             switches={"precision": "float64"},
             deviations=deviations(self.scene),
-            fields=tuple(
-                body_field(group, field, "float64", names, note=note if field == "angular_velocity" else "")
-                for group, names in self.scene.groups().items()
-                for field in BODY_FIELDS
-            ),
+            fields=self._fields(),
             timing_covers="Batch.step of all environments on all threads; no state is copied, nothing is drawn",
             attachments={"scene.xml": ("application/xml", xml.encode())},
         )
 
-    def _place_bodies(self, model: mujoco.MjModel) -> None:
-        # groups in recording order, each the rows of its bodies within the free joints
-        joint = {name: model.joint(name).id for names in self.scene.groups().values() for name in names}
-        self._groups = [np.array([joint[n] for n in names]) for names in self.scene.groups().values()]
-        bodies = {body.name: body for body in self.scene.moving()}
-        velocity = self._qvel.reshape(self.n_env, -1, _QVEL)
-        for name, row in joint.items():
-            body = bodies[name]
-            velocity[:, row, :3] = body.linear_velocity
-            velocity[:, row, 3:] = rotate_to_body(np.array(body.orientation), np.array(body.angular_velocity))
+    def _fields(self) -> tuple[StateField, ...]:
+        note = "rotated by the recorder from the body's frame, in which MuJoCo holds it"
+        bodies = [
+            body_field(group, field, "float64", names, note=note if field == "angular_velocity" else "")
+            for group, names in self.scene.groups().items()
+            for field in BODY_FIELDS
+        ]
+        if self.scene.robot is None:
+            return tuple(bodies)
+        joints = tuple(joint.name for joint in self.scene.robot.joints())
+        return (
+            *bodies,
+            joint_field("robot", "qpos", "float64", joints),
+            joint_field("robot", "qvel", "float64", joints),
+        )
+
+    def _set_initial_state(self, model: mujoco.MjModel) -> None:
+        # for each group of bodies, where the numbers of its free joints are: [body, 7] and [body, 6]
+        self._groups = []
+        for names in self.scene.groups().values():
+            qpos = np.array([model.joint(name).qposadr[0] for name in names])[:, None] + np.arange(_QPOS)
+            qvel = np.array([model.joint(name).dofadr[0] for name in names])[:, None] + np.arange(_QVEL)
+            self._groups.append((qpos, qvel))
+        for body in self.scene.moving():
+            start = model.joint(body.name).dofadr[0]
+            self._qvel[:, start : start + 3] = body.linear_velocity
+            self._qvel[:, start + 3 : start + _QVEL] = rotate_to_body(
+                np.array(body.orientation), np.array(body.angular_velocity)
+            )
+        self._joints: NDArray[np.int64] | None = None
+        if self.scene.robot is not None:
+            joints = [model.joint(joint.name) for joint in self.scene.robot.joints()]
+            self._joints = np.array([[j.qposadr[0], j.dofadr[0]] for j in joints])
+            self._qpos[:, self._joints[:, 0]] = self.scene.robot.start
+        self._actions: NDArray[np.float64] | None = None
+        self._next_action = 0
+        if self.scene.actions is not None:
+            self._ctrl = self._batch.bind("ctrl")
+
+    def prepare(self, actions: NDArray[np.float32] | None) -> None:
+        """See Simulator.prepare; MuJoCo takes controls in double precision, which holds every float32."""
+        self._actions = None if actions is None else actions.astype(np.float64)
+        self._next_action = 0
 
     def step(self, n_step: int) -> None:
         """See Simulator.step."""
-        self._batch.step(nstep=n_step)
+        if self._actions is None:
+            self._batch.step(nstep=n_step)
+            return
+        for _ in range(n_step):
+            self._ctrl[:] = self._actions[self._next_action]
+            self._next_action += 1
+            self._batch.step()
 
     def state(self) -> States:
         """See Simulator.state."""
@@ -128,23 +162,23 @@ class MujocoC(Simulator):
         qpos = np.empty((n_step, *self._qpos.shape))
         qvel = np.empty((n_step, *self._qvel.shape))
         for k in range(n_step):
-            self._batch.step()
+            self.step(1)
             qpos[k] = self._qpos
             qvel[k] = self._qvel
         return self._split(qpos, qvel)
 
     def _split(self, qpos: NDArray[np.float64], qvel: NDArray[np.float64]) -> States:
-        pose = qpos.reshape(*qpos.shape[:-1], -1, _QPOS)
-        velocity = qvel.reshape(*qvel.shape[:-1], -1, _QVEL)
         arrays: list[NDArray[np.float64]] = []
-        for rows in self._groups:
-            orientation = pose[..., rows, 3:]
+        for at_qpos, at_qvel in self._groups:
+            pose, velocity = qpos[..., at_qpos], qvel[..., at_qvel]
             arrays += [
-                pose[..., rows, :3],
-                orientation,
-                velocity[..., rows, :3],
-                rotate_to_world(orientation, velocity[..., rows, 3:]),
+                pose[..., :3],
+                pose[..., 3:],
+                velocity[..., :3],
+                rotate_to_world(pose[..., 3:], velocity[..., 3:]),
             ]
+        if self._joints is not None:
+            arrays += [qpos[..., self._joints[:, 0], None], qvel[..., self._joints[:, 1], None]]
         return tuple(arrays)
 
     def gates(self) -> list[str]:

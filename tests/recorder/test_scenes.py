@@ -73,16 +73,19 @@ def test_mujoco_has_the_same_bodies(name: str) -> None:
                 assert geom.type[0] == mujoco.mjtGeom.mjGEOM_PLANE
         if body.mass is not None:
             assert model.body(body.name).mass[0] == body.mass
-    assert model.nv == 6 * len(scene.moving())
+    joints = len(scene.robot.joints()) if scene.robot else 0
+    assert model.nv == 6 * len(scene.moving()) + joints
     assert tuple(model.opt.gravity) == scene.gravity
 
 
 @scenes
 def test_every_material_loss_is_declared(name: str) -> None:
     """Declare what MuJoCo cannot honour of every material."""
-    declared = {d.parameter for d in deviations(make_scene(name))}
-    for body in make_scene(name).bodies:
-        assert {f"{body.material.name}.static_friction", f"{body.material.name}.restitution"} <= declared
+    scene = make_scene(name)
+    declared = {d.parameter for d in deviations(scene)}
+    materials = {b.material.name for b in scene.bodies} | ({scene.robot.material.name} if scene.robot else set())
+    for material in materials:
+        assert {f"{material}.static_friction", f"{material}.restitution"} <= declared
 
 
 def test_inclined_collision_is_consistent() -> None:

@@ -5,7 +5,8 @@ from __future__ import annotations
 import xml.etree.ElementTree as ET
 from collections.abc import Iterable, Mapping
 
-from recorder.scenes.base import IDENTITY, Body, Box, Plane, Scene, Shape, Sphere
+from recorder.scenes.articulation import Robot
+from recorder.scenes.base import IDENTITY, Body, Box, Capsule, Plane, Scene, Shape, Sphere
 from schemas.provenance import Deviation
 
 _TORSIONAL = 0.005  # [m], MuJoCo's default; without effect at condim 3
@@ -26,6 +27,8 @@ def _geom_shape(shape: Shape) -> dict[str, str]:
             return {"type": "box", "size": _numbers(edge / 2 for edge in size)}
         case Sphere(radius):
             return {"type": "sphere", "size": _number(radius)}
+        case Capsule(radius, length):
+            return {"type": "capsule", "size": _numbers((radius, length / 2))}
         case Plane():
             return {"type": "plane", "size": "0 0 1"}
 
@@ -47,6 +50,59 @@ def _add_body(world: ET.Element, body: Body) -> None:
     ET.SubElement(element, "geom", {**geom, "mass": _number(body.mass)})
 
 
+def _add_robot(root: ET.Element, world: ET.Element, robot: Robot) -> None:
+    friction = _numbers((robot.material.kinetic_friction, _TORSIONAL, _ROLLING))
+    parents = {"": world}
+    for link in robot.links:
+        pose = {"pos": _numbers(link.position), "quat": _numbers(link.orientation)}
+        element = ET.SubElement(parents[link.parent], "body", {"name": link.name, **pose})
+        parents[link.name] = element
+        xx, yy, zz, xy, xz, yz = link.inertial.inertia
+        ET.SubElement(
+            element,
+            "inertial",
+            {
+                "mass": _number(link.inertial.mass),
+                "pos": _numbers(link.inertial.centre),
+                "fullinertia": _numbers((xx, yy, zz, xy, xz, yz)),
+            },
+        )
+        if link.joint is not None:
+            ET.SubElement(
+                element,
+                "joint",
+                {
+                    "name": link.joint.name,
+                    "type": "hinge",
+                    "axis": "0 0 1",
+                    "range": _numbers((link.joint.lower, link.joint.upper)),
+                    "damping": _number(link.joint.friction),
+                    "armature": _number(link.joint.armature),
+                },
+            )
+        for index, placed in enumerate(link.shapes):
+            place = {"pos": _numbers(placed.position), "quat": _numbers(placed.orientation)}
+            name = f"{link.name}_{index}"
+            ET.SubElement(element, "geom", {"name": name, **_geom_shape(placed.shape), "friction": friction, **place})
+    contact = ET.SubElement(root, "contact")
+    for one, other in robot.apart:
+        ET.SubElement(contact, "exclude", {"body1": one, "body2": other})
+    actuator = ET.SubElement(root, "actuator")
+    for joint in robot.joints():
+        ET.SubElement(
+            actuator,
+            "position",
+            {
+                "name": joint.name,
+                "joint": joint.name,
+                "kp": _number(joint.stiffness),
+                "kv": _number(joint.damping),
+                "ctrlrange": _numbers((joint.lower, joint.upper)),
+                "forcerange": _numbers((-joint.max_torque, joint.max_torque)),
+            },
+        )
+
+
 def emit_mjcf(
     scene: Scene, *, dt: float, option: Mapping[str, str], geom: Mapping[str, str], autoreset: bool = False
 ) -> str:
@@ -66,6 +122,8 @@ def emit_mjcf(
     world = ET.SubElement(root, "worldbody")
     for body in scene.bodies:
         _add_body(world, body)
+    if scene.robot is not None:
+        _add_robot(root, world, scene.robot)
     ET.indent(root)
     return ET.tostring(root, encoding="unicode") + "\n"
 
@@ -77,6 +135,8 @@ def deviations(scene: Scene) -> tuple[Deviation, ...]:
     contacts are damped springs (solref, solimp).
     """
     materials = {body.material.name: body.material for body in scene.bodies}
+    if scene.robot is not None:
+        materials[scene.robot.material.name] = scene.robot.material
     found = [
         Deviation(
             "contact.friction_combination",
@@ -101,6 +161,15 @@ def deviations(scene: Scene) -> tuple[Deviation, ...]:
                 "0 (critically damped contacts)",
                 "MuJoCo has no coefficient of restitution; underdamped contacts of this stiffness gain energy at "
                 "a step of 0.01 s",
+            )
+        )
+    if scene.robot is not None:
+        found.append(
+            Deviation(
+                "joint.max_velocity",
+                " ".join(str(j.max_velocity) for j in scene.robot.joints()),
+                "not enforced",
+                "MuJoCo's joints have no velocity limit",
             )
         )
     return tuple(found)
