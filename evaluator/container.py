@@ -180,6 +180,11 @@ class Container:
         """Names of all attachments."""
         return list(self._attachments)
 
+    @property
+    def content_bytes(self) -> int:
+        """Upper bound of what the messages hold, decompressed: no array of the file can be larger."""
+        return len(self._data) + sum(c.uncompressed_size for c in self._chunks if c.compression)
+
     def verify(self) -> None:
         """Check the CRC of the whole data section and of every chunk; DamagedRecording names the first that fails."""
         if self._data_crc and zlib.crc32(self._data[: self._data_end]) != self._data_crc:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -86,7 +87,12 @@ class StateArray:
         """Rows and environments of contiguous ranges, [step, env, item, width]; only their blocks are read."""
         first, stop, _ = steps.indices(self.shape[0])
         env_first, env_stop, _ = envs.indices(self.shape[1])
-        out = np.empty((max(0, stop - first), max(0, env_stop - env_first), *self.shape[2:]), dtype=self.dtype)
+        shape = (max(0, stop - first), max(0, env_stop - env_first), *self.shape[2:])
+        if math.prod(shape) * self.dtype.itemsize > self._container.content_bytes:
+            raise DamagedRecording(
+                f"{self._container.path}: {self.field.name} announces {shape}, more numbers than the file holds"
+            )
+        out = np.empty(shape, dtype=self.dtype)
         filled = 0
         for block in self._blocks:
             at = block.first_row - self._first_row

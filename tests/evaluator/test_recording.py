@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -14,6 +15,7 @@ from evaluator import open_recording
 from evaluator.container import Container
 from evaluator.recording import Recording
 from schemas.errors import DamagedRecording
+from schemas.provenance import Provenance
 from tests.synthetic import grid, write_recording
 
 _SHAPE = (101, 4, 27, 3)
@@ -93,6 +95,23 @@ def test_a_missing_block_is_damage(tmp_path: Path) -> None:
     broken.write_bytes(forged)
     with pytest.raises(DamagedRecording):
         np.asarray(open_recording(broken).state("cubes", "position"))
+
+
+def test_an_absurd_configuration_allocates_nothing(tmp_path: Path) -> None:
+    """Refuse a recording that announces more environments than its bytes can hold."""
+    forged = tmp_path / "forged.mcap"
+    _with_provenance(tmp_path, forged, lambda text: text.replace(b'"n_env": 2,', b'"n_env": 2000000000000,'))
+    recording = open_recording(forged)
+    with pytest.raises(DamagedRecording, match="more numbers than the file holds"):
+        recording.verify()
+
+
+def _with_provenance(folder: Path, target: Path, change: Callable[[bytes], bytes]) -> None:
+    """A recording whose provenance was changed, with every CRC right."""
+    original = Provenance.to_json
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Provenance, "to_json", lambda self: change(original(self).encode()).decode())
+        write_recording(folder, grid(2), steps=7, name="changed.mcap").rename(target)
 
 
 def test_status_and_reason(tmp_path: Path) -> None:
