@@ -117,6 +117,8 @@ class Container:
     def __init__(self, path: Path) -> None:
         self.path = path
         try:
+            if path.exists() and not path.is_file() and not path.is_dir():
+                raise NotARecording(f"{path} is not a file")  # opening a pipe would wait for its writer
             with path.open("rb") as stream:
                 if os.fstat(stream.fileno()).st_size < len(MAGIC):
                     raise NotARecording(f"{path} is not an MCAP file: it has fewer than {len(MAGIC)} bytes")
@@ -276,6 +278,8 @@ class Container:
         size = cursor.u64()
         data = cursor.position
         cursor.take(size)
+        if name in self._attachments:
+            raise DamagedRecording(f"{self.path}: the attachment {name} is there twice")
         self._attachments[name] = _Attachment(media_type, data, data + size, begin, cursor.u32())
 
     def _scan_chunk(self, number: int, *, with_messages: bool) -> None:

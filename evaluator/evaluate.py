@@ -4,24 +4,30 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from pathlib import Path
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from evaluator import group_metrics as gm
-from evaluator.groups import Group, group, labels
-from evaluator.metrics.density import HexGrid, marginal
-from evaluator.metrics.guidelines import Guideline, guidelines
-from evaluator.metrics.radar import Radar, SimulatorResult, radar
-from evaluator.positions import planar_positions
+from evaluator.comparison import compare
+from evaluator.density_maps import reference_density, shared_map, with_cloud
+from evaluator.groups import Group, group, labels, status_notes
+from evaluator.positions import sample_positions
 from evaluator.recording import Recording, Unreadable
-from evaluator.results import Cloud, Evaluation, GroupResult, Map, Metric, Reference
+from evaluator.results import Evaluation, GroupResult, Metric, Reference
+from evaluator.run_data import RunData, read_run
+from schemas.errors import DamagedRecording, GsbError
 from schemas.provenance import REAL
 
-_BIN_M = 0.01  # half a cube's edge
-_MARGIN_M = 0.1
-_EXTENT_LIMIT_M = 1.0  # what flies further is counted as off the map, so that one outlier does not shrink all maps
+
+@dataclass(frozen=True)
+class _Found:
+    """One group's result with what it was computed from."""
+
+    result: GroupResult
+    runs: tuple[RunData, ...]
+    planar: NDArray[np.float64] | None
 
 
 def evaluate(
@@ -33,55 +39,77 @@ def evaluate(
 ) -> Evaluation:
     """Every metric of every group.
 
+    A recording that turns out to be unreadable is set aside and named; the others are evaluated without it.
+
     recordings   in any order; copies of one run count once
     reference    real trials, or a simulation to compare with; where None, the real trials among the recordings
     sample_time  simulated time at which positions are compared [s]
     unreadable   files that could not be opened, passed on to the report
     """
-    distinct, copies = _without_copies(recordings)
-    notes = [f"{path.name} is a copy of a recording that is here already; it counts once" for path in copies]
-    groups = [g for g in group(distinct) if not g.measured]
-    measured = [r for r in distinct if r.configuration.simulator == REAL]
+    failures = list(unreadable)
+    distinct, notes = _without_copies(recordings, failures)
+    readable: list[Recording] = []
+    data: dict[str, RunData] = {}
+    for recording in distinct:
+        try:
+            if recording.configuration.simulator != REAL and _usable(recording):
+                data[recording.provenance.run_id] = read_run(recording, sample_time)
+            readable.append(recording)
+        except GsbError as error:
+            failures.append(Unreadable(recording.path, error))
+
+    measured = [r for r in readable if r.configuration.simulator == REAL]
     chosen, reference_note = _choose_reference(reference, measured)
-    target, why_not = _read_reference(chosen, sample_time) if chosen else (None, reference_note)
+    target, why_not = _read_reference(chosen, sample_time, failures) if chosen else (None, reference_note)
     if target:
-        reference_note = reference_note or f"compared with {target.label}"
+        reference_note = reference_note or f"compared with {target.label} in {target.path.name}"
+
+    groups = [g for g in group(readable) if not g.measured]
     if len({g.key.dt for g in groups}) > 1:
         notes.append("the recordings differ in dt, which changes the outcome: each dt is a group of its own")
-
     found = [
-        _evaluate_group(g, label, target, why_not, sample_time) for g, label in zip(groups, labels(groups), strict=True)
+        _evaluate_group(g, label, data, target, why_not, sample_time)
+        for g, label in zip(groups, labels(groups), strict=True)
     ]
-    shared = _shared_map([p for _, p in found if p is not None], target)
-    results = tuple(_with_cloud(result, positions, shared) for result, positions in found)
-    notes += _identical_groups(results)
-    compared, picks = _compare(results, target)
+    notes += _identical_groups(found)
+    maps = {
+        scene: shared
+        for scene in dict.fromkeys(g.key.scene for g in groups)
+        if (shared := shared_map([f.planar for f in found if f.result.group.key.scene == scene], target, scene))
+    }
+    results = tuple(with_cloud(f.result, f.planar, maps.get(f.result.group.key.scene)) for f in found)
+    radar, picks, left_out = compare(results, target)
     return Evaluation(
         sample_time=sample_time,
         results=results,
-        unreadable=tuple(unreadable),
-        reference=_with_density(target, shared),
+        unreadable=tuple(failures),
+        reference=reference_density(target, maps.get(target.scene)) if target else None,
         reference_note=reference_note or why_not,
-        radar=compared,
+        radar=radar,
         guidelines=picks,
-        map=shared,
-        notes=tuple(notes),
+        maps=maps,
+        notes=(*notes, *left_out),
     )
 
 
-def _without_copies(recordings: Sequence[Recording]) -> tuple[list[Recording], list[Path]]:
-    seen: set[str] = set()
-    distinct: list[Recording] = []
-    copies: list[Path] = []
+def _usable(recording: Recording) -> bool:
+    return recording.status == "complete" and not recording.dropouts
+
+
+def _without_copies(recordings: Sequence[Recording], failures: list[Unreadable]) -> tuple[list[Recording], list[str]]:
+    seen: dict[str, Recording] = {}
+    notes: list[str] = []
     # of a whole file and one that was cut short, the whole one stays
     for recording in sorted(recordings, key=lambda r: r.status == "incomplete"):
-        identity = recording.provenance.run_id
-        if identity in seen:
-            copies.append(recording.path)
+        first = seen.setdefault(recording.provenance.run_id, recording)
+        if first is recording:
+            continue
+        if recording.content_hash in (first.content_hash, ""):
+            notes.append(f"{recording.path.name} is a copy of {first.path.name}; it counts once")
         else:
-            seen.add(identity)
-            distinct.append(recording)
-    return distinct, copies
+            why = f"{recording.path} has the run id of {first.path.name} and another content: one of them was changed"
+            failures.append(Unreadable(recording.path, DamagedRecording(why)))
+    return list(seen.values()), notes
 
 
 def _choose_reference(given: Recording | None, measured: Sequence[Recording]) -> tuple[Recording | None, str]:
@@ -94,36 +122,51 @@ def _choose_reference(given: Recording | None, measured: Sequence[Recording]) ->
     return None, "no reference: give real trials or another recording with --reference"
 
 
-def _read_reference(recording: Recording, sample_time: float) -> tuple[Reference | None, str]:
+def _read_reference(
+    recording: Recording, sample_time: float, failures: list[Unreadable]
+) -> tuple[Reference | None, str]:
+    name = recording.path.name
     if recording.status != "complete":
-        return None, f"the reference {recording.path.name} is {recording.status}: {recording.reason}"
-    positions, why_not = planar_positions(recording, sample_time)
+        return None, f"the reference {name} is {recording.status}: {recording.reason}"
+    if recording.dropouts:
+        return None, f"the reference {name} lost data: {recording.dropouts[0]}"
+    try:
+        positions, why_not = sample_positions(recording, sample_time)
+    except GsbError as error:
+        failures.append(Unreadable(recording.path, error))
+        return None, f"the reference {name} cannot be read"
     if positions is None:
-        return None, f"the reference {recording.path.name} cannot be used: {why_not}"
+        return None, f"the reference {name} cannot be used: {why_not}"
     c = recording.configuration
     measured = c.simulator == REAL
-    label = f"{len(positions)} real trials" if measured else f"{c.simulator} with {c.n_env} envs, dt {c.dt:g} s"
-    return Reference(label, recording.path, measured, c.scene, positions), ""
+    label = f"{len(positions.planar)} real trials" if measured else f"{c.simulator} with {c.n_env} envs, dt {c.dt:g} s"
+    return Reference(label, recording.path, recording.provenance.run_id, measured, c.scene, positions.planar), ""
 
 
 def _evaluate_group(
-    group: Group, label: str, reference: Reference | None, no_reference: str, sample_time: float
-) -> tuple[GroupResult, NDArray[np.float64] | None]:
-    notes = gm.status_notes(group)
-    sampled = gm.sample(group, sample_time)
+    group: Group,
+    label: str,
+    data: dict[str, RunData],
+    reference: Reference | None,
+    no_reference: str,
+    sample_time: float,
+) -> _Found:
+    runs = tuple(data[r.provenance.run_id] for r in group.complete)
+    planar, why_not = gm.positions(runs)
+    parallel, parallel_matrix = gm.parallel(planar, why_not)
+    between, run_matrix = gm.run_to_run(planar, why_not)
     metrics: list[Metric] = [
-        gm.throughput(group),
-        gm.memory_peak_increment(group),
-        gm.host_memory_peak_increment(group),
-        *gm.distinct(group),
-        gm.capture_effect(group),
+        gm.throughput(runs),
+        gm.memory_peak_increment(runs),
+        gm.host_memory_peak_increment(runs),
+        parallel,
+        between,
+        gm.real(planar, why_not, reference, no_reference, group.key.scene),
+        *gm.distinct(runs),
+        gm.left_board(runs),
+        gm.regime(parallel, between),
+        gm.capture_effect(runs),
     ]
-    parallel, parallel_matrix = gm.parallel(sampled)
-    between, run_matrix = gm.run_to_run(sampled)
-    metrics += [parallel, between, gm.real(sampled, reference, no_reference, group), gm.left_board(group, sampled)]
-    metrics.append(gm.regime(parallel, between))
-    if reference and reference.path in {r.path for r in group.recordings}:
-        notes.append("the reference is one of this group's own runs")
     result = GroupResult(
         group=group,
         label=label,
@@ -131,78 +174,39 @@ def _evaluate_group(
         cloud=None,
         parallel_matrix=parallel_matrix,
         run_matrix=run_matrix,
-        notes=tuple(notes),
+        notes=tuple(_notes(group, runs, reference, sample_time)),
     )
-    return result, sampled.positions
+    return _Found(_consistent(result), runs, planar)
 
 
-def _shared_map(clouds: Sequence[NDArray[np.float64]], reference: Reference | None) -> Map | None:
-    everything = [c.reshape(-1, 2) for c in clouds] + ([reference.positions.reshape(-1, 2)] if reference else [])
-    if not everything:
-        return None
-    points = np.concatenate(everything)
-    points = points[np.isfinite(points).all(axis=1)]
-    if not len(points):
-        return None
-    middle = np.median(points, axis=0)
-    near = points[(np.abs(points - middle) <= _EXTENT_LIMIT_M).all(axis=1)]
-    low = np.floor((near.min(axis=0) - _MARGIN_M) * 10) / 10
-    high = np.ceil((near.max(axis=0) + _MARGIN_M) * 10) / 10
-    grid = HexGrid((float(low[0]), float(high[0]), float(low[1]), float(high[1])), _BIN_M)
-    edges = tuple(np.linspace(a, b, round((b - a) / _BIN_M) + 1) for a, b in zip(low, high, strict=True))
-    counts = [grid.bin(c).counts for c in everything]
-    largest = max((int(c.max()) for c in counts if len(c)), default=1)
-    return Map(grid, (edges[0], edges[1]), largest)
-
-
-def _with_cloud(result: GroupResult, positions: NDArray[np.float64] | None, shared: Map | None) -> GroupResult:
-    if positions is None or shared is None:
-        return result
-    sides = (marginal(positions[..., 0].ravel(), shared.edges[0]), marginal(positions[..., 1].ravel(), shared.edges[1]))
-    cloud = Cloud(positions, shared.grid.bin(positions), sides)
-    return GroupResult(**{**vars(result), "cloud": cloud})
-
-
-def _with_density(reference: Reference | None, shared: Map | None) -> Reference | None:
-    if reference is None or shared is None:
-        return reference
-    return Reference(**{**vars(reference), "density": shared.grid.bin(reference.positions)})
-
-
-def _identical_groups(results: Sequence[GroupResult]) -> list[str]:
-    # The same trajectories from other machines, versions or settings: what somebody who reproduces a result looks for.
-    notes = []
-    for index, one in enumerate(results):
-        for other in results[index + 1 :]:
-            steps = gm.identical_steps(one.group, other.group)
-            if steps:
-                notes.append(
-                    f"{one.label} and {other.label}: all runs are bit-identical over their {steps} common states"
-                )
+def _notes(group: Group, runs: Sequence[RunData], reference: Reference | None, sample_time: float) -> list[str]:
+    notes = status_notes(group)
+    sampled = next((r.positions.time for r in runs if r.positions), sample_time)
+    if not math.isclose(sampled, sample_time, rel_tol=1e-9):
+        notes.append(f"positions are those at {sampled:g} s, the step nearest to {sample_time:g} s")
+    if reference and reference.run_id in {r.recording.provenance.run_id for r in runs}:
+        notes.append("the reference is one of this group's own runs, whose distance of zero is part of the mean")
     return notes
 
 
-def _compare(results: Sequence[GroupResult], reference: Reference | None) -> tuple[Radar | None, tuple[Guideline, ...]]:
-    # Only what ran the same scene can be compared; of several scenes, the first that two groups share.
-    scenes = [r.group.key.scene for r in results]
-    scene = next((s for s in scenes if scenes.count(s) > 1), None)
-    if scene is None:
-        return None, ()
-    compared = [_simulator_result(r, reference) for r in results if r.group.key.scene == scene]
-    return radar(compared), tuple(guidelines(compared))
+def _consistent(result: GroupResult) -> GroupResult:
+    # Hashes that call environments equal while their positions differ are wrong, whoever wrote them.
+    by_hash, by_position = result.metrics["distinct_envs"], result.metrics["w1_parallel"]
+    counts = by_position.extra.get("distinct_at_sample_step", [])
+    if by_hash.value is None or not counts or max(counts) <= by_hash.value:
+        return result
+    why = f"the state hashes tell {by_hash.value:.0f} apart, the positions {max(counts)}: the hashes are wrong"
+    broken = Metric("distinct_envs", None, "", "neither", method="", exactness="none", why_not=why)
+    return replace(result, metrics={**result.metrics, "distinct_envs": broken})
 
 
-def _simulator_result(result: GroupResult, reference: Reference | None) -> SimulatorResult:
-    def value(name: str) -> float | None:
-        found = result.metrics[name].value
-        return found if found is not None and math.isfinite(found) else None
-
-    return SimulatorResult(
-        name=result.label,
-        fps=value("fps"),
-        n_max=None,  # a sweep's result; a single n_env says nothing of the largest
-        memory_gb=value("memory_peak_increment"),
-        w1_real=value("w1_real") if reference and reference.measured else None,
-        parallel=value("w1_parallel"),
-        run_to_run=value("w1_run_to_run"),
-    )
+def _identical_groups(found: Sequence[_Found]) -> list[str]:
+    # The same trajectories from other machines, versions or settings: what somebody who reproduces a result looks for.
+    notes = []
+    for index, one in enumerate(found):
+        for other in found[index + 1 :]:
+            count = gm.identical_steps(one.runs, other.runs)
+            if count:
+                names = f"{one.result.label} and {other.result.label}"
+                notes.append(f"{names}: all runs are bit-identical over their {count} common states")
+    return notes

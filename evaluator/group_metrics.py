@@ -1,329 +1,314 @@
-"""The metrics of one group of recordings: what each is computed from, and why one cannot be.
+"""The metrics of one group of runs: what each is computed from, and why one cannot be.
 
-The formulas are in ``evaluator.metrics``; here recordings are turned into their arguments.
+The formulas are in ``evaluator.metrics`` and ``evaluator.statistics``; here the runs are turned into their arguments.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from evaluator.groups import Group
 from evaluator.metrics.alignment import sim_to_real_gap
-from evaluator.metrics.board import left_board as count_left_board
+from evaluator.metrics.board import left_board as has_left
 from evaluator.metrics.identity import bitwise_classes, count_distinct
 from evaluator.metrics.memory import Checkpoints
 from evaluator.metrics.regime import published_regime
 from evaluator.metrics.throughput import frames_per_second
 from evaluator.metrics.variability import parallel_variability, run_to_run_variability
-from evaluator.positions import planar_positions, sampled_positions
-from evaluator.recording import MemoryTrace
 from evaluator.results import Metric, Reference, not_computed
+from evaluator.run_data import RunData
 from evaluator.statistics.jackknife import Interval, jackknife_mean, jackknife_pair_mean
 from evaluator.statistics.permutation import permutation_floor
-from schemas.errors import DamagedRecording
 
-_PERMUTATIONS = 99
 _SEED = 0
 _GB = 1e9
 _MB = 1e6
+_NO_RUN = "no run of this group is complete"
+_MIN_RUNS = 3  # for an interval
+
+_PERMUTATIONS = ((500, 99), (1000, 19))
+"""Permutations by the number of points a side: one distance costs about n^2.5, and a table should take seconds."""
+
+Runs = Sequence[RunData]
 
 
-@dataclass(frozen=True)
-class Sample:
-    """A group's positions at the sample step.
-
-    positions  planar, env frame [m], [run, env, item, 2]; None where no run has them
-    recorded   as recorded, one [env, item, component] a run
-    why_not    the reason where positions is None
-    """
-
-    positions: NDArray[np.float64] | None
-    recorded: tuple[NDArray[Any], ...]
-    why_not: str
-
-
-def status_notes(group: Group) -> list[str]:
-    """What a reader must know of runs that no metric is computed from."""
-    notes = []
-    for recording in group.recordings:
-        if recording.status != "complete":
-            notes.append(f"run {recording.configuration.run_index} is {recording.status}: {recording.reason}")
-        notes += [f"run {recording.configuration.run_index} lost data: {lost}" for lost in recording.dropouts]
-    return notes
-
-
-def sample(group: Group, sample_time: float) -> Sample:
-    """The positions of all complete runs at the sample step."""
-    if not group.complete:
-        return Sample(None, (), "no run of this group is complete")
-    planar, recorded = [], []
-    for recording in group.complete:
-        positions, why_not = planar_positions(recording, sample_time)
-        if positions is None:
-            return Sample(None, (), why_not)
-        as_recorded, _ = sampled_positions(recording, sample_time)
-        assert as_recorded is not None
-        planar.append(positions)
-        recorded.append(as_recorded)
-    return Sample(np.stack(planar), tuple(recorded), "")
-
-
-def throughput(group: Group) -> Metric:
+def throughput(runs: Runs) -> Metric:
     """FPS: mean over runs of N_env * N_step / T_step of the timed phase."""
     name, unit = "fps", "env-steps/s"
-    timings = [(r, r.timing.get("timed")) for r in group.complete]
     values = [
-        frames_per_second(r.configuration.n_env, r.configuration.timed_steps, t.elapsed_s) for r, t in timings if t
+        frames_per_second(r.recording.configuration.n_env, r.recording.configuration.timed_steps, r.elapsed_s)
+        for r in runs
+        if r.elapsed_s is not None
     ]
     if not values:
-        why = "no run of this group is complete" if not timings else "the timed phase was left out"
-        return not_computed(name, unit, "higher", why)
-    simulation = group.complete[0].simulation
-    return _mean_over_runs(
-        name, unit, "higher", values,
-        method="N_env * N_step / T_step of the timed phase, mean over runs",
-        extra={"per_run": values, "timing_covers": simulation.timing_covers if simulation else ""},
-    )  # fmt: skip
+        return not_computed(name, unit, "higher", "the timed phase was left out" if runs else _NO_RUN)
+    simulation = runs[0].recording.simulation
+    covers = simulation.timing_covers if simulation else ""
+    method = "N_env * N_step / T_step of the timed phase, mean over runs"
+    return _mean_over_runs(name, unit, "higher", values, method=method, extra={"timing_covers": covers})
 
 
-def memory_peak_increment(group: Group) -> Metric:
+def memory_peak_increment(runs: Runs) -> Metric:
     """GPU memory: largest reading of the timed phase minus the baseline, as the hardware monitor reports it."""
     name, unit = "memory_peak_increment", "GB"
-    if not group.complete:
-        return not_computed(name, unit, "lower", "no run of this group is complete")
-    first = group.complete[0]
+    if not runs:
+        return not_computed(name, unit, "lower", _NO_RUN)
+    first = runs[0].recording
     if not first.provenance.gpus:
         return not_computed(name, unit, "lower", "no GPU on the machine that recorded")
     if first.simulation and first.simulation.device == "cpu":
         return not_computed(name, unit, "lower", "this simulator ran on the CPU")
-    return _memory(group, "gpu0/device", name, unit, _GB, "NVML, whole device")
+    return _memory([r.gpu for r in runs], name, unit, _GB, "NVML, whole device 0")
 
 
-def host_memory_peak_increment(group: Group) -> Metric:
+def host_memory_peak_increment(runs: Runs) -> Metric:
     """Host memory: largest resident set of the timed phase minus the baseline."""
     name, unit = "host_memory_peak_increment", "MB"
-    if not group.complete:
-        return not_computed(name, unit, "lower", "no run of this group is complete")
-    return _memory(group, "host", name, unit, _MB, "resident set of the run's process")
+    if not runs:
+        return not_computed(name, unit, "lower", _NO_RUN)
+    return _memory([r.host for r in runs], name, unit, _MB, "resident set of the run's process")
 
 
-def _memory(group: Group, source: str, name: str, unit: str, scale: float, monitor: str) -> Metric:
-    checkpoints = [_checkpoints(r.memory[source]) for r in group.complete if source in r.memory]
+def _memory(found: Sequence[Checkpoints | None], name: str, unit: str, scale: float, monitor: str) -> Metric:
+    checkpoints = [c for c in found if c is not None]
     values = [c.peak_increment / scale for c in checkpoints if c.peak_increment is not None]
     if not values:
         return not_computed(name, unit, "lower", "the timed phase was left out, or no memory was sampled in it")
-    return _mean_over_runs(
-        name, unit, "lower", values,
-        method=f"peak of the timed phase minus baseline ({monitor}), mean over runs; 1 {unit} = {scale:.0e} B",
-        extra={"per_run": values, "checkpoints_bytes": [vars(c) for c in checkpoints]},
-    )  # fmt: skip
+    method = f"peak of the timed phase minus baseline ({monitor}), mean over runs; 1 {unit} = {scale:.0e} B"
+    extra = {"checkpoints_bytes": [vars(c) for c in checkpoints]}
+    return _mean_over_runs(name, unit, "lower", values, method=method, extra=extra)
 
 
-def _checkpoints(trace: MemoryTrace) -> Checkpoints:
-    baseline, final = trace.at("baseline"), trace.at("final")
-    peak = trace.peak("timed")
-    if peak is not None and baseline is not None:
-        peak = max(peak, baseline)  # a monitor of a whole device also sees others release memory
-    return Checkpoints(baseline, trace.at("post-init"), trace.at("post-warmup"), peak, final)
-
-
-def distinct(group: Group) -> tuple[Metric, Metric]:
+def distinct(runs: Runs) -> tuple[Metric, Metric]:
     """Bitwise distinct environments and runs, over every step of the capture phase."""
-    hashes = [f.hashes for r in group.complete if (f := r.fingerprints("capture")) is not None]
-    if not hashes:
-        why = "no run of this group is complete" if not group.complete else "no states were captured"
-        return (
-            not_computed("distinct_envs", "", "neither", why),
-            not_computed("distinct_runs", "", "neither", why),
-        )
+    captured = [r.captured for r in runs if r.captured is not None]
+    if not captured:
+        why = "no states were captured" if runs else _NO_RUN
+        return not_computed("distinct_envs", "", "neither", why), not_computed("distinct_runs", "", "neither", why)
     method = "64-bit state hashes of every captured step"
-    return _distinct_envs(group, hashes, method), _distinct_runs(hashes, method)
+    return _distinct_envs(runs, method), _distinct_runs(runs, method)
 
 
-def _distinct_envs(group: Group, hashes: list[NDArray[np.uint64]], method: str) -> Metric:
-    if group.complete[0].action_names:
+def _distinct_envs(runs: Runs, method: str) -> Metric:
+    if runs[0].recording.action_names:
         why = "the environments were given different actions, so they differ by design"
         return not_computed("distinct_envs", "", "neither", why)
-    simulation = group.complete[0].simulation
+    simulation = runs[0].recording.simulation
     if simulation and len(set(simulation.env_origins)) > 1:
         why = "environments at different origins cannot be compared by bits"
         return not_computed("distinct_envs", "", "neither", why)
-    counts = [count_distinct(h.T) for h in hashes]
-    classes = [bitwise_classes(h.T).tolist() for h in hashes]
+    captured = [r.captured for r in runs if r.captured is not None]
+    counts = [count_distinct(c.hashes.T) for c in captured]
+    first = [_first_step(c.steps, (c.hashes != c.hashes[:, :1]).any(axis=1)) for c in captured]
     return Metric(
-        "distinct_envs", float(max(counts)), "", "neither",
-        method=f"largest number of distinct environments in a run, by {method}", n=group.key.n_env,
-        extra={"per_run": counts, "classes": classes, "first_difference_step": _first_difference(hashes)},
-    )  # fmt: skip
+        "distinct_envs",
+        float(max(counts)),
+        "",
+        "neither",
+        method=f"largest number of distinct environments in a run, by {method}",
+        n=captured[0].hashes.shape[1],
+        extra={
+            "per_run": counts,
+            "classes": [bitwise_classes(c.hashes.T).tolist() for c in captured],
+            "first_difference_step": min((step for step in first if step is not None), default=None),
+        },
+    )
 
 
-def _first_difference(hashes: list[NDArray[np.uint64]]) -> int | None:
-    steps = []
-    for one in hashes:
-        differing = np.flatnonzero((one != one[:, :1]).any(axis=1))
-        if differing.size:
-            steps.append(int(differing[0]))
-    return min(steps, default=None)
-
-
-def _distinct_runs(hashes: list[NDArray[np.uint64]], method: str) -> Metric:
-    if len(hashes) < 2:
+def _distinct_runs(runs: Runs, method: str) -> Metric:
+    captured = [r.captured for r in runs if r.captured is not None]
+    if len(captured) < 2:
         return not_computed("distinct_runs", "", "neither", "needs at least two complete runs")
-    if len({h.shape for h in hashes}) > 1:
-        return not_computed("distinct_runs", "", "neither", "the runs captured different numbers of steps")
-    stacked = np.stack(hashes)
-    differing = np.flatnonzero((stacked != stacked[:1]).any(axis=(0, 2)))
+    if len({c.steps.tobytes() for c in captured}) > 1:
+        return not_computed("distinct_runs", "", "neither", "the runs captured different steps")
+    stacked = np.stack([c.hashes for c in captured])
+    differing = (stacked != stacked[:1]).any(axis=(0, 2))
     return Metric(
-        "distinct_runs", float(count_distinct(stacked)), "", "neither",
-        method=f"distinct runs, env by env, by {method}", n=len(hashes),
+        "distinct_runs",
+        float(count_distinct(stacked)),
+        "",
+        "neither",
+        method=f"distinct runs, env by env, by {method}",
+        n=len(captured),
         extra={
             "classes": bitwise_classes(stacked).tolist(),
-            "first_difference_step": int(differing[0]) if differing.size else None,
+            "first_difference_step": _first_step(captured[0].steps, differing),
         },
-    )  # fmt: skip
+    )
 
 
-def identical_steps(one: Group, other: Group) -> int:
+def _first_step(steps: NDArray[np.int64], differing: NDArray[np.bool_]) -> int | None:
+    return int(steps[np.argmax(differing)]) if differing.any() else None
+
+
+def identical_steps(one: Runs, other: Runs) -> int:
     """Number of captured states over which all runs of two groups agree by bits, 0 where they differ anywhere.
 
     Groups of different scenes, steps, environment counts or layouts are not compared.
     """
-    same = ("scene_hash", "n_env", "dt")
-    if any(getattr(one.key, name) != getattr(other.key, name) for name in same) or _layout(one) != _layout(other):
+    runs = [*one, *other]
+    if not (one and other) or len({_comparable(r) for r in runs}) > 1:
         return 0
-    hashes = [f.hashes for g in (one, other) for r in g.complete if (f := r.fingerprints("capture")) is not None]
-    if len(hashes) < len(one.complete) + len(other.complete) or not (one.complete and other.complete):
+    captured = [r.captured for r in runs if r.captured is not None]
+    if len(captured) < len(runs):
         return 0
-    steps = min(len(h) for h in hashes)
-    return steps if count_distinct(np.stack([h[:steps] for h in hashes])) == 1 else 0
+    count = min(len(c.steps) for c in captured)
+    if len({c.steps[:count].tobytes() for c in captured}) > 1:
+        return 0
+    return count if count_distinct(np.stack([c.hashes[:count] for c in captured])) == 1 else 0
 
 
-def _layout(group: Group) -> Any:
-    return group.complete[0].fields if group.complete else None
+def _comparable(run: RunData) -> tuple[Any, ...]:
+    c, simulation = run.recording.configuration, run.recording.simulation
+    scene = simulation.scene.get("sha256") if simulation else None
+    return (str(scene), c.n_env, c.dt, c.seed if run.recording.action_names else 0, run.recording.fields)
 
 
-def capture_effect(group: Group) -> Metric:
+def capture_effect(runs: Runs) -> Metric:
     """In how many runs the states differ between the timed phase, which nothing observes, and the capture phase."""
     name = "capture_changes_states"
     compared, changed = 0, 0
-    for recording in group.complete:
-        timed, captured = recording.fingerprints("timed"), recording.fingerprints("capture")
-        if timed is None or captured is None:
+    for run in runs:
+        if run.timed is None or run.captured is None:
             continue
-        common, at_timed, at_captured = np.intersect1d(timed.steps, captured.steps, return_indices=True)
+        common, at_timed, at_captured = np.intersect1d(run.timed.steps, run.captured.steps, return_indices=True)
         if not len(common):
             continue
         compared += 1
-        changed += bool((timed.hashes[at_timed] != captured.hashes[at_captured]).any())
+        changed += bool((run.timed.hashes[at_timed] != run.captured.hashes[at_captured]).any())
     if not compared:
-        return not_computed(name, "", "lower", "no step was passed by both the timed and the capture phase")
-    return Metric(
-        name, float(changed), "", "lower", n=compared,
-        method="runs whose state hashes differ between timed and capture phase at a step that both passed",
-    )  # fmt: skip
+        why = "no step was passed by both the timed and the capture phase" if runs else _NO_RUN
+        return not_computed(name, "", "lower", why)
+    method = "runs whose state hashes differ between timed and capture phase at a step that both passed"
+    return Metric(name, float(changed), "", "lower", n=compared, method=method)
 
 
-def parallel(sampled: Sample) -> tuple[Metric, NDArray[np.float64] | None]:
+def positions(runs: Runs) -> tuple[NDArray[np.float64] | None, str]:
+    """Planar positions of all runs [m], [run, env, item, 2]; or None and the reason."""
+    if not runs:
+        return None, _NO_RUN
+    why_not = next((r.no_positions for r in runs if r.positions is None), "")
+    if why_not:
+        return None, why_not
+    return np.stack([r.positions.planar for r in runs if r.positions is not None]), ""
+
+
+def parallel(planar: NDArray[np.float64] | None, why_not: str) -> tuple[Metric, NDArray[np.float64] | None]:
     """Parallel variability: mean over runs of the mean W1 over pairs of environments, with the first run's matrix."""
     name = "w1_parallel"
-    if sampled.positions is None:
-        return not_computed(name, "cm", "lower", sampled.why_not), None
-    if sampled.positions.shape[1] < 2:
+    if planar is None:
+        return not_computed(name, "cm", "lower", why_not), None
+    if planar.shape[1] < 2:
         return not_computed(name, "cm", "lower", "needs at least two environments"), None
-    per_run: dict[bytes, Any] = {}
+    solved: dict[bytes, Any] = {}
     found = []
-    for positions in sampled.positions:
-        key = positions.tobytes()  # identical runs are solved once
-        if key not in per_run:
-            per_run[key] = parallel_variability(positions)
-        found.append(per_run[key])
-    values = [f.mean_cm for f in found]
+    for run in planar:
+        key = run.tobytes()  # identical runs are solved once
+        if key not in solved:
+            solved[key] = parallel_variability(run)
+        found.append(solved[key])
     metric = _mean_over_runs(
-        name, "cm", "lower", values,
+        name,
+        "cm",
+        "lower",
+        [f.mean_cm for f in found],
         method="W1 between the planar positions of two environments, mean over pairs, mean over runs",
-        extra={"per_run": values, "distinct_at_sample_step": [f.n_distinct for f in found]},
-    )  # fmt: skip
+        extra={"distinct_at_sample_step": [f.n_distinct for f in found]},
+    )
     return metric, found[0].matrix_cm
 
 
-def run_to_run(sampled: Sample) -> tuple[Metric, NDArray[np.float64] | None]:
+def run_to_run(planar: NDArray[np.float64] | None, why_not: str) -> tuple[Metric, NDArray[np.float64] | None]:
     """Run-to-run variability: mean and SD of W1 over pairs of runs, all environments of a run pooled."""
     name = "w1_run_to_run"
-    if sampled.positions is None:
-        return not_computed(name, "cm", "lower", sampled.why_not), None
-    if len(sampled.positions) < 2:
+    if planar is None:
+        return not_computed(name, "cm", "lower", why_not), None
+    runs = len(planar)
+    if runs < 2:
         return not_computed(name, "cm", "lower", "needs at least two complete runs"), None
-    found = run_to_run_variability(sampled.positions)
+    try:
+        found = run_to_run_variability(planar)
+    except ValueError as error:  # more points than an exact distance can be computed for
+        return not_computed(name, "cm", "lower", str(error)), None
     interval = jackknife_pair_mean(found.matrix_cm)
-    floor = _floor(sampled.positions[0], sampled.positions[1])
-    runs = len(sampled.positions)
+    bounds, no_interval = _bounds(interval, runs, spread=bool(found.matrix_cm.any()))
     metric = Metric(
-        name, found.mean_cm, "cm", "lower", n=runs * (runs - 1) // 2, sd=found.sd_cm, ci95=_bounds(interval),
+        name,
+        found.mean_cm,
+        "cm",
+        "lower",
+        n=runs * (runs - 1) // 2,
+        sd=found.sd_cm,
+        ci95=bounds,
         method="W1 between the pooled planar positions of two runs, mean and SD over pairs of runs; "
         f"interval: {interval.method}",
-        extra={"n_run": runs, "interval_why_not": interval.reason or "", "floor_first_pair": floor},
-    )  # fmt: skip
+        extra={"n_run": runs, "interval_why_not": no_interval, "floor": floor(planar[0], planar[1])},
+    )
     return metric, found.matrix_cm
 
 
-def real(sampled: Sample, reference: Reference | None, no_reference: str, group: Group) -> Metric:
+def real(
+    planar: NDArray[np.float64] | None, why_not: str, reference: Reference | None, no_reference: str, scene: str
+) -> Metric:
     """Gap to the reference: mean and SD over runs of W1 between all positions of a run and all of the reference."""
     name = "w1_real"
     if reference is None:
         return not_computed(name, "cm", "lower", no_reference)
-    if sampled.positions is None:
-        return not_computed(name, "cm", "lower", sampled.why_not)
-    if reference.scene != group.key.scene:
+    if planar is None:
+        return not_computed(name, "cm", "lower", why_not)
+    if reference.scene != scene:
         return not_computed(name, "cm", "lower", f"the reference is of scene {reference.scene}")
-    if sampled.positions.shape[2] != reference.positions.shape[1]:
-        why = f"the reference has {reference.positions.shape[1]} items, this group {sampled.positions.shape[2]}"
+    if planar.shape[2] != reference.positions.shape[1]:
+        why = f"the reference has {reference.positions.shape[1]} items, this group {planar.shape[2]}"
         return not_computed(name, "cm", "lower", why)
     gaps: dict[bytes, Any] = {}
-    for positions in sampled.positions:
-        if positions.tobytes() not in gaps:
-            gaps[positions.tobytes()] = sim_to_real_gap(positions, reference.positions)
-    found = [gaps[p.tobytes()] for p in sampled.positions]
-    values = [f.value_cm for f in found]
-    extra: dict[str, Any] = {"per_run": values, "reference": reference.label, "measured": reference.measured}
-    extra["floor_first_run"] = _floor(sampled.positions[0], reference.positions)
+    try:
+        for run in planar:
+            if run.tobytes() not in gaps:
+                gaps[run.tobytes()] = sim_to_real_gap(run, reference.positions)
+    except ValueError as error:  # more points than an exact distance can be computed for
+        return not_computed(name, "cm", "lower", str(error))
+    found = [gaps[run.tobytes()] for run in planar]
+    extra: dict[str, Any] = {
+        "reference": reference.label,
+        "measured": reference.measured,
+        "floor": floor(planar[0], reference.positions),
+    }
     if found[0].extension:
         extra["extension"] = found[0].extension
-    return _mean_over_runs(
-        name, "cm", "lower", values, extra=extra,
-        method=f"W1 between the planar positions of a run and {reference.label}, mean over runs ({found[0].method})",
-    )  # fmt: skip
+    method = f"W1 between the planar positions of a run and {reference.label}, mean over runs ({found[0].method})"
+    return _mean_over_runs(name, "cm", "lower", [f.value_cm for f in found], method=method, extra=extra)
 
 
-def left_board(group: Group, sampled: Sample) -> Metric:
+def left_board(runs: Runs) -> Metric:
     """Mean number of cubes per environment that are not on the board at the sample step."""
-    name = "left_board"
-    if sampled.positions is None:
-        return not_computed(name, "", "lower", sampled.why_not)
-    scene = group.complete[0].scene
-    board = next((b for b in scene.get("bodies", ()) if b.get("name") == scene.get("board")), None)
-    if board is None:
-        return not_computed(name, "", "lower", "this scene has no board to leave")
-    if sampled.recorded[0].shape[-1] < 3:
-        return not_computed(name, "", "lower", "heights were not recorded")
-    try:
-        size, centre = np.array(board["shape"]["size"], dtype=float), np.array(board["position"], dtype=float)
-    except (KeyError, TypeError, ValueError):
-        raise DamagedRecording(f"{group.complete[0].path}: the scene's board is unreadable") from None
-    counts = []
-    for recording, recorded in zip(group.complete, sampled.recorded, strict=True):
-        simulation = recording.simulation
-        origins = np.array(simulation.env_origins) if simulation and simulation.env_origins else np.zeros((1, 3))
-        counts.append(int(count_left_board(recorded - origins[:, None], size=size, centre=centre).sum()))
-    envs = sampled.positions.shape[1]
+    name, unit = "left_board", "cubes per env"
+    if not runs:
+        return not_computed(name, unit, "lower", _NO_RUN)
+    counts, cubes, envs = [], 0, 0
+    for run in runs:
+        if run.board is None:
+            return not_computed(name, unit, "lower", "this scene has no board to leave")
+        if run.positions is None:
+            return not_computed(name, unit, "lower", run.no_positions)
+        if run.positions.spatial is None:
+            return not_computed(name, unit, "lower", "heights were not recorded")
+        left = has_left(run.positions.spatial, run.board)
+        counts.append(int(left.sum()))
+        cubes += left.size
+        envs += len(left)
     return Metric(
-        name, sum(counts) / (len(counts) * envs), "cubes per env", "lower", n=len(counts) * envs,
+        name,
+        sum(counts) / envs,
+        unit,
+        "lower",
+        n=envs,
         method="cubes whose centre is beside or below the board at the sample step",
-        extra={"total": sum(counts), "of": sampled.positions[..., 0].size, "per_run": counts},
-    )  # fmt: skip
+        extra={"total": sum(counts), "of": cubes, "per_run": counts},
+    )
 
 
 def regime(parallel: Metric, between: Metric) -> Metric:
@@ -331,39 +316,63 @@ def regime(parallel: Metric, between: Metric) -> Metric:
     name = "regime_published"
     for needed in (parallel, between):
         if needed.value is None:
-            return not_computed(name, "", "neither", f"{needed.name} could not be computed: {needed.why_not}")
-    assert parallel.value is not None and between.value is not None
+            return not_computed(name, "type", "neither", f"{needed.name} could not be computed: {needed.why_not}")
+    assert parallel.value is not None
+    assert between.value is not None
     return Metric(
-        name, float(published_regime(parallel.value, between.value)), "type", "neither",
+        name,
+        float(published_regime(parallel.value, between.value)),
+        "type",
+        "neither",
         method="variability counts as present where it is nonzero after rounding to 0.01 cm",
-    )  # fmt: skip
+    )
+
+
+def floor(a: NDArray[np.float64], b: NDArray[np.float64]) -> dict[str, Any]:
+    """What W1 [cm] is between two samples of one law: whole environments of a and b exchanged at random.
+
+    a, b  planar positions [m], shape [env, item, 2]
+    """
+    points = max(a.shape[0] * a.shape[1], b.shape[0] * b.shape[1])
+    permutations = next((count for limit, count in _PERMUTATIONS if points <= limit), None)
+    if permutations is None:
+        return {"why_not": f"{points} points a side are too many for a permutation test"}
+    found = permutation_floor(a * 100.0, b * 100.0, n_permutation=permutations, seed=_SEED)
+    return {
+        "observed_cm": found.observed,
+        "floor_mean_cm": found.floor_mean,
+        "floor_q95_cm": found.floor_q95,
+        "p_value": found.p_value,
+        "permutations": found.n_permutation,
+        "seed": found.seed,
+    }
 
 
 def _mean_over_runs(
-    name: str, unit: str, direction: str, values: list[float], *, method: str, extra: dict[str, Any],
-) -> Metric:  # fmt: skip
+    name: str, unit: str, direction: str, values: list[float], *, method: str, extra: dict[str, Any]
+) -> Metric:
     runs = len(values)
-    interval = jackknife_mean(np.array(values), nonnegative=True) if runs > 1 else None
+    interval = jackknife_mean(np.array(values), nonnegative=True) if runs >= _MIN_RUNS else None
+    bounds, no_interval = _bounds(interval, runs, spread=len(set(values)) > 1)
     return Metric(
-        name, float(np.mean(values)), unit, direction, n=runs,
+        name,
+        float(np.mean(values)),
+        unit,
+        direction,
+        n=runs,
         sd=float(np.std(values, ddof=1)) if runs > 1 else None,
-        ci95=_bounds(interval) if interval else None,
-        method=method + (f"; interval: {interval.method}" if interval else ""), extra=extra,
-    )  # fmt: skip
+        ci95=bounds,
+        method=method + (f"; interval: {interval.method}" if bounds and interval else ""),
+        extra={"per_run": values, "interval_why_not": no_interval, **extra},
+    )
 
 
-def _bounds(interval: Interval) -> tuple[float, float] | None:
-    return (interval.low, interval.high) if interval.low is not None and interval.high is not None else None
-
-
-def _floor(a: NDArray[np.float64], b: NDArray[np.float64]) -> dict[str, float]:
-    """What W1 [cm] would be between two samples of one law: whole environments exchanged at random."""
-    floor = permutation_floor(a * 100.0, b * 100.0, n_permutation=_PERMUTATIONS, seed=_SEED)
-    return {
-        "observed_cm": floor.observed,
-        "floor_mean_cm": floor.floor_mean,
-        "floor_q95_cm": floor.floor_q95,
-        "p_value": floor.p_value,
-        "permutations": floor.n_permutation,
-        "seed": floor.seed,
-    }
+def _bounds(interval: Interval | None, runs: int, *, spread: bool) -> tuple[tuple[float, float] | None, str]:
+    if runs < _MIN_RUNS or interval is None:
+        return None, f"needs at least {_MIN_RUNS} runs"
+    if not spread:
+        # an interval of width zero would claim that rare differences are excluded
+        return None, f"no spread in {runs} runs"
+    if interval.low is None or interval.high is None:
+        return None, interval.reason or "no interval"
+    return (interval.low, interval.high), ""

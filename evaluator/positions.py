@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -9,42 +11,72 @@ from numpy.typing import NDArray
 
 from evaluator.metrics.variability import sampling_step
 from evaluator.recording import Recording
+from schemas.errors import DamagedRecording
+from schemas.fields import StateField
+from schemas.provenance import REAL
 
 GROUP = "cubes"
 
+_FAR_M = 1e6  # a cube that far away belongs to a simulation that blew up
 
-def sampled_positions(recording: Recording, sample_time: float) -> tuple[NDArray[Any] | None, str]:
-    """Positions of the cubes as recorded, [env, item, component], or None and the reason.
 
-    sample_time  [s]; the step is round(sample_time / dt)
+@dataclass(frozen=True)
+class Positions:
+    """Positions of the cubes at the sample step.
+
+    recorded  as recorded, [env, item, component]
+    planar    x and y in each env's own frame, float64 [m], [env, item, 2]
+    spatial   x, y and z likewise [m], [env, item, 3]; None where heights were not recorded
+    time      simulated time that was sampled [s]
     """
-    if not any(f.name == f"{GROUP}/position" for f in recording.fields):
+
+    recorded: NDArray[Any]
+    planar: NDArray[np.float64]
+    spatial: NDArray[np.float64] | None
+    time: float
+
+
+def sample_positions(recording: Recording, sample_time: float) -> tuple[Positions | None, str]:
+    """Positions at step round(sample_time / dt), or None and the reason why there are none.
+
+    Origins are subtracted here, in float64, from coordinates of the world frame: before recording it would have cost
+    bits. Coordinates that are declared relative to the env's origin already are left as they are.
+    """
+    field = next((f for f in recording.fields if f.name == f"{GROUP}/position"), None)
+    if field is None:
         return None, f"no positions of {GROUP} were recorded"
-    step = sampling_step(sample_time, recording.configuration.dt)
     array = recording.state(GROUP, "position")
     if not len(array):
         return None, "no states were recorded (the capture phase was left out or not reached)"
+    dt = recording.configuration.dt
+    step = sampling_step(sample_time, dt)
+    if recording.configuration.simulator == REAL and not math.isclose(step * dt, sample_time, rel_tol=1e-6):
+        return None, f"the trials were measured at {dt:g} s, not at {sample_time:g} s"
     try:
-        return array.at_step(step), ""
+        recorded = array.at_step(step)
     except KeyError:
-        dt = recording.configuration.dt
+        last = array.steps[-1]
         return None, (
-            f"step {step} ({sample_time:g} s) was not recorded; recorded are steps {array.steps[0]} to "
-            f"{array.steps[-1]} ({array.steps[-1] * dt:g} s)"
+            f"step {step} ({sample_time:g} s) was not recorded; recorded are steps {array.steps[0]} to {last} "
+            f"({last * dt:g} s)"
         )
-
-
-def planar_positions(recording: Recording, sample_time: float) -> tuple[NDArray[np.float64] | None, str]:
-    """Planar positions [m] in each env's own frame, [env, item, 2], float64; or None and the reason.
-
-    Env origins are subtracted here, in float64: before recording it would have cost bits.
-    """
-    recorded, why_not = sampled_positions(recording, sample_time)
-    if recorded is None:
-        return None, why_not
-    positions = recorded[..., :2].astype(np.float64)
-    if recording.simulation and recording.simulation.env_origins:
-        positions = positions - np.array(recording.simulation.env_origins)[:, None, :2]
-    if not np.isfinite(positions).all():
+    planar, spatial = _in_env_frame(recording, field, recorded)
+    if not np.isfinite(planar).all():
         return None, "positions at the sample step are not finite"
-    return positions, ""
+    if np.abs(planar).max() > _FAR_M:
+        return None, f"positions at the sample step are beyond {_FAR_M / 1000:g} km: the simulation blew up"
+    return Positions(recorded, planar, spatial, step * dt), ""
+
+
+def _in_env_frame(
+    recording: Recording, field: StateField, recorded: NDArray[Any]
+) -> tuple[NDArray[np.float64], NDArray[np.float64] | None]:
+    if field.unit != "m" or field.frame not in ("world", "env"):
+        raise DamagedRecording(f"{recording.path}: positions in {field.unit}, frame {field.frame}: not of this format")
+    if field.components not in (("x", "y"), ("x", "y", "z")):
+        raise DamagedRecording(f"{recording.path}: positions have the components {', '.join(field.components)}")
+    local = recorded.astype(np.float64)
+    origins = recording.simulation.env_origins if recording.simulation else ()
+    if origins and field.frame == "world":
+        local = local - np.array(origins)[:, None, : local.shape[-1]]
+    return local[..., :2], local if local.shape[-1] == 3 else None

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Iterator
+import math
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -14,16 +14,19 @@ from numpy.typing import NDArray
 
 from evaluator.container import Container
 from evaluator.state_array import StateArray
-from schemas import topics
+from schemas import checks, topics
 from schemas.blocks import decode_action, decode_fingerprints
 from schemas.configuration import RunConfiguration
 from schemas.digest import ContentDigest, content_hash
 from schemas.errors import DamagedRecording, GsbError
 from schemas.fields import StateField
+from schemas.fingerprint import fingerprint
 from schemas.messages import enum_values, message_class
 from schemas.provenance import PROVENANCE, SCENE, SIMULATION, Provenance, Simulation
 
-_VERIFY_ROWS = 64
+_VERIFY_BYTES = 64 << 20
+_VERIFY_ROWS = 50  # a block's rows, so that none is decoded twice
+_MAX_BYTES = 1 << 62
 
 
 @dataclass(frozen=True)
@@ -123,6 +126,7 @@ class Recording:
         self.configuration: RunConfiguration = self.provenance.configuration
         text = self._container.attachment(SIMULATION)
         self.simulation: Simulation | None = self._named(Simulation.from_json, text) if text is not None else None
+        self._check_origins()
         self._end = self._read_end()
         if self._end is None:
             self.status, self.reason = "incomplete", "no end record: the run's process died or the file was cut short"
@@ -147,8 +151,13 @@ class Recording:
         """A state field, shape [step, env, item, width], read when indexed; KeyError names the recorded ones."""
         for described in self.fields:
             if (described.group, described.field) == (group, field):
-                last = int(self._end.last_step) if self._end is not None else None
-                return StateArray(self._container, self.configuration, described, last_step=last)
+                array = StateArray(self._container, self.configuration, described)
+                if self._end is not None and len(array) and array.steps[-1] != self._end.last_step:
+                    raise DamagedRecording(
+                        f"{self.path}: states of {described.name} end at step {array.steps[-1]}, the end record says "
+                        f"{self._end.last_step}"
+                    )
+                return array
         known = ", ".join(f.name for f in self.fields) or "none"
         raise KeyError(f"{self.path} has no state {group}/{field}; it has: {known}")
 
@@ -191,10 +200,12 @@ class Recording:
                 continue
             start = np.concatenate([np.array(p.start_ns, dtype=np.int64) for p in parts])
             end = np.concatenate([np.array(p.end_ns, dtype=np.int64) for p in parts])
-            if len(start) != len(end) or not len(start):
-                if len(start) == len(end):
-                    continue  # a phase of no steps
+            if len(start) != len(end):
                 raise DamagedRecording(f"{self.path}: {topic} has {len(start)} begins and {len(end)} ends")
+            if not len(start):
+                continue  # a phase of no steps
+            if (end < start).any() or (start[1:] < end[:-1]).any() or end[-1] <= start[0]:
+                raise DamagedRecording(f"{self.path}: the clock of {topic} went backwards")
             name = topic.removeprefix("/timing/")
             found[name] = StepTiming(parts[0].first_step, parts[0].steps_per_interval, start, end)
         return found
@@ -207,6 +218,8 @@ class Recording:
             if not topic.startswith("/memory/"):
                 continue
             samples = [self._parse("gsb.v1.MemorySample", c) for c in self._container.in_sequence(topic)]
+            if any(s.used_bytes >= _MAX_BYTES for s in samples):
+                raise DamagedRecording(f"{self.path}: {topic} has a reading that no memory can have")
             if samples:
                 found[topic.removeprefix("/memory/")] = MemoryTrace(
                     np.array([s.monotonic_ns for s in samples], dtype=np.int64),
@@ -222,14 +235,29 @@ class Recording:
         topic = topics.fingerprint(phase)
         if topic not in self._container.channels:
             return None
-        steps, hashes = [], []
+        n_env = self.configuration.n_env
+        if n_env * np.dtype(np.uint64).itemsize > self._container.content_bytes:
+            raise DamagedRecording(f"{self.path}: {n_env} environments are more than the file can hold hashes of")
+        rows: dict[int, NDArray[np.uint64]] = {}
+        filled: dict[int, int] = {}
         for content in self._container.in_sequence(topic):
             header, block = decode_fingerprints(content)
-            steps.append(header.first_step + np.arange(header.steps, dtype=np.int64) * header.stride)
-            hashes.append(block)
-        if not hashes or len({block.shape[1] for block in hashes}) != 1:
+            stop = header.env_start + header.envs
+            if not block.size or stop > n_env or (header.steps > 1 and header.stride < 1):
+                raise DamagedRecording(f"{self.path}: a block of {topic} has environments or steps that cannot be")
+            for row, hashes in enumerate(block):
+                step = header.first_step + row * header.stride
+                whole = rows.setdefault(step, np.zeros(n_env, dtype=np.uint64))
+                whole[header.env_start : stop] = hashes
+                filled[step] = filled.get(step, 0) + header.envs
+        if not rows:
             return None
-        return Fingerprints(np.concatenate(steps), np.concatenate(hashes))
+        if set(filled.values()) != {n_env}:
+            if self.status != "incomplete":
+                raise DamagedRecording(f"{self.path}: {topic} does not cover every environment once at every step")
+            rows = {step: hashes for step, hashes in rows.items() if filled[step] == n_env}
+        steps = sorted(rows)
+        return Fingerprints(np.array(steps, dtype=np.int64), np.stack([rows[step] for step in steps]))
 
     @cached_property
     def events(self) -> tuple[Event, ...]:
@@ -257,10 +285,9 @@ class Recording:
         if text is None:
             return {}
         try:
-            scene = json.loads(text)
-        except ValueError as error:
-            raise DamagedRecording(f"{self.path}: {SCENE} is not JSON: {error}") from None
-        return scene if isinstance(scene, dict) else {}
+            return checks.load(SCENE, text)
+        except DamagedRecording as error:
+            raise DamagedRecording(f"{self.path}: {error}") from None
 
     def attachment(self, name: str) -> bytes | None:
         """An attachment's bytes, None where there is none of that name."""
@@ -293,17 +320,33 @@ class Recording:
         for name in self._container.attachment_names():
             digest.attachment(name, self._container.attachment(name) or b"")
         stated = {(p.group, p.field) for p in map(topics.parse_state, self._container.channels) if p}
-        for field in self.fields:
-            if (field.group, field.field) in stated:
-                array = self.state(field.group, field.field)
-                for row in range(0, len(array), _VERIFY_ROWS):
-                    block = array.read(slice(row, row + _VERIFY_ROWS), slice(None))
-                    digest.state(field, self.configuration.n_env, block)
+        arrays = [self.state(f.group, f.field) for f in self.fields if (f.group, f.field) in stated]
+        hashes = self.fingerprints("capture") if len(arrays) == len(self.fields) else None
+        for rows in _row_ranges(arrays):
+            blocks = [array.read(rows, slice(None)) for array in arrays]
+            for array, block in zip(arrays, blocks, strict=True):
+                digest.state(array.field, self.configuration.n_env, block)
+            if hashes is not None:
+                self._check_hashes(hashes, arrays[0].steps[rows], fingerprint(blocks))
         for topic in self._container.channels:
             if topic != topics.RUN_END and topics.parse_state(topic) is None:
                 for content in self._container.in_sequence(topic):
                     digest.message(topic, content)
         return digest
+
+    def _check_origins(self) -> None:
+        origins = self.simulation.env_origins if self.simulation else ()
+        if origins and len(origins) != self.configuration.n_env:
+            n_env = self.configuration.n_env
+            raise DamagedRecording(f"{self.path}: {len(origins)} env origins for {n_env} environments")
+
+    def _check_hashes(self, hashes: Fingerprints, steps: NDArray[np.int64], computed: NDArray[np.uint64]) -> None:
+        # what the bitwise counts rest on, held against the states that are there
+        _, at_recorded, at_computed = np.intersect1d(hashes.steps, steps, return_indices=True)
+        wrong = (hashes.hashes[at_recorded] != computed[at_computed]).any(axis=1)
+        if wrong.any() or len(at_computed) < len(steps):
+            step = steps[at_computed[np.argmax(wrong)]] if wrong.any() else steps[0]
+            raise DamagedRecording(f"{self.path}: the state hashes at step {step} are not those of the states")
 
     def _read_end(self) -> Any:
         if topics.RUN_END not in self._container.channels:
@@ -311,6 +354,8 @@ class Recording:
         contents = list(self._container.in_sequence(topics.RUN_END))
         if not contents:
             return None
+        if len(contents) > 1:
+            raise DamagedRecording(f"{self.path}: the run ends {len(contents)} times")
         if not self._container.finished:
             return None  # the end was written, but the file was cut short behind it
         return self._parse("gsb.v1.RunEnd", contents[-1])
@@ -326,6 +371,21 @@ class Recording:
             return parse(text)
         except DamagedRecording as error:
             raise DamagedRecording(f"{self.path}: {error}") from None
+
+
+def _row_ranges(arrays: Sequence[StateArray]) -> Iterator[slice]:
+    """Ranges of rows that fit into memory together; DamagedRecording where the fields have different ones."""
+    if not arrays:
+        return
+    if len({len(array) for array in arrays}) > 1:
+        raise DamagedRecording("the state fields have different numbers of rows")
+    row = sum(math.prod(array.shape[1:]) * array.dtype.itemsize for array in arrays)
+    count = max(1, min(_VERIFY_ROWS, _VERIFY_BYTES // max(row, 1)))
+    first = 1 if arrays[0].steps.size and arrays[0].steps[0] == 0 else 0  # the initial state is a block of its own
+    if first:
+        yield slice(0, 1)
+    for begin in range(first, len(arrays[0]), count):
+        yield slice(begin, begin + count)
 
 
 @dataclass(frozen=True)

@@ -59,7 +59,7 @@ class Cloud:
     """Planar positions of the items of a group at the sample step, in the env's own frame.
 
     positions  [m], shape [run, env, item, 2]
-    density    over all runs and environments, on the grid shared by all clouds of an evaluation
+    density    over all runs and environments, on the grid shared by all clouds of a scene
     marginals  counts along x and y on shared edges
     """
 
@@ -92,7 +92,7 @@ class GroupResult:
 
 @dataclass(frozen=True)
 class Map:
-    """What all density maps of an evaluation share.
+    """What all density maps of one scene share.
 
     grid       of hexagonal bins
     edges      of the marginals' bins along x and y [m]
@@ -110,6 +110,7 @@ class Reference:
 
     label      what they are
     path       of the recording
+    run_id     of the recording
     measured   True for real trials, False for another simulation
     scene      that they belong to
     positions  [m], shape [trial, item, 2]
@@ -118,6 +119,7 @@ class Reference:
 
     label: str
     path: Path
+    run_id: str
     measured: bool
     scene: str
     positions: NDArray[np.float64]
@@ -132,9 +134,9 @@ class Evaluation:
     results      one per group
     unreadable   files that could not be read, with their errors
     reference    None where there is none; `reference_note` says why, or where it came from
-    radar        None with fewer than two groups
-    guidelines   empty with fewer than two groups
-    map          None where no positions were recorded
+    radar        None with fewer than two groups that can be compared
+    guidelines   empty likewise
+    maps         by scene; none for a scene whose positions were not recorded or lie too far apart
     notes        about the set as a whole
     """
 
@@ -145,5 +147,5 @@ class Evaluation:
     reference_note: str
     radar: Radar | None
     guidelines: tuple[Guideline, ...]
-    map: Map | None
+    maps: dict[str, Map]
     notes: tuple[str, ...] = ()

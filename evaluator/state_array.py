@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,11 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evaluator.container import Container, Message
-from schemas.blocks import decode_state
+from schemas import topics
+from schemas.blocks import decode_state, state_header
 from schemas.configuration import RunConfiguration, sim_time_ns
 from schemas.errors import DamagedRecording
 from schemas.fields import StateField
-from schemas.topics import parse_state
 
 _EPOCH_NS = 1_000_000_000  # log_time of simulated time zero
 
@@ -23,8 +24,16 @@ _EPOCH_NS = 1_000_000_000  # log_time of simulated time zero
 class _Block:
     first_row: int
     rows: int
-    env_start: int
     message: Message
+
+
+@dataclass(frozen=True)
+class _Column:
+    """The blocks of one range of environments, in order of time."""
+
+    env_start: int
+    blocks: list[_Block]
+    end_row: int
 
 
 class StateArray:
@@ -36,21 +45,26 @@ class StateArray:
     steps  simulator step of each row; a simulation's row i is step i * stride
     """
 
-    def __init__(
-        self, container: Container, configuration: RunConfiguration, field: StateField, *, last_step: int | None
-    ) -> None:
+    def __init__(self, container: Container, configuration: RunConfiguration, field: StateField) -> None:
         self._container = container
         self.field = field
         self._n_env = configuration.n_env
         self._stride = configuration.stride
-        self._blocks = self._index(configuration, last_step)
-        # Measured trials have no state at step 0; everything else begins there.
-        self._first_row = min((b.first_row for b in self._blocks), default=0)
-        rows = max((b.first_row + b.rows for b in self._blocks), default=0) - self._first_row
+        self._columns = self._index(configuration.dt)
+        starts = [c.env_start for c in self._columns]
+        if self._columns and (starts[0] != 0 or any(c.blocks[0].first_row != self._first_row for c in self._columns)):
+            raise DamagedRecording(f"{container.path}: environment blocks of {field.name} are missing")
+        # A run that was cut short may have a block more of its first environments than of its last.
+        rows = min((c.end_row for c in self._columns), default=0) - self._first_row
         self.steps = (self._first_row + np.arange(rows, dtype=np.int64)) * self._stride
         self.shape = (rows, self._n_env, len(field.items), field.width)
         self.dtype = np.dtype(field.dtype)
         self.ndim = 4
+
+    @property
+    def _first_row(self) -> int:
+        # Measured trials have no state at step 0; everything else begins there.
+        return self._columns[0].blocks[0].first_row if self._columns else 0
 
     def __len__(self) -> int:
         return self.shape[0]
@@ -94,27 +108,29 @@ class StateArray:
             )
         out = np.empty(shape, dtype=self.dtype)
         filled = 0
-        for block in self._blocks:
-            at = block.first_row - self._first_row
-            begin, end = max(first, at), min(stop, at + block.rows)
-            if begin >= end or block.env_start >= env_stop:
-                continue
-            array = self._decode(block)
-            env_begin, env_end = max(env_first, block.env_start), min(env_stop, block.env_start + array.shape[1])
+        for column, next_start in self._env_ranges():
+            env_begin, env_end = max(env_first, column.env_start), min(env_stop, next_start)
             if env_begin >= env_end:
                 continue
-            part = array[
-                begin - at : end - at,
-                env_begin - block.env_start : env_end - block.env_start,
-            ]
-            out[begin - first : end - first, env_begin - env_first : env_end - env_first] = part
-            filled += part.size
+            for block in column.blocks:
+                at = block.first_row - self._first_row
+                begin, end = max(first, at), min(stop, at + block.rows)
+                if begin >= end:
+                    continue
+                array = self._decode(block, column.env_start, next_start - column.env_start)
+                part = array[begin - at : end - at, env_begin - column.env_start : env_end - column.env_start]
+                out[begin - first : end - first, env_begin - env_first : env_end - env_first] = part
+                filled += part.size
         if filled != out.size:
             raise DamagedRecording(
-                f"{self._container.path}: blocks of {self.field.name} are missing or overlap: "
+                f"{self._container.path}: blocks of {self.field.name} are missing: "
                 f"{filled} of {out.size} numbers are there"
             )
         return out
+
+    def _env_ranges(self) -> Iterator[tuple[_Column, int]]:
+        # each column with the end of its environments: where the next one begins
+        return zip(self._columns, [*(c.env_start for c in self._columns[1:]), self._n_env], strict=False)
 
     def _bounds(self, index: Any, axis: int) -> tuple[slice, Any]:
         # the contiguous range to read, and the index into what was read
@@ -133,36 +149,39 @@ class StateArray:
             return slice(position, position + 1), 0
         return slice(None), index
 
-    def _decode(self, block: _Block) -> NDArray[Any]:
-        _, content = self._container.read(block.message)
-        header, array = decode_state(content)
-        expected = (block.first_row * self._stride, block.env_start, block.rows, *self.shape[2:])
-        found = (header.first_step, header.env_start, *array.shape[:1], *array.shape[2:])
+    def _decode(self, block: _Block, env_start: int, envs: int) -> NDArray[Any]:
+        header, array = decode_state(self._container.read(block.message)[1])
+        expected = (block.first_row * self._stride, self._stride, env_start, block.rows, envs, *self.shape[2:])
+        found = (header.first_step, header.stride, header.env_start, *array.shape)
         if found != expected or array.dtype != self.dtype:
             raise DamagedRecording(
-                f"{self._container.path}: a block of {self.field.name} says (step, env, rows, items, width) "
-                f"= {found}, its place in the file says {expected}"
+                f"{self._container.path}: a block of {self.field.name} says (step, stride, env, rows, envs, items, "
+                f"width) = {found}, its place in the file says {expected}"
             )
         return array
 
-    def _index(self, configuration: RunConfiguration, last_step: int | None) -> list[_Block]:
+    def _index(self, dt: float) -> list[_Column]:
         # A block's place follows from its topic and time, so that nothing has to be decompressed to find a step.
-        blocks = []
+        columns = []
         for topic in self._container.channels:
-            parts = parse_state(topic)
+            parts = topics.parse_state(topic)
             if parts is None or (parts.group, parts.field) != (self.field.group, self.field.field):
                 continue
+            if topic != topics.state(*parts):
+                raise DamagedRecording(f"{self._container.path}: {topic} is no name that the format gives")
             messages = self._container.messages(topic)
-            rows = [self._row(m, configuration.dt) for m in messages]
-            if len(set(rows)) != len(rows):
+            if not messages:
+                continue
+            rows = [self._row(m, dt) for m in messages]
+            last = state_header(self._container.read(messages[-1])[1])
+            if last.first_step != rows[-1] * self._stride:
+                raise DamagedRecording(f"{self._container.path}: the last block of {topic} is not where it says")
+            rows.append(rows[-1] + last.steps)
+            blocks = [_Block(r, after - r, m) for r, after, m in zip(rows, rows[1:], messages, strict=False)]
+            if any(block.rows < 1 for block in blocks):
                 raise DamagedRecording(f"{self._container.path}: {topic} has two blocks of one step")
-            if messages:
-                rows.append(self._end_row(messages[-1], last_step))
-            blocks += [
-                _Block(row, after - row, parts.env_start, message)
-                for row, after, message in zip(rows, rows[1:], messages, strict=False)
-            ]
-        return blocks
+            columns.append(_Column(parts.env_start, blocks, rows[-1]))
+        return sorted(columns, key=lambda c: c.env_start)
 
     def _row(self, message: Message, dt: float) -> int:
         step = round((message.log_time - _EPOCH_NS) / (dt * 1e9))
@@ -171,9 +190,3 @@ class StateArray:
                 f"{self._container.path}: a block of {self.field.name} has a time that no recorded step has"
             )
         return step // self._stride
-
-    def _end_row(self, last: Message, last_step: int | None) -> int:
-        if last_step is not None:
-            return last_step // self._stride + 1
-        header, array = decode_state(self._container.read(last)[1])
-        return header.first_step // self._stride + int(array.shape[0])

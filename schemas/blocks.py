@@ -199,6 +199,11 @@ def decode_state(data: bytes | memoryview) -> tuple[BlockHeader, NDArray[Any]]:
     return result
 
 
+def state_header(data: bytes | memoryview) -> BlockHeader:
+    """The small fields of a StateBlock; its array is not looked at."""
+    return _scan(_STATE, memoryview(data))[0]
+
+
 def decode_action(data: bytes | memoryview) -> tuple[BlockHeader, NDArray[Any]]:
     """Header and read-only array [step, env, width] of an ActionBlock; its CRC is verified."""
     result: tuple[BlockHeader, NDArray[Any]] = _decode(_ACTION, data, lambda h: (h.steps, h.envs, h.width))

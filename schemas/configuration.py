@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
+from schemas import checks
 from schemas.errors import DamagedRecording
 
 PHASES = ("baseline", "init", "warmup", "timed", "capture")
@@ -12,6 +13,9 @@ PHASES = ("baseline", "init", "warmup", "timed", "capture")
 
 OPTIONAL_PHASES = ("timed", "capture")
 """Phases that a run can leave out; "warmup" belongs to "timed"."""
+
+
+MAX_ENVS = 1 << 24
 
 
 @dataclass(frozen=True)
@@ -53,17 +57,29 @@ class RunConfiguration:
 
     @classmethod
     def from_json(cls, record: dict[str, Any]) -> RunConfiguration:
-        """From JSON; keys that this version does not know are ignored, as the format's evolution rules ask."""
-        known = {f.name for f in fields(cls)}
-        try:
-            values = {key: value for key, value in record.items() if key in known}
-            configuration = cls(**{**values, "phases": tuple(values.get("phases", OPTIONAL_PHASES))})
-            numbers = (configuration.n_env, configuration.steps, configuration.stride)
-            if not all(isinstance(n, int) and n >= 0 for n in numbers) or not configuration.dt > 0:
-                raise ValueError("n_env, steps, stride and dt must be positive numbers")
-        except (TypeError, ValueError, AttributeError) as error:
-            raise DamagedRecording(f"the configuration in the recording is unreadable: {error}") from None
-        return configuration
+        """From JSON; keys that this version does not know are ignored, as the format's evolution rules ask.
+
+        DamagedRecording names the first value that is of the wrong kind or size.
+        """
+        phases = checks.texts(record, "phases")
+        if not set(phases) <= set(OPTIONAL_PHASES):
+            raise DamagedRecording(f"phases are not among {OPTIONAL_PHASES}: {phases}")
+        timed = "timed" in phases
+        return cls(
+            simulator=checks.text(record, "simulator"),
+            scene=checks.text(record, "scene"),
+            n_env=checks.whole(record, "n_env", 1, MAX_ENVS),
+            dt=checks.number(record, "dt", 1e-9, 1e9),
+            steps=checks.whole(record, "steps", 1, checks.MAX_COUNT),
+            stride=checks.whole(record, "stride", 1, checks.MAX_COUNT, default=1),
+            warmup=checks.whole(record, "warmup", 0, checks.MAX_COUNT, default=0),
+            timed_steps=checks.whole(record, "timed_steps", int(timed), checks.MAX_COUNT, default=0),
+            phases=phases,
+            seed=checks.whole(record, "seed", -(2**63), 2**64, default=0),
+            run_index=checks.whole(record, "run_index", 0, checks.MAX_COUNT, default=0),
+            compression=checks.text(record, "compression", default=""),
+            options=checks.text_map(record, "options"),
+        )
 
 
 def sim_time_ns(step: int, dt: float) -> int:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Any
 
+from schemas import checks
 from schemas.errors import DamagedRecording
 
 
@@ -31,6 +32,8 @@ FIELD_KINDS = {
     "qpos": FieldKind((), "m or rad", "joint"),
     "qvel": FieldKind((), "m/s or rad/s", "joint"),
 }
+
+DTYPES = ("float32", "float64")
 
 BODY_FIELDS = ("position", "orientation", "linear_velocity", "angular_velocity")
 
@@ -83,21 +86,21 @@ class StateField:
         }
 
     @classmethod
-    def from_json(cls, record: Any) -> StateField:
+    def from_json(cls, record: dict[str, Any]) -> StateField:
         """From the JSON of a recording; DamagedRecording where a key is missing or of the wrong kind."""
-        try:
-            return cls(
-                group=str(record["group"]),
-                field=str(record["field"]),
-                dtype=str(record["dtype"]),
-                items=tuple(str(i) for i in record["items"]),
-                components=tuple(str(c) for c in record["components"]),
-                unit=str(record["unit"]),
-                frame=str(record["frame"]),
-                note=str(record.get("note", "")),
-            )
-        except (KeyError, TypeError, AttributeError) as error:
-            raise DamagedRecording(f"the description of a state field is unreadable: {error!r}") from None
+        dtype = checks.text(record, "dtype")
+        if dtype not in DTYPES:
+            raise DamagedRecording(f"dtype is not one of {', '.join(DTYPES)}: {dtype[:20]!r}")
+        return cls(
+            group=checks.text(record, "group"),
+            field=checks.text(record, "field"),
+            dtype=dtype,
+            items=checks.texts(record, "items"),
+            components=checks.texts(record, "components"),
+            unit=checks.text(record, "unit"),
+            frame=checks.text(record, "frame"),
+            note=checks.text(record, "note", default=""),
+        )
 
 
 def body_field(group: str, field: str, dtype: str, items: tuple[str, ...], *, note: str = "") -> StateField:

@@ -14,7 +14,7 @@ import json
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
-from schemas import FORMAT
+from schemas import FORMAT, checks
 from schemas.configuration import RunConfiguration
 from schemas.errors import DamagedRecording
 from schemas.fields import StateField
@@ -61,20 +61,20 @@ class Provenance:
     @classmethod
     def from_json(cls, text: str | bytes) -> Provenance:
         """From the attachment; DamagedRecording where it cannot be read."""
-        record = _load(PROVENANCE, text)
+        record = checks.load(PROVENANCE, text)
         try:
             return cls(
-                run_id=str(record["run_id"]),
-                created_utc=str(record["created_utc"]),
-                argv=tuple(str(a) for a in record["argv"]),
-                configuration=RunConfiguration.from_json(record["configuration"]),
-                host=dict(record.get("host", {})),
-                gpus=tuple(dict(g) for g in record.get("gpus", ())),
-                software=dict(record.get("software", {})),
-                environment={str(k): str(v) for k, v in record.get("environment", {}).items()},
+                run_id=checks.text(record, "run_id"),
+                created_utc=checks.text(record, "created_utc"),
+                argv=checks.texts(record, "argv"),
+                configuration=RunConfiguration.from_json(checks.mapping(record, "configuration")),
+                host=checks.mapping(record, "host"),
+                gpus=tuple(checks.objects(record, "gpus")),
+                software=checks.mapping(record, "software"),
+                environment=checks.text_map(record, "environment"),
             )
-        except (KeyError, TypeError, ValueError, AttributeError) as error:
-            raise DamagedRecording(f"{PROVENANCE} is unreadable: {error!r}") from None
+        except DamagedRecording as error:
+            raise DamagedRecording(f"{PROVENANCE}: {error}") from None
 
 
 @dataclass(frozen=True)
@@ -127,36 +127,31 @@ class Simulation:
     @classmethod
     def from_json(cls, text: str | bytes) -> Simulation:
         """From the attachment; DamagedRecording where it cannot be read."""
-        record = _load(SIMULATION, text)
+        record = checks.load(SIMULATION, text)
         try:
             return cls(
-                version=str(record["version"]),
-                device=str(record["device"]),
-                options=dict(record["options"]),
-                switches=dict(record["switches"]),
+                version=checks.text(record, "version"),
+                device=checks.text(record, "device"),
+                options=checks.mapping(record, "options"),
+                switches=checks.mapping(record, "switches"),
                 deviations=tuple(
-                    Deviation(str(d["parameter"]), str(d["wanted"]), str(d["used"]), str(d["reason"]))
-                    for d in record["deviations"]
+                    Deviation(*(checks.text(d, key) for key in ("parameter", "wanted", "used", "reason")))
+                    for d in checks.objects(record, "deviations")
                 ),
-                fields=tuple(StateField.from_json(f) for f in record["fields"]),
-                scene=dict(record["scene"]),
-                env_origins=tuple(tuple(float(x) for x in o) for o in record.get("env_origins", ())),  # type: ignore[misc]
-                timing_covers=str(record.get("timing_covers", "")),
-                fresh_start=str(record.get("fresh_start", "")),
+                fields=tuple(StateField.from_json(f) for f in checks.objects(record, "fields")),
+                scene=checks.mapping(record, "scene"),
+                env_origins=tuple(_point(o) for o in checks.items(record, "env_origins")),
+                timing_covers=checks.text(record, "timing_covers", default=""),
+                fresh_start=checks.text(record, "fresh_start", default=""),
             )
-        except (KeyError, TypeError, ValueError, AttributeError) as error:
-            raise DamagedRecording(f"{SIMULATION} is unreadable: {error!r}") from None
+        except DamagedRecording as error:
+            raise DamagedRecording(f"{SIMULATION}: {error}") from None
+
+
+def _point(value: Any) -> tuple[float, float, float]:
+    x, y, z = checks.vector(value, 3, "an env origin")
+    return x, y, z
 
 
 def _dump(record: dict[str, Any]) -> str:
     return json.dumps(record, indent=1, sort_keys=True, ensure_ascii=False) + "\n"
-
-
-def _load(name: str, text: str | bytes) -> dict[str, Any]:
-    try:
-        record = json.loads(text)
-    except ValueError as error:
-        raise DamagedRecording(f"{name} is not JSON: {error}") from None
-    if not isinstance(record, dict):
-        raise DamagedRecording(f"{name} is not a JSON object")
-    return record

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import uuid
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -46,21 +47,32 @@ def write_recording(
     dropout: str = "",
     end: bool = True,
     stride: int = 1,
+    change: Callable[[str, dict[str, Any]], Any] | None = None,
+    field: StateField | None = None,
+    environment: dict[str, str] | None = None,
+    run_id: str | None = None,
 ) -> Path:
     """A recording whose cubes lie still until the last step and end at `final` [m], shape [env, 27, 3].
 
     elapsed_s  of the timed phase; None leaves it out
     gpu_bytes  baseline and peak on a GPU; None for a machine without
+    change     called with the name and content of each JSON attachment; may change it in place, or return other text
     """
     n_env = len(final)
-    field = cubes_field(str(final.dtype))
+    field = field or cubes_field(str(final.dtype))
     configuration = RunConfiguration(
         simulator=simulator, scene="inclined-collision", n_env=n_env, dt=dt, steps=steps, run_index=run, warmup=0,
         timed_steps=timed_steps, phases=("timed", "capture") if elapsed_s else ("capture",), stride=stride,
     )  # fmt: skip
     gpus = ({"name": "Test GPU", "driver": "1"},) if gpu_bytes else ()
     provenance = Provenance(
-        str(uuid.uuid4()), "2026-01-01T00:00:00Z", ("test",), configuration, gpus=gpus, host={"cpu": "test"}
+        run_id or str(uuid.uuid4()),
+        "2026-01-01T00:00:00Z",
+        ("test",),
+        configuration,
+        gpus=gpus,
+        host={"cpu": "test"},
+        environment=environment or {},
     )
     scene = make_scene("inclined-collision")
     simulation = Simulation(
@@ -69,9 +81,13 @@ def write_recording(
     )  # fmt: skip
     path = folder / (name or f"{simulator}-{run}-{uuid.uuid4().hex[:8]}.mcap")
     sink = Sink(path, compression=compression)
-    sink.attach(PROVENANCE, "application/json", provenance.to_json().encode())
-    sink.attach(SCENE, "application/json", scene.to_json().encode())
-    sink.attach(SIMULATION, "application/json", simulation.to_json().encode())
+    texts = {PROVENANCE: provenance.to_json(), SCENE: scene.to_json(), SIMULATION: simulation.to_json()}
+    for attachment, text in texts.items():
+        if change is not None:
+            record = json.loads(text)
+            changed = change(attachment, record)
+            text = changed if isinstance(changed, str) else json.dumps(record)
+        sink.attach(attachment, "application/json", text.encode())
     if elapsed_s:
         sink.channel(topics.timing("timed"), "gsb.v1.StepTiming")
         timing = message_class("gsb.v1.StepTiming")(

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import argparse
+import io
+import os
 import shlex
 import sys
 from pathlib import Path
@@ -61,17 +63,24 @@ def run(arguments: argparse.Namespace, command: str) -> int:
         raise UsageError(f"--json takes the file to write, or -; {arguments.json} is named like a recording")
     recordings, unreadable = _open(arguments.files, verify=not arguments.no_verify)
     reference = _open_reference(arguments.reference, verify=not arguments.no_verify) if arguments.reference else None
-    for failure in unreadable:
-        print(f"gsb-eval: {failure.error}", file=sys.stderr)
-    if not recordings:
-        if len(unreadable) == 1:
-            return int(unreadable[0].error.exit_code)
-        raise NothingComparable(f"none of the {len(unreadable)} files is a recording that can be read")
     evaluation = evaluate(
         recordings, reference=reference, sample_time=arguments.sample_time, unreadable=tuple(unreadable)
     )
+    for failure in evaluation.unreadable:
+        _complain(str(failure.error))
+    if not evaluation.results:
+        if len(evaluation.unreadable) == 1:
+            return int(evaluation.unreadable[0].error.exit_code)
+        what = "only real trials" if recordings else "no recording that can be read"
+        raise NothingComparable(f"nothing to evaluate: there is {what} among the files")
     _present(evaluation, arguments, command)
     return _exit_code(evaluation, recordings)
+
+
+def _complain(message: str) -> None:
+    from evaluator.report.text import printable
+
+    print(f"gsb-eval: {printable(message)}", file=sys.stderr)
 
 
 def _open(files: list[Path], *, verify: bool) -> tuple[list[Recording], list[Unreadable]]:
@@ -135,17 +144,25 @@ def main(argv: list[str] | None = None) -> int:
     """Entry point of gsb-eval."""
     given = sys.argv[1:] if argv is None else argv
     arguments = parser().parse_args(given)
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="replace")  # a terminal without ± still gets its table
     try:
-        return run(arguments, shlex.join(["gsb-eval", *given]))
+        code = run(arguments, shlex.join(["gsb-eval", *given]))
+        sys.stdout.flush()
     except GsbError as error:
-        print(f"gsb-eval: {error}", file=sys.stderr)
+        _complain(str(error))
         return int(error.exit_code)
     except KeyboardInterrupt:
-        print("gsb-eval: interrupted", file=sys.stderr)
+        _complain("interrupted")
         return int(ExitCode.FAILURE)
-    except BrokenPipeError:
-        sys.stderr.close()  # the reader of our output has gone; nothing is left to say to it
+    except OSError as error:
+        # the reader of our output has gone, or its disk is full; what is left in the buffer must not complain again
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        if not isinstance(error, BrokenPipeError):
+            _complain(f"cannot write the results: {error.strerror}")
         return int(ExitCode.FAILURE)
+    return code
 
 
 if __name__ == "__main__":

@@ -186,7 +186,7 @@ _RULES = (
     _Rule(
         "memory-limited, modest parallelism",
         "smallest peak memory increment at N_env^max",
-        ("memory_gb",),
+        ("memory_gb", "n_max"),
         _everyone,
         _smallest("memory_gb"),
     ),

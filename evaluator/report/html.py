@@ -18,14 +18,14 @@ from numpy.typing import NDArray
 
 import schemas
 from evaluator import published as paper
-from evaluator.group_metrics import status_notes
+from evaluator.groups import status_notes
 from evaluator.metrics.density import Density, marginal
 from evaluator.metrics.radar import Axis
 from evaluator.metrics.regime import REGIME_MEANING
 from evaluator.recording import Recording
 from evaluator.report import numbers
 from evaluator.report.figures import density_map, matrix, palette, radar_chart
-from evaluator.report.figures.svg import printable
+from evaluator.report.text import printable
 from evaluator.results import Evaluation, GroupResult, Map, Metric, Reference
 from schemas.provenance import Deviation
 
@@ -49,6 +49,21 @@ class Picture:
     label: str
     caption: str
     svg: Markup | None
+
+
+@dataclass(frozen=True)
+class SceneMaps:
+    """The density maps of one scene.
+
+    scale     of the colours, shared by all; None where there is no map
+    bin_cm    width of a hexagon [cm]
+    pictures  a map for the reference and each group, or why there is none
+    """
+
+    scene: str
+    scale: Markup | None
+    bin_cm: str
+    pictures: list[Picture]
 
 
 @dataclass(frozen=True)
@@ -95,7 +110,6 @@ def render_html(evaluation: Evaluation, *, published: bool, command: str) -> str
             problems=list(_problems(evaluation)),
             notes=[("", note) for note in evaluation.notes] + notes,
             maps=list(_maps(evaluation)),
-            count_scale=Markup(density_map.count_scale(evaluation.map.max_count)) if evaluation.map else None,
             parallel_matrices=[_matrix(r, r.parallel_matrix, "env", "w1_parallel") for r in evaluation.results],
             run_matrices=[_matrix(r, r.run_matrix, "run", "w1_run_to_run") for r in evaluation.results],
             radar=Markup(radar_chart.radar_chart(evaluation.radar)) if evaluation.radar else None,
@@ -165,27 +179,31 @@ def _problems(evaluation: Evaluation) -> Iterator[Problem]:
                 yield Problem(recording.path.name, "lost data", lost)
 
 
-def _maps(evaluation: Evaluation) -> Iterator[Picture]:
-    shared = evaluation.map
-    if shared is None:
-        return
-    reference = evaluation.reference
-    shown: list[tuple[str, Density, Marginals, str]] = []
-    if reference is not None and reference.density is not None:
-        shown.append((f"reference: {reference.label}", reference.density, _sides(reference, shared), reference.scene))
-    for result in evaluation.results:
-        if result.cloud is not None:
-            shown.append((result.label, result.cloud.density, result.cloud.marginals, result.group.key.scene))
-    boards = {r.group.key.scene: _board(r) for r in evaluation.results}
-    share_max = max((_largest_share(density, sides) for _, density, sides, _ in shown), default=1.0)
-    for label, density, sides, scene in shown:
-        svg = density_map.density_map(
-            density, sides, shared, name=label, share_max=share_max, board=boards.get(scene)
-        )  # fmt: skip
+def _maps(evaluation: Evaluation) -> Iterator[SceneMaps]:
+    for scene in dict.fromkeys(r.group.key.scene for r in evaluation.results):
+        results = [r for r in evaluation.results if r.group.key.scene == scene]
+        missing = [
+            Picture(r.label, f"No map: {_why_no_cloud(r, evaluation)}.", None) for r in results if r.cloud is None
+        ]
+        shared = evaluation.maps.get(scene)
+        if shared is None:
+            yield SceneMaps(scene, None, "", missing)
+            continue
+        scale = Markup(density_map.count_scale(shared.max_count))
+        bin_cm = f"{shared.grid.bin_m * 100:g}"
+        yield SceneMaps(scene, scale, bin_cm, [*_scene_maps(results, evaluation.reference, shared), *missing])
+
+
+def _scene_maps(results: list[GroupResult], reference: Reference | None, shared: Map) -> Iterator[Picture]:
+    shown: list[tuple[str, Density, Marginals]] = []
+    if reference is not None and reference.density is not None and reference.scene == results[0].group.key.scene:
+        shown.append((f"reference: {reference.label}", reference.density, _sides(reference, shared)))
+    shown += [(r.label, r.cloud.density, r.cloud.marginals) for r in results if r.cloud is not None]
+    share_max = max((_largest_share(density, sides) for _, density, sides in shown), default=1.0)
+    board = _board(results[0])
+    for label, density, sides in shown:
+        svg = density_map.density_map(density, sides, shared, name=label, share_max=share_max, board=board)
         yield Picture(label, density_map.caption(density), Markup(svg))
-    for result in evaluation.results:
-        if result.cloud is None:
-            yield Picture(result.label, f"No map: {_why_no_cloud(result)}.", None)
 
 
 def _sides(reference: Reference, shared: Map) -> Marginals:
@@ -198,8 +216,10 @@ def _largest_share(density: Density, sides: Marginals) -> float:
     return max(float(density_map.shares(counts, n_point).max(initial=0.0)) for counts in sides)
 
 
-def _why_no_cloud(result: GroupResult) -> str:
+def _why_no_cloud(result: GroupResult, evaluation: Evaluation) -> str:
     metric = result.metrics.get("w1_parallel")
+    if metric and metric.value is not None and result.group.key.scene not in evaluation.maps:
+        return "the groups of this scene lie too far apart for one map"
     return metric.why_not if metric and metric.why_not else "no positions were recorded at the sample time"
 
 

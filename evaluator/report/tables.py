@@ -9,7 +9,8 @@ from rich.table import Table
 from rich.text import Text
 
 from evaluator.metrics.regime import REGIME_MEANING
-from evaluator.report.numbers import NONE, interval, mean_sd
+from evaluator.report.numbers import NONE, distance, interval, mean_sd
+from evaluator.report.text import printable
 from evaluator.results import Evaluation, GroupResult, Metric
 
 _WIDTH_WITHOUT_TERMINAL = 120
@@ -17,7 +18,7 @@ _WIDTH_WITHOUT_TERMINAL = 120
 
 def print_tables(evaluation: Evaluation, stream: IO[str]) -> None:
     """Print the evaluation; what a stranger's recording says is printed as text, never as markup."""
-    console = make_console(stream)
+    console = make_console(stream, columns=len(evaluation.results))
     for scene in dict.fromkeys(r.group.key.scene for r in evaluation.results):
         results = [r for r in evaluation.results if r.group.key.scene == scene]
         _print_scene(console, evaluation, scene, results)
@@ -25,13 +26,18 @@ def print_tables(evaluation: Evaluation, stream: IO[str]) -> None:
     _print_guidelines(console, evaluation)
 
 
-def make_console(stream: IO[str]) -> Console:
-    """A console that prints text as it is, in colour on a terminal alone."""
+def make_console(stream: IO[str], *, columns: int = 0) -> Console:
+    """A console that prints text as it is, in colour on a terminal alone; elsewhere as wide as `columns` need."""
     console = Console(file=stream, highlight=False, markup=False, emoji=False)
     if console.is_terminal:
         return console
     return Console(
-        file=stream, highlight=False, markup=False, emoji=False, width=_WIDTH_WITHOUT_TERMINAL, color_system=None
+        file=stream,
+        highlight=False,
+        markup=False,
+        emoji=False,
+        width=max(_WIDTH_WITHOUT_TERMINAL, 30 * (columns + 1)),
+        color_system=None,
     )
 
 
@@ -44,17 +50,20 @@ def plain_table(*titles: str) -> Table:
 
 
 def _print_scene(console: Console, evaluation: Evaluation, scene: str, results: list[GroupResult]) -> None:
-    console.print(f"{scene}, positions at t = {evaluation.sample_time:g} s", style="bold")
-    table = plain_table("", *(result.label for result in results))
+    console.print(printable(f"{scene}, positions at t = {evaluation.sample_time:g} s"), style="bold")
+    table = plain_table("", *(printable(result.label) for result in results))
 
     def row(title: str, cells: list[str]) -> None:
-        table.add_row(Text(title), *(Text(c) for c in cells))
+        table.add_row(Text(title), *(Text(printable(c)) for c in cells))
 
     def both(title: str, name: str, *, with_interval: bool = True) -> None:
         found = [r.metrics[name] for r in results]
         row(title, [mean_sd(m) for m in found])
         if with_interval and any(m.ci95 and m.value is not None for m in found):
             row("  95 % interval", [interval(m) for m in found])
+        floors = [m.extra.get("floor", {}) for m in found]
+        if any("p_value" in f for f in floors):
+            row("  floor of one law; p", [_floor(f) for f in floors])
 
     row("version", [r.group.key.version or NONE for r in results])
     row("device", [r.group.key.device or NONE for r in results])
@@ -71,9 +80,15 @@ def _print_scene(console: Console, evaluation: Evaluation, scene: str, results: 
     row("published type", [_regime(r.metrics["regime_published"]) for r in results])
     row("capture changed the states", [_capture(r.metrics["capture_changes_states"]) for r in results])
     console.print(table)
-    for why in _reasons(results):
-        console.print(f"  {why}", style="dim")
+    for line in (*_legend(results), *_reasons(results)):
+        console.print(printable(f"  {line}"), style="dim")
     console.print()
+
+
+def _floor(floor: dict[str, float]) -> str:
+    if "p_value" not in floor:
+        return NONE
+    return f"{distance(floor['floor_mean_cm'])}; {floor['p_value']:.2g}"
 
 
 def _of(metric: Metric) -> str:
@@ -81,10 +96,12 @@ def _of(metric: Metric) -> str:
 
 
 def _regime(metric: Metric) -> str:
-    if metric.value is None:
-        return NONE
-    number = int(metric.value)
-    return f"{number}: {REGIME_MEANING[number]}"
+    return NONE if metric.value is None else str(int(metric.value))
+
+
+def _legend(results: list[GroupResult]) -> list[str]:
+    found = {int(m.value) for r in results if (m := r.metrics["regime_published"]).value is not None}
+    return [f"type {number}: {REGIME_MEANING[number]}" for number in sorted(found)]
 
 
 def _capture(metric: Metric) -> str:
@@ -118,7 +135,7 @@ def _print_notes(console: Console, evaluation: Evaluation) -> None:
     for result in evaluation.results:
         lines += [f"{result.label}: {note}" for note in result.notes]
     for line in lines:
-        console.print(f"note: {line}")
+        console.print(printable(f"note: {line}"))
     if lines:
         console.print()
 
@@ -132,6 +149,6 @@ def _print_guidelines(console: Console, evaluation: Evaluation) -> None:
     for title in ("need", "pick", "rule"):
         table.add_column(title, overflow="fold")
     for guideline in picked:
-        table.add_row(Text(guideline.need), Text(guideline.pick or ""), Text(guideline.rule))
+        table.add_row(Text(guideline.need), Text(printable(guideline.pick or "")), Text(guideline.rule))
     console.print(table)
     console.print()

@@ -95,7 +95,7 @@ def test_both_vary(gsb_eval: Command, tmp_path: Path) -> None:
     low, high = found["w1_run_to_run"]["ci95"]
     assert low < found["w1_run_to_run"]["value"] < high
     assert found["w1_run_to_run"]["n"] == 6
-    floor = found["w1_run_to_run"]["extra"]["floor_first_pair"]
+    floor = found["w1_run_to_run"]["extra"]["floor"]
     assert floor["p_value"] > 0.05, "all envs are of one law"
     assert floor["floor_mean_cm"] == pytest.approx(floor["observed_cm"], rel=0.5)
 

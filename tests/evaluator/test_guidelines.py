@@ -91,7 +91,7 @@ def test_nothing_measured() -> None:
 
 def test_exact_ties_are_both_named() -> None:
     """Name all simulators that share the best value."""
-    tied = [SimulatorResult(n, memory_gb=m) for n, m in (("a", 2.0), ("b", 1.0), ("c", 1.0))]
+    tied = [SimulatorResult(n, memory_gb=m, n_max=8) for n, m in (("a", 2.0), ("b", 1.0), ("c", 1.0))]
     assert row(tied, "memory").pick == "b, c"
 
 

@@ -128,11 +128,13 @@ def several(alone: Evaluation) -> Evaluation:
         sample_time=5.0,
         results=results,
         unreadable=(Unreadable(Path("/data/torn.mcap"), DamagedRecording("torn.mcap: chunk 7 fails its CRC")),),
-        reference=Reference("16 real trials", Path("/data/trials.mcap"), True, "inclined-collision", real, clouds[-1]),
+        reference=Reference(
+            "16 real trials", Path("/data/trials.mcap"), "run", True, "inclined-collision", real, clouds[-1]
+        ),
         reference_note="compared with 16 real trials",
         radar=radar(compared),
         guidelines=tuple(guidelines(compared)),
-        map=Map(GRID, EDGES, max(int(d.counts.max()) for d in clouds if len(d.counts))),
+        maps={"inclined-collision": Map(GRID, EDGES, max(int(d.counts.max()) for d in clouds if len(d.counts)))},
         notes=("a note on the whole set",),
     )
 
@@ -215,7 +217,7 @@ def test_missing_values_are_reasons(alone: Evaluation) -> None:
     base = alone.results[0]
     reasons = {name: not_computed(name, m.unit, m.direction, f"reason of {name}") for name, m in base.metrics.items()}
     empty = replace(base, metrics=reasons, cloud=None, parallel_matrix=None, run_matrix=None)
-    text = render(replace(alone, results=(empty,), map=None))
+    text = render(replace(alone, results=(empty,), maps={}))
     rows = re.findall(r"<tbody>(.*?)</tbody>", text, flags=re.DOTALL)
     for name in reasons:
         assert f"not computed: reason of {name}" in Page(text).text
@@ -232,9 +234,8 @@ def test_off_map_counts_are_printed(several: Evaluation) -> None:
 def test_maps_share_one_colour_scale(several: Evaluation) -> None:
     """Draw one scale, labelled with the largest count, for the reference and all groups."""
     text = render(several)
-    assert several.map is not None
     assert text.count("Colour scale: 1 to") == 1
-    assert f"Colour scale: 1 to {several.map.max_count:,} positions" in text
+    assert f"Colour scale: 1 to {several.maps['inclined-collision'].max_count:,} positions" in text
     assert text.count('aria-label="Density map of') == 4
     assert text.index("Density map of reference: 16 real trials") < text.index("Density map of engine 0")
     tops = set(re.findall(r'<text x="[\d.]+" y="11" class="small">(\d+ %)</text>', text))

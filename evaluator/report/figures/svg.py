@@ -6,6 +6,8 @@ import math
 from collections.abc import Iterable, Sequence
 from xml.sax.saxutils import escape, quoteattr
 
+from evaluator.report.text import printable
+
 
 def number(value: float) -> str:
     """A coordinate in at most two decimals.
@@ -17,18 +19,6 @@ def number(value: float) -> str:
         raise ValueError(f"a coordinate must be finite: {value}")
     text = f"{value:.2f}".rstrip("0").rstrip(".")
     return "0" if text == "-0" else text
-
-
-def printable(text: str) -> str:
-    """Text with what XML and HTML forbid or hide (control characters, lone surrogates) made visible."""
-    return "".join(c if _allowed(c) else f"\\x{ord(c):02x}" for c in text)
-
-
-def _allowed(character: str) -> bool:
-    code = ord(character)
-    if character in "\t\n\r":
-        return True
-    return code >= 0x20 and not 0x7F <= code < 0xA0 and not 0xD800 <= code < 0xE000 and code not in (0xFFFE, 0xFFFF)
 
 
 def element(name: str, *children: str, **attributes: str | float | None) -> str:
