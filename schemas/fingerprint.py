@@ -5,10 +5,10 @@ components. With word w_i at position i (from 0) and 64-bit wrapping arithmetic,
 
     hash = sum over i of mix(w_i + (i + 1) * 0x9E3779B97F4A7C15)
 
-where mix is the finaliser of SplitMix64 (Steele, Lea and Flood, "Fast splittable pseudorandom number generators",
-OOPSLA 2014). mix is a bijection, so a change of one word always changes the hash; several changes cancel with a
-probability of 2^-64. A sum does not depend on the order of its terms, so a GPU may add them in any order and gets the
-same bits. Not a defence against forgery: that is what the SHA-256 digests of the end record are for.
+where mix is the finaliser of SplitMix64 (``schemas.splitmix``). mix is a bijection, so a change of one word always
+changes the hash; several changes cancel with a probability of 2^-64. A sum does not depend on the order of its terms,
+so a GPU may add them in any order and gets the same bits. Not a defence against forgery: that is what the SHA-256
+digests of the end record are for.
 """
 
 from __future__ import annotations
@@ -18,19 +18,11 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from schemas.splitmix import GOLDEN, mix
+
 ALGORITHM = "sum-splitmix64-v1"
 
-_GOLDEN = 0x9E3779B97F4A7C15
 _WORD = {4: "<u4", 8: "<u8"}
-
-
-def _mix(word: NDArray[np.uint64]) -> NDArray[np.uint64]:
-    word ^= word >> np.uint64(30)
-    word *= np.uint64(0xBF58476D1CE4E5B9)
-    word ^= word >> np.uint64(27)
-    word *= np.uint64(0x94D049BB133111EB)
-    word ^= word >> np.uint64(31)
-    return word
 
 
 def fingerprint(arrays: Sequence[NDArray[np.floating]]) -> NDArray[np.uint64]:
@@ -47,8 +39,8 @@ def fingerprint(arrays: Sequence[NDArray[np.floating]]) -> NDArray[np.uint64]:
         words = np.ascontiguousarray(array).view(_WORD[array.dtype.itemsize])
         words = words.reshape(*lead, -1).astype(np.uint64)
         count = words.shape[-1]
-        key = np.arange(position + 1, position + count + 1, dtype=np.uint64) * np.uint64(_GOLDEN)
+        key = np.arange(position + 1, position + count + 1, dtype=np.uint64) * np.uint64(GOLDEN)
         words += key
-        total += _mix(words).sum(axis=-1, dtype=np.uint64)
+        total += mix(words).sum(axis=-1, dtype=np.uint64)
         position += count
     return total
