@@ -1,22 +1,23 @@
-"""The process of one run: ``python -m recorder.child``, started by ``recorder.launch``.
+"""The process of one run: ``python -m recorder.child FD``, started by ``recorder.launch``.
 
-Standard input holds the task as JSON; the file descriptor named there takes progress, one JSON object a line. The run
-works in a scratch folder. Whatever the engine prints, and whatever log files it leaves there, becomes an attachment of
-the recording.
+Standard input holds the task as JSON; the file descriptor FD takes progress and then how the run ended, one JSON object
+a line. The run works in a scratch folder, which holds what the engine prints as well. Whatever is there at the end
+becomes an attachment of the recording.
+
+The process begins with interruptions blocked; the run takes the first one once its recording has begun.
 """
 
 from __future__ import annotations
 
 import json
 import os
+import shutil
 import signal
 import sys
-import tempfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from recorder import interruption
 from schemas.configuration import RunConfiguration
 from schemas.errors import ExitCode, GsbError
 
@@ -24,40 +25,46 @@ _LOG_BYTES = 1 << 20  # of each file; an engine that warns at every step would f
 
 
 def main() -> int:
-    """Record the run that standard input describes; returns the exit code."""
-    interruption.install()
-    task = json.load(sys.stdin)
-    report = _reporter(task["report_fd"])
-    with tempfile.TemporaryDirectory(prefix="gsb-run-") as scratch:
-        os.chdir(scratch)
-        return _record(task, report, _capture_output(Path(scratch)))
-
-
-def _record(task: dict[str, Any], report: Callable[[dict[str, Any]], None], log: Callable[[], bytes]) -> int:
+    """Record the run that standard input describes; returns the exit code. Whatever goes wrong is reported."""
+    report = _reporter(int(sys.argv[1]))
+    scratch: Path | None = None
     try:
-        from recorder.run import Run
-
-        run = Run(
-            RunConfiguration.from_json(task["configuration"]),
-            Path(task["path"]),
-            run_id=task["run_id"],
-            argv=tuple(task["argv"]),
-            created=task["created"],
-            progress=lambda phase, done, of: report({"phase": phase, "done": done, "of": of}),
-            log=log,
-        )
-        outcome = run.record()
+        task = json.load(sys.stdin)
+        scratch = Path(task["scratch"])
+        os.chdir(scratch)
+        last = _record(task, report, _log_of(scratch))
     except GsbError as error:
-        report({"error": str(error), "exit_code": int(error.exit_code)})
-        return int(error.exit_code)
+        last = {"error": str(error), "exit_code": int(error.exit_code)}
     except KeyboardInterrupt:
-        report({"error": "interrupted", "exit_code": int(ExitCode.FAILURE)})
-        return int(ExitCode.FAILURE)
-    report({"status": outcome.status.lower(), "reason": outcome.reason})
-    return int(ExitCode.OK)
+        last = {"error": "interrupted", "exit_code": int(ExitCode.FAILURE)}
+    except BaseException as error:
+        text = " ".join(str(error).split()) or "no message"
+        last = {"error": f"{type(error).__name__}: {text}", "exit_code": int(ExitCode.FAILURE)}
+    if scratch is not None:
+        shutil.rmtree(scratch, ignore_errors=True)  # whoever started this may be there no more to do it
+    report(last)
+    return int(last.get("exit_code", ExitCode.OK))
+
+
+def _record(task: dict[str, Any], report: Callable[[dict[str, Any]], None], log: Callable[[], bytes]) -> dict[str, Any]:
+    from recorder.run import Run
+
+    run = Run(
+        RunConfiguration.from_json(task["configuration"]),
+        Path(task["path"]),
+        run_id=task["run_id"],
+        argv=tuple(task["argv"]),
+        created=task["created"],
+        progress=lambda phase, done, of: report({"phase": phase, "done": done, "of": of}),
+        log=log,
+        reserved=True,
+    )
+    outcome = run.record()
+    return {"status": outcome.status.lower(), "reason": outcome.reason}
 
 
 def _reporter(fd: int) -> Callable[[dict[str, Any]], None]:
+    os.set_inheritable(fd, False)  # no process of the engine's keeps the recorder waiting for this one's end
     stream = os.fdopen(fd, "w", buffering=1)
 
     def report(record: dict[str, Any]) -> None:
@@ -70,13 +77,7 @@ def _reporter(fd: int) -> Callable[[dict[str, Any]], None]:
     return report
 
 
-def _capture_output(scratch: Path) -> Callable[[], bytes]:
-    file = (scratch / "output").open("w+b")  # lives as long as the process
-    for stream in (sys.stdout, sys.stderr):
-        stream.flush()
-    os.dup2(file.fileno(), 1)
-    os.dup2(file.fileno(), 2)
-
+def _log_of(scratch: Path) -> Callable[[], bytes]:
     def read() -> bytes:
         for stream in (sys.stdout, sys.stderr):
             stream.flush()

@@ -1,7 +1,8 @@
-"""Interruptions that never fall into the middle of a write.
+"""Interruptions that never fall into the middle of a write, an import or the start of a process.
 
 Python delivers a signal between any two instructions, also inside a buffered write, where an exception would lose or
-double bytes. While shielded, an interruption is remembered and raised at the end.
+double bytes. While shielded, an interruption is remembered and raised at the end. Only the first one is raised: what
+it sets off, bringing a run to its end, is not interrupted in turn.
 """
 
 from __future__ import annotations
@@ -10,39 +11,69 @@ import signal
 from collections.abc import Iterator
 from contextlib import contextmanager
 
+SIGNALS = (signal.SIGINT, signal.SIGTERM)
+
 _depth = 0
 _pending = False
+_raised = False
 
 
-def install() -> None:
-    """Let SIGINT and SIGTERM raise KeyboardInterrupt in the main thread, but for shielded code."""
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, _handle)
+def install(*, also_ignored: bool = False) -> None:
+    """Let the first SIGINT or SIGTERM raise KeyboardInterrupt in the main thread, but for shielded code.
+
+    One that was held back since the process began (see blocked) is raised here.
+
+    also_ignored  take over signals that this process was started to ignore, as a shell does for background jobs
+    """
+    global _pending, _raised
+    _pending = _raised = False
+    for number in SIGNALS:
+        if also_ignored or signal.getsignal(number) is not signal.SIG_IGN:
+            signal.signal(number, _handle)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, SIGNALS)
 
 
 @contextmanager
 def shielded() -> Iterator[None]:
-    """Hold interruptions back until the block is left."""
-    global _depth, _pending
+    """Hold interruptions back until the block is left; an error that leaves it goes first."""
+    global _depth
     _depth += 1
     try:
         yield
     finally:
         _depth -= 1
-        if _pending and not _depth:
-            _pending = False
-            raise KeyboardInterrupt
+    if _pending and not _depth:
+        _raise()
+
+
+@contextmanager
+def blocked() -> Iterator[None]:
+    """As shielded, and processes started meanwhile get no signal either until they call install."""
+    with shielded():  # a signal may still reach another thread, and Python then handles it in this one
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
+        try:
+            yield
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def ignore() -> None:
     """From here on nothing interrupts: the run is being brought to its end."""
-    for number in (signal.SIGINT, signal.SIGTERM):
+    for number in SIGNALS:
         signal.signal(number, signal.SIG_IGN)
 
 
 def _handle(number: int, frame: object) -> None:
     global _pending
+    if _raised:
+        return
     if _depth:
         _pending = True
     else:
-        raise KeyboardInterrupt
+        _raise()
+
+
+def _raise() -> None:
+    global _pending, _raised
+    _pending, _raised = False, True
+    raise KeyboardInterrupt

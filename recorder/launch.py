@@ -4,20 +4,27 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
+import tempfile
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
+from types import TracebackType
 from typing import Any
 
-from schemas import PARTIAL
+from recorder.interruption import SIGNALS, blocked
+from recorder.plan import release
 from schemas.configuration import RunConfiguration
-from schemas.errors import ExitCode
+from schemas.errors import ExitCode, GsbError
 
 Progress = Callable[[str, int, int], None]
+
+_SAID_BYTES = 4096  # of the end of what a run's process printed
+_SAID_CHARACTERS = 300
 
 
 @dataclass(frozen=True)
@@ -37,6 +44,51 @@ class Result:
     exit_code: ExitCode
 
 
+class Interruptions:
+    """Counts the user's interruptions, and passes them on to the process of the present run.
+
+    The first lets it end its recording, the second kills it. Nothing is raised, so a set of runs is interrupted only
+    where it looks. A context manager.
+
+    count  interruptions so far
+    """
+
+    def __init__(self) -> None:
+        self.count = 0
+        self._child: subprocess.Popen[bytes] | None = None
+        self._before: dict[signal.Signals, Any] = {}
+
+    def __enter__(self) -> Interruptions:
+        self._before = {number: signal.getsignal(number) for number in SIGNALS}
+        for number, handler in self._before.items():
+            if handler is not signal.SIG_IGN:  # as a shell starts background jobs
+                signal.signal(number, self._handle)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        for number, handler in self._before.items():
+            signal.signal(number, handler)
+
+    def follow(self, child: subprocess.Popen[bytes] | None) -> None:
+        """Pass interruptions on to this process, also those that came before; None: to none."""
+        self._child = child
+        self._pass_on()
+
+    def _handle(self, number: int, frame: object) -> None:
+        self.count += 1
+        self._pass_on()
+
+    def _pass_on(self) -> None:
+        if self._child is None or not self.count:
+            return
+        if self.count > 1:
+            self._child.kill()
+        else:
+            self._child.send_signal(signal.SIGINT)  # the run heeds only the first of these
+
+
 def launch(
     configuration: RunConfiguration,
     path: Path,
@@ -45,63 +97,81 @@ def launch(
     created: str,
     argv: tuple[str, ...],
     progress: Progress,
+    interruptions: Interruptions,
 ) -> Result:
-    """Record one run in a fresh process.
+    """Record one run in a fresh process, into `path`, whose name is reserved (recorder.plan.reserve).
 
-    An interruption is passed to the run, which ends its recording, and raised as Interrupted; a second one kills it.
+    GsbError where no process can be started.
     """
-    reader, writer = os.pipe()
+    scratch = Path(tempfile.mkdtemp(prefix="gsb-run-"))
     task = {
         "configuration": configuration.to_json(),
         "path": str(path.absolute()),
         "run_id": run_id,
         "created": created,
         "argv": list(argv),
-        "report_fd": writer,
+        "scratch": str(scratch),
     }
-    child = subprocess.Popen(
-        [sys.executable, "-m", "recorder.child"],
-        stdin=subprocess.PIPE,
-        pass_fds=(writer,),
-        env=_environment(),
-        start_new_session=True,  # interruptions reach the run once, through this process
-    )
-    os.close(writer)
+    try:
+        returncode, last = _follow(task, scratch / "output", progress, interruptions)
+        said = "" if last else _last_line(scratch / "output")
+    finally:
+        shutil.rmtree(scratch, ignore_errors=True)
+        left = release(path)
+    return _result(configuration.run_index, path, left, returncode, last, said, interrupted=interruptions.count > 0)
+
+
+def _follow(
+    task: dict[str, Any], output: Path, progress: Progress, interruptions: Interruptions
+) -> tuple[int, dict[str, Any]]:
+    # exit code of the run's process, and its last word: how the run ended; empty when it died without one
+    reader, writer = os.pipe()
     last: dict[str, Any] = {}
-    interrupted = False
-    with os.fdopen(reader) as reports:
-        while True:
-            try:
-                if child.stdin and not child.stdin.closed:
-                    with suppress(BrokenPipeError):
-                        child.stdin.write(json.dumps(task).encode())
-                        child.stdin.close()
-                for line in reports:
+    with os.fdopen(reader) as reports, tempfile.TemporaryFile() as given, output.open("wb") as printed:
+        given.write(json.dumps(task).encode())
+        given.seek(0)
+        try:
+            with blocked():  # until the run can end its recording, an interruption waits
+                child = subprocess.Popen(
+                    [sys.executable, "-m", "recorder.child", str(writer)],
+                    stdin=given,
+                    stdout=printed,
+                    stderr=printed,
+                    pass_fds=(writer,),
+                    env=_environment(),
+                    start_new_session=True,  # interruptions reach the run once, through this process
+                )
+        except OSError as error:
+            raise GsbError(f"cannot start the run's process: {error.strerror}") from None
+        finally:
+            os.close(writer)
+        interruptions.follow(child)
+        try:
+            for line in reports:
+                with suppress(ValueError):  # a line that a killed process did not finish
                     record = json.loads(line)
                     if "phase" in record:
                         progress(record["phase"], record["done"], record["of"])
                     else:
                         last = record
-                child.wait()
-                break
-            except KeyboardInterrupt:
-                if interrupted:
-                    child.kill()
-                else:
-                    interrupted = True
-                    child.send_signal(signal.SIGINT)
-    result = _result(configuration.run_index, path, child.returncode, last)
-    if interrupted:
-        raise Interrupted(result)
-    return result
+        except BaseException:
+            child.send_signal(signal.SIGINT)  # no run goes on that nobody follows
+            raise
+        finally:
+            child.wait()
+            interruptions.follow(None)
+    return child.returncode, last
 
 
-class Interrupted(KeyboardInterrupt):
-    """The user's interruption, with the result of the run that it ended."""
-
-    def __init__(self, result: Result) -> None:
-        super().__init__()
-        self.result = result
+def _last_line(output: Path) -> str:
+    try:
+        with output.open("rb") as stream:
+            stream.seek(max(0, stream.seek(0, os.SEEK_END) - _SAID_BYTES))
+            lines = stream.read().decode(errors="replace").splitlines()
+    except OSError:
+        return ""
+    printable = ("".join(c for c in line if c.isprintable()).strip() for line in lines)
+    return next((line[:_SAID_CHARACTERS] for line in reversed(list(printable)) if line), "")
 
 
 def _environment() -> dict[str, str]:
@@ -112,14 +182,23 @@ def _environment() -> dict[str, str]:
     return {**os.environ, "PYTHONPATH": os.pathsep.join(dict.fromkeys(paths))}
 
 
-def _result(run_index: int, path: Path, returncode: int, last: dict[str, Any]) -> Result:
+def _result(
+    run_index: int,
+    path: Path,
+    left: Path | None,
+    returncode: int,
+    last: dict[str, Any],
+    said: str,
+    *,
+    interrupted: bool,
+) -> Result:
     if "status" in last:
         code = ExitCode.OK if last["status"] == "complete" else ExitCode.FAILURE
         return Result(run_index, last["status"], last["reason"], path, code)
-    partial = path.with_name(path.name + PARTIAL)
-    left = partial if partial.exists() else None
     if "error" in last:
         return Result(run_index, "incomplete", last["error"], left, ExitCode(last["exit_code"]))
+    if interrupted and left is None:
+        return Result(run_index, "incomplete", "interrupted before anything was written", None, ExitCode.FAILURE)
     if returncode < 0:
         try:
             how = f"was killed by {signal.Signals(-returncode).name}"
@@ -128,4 +207,5 @@ def _result(run_index: int, path: Path, returncode: int, last: dict[str, Any]) -
     else:
         how = f"ended with exit code {returncode}"
     where = f"; what it had written is in {left}" if left else "; it had written nothing"
-    return Result(run_index, "incomplete", f"the run's process {how}{where}", left, ExitCode.DATA_LOST)
+    words = f"; the last that it printed: {said}" if said else ""
+    return Result(run_index, "incomplete", f"the run's process {how}{where}{words}", left, ExitCode.DATA_LOST)

@@ -12,13 +12,16 @@ _BOOLEANS = {"true": True, "on": True, "1": True, "false": False, "off": False, 
 
 
 def split_options(pairs: Iterable[str]) -> dict[str, str]:
-    """["name=value", ...] as a dictionary."""
+    """["name=value", ...] as a dictionary; UsageError for another form and for a name that is given twice."""
     options: dict[str, str] = {}
     for pair in pairs:
         name, equals, value = pair.partition("=")
         if not equals or not name:
             raise UsageError(f"--option wants NAME=VALUE, not '{pair}'")
-        options[name.strip().replace("-", "_")] = value.strip()
+        name = name.strip().replace("-", "_")
+        if name in options:
+            raise UsageError(f"--option {name} is given twice: {options[name]} and {value.strip()}")
+        options[name] = value.strip()
     return options
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import tempfile
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -12,6 +13,18 @@ from schemas.configuration import OPTIONAL_PHASES, RunConfiguration
 from schemas.errors import GsbError, UsageError
 
 MAX_ENVS = 1 << 24
+
+MIN_DT = 1e-6
+"""Shortest step [s]: times are recorded in whole nanoseconds, and a step is to be off by no more than a thousandth."""
+
+
+def check_dt(dt: float) -> None:
+    """UsageError where no step [s] is that short or long."""
+    if not MIN_DT <= dt <= 1:
+        raise UsageError(
+            f"--dt is a step in seconds, at least {MIN_DT:g} (times are recorded in whole nanoseconds) and at most 1, "
+            f"not {dt:g}"
+        )
 
 
 def check(configuration: RunConfiguration) -> None:
@@ -27,15 +40,17 @@ def check(configuration: RunConfiguration) -> None:
         raise UsageError(f"--n-env is at most {MAX_ENVS}, not {c.n_env}")
     if c.warmup < 0:
         raise UsageError(f"--warmup is at least 0, not {c.warmup}")
-    if not 0 < c.dt <= 1:
-        raise UsageError(f"--dt is a step in seconds, above 0 and at most 1, not {c.dt}")
+    check_dt(c.dt)
     if c.steps % c.stride:
         raise UsageError(
             f"--stride {c.stride} does not divide --steps {c.steps}, so the last state would not be recorded"
         )
     unknown = set(c.phases) - set(OPTIONAL_PHASES)
-    if unknown or not c.phases:
-        raise UsageError(f"--phases takes {' and '.join(OPTIONAL_PHASES)}, comma separated, not '{','.join(c.phases)}'")
+    if unknown or not c.phases or len(set(c.phases)) < len(c.phases):
+        raise UsageError(
+            f"--phases takes {' and '.join(OPTIONAL_PHASES)}, comma separated, each at most once, "
+            f"not '{','.join(c.phases)}'"
+        )
 
 
 def runs(configuration: RunConfiguration, count: int) -> list[RunConfiguration]:
@@ -50,25 +65,64 @@ def utc_now() -> str:
     return datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
 
 
-def recording_path(folder: Path, configuration: RunConfiguration, created: str) -> Path:
-    """<sim>-<scene>-n<N>-r<run>-<UTC>.mcap, with a number appended where that name is taken."""
+def reserve(folder: Path, configuration: RunConfiguration, created: str) -> Path:
+    """<sim>-<scene>-n<N>-r<run>-<UTC>.mcap, with a number appended where that name is taken.
+
+    The name is taken by making its .partial file, empty, so that no other recorder gets it. GsbError where the folder
+    does not take files.
+    """
     c = configuration
     stamp = re.sub(r"[-:]", "", created)
     stem = f"{c.simulator}-{c.scene}-n{c.n_env}-r{c.run_index}-{stamp}"
     path = folder / f"{stem}.mcap"
-    number = 2
-    while path.exists() or path.with_name(path.name + PARTIAL).exists():
-        path = folder / f"{stem}-{number}.mcap"
+    number = 1
+    while not _take(path):
         number += 1
+        path = folder / f"{stem}-{number}.mcap"
     return path
+
+
+def partial_of(path: Path) -> Path:
+    """Where a recording is written until it is whole."""
+    return path.with_name(path.name + PARTIAL)
+
+
+def release(path: Path) -> Path | None:
+    """The .partial file of a reserved name; None, and the file removed, where nothing was written to it."""
+    partial = partial_of(path)
+    try:
+        if partial.stat().st_size:
+            return partial
+        partial.unlink()
+    except FileNotFoundError:
+        pass
+    return None
 
 
 def prepare_folder(folder: Path) -> None:
     """Make the output folder, and see that it takes files."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        probe = folder / f".gsb-write-test-{datetime.now(UTC).timestamp()}"
-        probe.touch(exist_ok=False)
-        probe.unlink()
+        with tempfile.TemporaryFile(dir=folder):
+            pass
     except OSError as error:
-        raise GsbError(f"cannot write to {folder}: {error.strerror}; choose another folder with --out") from None
+        raise _unwritable(folder, error) from None
+
+
+def _take(path: Path) -> bool:
+    partial = partial_of(path)
+    try:
+        partial.open("xb").close()
+    except FileExistsError:
+        return False
+    except OSError as error:
+        raise _unwritable(path.parent, error) from None
+    # Looked for only now: a recorder that is just ending gives a file its name before it gives up the .partial.
+    if path.exists():
+        partial.unlink()
+        return False
+    return True
+
+
+def _unwritable(folder: Path, error: OSError) -> GsbError:
+    return GsbError(f"cannot write to {folder}: {error.strerror}; choose another folder with --out")

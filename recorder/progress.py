@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import os
 import sys
 import time
+from pathlib import Path
 from types import TracebackType
 from typing import Any, Protocol
 
 from recorder.launch import Result
+from recorder.output import show_path
 
 
 class Progress(Protocol):
@@ -24,6 +27,9 @@ class Progress(Protocol):
 
     def finish(self, result: Result) -> None:
         """A run ended."""
+
+    def path(self, path: Path) -> None:
+        """Print the path of a run's file on standard output."""
 
 
 def make_progress(title: str, runs: int) -> Progress:
@@ -61,6 +67,10 @@ class LineProgress:
         print(describe(result, self._runs, now - self._began), file=sys.stderr)
         self._began = now
 
+    def path(self, path: Path) -> None:
+        """See Progress.path."""
+        show_path(path)
+
 
 class BarProgress:
     """Two bars: the runs, and the phase of the present one."""
@@ -77,6 +87,8 @@ class BarProgress:
             TimeElapsedColumn(),
             console=Console(stderr=True),
             transient=True,
+            redirect_stdout=False,  # what is printed there is for a program, wherever it goes
+            redirect_stderr=False,
         )
         self._title = title
         self._runs = runs
@@ -102,3 +114,18 @@ class BarProgress:
         self._bars.console.print(describe(result, self._runs, now - self._began), highlight=False, markup=False)
         self._began = now
         self._bars.advance(self._run_bar)
+
+    def path(self, path: Path) -> None:
+        """See Progress.path; where the bars share the terminal with standard output, printed above them, unbroken."""
+        if _one_terminal():
+            self._bars.console.print(str(path), soft_wrap=True, markup=False, emoji=False, highlight=False)
+        else:
+            show_path(path)
+
+
+def _one_terminal() -> bool:
+    try:
+        out, err = sys.stdout.fileno(), sys.stderr.fileno()
+        return os.isatty(out) and os.isatty(err) and os.fstat(out).st_rdev == os.fstat(err).st_rdev
+    except (AttributeError, OSError):  # a standard stream that is closed
+        return False

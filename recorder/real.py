@@ -13,7 +13,8 @@ import uuid
 import numpy as np
 
 from recorder.capture.sink import Sink
-from recorder.plan import prepare_folder, recording_path, utc_now
+from recorder.output import show_path
+from recorder.plan import MIN_DT, prepare_folder, release, reserve, utc_now
 from recorder.probes.software import describe_software
 from recorder.scenes.registry import make_scene
 from recorder.trials import UNITS, Trials, parse_trials
@@ -33,8 +34,8 @@ def record_trials(arguments: argparse.Namespace, argv: tuple[str, ...]) -> int:
         raise UsageError("--sim real needs --trials FILE.csv with the header trial,cube,x,y or trial,cube,x,y,z")
     if arguments.unit is None:
         raise UsageError(f"--sim real needs --unit {' or '.join(UNITS)}: the unit of the positions in the file")
-    if not 0 < arguments.sample_time < float("inf"):
-        raise UsageError(f"--sample-time is a time in seconds above 0, not {arguments.sample_time}")
+    if not MIN_DT <= arguments.sample_time < float("inf"):
+        raise UsageError(f"--sample-time is a time in seconds, at least {MIN_DT:g}, not {arguments.sample_time}")
     try:
         data = arguments.trials.read_bytes()
         text = data.decode("utf-8")
@@ -65,18 +66,21 @@ def record_trials(arguments: argparse.Namespace, argv: tuple[str, ...]) -> int:
     )
     prepare_folder(arguments.out)
     created = utc_now()
-    path = recording_path(arguments.out, configuration, created)
     provenance = Provenance(str(uuid.uuid4()), created, argv, configuration, software=describe_software())
-    sink = Sink(path, compression=configuration.compression)
+    path = reserve(arguments.out, configuration, created)
     try:
-        _write(sink, configuration, provenance, trials, cubes, scene.to_json(), scene.sha256(), data)
-    except BaseException as error:
-        sink.abandon()
-        if not isinstance(error, DataLost):
-            sink.partial.unlink(missing_ok=True)
-        raise
+        sink = Sink(path, compression=configuration.compression, reserved=True)
+        try:
+            _write(sink, configuration, provenance, trials, cubes, scene.to_json(), scene.sha256(), data)
+        except BaseException as error:
+            sink.abandon()
+            if not isinstance(error, DataLost):
+                sink.partial.unlink(missing_ok=True)
+            raise
+    finally:
+        release(path)
     print(f"{len(trials.names)} trials of {len(cubes)} cubes", file=sys.stderr)
-    print(path)
+    show_path(path)
     return 0
 
 

@@ -3,8 +3,14 @@
     baseline   nothing of the engine exists yet; memory is read
     init       the simulator is built; what it says of itself is written
     warmup     steps that are excluded from throughput; the first pays for compilation
-    timed      nothing is recorded but clocks
+    timed      nothing is recorded but clocks and memory
     capture    a fresh simulator; the full state of every environment
+
+Between two clock readings of the timed phase lies what the simulator says of it (Description.timing_covers). From the
+first reading to the last, memory is sampled as well, at 100 Hz from another thread; nothing is written, drawn or
+reported meanwhile, and Python collects no garbage. An interval has `timing_interval` steps; the last may have fewer.
+
+Validity gates are asked after the warm-up, after the timed phase and after the capture.
 
 A run that cannot finish still ends its recording, with the reason. Only a crash of the process, or a disk that takes
 no more bytes, leaves a recording without an end.
@@ -45,7 +51,7 @@ from schemas.provenance import ENGINE_LOG, PACKAGES, PROVENANCE, SCENE, SIMULATI
 Progress = Callable[[str, int, int], None]
 """Called with a phase, the steps done in it, and the steps that it has."""
 
-_PROGRESS_STEPS = 10
+_SAMPLED = "memory is sampled from another thread at 100 Hz"
 
 
 @dataclass(frozen=True)
@@ -64,6 +70,7 @@ class Run:
     argv       the user's command
     created    UTC, ISO 8601
     log        returns what the engine printed so far
+    reserved   the .partial file of `path` is there already, empty, made for this run
     """
 
     def __init__(
@@ -76,35 +83,43 @@ class Run:
         created: str,
         progress: Progress,
         log: Callable[[], bytes],
+        reserved: bool = False,
     ) -> None:
         self._configuration = configuration
         self._path = path
         self._progress = progress
         self._log = log
         self._provenance = Provenance(run_id, created, argv, configuration)
+        self._reserved = reserved
         self._problems: list[str] = []
-        self._last_step = 0
+        self._writer: StateWriter | None = None
         self._events = enum_values("gsb.v1.EventKind")
 
     def record(self) -> Outcome:
-        """Run all phases. DataLost where the file cannot be written; any other failure is an Outcome."""
-        sink = Sink(self._path, compression=self._configuration.compression)
+        """Run all phases. DataLost where the file cannot be written; any other failure is an Outcome.
+
+        Takes over SIGINT and SIGTERM: the first ends the run, and none comes between the run and the file's end.
+        """
+        sink = Sink(self._path, compression=self._configuration.compression, reserved=self._reserved)
         try:
-            with Gpus() as gpus:
-                status, reason = self._guarded(sink, gpus)
-            interruption.ignore()
+            status, reason = self._guarded(sink)
             if log := self._log():
                 sink.attach(ENGINE_LOG, "text/plain", log)
-            sink.finish(status, reason, last_step=self._last_step, peak_rss_bytes=peak_rss_bytes())
+            last_step = max(0, self._writer.last_recorded_step) if self._writer else 0
+            sink.finish(status, reason, last_step=last_step, peak_rss_bytes=peak_rss_bytes())
         except BaseException:
             sink.abandon()
             raise
         return Outcome(status, reason, self._path)
 
-    def _guarded(self, sink: Sink, gpus: Gpus) -> tuple[str, str]:
+    def _guarded(self, sink: Sink) -> tuple[str, str]:
         phase = ["baseline"]
         try:
-            self._run_phases(sink, gpus, phase)
+            try:
+                with Gpus() as gpus:
+                    self._run_phases(sink, gpus, phase)
+            finally:
+                interruption.ignore()
         except DataLost:
             raise
         except KeyboardInterrupt:
@@ -117,28 +132,32 @@ class Run:
             text = " ".join(str(error).split()) or "no message"
             return "FAILED", f"{type(error).__name__} in phase {phase[0]}: {text}"
         if self._problems:
-            return "INVALID", "; ".join(self._problems)
+            return "INVALID", "; ".join(dict.fromkeys(self._problems))  # a gate that fires in each phase is said once
         return "COMPLETE", ""
 
     def _run_phases(self, sink: Sink, gpus: Gpus, phase: list[str]) -> None:
         configuration = self._configuration
-        scene = make_scene(configuration.scene)
-        provenance = replace(
-            self._provenance,
-            host=describe_host(),
-            gpus=gpus.describe(),
-            software=describe_software(),
-            environment=numeric_environment(),
-        )
-        sink.metadata("gsb", _summary(provenance))
-        sink.attach(PROVENANCE, "application/json", provenance.to_json().encode())
-        sink.attach(PACKAGES, "text/plain", package_list().encode())
-        sink.attach(SCENE, "application/json", scene.to_json().encode())
-        sink.channel(topics.RUN_EVENT, "gsb.v1.Event")
+        with interruption.shielded():  # a recording that has an end says what it is of
+            interruption.install(also_ignored=True)
+            scene = make_scene(configuration.scene)
+            provenance = replace(
+                self._provenance,
+                host=describe_host(),
+                gpus=gpus.describe(),
+                software=describe_software(),
+                environment=numeric_environment(),
+            )
+            sink.metadata("gsb", _summary(provenance))
+            sink.attach(PROVENANCE, "application/json", provenance.to_json().encode())
+            sink.attach(PACKAGES, "text/plain", package_list().encode())
+            sink.attach(SCENE, "application/json", scene.to_json().encode())
+            sink.channel(topics.RUN_EVENT, "gsb.v1.Event")
 
         memory = _Memory(sink, MemorySampler(gpus), len(gpus))
         try:
             with _Phase(self, sink, memory, "baseline", phase):
+                for problem in gpus.problems:
+                    self.event(sink, "NOTE", "baseline", problem)
                 memory.checkpoint("baseline")
                 memory.start()
             adapter = find_simulator(configuration.simulator).load()
@@ -149,28 +168,33 @@ class Run:
                     scene, n_env=configuration.n_env, dt=configuration.dt, seed=configuration.seed, options=options
                 )
 
-            with _Phase(self, sink, memory, "init", phase):
-                self._progress("init", 0, 1)
-                simulator = new_simulator()
-                description = simulator.build()
-                self._write_description(sink, scene, description)
-                memory.checkpoint("post-init")
-            try:
+            with _Engine(new_simulator) as engine:
+                with _Phase(self, sink, memory, "init", phase):
+                    self._progress("init", 0, 1)
+                    description = engine.start()
+                    self._write_description(sink, scene, description)
+                    memory.checkpoint("post-init")
                 if "timed" in configuration.phases:
-                    self._warm_up_and_time(sink, memory, simulator, phase)
-                    if "capture" in configuration.phases:
-                        simulator.close()
-                        simulator = new_simulator()
-                        simulator.build()
+                    self._warm_up_and_time(sink, memory, engine.simulator, description, phase)
                 if "capture" in configuration.phases and not self._problems:
+                    if "timed" in configuration.phases:
+                        engine.start()
                     with _Phase(self, sink, memory, "capture", phase):
-                        self._capture(sink, simulator, description)
+                        self._capture(sink, engine.simulator, description)
                 memory.checkpoint("final")
                 memory.drain()
-            finally:
-                simulator.close()
-        finally:
-            memory.stop()
+        except DataLost:
+            memory.stop()  # the file takes nothing more
+            raise
+        except BaseException:
+            self._end_memory(sink, memory, phase[0])
+            raise
+        self._end_memory(sink, memory, phase[0])
+
+    def _end_memory(self, sink: Sink, memory: _Memory, phase: str) -> None:
+        memory.stop()
+        if failed := memory.failures():
+            self.event(sink, "NOTE", phase, failed)
 
     def _write_description(self, sink: Sink, scene: Scene, description: Description) -> None:
         simulation = Simulation(
@@ -189,8 +213,11 @@ class Run:
         for name, (media_type, data) in description.attachments.items():
             sink.attach(name, media_type, data)
 
-    def _warm_up_and_time(self, sink: Sink, memory: _Memory, simulator: Simulator, phase: list[str]) -> None:
+    def _warm_up_and_time(
+        self, sink: Sink, memory: _Memory, simulator: Simulator, description: Description, phase: list[str]
+    ) -> None:
         configuration = self._configuration
+        covers = f"{description.timing_covers}; {_SAMPLED}"
         interval = simulator.timing_interval
         hashes = []
         # The whole warm-up's clocks are kept too: its first step shows what compilation costs.
@@ -199,13 +226,14 @@ class Run:
             clocks = self._step_with_clocks(simulator, "warmup", configuration.warmup, interval)
             hashes.append(fingerprint(simulator.state()))
             memory.checkpoint("post-warmup")
-        self._write_timing(sink, "warmup", clocks, 0, interval, "")
+        self._write_timing(sink, "warmup", clocks, 0, interval, covers)
+        self._ask_gates(sink, "warmup", simulator)
         simulator.prepare(self._actions(simulator.scene, configuration.warmup, configuration.timed_steps))
         with _Phase(self, sink, memory, "timed", phase):
             clocks = self._step_with_clocks(simulator, "timed", configuration.timed_steps, interval)
         state = simulator.state()
         hashes.append(fingerprint(state))
-        self._write_timing(sink, "timed", clocks, configuration.warmup, interval, "see simulation.json")
+        self._write_timing(sink, "timed", clocks, configuration.warmup, interval, covers)
         # Two hashes at steps that the capture may pass as well: equal ones show that capturing changed nothing.
         declare_fingerprints(sink, "timed")
         write_fingerprints(
@@ -214,18 +242,17 @@ class Run:
         )  # fmt: skip
         if not all(np.isfinite(array).all() for array in state):
             self._gate(sink, "timed", f"a state is not finite after {configuration.timed_steps} timed steps")
+        self._ask_gates(sink, "timed", simulator)
 
     def _step_with_clocks(self, simulator: Simulator, phase: str, steps: int, interval: int) -> np.ndarray:
         count = -(-steps // interval)
         clocks = np.empty((2, count), dtype=np.int64)
-        shown = max(1, count // _PROGRESS_STEPS)
         clock = time.perf_counter_ns
+        self._progress(phase, 0, steps)  # and not again before the last step: throughput counts what lies between
         gc.collect()
         gc.disable()  # a collection inside the timed loop would be charged to the engine
         try:
             for k in range(count):
-                if k % shown == 0:
-                    self._progress(phase, k * interval, steps)
                 clocks[0, k] = clock()
                 simulator.step(min(interval, steps - k * interval))
                 clocks[1, k] = clock()
@@ -245,11 +272,25 @@ class Run:
 
     def _capture(self, sink: Sink, simulator: Simulator, description: Description) -> None:
         configuration = self._configuration
-        writer = StateWriter(
+        writer = self._writer = StateWriter(
             sink, description.fields, n_env=configuration.n_env, dt=configuration.dt, stride=configuration.stride
         )
         if simulator.scene.actions is not None:
             declare_actions(sink, simulator.scene.actions, n_env=configuration.n_env)
+        try:
+            problem = self._feed(sink, simulator, writer)
+        except DataLost:
+            raise
+        except BaseException:
+            writer.flush()  # whatever ended the run, the states so far are good
+            raise
+        writer.flush()
+        if problem:
+            self._gate(sink, "capture", problem)
+        self._ask_gates(sink, "capture", simulator)
+
+    def _feed(self, sink: Sink, simulator: Simulator, writer: StateWriter) -> str | None:
+        configuration = self._configuration
         problem = writer.feed([array[np.newaxis] for array in simulator.state()])
         while writer.last_step < configuration.steps and not problem:
             self._progress("capture", writer.last_step, configuration.steps)
@@ -260,18 +301,17 @@ class Run:
                 write_actions(sink, simulator.scene.actions.name, actions, first_step=first, dt=configuration.dt)
             simulator.prepare(actions)
             problem = writer.feed(simulator.states(count))
-            self._last_step = writer.last_step
-        writer.flush()
-        if problem:
-            self._gate(sink, "capture", problem)
-        for fired in simulator.gates():
-            self._gate(sink, "capture", fired)
+        return problem
 
     def _actions(self, scene: Scene, first_step: int, n_step: int) -> NDArray[np.float32] | None:
         if scene.actions is None:
             return None
         c = self._configuration
         return scene.actions.draw(c.seed, n_env=c.n_env, first_step=first_step, n_step=n_step)
+
+    def _ask_gates(self, sink: Sink, phase: str, simulator: Simulator) -> None:
+        for fired in simulator.gates():
+            self._gate(sink, phase, fired)
 
     def _gate(self, sink: Sink, phase: str, problem: str) -> None:
         self._problems.append(problem)
@@ -287,6 +327,37 @@ class Run:
             text=text,
         )
         sink.write(topics.RUN_EVENT, message.SerializeToString())
+
+
+class _Engine:
+    """The present simulator: each one that was made is closed once, before the next or at the end."""
+
+    def __init__(self, make: Callable[[], Simulator]) -> None:
+        self._make = make
+        self._present: Simulator | None = None
+
+    @property
+    def simulator(self) -> Simulator:
+        """The present one; start comes first."""
+        assert self._present is not None
+        return self._present
+
+    def start(self) -> Description:
+        """Close the present simulator, if any, and build a fresh one."""
+        self._close()
+        self._present = self._make()
+        return self._present.build()
+
+    def __enter__(self) -> _Engine:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: object) -> None:
+        self._close()
+
+    def _close(self) -> None:
+        present, self._present = self._present, None
+        if present is not None:
+            present.close()
 
 
 class _Memory:
@@ -313,19 +384,25 @@ class _Memory:
     def enter(self, phase: str) -> None:
         self._sampler.phase = phase
 
+    def failures(self) -> str:
+        """How many readings failed, and why the last did; empty when none."""
+        count = self._sampler.failures
+        return f"{count} memory readings failed, the last one: {self._sampler.last_failure}" if count else ""
+
     def drain(self) -> None:
         sample: Any = message_class("gsb.v1.MemorySample")
-        for reading in self._sampler.take():
-            message = sample(
-                source=reading.source,
-                device=reading.device,
-                monotonic_ns=reading.monotonic_ns,
-                used_bytes=reading.used_bytes,
-                total_bytes=reading.total_bytes,
-                phase=reading.phase,
-                checkpoint=reading.checkpoint,
-            )
-            self._sink.write(reading.topic, message.SerializeToString())
+        with interruption.shielded():  # readings that were taken are written
+            for reading in self._sampler.take():
+                message = sample(
+                    source=reading.source,
+                    device=reading.device,
+                    monotonic_ns=reading.monotonic_ns,
+                    used_bytes=reading.used_bytes,
+                    total_bytes=reading.total_bytes,
+                    phase=reading.phase,
+                    checkpoint=reading.checkpoint,
+                )
+                self._sink.write(reading.topic, message.SerializeToString())
 
 
 class _Phase:

@@ -2,11 +2,12 @@
 
 The end record is the last message; only then is the file finished, flushed to the disk, renamed and its folder
 flushed. So a file under its final name is whole and says how the run ended, and whatever a crash leaves behind keeps
-its .partial name and has no end record.
+its .partial name and, but for a crash in the moment before the renaming, has no end record.
 """
 
 from __future__ import annotations
 
+import errno
 import os
 import time
 from collections.abc import Iterator
@@ -28,6 +29,9 @@ _CHUNK_BYTES = 128 * 1024
 EPOCH_NS = 1_000_000_000
 """log_time of simulated time zero: zero itself reads as "no time" in some tools."""
 
+_NO_LINKS = {errno.EPERM, errno.EOPNOTSUPP, errno.ENOTSUP, errno.ENOSYS, errno.EMLINK, errno.EXDEV}
+"""What os.link fails with on a file system without hard links."""
+
 COMPRESSIONS = {"none": CompressionType.NONE, "lz4": CompressionType.LZ4, "zstd": CompressionType.ZSTD}
 
 
@@ -36,19 +40,24 @@ class Sink:
 
     path         final name; the file must not exist
     compression  a key of COMPRESSIONS
+    reserved     the .partial file is there already, empty, made for this recording (see recorder.plan.reserve)
     """
 
-    def __init__(self, path: Path, *, compression: str) -> None:
+    def __init__(self, path: Path, *, compression: str, reserved: bool = False) -> None:
         self.path = path
         self.partial = path.with_name(path.name + PARTIAL)
         if path.exists():
             raise UsageError(f"{path} exists already; recordings are never overwritten")
         try:
-            self._stream: BinaryIO = self.partial.open("xb")  # noqa: SIM115 - closed by finish or abandon
+            # closed by finish or abandon
+            self._stream: BinaryIO = self.partial.open("r+b" if reserved else "xb")  # noqa: SIM115
         except FileExistsError:
             raise UsageError(f"{self.partial} exists already; another recorder may be writing it") from None
         except OSError as error:
             raise UsageError(f"cannot write to {path.parent}: {error.strerror}") from None
+        if os.fstat(self._stream.fileno()).st_size:
+            self._stream.close()
+            raise UsageError(f"{self.partial} is not empty; another recorder may be writing it")
         self._digest = ContentDigest()
         self._schemas: dict[str, int] = {}
         self._channels: dict[str, int] = {}
@@ -71,16 +80,18 @@ class Sink:
 
     def attach(self, name: str, media_type: str, data: bytes) -> None:
         """An attachment, part of the recording's identity."""
-        self._digest.attachment(name, data)
         now = time.time_ns()
         with self._disk():
+            self._digest.attachment(name, data)
             self._writer.add_attachment(now, now, name, media_type, data)
 
     def channel(self, topic: str, message: str, metadata: dict[str, str] | None = None) -> None:
         """Declare a topic and the message type that it carries."""
-        if message not in self._schemas:
-            self._schemas[message] = self._writer.register_schema(message, "protobuf", embedded_schema(message))
-        self._channels[topic] = self._writer.register_channel(topic, "protobuf", self._schemas[message], metadata or {})
+        with self._disk():
+            if message not in self._schemas:
+                self._schemas[message] = self._writer.register_schema(message, "protobuf", embedded_schema(message))
+            schema = self._schemas[message]
+            self._channels[topic] = self._writer.register_channel(topic, "protobuf", schema, metadata or {})
 
     def write(self, topic: str, data: bytes, *, sim_ns: int | None = None, digest: bool = True) -> None:
         """A serialised message on a declared topic.
@@ -89,12 +100,13 @@ class Sink:
                 beginning
         digest  False where the content is digested otherwise (states)
         """
-        if digest:
-            self._digest.message(topic, data)
         elapsed = time.perf_counter_ns() - self._began_ns if sim_ns is None else sim_ns
-        sequence = self._sequence.get(topic, 0)
-        self._sequence[topic] = sequence + 1
+        # Digest, sequence and bytes go together: an interruption between them would make a good file look damaged.
         with self._disk():
+            if digest:
+                self._digest.message(topic, data)
+            sequence = self._sequence.get(topic, 0)
+            self._sequence[topic] = sequence + 1
             self._writer.add_message(
                 self._channels[topic],
                 log_time=EPOCH_NS + elapsed,
@@ -142,8 +154,13 @@ class Sink:
         try:
             os.link(self.partial, self.path)  # unlike rename, never replaces a file
         except FileExistsError:
-            raise DataLost(f"{self.path} appeared meanwhile; this run is in {self.partial}") from None
-        except OSError:  # a file system without hard links
+            raise self._taken() from None
+        except OSError as error:
+            if error.errno not in _NO_LINKS:
+                raise
+            # Other recorders stay away from a name whose .partial exists, so a look before is enough.
+            if self.path.exists():
+                raise self._taken() from None
             os.rename(self.partial, self.path)
         else:
             os.unlink(self.partial)
@@ -153,6 +170,9 @@ class Sink:
         finally:
             os.close(folder)
 
+    def _taken(self) -> DataLost:
+        return DataLost(f"{self.path} appeared meanwhile; this run is in {self.partial}")
+
     @contextmanager
     def _disk(self) -> Iterator[None]:
         """Whole writes only, and one clear message where the disk takes no more."""
@@ -161,4 +181,6 @@ class Sink:
                 yield
         except OSError as error:
             what = error.strerror or str(error)
-            raise DataLost(f"writing stopped: {what}; what was written is in {self.partial}") from None
+            there = self.partial.exists()
+            left = f"what was written is in {self.partial}" if there else f"{self.partial} is there no more"
+            raise DataLost(f"writing stopped: {what}; {left}") from None

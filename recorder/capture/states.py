@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recorder.capture.sink import Sink
+from recorder.interruption import shielded
 from schemas import topics
 from schemas.blocks import encode_fingerprints, encode_state
 from schemas.configuration import sim_time_ns
@@ -52,6 +53,9 @@ class StateWriter:
     """Writes the states of the capture phase.
 
     Rows are fed at full rate; every `stride`-th is stored, and every one is hashed.
+
+    last_step           last step that was fed; -1 before the first
+    last_recorded_step  last step whose state is in the file; rows held back for a full block are not yet
     """
 
     def __init__(self, sink: Sink, fields: Sequence[StateField], *, n_env: int, dt: float, stride: int) -> None:
@@ -66,6 +70,7 @@ class StateWriter:
         self._held_rows = 0
         self._held_first = 0
         self.last_step = -1
+        self.last_recorded_step = -1
         for field in self._fields:
             for start in range(0, n_env, self._envs):
                 metadata = {**field.to_metadata(), "stride": str(stride), "dt": repr(dt), "n_env": str(n_env)}
@@ -82,39 +87,44 @@ class StateWriter:
         first = self.last_step + 1
         count = arrays[0].shape[0]
         hashes = fingerprint(arrays)
-        write_fingerprints(self._sink, "capture", hashes, first_step=first, stride=1, dt=self._dt)
         keep = slice(-first % self._stride, None, self._stride)
         kept = [array[keep] for array in arrays]
-        if len(kept[0]):
-            if not self._held_rows:
-                self._held_first = first + keep.start
-            for held, rows in zip(self._held, kept, strict=True):
-                held.append(rows)
-            self._held_rows += len(kept[0])
-        self.last_step += count
-        if self._held_rows >= self._rows or first == 0:
-            self.flush()
+        with shielded():  # hashes and rows stay in step, so that what was fed can be written after an interruption
+            write_fingerprints(self._sink, "capture", hashes, first_step=first, stride=1, dt=self._dt)
+            if len(kept[0]):
+                if not self._held_rows:
+                    self._held_first = first + keep.start
+                for held, rows in zip(self._held, kept, strict=True):
+                    held.append(rows)
+                self._held_rows += len(kept[0])
+            self.last_step += count
+            if self._held_rows >= self._rows or first == 0:
+                self.flush()
         return self._not_finite(arrays, first)
 
     def flush(self) -> None:
         """Write the rows that are held back for a full block."""
         if not self._held_rows:
             return
-        for index, field in enumerate(self._fields):
-            array = np.concatenate(self._held[index])
-            self._sink.digest.state(field, self._n_env, array)
-            for start in range(0, self._n_env, self._envs):
-                data = encode_state(
-                    array[:, start : start + self._envs],
-                    first_step=self._held_first,
-                    stride=self._stride,
-                    env_start=start,
-                    sim_time_ns=sim_time_ns(self._held_first, self._dt),
-                )
-                topic = topics.state(field.group, field.field, start)
-                self._sink.write(topic, data, sim_ns=sim_time_ns(self._held_first, self._dt), digest=False)
-            self._held[index] = []
-        self._held_rows = 0
+        with shielded():
+            held, self._held = self._held, [[] for _ in self._fields]
+            rows, self._held_rows = self._held_rows, 0
+            for field, pieces in zip(self._fields, held, strict=True):
+                self._write(field, np.concatenate(pieces))
+            self.last_recorded_step = self._held_first + (rows - 1) * self._stride
+
+    def _write(self, field: StateField, array: NDArray[np.floating]) -> None:
+        self._sink.digest.state(field, self._n_env, array)
+        time = sim_time_ns(self._held_first, self._dt)
+        for start in range(0, self._n_env, self._envs):
+            data = encode_state(
+                array[:, start : start + self._envs],
+                first_step=self._held_first,
+                stride=self._stride,
+                env_start=start,
+                sim_time_ns=time,
+            )
+            self._sink.write(topics.state(field.group, field.field, start), data, sim_ns=time, digest=False)
 
     def _not_finite(self, arrays: Sequence[NDArray[np.floating]], first: int) -> str | None:
         found = []

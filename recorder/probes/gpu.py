@@ -4,14 +4,19 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
+from contextlib import suppress
 from types import TracebackType
 from typing import Any
 
 
 class Gpus:
-    """The GPUs of this machine; a context manager that holds NVML open."""
+    """The GPUs of this machine; a context manager that holds NVML open.
+
+    problems  one sentence for each GPU that is there and does not answer; it is left out
+    """
 
     def __init__(self) -> None:
+        self.problems: list[str] = []
         self._nvml: Any = None
         self._handles: list[Any] = []
 
@@ -25,14 +30,24 @@ class Gpus:
         except pynvml.NVMLError:  # no driver, or no GPU
             return self
         self._nvml = pynvml
-        self._handles = [pynvml.nvmlDeviceGetHandleByIndex(i) for i in range(pynvml.nvmlDeviceGetCount())]
+        try:
+            count = pynvml.nvmlDeviceGetCount()
+        except pynvml.NVMLError as error:
+            self.problems.append(f"NVML does not say how many GPUs there are: {error}")
+            return self
+        for index in range(count):
+            try:
+                self._handles.append(pynvml.nvmlDeviceGetHandleByIndex(index))
+            except pynvml.NVMLError as error:
+                self.problems.append(f"GPU {index} is left out, it does not answer: {error}")
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         if self._nvml:
-            self._nvml.nvmlShutdown()
+            with suppress(self._nvml.NVMLError):  # the run is over, and nothing depends on it
+                self._nvml.nvmlShutdown()
             self._nvml, self._handles = None, []
 
     def __len__(self) -> int:
@@ -61,9 +76,9 @@ class Gpus:
             for key, query in queries.items():
                 try:
                     value = query(handle)
-                except nvml.NVMLError:
+                except (nvml.NVMLError, AttributeError):  # not on this GPU, or not in this version of the bindings
                     continue
-                record[key] = value.decode() if isinstance(value, bytes) else value
+                record[key] = value.decode(errors="replace") if isinstance(value, bytes) else value
             described.append(record)
         return tuple(described)
 

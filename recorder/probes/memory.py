@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import threading
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 from recorder.probes.gpu import Gpus
 from schemas import topics
@@ -28,7 +30,13 @@ class Reading:
 
 
 class MemorySampler:
-    """Reads host and GPU memory at 100 Hz while running, and at checkpoints when told to."""
+    """Reads host and GPU memory at 100 Hz while running, and at checkpoints when told to.
+
+    A reading that fails is counted, and the next is tried: one lost reading neither ends the run nor the sampling.
+
+    failures      readings that failed
+    last_failure  why the last of them did; empty when there were none
+    """
 
     def __init__(self, gpus: Gpus) -> None:
         import psutil
@@ -42,6 +50,8 @@ class MemorySampler:
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._loop, name="memory-sampler", daemon=True)
         self.phase = ""
+        self.failures = 0
+        self.last_failure = ""
 
     def start(self) -> None:
         """Begin sampling."""
@@ -70,14 +80,27 @@ class MemorySampler:
     def _read(self, checkpoint: str) -> None:
         with self._lock:
             now = time.perf_counter_ns()
-            self._add(topics.MEMORY_HOST, "HOST_RSS", 0, now, self._process.memory_info().rss,
-                      self._host_total, checkpoint)  # fmt: skip
+            self._try("host", partial(self._read_host, now, checkpoint))
             for index in range(len(self._gpus)):
-                used, total = self._gpus.device_memory(index)
-                self._add(topics.gpu_memory(index, "device"), "GPU_DEVICE", index, now, used, total, checkpoint)
-                own = self._gpus.process_memory(index)
-                if own is not None:
-                    self._add(topics.gpu_memory(index, "process"), "GPU_PROCESS", index, now, own, total, checkpoint)
+                self._try(f"gpu{index}", partial(self._read_gpu, index, now, checkpoint))
+
+    def _try(self, source: str, read: Callable[[], None]) -> None:
+        try:
+            read()
+        except Exception as error:  # whatever a driver raises: the thread must go on
+            self.failures += 1
+            self.last_failure = f"{source}: {type(error).__name__}: {' '.join(str(error).split())}"
+
+    def _read_host(self, now: int, checkpoint: str) -> None:
+        used = self._process.memory_info().rss
+        self._add(topics.MEMORY_HOST, "HOST_RSS", 0, now, used, self._host_total, checkpoint)
+
+    def _read_gpu(self, index: int, now: int, checkpoint: str) -> None:
+        used, total = self._gpus.device_memory(index)
+        self._add(topics.gpu_memory(index, "device"), "GPU_DEVICE", index, now, used, total, checkpoint)
+        own = self._gpus.process_memory(index)
+        if own is not None:
+            self._add(topics.gpu_memory(index, "process"), "GPU_PROCESS", index, now, own, total, checkpoint)
 
     def _add(self, topic: str, source: str, device: int, now: int, used: int, total: int, checkpoint: str) -> None:
         number = self._sources[f"MEMORY_SOURCE_{source}"]

@@ -6,8 +6,11 @@ that are bit-identical to a loop over one MjData each, at any number of threads.
 
 from __future__ import annotations
 
+import math
 import os
-from dataclasses import asdict, dataclass
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -16,24 +19,42 @@ from numpy.typing import NDArray
 
 from recorder.scenes.emit.mjcf import deviations, emit_mjcf
 from recorder.simulators.base import Description, Simulator, States
+from schemas.errors import UsageError
 from schemas.fields import BODY_FIELDS, StateField, body_field, joint_field
 
 _QPOS = 7  # of a free joint: position 3, orientation wxyz 4
 _QVEL = 6  # of a free joint: linear velocity in the world frame 3, angular velocity in the body's frame 3
 
-_CHOICES = {
-    "integrator": ("Euler", "RK4", "implicit", "implicitfast"),
-    "cone": ("elliptic", "pyramidal"),
-    "solver": ("Newton", "CG", "PGS"),
+_CHOICES: dict[str, dict[str, int]] = {
+    "integrator": {
+        "Euler": mujoco.mjtIntegrator.mjINT_EULER,
+        "RK4": mujoco.mjtIntegrator.mjINT_RK4,
+        "implicit": mujoco.mjtIntegrator.mjINT_IMPLICIT,
+        "implicitfast": mujoco.mjtIntegrator.mjINT_IMPLICITFAST,
+    },
+    "cone": {"elliptic": mujoco.mjtCone.mjCONE_ELLIPTIC, "pyramidal": mujoco.mjtCone.mjCONE_PYRAMIDAL},
+    "solver": {
+        "Newton": mujoco.mjtSolver.mjSOL_NEWTON,
+        "CG": mujoco.mjtSolver.mjSOL_CG,
+        "PGS": mujoco.mjtSolver.mjSOL_PGS,
+    },
 }
+"""The values that MJCF has for an option, and MuJoCo's number of each."""
+
+_CONDIMS = (1, 3, 4, 6)
 
 
 @dataclass(frozen=True)
 class MujocoOptions:
     """Options of MuJoCo, named as in MJCF.
 
-    threads  0: as many as the process may use
-    solref   time constant [s] and damping ratio of contacts
+    threads    0: as many as the process may use
+    solref     of contacts, two numbers: time constant [s] and damping ratio, or, both negative, stiffness and damping
+    solimp     of contacts, five numbers: impedance at no penetration and at `width`, both above 0 and below 1; width
+               [m]; midpoint, above 0 and below 1; power, at least 1
+    tolerance  0: the solver makes all its iterations
+
+    ValueError for a value that MuJoCo would replace by another.
     """
 
     integrator: str = "implicitfast"
@@ -52,13 +73,36 @@ class MujocoOptions:
         for name, allowed in _CHOICES.items():
             if getattr(self, name) not in allowed:
                 raise ValueError(f"{name} is one of {', '.join(allowed)}, not '{getattr(self, name)}'")
-        for name in ("solref", "solimp"):
-            try:
-                [float(word) for word in getattr(self, name).split()]
-            except ValueError:
-                raise ValueError(f"{name} is a list of numbers, not '{getattr(self, name)}'") from None
+        for name in ("iterations", "ls_iterations"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"{name} is at least 1, not {getattr(self, name)}")
+        if not 0 <= self.tolerance < math.inf:
+            raise ValueError(f"tolerance is a number from 0 on, not {self.tolerance}")
+        if not 0 < self.impratio < math.inf:
+            raise ValueError(f"impratio is a number above 0, not {self.impratio}")
+        if self.condim not in _CONDIMS:
+            raise ValueError(f"condim is one of {', '.join(map(str, _CONDIMS))}, not {self.condim}")
+        solref = self._numbers("solref", 2)
+        if not (min(solref) > 0 or max(solref) < 0):
+            raise ValueError(f"solref is two numbers above 0, or two below 0, not '{self.solref}'")
+        least, most, width, midpoint, power = self._numbers("solimp", 5)
+        low, high = mujoco.mjMINIMP, mujoco.mjMAXIMP
+        if not all(low <= value <= high for value in (least, most, midpoint)):
+            raise ValueError(f"solimp's first, second and fourth number are from {low} to {high}, not '{self.solimp}'")
+        if width < 0 or power < 1:
+            raise ValueError(f"solimp's width is at least 0 and its power at least 1, not '{self.solimp}'")
         if self.threads < 0:
             raise ValueError("threads is 0 (all that the process may use) or a positive number")
+
+    def _numbers(self, name: str, count: int) -> list[float]:
+        text = getattr(self, name)
+        try:
+            values = [float(word) for word in text.split()]
+        except ValueError:
+            raise ValueError(f"{name} is a list of numbers, not '{text}'") from None
+        if len(values) != count or not all(map(math.isfinite, values)):
+            raise ValueError(f"{name} is {count} finite numbers, not '{text}'")
+        return values
 
 
 _OPTION_ATTRIBUTES = ("integrator", "cone", "solver", "iterations", "ls_iterations", "tolerance", "impratio")
@@ -90,7 +134,7 @@ class MujocoC(Simulator):
         return Description(
             version=mujoco.__version__,
             device="cpu",
-            options={**asdict(options), "threads": threads},
+            options={**_in_force(model, options), "threads": threads},
             switches={"precision": "float64"},
             deviations=deviations(self.scene),
             fields=self._fields(),
@@ -193,6 +237,31 @@ class MujocoC(Simulator):
                 name = mujoco.mjtWarning(kind).name
                 fired.append(f"MuJoCo warning {name}: {int(risen[:, kind].sum())} times, first in env {envs[0]}")
         return fired
+
+
+def _in_force(model: mujoco.MjModel, asked: MujocoOptions) -> dict[str, Any]:
+    """The options that the compiled model has; UsageError where one is not the one that was asked for."""
+    found: dict[str, Any] = {
+        name: next(word for word, number in words.items() if number == getattr(model.opt, name))
+        for name, words in _CHOICES.items()
+    }
+    for name in ("iterations", "ls_iterations", "tolerance", "impratio"):
+        found[name] = getattr(model.opt, name)
+    # every geom has the defaults
+    found["solref"] = _text(model.geom_solref[0])
+    found["solimp"] = _text(model.geom_solimp[0])
+    found["condim"] = int(model.geom_condim[0])
+    for name, value in found.items():
+        wanted = getattr(asked, name)
+        if name in ("solref", "solimp"):
+            wanted = _text([float(word) for word in wanted.split()])
+        if value != wanted:
+            raise UsageError(f"option '{name}' of simulator 'mujoco': asked for {wanted}, MuJoCo has {value}")
+    return found
+
+
+def _text(values: Iterable[float]) -> str:
+    return " ".join(np.format_float_positional(value, trim="-") for value in values)
 
 
 def rotate_to_world(quaternion: NDArray[np.float64], vector: NDArray[np.float64]) -> NDArray[np.float64]:

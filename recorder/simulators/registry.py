@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from importlib import import_module, metadata
 from importlib.util import find_spec
 
+from recorder.interruption import blocked
 from recorder.simulators.base import Simulator
 from schemas.errors import UsageError
 
@@ -20,11 +21,16 @@ ENTRY_POINTS = "gsb.simulators"
 class Entry:
     """A simulator that can be asked for.
 
-    name      what users say
-    summary   one line
-    target    "module:class"
-    requires  import names that must be there
-    install   how to get them
+    name       what users say
+    summary    one line
+    target     "module:class"
+    requires   import names that must be there
+    install    how to get them
+    devices    kinds of device that it steps on: "cpu", "cuda"
+    precision  of its states: "float32", "float64"
+    scenes     names of the scenes that it simulates
+
+    The last three are empty where only the adapter itself could tell: it is not loaded to find out.
     """
 
     name: str
@@ -32,6 +38,9 @@ class Entry:
     target: str
     requires: tuple[str, ...] = ()
     install: str = ""
+    devices: tuple[str, ...] = ()
+    precision: tuple[str, ...] = ()
+    scenes: tuple[str, ...] = ()
 
     def missing(self) -> tuple[str, ...]:
         """Import names that are not installed; nothing is imported to find out."""
@@ -45,7 +54,9 @@ class Entry:
             )
         module, _, name = self.target.partition(":")
         try:
-            adapter: type[Simulator] = getattr(import_module(module), name)
+            # An import that is interrupted shows as one that is broken, and some engines start processes in theirs.
+            with blocked():
+                adapter: type[Simulator] = getattr(import_module(module), name)
         except (ImportError, AttributeError) as error:
             raise UsageError(f"simulator '{self.name}' cannot be loaded: {error}") from None
         return adapter
@@ -58,6 +69,9 @@ BUILT_IN = (
         "recorder.simulators.mujoco_c:MujocoC",
         requires=("mujoco", "psutil"),
         install="pip install 'gpusimbench[mujoco]'",
+        devices=("cpu",),
+        precision=("float64",),
+        scenes=("inclined-collision", "free-fall", "franka"),
     ),
 )
 

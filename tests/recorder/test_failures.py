@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import random
 import resource
+import shutil
 import signal
 import subprocess
 import sys
@@ -14,69 +16,9 @@ from pathlib import Path
 import pytest
 
 from evaluator import open_recording
-from schemas.errors import DamagedRecording, RecordingError
+from recorder.capture.sink import Sink
+from schemas.errors import DamagedRecording, DataLost, RecordingError
 from tests.conftest import SMALL, Command, command
-
-_PLUGIN = '''
-"""A third party's simulator that goes wrong as it is told."""
-import os, signal, time
-from dataclasses import dataclass
-import numpy as np
-from recorder.simulators.base import Description, Simulator
-from schemas.fields import body_field
-
-@dataclass(frozen=True)
-class Options:
-    mode: str = "good"
-    at: int = 5
-
-class Faulty(Simulator):
-    Options = Options
-
-    def build(self):
-        print("printed while building")
-        if self.options.mode == "build":
-            raise RuntimeError("no device\\nof that name")
-        self.k = 0
-        field = body_field("cubes", "position", "float32", ("a", "b"))
-        return Description("1.0", "cpu", {}, {}, (), (field,), timing_covers="nothing")
-
-    def step(self, n_step):
-        for _ in range(n_step):
-            self.k += 1
-            if self.k >= self.options.at:
-                if self.options.mode == "raise":
-                    raise ValueError("the solver gave up")
-                if self.options.mode == "memory":
-                    raise MemoryError
-                if self.options.mode == "segfault":
-                    os.kill(os.getpid(), signal.SIGSEGV)
-                if self.options.mode == "exit":
-                    os._exit(7)
-                if self.options.mode == "slow":
-                    time.sleep(0.01)
-
-    def state(self):
-        state = np.full((self.n_env, 2, 3), float(self.k), dtype=np.float32)
-        if self.options.mode == "nan" and self.k >= self.options.at:
-            state[0, 1, 2] = np.nan
-        return (state,)
-
-    def gates(self):
-        return ["contacts were dropped"] if self.options.mode == "gate" else []
-'''
-
-
-@pytest.fixture(scope="module")
-def plugin(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
-    """An environment in which a third party's distribution offers the simulator "faulty"."""
-    folder = tmp_path_factory.mktemp("plugin")
-    (folder / "faulty_simulator.py").write_text(_PLUGIN)
-    info = folder / "faulty_simulator-1.0.dist-info"
-    info.mkdir()
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: faulty-simulator\nVersion: 1.0\n")
-    (info / "entry_points.txt").write_text("[gsb.simulators]\nfaulty = faulty_simulator:Faulty\n")
-    return {**os.environ, "PYTHONPATH": str(folder)}
 
 
 def _run(gsb_record: Command, plugin: dict[str, str], out: Path, mode: str, *more: object):  # type: ignore[no-untyped-def]
@@ -212,7 +154,8 @@ def test_killed_at_any_moment(tmp_path: Path) -> None:
         for file in out.iterdir() if out.exists() else ():
             status = _status(file)
             seen.add(status)
-            assert (status == "complete") == (file.suffix == ".mcap"), file
+            # between the end record's last byte and the new name, a .partial file may be whole
+            assert status == "complete" or file.suffix == ".partial", (status, file)
             if status == "incomplete":
                 _check_states(file)
     assert "incomplete" in seen
@@ -253,6 +196,111 @@ def _wait_for(condition) -> None:  # type: ignore[no-untyped-def]
             return
         time.sleep(0.1)
     raise AssertionError("it did not happen within a minute")
+
+
+def test_gates_are_asked_after_every_phase(gsb_record: Command, plugin: dict[str, str], tmp_path: Path) -> None:
+    """Call a run invalid whose gates fire in the timed phase, though nothing is captured."""
+    done = _run(gsb_record, plugin, tmp_path, "gate", "--phases", "timed")
+    assert done.returncode == 1
+    for file in tmp_path.iterdir():
+        recording = open_recording(file)
+        recording.verify()
+        assert (recording.status, recording.reason) == ("invalid", "contacts were dropped")
+        fired = [(e.phase, e.text) for e in recording.events if e.kind == "GATE"]
+        assert fired == [("warmup", "contacts were dropped"), ("timed", "contacts were dropped")]
+
+
+@pytest.mark.parametrize(
+    ("mode", "made", "reason"),
+    [
+        ("good", 2, ""),
+        ("build", 1, "no device"),
+        ("second", 1, "no second one"),
+        ("second-build", 2, "no second build"),
+        ("raise", 2, "the solver gave up"),
+    ],
+)
+def test_a_simulator_is_closed_once(
+    gsb_record: Command, plugin: dict[str, str], tmp_path: Path, mode: str, made: int, reason: str
+) -> None:
+    """Close each simulator that was made exactly once, also when it or the next one cannot be built."""
+    _run(gsb_record, plugin, tmp_path, mode, "--runs", 1)
+    (file,) = tmp_path.iterdir()
+    recording = open_recording(file)
+    recording.verify()
+    assert reason in recording.reason
+    said = (recording.attachment("engine-log.txt") or b"").decode().split()
+    assert [word for word in said if word.startswith("closed")] == [f"closed{number}" for number in range(made)]
+
+
+def test_a_process_that_cannot_start_says_why(gsb_record: Command, tmp_path: Path) -> None:
+    """Report in one line what kept the run's process from recording, end with 1, leave no file."""
+    (tmp_path / "path").mkdir()
+    (tmp_path / "path" / "mcap.py").write_text("raise RuntimeError('this mcap is broken')\n")
+    done = gsb_record(
+        "--sim", "mujoco", "--runs", 1, "--out", tmp_path / "out",
+        env={**os.environ, "PYTHONPATH": str(tmp_path / "path")},
+    )  # fmt: skip
+    assert done.returncode == 1
+    assert "RuntimeError: this mcap is broken" in done.stderr
+    assert "Traceback" not in done.stderr
+    assert not list((tmp_path / "out").iterdir())
+
+
+def test_the_last_words_of_a_process(gsb_record: Command, plugin: dict[str, str], tmp_path: Path) -> None:
+    """Say what a process printed last that died without a report."""
+    done = _run(gsb_record, plugin, tmp_path, "exit", "--runs", 1)
+    assert done.returncode == 3
+    assert done.stderr.strip().endswith("the last that it printed: printed while building")
+
+
+def test_nothing_is_left_of_a_run_that_died(gsb_record: Command, plugin: dict[str, str], tmp_path: Path) -> None:
+    """Remove the scratch folder also of a process that was killed."""
+    (tmp_path / "tmp").mkdir()
+    for mode in ("good", "segfault"):
+        _run(gsb_record, {**plugin, "TMPDIR": str(tmp_path / "tmp")}, tmp_path / mode, mode)
+    assert not list((tmp_path / "tmp").iterdir())
+
+
+def _written(folder: Path) -> Sink:
+    sink = Sink(folder / "x.mcap", compression="none")
+    sink.channel("/run/event", "gsb.v1.Event")
+    sink.write("/run/event", b"")
+    return sink
+
+
+def test_a_folder_that_is_deleted(tmp_path: Path) -> None:
+    """Send nobody to a file that is there no more."""
+    (tmp_path / "out").mkdir()
+    sink = _written(tmp_path / "out")
+    shutil.rmtree(tmp_path / "out")
+    with pytest.raises(DataLost, match=r"writing stopped: No such file.*x\.mcap\.partial is there no more"):
+        sink.finish("COMPLETE", "", last_step=0, peak_rss_bytes=0)
+
+
+def test_a_file_system_without_links(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Rename where hard links are not there, but never over a file, and not after any other error."""
+
+    def refuse(number: int) -> None:
+        def link(*_: object) -> None:
+            raise OSError(number, os.strerror(number))
+
+        monkeypatch.setattr(os, "link", link)
+
+    refuse(errno.EPERM)
+    assert _written(tmp_path).finish("COMPLETE", "", last_step=0, peak_rss_bytes=0).exists()
+    (tmp_path / "x.mcap").unlink()
+    sink = _written(tmp_path)
+    (tmp_path / "x.mcap").write_text("somebody's")
+    with pytest.raises(DataLost, match="appeared meanwhile"):
+        sink.finish("COMPLETE", "", last_step=0, peak_rss_bytes=0)
+    assert (tmp_path / "x.mcap").read_text() == "somebody's"
+    (tmp_path / "x.mcap").unlink()
+    sink.partial.unlink()
+    refuse(errno.EIO)
+    with pytest.raises(DataLost, match="Input/output error"):
+        _written(tmp_path).finish("COMPLETE", "", last_step=0, peak_rss_bytes=0)
+    assert not (tmp_path / "x.mcap").exists()
 
 
 def test_a_missing_package_is_named() -> None:

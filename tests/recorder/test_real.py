@@ -93,10 +93,25 @@ def test_bad_rows_are_named(gsb_record: Command, tmp_path: Path, text: str, mess
         ((), "--sim real needs --trials"),
         (("--trials", "t.csv"), "--sim real needs --unit m or cm"),
         (("--trials", "missing.csv", "--unit", "m"), "cannot read missing.csv"),
+        *(
+            ((*argument, "--trials", "missing.csv", "--unit", "m"), f"{argument[0]} is for a simulator; --sim real has")
+            for argument in (
+                ("--n-env", "16"),
+                ("--runs", "10"),
+                ("--dt", "0.01"),
+                ("--steps", "5"),
+                ("--option", "a=b"),
+                ("--seed", "0"),
+                ("--stride", "1"),
+                ("--warmup", "100"),
+                ("--timed-steps", "9"),
+                ("--phases", "timed"),
+            )  # fmt: skip
+        ),
     ],
 )
 def test_missing_arguments(gsb_record: Command, tmp_path: Path, arguments: tuple[str, ...], message: str) -> None:
-    """Say which argument is missing."""
+    """Say which argument is missing, or has no meaning here."""
     done = gsb_record("--sim", "real", *arguments, cwd=tmp_path)
     assert done.returncode == 2
     assert message in done.stderr

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from mcap.reader import make_reader
 
 from evaluator import open_recording
 from recorder.capture.states import StateWriter, env_block, steps_per_block
@@ -65,6 +66,13 @@ def test_phases_in_order(small: Path) -> None:
     marks = [(e.kind, e.phase) for e in recording.events]
     phases = ("baseline", "init", "warmup", "timed", "capture")
     assert marks == [(f"PHASE_{mark}", phase) for phase in phases for mark in ("BEGIN", "END")]
+    with small.open("rb") as stream:
+        summary = make_reader(stream).get_summary()
+    assert summary is not None
+    (channel,) = [c for c in summary.channels.values() if c.topic == "/timing/timed"]
+    assert recording.simulation is not None
+    assert channel.metadata["covers"].startswith(recording.simulation.timing_covers)
+    assert "memory is sampled from another thread at 100 Hz" in channel.metadata["covers"]
     times = [e.monotonic_ns for e in recording.events]
     assert times == sorted(times)
     assert len(recording.timing["warmup"].start_ns) == 10
@@ -134,21 +142,22 @@ def test_strided_rows_are_the_right_ones(tmp_path: Path, stride: int) -> None:
         position += size
     writer.flush()
     assert writer.last_step == 840
-    path = _finish(sink, fields, stride)
+    assert writer.last_recorded_step == 840 // stride * stride
+    path = _finish(sink, fields, stride, writer.last_recorded_step)
     recording = open_recording(path)
     recording.verify()
     for field, expected in zip(fields, states, strict=True):
         assert np.array_equal(np.asarray(recording.state(field.group, field.field)), expected[::stride])
 
 
-def _finish(sink, fields, stride):  # type: ignore[no-untyped-def]
+def _finish(sink, fields, stride, last_step):  # type: ignore[no-untyped-def]
     from schemas.provenance import PROVENANCE, SIMULATION, Provenance, Simulation
 
     configuration = RunConfiguration("s", "free-fall", n_env=3, dt=0.01, steps=840, stride=stride)
     sink.attach(PROVENANCE, "application/json", Provenance("i", "t", (), configuration).to_json().encode())
     simulation = Simulation("1", "cpu", {}, {}, (), tuple(fields), {})
     sink.attach(SIMULATION, "application/json", simulation.to_json().encode())
-    return sink.finish("COMPLETE", "", last_step=840, peak_rss_bytes=0)
+    return sink.finish("COMPLETE", "", last_step=last_step, peak_rss_bytes=0)
 
 
 def test_block_sizes() -> None:
@@ -170,6 +179,12 @@ def test_block_sizes() -> None:
         (("--sim", "mujoco", "--steps", "0"), "--steps is at least 1"),
         (("--sim", "mujoco", "--dt", "0"), "--dt is a step in seconds"),
         (("--sim", "mujoco", "--dt", "nan"), "--dt is a step in seconds"),
+        (("--sim", "mujoco", "--dt", "9e-7"), "at least 1e-06 (times are recorded in whole nanoseconds)"),
+        (("--sim", "mujoco", "--dt", "1e-320"), "at least 1e-06 (times are recorded in whole nanoseconds)"),
+        (("--sim", "mujoco", "--phases", "timed,timed"), "each at most once, not 'timed,timed'"),
+        (("--sim", "mujoco", "--trials", "t.csv"), "--trials is for --sim real; --sim mujoco has no use for it"),
+        (("--sim", "mujoco", "--unit", "cm"), "--unit is for --sim real"),
+        (("--sim", "mujoco", "--sample-time", "5"), "--sample-time is for --sim real"),
         (("--sim", "mujoco", "--stride", "3"), "--stride 3 does not divide --steps 500"),
         (("--sim", "mujoco", "--phases", "lunch"), "--phases takes timed and capture"),
         (("--sim", "mujoco", "--phases", ""), "--phases takes timed and capture"),
@@ -182,6 +197,12 @@ def test_block_sizes() -> None:
         (("--sim", "mujoco", "--option", "colour=red"), "has no option 'colour'; it has: integrator"),
         (("--sim", "mujoco", "--option", "iterations=many"), "option 'iterations' of simulator 'mujoco' is a int"),
         (("--sim", "mujoco", "--option", "cone"), "--option wants NAME=VALUE"),
+        (
+            ("--sim", "mujoco", "--option", "ls-iterations=1", "--option", "ls_iterations=2"),
+            "--option ls_iterations is given twice: 1 and 2",
+        ),
+        (("--sim", "mujoco", "--option", "solref="), "solref is 2 finite numbers, not ''"),
+        (("--sim", "mujoco", "--option", "tolerance=nan"), "tolerance is a number from 0 on, not nan"),
     ],
 )
 def test_what_cannot_be_is_refused(
@@ -219,9 +240,14 @@ def test_list(gsb_record: Command) -> None:
     assert text.returncode == 0
     assert "mujoco" in text.stdout
     assert "free-fall" in text.stdout
+    assert "scenes: inclined-collision, free-fall, franka" in text.stdout
     record = json.loads(gsb_record("--list", "--json").stdout)
     assert record["schema_version"] == 1
-    assert {"mujoco", "real"} <= {s["name"] for s in record["simulators"]}
+    known = {s["name"]: s for s in record["simulators"]}
+    assert {"mujoco", "real"} <= known.keys()
+    assert known["mujoco"]["devices"] == ["cpu"]
+    assert known["mujoco"]["precision"] == ["float64"]
+    assert known["mujoco"]["scenes"] == [s["name"] for s in record["scenes"]]
 
 
 def test_json_result(gsb_record: Command, tmp_path: Path) -> None:

@@ -18,6 +18,7 @@ from recorder.scenes.inclined_collision import SLOPE_ANGLE
 from recorder.scenes.registry import make_scene
 from recorder.simulators.base import Description, Simulator
 from recorder.simulators.registry import BUILT_IN
+from schemas.errors import UsageError
 from schemas.fields import BODY_FIELDS, FIELD_KINDS
 
 G = 9.81
@@ -78,6 +79,18 @@ def test_layout_and_first_state(name: str, scene: str) -> None:
     assert description.version
     assert description.timing_covers
     simulator.close()
+
+
+@simulators
+def test_the_registry_tells_what_a_simulator_can(name: str) -> None:
+    """Build every scene that the registry promises, on such a device, in such a precision."""
+    entry = next(e for e in BUILT_IN if e.name == name)
+    assert entry.scenes
+    for scene in entry.scenes:
+        simulator, description = build(name, make_scene(scene), n_env=1)
+        assert ("cpu" if description.device == "cpu" else "cuda") in entry.devices
+        assert {f.dtype for f in description.fields} <= set(entry.precision)
+        simulator.close()
 
 
 @simulators
@@ -202,3 +215,38 @@ class TestMujoco:
         (fired,) = simulator.gates()
         assert "mjWARN_BADQ" in fired
         assert simulator.gates() == []
+
+    def test_options_are_those_in_force(self) -> None:
+        """Record what the compiled model has, in the words of MJCF."""
+        import mujoco
+
+        asked = {"integrator": "RK4", "solver": "CG", "iterations": "7", "tolerance": "1e-5", "impratio": "2.5",
+                 "solref": "-1e3 -2", "solimp": ".8 .9 1e-3 0.5 2", "condim": "4", "threads": "1"}  # fmt: skip
+        _, description = build("mujoco", make_scene("inclined-collision"), **asked)
+        options = description.options
+        assert options == {
+            "integrator": "RK4", "cone": "elliptic", "solver": "CG", "iterations": 7, "ls_iterations": 50,
+            "tolerance": 1e-5, "impratio": 2.5, "solref": "-1000 -2", "solimp": "0.8 0.9 0.001 0.5 2", "condim": 4,
+            "threads": 1,
+        }  # fmt: skip
+        model = mujoco.MjModel.from_xml_string(description.attachments["scene.xml"][1].decode())
+        assert (model.geom_solref == [-1000, -2]).all()
+        assert (model.geom_condim == 4).all()
+        _, description = build("mujoco", make_scene("franka"))
+        assert (description.options["solref"], description.options["solimp"]) == ("0.02 1", "0.9 0.95 0.001 0.5 2")
+
+    @pytest.mark.parametrize(
+        ("name", "value"),
+        [
+            *((name, value) for name in ("tolerance", "impratio") for value in ("nan", "inf", "-1")),
+            *((name, value) for name in ("iterations", "ls_iterations") for value in ("0", "-5")),
+            *(("solref", v) for v in ("", "1", "nan 1", "inf 1", "0.02 -1", "0 1", "0.02 1 2", "-5 3")),
+            *(("solimp", v) for v in ("", "0.9 0.95", "0 0.9 0.001 0.5 2", "0.9 1 0.001 0.5 2", "0.9 0.95 -1 0.5 2",
+                                      "0.9 0.95 0.001 nan 2", "0.9 0.95 0.001 0.5 0.5")),
+            ("impratio", "0"), ("condim", "2"), ("threads", "-1"),
+        ],
+    )  # fmt: skip
+    def test_values_that_mujoco_would_replace(self, name: str, value: str) -> None:
+        """Refuse values for which MuJoCo has others, instead of recording what was not in force."""
+        with pytest.raises(UsageError, match=name):
+            build("mujoco", make_scene("inclined-collision"), **{name: value})

@@ -1,0 +1,56 @@
+"""Standard output: one line at a time, at once, and one clear error where it takes no more."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+from schemas.errors import GsbError
+
+
+def show(text: str) -> None:
+    """Write text and a line's end. GsbError where it cannot be written; BrokenPipeError where nobody reads it."""
+    _write(lambda stream: stream.write(text + "\n"))
+
+
+def show_path(path: Path) -> None:
+    """Write a path and a line's end: the file's own bytes, whatever the encoding of standard output."""
+
+    def write(stream: object) -> None:
+        sys.stdout.flush()
+        sys.stdout.buffer.write(os.fsencode(path) + b"\n")
+
+    _write(write)
+
+
+def drop() -> None:
+    """Let what standard output still holds go nowhere, so that Python's own end does not stumble over it."""
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nowhere, 1)
+    os.close(nowhere)
+
+
+def flush() -> None:
+    """Bring out what was written. Errors as of show."""
+    _write(lambda stream: None)
+
+
+def _write(write: Callable[..., object]) -> None:
+    if sys.stdout is None:  # closed by whoever started this process
+        return
+    try:
+        write(sys.stdout)
+        sys.stdout.flush()
+    except BrokenPipeError:
+        drop()
+        raise
+    except UnicodeEncodeError as error:
+        raise GsbError(
+            f"standard output is in {error.encoding} and cannot show {ascii(error.object[error.start : error.end])}; "
+            "set PYTHONIOENCODING=utf-8"
+        ) from None
+    except OSError as error:
+        drop()
+        raise GsbError(f"cannot write to standard output: {error.strerror}") from None

@@ -1,0 +1,88 @@
+"""A simulator of a third party that goes wrong as it is told."""
+
+from __future__ import annotations
+
+import os
+
+import pytest
+
+_PLUGIN = '''
+"""A third party's simulator that goes wrong as it is told."""
+import os, signal, time
+from dataclasses import dataclass
+import numpy as np
+from recorder.simulators.base import Description, Simulator
+from schemas.fields import body_field
+
+@dataclass(frozen=True)
+class Options:
+    mode: str = "good"
+    at: int = 5
+
+class Faulty(Simulator):
+    Options = Options
+    made = 0
+
+    def __init__(self, *arguments, **keywords):
+        super().__init__(*arguments, **keywords)
+        if Faulty.made and self.options.mode == "second":
+            raise RuntimeError("no second one")
+        self.number = Faulty.made
+        Faulty.made += 1
+
+    def build(self):
+        print("printed while building", flush=True)
+        if self.number and self.options.mode == "second-build":
+            raise RuntimeError("no second build")
+        if self.options.mode == "build":
+            raise RuntimeError("no device\\nof that name")
+        self.k = 0
+        field = body_field("cubes", "position", "float32", ("a", "b"))
+        return Description("1.0", "cpu", {}, {}, (), (field,), timing_covers="nothing")
+
+    def step(self, n_step):
+        for _ in range(n_step):
+            self.k += 1
+            if self.k >= self.options.at:
+                if self.options.mode == "raise":
+                    raise ValueError("the solver gave up")
+                if self.options.mode == "memory":
+                    raise MemoryError
+                if self.options.mode == "segfault":
+                    os.kill(os.getpid(), signal.SIGSEGV)
+                if self.options.mode == "exit":
+                    os._exit(7)
+                if self.options.mode == "interrupt":
+                    os.kill(os.getpid(), signal.SIGINT)
+                if self.options.mode == "deaf":
+                    try:
+                        time.sleep(0.01)
+                    except KeyboardInterrupt:
+                        pass
+                if self.options.mode == "slow":
+                    time.sleep(0.01)
+
+    def state(self):
+        state = np.full((self.n_env, 2, 3), float(self.k), dtype=np.float32)
+        if self.options.mode == "nan" and self.k >= self.options.at:
+            state[0, 1, 2] = np.nan
+        return (state,)
+
+    def gates(self):
+        return ["contacts were dropped"] if self.options.mode == "gate" else []
+
+    def close(self):
+        print(f"closed{self.number}")
+'''
+
+
+@pytest.fixture(scope="module")
+def plugin(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
+    """An environment in which a third party's distribution offers the simulator "faulty"."""
+    folder = tmp_path_factory.mktemp("plugin")
+    (folder / "faulty_simulator.py").write_text(_PLUGIN)
+    info = folder / "faulty_simulator-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: faulty-simulator\nVersion: 1.0\n")
+    (info / "entry_points.txt").write_text("[gsb.simulators]\nfaulty = faulty_simulator:Faulty\n")
+    return {**os.environ, "PYTHONPATH": str(folder)}

@@ -1,0 +1,181 @@
+"""Ctrl-C at any moment: one line, the right exit code, and recordings that hold what was written."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from evaluator import open_recording
+from tests.conftest import Command, command
+
+_INTERRUPTED_BETWEEN = '''
+"""Interrupt a capture right after the digest of its n-th piece of a kind; print how it ended."""
+import os, signal, sys
+from pathlib import Path
+from recorder import interruption
+from recorder.run import Run
+from schemas import digest
+from schemas.configuration import RunConfiguration
+
+kind, path = sys.argv[1], Path(sys.argv[2])
+original, calls = getattr(digest.ContentDigest, kind), []
+
+def interrupting(self, *arguments):
+    original(self, *arguments)
+    calls.append(kind)
+    if len(calls) == 4:
+        os.kill(os.getpid(), signal.SIGINT)
+
+setattr(digest.ContentDigest, kind, interrupting)
+interruption.install()
+configuration = RunConfiguration("mujoco", "inclined-collision", 70, 0.01, 200, phases=("capture",))
+outcome = Run(configuration, path, run_id="r", argv=(), created="2026-01-01T00:00:00Z",
+              progress=lambda *_: None, log=lambda: b"").record()
+print(outcome.status, outcome.reason)
+'''
+
+
+@pytest.mark.parametrize("kind", ["attachment", "message", "state"])
+def test_digests_and_bytes_go_together(tmp_path: Path, kind: str) -> None:
+    """Verify after an interruption between the digest of something and its writing."""
+    path = tmp_path / "x.mcap"
+    done = subprocess.run(
+        [sys.executable, "-c", _INTERRUPTED_BETWEEN, kind, str(path)], capture_output=True, text=True, timeout=120
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.startswith("FAILED interrupted in phase")
+    recording = open_recording(path)
+    recording.verify()
+    assert recording.status == "failed"
+
+
+@pytest.mark.parametrize(
+    ("mode", "reason"),
+    [("raise", "ValueError in phase capture: the solver gave up"), ("interrupt", "interrupted in phase capture")],
+)
+def test_a_strided_capture_that_ends_early(
+    gsb_record: Command, plugin: dict[str, str], tmp_path: Path, mode: str, reason: str
+) -> None:
+    """Keep every state up to the end, also those that waited for a full block, in a recording that verifies."""
+    done = gsb_record(
+        "--sim", "faulty", "--n-env", 2, "--runs", 1, "--steps", 2000, "--stride", 20, "--phases", "capture",
+        "--option", f"mode={mode}", "--option", "at=770", "--out", tmp_path, env=plugin,
+    )  # fmt: skip
+    assert done.returncode == 1
+    (file,) = tmp_path.iterdir()
+    recording = open_recording(file)
+    recording.verify()
+    assert (recording.status, recording.reason) == ("failed", reason)
+    cubes = recording.state("cubes", "position")
+    assert cubes.steps.tolist() == list(range(0, 751, 20))
+    assert np.array_equal(cubes[:, 0, 0, 0], cubes.steps)
+    hashes = recording.fingerprints("capture")
+    assert hashes is not None
+    assert len(hashes.steps) == 751
+
+
+@pytest.mark.slow
+def test_an_interruption_at_any_moment_of_the_start(tmp_path: Path) -> None:
+    """End with 1 and one line on Ctrl-C at 20 moments of the first second; files that are there are whole."""
+    for number in range(20):
+        out = tmp_path / str(number)
+        process = subprocess.Popen(
+            [sys.executable, "-c", _TELLING, "--sim", "mujoco", "--n-env", "2", "--runs", "3", "--steps", "3000",
+             "--phases", "capture", "--out", str(out)],
+            stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True,
+        )  # fmt: skip
+        assert process.stdout is not None
+        process.stdout.readline()
+        time.sleep(0.04 * number)
+        os.killpg(process.pid, signal.SIGINT)
+        _, err = process.communicate(timeout=60)
+        assert process.returncode == 1, err
+        assert "Traceback" not in err
+        assert "interrupted" in err
+        for file in out.iterdir() if out.exists() else ():
+            assert file.suffix == ".mcap"
+            open_recording(file).verify()
+
+
+# The interpreter's own start is not ours to guard: say when it is over.
+_TELLING = """
+import sys
+try:
+    print(flush=True)
+    from recorder.cli import main
+    code = main()
+except KeyboardInterrupt:  # the moment before main
+    print("interrupted", file=sys.stderr)
+    code = 1
+sys.exit(code)
+"""
+
+
+def test_an_interruption_keeps_results(plugin: dict[str, str], tmp_path: Path) -> None:
+    """Print the runs so far as JSON after an interruption."""
+    process = subprocess.Popen(
+        [*command("gsb-record"), "--sim", "faulty", "--n-env", "2", "--runs", "100", "--steps", "20", "--phases",
+         "capture", "--json", "--out", str(tmp_path)],
+        env=plugin, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    _wait_for(lambda: len(list(tmp_path.glob("*.mcap"))) >= 2)
+    process.terminate()
+    out, err = process.communicate(timeout=60)
+    assert process.returncode == 1
+    runs = json.loads(out)["runs"]
+    assert f"interrupted: {len(runs)} of 100 runs were started" in err
+    assert sorted(r["file"] for r in runs if r["file"]) == sorted(map(str, tmp_path.iterdir()))
+
+
+def test_a_second_interruption_kills_the_run(plugin: dict[str, str], tmp_path: Path) -> None:
+    """End at once on a second Ctrl-C when the engine does not let itself be interrupted."""
+    process = subprocess.Popen(
+        [*command("gsb-record"), "--sim", "faulty", "--n-env", "2", "--runs", "2", "--steps", "100000", "--phases",
+         "capture", "--option", "mode=deaf", "--out", str(tmp_path)],
+        env=plugin, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    _wait_for(lambda: any(b"gsb.v1.StateBlock" in p.read_bytes() for p in tmp_path.glob("*.partial")))
+    process.send_signal(signal.SIGINT)
+    time.sleep(0.5)
+    assert process.poll() is None
+    process.send_signal(signal.SIGINT)
+    out, err = process.communicate(timeout=60)
+    assert process.returncode == 3
+    assert "was killed by SIGKILL" in err
+    assert out.strip().endswith(".partial")
+
+
+def test_an_import_that_is_interrupted_is_no_broken_one(tmp_path: Path) -> None:
+    """Say that it was interrupted, not that the simulator cannot be loaded, when Ctrl-C meets an import."""
+    (tmp_path / "hasty.py").write_text(
+        "import os, signal\n"
+        "try:\n    os.kill(os.getpid(), signal.SIGINT)\n"
+        "except KeyboardInterrupt:\n    raise ImportError('initialization failed') from None\n"
+        "class Hasty: pass\n"
+    )
+    info = tmp_path / "hasty-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: hasty\nVersion: 1.0\n")
+    (info / "entry_points.txt").write_text("[gsb.simulators]\nhasty = hasty:Hasty\n")
+    done = subprocess.run(
+        [*command("gsb-record"), "--sim", "hasty", "--out", str(tmp_path / "out")],
+        env={**os.environ, "PYTHONPATH": str(tmp_path)}, capture_output=True, text=True, timeout=60,
+    )  # fmt: skip
+    assert (done.returncode, done.stdout) == (1, "")
+    assert done.stderr == "gsb-record: interrupted\n"
+
+
+def _wait_for(condition) -> None:  # type: ignore[no-untyped-def]
+    for _ in range(600):
+        if condition():
+            return
+        time.sleep(0.1)
+    raise AssertionError("it did not happen within a minute")

@@ -1,0 +1,80 @@
+"""Probes that fail: the run goes on, and its recording says what is missing."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+from evaluator import open_recording
+from tests.conftest import SMALL, Command
+
+_NVML = '''
+"""NVML of a machine with two GPUs that fail as they are told."""
+import os
+
+class NVMLError(Exception):
+    pass
+
+NVML_CLOCK_SM, NVML_CLOCK_MEM = 1, 2
+_how = os.environ["NVML_FAILS"]
+_readings = 0
+
+class _Memory:
+    used, total = 5, 10
+
+def nvmlInit(): pass
+def nvmlShutdown(): raise NVMLError("never initialised")
+
+def nvmlDeviceGetCount():
+    if _how == "count":
+        raise NVMLError("Driver/library version mismatch")
+    return 2
+
+def nvmlDeviceGetHandleByIndex(index):
+    if _how == "handle" and index == 1:
+        raise NVMLError("GPU is lost")
+    return index
+
+def nvmlDeviceGetName(handle): return b"Test \\xff"
+def nvmlDeviceGetComputeRunningProcesses(handle): raise NVMLError("Not Supported")
+
+def nvmlDeviceGetMemoryInfo(handle):
+    global _readings
+    _readings += 1
+    if _how == "memory" and handle == 1 and _readings > 8:
+        raise NVMLError("GPU is lost")
+    return _Memory()
+'''
+
+
+@pytest.mark.parametrize(
+    ("how", "gpus", "note"),
+    [
+        ("nothing", 2, None),
+        ("count", 0, "NVML does not say how many GPUs there are: Driver/library version mismatch"),
+        ("handle", 1, "GPU 1 is left out, it does not answer: GPU is lost"),
+        ("memory", 2, "memory readings failed, the last one: gpu1: NVMLError: GPU is lost"),
+    ],
+)
+def test_a_driver_that_fails(gsb_record: Command, tmp_path: Path, how: str, gpus: int, note: str | None) -> None:
+    """Complete the run, sample on what is left, and note what failed."""
+    (tmp_path / "pynvml.py").write_text(_NVML)
+    done = gsb_record(
+        "--sim", "mujoco", "--n-env", 1, "--runs", 1, *SMALL, "--out", tmp_path / "out",
+        env={**os.environ, "PYTHONPATH": str(tmp_path), "NVML_FAILS": how},
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    recording = open_recording(done.stdout.strip())
+    recording.verify()
+    assert len(recording.provenance.gpus) == gpus
+    notes = [e.text for e in recording.events if e.kind == "NOTE"]
+    assert len(notes) == (note is not None)
+    assert note is None or note in notes[0]
+    host = recording.memory["host"]
+    assert [c for c in host.checkpoint if c] == ["baseline", "post-init", "post-warmup", "final"]
+    if how == "memory":
+        number = int(notes[0].split()[0])
+        lost = len(recording.memory["gpu0/device"].time_ns) - len(recording.memory["gpu1/device"].time_ns)
+        assert 0 < lost <= number
