@@ -17,13 +17,18 @@ def compare(
 ) -> tuple[Radar | None, tuple[Guideline, ...], list[str]]:
     """Radar, guidelines, and what was left out of them.
 
-    Speed and distances at another scene, number of environments, step or protocol mean something else. Of the
-    conditions that at least two groups share, the one with the most groups is compared, the first of several.
+    Speed and distances on another device or scene, at another number of environments, step or protocol mean something
+    else. Of the conditions that at least two simulators share, the one with the most groups is compared, the first of
+    several. Settings of one simulator are no choice between simulators.
     """
-    counts = Counter(_conditions(r.group.key) for r in results if r.group.complete)
-    condition, count = counts.most_common(1)[0] if counts else (None, 0)
-    if count < 2:
+    simulators: dict[object, set[str]] = {}
+    for result in results:
+        if result.group.complete:
+            simulators.setdefault(_conditions(result.group.key), set()).add(result.group.key.simulator)
+    counts = Counter(c for r in results if len(simulators.get(c := _conditions(r.group.key), ())) > 1)
+    if not counts:
         return None, (), []
+    condition = counts.most_common(1)[0][0]
     chosen = [r for r in results if r.group.complete and _conditions(r.group.key) == condition]
     others = [r.label for r in results if r not in chosen]
     notes = [f"radar and guidelines leave out what ran under other conditions: {', '.join(others)}"] if others else []
@@ -31,8 +36,8 @@ def compare(
     return radar(compared), tuple(guidelines(compared)), notes
 
 
-def _conditions(key: GroupKey) -> tuple[str, str, int, float, int, int]:
-    return (key.scene, key.scene_hash, key.n_env, key.dt, key.warmup, key.timed_steps)
+def _conditions(key: GroupKey) -> tuple[str, str, str, int, float, int, int]:
+    return (key.device, key.scene, key.scene_hash, key.n_env, key.dt, key.warmup, key.timed_steps)
 
 
 def _simulator_result(result: GroupResult, reference: Reference | None) -> SimulatorResult:

@@ -134,7 +134,7 @@ class Evaluation:
     results      one per group
     unreadable   files that could not be read, with their errors
     reference    None where there is none; `reference_note` says why, or where it came from
-    radar        None with fewer than two groups that can be compared
+    radar        None with fewer than two simulators that can be compared
     guidelines   empty likewise
     maps         by scene; none for a scene whose positions were not recorded or lie too far apart
     notes        about the set as a whole

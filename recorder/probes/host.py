@@ -42,7 +42,7 @@ def describe_host() -> dict[str, Any]:
         "memory_bytes": psutil.virtual_memory().total,
         "machine": platform.machine(),
         "system": platform.system(),
-        "kernel": platform.release(),
+        "kernel": platform.release().partition("-")[0],  # the rest names a site's own builds
         "libc": " ".join(platform.libc_ver()),
     }
 
