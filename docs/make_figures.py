@@ -11,13 +11,14 @@ from pathlib import Path
 
 from evaluator.evaluate import evaluate
 from evaluator.recording import Recording
+from evaluator.report.figures.svg import text
 from evaluator.report.html import render_html
 from evaluator.report.tables import print_tables
 from evaluator.results import Evaluation
 
 ROOT = Path(__file__).resolve().parent.parent
 BEGIN, END = "<!-- table: make figures -->", "<!-- end of table -->"
-_COLUMN = 400
+_TITLE, _INDENT, _GAP = 40, 44, 20
 
 
 def shipped() -> Evaluation:
@@ -32,11 +33,11 @@ def table(evaluation: Evaluation) -> str:
     return "\n".join(line.rstrip() for line in stream.getvalue().splitlines()).strip()
 
 
-def with_table(readme: str, text: str) -> str:
+def with_table(readme: str, shown: str) -> str:
     """The README with the table between its markers replaced."""
     head, rest = readme.split(BEGIN)
     _, tail = rest.split(END)
-    return f"{head}{BEGIN}\n```text\n{text}\n```\n{END}{tail}"
+    return f"{head}{BEGIN}\n```text\n{shown}\n```\n{END}{tail}"
 
 
 def picture(evaluation: Evaluation) -> str:
@@ -46,16 +47,18 @@ def picture(evaluation: Evaluation) -> str:
     maps = re.findall(r"<svg [^>]*Density map of.*?</svg>", page, re.DOTALL)
     assert style is not None
     assert maps
-    parts, height = [], 0.0
-    for index, (one, result) in enumerate(zip(maps, evaluation.results, strict=True)):
+    parts, left, height = [], 0.0, 0.0
+    for one, result in zip(maps, evaluation.results, strict=True):
         box = re.search(r'viewBox="0 0 ([\d.]+) ([\d.]+)"', one)
         assert box is not None
         width, tall = map(float, box.groups())
-        height = max(height, tall + 24)
-        placed = one.replace("<svg ", f'<svg x="{index * _COLUMN}" y="24" width="{width}" height="{tall}" ', 1)
-        parts.append(f'<text x="{index * _COLUMN + 44}" y="16">{result.label}</text>{placed}')
+        name, _, settings = result.label.partition(" [")
+        placed = one.replace("<svg ", f'<svg x="{left:g}" y="{_TITLE}" width="{width}" height="{tall}" ', 1)
+        title = text(name, left + _INDENT, 14) + text(settings.rstrip("]"), left + _INDENT, 30, class_="small")
+        parts.append(title + placed)
+        left, height = left + width + _GAP, max(height, tall + _TITLE)
     return (
-        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {len(maps) * _COLUMN} {height:.0f}">'
+        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {left - _GAP:g} {height:g}">'
         f"<style>{style[1]}</style>{''.join(parts)}</svg>\n"
     )
 
