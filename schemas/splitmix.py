@@ -15,7 +15,11 @@ GOLDEN = 0x9E3779B97F4A7C15
 
 def mix(word: NDArray[np.uint64]) -> NDArray[np.uint64]:
     """Mixed words, shape and order as given; arithmetic wraps."""
-    with np.errstate(over="ignore"):
-        word = (word ^ (word >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
-        word = (word ^ (word >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
-        return np.asarray(word ^ (word >> np.uint64(31)))
+    # in place, over two buffers: this runs over every number that is recorded
+    word = word.copy()
+    shifted = np.empty_like(word)
+    for shift, factor in ((30, 0xBF58476D1CE4E5B9), (27, 0x94D049BB133111EB)):
+        word ^= np.right_shift(word, np.uint64(shift), out=shifted)
+        word *= np.uint64(factor)
+    word ^= np.right_shift(word, np.uint64(31), out=shifted)
+    return word
