@@ -68,7 +68,7 @@ BUILT_IN = (
         "MuJoCo C on the CPU, float64, environments spread over threads",
         "recorder.simulators.mujoco_c:MujocoC",
         requires=("mujoco", "psutil"),
-        install="pip install 'gpusimbench[mujoco]'",
+        install="pip install 'gpusimbench[mujoco]', or in a clone: pip install '.[mujoco]'",
         devices=("cpu",),
         precision=("float64",),
         scenes=("inclined-collision", "free-fall", "franka"),
