@@ -23,15 +23,16 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from recorder import interruption
 from recorder.capture.actions import declare_actions, write_actions
+from recorder.capture.memory import MemoryWriter
 from recorder.capture.sink import Sink
 from recorder.capture.states import StateWriter, declare_fingerprints, write_fingerprints
+from recorder.engine import Engine
 from recorder.options import parse_options
 from recorder.probes.gpu import Gpus
 from recorder.probes.host import describe_host, numeric_environment, peak_rss_bytes
@@ -153,7 +154,7 @@ class Run:
             sink.attach(SCENE, "application/json", scene.to_json().encode())
             sink.channel(topics.RUN_EVENT, "gsb.v1.Event")
 
-        memory = _Memory(sink, MemorySampler(gpus), len(gpus))
+        memory = MemoryWriter(sink, MemorySampler(gpus), len(gpus))
         try:
             with _Phase(self, sink, memory, "baseline", phase):
                 for problem in gpus.problems:
@@ -168,7 +169,7 @@ class Run:
                     scene, n_env=configuration.n_env, dt=configuration.dt, seed=configuration.seed, options=options
                 )
 
-            with _Engine(new_simulator) as engine:
+            with Engine(new_simulator) as engine:
                 with _Phase(self, sink, memory, "init", phase):
                     self._progress("init", 0, 1)
                     description = engine.start()
@@ -191,7 +192,7 @@ class Run:
             raise
         self._end_memory(sink, memory, phase[0])
 
-    def _end_memory(self, sink: Sink, memory: _Memory, phase: str) -> None:
+    def _end_memory(self, sink: Sink, memory: MemoryWriter, phase: str) -> None:
         memory.stop()
         if failed := memory.failures():
             self.event(sink, "NOTE", phase, failed)
@@ -214,7 +215,7 @@ class Run:
             sink.attach(name, media_type, data)
 
     def _warm_up_and_time(
-        self, sink: Sink, memory: _Memory, simulator: Simulator, description: Description, phase: list[str]
+        self, sink: Sink, memory: MemoryWriter, simulator: Simulator, description: Description, phase: list[str]
     ) -> None:
         configuration = self._configuration
         covers = f"{description.timing_covers}; {_SAMPLED}"
@@ -329,86 +330,10 @@ class Run:
         sink.write(topics.RUN_EVENT, message.SerializeToString())
 
 
-class _Engine:
-    """The present simulator: each one that was made is closed once, before the next or at the end."""
-
-    def __init__(self, make: Callable[[], Simulator]) -> None:
-        self._make = make
-        self._present: Simulator | None = None
-
-    @property
-    def simulator(self) -> Simulator:
-        """The present one; start comes first."""
-        assert self._present is not None
-        return self._present
-
-    def start(self) -> Description:
-        """Close the present simulator, if any, and build a fresh one."""
-        self._close()
-        self._present = self._make()
-        return self._present.build()
-
-    def __enter__(self) -> _Engine:
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: object) -> None:
-        self._close()
-
-    def _close(self) -> None:
-        present, self._present = self._present, None
-        if present is not None:
-            present.close()
-
-
-class _Memory:
-    """Memory readings of a run, written between phases: the sink belongs to one thread."""
-
-    def __init__(self, sink: Sink, sampler: MemorySampler, gpu_count: int) -> None:
-        self._sink = sink
-        self._sampler = sampler
-        metadata = {"unit": "byte", "rate": "100 Hz and at checkpoints"}
-        sink.channel(topics.MEMORY_HOST, "gsb.v1.MemorySample", metadata)
-        for index in range(gpu_count):
-            for source in ("device", "process"):
-                sink.channel(topics.gpu_memory(index, source), "gsb.v1.MemorySample", metadata)
-
-    def start(self) -> None:
-        self._sampler.start()
-
-    def stop(self) -> None:
-        self._sampler.stop()
-
-    def checkpoint(self, name: str) -> None:
-        self._sampler.checkpoint(name)
-
-    def enter(self, phase: str) -> None:
-        self._sampler.phase = phase
-
-    def failures(self) -> str:
-        """How many readings failed, and why the last did; empty when none."""
-        count = self._sampler.failures
-        return f"{count} memory readings failed, the last one: {self._sampler.last_failure}" if count else ""
-
-    def drain(self) -> None:
-        sample: Any = message_class("gsb.v1.MemorySample")
-        with interruption.shielded():  # readings that were taken are written
-            for reading in self._sampler.take():
-                message = sample(
-                    source=reading.source,
-                    device=reading.device,
-                    monotonic_ns=reading.monotonic_ns,
-                    used_bytes=reading.used_bytes,
-                    total_bytes=reading.total_bytes,
-                    phase=reading.phase,
-                    checkpoint=reading.checkpoint,
-                )
-                self._sink.write(reading.topic, message.SerializeToString())
-
-
 class _Phase:
     """Marks a phase in the recording and in the memory readings."""
 
-    def __init__(self, run: Run, sink: Sink, memory: _Memory, name: str, current: list[str]) -> None:
+    def __init__(self, run: Run, sink: Sink, memory: MemoryWriter, name: str, current: list[str]) -> None:
         self._run = run
         self._sink = sink
         self._memory = memory

@@ -1,0 +1,61 @@
+"""Memory readings of a run to messages."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from recorder import interruption
+from recorder.capture.sink import Sink
+from recorder.probes.memory import MemorySampler
+from schemas import topics
+from schemas.messages import message_class
+
+
+class MemoryWriter:
+    """Memory readings of a run, written between phases: the sink belongs to one thread."""
+
+    def __init__(self, sink: Sink, sampler: MemorySampler, gpu_count: int) -> None:
+        self._sink = sink
+        self._sampler = sampler
+        metadata = {"unit": "byte", "rate": "100 Hz and at checkpoints"}
+        sink.channel(topics.MEMORY_HOST, "gsb.v1.MemorySample", metadata)
+        for index in range(gpu_count):
+            for source in ("device", "process"):
+                sink.channel(topics.gpu_memory(index, source), "gsb.v1.MemorySample", metadata)
+
+    def start(self) -> None:
+        """Begin sampling."""
+        self._sampler.start()
+
+    def stop(self) -> None:
+        """End sampling."""
+        self._sampler.stop()
+
+    def checkpoint(self, name: str) -> None:
+        """Read every source now, under the name of a checkpoint of the protocol."""
+        self._sampler.checkpoint(name)
+
+    def enter(self, phase: str) -> None:
+        """Readings from here on belong to this phase."""
+        self._sampler.phase = phase
+
+    def failures(self) -> str:
+        """How many readings failed, and why the last did; empty when none."""
+        count = self._sampler.failures
+        return f"{count} memory readings failed, the last one: {self._sampler.last_failure}" if count else ""
+
+    def drain(self) -> None:
+        """Write the readings since the last call."""
+        sample: Any = message_class("gsb.v1.MemorySample")
+        with interruption.shielded():  # readings that were taken are written
+            for reading in self._sampler.take():
+                message = sample(
+                    source=reading.source,
+                    device=reading.device,
+                    monotonic_ns=reading.monotonic_ns,
+                    used_bytes=reading.used_bytes,
+                    total_bytes=reading.total_bytes,
+                    phase=reading.phase,
+                    checkpoint=reading.checkpoint,
+                )
+                self._sink.write(reading.topic, message.SerializeToString())
