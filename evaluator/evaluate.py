@@ -52,7 +52,7 @@ def evaluate(
     data: dict[str, RunData] = {}
     for recording in distinct:
         try:
-            if recording.configuration.simulator != REAL and _usable(recording):
+            if recording.configuration.simulator != REAL and recording.usable:
                 data[recording.provenance.run_id] = read_run(recording, sample_time)
             readable.append(recording)
         except GsbError as error:
@@ -90,10 +90,6 @@ def evaluate(
         maps=maps,
         notes=(*notes, *left_out),
     )
-
-
-def _usable(recording: Recording) -> bool:
-    return recording.status == "complete" and not recording.dropouts
 
 
 def _without_copies(recordings: Sequence[Recording], failures: list[Unreadable]) -> tuple[list[Recording], list[str]]:

@@ -17,7 +17,7 @@ from evaluator.metrics.identity import bitwise_classes, count_distinct
 from evaluator.metrics.memory import Checkpoints
 from evaluator.metrics.regime import published_regime
 from evaluator.metrics.throughput import frames_per_second
-from evaluator.metrics.variability import parallel_variability, run_to_run_variability
+from evaluator.metrics.variability import CM_PER_M, parallel_variability, run_to_run_variability
 from evaluator.results import Metric, Reference, not_computed
 from evaluator.run_data import RunData
 from evaluator.statistics.jackknife import Interval, jackknife_mean, jackknife_pair_mean
@@ -337,7 +337,7 @@ def floor(a: NDArray[np.float64], b: NDArray[np.float64]) -> dict[str, Any]:
     permutations = next((count for limit, count in _PERMUTATIONS if points <= limit), None)
     if permutations is None:
         return {"why_not": f"{points} points a side are too many for a permutation test"}
-    found = permutation_floor(a * 100.0, b * 100.0, n_permutation=permutations, seed=_SEED)
+    found = permutation_floor(a * CM_PER_M, b * CM_PER_M, n_permutation=permutations, seed=_SEED)
     return {
         "observed_cm": found.observed,
         "floor_mean_cm": found.floor_mean,

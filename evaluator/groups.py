@@ -55,7 +55,7 @@ class Group:
     @property
     def complete(self) -> tuple[Recording, ...]:
         """The runs that ended well and lost nothing."""
-        return tuple(r for r in self.recordings if r.status == "complete" and not r.dropouts)
+        return tuple(r for r in self.recordings if r.usable)
 
     @property
     def measured(self) -> bool:

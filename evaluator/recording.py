@@ -143,6 +143,11 @@ class Recording:
         return f"<Recording {c.simulator} {c.scene} n_env={c.n_env} run={c.run_index} {self.status}>"
 
     @property
+    def usable(self) -> bool:
+        """Whether metrics may be computed from it: the run ended well and nothing was lost."""
+        return self.status == "complete" and not self.dropouts
+
+    @property
     def fields(self) -> tuple[StateField, ...]:
         """The state fields, in recording order; empty where the run ended before the simulator was built."""
         return self.simulation.fields if self.simulation else ()

@@ -55,7 +55,7 @@ def read_run(recording: Recording, sample_time: float) -> RunData:
             timed=recording.fingerprints("timed"),
             positions=positions,
             no_positions=no_positions,
-            board=_board(recording),
+            board=board_of(recording),
         )
     except (ValueError, OverflowError, MemoryError) as error:
         raise DamagedRecording(f"{recording.path}: {str(error) or type(error).__name__}") from None
@@ -83,7 +83,8 @@ def _checkpoints(trace: MemoryTrace) -> Checkpoints:
     return Checkpoints(baseline, trace.at("post-init"), trace.at("post-warmup"), peak, trace.at("final"))
 
 
-def _board(recording: Recording) -> Board | None:
+def board_of(recording: Recording) -> Board | None:
+    """The board that the recording's scene names, None where it names none; DamagedRecording where it is unreadable."""
     scene = recording.scene
     name = scene.get("board")
     if not name:

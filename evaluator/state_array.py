@@ -13,11 +13,9 @@ from numpy.typing import NDArray
 from evaluator.container import Container, Message
 from schemas import topics
 from schemas.blocks import decode_state, state_header
-from schemas.configuration import RunConfiguration, sim_time_ns
+from schemas.configuration import EPOCH_NS, RunConfiguration, sim_time_ns
 from schemas.errors import DamagedRecording
 from schemas.fields import StateField
-
-_EPOCH_NS = 1_000_000_000  # log_time of simulated time zero
 
 
 @dataclass(frozen=True)
@@ -184,8 +182,8 @@ class StateArray:
         return sorted(columns, key=lambda c: c.env_start)
 
     def _row(self, message: Message, dt: float) -> int:
-        step = round((message.log_time - _EPOCH_NS) / (dt * 1e9))
-        if message.log_time - _EPOCH_NS != sim_time_ns(step, dt) or step % self._stride:
+        step = round((message.log_time - EPOCH_NS) / (dt * 1e9))
+        if message.log_time - EPOCH_NS != sim_time_ns(step, dt) or step % self._stride:
             raise DamagedRecording(
                 f"{self._container.path}: a block of {self.field.name} has a time that no recorded step has"
             )

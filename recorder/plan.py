@@ -9,10 +9,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from schemas import PARTIAL
-from schemas.configuration import OPTIONAL_PHASES, RunConfiguration
+from schemas.configuration import MAX_ENVS, OPTIONAL_PHASES, RunConfiguration
 from schemas.errors import GsbError, UsageError
-
-MAX_ENVS = 1 << 24
 
 MIN_DT = 1e-6
 """Shortest step [s]: times are recorded in whole nanoseconds, and a step is to be off by no more than a thousandth."""

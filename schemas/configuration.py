@@ -8,14 +8,14 @@ from typing import Any
 from schemas import checks
 from schemas.errors import DamagedRecording
 
-PHASES = ("baseline", "init", "warmup", "timed", "capture")
-"""Phases of a run in order. The first two always happen."""
-
 OPTIONAL_PHASES = ("timed", "capture")
 """Phases that a run can leave out; "warmup" belongs to "timed"."""
 
 
 MAX_ENVS = 1 << 24
+
+EPOCH_NS = 1_000_000_000
+"""log_time of simulated time zero: zero itself reads as "no time" in some tools."""
 
 
 @dataclass(frozen=True)

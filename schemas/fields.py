@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 from schemas import checks
@@ -113,8 +113,3 @@ def joint_field(group: str, field: str, dtype: str, joints: tuple[str, ...]) -> 
     """Positions ("qpos") or velocities ("qvel") of hinges, one number a joint."""
     units = {"qpos": "rad", "qvel": "rad/s"}
     return StateField(group, field, dtype, joints, ("angle",), units[field], FIELD_KINDS[field].frame)
-
-
-def with_frame(field: StateField, frame: str) -> StateField:
-    """The same field in another declared frame ("env" for engines that return env-local coordinates)."""
-    return replace(field, frame=frame)

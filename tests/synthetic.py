@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import uuid
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,7 @@ from recorder.capture.states import StateWriter
 from recorder.scenes.registry import make_scene
 from schemas import topics
 from schemas.configuration import RunConfiguration
-from schemas.fields import StateField, body_field, with_frame
+from schemas.fields import StateField, body_field
 from schemas.messages import message_class
 from schemas.provenance import PROVENANCE, SCENE, SIMULATION, Provenance, Simulation
 
@@ -24,7 +25,7 @@ from schemas.provenance import PROVENANCE, SCENE, SIMULATION, Provenance, Simula
 def cubes_field(dtype: str, *, frame: str = "world") -> StateField:
     """The position field of the 27 cubes."""
     names = make_scene("inclined-collision").groups()["cubes"]
-    return with_frame(body_field("cubes", "position", dtype, names), frame)
+    return replace(body_field("cubes", "position", dtype, names), frame=frame)
 
 
 def write_recording(

@@ -6,9 +6,8 @@ from dataclasses import dataclass
 
 import numpy.typing as npt
 
-from evaluator.transport.pair import point_array, wasserstein1
-
-CM_PER_M = 100.0
+from evaluator.metrics.variability import CM_PER_M
+from evaluator.transport.pair import planar_array, wasserstein1
 
 
 @dataclass(frozen=True)
@@ -43,11 +42,8 @@ def sim_to_real_gap(simulated: npt.ArrayLike, real: npt.ArrayLike) -> Gap:
     Raises:
         ValueError: different item counts, or positions that are empty, not planar or not finite.
     """
-    simulated = point_array(simulated, "simulated", ndim=3)
-    real = point_array(real, "real", ndim=3)
-    for name, points in (("simulated", simulated), ("real", real)):
-        if points.shape[2] != 2:
-            raise ValueError(f"{name} must be planar, got coordinates of width {points.shape[2]}")
+    simulated = planar_array(simulated, "simulated", ndim=3)
+    real = planar_array(real, "real", ndim=3)
     if simulated.shape[1] != real.shape[1]:
         raise ValueError(
             f"different scenes: {simulated.shape[1]} simulated items per env, {real.shape[1]} real items per trial"

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from evaluator.metrics.identity import bitwise_classes, count_distinct
-from evaluator.transport.pair import in_canonical_order, point_array, wasserstein1
+from evaluator.transport.pair import in_canonical_order, planar_array, wasserstein1
 from evaluator.transport.small import pairwise_wasserstein1
 
 CM_PER_M = 100.0
@@ -77,7 +77,7 @@ def parallel_variability(positions: npt.ArrayLike) -> ParallelVariability:
         ValueError: fewer than two envs, or positions that are empty, not planar or not finite.
     """
     positions = np.asarray(positions)
-    points = _planar(positions, "positions", ndim=3)
+    points = planar_array(positions, "positions", ndim=3)
     n_env = len(points)
     if n_env < 2:
         raise ValueError("parallel variability needs at least two envs, got 1")
@@ -100,7 +100,7 @@ def run_to_run_variability(runs: npt.ArrayLike) -> RunToRun:
         ValueError: fewer than two runs, or positions that are empty, not planar or not finite.
     """
     runs = np.asarray(runs)
-    points = _planar(runs, "runs", ndim=4)
+    points = planar_array(runs, "runs", ndim=4)
     n_run = len(points)
     if n_run < 2:
         raise ValueError("run-to-run variability needs at least two runs, got 1")
@@ -122,10 +122,3 @@ def _between_runs(points: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
     for i, j in zip(*np.triu_indices(len(first), k=1), strict=True):
         distinct[i, j] = distinct[j, i] = wasserstein1(sets[first[i]], sets[first[j]]).value
     return distinct[np.ix_(classes, classes)]
-
-
-def _planar(positions: npt.NDArray[np.generic], name: str, *, ndim: int) -> npt.NDArray[np.float64]:
-    points = point_array(positions, name, ndim=ndim)
-    if points.shape[-1] != 2:
-        raise ValueError(f"{name} must be planar, got coordinates of width {points.shape[-1]}")
-    return points

@@ -27,6 +27,8 @@ from evaluator.report import numbers
 from evaluator.report.figures import density_map, matrix, palette, radar_chart
 from evaluator.report.text import printable
 from evaluator.results import Evaluation, GroupResult, Map, Metric, Reference
+from evaluator.run_data import board_of
+from schemas.errors import DamagedRecording
 from schemas.provenance import Deviation
 
 _TEMPLATE = "report.html.j2"
@@ -225,14 +227,14 @@ def _why_no_cloud(result: GroupResult, evaluation: Evaluation) -> str:
 
 def _board(result: GroupResult) -> density_map.Outline | None:
     """The board that the scene names, where its description can be read."""
-    scene = result.group.recordings[0].scene if result.group.recordings else {}
     try:
-        board = next(b for b in scene["bodies"] if b["name"] == scene["board"])
-        (x, y), (length, width) = board["position"][:2], board["shape"]["size"][:2]
-        edges = [float(x - length / 2), float(x + length / 2), float(y - width / 2), float(y + width / 2)]
-    except (KeyError, TypeError, ValueError, StopIteration):
+        board = board_of(result.group.recordings[0]) if result.group.recordings else None
+    except DamagedRecording:  # of a run that failed; no metric is computed from it
         return None
-    return density_map.Outline(*edges) if np.isfinite(edges).all() else None
+    if board is None:
+        return None
+    (x, y), (length, width) = board.centre[:2], board.size[:2]
+    return density_map.Outline(x - length / 2, x + length / 2, y - width / 2, y + width / 2)
 
 
 def _matrix(result: GroupResult, values: NDArray[np.float64] | None, of: str, name: str) -> Picture:

@@ -94,6 +94,14 @@ def point_array(values: npt.ArrayLike, name: str, *, ndim: int) -> npt.NDArray[n
     return points + 0.0  # -0.0 and 0.0 are the same place
 
 
+def planar_array(values: npt.ArrayLike, name: str, *, ndim: int) -> npt.NDArray[np.float64]:
+    """As point_array, of points in the plane: shape [..., n, 2]."""
+    points = point_array(values, name, ndim=ndim)
+    if points.shape[-1] != 2:
+        raise ValueError(f"{name} must be planar, got coordinates of width {points.shape[-1]}")
+    return points
+
+
 def in_canonical_order(points: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
     """Every set's points sorted by coordinate, shape [..., n, d]: equal for the same multiset."""
     keys = np.moveaxis(points, -1, 0)[::-1]  # lexsort takes the primary key last

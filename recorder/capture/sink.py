@@ -18,16 +18,15 @@ from typing import Any, BinaryIO
 from mcap.writer import CompressionType, Writer
 
 from recorder.interruption import shielded
-from schemas import FORMAT, PARTIAL, __version__, topics
+from recorder.plan import partial_of
+from schemas import FORMAT, __version__, topics
+from schemas.configuration import EPOCH_NS
 from schemas.digest import ContentDigest, content_hash
 from schemas.errors import DataLost, UsageError
 from schemas.messages import embedded_schema, enum_values, message_class
 
 # A state block of this size or more closes its chunk at once, so a crash loses no block that was written.
 _CHUNK_BYTES = 128 * 1024
-
-EPOCH_NS = 1_000_000_000
-"""log_time of simulated time zero: zero itself reads as "no time" in some tools."""
 
 _NO_LINKS = {errno.EPERM, errno.EOPNOTSUPP, errno.ENOTSUP, errno.ENOSYS, errno.EMLINK, errno.EXDEV}
 """What os.link fails with on a file system without hard links."""
@@ -45,7 +44,7 @@ class Sink:
 
     def __init__(self, path: Path, *, compression: str, reserved: bool = False) -> None:
         self.path = path
-        self.partial = path.with_name(path.name + PARTIAL)
+        self.partial = partial_of(path)
         if path.exists():
             raise UsageError(f"{path} exists already; recordings are never overwritten")
         try:

@@ -11,8 +11,6 @@ from typing import Any
 
 import schemas
 
-DISTRIBUTION = "gpusimbench"
-
 NUMERIC_PACKAGES = (
     "brax",
     "genesis-world",

@@ -226,7 +226,7 @@ class MujocoC(Simulator):
         return tuple(arrays)
 
     def gates(self) -> list[str]:
-        """See Simulator.gates; every MuJoCo warning but inertia's is a gate."""
+        """See Simulator.gates; every MuJoCo warning is a gate."""
         counts = np.asarray(self._batch.warning)[:, :, 1].astype(np.int64)
         risen = counts - self._warned
         self._warned = counts

@@ -103,21 +103,19 @@ def _add_robot(root: ET.Element, world: ET.Element, robot: Robot) -> None:
         )
 
 
-def emit_mjcf(
-    scene: Scene, *, dt: float, option: Mapping[str, str], geom: Mapping[str, str], autoreset: bool = False
-) -> str:
+def emit_mjcf(scene: Scene, *, dt: float, option: Mapping[str, str], geom: Mapping[str, str]) -> str:
     """MJCF of one environment; bodies, joints and geoms carry the scene's names.
 
     dt         step [s]
     option     further attributes of <option>, such as integrator and cone
     geom       defaults of <geom>, such as solref and condim
-    autoreset  whether MuJoCo may restart a simulation that went bad; off, since a restart would look like good data
     """
     root = ET.Element("mujoco", {"model": scene.name})
     ET.SubElement(root, "compiler", {"angle": "radian", "autolimits": "true"})
     settings = {"timestep": _number(dt), "gravity": _numbers(scene.gravity), **option}
     element = ET.SubElement(root, "option", settings)
-    ET.SubElement(element, "flag", {"autoreset": "enable" if autoreset else "disable"})
+    # MuJoCo would restart a simulation that went bad, which would look like good data
+    ET.SubElement(element, "flag", {"autoreset": "disable"})
     ET.SubElement(ET.SubElement(root, "default"), "geom", dict(geom))
     world = ET.SubElement(root, "worldbody")
     for body in scene.bodies:
