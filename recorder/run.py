@@ -10,7 +10,9 @@ Between two clock readings of the timed phase lies what the simulator says of it
 first reading to the last, memory is sampled as well, at 100 Hz from another thread; nothing is written, drawn or
 reported meanwhile, and Python collects no garbage. An interval has `timing_interval` steps; the last may have fewer.
 
-Validity gates are asked after the warm-up, after the timed phase and after the capture.
+Validity gates are asked after the warm-up, after the timed phase and after the capture. What the engine counts
+(contacts, rows, overflow bits) is kept for every captured step, and for the last step of the warm-up and of the timed
+phase. What the engine compiles for a phase, it compiles before it, under clocks of its own.
 
 A run that cannot finish still ends its recording, with the reason. Only a crash of the process, or a disk that takes
 no more bytes, leaves a recording without an end.
@@ -23,16 +25,20 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from recorder import interruption
-from recorder.capture.actions import declare_actions, write_actions
+from recorder.capture.actions import declare_actions, write_action_stream, write_actions
+from recorder.capture.evidence import EvidenceWriter
 from recorder.capture.memory import MemoryWriter
 from recorder.capture.sink import Sink
 from recorder.capture.states import StateWriter, declare_fingerprints, write_fingerprints
 from recorder.engine import Engine
+from recorder.environment import apply_environment
+from recorder.failure import cause_of
 from recorder.options import parse_options
 from recorder.probes.gpu import Gpus
 from recorder.probes.host import describe_host, numeric_environment, peak_rss_bytes
@@ -51,6 +57,14 @@ from schemas.provenance import ENGINE_LOG, PACKAGES, PROVENANCE, SCENE, SIMULATI
 
 Progress = Callable[[str, int, int], None]
 """Called with a phase, the steps done in it, and the steps that it has."""
+
+_T = TypeVar("_T")
+
+_CLOCKED = {
+    "build": "import of the engine, loading of the model, allocation",
+    "compile_timed": "compilation of what the timed phase runs",
+    "compile_capture": "compilation of what the capture phase runs",
+}
 
 _SAMPLED = "memory is sampled from another thread at 100 Hz"
 
@@ -92,7 +106,7 @@ class Run:
         self._log = log
         self._provenance = Provenance(run_id, created, argv, configuration)
         self._reserved = reserved
-        self._problems: list[str] = []
+        self._problems: list[tuple[str, str]] = []  # cause and sentence of each gate that fired
         self._writer: StateWriter | None = None
         self._events = enum_values("gsb.v1.EventKind")
 
@@ -103,17 +117,17 @@ class Run:
         """
         sink = Sink(self._path, compression=self._configuration.compression, reserved=self._reserved)
         try:
-            status, reason = self._guarded(sink)
+            status, reason, cause = self._guarded(sink)
             if log := self._log():
                 sink.attach(ENGINE_LOG, "text/plain", log)
             last_step = max(0, self._writer.last_recorded_step) if self._writer else 0
-            sink.finish(status, reason, last_step=last_step, peak_rss_bytes=peak_rss_bytes())
+            sink.finish(status, reason, cause=cause, last_step=last_step, peak_rss_bytes=peak_rss_bytes())
         except BaseException:
             sink.abandon()
             raise
         return Outcome(status, reason, self._path)
 
-    def _guarded(self, sink: Sink) -> tuple[str, str]:
+    def _guarded(self, sink: Sink) -> tuple[str, str, str]:
         phase = ["baseline"]
         try:
             try:
@@ -123,24 +137,27 @@ class Run:
                 interruption.ignore()
         except DataLost:
             raise
-        except KeyboardInterrupt:
-            return "FAILED", f"interrupted in phase {phase[0]}"
-        except MemoryError:
-            return "FAILED", f"out of host memory in phase {phase[0]}"
-        except GsbError as error:
-            return "FAILED", str(error)
-        except Exception as error:
-            text = " ".join(str(error).split()) or "no message"
-            return "FAILED", f"{type(error).__name__} in phase {phase[0]}: {text}"
+        except BaseException as error:
+            if isinstance(error, SystemExit):
+                raise
+            return "FAILED", _reason(error, phase[0]), cause_of(error)
         if self._problems:
-            return "INVALID", "; ".join(dict.fromkeys(self._problems))  # a gate that fires in each phase is said once
-        return "COMPLETE", ""
+            # a gate that fires in each phase is said once
+            return "INVALID", "; ".join(dict.fromkeys(text for _, text in self._problems)), self._problems[0][0]
+        return "COMPLETE", "", ""
 
     def _run_phases(self, sink: Sink, gpus: Gpus, phase: list[str]) -> None:
         configuration = self._configuration
         with interruption.shielded():  # a recording that has an end says what it is of
             interruption.install(also_ignored=True)
             scene = make_scene(configuration.scene)
+            trouble: GsbError | None = None
+            try:
+                adapter = find_simulator(configuration.simulator).load()
+                options = parse_options(configuration.simulator, adapter.Options, configuration.options)
+                apply_environment(adapter.environment(options, configuration.determinism))
+            except GsbError as error:
+                trouble = error  # raised once the recording says what it is of
             provenance = replace(
                 self._provenance,
                 host=describe_host(),
@@ -161,28 +178,41 @@ class Run:
                     self.event(sink, "NOTE", "baseline", problem)
                 memory.checkpoint("baseline")
                 memory.start()
-            adapter = find_simulator(configuration.simulator).load()
-            options = parse_options(configuration.simulator, adapter.Options, configuration.options)
 
             def new_simulator() -> Simulator:
                 return adapter(
-                    scene, n_env=configuration.n_env, dt=configuration.dt, seed=configuration.seed, options=options
+                    scene,
+                    n_env=configuration.n_env,
+                    dt=configuration.dt,
+                    seed=configuration.seed,
+                    options=options,
+                    determinism=configuration.determinism,
                 )
 
+            if trouble:
+                raise trouble
             with Engine(new_simulator) as engine:
                 with _Phase(self, sink, memory, "init", phase):
                     self._progress("init", 0, 1)
-                    description = engine.start()
+                    description = self._clocked(sink, "build", engine.start)
                     self._write_description(sink, scene, description)
+                    memory.use_allocator(engine.simulator.allocator_bytes)
+                    self._compile(
+                        sink, engine.simulator, configuration.phases[0] if len(configuration.phases) == 1 else "timed"
+                    )
                     memory.checkpoint("post-init")
                 if "timed" in configuration.phases:
                     self._warm_up_and_time(sink, memory, engine.simulator, description, phase)
+                    memory.checkpoint("final")
                 if "capture" in configuration.phases and not self._problems:
                     if "timed" in configuration.phases:
+                        memory.use_allocator(None)
                         engine.start()
+                        self._compile(sink, engine.simulator, "capture")
                     with _Phase(self, sink, memory, "capture", phase):
                         self._capture(sink, engine.simulator, description)
-                memory.checkpoint("final")
+                if "timed" not in configuration.phases:
+                    memory.checkpoint("final")
                 memory.drain()
         except DataLost:
             memory.stop()  # the file takes nothing more
@@ -209,10 +239,23 @@ class Run:
             env_origins=description.env_origins,
             timing_covers=description.timing_covers,
             fresh_start="rebuilt after the timed phase" if "timed" in self._configuration.phases else "first build",
+            buffers=description.buffers,
+            counters=description.counters,
+            overflow_bits=description.overflow_bits,
         )
         sink.attach(SIMULATION, "application/json", simulation.to_json().encode())
         for name, (media_type, data) in description.attachments.items():
             sink.attach(name, media_type, data)
+
+    def _clocked(self, sink: Sink, what: str, work: Callable[[], _T]) -> _T:
+        start = time.perf_counter_ns()
+        done = work()
+        clocks = np.array([[start], [time.perf_counter_ns()]], dtype=np.int64)
+        self._write_timing(sink, what, clocks, 0, 1, _CLOCKED[what])
+        return done
+
+    def _compile(self, sink: Sink, simulator: Simulator, phase: str) -> None:
+        self._clocked(sink, f"compile_{phase}", lambda: simulator.compile(phase))
 
     def _warm_up_and_time(
         self, sink: Sink, memory: MemoryWriter, simulator: Simulator, description: Description, phase: list[str]
@@ -221,15 +264,19 @@ class Run:
         covers = f"{description.timing_covers}; {_SAMPLED}"
         interval = simulator.timing_interval
         hashes = []
+        counted = EvidenceWriter(
+            sink, description, "timed", dt=configuration.dt, stride=max(1, configuration.timed_steps)
+        )
         # The whole warm-up's clocks are kept too: its first step shows what compilation costs.
         with _Phase(self, sink, memory, "warmup", phase):
-            simulator.prepare(self._actions(simulator.scene, 0, configuration.warmup))
+            simulator.prepare(self._handed(simulator, 0, configuration.warmup))
             clocks = self._step_with_clocks(simulator, "warmup", configuration.warmup, interval)
             hashes.append(fingerprint(simulator.state()))
             memory.checkpoint("post-warmup")
         self._write_timing(sink, "warmup", clocks, 0, interval, covers)
+        self._count(sink, "warmup", simulator, counted, configuration.warmup)
         self._ask_gates(sink, "warmup", simulator)
-        simulator.prepare(self._actions(simulator.scene, configuration.warmup, configuration.timed_steps))
+        simulator.prepare(self._handed(simulator, configuration.warmup, configuration.timed_steps))
         with _Phase(self, sink, memory, "timed", phase):
             clocks = self._step_with_clocks(simulator, "timed", configuration.timed_steps, interval)
         state = simulator.state()
@@ -242,8 +289,12 @@ class Run:
             stride=configuration.timed_steps, dt=configuration.dt,
         )  # fmt: skip
         if not all(np.isfinite(array).all() for array in state):
-            self._gate(sink, "timed", f"a state is not finite after {configuration.timed_steps} timed steps")
+            self._gate(
+                sink, "timed", f"a state is not finite after {configuration.timed_steps} timed steps", "NOT_FINITE"
+            )
+        self._count(sink, "timed", simulator, counted, configuration.warmup + configuration.timed_steps)
         self._ask_gates(sink, "timed", simulator)
+        self._write_action_stream(sink, "timed", simulator, configuration.warmup, configuration.timed_steps)
 
     def _step_with_clocks(self, simulator: Simulator, phase: str, steps: int, interval: int) -> np.ndarray:
         count = -(-steps // interval)
@@ -278,8 +329,9 @@ class Run:
         )
         if simulator.scene.actions is not None:
             declare_actions(sink, simulator.scene.actions, n_env=configuration.n_env)
+        counted = EvidenceWriter(sink, description, "capture", dt=configuration.dt, stride=1)
         try:
-            problem = self._feed(sink, simulator, writer)
+            problem = self._feed(sink, simulator, writer, counted)
         except DataLost:
             raise
         except BaseException:
@@ -287,10 +339,12 @@ class Run:
             raise
         writer.flush()
         if problem:
-            self._gate(sink, "capture", problem)
+            self._gate(sink, "capture", problem, "NOT_FINITE")
         self._ask_gates(sink, "capture", simulator)
+        if not problem:
+            self._write_action_stream(sink, "capture", simulator, 0, configuration.steps)
 
-    def _feed(self, sink: Sink, simulator: Simulator, writer: StateWriter) -> str | None:
+    def _feed(self, sink: Sink, simulator: Simulator, writer: StateWriter, counted: EvidenceWriter) -> str | None:
         configuration = self._configuration
         problem = writer.feed([array[np.newaxis] for array in simulator.state()])
         while writer.last_step < configuration.steps and not problem:
@@ -300,9 +354,35 @@ class Run:
             actions = self._actions(simulator.scene, first, count)
             if actions is not None and simulator.scene.actions is not None:
                 write_actions(sink, simulator.scene.actions.name, actions, first_step=first, dt=configuration.dt)
-            simulator.prepare(actions)
+            simulator.prepare(None if simulator.draws_actions else actions)
             problem = writer.feed(simulator.states(count))
+            self._count(sink, "capture", simulator, counted, first + 1)
         return problem
+
+    def _count(self, sink: Sink, phase: str, simulator: Simulator, counted: EvidenceWriter, first_step: int) -> None:
+        found = simulator.evidence()
+        if found is not None:
+            for fired in counted.feed(found, first_step=first_step):
+                self._gate(sink, phase, fired, "BUFFER")
+
+    def _write_action_stream(self, sink: Sink, phase: str, simulator: Simulator, first_step: int, n_step: int) -> None:
+        if simulator.scene.actions is None:
+            return
+        problem = write_action_stream(
+            sink,
+            phase,
+            simulator.scene.actions,
+            seed=self._configuration.seed,
+            n_env=self._configuration.n_env,
+            first_step=first_step,
+            n_step=n_step,
+            applied=simulator.applied(),
+        )
+        if problem:
+            self._gate(sink, phase, problem)
+
+    def _handed(self, simulator: Simulator, first_step: int, n_step: int) -> NDArray[np.float32] | None:
+        return None if simulator.draws_actions else self._actions(simulator.scene, first_step, n_step)
 
     def _actions(self, scene: Scene, first_step: int, n_step: int) -> NDArray[np.float32] | None:
         if scene.actions is None:
@@ -314,8 +394,8 @@ class Run:
         for fired in simulator.gates():
             self._gate(sink, phase, fired)
 
-    def _gate(self, sink: Sink, phase: str, problem: str) -> None:
-        self._problems.append(problem)
+    def _gate(self, sink: Sink, phase: str, problem: str, cause: str = "ENGINE") -> None:
+        self._problems.append((cause, problem))
         self.event(sink, "GATE", phase, problem)
 
     def event(self, sink: Sink, kind: str, phase: str, text: str = "") -> None:
@@ -328,6 +408,18 @@ class Run:
             text=text,
         )
         sink.write(topics.RUN_EVENT, message.SerializeToString())
+
+
+def _reason(error: BaseException, phase: str) -> str:
+    match error:
+        case KeyboardInterrupt():
+            return f"interrupted in phase {phase}"
+        case MemoryError():
+            return f"out of host memory in phase {phase}"
+        case GsbError():
+            return str(error)
+    text = " ".join(str(error).split()) or "no message"
+    return f"{type(error).__name__} in phase {phase}: {text}"
 
 
 class _Phase:

@@ -35,6 +35,8 @@ class RunConfiguration:
     run_index    number of the run within its set, from 0
     compression  of the file's chunks: "none", "lz4" or "zstd"
     options      options of the simulator, by name, as text
+    determinism  level that the simulator was asked for; "default" leaves the engine as it ships
+    timeout      the run is ended after so many seconds; 0: never
     """
 
     simulator: str
@@ -50,6 +52,8 @@ class RunConfiguration:
     run_index: int = 0
     compression: str = "none"
     options: dict[str, str] = field(default_factory=dict)
+    determinism: str = "default"
+    timeout: float = 0.0
 
     def to_json(self) -> dict[str, Any]:
         """As plain JSON values."""
@@ -79,6 +83,8 @@ class RunConfiguration:
             run_index=checks.whole(record, "run_index", 0, checks.MAX_COUNT, default=0),
             compression=checks.text(record, "compression", default=""),
             options=checks.text_map(record, "options"),
+            determinism=checks.text(record, "determinism", default="default"),
+            timeout=checks.number(record, "timeout", 0, 1e9) if "timeout" in record else 0.0,
         )
 
 

@@ -94,6 +94,50 @@ class Deviation:
 
 
 @dataclass(frozen=True)
+class Buffer:
+    """A capacity that the engine was given, beyond which it drops what it should have computed.
+
+    name      as the engine calls it
+    asked     how many entries it was given
+    per       "env", or "all" where environments share them
+    counter   name of the counter that shows how many were needed; empty where none does
+    sized_by  how the number came about, in words
+    """
+
+    name: str
+    asked: int
+    per: str
+    counter: str = ""
+    sized_by: str = ""
+
+
+@dataclass(frozen=True)
+class Counter:
+    """Something that is counted at each step in each environment: the topics /count/<phase>/<name>.
+
+    name     such as "contacts", "constraint_rows", "solver_iterations", "awake_bodies", "candidate_pairs"
+    meaning  one sentence
+    """
+
+    name: str
+    meaning: str
+
+
+@dataclass(frozen=True)
+class OverflowBit:
+    """What a bit of the topics /overflow/<phase> means.
+
+    bit    number of the bit, from 0
+    name   as the engine calls it
+    fatal  something was dropped, so that the run is invalid
+    """
+
+    bit: int
+    name: str
+    fatal: bool
+
+
+@dataclass(frozen=True)
 class Simulation:
     """What is known once the simulator is built.
 
@@ -107,6 +151,9 @@ class Simulation:
     scene            the scene's name and parameters, and the SHA-256 of its description
     timing_covers    what lies between the clocks of the phase "timed"
     fresh_start      how the capture phase came to its initial state
+    buffers          capacities that the engine was given
+    counters         what is counted at each step
+    overflow_bits    what the bits of the topics /overflow/<phase> mean
     """
 
     version: str
@@ -119,6 +166,9 @@ class Simulation:
     env_origins: tuple[tuple[float, float, float], ...] = ()
     timing_covers: str = ""
     fresh_start: str = "rebuilt"
+    buffers: tuple[Buffer, ...] = ()
+    counters: tuple[Counter, ...] = ()
+    overflow_bits: tuple[OverflowBit, ...] = ()
 
     def to_json(self) -> str:
         """As the text of the attachment."""
@@ -143,9 +193,28 @@ class Simulation:
                 env_origins=tuple(_point(o) for o in checks.items(record, "env_origins")),
                 timing_covers=checks.text(record, "timing_covers", default=""),
                 fresh_start=checks.text(record, "fresh_start", default=""),
+                buffers=tuple(_buffer(b) for b in checks.objects(record, "buffers")),
+                counters=tuple(
+                    Counter(checks.text(c, "name"), checks.text(c, "meaning", default=""))
+                    for c in checks.objects(record, "counters")
+                ),
+                overflow_bits=tuple(
+                    OverflowBit(checks.whole(b, "bit", 0, 31), checks.text(b, "name"), bool(b.get("fatal")))
+                    for b in checks.objects(record, "overflow_bits")
+                ),
             )
         except DamagedRecording as error:
             raise DamagedRecording(f"{SIMULATION}: {error}") from None
+
+
+def _buffer(record: dict[str, Any]) -> Buffer:
+    return Buffer(
+        name=checks.text(record, "name"),
+        asked=checks.whole(record, "asked", 0, 2**63),
+        per=checks.text(record, "per"),
+        counter=checks.text(record, "counter", default=""),
+        sized_by=checks.text(record, "sized_by", default=""),
+    )
 
 
 def _point(value: Any) -> tuple[float, float, float]:

@@ -11,6 +11,7 @@ RUN_DROPOUT = "/run/dropout"
 MEMORY_HOST = "/memory/host"
 
 _ACTION = re.compile(r"/action/([a-z0-9_]+)/(\d+)")
+_COUNT = re.compile(r"/count/([a-z0-9_]+)/([a-z0-9_]+)")
 _STATE = re.compile(r"/state/([a-z0-9_]+)/([a-z0-9_]+)/(\d+)")
 _ENV_DIGITS = 6
 
@@ -60,6 +61,27 @@ def timing(phase: str) -> str:
 def fingerprint(phase: str) -> str:
     """Topic of the state hashes of a phase."""
     return f"/fingerprint/{phase}"
+
+
+def count(phase: str, name: str) -> str:
+    """Topic of one counter of a phase."""
+    return f"/count/{phase}/{name}"
+
+
+def parse_count(topic: str) -> tuple[str, str] | None:
+    """Phase and name of a counter's topic, or None where the topic is another."""
+    match = _COUNT.fullmatch(topic)
+    return (match[1], match[2]) if match else None
+
+
+def overflow(phase: str) -> str:
+    """Topic of the buffers and limits that a phase ran into."""
+    return f"/overflow/{phase}"
+
+
+def action_stream(phase: str) -> str:
+    """Topic of what a phase applied."""
+    return f"/action_stream/{phase}"
 
 
 def gpu_memory(device: int, source: str) -> str:

@@ -1,6 +1,8 @@
-"""Actions of a run to blocks."""
+"""Actions of a run to blocks, and what a phase applied without storing it."""
 
 from __future__ import annotations
+
+import hashlib
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +13,7 @@ from recorder.scenes.actions import JointTargets
 from schemas import topics
 from schemas.blocks import encode_action
 from schemas.configuration import sim_time_ns
+from schemas.messages import message_class
 
 
 def declare_actions(sink: Sink, actions: JointTargets, *, n_env: int) -> None:
@@ -34,3 +37,43 @@ def write_actions(sink: Sink, name: str, actions: NDArray[np.float32], *, first_
         part = actions[:, start : start + env_block(n_env)]
         data = encode_action(part, first_step=first_step, stride=1, env_start=start, sim_time_ns=time)
         sink.write(topics.action(name, start), data, sim_ns=time)
+
+
+def write_action_stream(
+    sink: Sink,
+    phase: str,
+    actions: JointTargets,
+    *,
+    seed: int,
+    n_env: int,
+    first_step: int,
+    n_step: int,
+    applied: NDArray[np.float32] | None,
+) -> str | None:
+    """What a phase applied; returns what is wrong with the last actions that the engine holds, if anything.
+
+    applied  those actions, [env, action]; None where the engine cannot tell
+    """
+    rows = [
+        actions.draw(seed, n_env=n_env, first_step=step, n_step=1)[0] for step in (first_step, first_step + n_step - 1)
+    ]
+    same = applied is not None and np.array_equal(applied, rows[1])
+    message = message_class("gsb.v1.ActionStream")(
+        generator=actions.describe(seed),
+        first_step=first_step,
+        steps=n_step,
+        envs=n_env,
+        first_sha256=_sha256(rows[0]),
+        last_sha256=_sha256(rows[1]),
+        verified=same,
+    )
+    sink.channel(topics.action_stream(phase), "gsb.v1.ActionStream")
+    sink.write(topics.action_stream(phase), message.SerializeToString())
+    if applied is None or same:
+        return None
+    wrong = int(np.count_nonzero((applied != rows[1]).any(axis=1))) if applied.shape == rows[1].shape else n_env
+    return f"the engine's actions of step {first_step + n_step - 1} are not those it was given, in {wrong} envs"
+
+
+def _sha256(array: NDArray[np.float32]) -> str:
+    return hashlib.sha256(np.ascontiguousarray(array, dtype="<f4").tobytes()).hexdigest()

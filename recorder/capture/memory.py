@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 from recorder import interruption
@@ -20,7 +21,7 @@ class MemoryWriter:
         metadata = {"unit": "byte", "rate": "100 Hz and at checkpoints"}
         sink.channel(topics.MEMORY_HOST, "gsb.v1.MemorySample", metadata)
         for index in range(gpu_count):
-            for source in ("device", "process"):
+            for source in ("device", "process", "allocator"):
                 sink.channel(topics.gpu_memory(index, source), "gsb.v1.MemorySample", metadata)
 
     def start(self) -> None:
@@ -34,6 +35,10 @@ class MemoryWriter:
     def checkpoint(self, name: str) -> None:
         """Read every source now, under the name of a checkpoint of the protocol."""
         self._sampler.checkpoint(name)
+
+    def use_allocator(self, read: Callable[[], tuple[int, int] | None] | None) -> None:
+        """Read the engine's own allocator too, at checkpoints, from this thread; None: no more."""
+        self._sampler.allocator = read
 
     def enter(self, phase: str) -> None:
         """Readings from here on belong to this phase."""

@@ -120,10 +120,11 @@ class Sink:
         """Digests of what was written so far."""
         return self._digest
 
-    def finish(self, status: str, reason: str, *, last_step: int, peak_rss_bytes: int) -> Path:
+    def finish(self, status: str, reason: str, *, last_step: int, peak_rss_bytes: int, cause: str = "") -> Path:
         """Write the end record, make the file durable and give it its final name.
 
         status  COMPLETE, FAILED or INVALID
+        cause   one of recorder.failure.CAUSES; empty when complete
         """
         digests = self._digest.digests()
         end: Any = message_class("gsb.v1.RunEnd")(
@@ -133,6 +134,7 @@ class Sink:
             digests=digests,
             content_hash=content_hash(digests, status.lower(), reason),
             peak_rss_bytes=peak_rss_bytes,
+            cause=enum_values("gsb.v1.Cause")[f"CAUSE_{cause or 'UNSPECIFIED'}"],
         )
         self.channel(topics.RUN_END, "gsb.v1.RunEnd")
         self.write(topics.RUN_END, end.SerializeToString(deterministic=True), digest=False)

@@ -10,7 +10,7 @@ from typing import Any
 
 
 class Gpus:
-    """The GPUs of this machine; a context manager that holds NVML open.
+    """The GPUs that CUDA shows to this process; a context manager that holds NVML open.
 
     problems  one sentence for each GPU that is there and does not answer; it is left out
     """
@@ -35,12 +35,36 @@ class Gpus:
         except pynvml.NVMLError as error:
             self.problems.append(f"NVML does not say how many GPUs there are: {error}")
             return self
-        for index in range(count):
+        for index in self._visible(count):
             try:
                 self._handles.append(pynvml.nvmlDeviceGetHandleByIndex(index))
             except pynvml.NVMLError as error:
                 self.problems.append(f"GPU {index} is left out, it does not answer: {error}")
         return self
+
+    def _visible(self, count: int) -> list[int]:
+        # In the order in which CUDA numbers them, so that GPU 0 here is the one that engines step on by default. CUDA
+        # and NVML number the GPUs of a machine alike where CUDA_DEVICE_ORDER is PCI_BUS_ID or all are of one model.
+        named = os.environ.get("CUDA_VISIBLE_DEVICES")
+        if named is None:
+            return list(range(count))
+        found = []
+        for name in (word.strip() for word in named.split(",")):
+            index = int(name) if name.isdecimal() else self._index_of(name, count)
+            if index is None or index >= count:
+                break  # CUDA ignores this one and all behind it
+            found.append(index)
+        return found
+
+    def _index_of(self, name: str, count: int) -> int | None:
+        for index in range(count):
+            try:
+                uuid = self._nvml.nvmlDeviceGetUUID(self._nvml.nvmlDeviceGetHandleByIndex(index))
+            except self._nvml.NVMLError:
+                continue
+            if name and (uuid.decode() if isinstance(uuid, bytes) else uuid).startswith(name):
+                return index
+        return None
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None

@@ -34,6 +34,8 @@ class MemorySampler:
 
     A reading that fails is counted, and the next is tried: one lost reading neither ends the run nor the sampling.
 
+    allocator     of the engine on GPU 0: bytes in use and their peak; read at checkpoints alone, since engines do not
+                  promise that another thread may ask
     failures      readings that failed
     last_failure  why the last of them did; empty when there were none
     """
@@ -50,6 +52,7 @@ class MemorySampler:
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._loop, name="memory-sampler", daemon=True)
         self.phase = ""
+        self.allocator: Callable[[], tuple[int, int] | None] | None = None
         self.failures = 0
         self.last_failure = ""
 
@@ -83,6 +86,8 @@ class MemorySampler:
             self._try("host", partial(self._read_host, now, checkpoint))
             for index in range(len(self._gpus)):
                 self._try(f"gpu{index}", partial(self._read_gpu, index, now, checkpoint))
+            if checkpoint and self.allocator is not None and len(self._gpus):
+                self._try("allocator", partial(self._read_allocator, self.allocator, now, checkpoint))
 
     def _try(self, source: str, read: Callable[[], None]) -> None:
         try:
@@ -101,6 +106,14 @@ class MemorySampler:
         own = self._gpus.process_memory(index)
         if own is not None:
             self._add(topics.gpu_memory(index, "process"), "GPU_PROCESS", index, now, own, total, checkpoint)
+
+    def _read_allocator(self, read: Callable[[], tuple[int, int] | None], now: int, checkpoint: str) -> None:
+        found = read()
+        if found is None:
+            return
+        used, peak = found
+        self._add(topics.gpu_memory(0, "allocator"), "GPU_ALLOCATOR", 0, now, used, 0, checkpoint)
+        self._add(topics.gpu_memory(0, "allocator"), "GPU_ALLOCATOR", 0, now, peak, 0, f"peak until {checkpoint}")
 
     def _add(self, topic: str, source: str, device: int, now: int, used: int, total: int, checkpoint: str) -> None:
         number = self._sources[f"MEMORY_SOURCE_{source}"]

@@ -1,23 +1,36 @@
-"""Actions that every engine is given: a pure function of seed, step and environment."""
+"""Actions that every engine is given: a pure function of seed, environment and step."""
 
 from __future__ import annotations
 
+import json
+import math
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from schemas.splitmix import GOLDEN, mix
+from schemas.mix32 import GOLDEN32, mix32
 
-_MANTISSA = 24  # bits of a float32: every engine gets exactly the same number
+GRID_BITS = 13
+GRID = 2.0**-GRID_BITS
+"""Targets are whole multiples of this [rad]: every float32 operation that makes one is exact, whatever device does it
+and whether or not it fuses a multiplication with an addition."""
+
+_WORD_BITS = 16  # of the random word that scales a range; a range of less than 2^16 steps keeps the product in 32 bits
 
 
 @dataclass(frozen=True)
 class JointTargets:
-    """A target position for each joint at each step, uniform within its limits.
+    """A target position for each joint at each step, uniform within its limits (to within GRID).
 
-    The generator is counter-based: a chain of SplitMix64 finalisers over seed, env, step and joint, of whose result the
-    upper 24 bits are the fraction. Any step of any environment can be made anywhere, in any order, on any device.
+    The generator is counter-based, in 32-bit wrapping integers, so that any step of any environment can be made
+    anywhere, in any order, on any device:
+
+        w = mix(seed_low + G);  w = mix(w + seed_high + G)
+        w = mix(w + (env + 1) * G);  w = mix(w + (step + 1) * G);  w = mix(w + (joint + 1) * G)
+        target = (first[joint] + ((w >> 16) * count[joint] >> 16)) * GRID
+
+    with mix the finaliser of MurmurHash3 and G = 0x9E3779B9 (``schemas.mix32``).
 
     name          of the topic
     joints        names, in the robot's order
@@ -29,6 +42,19 @@ class JointTargets:
     lower: tuple[float, ...]
     upper: tuple[float, ...]
 
+    def grid(self) -> tuple[NDArray[np.int32], NDArray[np.uint32]]:
+        """`first` and `count` for each joint: the targets are GRID times first .. first + count - 1."""
+        first = np.array([math.ceil(x / GRID) for x in self.lower], dtype=np.int32)
+        last = np.array([math.floor(x / GRID) for x in self.upper], dtype=np.int32)
+        return first, (last - first + 1).astype(np.uint32)
+
+    def seed_word(self, seed: int) -> int:
+        """The word that `seed` begins the chain with, for generators on a device."""
+        low, high = seed & 0xFFFFFFFF, (seed >> 32) & 0xFFFFFFFF
+        golden = np.uint32(GOLDEN32)
+        word = mix32(np.array([low], dtype=np.uint32) + golden)
+        return int(mix32(word + np.uint32(high) + golden)[0])
+
     def draw(self, seed: int, *, n_env: int, first_step: int, n_step: int) -> NDArray[np.float32]:
         """Targets [rad], shape [step, env, joint]; row i leads from the state of step first_step + i to the next."""
         counters = (
@@ -36,10 +62,23 @@ class JointTargets:
             first_step + np.arange(n_step)[:, None, None],
             np.arange(len(self.joints))[None, None, :],
         )
-        word = mix(np.array([[[seed % 2**64]]], dtype=np.uint64) + np.uint64(GOLDEN))
+        golden = np.uint32(GOLDEN32)
+        word = np.array([[[self.seed_word(seed)]]], dtype=np.uint32)
         for counter in counters:
-            word = mix(word + (counter.astype(np.uint64) + np.uint64(1)) * np.uint64(GOLDEN))
-        fraction = (word >> np.uint64(64 - _MANTISSA)).astype(np.float64) / 2.0**_MANTISSA
-        lower, upper = np.array(self.lower), np.array(self.upper)
-        targets: NDArray[np.float32] = (lower + fraction * (upper - lower)).astype(np.float32)
-        return targets
+            word = mix32(word + (counter + 1).astype(np.uint32) * golden)
+        first, count = self.grid()
+        index = (word >> np.uint32(32 - _WORD_BITS)) * count >> np.uint32(_WORD_BITS)
+        return (first + index.astype(np.int32)).astype(np.float32) * np.float32(GRID)
+
+    def describe(self, seed: int) -> str:
+        """The generator with all that it depends on (JSON)."""
+        return json.dumps(
+            {
+                "generator": "murmur3-fmix32-grid13",
+                "name": self.name,
+                "seed": seed,
+                "joints": self.joints,
+                "lower": self.lower,
+                "upper": self.upper,
+            }
+        )

@@ -1,8 +1,11 @@
 """The contract of a simulator adapter. This page is all that an engine must provide.
 
 An adapter holds N identical environments of one scene. The recorder calls, in this order: the constructor, ``build``
-once, then ``prepare``, ``step`` or ``states`` and ``gates`` any number of times, ``close``. A capture that needs a
-fresh start gets a new instance, so nothing has to be reset.
+once, ``compile`` once, then ``prepare``, ``step`` or ``states``, ``evidence`` and ``gates`` any number of times,
+``close``. A capture that needs a fresh start gets a new instance, so nothing has to be reset.
+
+Importing an adapter's module must be cheap and must not touch a device: engines are imported in ``build``, when the
+environment variables that ``environment`` asks for are set.
 """
 
 from __future__ import annotations
@@ -15,8 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recorder.scenes.base import Scene
+from recorder.simulators.evidence import Evidence
 from schemas.fields import StateField
-from schemas.provenance import Deviation
+from schemas.provenance import Buffer, Counter, Deviation, OverflowBit
 
 States = tuple[NDArray[np.floating], ...]
 """One array per state field, in the order of Description.fields."""
@@ -35,6 +39,9 @@ class Description:
     timing_covers  what lies between two clock readings around ``step``
     attachments    files worth keeping, such as the model that was loaded: name -> (media type, bytes)
     env_origins    origin of each environment in the engine's world frame [m]; empty when all are at zero
+    buffers        capacities beyond which the engine drops contacts or constraints; measured, never left at a default
+    counters       what ``evidence`` counts
+    overflow_bits  what the bits of ``evidence`` mean
     """
 
     version: str
@@ -46,6 +53,9 @@ class Description:
     timing_covers: str
     attachments: dict[str, tuple[str, bytes]] = field(default_factory=dict)
     env_origins: tuple[tuple[float, float, float], ...] = ()
+    buffers: tuple[Buffer, ...] = ()
+    counters: tuple[Counter, ...] = ()
+    overflow_bits: tuple[OverflowBit, ...] = ()
 
 
 class Simulator(ABC):
@@ -53,38 +63,67 @@ class Simulator(ABC):
 
     Options          frozen dataclass of the engine's own options; every field has a default
     timing_interval  steps between two clock readings of the timed phase; 1 unless reading the clock would cost
+    determinism      levels that can be asked for, and what each sets, in words; "default" is the engine as it ships
+    draws_actions    True where the adapter makes the scene's actions on its device, step by step, instead of taking
+                     them from ``prepare``
     """
 
     Options: ClassVar[type]
     timing_interval: ClassVar[int] = 1
+    determinism_levels: ClassVar[dict[str, str]] = {"default": "the engine as it ships"}
+    draws_actions: ClassVar[bool] = False
 
-    def __init__(self, scene: Scene, *, n_env: int, dt: float, seed: int, options: Any) -> None:
+    def __init__(
+        self, scene: Scene, *, n_env: int, dt: float, seed: int, options: Any, determinism: str = "default"
+    ) -> None:
         """Keep the arguments; touch no device yet.
 
-        n_env    number of environments
-        dt       step [s]
-        seed     of whatever the engine draws at random
-        options  an instance of Options
+        n_env        number of environments
+        dt           step [s]
+        seed         of whatever the engine draws at random
+        options      an instance of Options
+        determinism  one of determinism_levels
         """
         self.scene = scene
         self.n_env = n_env
         self.dt = dt
         self.seed = seed
         self.options = options
+        self.determinism = determinism
+
+    @classmethod
+    def environment(cls, options: Any, determinism: str) -> dict[str, str]:
+        """Environment variables that must be set before the engine is imported.
+
+        A variable that the user has set stays as it is; flags of XLA_FLAGS are added to it.
+        """
+        return {}
 
     @abstractmethod
     def build(self) -> Description:
         """Load the scene into the engine, in its initial state, ready to step.
 
-        Raises UsageError where the engine cannot simulate this scene or was given an option it does not have.
+        Raises UsageError where the engine cannot simulate this scene or was given an option it does not have, and
+        recorder.failure.Refused where the engine itself does not accept a setting.
         """
+
+    def compile(self, phase: str) -> None:  # noqa: B027 - most engines have nothing to compile
+        """Compile what ``step`` ("timed") or ``states`` ("capture") needs, so that neither has to; timed apart."""
 
     def prepare(self, actions: NDArray[np.float32] | None) -> None:  # noqa: B027 - most scenes have no actions
         """Take the actions of the next steps, shape [step, env, action]; None where the scene has none.
 
         Outside the timed region: an adapter moves them to its device here. The steps that follow use them in order,
-        one row a step; row i is held during step i.
+        one row a step; row i is held during step i. None as well for an adapter that draws them itself: the steps that
+        follow are those after the last one made, beginning with 0.
         """
+
+    def applied(self) -> NDArray[np.float32] | None:
+        """The actions that the engine holds from the last step, [env, action], to be compared with what was meant.
+
+        None where the engine cannot tell.
+        """
+        return None
 
     @abstractmethod
     def step(self, n_step: int) -> None:
@@ -105,10 +144,22 @@ class Simulator(ABC):
             rows.append(tuple(array.copy() for array in self.state()))
         return tuple(np.stack(column) for column in zip(*rows, strict=True))
 
+    def evidence(self) -> Evidence | None:
+        """Counts of the steps of the last call of ``states``, or of the last step, one row, after ``step``.
+
+        After ``step`` the overflow bits are those of all steps since the last call; an engine that clears them at each
+        step has to gather them on its device. None where the engine tells nothing.
+        """
+        return None
+
+    def allocator_bytes(self) -> tuple[int, int] | None:
+        """Bytes of device memory in use by the engine's own allocator, and their peak; None where it does not tell."""
+        return None
+
     def gates(self) -> list[str]:
         """Validity gates that fired since the last call, one sentence each: dropped contacts, solver failures, resets.
 
-        Non-finite states need no mention; the recorder looks for them itself.
+        Non-finite states and overflow bits need no mention; the recorder looks for them itself.
         """
         return []
 

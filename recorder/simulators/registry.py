@@ -44,7 +44,7 @@ class Entry:
 
     def missing(self) -> tuple[str, ...]:
         """Import names that are not installed; nothing is imported to find out."""
-        return tuple(name for name in self.requires if find_spec(name) is None)
+        return tuple(name for name in self.requires if not _is_there(name))
 
     def load(self) -> type[Simulator]:
         """The adapter; UsageError says how to install what is missing."""
@@ -62,16 +62,77 @@ class Entry:
         return adapter
 
 
+def _is_there(name: str) -> bool:
+    try:
+        return find_spec(name) is not None
+    except ModuleNotFoundError:  # of a package whose parent is missing
+        return False
+
+
+def _extra(name: str) -> str:
+    return f"pip install 'gpusimbench[{name}]', or in a clone: pip install '.[{name}]'"
+
+
 BUILT_IN = (
     Entry(
         "mujoco",
         "MuJoCo C on the CPU, float64, environments spread over threads",
         "recorder.simulators.mujoco_c:MujocoC",
         requires=("mujoco", "psutil"),
-        install="pip install 'gpusimbench[mujoco]', or in a clone: pip install '.[mujoco]'",
+        install=_extra("mujoco"),
         devices=("cpu",),
         precision=("float64",),
         scenes=("inclined-collision", "free-fall", "franka"),
+    ),
+    Entry(
+        "warp",
+        "MuJoCo Warp: MuJoCo in Warp kernels, CUDA graph capture on a GPU",
+        "recorder.simulators.mujoco_warp:MujocoWarp",
+        requires=("mujoco_warp", "psutil"),
+        install=_extra("warp"),
+        devices=("cuda", "cpu"),
+        precision=("float32",),
+        scenes=("inclined-collision", "free-fall", "franka"),
+    ),
+    Entry(
+        "mjx",
+        "MJX: MuJoCo in JAX (--impl jax) or in Warp kernels called from JAX (--impl warp)",
+        "recorder.simulators.mjx:Mjx",
+        requires=("jax", "mujoco.mjx", "psutil"),
+        install=_extra("mjx"),
+        devices=("cuda", "cpu"),
+        precision=("float32",),
+        scenes=("inclined-collision", "free-fall", "franka"),
+    ),
+    Entry(
+        "playground",
+        "MuJoCo Playground: an environment of its own kind over MJX, with its default implementation",
+        "recorder.simulators.playground:Playground",
+        requires=("mujoco_playground", "psutil"),
+        install=_extra("playground"),
+        devices=("cuda", "cpu"),
+        precision=("float32",),
+        scenes=("inclined-collision", "free-fall", "franka"),
+    ),
+    Entry(
+        "brax",
+        "Brax: --solver positional, spring or generalized, in JAX",
+        "recorder.simulators.brax:Brax",
+        requires=("brax", "psutil"),
+        install=_extra("brax"),
+        devices=("cuda", "cpu"),
+        precision=("float32",),
+        scenes=("inclined-collision", "free-fall"),
+    ),
+    Entry(
+        "newton",
+        "Newton: --solver mujoco, xpbd, steel and others, in Warp kernels",
+        "recorder.simulators.newton:Newton",
+        requires=("newton", "psutil"),
+        install=_extra("newton"),
+        devices=("cuda", "cpu"),
+        precision=("float32",),
+        scenes=("inclined-collision", "free-fall"),
     ),
 )
 

@@ -40,9 +40,14 @@ _WIRE = {
     },
     "Event": {"kind": 1, "phase": 2, "monotonic_ns": 3, "unix_ns": 4, "text": 5},
     "FingerprintBlock": {"first_step": 1, "steps": 2, "stride": 3, "env_start": 4, "envs": 5, "hashes": 6},
+    "StepCounts": {"first_step": 1, "stride": 2, "mean": 3, "p95": 4, "max": 5},
+    "Overflow": {"first_step": 1, "stride": 2, "bits": 3, "envs": 4},
+    "ActionStream": {
+        "generator": 1, "first_step": 2, "steps": 3, "envs": 4, "first_sha256": 5, "last_sha256": 6, "verified": 7,
+    },
     "Dropout": {"topic": 1, "first_step": 2, "steps": 3, "reason": 4},
     "RunEnd": {
-        "status": 1, "reason": 2, "last_step": 3, "digests": 4, "content_hash": 5, "peak_rss_bytes": 6,
+        "status": 1, "reason": 2, "last_step": 3, "digests": 4, "content_hash": 5, "peak_rss_bytes": 6, "cause": 7,
     },
 }  # fmt: skip
 

@@ -103,12 +103,20 @@ def _add_robot(root: ET.Element, world: ET.Element, robot: Robot) -> None:
         )
 
 
-def emit_mjcf(scene: Scene, *, dt: float, option: Mapping[str, str], geom: Mapping[str, str]) -> str:
+def emit_mjcf(
+    scene: Scene,
+    *,
+    dt: float,
+    option: Mapping[str, str],
+    geom: Mapping[str, str],
+    numerics: Mapping[str, str] | None = None,
+) -> str:
     """MJCF of one environment; bodies, joints and geoms carry the scene's names.
 
     dt         step [s]
     option     further attributes of <option>, such as integrator and cone
     geom       defaults of <geom>, such as solref and condim
+    numerics   custom numbers by name, which some engines read
     """
     root = ET.Element("mujoco", {"model": scene.name})
     ET.SubElement(root, "compiler", {"angle": "radian", "autolimits": "true"})
@@ -122,6 +130,9 @@ def emit_mjcf(scene: Scene, *, dt: float, option: Mapping[str, str], geom: Mappi
         _add_body(world, body)
     if scene.robot is not None:
         _add_robot(root, world, scene.robot)
+    custom = ET.SubElement(root, "custom") if numerics else root
+    for name, data in (numerics or {}).items():
+        ET.SubElement(custom, "numeric", {"name": name, "data": data})
     ET.indent(root)
     return ET.tostring(root, encoding="unicode") + "\n"
 

@@ -1,0 +1,86 @@
+"""Evidence of a phase's steps to messages, and the validity gates that it shows."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from recorder.capture.sink import Sink
+from recorder.simulators.base import Description
+from recorder.simulators.evidence import Evidence
+from schemas import topics
+from schemas.configuration import sim_time_ns
+from schemas.messages import message_class
+
+_QUANTILE = 0.95
+
+
+class EvidenceWriter:
+    """Writes what one phase counted.
+
+    stride  steps between two rows; with more than 1, overflow bits are those of all steps since the row before
+    """
+
+    def __init__(self, sink: Sink, description: Description, phase: str, *, dt: float, stride: int) -> None:
+        self._sink = sink
+        self._phase = phase
+        self._dt = dt
+        self._stride = stride
+        self._buffers = description.buffers
+        self._fatal = {bit.bit: bit.name for bit in description.overflow_bits if bit.fatal}
+        self._counters = {counter.name: counter for counter in description.counters}
+        for counter in description.counters:
+            metadata = {"meaning": counter.meaning, "over": "environments"}
+            sink.channel(topics.count(phase, counter.name), "gsb.v1.StepCounts", metadata)
+        self._has_overflow = bool(description.overflow_bits)
+        if self._has_overflow:
+            bits = ",".join(f"{bit.bit}={bit.name}" for bit in description.overflow_bits)
+            sink.channel(topics.overflow(phase), "gsb.v1.Overflow", {"bits": bits})
+
+    def feed(self, evidence: Evidence, *, first_step: int) -> list[str]:
+        """Write rows, the first of them of `first_step`; returns the gates that fired, one sentence each."""
+        time = sim_time_ns(first_step, self._dt)
+        for name, counts in evidence.counts.items():
+            if name not in self._counters:
+                raise ValueError(f"evidence counts '{name}', which the simulator's description does not name")
+            message = message_class("gsb.v1.StepCounts")(
+                first_step=first_step,
+                stride=self._stride,
+                mean=counts.mean(axis=1).tolist(),
+                p95=nearest_rank(counts, _QUANTILE).tolist(),
+                max=counts.max(axis=1).tolist(),
+            )
+            self._sink.write(topics.count(self._phase, name), message.SerializeToString(), sim_ns=time)
+        if evidence.overflow is None or not self._has_overflow:
+            return []
+        bits = evidence.overflow.astype(np.uint32)
+        message = message_class("gsb.v1.Overflow")(
+            first_step=first_step,
+            stride=self._stride,
+            bits=np.bitwise_or.reduce(bits, axis=1).tolist(),
+            envs=np.count_nonzero(bits, axis=1).tolist(),
+        )
+        self._sink.write(topics.overflow(self._phase), message.SerializeToString(), sim_ns=time)
+        return [
+            gate
+            for bit, name in self._fatal.items()
+            if (gate := self._gate(bits & np.uint32(1 << bit), name, first_step))
+        ]
+
+    def _gate(self, hit: NDArray[np.uint32], name: str, first_step: int) -> str:
+        rows, envs = np.nonzero(hit)
+        if not rows.size:
+            return ""
+        step = first_step + int(rows[0]) * self._stride
+        when = f"first at step {step}" if self._stride == 1 else f"by step {step}"
+        sizes = ", ".join(f"{b.name} {b.asked} per {b.per}" for b in self._buffers)
+        return (
+            f"buffer overflow {name} in {len(set(envs.tolist()))} of {hit.shape[1]} envs, {when}: the engine dropped "
+            f"contacts or constraints{f' (buffers: {sizes})' if sizes else ''}"
+        )
+
+
+def nearest_rank(counts: NDArray[np.integer], quantile: float) -> NDArray[np.integer]:
+    """The quantile of each row [row, env] by nearest rank: a number that occurs in it."""
+    index = max(0, int(np.ceil(quantile * counts.shape[1])) - 1)
+    return np.partition(counts, index, axis=1)[:, index]

@@ -1,0 +1,43 @@
+"""What kind of thing ended a run: the Cause of its end record."""
+
+from __future__ import annotations
+
+from schemas.errors import GsbError, UsageError
+
+CAUSES = (
+    "DEVICE_MEMORY", "HOST_MEMORY", "BUFFER", "NOT_FINITE", "TIMEOUT", "REFUSED", "INTERRUPTED", "ENGINE",
+)  # fmt: skip
+"""Names of gsb.v1.Cause."""
+
+_DEVICE_MEMORY = (
+    "resource_exhausted",  # XLA
+    "out of memory",  # CUDA, torch
+    "cudaerrormemoryallocation",
+    "cuda_error_out_of_memory",
+    "failed to allocate",  # Warp
+)
+
+
+class Refused(GsbError):
+    """The engine does not accept a setting that it was given: an outcome worth recording, with its reason."""
+
+
+class TimedOut(GsbError):
+    """The run took longer than it may."""
+
+
+def cause_of(error: BaseException) -> str:
+    """One of CAUSES for what ended a run."""
+    match error:
+        case KeyboardInterrupt():
+            return "INTERRUPTED"
+        case TimedOut():
+            return "TIMEOUT"
+        case Refused() | UsageError():
+            return "REFUSED"
+        case MemoryError():
+            return "HOST_MEMORY"
+    text = f"{type(error).__name__} {error}".lower()
+    if any(words in text for words in _DEVICE_MEMORY):
+        return "DEVICE_MEMORY"
+    return "ENGINE"

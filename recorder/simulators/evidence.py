@@ -1,0 +1,20 @@
+"""What shows that steps did the work that they are timed for: contacts, rows, iterations, and what was dropped."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """Counts of some steps; a row is a step.
+
+    counts    by the name of a Counter of the Description: shape [row, env]
+    overflow  bitmasks, shape [row, env], as the Description's overflow_bits say; None where the engine has none
+    """
+
+    counts: dict[str, NDArray[np.integer]] = field(default_factory=dict)
+    overflow: NDArray[np.uint32] | None = None

@@ -1,0 +1,79 @@
+"""Options of MuJoCo's physics, named as in MJCF, shared by every engine that implements it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+INTEGRATORS = ("Euler", "RK4", "implicit", "implicitfast")
+CONES = ("elliptic", "pyramidal")
+SOLVERS = ("Newton", "CG", "PGS")
+
+_CONDIMS = (1, 3, 4, 6)
+_IMPEDANCE = (0.0001, 0.9999)  # mjMINIMP, mjMAXIMP: MuJoCo clips to these
+
+OPTION_ATTRIBUTES = ("integrator", "cone", "solver", "iterations", "ls_iterations", "tolerance", "impratio")
+GEOM_ATTRIBUTES = ("solref", "solimp", "condim")
+
+
+@dataclass(frozen=True)
+class MjcfOptions:
+    """Options of MuJoCo's physics.
+
+    solref     of contacts, two numbers: time constant [s] and damping ratio, or, both negative, stiffness and damping
+    solimp     of contacts, five numbers: impedance at no penetration and at `width`, both above 0 and below 1; width
+               [m]; midpoint, above 0 and below 1; power, at least 1
+    tolerance  0: the solver makes all its iterations
+
+    ValueError for a value that MuJoCo would replace by another.
+    """
+
+    integrator: str = "implicitfast"
+    cone: str = "elliptic"
+    solver: str = "Newton"
+    iterations: int = 100
+    ls_iterations: int = 50
+    tolerance: float = 1e-8
+    impratio: float = 1.0
+    solref: str = "0.02 1"
+    solimp: str = "0.9 0.95 0.001 0.5 2"
+    condim: int = 3
+
+    def __post_init__(self) -> None:
+        for name, allowed in (("integrator", INTEGRATORS), ("cone", CONES), ("solver", SOLVERS)):
+            one_of(name, getattr(self, name), allowed)
+        for name in ("iterations", "ls_iterations"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"{name} is at least 1, not {getattr(self, name)}")
+        if not 0 <= self.tolerance < math.inf:
+            raise ValueError(f"tolerance is a number from 0 on, not {self.tolerance}")
+        if not 0 < self.impratio < math.inf:
+            raise ValueError(f"impratio is a number above 0, not {self.impratio}")
+        if self.condim not in _CONDIMS:
+            raise ValueError(f"condim is one of {', '.join(map(str, _CONDIMS))}, not {self.condim}")
+        solref = self._numbers("solref", 2)
+        if not (min(solref) > 0 or max(solref) < 0):
+            raise ValueError(f"solref is two numbers above 0, or two below 0, not '{self.solref}'")
+        least, most, width, midpoint, power = self._numbers("solimp", 5)
+        low, high = _IMPEDANCE
+        if not all(low <= value <= high for value in (least, most, midpoint)):
+            raise ValueError(f"solimp's first, second and fourth number are from {low} to {high}, not '{self.solimp}'")
+        if width < 0 or power < 1:
+            raise ValueError(f"solimp's width is at least 0 and its power at least 1, not '{self.solimp}'")
+
+    def _numbers(self, name: str, count: int) -> list[float]:
+        text = getattr(self, name)
+        try:
+            values = [float(word) for word in text.split()]
+        except ValueError:
+            raise ValueError(f"{name} is a list of numbers, not '{text}'") from None
+        if len(values) != count or not all(map(math.isfinite, values)):
+            raise ValueError(f"{name} is {count} finite numbers, not '{text}'")
+        return values
+
+
+def one_of(name: str, value: Any, allowed: tuple[Any, ...]) -> None:
+    """ValueError where an option has none of the values that it may have."""
+    if value not in allowed:
+        raise ValueError(f"{name} is one of {', '.join(map(str, allowed))}, not '{value}'")
