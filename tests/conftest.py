@@ -28,7 +28,7 @@ def command(name: str) -> list[str]:
 def call(name: str, *arguments: object, **keywords: object) -> subprocess.CompletedProcess[str]:
     """Run a command to its end; nothing is raised for its exit code."""
     return subprocess.run(  # type: ignore[call-overload,no-any-return]
-        [*command(name), *map(str, arguments)], **{"capture_output": True, "text": True, "timeout": 120, **keywords}
+        [*command(name), *map(str, arguments)], **{"capture_output": True, "text": True, "timeout": 600, **keywords}
     )
 
 

@@ -1,29 +1,32 @@
 """How large an engine's contact buffers must be, measured on MuJoCo C before the engine is built.
 
-The same model is stepped there once, for as long as the protocol runs, and what it needs is counted; the engine gets
-that and a margin. Whether it was enough is counted again by the engine itself, at every step: an overflow makes the run
-invalid.
+The same model is stepped there for as long as the protocol runs, and what it needs is counted; the engine gets that and
+a margin. Whether it was enough is counted again by the engine itself, at every step: an overflow makes the run invalid.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+from numpy.typing import NDArray
+
 from recorder.simulators.mjcf_model import MjcfModel
 
 _PROTOCOL_STEPS = 1100  # warm-up and timed steps
-_PILOT_ENVS = 64  # of a scene whose environments are given different actions
-_MARGIN = 1.1  # over one trajectory that all environments repeat, rounding aside
-_MARGIN_OF_SAMPLE = 1.5  # over a sample of trajectories, of which many more will be run
+_PILOT_ENVS = 16  # of a scene whose environments are given different actions
+_MARGIN = 1.1  # over one trajectory that all environments repeat
+_MARGIN_OF_SAMPLE = 2.0  # over a sample of trajectories, of which many more will be run
 _ROUND = 32
 
 
 @dataclass(frozen=True)
 class Need:
-    """What MuJoCo C needed at its fullest step.
+    """What MuJoCo C needed at its fullest step, in one environment.
 
-    contacts  in one environment
-    rows      of constraints in one environment
+    contacts  contact points
+    rows      scalar constraints
+    pairs     pairs of shapes of different bodies whose bounding spheres overlap: what a broad phase may let through
     steps     that were counted
     envs      that were counted
     margin    by which buffers should be larger
@@ -31,9 +34,15 @@ class Need:
 
     contacts: int
     rows: int
+    pairs: int
     steps: int
     envs: int
     margin: float
+
+    @property
+    def pool(self) -> int:
+        """Entries of a buffer that holds first the pairs and then the contacts, as MuJoCo Warp's does."""
+        return max(self.contacts, self.pairs)
 
     def size(self, needed: int) -> int:
         """The buffer for what was needed."""
@@ -42,9 +51,7 @@ class Need:
     def sized_by(self, needed: int) -> str:
         """How the size came about."""
         what = f"{self.envs} envs of MuJoCo C" if self.envs > 1 else "MuJoCo C"
-        return (
-            f"{needed} needed by {what} in {self.steps} steps, times {self.margin:g}, to the next multiple of {_ROUND}"
-        )
+        return f"{needed} needed by {what} in {self.steps} steps, times {self.margin:g}, to a multiple of {_ROUND}"
 
 
 def measure(compiled: MjcfModel, *, dt: float, seed: int) -> Need:
@@ -52,7 +59,27 @@ def measure(compiled: MjcfModel, *, dt: float, seed: int) -> Need:
     steps = max(_PROTOCOL_STEPS, round(compiled.scene.sample_time / dt))
     drawn = compiled.scene.actions is not None
     envs = _PILOT_ENVS if drawn else 1
-    contacts = rows = 0
+    overlapping = BoundingSpheres(compiled.model)
+    contacts = rows = pairs = 0
     for data in compiled.rollout(n_step=steps, seed=seed, n_env=envs):
         contacts, rows = max(contacts, data.ncon), max(rows, data.nefc)
-    return Need(contacts, rows, steps, envs, _MARGIN_OF_SAMPLE if drawn else _MARGIN)
+        pairs = max(pairs, overlapping.count(data.geom_xpos))
+    return Need(contacts, rows, pairs, steps, envs, _MARGIN_OF_SAMPLE if drawn else _MARGIN)
+
+
+class BoundingSpheres:
+    """Pairs of geoms of different bodies of a mujoco.MjModel; a plane overlaps with everything."""
+
+    def __init__(self, model: object) -> None:
+        body = np.asarray(model.geom_bodyid)  # type: ignore[attr-defined]
+        radius = np.asarray(model.geom_rbound)  # type: ignore[attr-defined]
+        one, other = np.triu_indices(len(body), k=1)
+        apart = body[one] != body[other]
+        self._one, self._other = one[apart], other[apart]
+        unbounded = (radius[self._one] == 0) | (radius[self._other] == 0)
+        self._reach = np.where(unbounded, np.inf, radius[self._one] + radius[self._other])
+
+    def count(self, centres: NDArray[np.float64]) -> int:
+        """Overlapping pairs with the geoms' centres at [geom, 3]."""
+        offset = centres[self._one] - centres[self._other]
+        return int(np.count_nonzero(np.einsum("ij,ij->i", offset, offset) <= self._reach**2))

@@ -19,7 +19,7 @@ def start(device: str, mode: str = "off") -> Any:
     """
     import warp as wp
 
-    wp.config.quiet = True
+    wp.config.log_level = wp.LOG_WARNING
     wp.config.deterministic = wp.DeterministicMode[MODES[mode]]
     wp.init()
     if device == "auto":

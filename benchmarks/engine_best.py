@@ -1,0 +1,123 @@
+"""Timed phase of the recorder against a bare loop of the same engine and against the engine's own speed tool, in turn.
+
+usage: python -m benchmarks.engine_best --sim warp|mjx [--scene free-fall] [--n-env 1024] [--steps 500] [--rounds 3]
+
+All three run the same model (the recording's scene.xml), with the recording's buffer sizes, warm-up and number of
+steps. The speed tools (mjwarp-testspeed, mjx-testspeed) start from a state of their own choosing, and mjwarp-testspeed
+needs a GPU; where one cannot run, the line says so.
+"""
+
+from __future__ import annotations
+
+import argparse
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+from benchmarks.machine import machine, spread
+from evaluator import open_recording
+from evaluator.metrics.throughput import frames_per_second
+from evaluator.recording import Recording
+
+WARMUP = 100
+
+
+def recorded(sim: str, scene: str, folder: Path, n_env: int, steps: int) -> Recording:
+    """A recording of the timed phase alone."""
+    done = subprocess.run(
+        [sys.executable, "-m", "recorder.cli", "--sim", sim, "--scene", scene, "--n-env", str(n_env), "--runs", "1",
+         "--warmup", str(WARMUP), "--timed-steps", str(steps), "--phases", "timed", "--out", str(folder)],
+        check=True, capture_output=True, text=True,
+    )  # fmt: skip
+    return open_recording(Path(done.stdout.strip()))
+
+
+def model_of(recording: Recording, folder: Path) -> Path:
+    """The recording's MJCF, without the one flag that engines on accelerators do not know."""
+    xml = recording.attachment("scene.xml")
+    assert xml is not None
+    path = folder / "scene.xml"
+    path.write_text(re.sub(r"<flag autoreset=\"disable\" */>", "", xml.decode()))
+    return path
+
+
+def buffers_of(recording: Recording) -> dict[str, int]:
+    """Buffer sizes by name."""
+    assert recording.simulation is not None
+    return {buffer.name: buffer.asked for buffer in recording.simulation.buffers}
+
+
+def bare(sim: str, model: Path, recording: Recording, steps: int) -> float:
+    """Env-steps/s of a loop that does nothing but step, in a process of its own."""
+    sizes = buffers_of(recording)
+    given = [str(sizes.get(name, 0)) for name in ("nconmax", "njmax")]
+    arguments = [str(model), str(recording.configuration.n_env), str(WARMUP), str(steps), *given]
+    done = subprocess.run(
+        [sys.executable, "-m", f"benchmarks.bare_{sim}", *arguments], check=True, capture_output=True, text=True
+    )
+    return float(done.stdout.split()[-1])
+
+
+def tool(sim: str, model: Path, recording: Recording, steps: int) -> float | None:
+    """Env-steps/s that the engine's own speed tool prints; None where it does not run here."""
+    n_env, sizes = str(recording.configuration.n_env), buffers_of(recording)
+    assert recording.simulation is not None
+    options = recording.simulation.options
+    if sim == "warp":
+        command = ["mjwarp-testspeed", str(model), f"--nworld={n_env}", f"--nstep={steps}",
+                   f"--nconmax={sizes['nconmax']}", f"--njmax={sizes['njmax']}"]  # fmt: skip
+        module = "mujoco_warp.testspeed"
+    else:
+        command = ["mjx-testspeed", f"--mjcf={model.name}", f"--base_path={model.parent}", f"--batch_size={n_env}",
+                   f"--nstep={steps}", "--solver=newton", f"--iterations={options['iterations']}",
+                   f"--ls_iterations={options['ls_iterations']}"]  # fmt: skip
+        module = "mujoco.mjx.testspeed"
+    start = [command[0]] if shutil.which(command[0]) else [sys.executable, "-c", f"import {module} as t; t.main()"]
+    done = subprocess.run([*start, *command[1:]], capture_output=True, text=True)
+    found = re.search(r"Total steps per second:\s*([\d,.]+)", done.stdout)
+    return float(found[1].replace(",", "")) if found else None
+
+
+def main() -> None:
+    """Measure and print."""
+    p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    p.add_argument("--sim", choices=("warp", "mjx"), required=True)
+    p.add_argument("--scene", default="free-fall")
+    p.add_argument("--n-env", type=int, default=1024)
+    p.add_argument("--steps", type=int, default=500)
+    p.add_argument("--rounds", type=int, default=3)
+    a = p.parse_args()
+    ours: list[float] = []
+    loops: list[float] = []
+    tools: list[float] = []
+    device = ""
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        for _ in range(a.rounds):
+            recording = recorded(a.sim, a.scene, folder, a.n_env, a.steps)
+            assert recording.simulation is not None
+            device = recording.simulation.device
+            ours.append(frames_per_second(a.n_env, a.steps, recording.timing["timed"].elapsed_s))
+            model = model_of(recording, folder)
+            loops.append(bare(a.sim, model, recording, a.steps))
+            found = tool(a.sim, model, recording, a.steps)
+            tools += [] if found is None else [found]
+    print(f"machine                        {machine()}, device {device}")
+    print(f"rounds                         {a.rounds}, {a.sim}, {a.scene}, {a.n_env} envs, {a.steps} steps")
+    print(f"recorder, timed [env-steps/s]  {spread(ours, 0)}")
+    print(f"bare loop                      {spread(loops, 0)}")
+    ratios = [x / y for x, y in zip(ours, loops, strict=True)]
+    print(f"ratio recorder / bare          {spread(ratios)}   claim: at least 0.98")
+    if len(tools) == len(ours):
+        print(f"the engine's speed tool        {spread(tools, 0)}")
+        ratios = [x / y for x, y in zip(ours, tools, strict=True)]
+        print(f"ratio recorder / tool          {spread(ratios)}   claim: at least 1")
+    else:
+        print("the engine's speed tool        does not run here (mjwarp-testspeed needs a GPU)")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,327 @@
+"""MuJoCo Warp: MuJoCo's physics in Warp kernels, on a GPU or, slowly, on the CPU.
+
+On a GPU one step is captured as a CUDA graph and replayed. Actions are drawn on the device as part of it. For a
+capture, a second graph copies the state and what the engine counts into a ring on the device after each step; the ring
+is read once it is full.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from recorder.failure import Refused, cause_of
+from recorder.scenes.actions import GRID
+from recorder.scenes.emit.mjcf import deviations
+from recorder.simulators import warp_runtime
+from recorder.simulators.base import Description, Simulator, States
+from recorder.simulators.counters import CONSTRAINT_ROWS, CONTACTS, SOLVER_ITERATIONS
+from recorder.simulators.evidence import Evidence
+from recorder.simulators.mjcf_options import MjcfOptions
+from schemas.errors import GsbError
+from schemas.provenance import Buffer, OverflowBit
+
+_HARMLESS = ("ITERATIONS", "LS_ITERATIONS")  # a limit was reached, nothing was dropped
+
+# of opt.deterministic (mujoco_warp.DeterminismType), and of warp.config.deterministic
+_LEVELS = {
+    "default": ((), "off"),
+    "off": (("NONE",), "off"),
+    "contacts": (("CONTACTS",), "off"),
+    "constraint": (("CONSTRAINT",), "off"),
+    "contacts-constraint": (("CONTACTS", "CONSTRAINT"), "off"),
+    "atomics": (("ATOMICS",), "off"),
+    "warp-run-to-run": (("NONE",), "run-to-run"),
+    "run-to-run": (("ALL",), "off"),
+    "gpu-to-gpu": (("ALL",), "gpu-to-gpu"),
+}
+
+
+@dataclass(frozen=True)
+class WarpOptions(MjcfOptions):
+    """Options of MuJoCo Warp.
+
+    device   auto (the first GPU, else the CPU), cpu, cuda or cuda:N
+    nconmax  contacts (and candidate pairs) per env, in a pool that all environments share; 0: measured
+    njmax    constraint rows per env; 0: measured
+    """
+
+    device: str = "auto"
+    nconmax: int = 0
+    njmax: int = 0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for name in ("nconmax", "njmax"):
+            if getattr(self, name) < 0:
+                raise ValueError(f"{name} is 0 (measured) or a positive number, not {getattr(self, name)}")
+
+
+class MujocoWarp(Simulator):
+    """N environments, the worlds of one mujoco_warp.Data."""
+
+    Options = WarpOptions
+    timing_interval = 10
+    draws_actions = True
+    determinism_levels = {
+        "default": "the engine as it ships: opt.deterministic is NONE",
+        "off": "opt.deterministic NONE, whatever the engine's default",
+        "contacts": "opt.deterministic CONTACTS: contacts are sorted",
+        "constraint": "opt.deterministic CONSTRAINT: constraint rows have a canonical order",
+        "contacts-constraint": "both of these",
+        "atomics": "opt.deterministic ATOMICS: sums by atomic operations have a fixed order",
+        "run-to-run": "opt.deterministic ALL: the three together",
+        "warp-run-to-run": "warp.config.deterministic RUN_TO_RUN for all kernels, opt.deterministic NONE",
+        "gpu-to-gpu": "opt.deterministic ALL and warp.config.deterministic GPU_TO_GPU",
+    }
+
+    def build(self) -> Description:
+        """See Simulator.build."""
+        options: WarpOptions = self.options
+        bits, mode = _LEVELS[self.determinism]
+        if mode != "off" and "mujoco_warp" in sys.modules:
+            raise GsbError("Warp's determinism mode must be chosen before MuJoCo Warp is imported: use a fresh process")
+        self._device = warp_runtime.start(options.device, mode)
+        import mujoco
+        import mujoco_warp as mjw
+        import warp as wp
+
+        from recorder.simulators.buffer_sizes import measure
+        from recorder.simulators.mjcf_model import compile_scene
+
+        compiled = self._compiled = compile_scene(self.scene, dt=self.dt, options=options)
+        need = measure(compiled, dt=self.dt, seed=self.seed)
+        self._nconmax = options.nconmax or need.size(need.pool)
+        self._njmax = options.njmax or need.size(need.rows)
+        self._fatal = sum(int(bit) for bit in mjw.OverflowType if bit.name not in (*_HARMLESS, "NONE", "ALL"))
+        # the engine never resets a world that went bad, and does not know the flag that forbids it
+        compiled.model.opt.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
+        self._model = self._try(lambda: mjw.put_model(compiled.model))
+        self._model.opt.warn_overflow = 0  # the bits are recorded; printing them at every step would fill the log
+        if bits:
+            self._model.opt.deterministic = sum(int(mjw.DeterminismType[bit]) for bit in bits)
+        self._data = self._try(lambda: self._new_data(self.n_env))
+        self._gathered = wp.zeros(self.n_env, dtype=int)
+        self._step_number = wp.zeros(1, dtype=wp.int32)
+        self._row = wp.zeros(1, dtype=wp.int32)
+        self._rows = 0
+        if self.scene.actions is not None:
+            first, count = self.scene.actions.grid()
+            self._first, self._count = wp.array(first, dtype=wp.int32), wp.array(count, dtype=wp.uint32)
+        self._graphs: dict[str, Any] = {}
+        self._counts: NDArray[np.int32] | None = None
+        return Description(
+            version=mjw.__version__,
+            device=warp_runtime.name_of(self._device),
+            options={
+                **compiled.in_force(options, "warp"),
+                "graph_conditional": bool(self._model.opt.graph_conditional),
+                "sparse": bool(self._model.is_sparse),
+            },
+            switches={
+                "precision": "float32",
+                "determinism": self.determinism,
+                "opt.deterministic": mjw.DeterminismType(self._model.opt.deterministic).name,
+                "warp.config.deterministic": wp.config.deterministic.name,
+                "warp": wp.config.version,
+                "mujoco": _version("mujoco"),
+            },
+            deviations=deviations(self.scene),
+            fields=compiled.fields("float32"),
+            timing_covers=self._covers(),
+            attachments=compiled.attachments,
+            buffers=(
+                Buffer("nconmax", self._nconmax, "env", CONTACTS.name, self._sized(options.nconmax, need, need.pool)),
+                Buffer("naconmax", self._data.naconmax, "all", CONTACTS.name, "nconmax times the environments"),
+                Buffer("njmax", self._njmax, "env", CONSTRAINT_ROWS.name, self._sized(options.njmax, need, need.rows)),
+            ),
+            counters=(CONTACTS, CONSTRAINT_ROWS, SOLVER_ITERATIONS),
+            overflow_bits=tuple(
+                OverflowBit(int(bit).bit_length() - 1, bit.name, bit.name not in _HARMLESS)
+                for bit in mjw.OverflowType
+                if bit.name not in ("NONE", "ALL")
+            ),
+        )
+
+    def _sized(self, asked: int, need: Any, needed: int) -> str:
+        return "asked for" if asked else str(need.sized_by(needed))
+
+    def _covers(self) -> str:
+        how = "replay of one CUDA graph a step" if self._device.is_cuda else "one call of mujoco_warp.step a step"
+        drawn = "; the graph draws the actions too" if self.scene.actions is not None else ""
+        return f"{how}, {self.timing_interval} steps between two synchronisations{drawn}; nothing is copied"
+
+    def _try(self, work: Callable[[], Any]) -> Any:
+        # what the engine does not do under a determinism level is an outcome, not a crash
+        try:
+            return work()
+        except (RuntimeError, ValueError, NotImplementedError) as error:
+            if self.determinism == "default" or cause_of(error) == "DEVICE_MEMORY":
+                raise
+            text = " ".join(str(error).split())
+            raise Refused(f"MuJoCo Warp refuses determinism '{self.determinism}' for this scene: {text}") from None
+
+    def _new_data(self, n_env: int) -> Any:
+        import mujoco_warp as mjw
+
+        data = mjw.make_data(self._compiled.model, nworld=n_env, nconmax=self._nconmax, njmax=self._njmax)
+        data.qpos.assign(np.tile(self._compiled.qpos0.astype(np.float32), (n_env, 1)))
+        data.qvel.assign(np.tile(self._compiled.qvel0.astype(np.float32), (n_env, 1)))
+        return data
+
+    def compile(self, phase: str) -> None:
+        """See Simulator.compile: builds the kernels on one throw-away environment, then captures the graph."""
+        if phase in self._graphs:
+            return
+        import mujoco_warp as mjw
+        import warp as wp
+
+        if not self._graphs:
+            spare = self._new_data(1)
+            self._try(lambda: (mjw.step(self._model, spare), wp.synchronize_device(self._device)))
+            del spare
+        if phase == "timed":
+            self._graphs[phase] = self._captured(self._one_step)
+        elif phase == "capture":
+            self._make_ring(1)
+            self._one_snapshot()  # builds its kernels
+            self._data.overflow.zero_()
+            self._graphs[phase] = None  # captured with the ring, whose size is known when states are asked for
+
+    def _captured(self, work: Callable[[], None]) -> Any:
+        if not self._device.is_cuda:
+            return work
+        import warp as wp
+
+        def capture() -> Any:
+            with wp.ScopedCapture(self._device) as captured:
+                work()
+            return captured.graph
+
+        graph = self._try(capture)
+        return lambda: wp.capture_launch(graph)
+
+    def _one_step(self) -> None:
+        import mujoco_warp as mjw
+        import warp as wp
+
+        from recorder.simulators import warp_kernels as kernels
+
+        if self.scene.actions is not None:
+            seed_word = self.scene.actions.seed_word(self.seed)
+            wp.launch(
+                kernels.draw_targets,
+                dim=self._data.ctrl.shape,
+                inputs=[wp.uint32(seed_word), self._step_number, self._first, self._count, GRID],
+                outputs=[self._data.ctrl],
+            )
+            wp.launch(kernels.advance, dim=1, inputs=[self._step_number])
+        mjw.step(self._model, self._data)
+
+    def _make_ring(self, rows: int) -> None:
+        import warp as wp
+
+        data = self._data
+        self._rows = rows
+        self._ring_qpos = wp.empty((rows, *data.qpos.shape), dtype=float)
+        self._ring_qvel = wp.empty((rows, *data.qvel.shape), dtype=float)
+        self._ring_counts = wp.empty((rows, 4, self.n_env), dtype=int)
+
+    def _one_snapshot(self) -> None:
+        import warp as wp
+
+        from recorder.simulators import warp_kernels as kernels
+
+        data = self._data
+        wp.launch(kernels.snapshot, dim=data.qpos.shape, inputs=[self._row, data.qpos], outputs=[self._ring_qpos])
+        wp.launch(kernels.snapshot, dim=data.qvel.shape, inputs=[self._row, data.qvel], outputs=[self._ring_qvel])
+        wp.launch(
+            kernels.snapshot_counts,
+            dim=self.n_env,
+            inputs=[self._row, data.nefc, data.solver_niter, data.overflow],
+            outputs=[self._gathered, self._ring_counts],
+        )
+        wp.launch(
+            kernels.count_contacts,
+            dim=data.contact.worldid.shape[0],
+            inputs=[self._row, data.nacon, data.contact.worldid],
+            outputs=[self._ring_counts],
+        )
+        wp.launch(kernels.advance, dim=1, inputs=[self._row])
+
+    def _step_and_snapshot(self) -> None:
+        self._one_step()
+        self._one_snapshot()
+
+    def step(self, n_step: int) -> None:
+        """See Simulator.step."""
+        import warp as wp
+
+        self.compile("timed")
+        self._counts = None
+        one = self._graphs["timed"]
+        for _ in range(n_step):
+            one()
+        wp.synchronize_device(self._device)
+
+    def applied(self) -> NDArray[np.float32] | None:
+        """See Simulator.applied."""
+        if self.scene.actions is None:
+            return None
+        applied: NDArray[np.float32] = self._data.ctrl.numpy()
+        return applied
+
+    def state(self) -> States:
+        """See Simulator.state."""
+        return self._compiled.split(self._data.qpos.numpy(), self._data.qvel.numpy())
+
+    def states(self, n_step: int) -> States:
+        """See Simulator.states."""
+        self.compile("capture")
+        if self._graphs["capture"] is None or n_step > self._rows:
+            self._make_ring(n_step)
+            self._graphs["capture"] = self._captured(self._step_and_snapshot)
+        one = self._graphs["capture"]
+        self._row.zero_()
+        for _ in range(n_step):
+            one()
+        qpos, qvel = self._ring_qpos.numpy()[:n_step], self._ring_qvel.numpy()[:n_step]
+        self._counts = self._ring_counts.numpy()[:n_step]
+        return self._compiled.split(qpos, qvel)
+
+    def evidence(self) -> Evidence:
+        """See Simulator.evidence; MuJoCo Warp itself gathers overflow bits over steps."""
+        counts = self._counts
+        if counts is None:
+            self._make_ring(1)
+            self._graphs.pop("capture", None)
+            self._row.zero_()
+            self._one_snapshot()
+            counts = self._ring_counts.numpy()
+            self._rows = 0
+            del self._ring_qpos, self._ring_qvel
+        return Evidence(
+            {CONTACTS.name: counts[:, 0], CONSTRAINT_ROWS.name: counts[:, 1], SOLVER_ITERATIONS.name: counts[:, 2]},
+            overflow=counts[:, 3].astype(np.uint32),
+        )
+
+    def allocator_bytes(self) -> tuple[int, int] | None:
+        """See Simulator.allocator_bytes."""
+        return warp_runtime.allocator_bytes(self._device)
+
+    def close(self) -> None:
+        """See Simulator.close."""
+        for name in list(vars(self)):
+            if name.startswith(("_data", "_model", "_ring", "_graphs")):
+                delattr(self, name)
+
+
+def _version(distribution: str) -> str:
+    from importlib.metadata import version
+
+    return version(distribution)

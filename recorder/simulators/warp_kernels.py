@@ -1,0 +1,86 @@
+"""Warp kernels that adapters add to an engine's step: actions, snapshots and counts, all on the device.
+
+Imported when a device is wanted, not before. Annotations are Warp's own, so they are evaluated.
+"""
+
+import warp as wp
+
+from schemas.mix32 import GOLDEN32
+
+_GOLDEN = wp.constant(wp.uint32(GOLDEN32))
+_FACTOR_1 = wp.constant(wp.uint32(0x85EBCA6B))
+_FACTOR_2 = wp.constant(wp.uint32(0xC2B2AE35))
+
+
+@wp.func
+def mix32(word: wp.uint32) -> wp.uint32:
+    """As schemas.mix32."""
+    word = word ^ (word >> wp.uint32(16))
+    word = word * _FACTOR_1
+    word = word ^ (word >> wp.uint32(13))
+    word = word * _FACTOR_2
+    return word ^ (word >> wp.uint32(16))
+
+
+@wp.kernel(enable_backward=False)
+def draw_targets(
+    seed_word: wp.uint32,
+    step: wp.array(dtype=wp.int32),
+    first: wp.array(dtype=wp.int32),
+    count: wp.array(dtype=wp.uint32),
+    grid: float,
+    ctrl: wp.array2d(dtype=float),
+):
+    """The targets of recorder.scenes.actions.JointTargets at step step[0], into ctrl [env, joint]."""
+    env, joint = wp.tid()
+    word = mix32(seed_word + wp.uint32(env + 1) * _GOLDEN)
+    word = mix32(word + wp.uint32(step[0] + 1) * _GOLDEN)
+    word = mix32(word + wp.uint32(joint + 1) * _GOLDEN)
+    index = ((word >> wp.uint32(16)) * count[joint]) >> wp.uint32(16)
+    ctrl[env, joint] = float(first[joint] + wp.int32(index)) * grid
+
+
+@wp.kernel(enable_backward=False)
+def advance(counter: wp.array(dtype=wp.int32)):
+    """counter[0] += 1"""
+    counter[0] = counter[0] + 1
+
+
+@wp.kernel(enable_backward=False)
+def snapshot(row: wp.array(dtype=wp.int32), values: wp.array2d(dtype=float), ring: wp.array3d(dtype=float)):
+    """values [env, i] into ring[row[0], env, i]."""
+    env, i = wp.tid()
+    ring[row[0], env, i] = values[env, i]
+
+
+@wp.kernel(enable_backward=False)
+def snapshot_counts(
+    row: wp.array(dtype=wp.int32),
+    nefc: wp.array(dtype=int),
+    niter: wp.array(dtype=int),
+    overflow: wp.array(dtype=int),
+    gathered: wp.array(dtype=int),
+    ring: wp.array3d(dtype=int),
+):
+    """Of each env into ring[row[0], .., env]: no contacts yet, rows, iterations, overflow bits; the bits are gathered
+    and cleared."""
+    env = wp.tid()
+    ring[row[0], 0, env] = 0
+    ring[row[0], 1, env] = nefc[env]
+    ring[row[0], 2, env] = niter[env]
+    ring[row[0], 3, env] = overflow[env]
+    gathered[env] = gathered[env] | overflow[env]
+    overflow[env] = 0
+
+
+@wp.kernel(enable_backward=False)
+def count_contacts(
+    row: wp.array(dtype=wp.int32),
+    nacon: wp.array(dtype=int),
+    worldid: wp.array(dtype=int),
+    ring: wp.array3d(dtype=int),
+):
+    """Adds each contact of the pool to ring[row[0], 0, its env]."""
+    contact = wp.tid()
+    if contact < wp.min(nacon[0], worldid.shape[0]):
+        wp.atomic_add(ring, row[0], 0, worldid[contact], 1)

@@ -1,0 +1,170 @@
+"""MuJoCo Warp in particular, on the CPU; what every simulator must do is in the conformance suite."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from evaluator import open_recording
+from recorder.options import parse_options
+from recorder.scenes.base import Scene
+from recorder.scenes.franka import franka
+from recorder.scenes.inclined_collision import inclined_collision
+from recorder.simulators.base import Description, Simulator
+from schemas.errors import UsageError
+from tests.conftest import Command
+
+pytest.importorskip("mujoco_warp")
+
+
+def build(
+    scene: Scene, *, n_env: int = 2, determinism: str = "default", **options: Any
+) -> tuple[Simulator, Description]:
+    """A built simulator on the CPU."""
+    from recorder.simulators.mujoco_warp import MujocoWarp
+
+    parsed = parse_options("warp", MujocoWarp.Options, {"device": "cpu", **{k: str(v) for k, v in options.items()}})
+    simulator = MujocoWarp(scene, n_env=n_env, dt=0.01, seed=0, options=parsed, determinism=determinism)
+    return simulator, simulator.build()
+
+
+def two_cubes() -> Scene:
+    """Two stacked cubes on the board: eight contacts at rest."""
+    scene = inclined_collision()
+    return replace(scene, bodies=tuple(b for b in scene.bodies if b.name in ("board", "cube_0_0_0", "cube_0_0_1")))
+
+
+def test_equals_a_plain_loop() -> None:
+    """Give the bits of mujoco_warp.step called by hand."""
+    import mujoco
+    import mujoco_warp as mjw
+
+    simulator, description = build(two_cubes())
+    sizes = {buffer.name: buffer.asked for buffer in description.buffers}
+    model = mujoco.MjModel.from_xml_string(description.attachments["scene.xml"][1].decode())
+    model.opt.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
+    data = mjw.make_data(model, nworld=2, nconmax=sizes["nconmax"], njmax=sizes["njmax"])
+    warped = mjw.put_model(model)
+    for _ in range(20):
+        mjw.step(warped, data)
+    simulator.step(20)
+    positions = simulator.state()[0]
+    assert positions.tobytes() == np.ascontiguousarray(data.qpos.numpy().reshape(2, 2, 7)[..., :3]).tobytes()
+
+
+def test_compiling_moves_nothing() -> None:
+    """Leave the state where it was while kernels are built for either phase."""
+    simulator, _ = build(two_cubes())
+    before = [array.tobytes() for array in simulator.state()]
+    simulator.compile("timed")
+    simulator.compile("capture")
+    assert [array.tobytes() for array in simulator.state()] == before
+
+
+@settings(max_examples=20)
+@given(seed=st.integers(0, 2**64 - 1), step=st.integers(0, 2**31 - 2), n_env=st.integers(1, 5))
+def test_targets_are_drawn_on_the_device(seed: int, step: int, n_env: int) -> None:
+    """Make on the device, bit for bit, the targets that the scene defines."""
+    import warp as wp
+
+    from recorder.scenes.actions import GRID
+    from recorder.simulators import warp_kernels as kernels
+
+    actions = franka().actions
+    assert actions is not None
+    first, count = actions.grid()
+    ctrl = wp.zeros((n_env, len(first)), dtype=float, device="cpu")
+    word = wp.uint32(actions.seed_word(seed))
+    arrays = [
+        wp.array([step], dtype=wp.int32, device="cpu"),
+        wp.array(first, dtype=wp.int32, device="cpu"),
+        wp.array(count, dtype=wp.uint32, device="cpu"),
+    ]
+    wp.launch(kernels.draw_targets, dim=ctrl.shape, inputs=[word, *arrays, GRID], outputs=[ctrl], device="cpu")
+    expected = actions.draw(seed, n_env=n_env, first_step=step, n_step=1)[0]
+    assert ctrl.numpy().tobytes() == expected.tobytes()
+
+
+def test_counts_of_a_resting_stack() -> None:
+    """Count four contacts a face, three rows a contact, in every environment and at every step."""
+    simulator, description = build(two_cubes(), n_env=3)
+    simulator.states(10)  # bodies that merely touch, in float32, are in contact from the second step or so on
+    evidence = simulator.evidence()
+    assert evidence is not None
+    assert set(evidence.counts) == {counter.name for counter in description.counters}
+    assert (evidence.counts["contacts"][4:] == 8).all()
+    assert (evidence.counts["constraint_rows"][4:] == 24).all()
+    assert evidence.counts["contacts"].shape == (10, 3)
+    assert evidence.overflow is not None
+    assert not evidence.overflow.any()
+    simulator.step(1)
+    after = simulator.evidence()
+    assert after is not None
+    assert after.counts["contacts"].tolist() == [[8, 8, 8]]
+
+
+@pytest.mark.parametrize(("option", "bit"), [({"nconmax": 4}, "NARROWPHASE"), ({"njmax": 12}, "NEFC")])
+def test_a_small_buffer_makes_the_run_invalid(
+    option: dict[str, int], bit: str, gsb_record: Command, tmp_path: Path
+) -> None:
+    """Say at which step which buffer dropped what, and end as invalid."""
+    simulator, description = build(inclined_collision(), n_env=1, **option)
+    simulator.states(3)
+    evidence = simulator.evidence()
+    assert evidence is not None
+    assert evidence.overflow is not None
+    names = {b.bit: b.name for b in description.overflow_bits if b.fatal}
+    fired = {name for number, name in names.items() if (evidence.overflow[2] >> number & 1).any()}
+    assert bit in fired
+    given = [f"--option={name}={value}" for name, value in option.items()]
+    done = gsb_record("--sim", "warp", "--n-env", 2, "--runs", 1, "--steps", 3, "--phases", "capture", *given,
+                      "--out", tmp_path)  # fmt: skip
+    assert done.returncode == 1
+    recording = open_recording(next(tmp_path.glob("*.mcap")))
+    assert recording.status == "invalid"
+    assert bit in recording.reason
+    assert "in 2 of 2 envs, first at step " in recording.reason
+
+
+@pytest.mark.slow
+def test_measured_buffers_hold_the_impact() -> None:
+    """Drop nothing while the ball hits the stack, with buffers as measured."""
+    simulator, description = build(inclined_collision())
+    simulator.states(80)
+    evidence = simulator.evidence()
+    assert evidence is not None
+    assert evidence.overflow is not None
+    fatal = sum(1 << b.bit for b in description.overflow_bits if b.fatal)
+    assert not (evidence.overflow & fatal).any()
+    most = evidence.counts["contacts"].max()
+    assert 109 <= most < next(b.asked for b in description.buffers if b.name == "nconmax")
+
+
+@pytest.mark.slow
+def test_a_level_that_warp_cannot_compile_is_refused(gsb_record: Command, tmp_path: Path) -> None:
+    """Record the engine's own reason where a determinism level cannot be had."""
+    done = gsb_record("--sim", "warp", "--n-env", 1, "--runs", 1, "--phases", "capture", "--steps", 1,
+                      "--determinism", "warp-run-to-run", "--out", tmp_path)  # fmt: skip
+    assert done.returncode == 1
+    recording = open_recording(next(tmp_path.glob("*.mcap")))
+    assert recording.status == "failed"
+    assert "MuJoCo Warp refuses determinism 'warp-run-to-run'" in recording.reason
+    assert "Deterministic mode cannot compile this kernel" in recording.reason
+
+
+def test_levels_are_in_force() -> None:
+    """Record which of the engine's own switches a level has set."""
+    _, description = build(two_cubes(), determinism="contacts-constraint")
+    assert description.switches["opt.deterministic"] == "CONTACTS|CONSTRAINT"
+
+
+def test_a_device_that_is_not_there() -> None:
+    """Name the devices that can be asked for."""
+    with pytest.raises(UsageError, match="device"):
+        build(two_cubes(), device="cuda:7")
