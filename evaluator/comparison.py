@@ -1,56 +1,199 @@
-"""Radar and guidelines: which groups can be compared with each other at all."""
+"""Radar and guidelines: which simulators can be compared with each other, and from which of their groups."""
 
 from __future__ import annotations
 
 import math
-from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Hashable, Sequence
+from dataclasses import dataclass, replace
+from typing import TypeVar
 
-from evaluator.groups import GroupKey
+from evaluator.groups import GroupKey, labels, options_given
 from evaluator.metrics.guidelines import Guideline, guidelines
-from evaluator.metrics.radar import Radar, SimulatorResult, radar
-from evaluator.results import GroupResult, Reference
+from evaluator.metrics.radar import Axis, Radar, SimulatorResult, radar
+from evaluator.results import GroupResult, Metric, Reference
+from evaluator.sweeps import Sweep, swept_only
+
+AXIS_METRICS = {
+    Axis.THROUGHPUT: "fps",
+    Axis.MEMORY: "memory_peak_increment",
+    Axis.EMD_TO_REAL: "w1_real",
+    Axis.PARALLEL: "w1_parallel",
+    Axis.RUN_TO_RUN: "w1_run_to_run",
+}
+
+_DISTANCES = (Axis.EMD_TO_REAL, Axis.PARALLEL, Axis.RUN_TO_RUN)
+_NO_SWEEP = "needs a sweep over envs, by at least two simulators under the same conditions"
+
+_T = TypeVar("_T")
 
 
-def compare(
-    results: Sequence[GroupResult], reference: Reference | None
-) -> tuple[Radar | None, tuple[Guideline, ...], list[str]]:
-    """Radar, guidelines, and what was left out of them.
+@dataclass(frozen=True)
+class Contender:
+    """One simulator with one set of settings, and where its figures come from.
+
+    group    whose distances are compared; None where there is none
+    sweep    whose throughput and memory at N_env^max are compared, and N_env^max itself; None: those of the group
+    robot    the same of a scene with a robot
+    figures  that enter radar and guidelines
+    why_not  by axis, where a figure is missing
+    """
+
+    group: GroupResult | None
+    sweep: Sweep | None
+    robot: Sweep | None
+    figures: SimulatorResult
+    why_not: dict[Axis, str]
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """What is compared.
+
+    contenders  in the order of radar and guidelines; fewer than two: there is neither
+    radar       None with fewer than two contenders
+    guidelines  empty likewise
+    notes       what was left out
+    """
+
+    contenders: tuple[Contender, ...] = ()
+    radar: Radar | None = None
+    guidelines: tuple[Guideline, ...] = ()
+    notes: tuple[str, ...] = ()
+
+
+@dataclass
+class _Parts:
+    group: GroupResult | None = None
+    sweep: Sweep | None = None
+    robot: Sweep | None = None
+
+    @property
+    def key(self) -> GroupKey:
+        found = self.group.group.key if self.group else (self.sweep or self.robot or _never()).key
+        return _settings(found)
+
+
+def compare(results: Sequence[GroupResult], sweeps: Sequence[Sweep], reference: Reference | None) -> Comparison:
+    """Radar and guidelines.
 
     Speed and distances on another device or scene, at another number of environments, step or protocol mean something
-    else. Of the conditions that at least two simulators share, the one with the most groups is compared, the first of
-    several. Settings of one simulator are no choice between simulators.
+    else. Of the conditions that at least two simulators share, the one with the most groups is compared; of several,
+    the one with the most distances, then the first. The same for sweeps, of scenes without a robot and with one. Where
+    sweeps are shared, throughput and memory are those at each simulator's own N_env^max, as the published definition
+    has it. Settings of one simulator are no choice between simulators.
     """
-    simulators: dict[object, set[str]] = {}
-    for result in results:
-        if result.group.complete:
-            simulators.setdefault(_conditions(result.group.key), set()).add(result.group.key.simulator)
-    counts = Counter(c for r in results if len(simulators.get(c := _conditions(r.group.key), ())) > 1)
-    if not counts:
-        return None, (), []
-    condition = counts.most_common(1)[0][0]
-    chosen = [r for r in results if r.group.complete and _conditions(r.group.key) == condition]
-    others = [r.label for r in results if r not in chosen]
-    notes = [f"radar and guidelines leave out what ran under other conditions: {', '.join(others)}"] if others else []
-    compared = [_simulator_result(r, reference) for r in chosen]
-    return radar(compared), tuple(guidelines(compared)), notes
+    ended = [s for s in sweeps if s.n_max is not None]
+    simple = _shared([s for s in ended if not s.articulated], lambda s: s.key)
+    robots = _shared([s for s in ended if s.articulated], lambda s: s.key)
+    swept = {p.result.label for s in (*simple, *robots) for p in s.points}
+    complete = [r for r in results if r.group.complete]
+    # points of a sweep that captured no states would be compared twice
+    apart = [r for r in complete if r.label not in swept or r.group.captured]
+    groups = _shared(apart, lambda r: r.group.key, _distances)
+
+    found = [_Parts(group=r) for r in groups]
+    for sweep in simple:
+        _join(found, sweep.key, "sweep").sweep = sweep
+    for sweep in robots:
+        _join(found, sweep.key, "robot").robot = sweep
+    if len({parts.key.simulator for parts in found}) < 2:
+        return Comparison()
+    given = options_given(r for result in results for r in result.group.recordings)
+    contenders = tuple(
+        _contender(parts, name, reference, at_max=bool(simple))
+        for parts, name in zip(found, _names(found, given), strict=True)
+    )
+    figures = [c.figures for c in contenders]
+    used = {r.label for r in groups} | swept
+    others = _left_out(results, sweeps, used)
+    notes = (f"radar and guidelines leave out what ran under other conditions: {', '.join(others)}",) if others else ()
+    return Comparison(contenders, radar(figures), tuple(guidelines(figures)), notes)
 
 
-def _conditions(key: GroupKey) -> tuple[str, str, str, int, float, int, int]:
+def _shared(items: Sequence[_T], key: Callable[[_T], GroupKey], merit: Callable[[_T], int] = lambda _: 0) -> list[_T]:
+    """Those of the condition that most of them share, if at least two simulators do; of several, the one of merit."""
+    alike: dict[Hashable, list[_T]] = {}
+    for item in items:
+        alike.setdefault(_conditions(key(item)), []).append(item)
+    shared = [found for found in alike.values() if len({key(item).simulator for item in found}) > 1]
+    return max(shared, key=lambda found: (len(found), sum(map(merit, found))), default=[])
+
+
+def _distances(result: GroupResult) -> int:
+    return sum(result.metrics[AXIS_METRICS[axis]].value is not None for axis in _DISTANCES)
+
+
+def _left_out(results: Sequence[GroupResult], sweeps: Sequence[Sweep], used: set[str]) -> list[str]:
+    # a sweep by one name, not by those of all its points
+    hidden = swept_only(results, sweeps)
+    named = []
+    for sweep in sweeps:
+        labels_of = {r.label for p in sweep.points for r in (p.result, *p.others)}
+        if labels_of <= hidden and not labels_of & used:
+            named.append(f"{sweep.label} (sweep of {sweep.key.scene})")
+            used = used | labels_of
+    return [*(r.label for r in results if r.label not in used), *named]
+
+
+def _conditions(key: GroupKey) -> Hashable:
     return (key.device, key.scene, key.scene_hash, key.n_env, key.dt, key.warmup, key.timed_steps)
 
 
-def _simulator_result(result: GroupResult, reference: Reference | None) -> SimulatorResult:
-    def value(name: str) -> float | None:
-        found = result.metrics[name].value
-        return found if found is not None and math.isfinite(found) else None
-
-    return SimulatorResult(
-        name=result.label,
-        fps=value("fps"),
-        n_max=None,  # a sweep's result; a single n_env says nothing of the largest
-        memory_gb=value("memory_peak_increment"),
-        w1_real=value("w1_real") if reference and reference.measured else None,
-        parallel=value("w1_parallel"),
-        run_to_run=value("w1_run_to_run"),
+def _settings(key: GroupKey) -> GroupKey:
+    # what is the same simulator in another scene, at another number of environments, under another protocol
+    return replace(
+        key, scene="", scene_hash="", n_env=0, dt=0.0, seed=0, warmup=0, timed_steps=0, layout="", origins=""
     )
+
+
+def _join(found: list[_Parts], key: GroupKey, part: str) -> _Parts:
+    for parts in found:
+        if parts.key == _settings(key) and getattr(parts, part) is None:
+            return parts
+    found.append(_Parts())
+    return found[-1]
+
+
+def _names(found: Sequence[_Parts], given: set[str]) -> list[str]:
+    if all(parts.group and not parts.sweep and not parts.robot for parts in found):
+        return [parts.group.label for parts in found if parts.group]
+    return labels([parts.key for parts in found], given)
+
+
+def _contender(parts: _Parts, name: str, reference: Reference | None, *, at_max: bool) -> Contender:
+    speed = parts.sweep.at_max if parts.sweep else None if at_max else parts.group
+    why_not: dict[Axis, str] = {}
+
+    def value(axis: Axis, result: GroupResult | None) -> float | None:
+        if result is None:
+            why_not[axis] = _NO_SWEEP if axis not in _DISTANCES else "no group of it ran under the shared conditions"
+            return None
+        metric: Metric = result.metrics[AXIS_METRICS[axis]]
+        if axis is Axis.EMD_TO_REAL and metric.value is not None and not (reference and reference.measured):
+            why_not[axis] = "the reference is another simulation, not measured"
+            return None
+        if metric.value is None or not math.isfinite(metric.value):
+            why_not[axis] = metric.why_not or "it is not finite"
+            return None
+        return metric.value
+
+    robot = parts.robot.at_max if parts.robot else None
+    n_max = parts.sweep.n_max if parts.sweep else None
+    if n_max is None:
+        why_not[Axis.PARALLELISM] = _NO_SWEEP
+    figures = SimulatorResult(
+        name=name,
+        fps=value(Axis.THROUGHPUT, speed),
+        n_max=n_max,
+        memory_gb=value(Axis.MEMORY, speed),
+        w1_real=value(Axis.EMD_TO_REAL, parts.group),
+        parallel=value(Axis.PARALLEL, parts.group),
+        run_to_run=value(Axis.RUN_TO_RUN, parts.group),
+        fps_articulated=robot.metrics["fps"].value if robot else None,
+        n_max_articulated=parts.robot.n_max if parts.robot else None,
+    )
+    return Contender(parts.group, parts.sweep, parts.robot, figures, why_not)
+
+
+def _never() -> Sweep:
+    raise AssertionError("a contender has a group or a sweep")

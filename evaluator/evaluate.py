@@ -9,14 +9,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from evaluator import cost_metrics as costs
 from evaluator import group_metrics as gm
 from evaluator.comparison import compare
 from evaluator.density_maps import reference_density, shared_map, with_cloud
-from evaluator.groups import Group, group, labels, status_notes
+from evaluator.groups import Group, group, labels, options_given, status_notes
 from evaluator.positions import sample_positions
 from evaluator.recording import Recording, Unreadable
 from evaluator.results import Evaluation, GroupResult, Metric, Reference
 from evaluator.run_data import RunData, read_run
+from evaluator.sweeps import find_sweeps
+from evaluator.validity import check, validity_of
 from schemas.errors import DamagedRecording, GsbError
 from schemas.provenance import REAL
 
@@ -52,6 +55,7 @@ def evaluate(
     data: dict[str, RunData] = {}
     for recording in distinct:
         try:
+            check(recording)
             if recording.configuration.simulator != REAL and recording.usable:
                 data[recording.provenance.run_id] = read_run(recording, sample_time)
             readable.append(recording)
@@ -67,9 +71,9 @@ def evaluate(
     groups = [g for g in group(readable) if not g.measured]
     if len({g.key.dt for g in groups}) > 1:
         notes.append("the recordings differ in dt, which changes the outcome: each dt is a group of its own")
+    names = labels([g.key for g in groups], options_given(readable))
     found = [
-        _evaluate_group(g, label, data, target, why_not, sample_time)
-        for g, label in zip(groups, labels(groups), strict=True)
+        _evaluate_group(g, label, data, target, why_not, sample_time) for g, label in zip(groups, names, strict=True)
     ]
     notes += _identical_groups(found)
     maps = {
@@ -78,17 +82,18 @@ def evaluate(
         if (shared := shared_map([f.planar for f in found if f.result.group.key.scene == scene], target, scene))
     }
     results = tuple(with_cloud(f.result, f.planar, maps.get(f.result.group.key.scene)) for f in found)
-    radar, picks, left_out = compare(results, target)
+    sweeps = find_sweeps(results)
+    comparison = compare(results, sweeps, target)
     return Evaluation(
         sample_time=sample_time,
         results=results,
         unreadable=tuple(failures),
         reference=reference_density(target, maps.get(target.scene)) if target else None,
         reference_note=reference_note or why_not,
-        radar=radar,
-        guidelines=picks,
+        sweeps=sweeps,
+        comparison=comparison,
         maps=maps,
-        notes=(*notes, *left_out),
+        notes=(*notes, *comparison.notes),
     )
 
 
@@ -152,14 +157,18 @@ def _evaluate_group(
     parallel, parallel_matrix = gm.parallel(planar, why_not)
     between, run_matrix = gm.run_to_run(planar, why_not)
     metrics: list[Metric] = [
-        gm.throughput(runs),
-        gm.memory_peak_increment(runs),
-        gm.host_memory_peak_increment(runs),
+        costs.throughput(runs),
+        costs.memory_peak_increment(runs),
+        costs.allocator_peak(runs),
+        costs.host_memory_peak_increment(runs),
+        costs.build_time(runs),
+        costs.compile_time(runs),
         parallel,
         between,
         gm.real(planar, why_not, reference, no_reference, group.key.scene),
         *gm.distinct(runs),
         gm.left_board(runs),
+        gm.sank(runs),
         gm.regime(parallel, between),
         gm.capture_effect(runs),
     ]
@@ -170,8 +179,10 @@ def _evaluate_group(
         cloud=None,
         parallel_matrix=parallel_matrix,
         run_matrix=run_matrix,
+        validity=validity_of(group),
         notes=tuple(_notes(group, runs, reference, sample_time)),
     )
+    result = replace(result, notes=(*result.notes, *_warnings(result)))
     return _Found(_consistent(result), runs, planar)
 
 
@@ -182,6 +193,21 @@ def _notes(group: Group, runs: Sequence[RunData], reference: Reference | None, s
         notes.append(f"positions are those at {sampled:g} s, the step nearest to {sample_time:g} s")
     if reference and reference.run_id in {r.recording.provenance.run_id for r in runs}:
         notes.append("the reference is one of this group's own runs, whose distance of zero is part of the mean")
+    return notes
+
+
+def _warnings(result: GroupResult) -> list[str]:
+    """What the numbers themselves warn of."""
+    notes = []
+    sank = result.metrics["sank"]
+    if sank.value:
+        mean = f"{sank.value:.3g} of {sank.extra['cubes']}"
+        notes.append(
+            f"cubes through the floor: {mean} per env by step {sank.extra['last_step']}, the first at step "
+            f"{sank.extra['first_step']}"
+        )
+    if any(len(applied.sha256) > 1 for applied in result.validity.actions):
+        notes.append("the runs were given different actions, so they differ by design")
     return notes
 
 

@@ -5,7 +5,6 @@ The formulas are in ``evaluator.metrics`` and ``evaluator.statistics``; here the
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -14,79 +13,25 @@ from numpy.typing import NDArray
 from evaluator.metrics.alignment import sim_to_real_gap
 from evaluator.metrics.board import left_board as has_left
 from evaluator.metrics.identity import bitwise_classes, count_distinct
-from evaluator.metrics.memory import Checkpoints
 from evaluator.metrics.regime import published_regime
-from evaluator.metrics.throughput import frames_per_second
 from evaluator.metrics.variability import CM_PER_M, parallel_variability, run_to_run_variability
+from evaluator.over_runs import NO_RUN, Runs, ends_of, mean_over_runs
 from evaluator.results import Metric, Reference, not_computed
 from evaluator.run_data import RunData
-from evaluator.statistics.jackknife import Interval, jackknife_mean, jackknife_pair_mean
+from evaluator.statistics.jackknife import jackknife_pair_mean
 from evaluator.statistics.permutation import permutation_floor
 
 _SEED = 0
-_GB = 1e9
-_MB = 1e6
-_NO_RUN = "no run of this group is complete"
-_MIN_RUNS = 3  # for an interval
 
 _PERMUTATIONS = ((500, 99), (1000, 19))
 """Permutations by the number of points a side: one distance costs about n^2.5, and a table should take seconds."""
-
-Runs = Sequence[RunData]
-
-
-def throughput(runs: Runs) -> Metric:
-    """FPS: mean over runs of N_env * N_step / T_step of the timed phase."""
-    name, unit = "fps", "env-steps/s"
-    values = [
-        frames_per_second(r.recording.configuration.n_env, r.recording.configuration.timed_steps, r.elapsed_s)
-        for r in runs
-        if r.elapsed_s is not None
-    ]
-    if not values:
-        return not_computed(name, unit, "higher", "the timed phase was left out" if runs else _NO_RUN)
-    simulation = runs[0].recording.simulation
-    covers = simulation.timing_covers if simulation else ""
-    method = "N_env * N_step / T_step of the timed phase, mean over runs"
-    return _mean_over_runs(name, unit, "higher", values, method=method, extra={"timing_covers": covers})
-
-
-def memory_peak_increment(runs: Runs) -> Metric:
-    """GPU memory: largest reading of the timed phase minus the baseline, as the hardware monitor reports it."""
-    name, unit = "memory_peak_increment", "GB"
-    if not runs:
-        return not_computed(name, unit, "lower", _NO_RUN)
-    first = runs[0].recording
-    if not first.provenance.gpus:
-        return not_computed(name, unit, "lower", "no GPU on the machine that recorded")
-    if first.simulation and first.simulation.device == "cpu":
-        return not_computed(name, unit, "lower", "this simulator ran on the CPU")
-    return _memory([r.gpu for r in runs], name, unit, _GB, "NVML, whole device 0")
-
-
-def host_memory_peak_increment(runs: Runs) -> Metric:
-    """Host memory: largest resident set of the timed phase minus the baseline."""
-    name, unit = "host_memory_peak_increment", "MB"
-    if not runs:
-        return not_computed(name, unit, "lower", _NO_RUN)
-    return _memory([r.host for r in runs], name, unit, _MB, "resident set of the run's process")
-
-
-def _memory(found: Sequence[Checkpoints | None], name: str, unit: str, scale: float, monitor: str) -> Metric:
-    checkpoints = [c for c in found if c is not None]
-    values = [c.peak_increment / scale for c in checkpoints if c.peak_increment is not None]
-    if not values:
-        return not_computed(name, unit, "lower", "the timed phase was left out, or no memory was sampled in it")
-    method = f"peak of the timed phase minus baseline ({monitor}), mean over runs; 1 {unit} = {scale:.0e} B"
-    extra = {"checkpoints_bytes": [vars(c) for c in checkpoints]}
-    return _mean_over_runs(name, unit, "lower", values, method=method, extra=extra)
 
 
 def distinct(runs: Runs) -> tuple[Metric, Metric]:
     """Bitwise distinct environments and runs, over every step of the capture phase."""
     captured = [r.captured for r in runs if r.captured is not None]
     if not captured:
-        why = "no states were captured" if runs else _NO_RUN
+        why = "no states were captured" if runs else NO_RUN
         return not_computed("distinct_envs", "", "neither", why), not_computed("distinct_runs", "", "neither", why)
     method = "64-bit state hashes of every captured step"
     return _distinct_envs(runs, method), _distinct_runs(runs, method)
@@ -180,7 +125,7 @@ def capture_effect(runs: Runs) -> Metric:
         compared += 1
         changed += bool((run.timed.hashes[at_timed] != run.captured.hashes[at_captured]).any())
     if not compared:
-        why = "no step was passed by both the timed and the capture phase" if runs else _NO_RUN
+        why = "no step was passed by both the timed and the capture phase" if runs else NO_RUN
         return not_computed(name, "", "lower", why)
     method = "runs whose state hashes differ between timed and capture phase at a step that both passed"
     return Metric(name, float(changed), "", "lower", n=compared, method=method)
@@ -189,7 +134,7 @@ def capture_effect(runs: Runs) -> Metric:
 def positions(runs: Runs) -> tuple[NDArray[np.float64] | None, str]:
     """Planar positions of all runs [m], [run, env, item, 2]; or None and the reason."""
     if not runs:
-        return None, _NO_RUN
+        return None, NO_RUN
     why_not = next((r.no_positions for r in runs if r.positions is None), "")
     if why_not:
         return None, why_not
@@ -210,7 +155,7 @@ def parallel(planar: NDArray[np.float64] | None, why_not: str) -> tuple[Metric, 
         if key not in solved:
             solved[key] = parallel_variability(run)
         found.append(solved[key])
-    metric = _mean_over_runs(
+    metric = mean_over_runs(
         name,
         "cm",
         "lower",
@@ -234,7 +179,7 @@ def run_to_run(planar: NDArray[np.float64] | None, why_not: str) -> tuple[Metric
     except ValueError as error:  # more points than an exact distance can be computed for
         return not_computed(name, "cm", "lower", str(error)), None
     interval = jackknife_pair_mean(found.matrix_cm)
-    bounds, no_interval = _bounds(interval, runs, spread=bool(found.matrix_cm.any()))
+    bounds, no_interval = ends_of(interval, runs, spread=bool(found.matrix_cm.any()))
     metric = Metric(
         name,
         found.mean_cm,
@@ -280,14 +225,14 @@ def real(
     if found[0].extension:
         extra["extension"] = found[0].extension
     method = f"W1 between the planar positions of a run and {reference.label}, mean over runs ({found[0].method})"
-    return _mean_over_runs(name, "cm", "lower", [f.value_cm for f in found], method=method, extra=extra)
+    return mean_over_runs(name, "cm", "lower", [f.value_cm for f in found], method=method, extra=extra)
 
 
 def left_board(runs: Runs) -> Metric:
     """Mean number of cubes per environment that are not on the board at the sample step."""
     name, unit = "left_board", "cubes per env"
     if not runs:
-        return not_computed(name, unit, "lower", _NO_RUN)
+        return not_computed(name, unit, "lower", NO_RUN)
     counts, cubes, envs = [], 0, 0
     for run in runs:
         if run.board is None:
@@ -308,6 +253,33 @@ def left_board(runs: Runs) -> Metric:
         n=envs,
         method="cubes whose centre is beside or below the board at the sample step",
         extra={"total": sum(counts), "of": cubes, "per_run": counts},
+    )
+
+
+def sank(runs: Runs) -> Metric:
+    """Mean number of cubes per environment that went through the floor or the board."""
+    name, unit = "sank", "cubes per env"
+    why_not = next((r.no_sunk for r in runs if r.sunk is None), "") if runs else NO_RUN
+    if why_not:
+        return not_computed(name, unit, "lower", why_not)
+    found = [r.sunk for r in runs if r.sunk is not None]
+    counts = [sum(s.per_env) for s in found]
+    envs = sum(len(s.per_env) for s in found)
+    return Metric(
+        name,
+        sum(counts) / envs,
+        unit,
+        "lower",
+        n=envs,
+        method="cubes that are wholly beneath a level surface that they went through, at the last captured step",
+        extra={
+            "total": sum(counts),
+            "of": sum(s.cubes * len(s.per_env) for s in found),
+            "cubes": found[0].cubes,
+            "per_run": counts,
+            "last_step": max(s.last_step for s in found),
+            "first_step": min((s.first_step for s in found if s.first_step is not None), default=None),
+        },
     )
 
 
@@ -346,33 +318,3 @@ def floor(a: NDArray[np.float64], b: NDArray[np.float64]) -> dict[str, Any]:
         "permutations": found.n_permutation,
         "seed": found.seed,
     }
-
-
-def _mean_over_runs(
-    name: str, unit: str, direction: str, values: list[float], *, method: str, extra: dict[str, Any]
-) -> Metric:
-    runs = len(values)
-    interval = jackknife_mean(np.array(values), nonnegative=True) if runs >= _MIN_RUNS else None
-    bounds, no_interval = _bounds(interval, runs, spread=len(set(values)) > 1)
-    return Metric(
-        name,
-        float(np.mean(values)),
-        unit,
-        direction,
-        n=runs,
-        sd=float(np.std(values, ddof=1)) if runs > 1 else None,
-        ci95=bounds,
-        method=method + (f"; interval: {interval.method}" if bounds and interval else ""),
-        extra={"per_run": values, "interval_why_not": no_interval, **extra},
-    )
-
-
-def _bounds(interval: Interval | None, runs: int, *, spread: bool) -> tuple[tuple[float, float] | None, str]:
-    if runs < _MIN_RUNS or interval is None:
-        return None, f"needs at least {_MIN_RUNS} runs"
-    if not spread:
-        # an interval of width zero would claim that rare differences are excluded
-        return None, f"no spread in {runs} runs"
-    if interval.low is None or interval.high is None:
-        return None, interval.reason or "no interval"
-    return (interval.low, interval.high), ""

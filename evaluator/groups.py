@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -23,10 +24,12 @@ class GroupKey:
     scene, scene_hash   name and SHA-256 of the description
     n_env, dt, seed     as asked; dt in seconds
     warmup, timed_steps protocol of the throughput phase, 0 where it was left out
+    determinism         level that was asked for
     options             of the engine in force, JSON; as asked where the run ended before the engine said them
     switches            determinism switches and precision in force, JSON
     conditions          environment variables, versions and driver that can change numbers, JSON
-    layout              names, shapes, precision and frames of the state fields, and the env origins, JSON
+    layout              names, shapes, precision and frames of the state fields, JSON
+    origins             of the environments, JSON
     """
 
     simulator: str
@@ -39,10 +42,12 @@ class GroupKey:
     seed: int
     warmup: int
     timed_steps: int
+    determinism: str
     options: str
     switches: str
     conditions: str
     layout: str
+    origins: str
 
 
 @dataclass(frozen=True)
@@ -62,16 +67,40 @@ class Group:
         """Whether these are real trials."""
         return self.key.simulator == REAL
 
+    @property
+    def outcomes(self) -> dict[str, int]:
+        """How many runs are complete, invalid, failed, incomplete, or complete but for lost data; zeros included."""
+        found = Counter("lost data" if r.status == "complete" and not r.usable else r.status for r in self.recordings)
+        return {name: found[name] for name in ("complete", "invalid", "failed", "incomplete", "lost data")}
+
+    @property
+    def captured(self) -> bool:
+        """Whether any complete run captured states."""
+        return any("capture" in r.configuration.phases for r in self.complete)
+
+
+def shown_status(recording: Recording) -> str:
+    """A run's status with what kind of thing ended it; INVALID stands out."""
+    status = "INVALID" if recording.status == "invalid" else recording.status
+    return f"{status} ({recording.cause})" if recording.cause else status
+
 
 def status_notes(group: Group) -> list[str]:
     """What a reader must know of the runs that no metric is computed from."""
-    notes = []
+    found: dict[str, list[int]] = {}
     for recording in group.recordings:
-        run = f"run {recording.configuration.run_index}"
+        run = recording.configuration.run_index
         if recording.status != "complete":
-            notes.append(f"{run} is {recording.status}: {recording.reason}")
-        notes += [f"{run} lost data: {lost}" for lost in recording.dropouts]
-    return notes
+            found.setdefault(f"{shown_status(recording)}: {recording.reason}", []).append(run)
+        for lost in recording.dropouts:
+            found.setdefault(f"lost data: {lost}", []).append(run)
+    return [_note(what, runs) for what, runs in found.items()]
+
+
+def _note(what: str, runs: Sequence[int]) -> str:
+    one = len(runs) == 1
+    said = what if what.startswith("lost data") else f"{'is' if one else 'are'} {what}"
+    return f"run{'' if one else 's'} {', '.join(map(str, runs))} {said}"
 
 
 def key_of(recording: Recording) -> GroupKey:
@@ -90,11 +119,12 @@ def key_of(recording: Recording) -> GroupKey:
         seed=c.seed,
         warmup=c.warmup if timed else 0,
         timed_steps=c.timed_steps if timed else 0,
+        determinism=c.determinism,
         options=_canonical(simulation.options if simulation else c.options),
         switches=_canonical(simulation.switches) if simulation else "",
         conditions=_canonical(_conditions(recording)),
-        layout=_canonical({f.name: [f.dtype, f.frame, len(f.items), f.width] for f in recording.fields})
-        + (_canonical({"env_origins": simulation.env_origins}) if simulation else ""),
+        layout=_canonical({f.name: [f.dtype, f.frame, len(f.items), f.width] for f in recording.fields}),
+        origins=json.dumps(simulation.env_origins if simulation else []),
     )
 
 
@@ -116,12 +146,12 @@ def group(recordings: Sequence[Recording]) -> list[Group]:
 
     A run that failed before its simulator was built joins the group that was asked for the same, if there is one.
     """
-    built = {_asked(r): key_of(r) for r in recordings if r.simulation}
+    built = {asked(r): key_of(r) for r in recordings if r.simulation}
     members: dict[GroupKey, list[Recording]] = {}
     for recording in recordings:
         key = key_of(recording)
         if not recording.simulation:
-            key = built.get(_asked(recording), key)
+            key = built.get(asked(recording), key)
         members.setdefault(key, []).append(recording)
     ordered = sorted(members.items(), key=lambda item: _order(item[0]))
     return [
@@ -130,23 +160,50 @@ def group(recordings: Sequence[Recording]) -> list[Group]:
     ]
 
 
-def labels(groups: Sequence[Group]) -> list[str]:
-    """A short unique name for each group: the simulator, and whatever tells it from the others of that simulator."""
+def asked(recording: Recording) -> GroupKey:
+    """What is known of a run's key before its simulator is built: enough to tell which runs were asked for the same."""
+    host, gpus = recording.provenance.host, recording.provenance.gpus
+    machine = [host.get("cpu"), host.get("usable_threads"), *(gpu.get("name") for gpu in gpus)]
+    known = replace(key_of(recording), version="", scene_hash="", switches="", layout="", origins="")
+    return replace(known, device=json.dumps(machine), options=_canonical(recording.configuration.options))
+
+
+def labels(keys: Sequence[GroupKey], given: Collection[str] = ()) -> list[str]:
+    """A short unique name for each key: the simulator, and what tells it from the others of that simulator.
+
+    What a user chose comes first. Settings that nobody chose are named only where nothing else tells two keys apart:
+    most of them follow from a choice, a machine or a level of determinism.
+
+    given  names of the options that a user gave for any of them
+    """
     named = []
-    for one in groups:
+    for one in keys:
         # a run that failed before it was built knows only what was asked, and would make every default stand out
-        built = [g.key for g in groups if g.key.version or not one.key.version]
-        rivals = [k for k in built if k.simulator == one.key.simulator and k is not one.key]
-        parts = [_shown(name, one.key) for name in _DISTINGUISHING if any(_differs(name, one.key, r) for r in rivals)]
-        parts += _changed_settings(one.key, rivals)
-        named.append(f"{one.key.simulator} [{', '.join(parts)}]" if parts else one.key.simulator)
+        built = [key for key in keys if key.version or not one.version]
+        rivals = [key for key in built if key.simulator == one.simulator and key is not one]
+        telling = [name for name in _DISTINGUISHING if any(_differs(name, one, r) for r in rivals)]
+        parts = [_shown(name, one) for name in telling if getattr(one, name) != ""]
+        chosen = _chosen(one, given)
+        parts += _changed(chosen, [_chosen(rival, given) for rival in rivals])
+        alike = [r for r in rivals if _chosen(r, given) == chosen and not any(_differs(n, one, r) for n in telling)]
+        parts += _limited(_changed(_settings(one), [_settings(rival) for rival in alike]))
+        if "version" in telling and not one.version:
+            parts.append("never built")
+        named.append(f"{one.simulator} [{', '.join(parts)}]" if parts else one.simulator)
     return [label if named.count(label) == 1 else f"{label} #{i + 1}" for i, label in enumerate(named)]
+
+
+def options_given(recordings: Iterable[Recording]) -> set[str]:
+    """Names of the options that a user gave for any of some recordings."""
+    return {name for recording in recordings for name in recording.configuration.options}
 
 
 _SHOWN_SETTINGS = 4
 _SHOWN_LENGTH = 60
 
-_DISTINGUISHING = ("version", "device", "scene", "scene_hash", "n_env", "dt", "seed", "warmup", "timed_steps")
+_DISTINGUISHING = (
+    "version", "device", "scene", "scene_hash", "n_env", "dt", "seed", "warmup", "timed_steps", "determinism",
+)  # fmt: skip
 
 
 def _differs(name: str, one: GroupKey, other: GroupKey) -> bool:
@@ -158,24 +215,21 @@ def _differs(name: str, one: GroupKey, other: GroupKey) -> bool:
 def _shown(name: str, key: GroupKey) -> str:
     value = getattr(key, name)
     if name == "scene_hash":
-        return f"scene {value[:8]}" if value else "scene unknown"
+        return f"scene {value[:8]}"
     if name in ("version", "device", "scene"):
-        return str(value) or f"no {name}"
+        return str(value)
     return f"{name}={value:g}" if isinstance(value, float) else f"{name}={value}"
 
 
-def _changed_settings(key: GroupKey, rivals: Sequence[GroupKey]) -> list[str]:
-    changed = _changed(_settings(key), [_settings(rival) for rival in rivals])
-    # another machine has other packages and variables anyway; beside its name they would only hide what matters
-    at_home = [rival for rival in rivals if rival.device == key.device]
-    changed += _changed(json.loads(key.conditions), [json.loads(rival.conditions) for rival in at_home])
+def _limited(changed: list[str]) -> list[str]:
     more = len(changed) - _SHOWN_SETTINGS
     return [*changed[:_SHOWN_SETTINGS], *([f"and {more} more"] if more > 0 else [])]
 
 
 def _changed(own: dict[str, Any], others: Sequence[dict[str, Any]]) -> list[str]:
-    names = sorted(set(own).union(*others))
-    return [_setting(n, own.get(n, "unset")) for n in names if any(other.get(n) != own.get(n) for other in others)]
+    names = [n for n in set(own).union(*others) if any(other.get(n) != own.get(n) for other in others)]
+    # what it has comes before what only the others have
+    return [_setting(n, own.get(n, "unset")) for n in sorted(names, key=lambda n: (n not in own, n))]
 
 
 def _setting(name: str, value: Any) -> str:
@@ -183,16 +237,18 @@ def _setting(name: str, value: Any) -> str:
     return text if len(text) <= _SHOWN_LENGTH else f"{text[: _SHOWN_LENGTH - 3]}..."
 
 
+def _chosen(key: GroupKey, given: Collection[str]) -> dict[str, Any]:
+    return {name: value for name, value in json.loads(key.options).items() if name in given}
+
+
 def _settings(key: GroupKey) -> dict[str, Any]:
-    return {**json.loads(key.options), **json.loads(key.switches or "{}")}
-
-
-def _asked(recording: Recording) -> str:
-    return _canonical(replace(recording.configuration, run_index=0).to_json())
+    # options before switches before conditions, as they are named
+    return {**json.loads(key.conditions), **json.loads(key.switches or "{}"), **json.loads(key.options)}
 
 
 def _order(key: GroupKey) -> tuple[Any, ...]:
-    return (key.scene, key.simulator == REAL, key.simulator, key.version, key.n_env, key.dt, key.switches, key.options)
+    settings = (key.determinism, key.n_env, key.dt, key.switches, key.options)
+    return (key.scene, key.simulator == REAL, key.simulator, key.version, *settings)
 
 
 def _device(recording: Recording) -> str:

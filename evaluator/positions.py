@@ -60,7 +60,8 @@ def sample_positions(recording: Recording, sample_time: float) -> tuple[Position
             f"step {step} ({sample_time:g} s) was not recorded; recorded are steps {array.steps[0]} to {last} "
             f"({last * dt:g} s)"
         )
-    planar, spatial = _in_env_frame(recording, field, recorded)
+    local = in_env_frame(recording, field, recorded)
+    planar, spatial = local[..., :2], local if local.shape[-1] == 3 else None
     if not np.isfinite(planar).all():
         return None, "positions at the sample step are not finite"
     if np.abs(planar).max() > _FAR_M:
@@ -68,9 +69,8 @@ def sample_positions(recording: Recording, sample_time: float) -> tuple[Position
     return Positions(recorded, planar, spatial, step * dt), ""
 
 
-def _in_env_frame(
-    recording: Recording, field: StateField, recorded: NDArray[Any]
-) -> tuple[NDArray[np.float64], NDArray[np.float64] | None]:
+def in_env_frame(recording: Recording, field: StateField, recorded: NDArray[Any]) -> NDArray[np.float64]:
+    """Positions [env, item, component] in each env's own frame [m], float64; DamagedRecording where they are none."""
     if field.unit != "m" or field.frame not in ("world", "env"):
         raise DamagedRecording(f"{recording.path}: positions in {field.unit}, frame {field.frame}: not of this format")
     if field.components not in (("x", "y"), ("x", "y", "z")):
@@ -79,4 +79,4 @@ def _in_env_frame(
     origins = recording.simulation.env_origins if recording.simulation else ()
     if origins and field.frame == "world":
         local = local - np.array(origins)[:, None, : local.shape[-1]]
-    return local[..., :2], local if local.shape[-1] == 3 else None
+    return local

@@ -13,93 +13,39 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evaluator.container import Container
+from evaluator.messages import Messages
 from evaluator.state_array import StateArray
+from evaluator.step_evidence import (
+    ActionStream,
+    Overflows,
+    StepCounts,
+    read_action_streams,
+    read_counts,
+    read_overflows,
+)
+from evaluator.streams import (
+    Event,
+    Fingerprints,
+    MemoryTrace,
+    StepTiming,
+    read_dropouts,
+    read_events,
+    read_fingerprints,
+    read_memory,
+    read_timing,
+)
 from schemas import checks, topics
-from schemas.blocks import decode_action, decode_fingerprints
+from schemas.blocks import decode_action
 from schemas.configuration import RunConfiguration
 from schemas.digest import ContentDigest, content_hash
 from schemas.errors import DamagedRecording, GsbError
 from schemas.fields import StateField
 from schemas.fingerprint import fingerprint
-from schemas.messages import enum_values, message_class
+from schemas.messages import enum_values
 from schemas.provenance import PROVENANCE, SCENE, SIMULATION, Provenance, Simulation
 
 _VERIFY_BYTES = 64 << 20
 _VERIFY_ROWS = 50  # a block's rows, so that none is decoded twice
-_MAX_BYTES = 1 << 62
-
-
-@dataclass(frozen=True)
-class StepTiming:
-    """Clocks of a phase.
-
-    first_step          simulator step that the first interval begins with
-    steps_per_interval  simulator steps per interval
-    start_ns, end_ns    host's monotonic clock at the begin and end of each interval [ns], shape [interval]
-    """
-
-    first_step: int
-    steps_per_interval: int
-    start_ns: NDArray[np.int64]
-    end_ns: NDArray[np.int64]
-
-    @property
-    def elapsed_s(self) -> float:
-        """From the first begin to the last end [s]."""
-        return float(self.end_ns[-1] - self.start_ns[0]) * 1e-9
-
-
-@dataclass(frozen=True)
-class MemoryTrace:
-    """Readings of one memory source, in order of time.
-
-    time_ns      host's monotonic clock, shape [sample]
-    used_bytes   shape [sample]
-    phase        of the run, one per sample
-    checkpoint   name of the protocol's checkpoint, or empty, one per sample
-    total_bytes  capacity, 0 where unknown
-    """
-
-    time_ns: NDArray[np.int64]
-    used_bytes: NDArray[np.int64]
-    phase: tuple[str, ...]
-    checkpoint: tuple[str, ...]
-    total_bytes: int
-
-    def at(self, checkpoint: str) -> int | None:
-        """Bytes in use at a checkpoint, None where it was not reached."""
-        for name, used in zip(self.checkpoint, self.used_bytes, strict=True):
-            if name == checkpoint:
-                return int(used)
-        return None
-
-    def peak(self, phase: str) -> int | None:
-        """Largest reading of a phase, None where it has none."""
-        used = [int(u) for u, p in zip(self.used_bytes, self.phase, strict=True) if p == phase]
-        return max(used) if used else None
-
-
-@dataclass(frozen=True)
-class Fingerprints:
-    """State hashes of a phase.
-
-    steps   simulator step of each row, shape [row]
-    hashes  shape [row, env]
-    """
-
-    steps: NDArray[np.int64]
-    hashes: NDArray[np.uint64]
-
-
-@dataclass(frozen=True)
-class Event:
-    """A moment of the run: its kind (PHASE_BEGIN, PHASE_END, NOTE, GATE), phase, clocks and text."""
-
-    kind: str
-    phase: str
-    monotonic_ns: int
-    unix_ns: int
-    text: str
 
 
 class Recording:
@@ -108,6 +54,7 @@ class Recording:
     path           of the file
     status         complete, incomplete (no end record), failed (the run said why) or invalid (a validity gate fired)
     reason         why the status is not "complete"
+    cause          what kind of thing it was: "device memory", "buffer", "timeout", ...; empty where nothing is said
     configuration  what was asked
     provenance     by whom, where, with what software
     simulation     what the simulator said of itself; None where the run ended before it was built
@@ -117,6 +64,7 @@ class Recording:
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
         self._container = Container(self.path)
+        self._messages = Messages(self._container)
         text = self._container.attachment(PROVENANCE)
         if text is None:
             raise DamagedRecording(
@@ -136,6 +84,7 @@ class Recording:
             self.reason = self._end.reason
             if self.status not in ("complete", "failed", "invalid"):
                 raise DamagedRecording(f"{self.path}: the end record has no status")
+        self.cause = "" if self._end is None else _cause(self._end.cause)
         self.content_hash: str = self._end.content_hash if self._end is not None else ""
 
     def __repr__(self) -> str:
@@ -195,93 +144,43 @@ class Recording:
 
     @cached_property
     def timing(self) -> dict[str, StepTiming]:
-        """Clocks by phase ("warmup", "timed")."""
-        found = {}
-        for topic in self._container.channels:
-            if not topic.startswith("/timing/"):
-                continue
-            parts = [self._parse("gsb.v1.StepTiming", c) for c in self._container.in_sequence(topic)]
-            if not parts:
-                continue
-            start = np.concatenate([np.array(p.start_ns, dtype=np.int64) for p in parts])
-            end = np.concatenate([np.array(p.end_ns, dtype=np.int64) for p in parts])
-            if len(start) != len(end):
-                raise DamagedRecording(f"{self.path}: {topic} has {len(start)} begins and {len(end)} ends")
-            if not len(start):
-                continue  # a phase of no steps
-            if (end < start).any() or (start[1:] < end[:-1]).any() or end[-1] <= start[0]:
-                raise DamagedRecording(f"{self.path}: the clock of {topic} went backwards")
-            name = topic.removeprefix("/timing/")
-            found[name] = StepTiming(parts[0].first_step, parts[0].steps_per_interval, start, end)
-        return found
+        """Clocks by phase: "build", "compile_timed", "warmup", "timed", "compile_capture"."""
+        return read_timing(self._messages)
 
     @cached_property
     def memory(self) -> dict[str, MemoryTrace]:
-        """Memory readings by source: "host", "gpu0/device", "gpu0/process", ..."""
-        found = {}
-        for topic in self._container.channels:
-            if not topic.startswith("/memory/"):
-                continue
-            samples = [self._parse("gsb.v1.MemorySample", c) for c in self._container.in_sequence(topic)]
-            if any(s.used_bytes >= _MAX_BYTES for s in samples):
-                raise DamagedRecording(f"{self.path}: {topic} has a reading that no memory can have")
-            if samples:
-                found[topic.removeprefix("/memory/")] = MemoryTrace(
-                    np.array([s.monotonic_ns for s in samples], dtype=np.int64),
-                    np.array([s.used_bytes for s in samples], dtype=np.int64),
-                    tuple(s.phase for s in samples),
-                    tuple(s.checkpoint for s in samples),
-                    int(samples[-1].total_bytes),
-                )
-        return found
+        """Memory readings by source: "host", "gpu0/device", "gpu0/process", "gpu0/allocator", ..."""
+        return read_memory(self._messages)
+
+    @cached_property
+    def counts(self) -> dict[str, dict[str, StepCounts]]:
+        """Counters by phase ("timed", "capture") and name ("contacts", ...)."""
+        return read_counts(self._messages)
+
+    @cached_property
+    def overflows(self) -> dict[str, Overflows]:
+        """Buffers and limits that were run into, by phase; a phase that tells nothing is left out."""
+        return read_overflows(self._messages, n_env=self.configuration.n_env)
+
+    @cached_property
+    def action_streams(self) -> dict[str, ActionStream]:
+        """What each phase applied, by phase."""
+        return read_action_streams(self._messages, n_env=self.configuration.n_env)
 
     def fingerprints(self, phase: str) -> Fingerprints | None:
         """State hashes of a phase ("capture", "timed"); None where it has none."""
-        topic = topics.fingerprint(phase)
-        if topic not in self._container.channels:
-            return None
-        n_env = self.configuration.n_env
-        if n_env * np.dtype(np.uint64).itemsize > self._container.content_bytes:
-            raise DamagedRecording(f"{self.path}: {n_env} environments are more than the file can hold hashes of")
-        rows: dict[int, NDArray[np.uint64]] = {}
-        filled: dict[int, int] = {}
-        for content in self._container.in_sequence(topic):
-            header, block = decode_fingerprints(content)
-            stop = header.env_start + header.envs
-            if not block.size or stop > n_env or (header.steps > 1 and header.stride < 1):
-                raise DamagedRecording(f"{self.path}: a block of {topic} has environments or steps that cannot be")
-            for row, hashes in enumerate(block):
-                step = header.first_step + row * header.stride
-                whole = rows.setdefault(step, np.zeros(n_env, dtype=np.uint64))
-                whole[header.env_start : stop] = hashes
-                filled[step] = filled.get(step, 0) + header.envs
-        if not rows:
-            return None
-        if set(filled.values()) != {n_env}:
-            if self.status != "incomplete":
-                raise DamagedRecording(f"{self.path}: {topic} does not cover every environment once at every step")
-            rows = {step: hashes for step, hashes in rows.items() if filled[step] == n_env}
-        steps = sorted(rows)
-        return Fingerprints(np.array(steps, dtype=np.int64), np.stack([rows[step] for step in steps]))
+        cut_short = self.status == "incomplete"
+        return read_fingerprints(self._messages, phase, n_env=self.configuration.n_env, cut_short=cut_short)
 
     @cached_property
     def events(self) -> tuple[Event, ...]:
         """Phases, notes and gates, in order."""
-        if topics.RUN_EVENT not in self._container.channels:
-            return ()
-        names = {number: name.removeprefix("EVENT_KIND_") for name, number in enum_values("gsb.v1.EventKind").items()}
-        parsed = [self._parse("gsb.v1.Event", c) for c in self._container.in_sequence(topics.RUN_EVENT)]
-        return tuple(
-            Event(names.get(e.kind, "UNSPECIFIED"), e.phase, e.monotonic_ns, e.unix_ns, e.text) for e in parsed
-        )
+        return read_events(self._messages)
 
     @cached_property
     def dropouts(self) -> tuple[str, ...]:
         """One sentence for each stretch of data that the recorder says was lost."""
-        if topics.RUN_DROPOUT not in self._container.channels:
-            return ()
-        parsed = [self._parse("gsb.v1.Dropout", c) for c in self._container.in_sequence(topics.RUN_DROPOUT)]
-        return tuple(f"{d.topic}: {d.steps} steps from step {d.first_step}: {d.reason}" for d in parsed)
+        return read_dropouts(self._messages)
 
     @cached_property
     def scene(self) -> dict[str, Any]:
@@ -363,19 +262,19 @@ class Recording:
             raise DamagedRecording(f"{self.path}: the run ends {len(contents)} times")
         if not self._container.finished:
             return None  # the end was written, but the file was cut short behind it
-        return self._parse("gsb.v1.RunEnd", contents[-1])
-
-    def _parse(self, name: str, content: memoryview) -> Any:
-        try:
-            return message_class(name).FromString(bytes(content))
-        except Exception as error:  # protobuf's DecodeError differs between its backends
-            raise DamagedRecording(f"{self.path}: a {name} message cannot be parsed: {error}") from None
+        return self._messages.parse("gsb.v1.RunEnd", contents[-1])
 
     def _named(self, parse: Any, text: bytes) -> Any:
         try:
             return parse(text)
         except DamagedRecording as error:
             raise DamagedRecording(f"{self.path}: {error}") from None
+
+
+def _cause(number: int) -> str:
+    names = {value: name for name, value in enum_values("gsb.v1.Cause").items()}
+    name = names.get(number, f"CAUSE_{number}").removeprefix("CAUSE_")  # a number of a later version is shown as it is
+    return "" if name == "UNSPECIFIED" else name.replace("_", " ").lower()
 
 
 def _row_ranges(arrays: Sequence[StateArray]) -> Iterator[slice]:

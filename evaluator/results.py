@@ -4,16 +4,19 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from evaluator.groups import Group
 from evaluator.metrics.density import Density, HexGrid
-from evaluator.metrics.guidelines import Guideline
-from evaluator.metrics.radar import Radar
 from evaluator.recording import Unreadable
+from evaluator.validity import Validity
+
+if TYPE_CHECKING:
+    from evaluator.comparison import Comparison
+    from evaluator.sweeps import Sweep
 
 SCHEMA_VERSION = 1
 """Version of the JSON that ``gsb-eval --json`` prints."""
@@ -78,6 +81,7 @@ class GroupResult:
     cloud            None where no states were recorded at the sample step
     parallel_matrix  C[e, e'] of the first complete run [cm], shape [env, env], or None
     run_matrix       W1 between runs [cm], shape [run, run], or None
+    validity         contacts, buffers, overflow, actions
     notes            sentences that a reader must see beside the numbers
     """
 
@@ -87,6 +91,7 @@ class GroupResult:
     cloud: Cloud | None
     parallel_matrix: NDArray[np.float64] | None
     run_matrix: NDArray[np.float64] | None
+    validity: Validity
     notes: tuple[str, ...]
 
 
@@ -134,8 +139,8 @@ class Evaluation:
     results      one per group
     unreadable   files that could not be read, with their errors
     reference    None where there is none; `reference_note` says why, or where it came from
-    radar        None with fewer than two simulators that can be compared
-    guidelines   empty likewise
+    sweeps       groups that differ in the number of environments alone
+    comparison   of simulators: radar and guidelines
     maps         by scene; none for a scene whose positions were not recorded or lie too far apart
     notes        about the set as a whole
     """
@@ -145,7 +150,7 @@ class Evaluation:
     unreadable: tuple[Unreadable, ...]
     reference: Reference | None
     reference_note: str
-    radar: Radar | None
-    guidelines: tuple[Guideline, ...]
+    sweeps: tuple[Sweep, ...]
+    comparison: Comparison
     maps: dict[str, Map]
     notes: tuple[str, ...] = ()

@@ -10,8 +10,10 @@ from dataclasses import dataclass
 from evaluator.metrics.board import Board
 from evaluator.metrics.memory import Checkpoints
 from evaluator.positions import Positions, sample_positions
-from evaluator.recording import Fingerprints, MemoryTrace, Recording
-from schemas import checks
+from evaluator.recording import Recording
+from evaluator.scene import board_of
+from evaluator.sinking import Sunk, sunk
+from evaluator.streams import Fingerprints, MemoryTrace
 from schemas.errors import DamagedRecording
 
 
@@ -23,27 +25,40 @@ class RunData:
     elapsed_s   of the timed phase [s]; None where it was left out
     gpu         memory of the device [byte]; None without a GPU
     host        memory of the process [byte]; None where it was not sampled
+    allocator   peak of the engine's own device allocator up to the end of the timed phase [byte]; None where not told
+    build_s     import of the engine, loading, allocation [s]; None where it was not clocked
+    compile_s   compilation of what the timed phase runs, and of what the capture phase runs [s], by phase
     captured    state hashes of the capture phase, or None
     timed       state hashes at the begin and end of the timed phase, or None
     positions   at the sample step; None where there are none, and `no_positions` says why
     board       of the scene, or None
+    sunk        cubes that went through the floor; None where it cannot be said, and `no_sunk` says why
     """
 
     recording: Recording
     elapsed_s: float | None
     gpu: Checkpoints | None
     host: Checkpoints | None
+    allocator: int | None
+    build_s: float | None
+    compile_s: dict[str, float]
     captured: Fingerprints | None
     timed: Fingerprints | None
     positions: Positions | None
     no_positions: str
     board: Board | None
+    sunk: Sunk | None
+    no_sunk: str
 
 
 def read_run(recording: Recording, sample_time: float) -> RunData:
     """Read a run; DamagedRecording where the file does not hold what it should, whatever is wrong with it."""
     try:
+        _check_complete(recording)
         positions, no_positions = sample_positions(recording, sample_time)
+        sank, no_sunk = sunk(recording)
+        timing = recording.timing
+        allocator = recording.memory.get("gpu0/allocator") if "timed" in recording.configuration.phases else None
         gpu = recording.memory.get("gpu0/device") if recording.provenance.gpus else None
         host = recording.memory.get("host")
         return RunData(
@@ -51,14 +66,31 @@ def read_run(recording: Recording, sample_time: float) -> RunData:
             elapsed_s=_elapsed(recording),
             gpu=_checkpoints(gpu) if gpu else None,
             host=_checkpoints(host) if host else None,
+            allocator=allocator.own_peak() if allocator else None,
+            build_s=timing["build"].elapsed_s if "build" in timing else None,
+            compile_s={p: timing[f"compile_{p}"].elapsed_s for p in ("timed", "capture") if f"compile_{p}" in timing},
             captured=recording.fingerprints("capture"),
             timed=recording.fingerprints("timed"),
             positions=positions,
             no_positions=no_positions,
             board=board_of(recording),
+            sunk=sank,
+            no_sunk=no_sunk,
         )
     except (ValueError, OverflowError, MemoryError) as error:
         raise DamagedRecording(f"{recording.path}: {str(error) or type(error).__name__}") from None
+
+
+def _check_complete(recording: Recording) -> None:
+    # The recorder calls such a run invalid; a file that does not was made, or changed, by something else.
+    described = recording.simulation.overflow_bits if recording.simulation else ()
+    for phase, overflows in recording.overflows.items():
+        if fatal := overflows.fatal(described):
+            name, step = fatal
+            raise DamagedRecording(
+                f"{recording.path}: the run says that it is complete, but {name} overflowed by step {step} of the "
+                f"{phase} phase"
+            )
 
 
 def _elapsed(recording: Recording) -> float | None:
@@ -81,20 +113,3 @@ def _checkpoints(trace: MemoryTrace) -> Checkpoints:
     if peak is not None and baseline is not None:
         peak = max(peak, baseline)  # a monitor of a whole device also sees others release memory
     return Checkpoints(baseline, trace.at("post-init"), trace.at("post-warmup"), peak, trace.at("final"))
-
-
-def board_of(recording: Recording) -> Board | None:
-    """The board that the recording's scene names, None where it names none; DamagedRecording where it is unreadable."""
-    scene = recording.scene
-    name = scene.get("board")
-    if not name:
-        return None
-    try:
-        for body in checks.objects(scene, "bodies"):
-            if body.get("name") == name:
-                size = checks.vector(checks.mapping(body, "shape").get("size"), 3, "the board's size")
-                centre = checks.vector(body.get("position"), 3, "the board's position")
-                return Board(size, centre)
-    except DamagedRecording as error:
-        raise DamagedRecording(f"{recording.path}: {error}") from None
-    raise DamagedRecording(f"{recording.path}: the scene has no body named {name!r}")

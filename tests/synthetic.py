@@ -1,25 +1,28 @@
-"""Recordings of given positions: real files, by the recorder's own sink, with an outcome known by construction."""
+"""Recordings of given positions: real files, by the recorder's own writers, with an outcome known by construction."""
 
 from __future__ import annotations
 
 import json
 import uuid
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from recorder.capture.evidence import EvidenceWriter
 from recorder.capture.sink import Sink
 from recorder.capture.states import StateWriter
 from recorder.scenes.registry import make_scene
+from recorder.simulators.base import Description
+from recorder.simulators.evidence import Evidence
 from schemas import topics
 from schemas.configuration import RunConfiguration
 from schemas.fields import StateField, body_field
 from schemas.messages import message_class
-from schemas.provenance import PROVENANCE, SCENE, SIMULATION, Provenance, Simulation
+from schemas.provenance import PROVENANCE, SCENE, SIMULATION, Buffer, Counter, OverflowBit, Provenance, Simulation
 
 
 def cubes_field(dtype: str, *, frame: str = "world") -> StateField:
@@ -28,21 +31,74 @@ def cubes_field(dtype: str, *, frame: str = "world") -> StateField:
     return replace(body_field("cubes", "position", dtype, names), frame=frame)
 
 
+@dataclass(frozen=True)
+class Shown:
+    """What a recording's steps show of their work.
+
+    counts    by phase and counter: shape [row, env]
+    overflow  by phase: bits, shape [row, env]
+    bits      what they mean
+    buffers   that the engine was given
+    streams   by phase: messages of what was applied
+    raw       topic, type and message of whatever else is to be written
+    """
+
+    counts: dict[str, dict[str, NDArray[np.integer]]] = field(default_factory=dict)
+    overflow: dict[str, NDArray[np.uint32]] = field(default_factory=dict)
+    bits: tuple[OverflowBit, ...] = ()
+    buffers: tuple[Buffer, ...] = ()
+    streams: dict[str, Any] = field(default_factory=dict)
+    raw: tuple[tuple[str, str, Any], ...] = ()
+
+    def counters(self) -> tuple[Counter, ...]:
+        """Counters that are declared."""
+        names = dict.fromkeys(name for by_name in self.counts.values() for name in by_name)
+        return tuple(Counter(name, f"how many {name}") for name in names)
+
+    def write(self, sink: Sink, description: Description, *, dt: float, timed_steps: int) -> None:
+        """Write it as the recorder does: every captured step, of the timed phase rows far apart."""
+        for phase in dict.fromkeys([*self.counts, *self.overflow]):
+            stride = 1 if phase == "capture" else timed_steps
+            writer = EvidenceWriter(sink, description, phase, dt=dt, stride=stride)
+            writer.feed(
+                Evidence(self.counts.get(phase, {}), self.overflow.get(phase)), first_step=1 if stride == 1 else stride
+            )
+        for phase, message in self.streams.items():
+            sink.channel(topics.action_stream(phase), "gsb.v1.ActionStream")
+            sink.write(topics.action_stream(phase), message.SerializeToString())
+        for topic, kind, message in self.raw:
+            sink.channel(topic, kind)
+            sink.write(topic, message if isinstance(message, bytes) else message.SerializeToString())
+
+
+NOTHING = Shown()
+
+
 def write_recording(
     folder: Path,
-    final: NDArray[Any],
+    final: NDArray[Any] | None,
     *,
+    n_env: int = 1,
     run: int = 0,
     simulator: str = "synthetic",
+    scene: str = "inclined-collision",
     steps: int = 5,
     dt: float = 1.0,
     status: str = "COMPLETE",
     reason: str = "",
+    cause: str = "",
     elapsed_s: float | None = 1.0,
     timed_steps: int = 1000,
     gpu_bytes: tuple[int, int] | None = None,
+    host_bytes: tuple[int, int] | None = None,
+    allocator_peak: int | None = None,
+    clocks: dict[str, float] | None = None,
+    shown: Shown = NOTHING,
     origins: tuple[tuple[float, float, float], ...] = (),
+    options: dict[str, Any] | None = None,
     switches: dict[str, Any] | None = None,
+    determinism: str = "default",
+    built: bool = True,
     name: str | None = None,
     compression: str = "none",
     dropout: str = "",
@@ -52,18 +108,27 @@ def write_recording(
     field: StateField | None = None,
     environment: dict[str, str] | None = None,
     run_id: str | None = None,
+    path_of: Callable[[NDArray[Any], int], NDArray[Any]] | None = None,
 ) -> Path:
     """A recording whose cubes lie still until the last step and end at `final` [m], shape [env, 27, 3].
 
+    final      None captures no states, of `n_env` environments
     elapsed_s  of the timed phase; None leaves it out
     gpu_bytes  baseline and peak on a GPU; None for a machine without
+    host_bytes the same of the process
+    clocks     seconds of "build", "compile_timed", "compile_capture"
+    built      False: the run ended before its simulator was there, and says nothing of it
     change     called with the name and content of each JSON attachment; may change it in place, or return other text
+    path_of    called with the initial positions and a step before the last; returns the positions then
     """
-    n_env = len(final)
-    field = field or cubes_field(str(final.dtype))
+    n_env = n_env if final is None else len(final)
+    dtype = "float32" if final is None else str(final.dtype)
+    field = field or cubes_field(dtype)
+    phases = tuple(name for name, there in (("timed", elapsed_s), ("capture", final is not None)) if there)
     configuration = RunConfiguration(
-        simulator=simulator, scene="inclined-collision", n_env=n_env, dt=dt, steps=steps, run_index=run, warmup=0,
-        timed_steps=timed_steps, phases=("timed", "capture") if elapsed_s else ("capture",), stride=stride,
+        simulator=simulator, scene=scene, n_env=n_env, dt=dt, steps=steps, run_index=run, warmup=0,
+        timed_steps=timed_steps, phases=phases, stride=stride, determinism=determinism,
+        options={name: str(value) for name, value in (options or {}).items()},
     )  # fmt: skip
     gpus = ({"name": "Test GPU", "driver": "1"},) if gpu_bytes else ()
     provenance = Provenance(
@@ -75,39 +140,48 @@ def write_recording(
         host={"cpu": "test"},
         environment=environment or {},
     )
-    scene = make_scene("inclined-collision")
+    described = make_scene(scene)
+    about = Description(
+        version="1.0", device="Test GPU" if gpu_bytes else "cpu", options=options or {}, switches=switches or {},
+        deviations=(), fields=(field,), timing_covers="", env_origins=origins, buffers=shown.buffers,
+        counters=shown.counters(), overflow_bits=shown.bits,
+    )  # fmt: skip
     simulation = Simulation(
-        version="1.0", device="Test GPU" if gpu_bytes else "cpu", options={}, switches=switches or {}, deviations=(),
-        fields=(field,), scene={"name": scene.name, "sha256": scene.sha256(), "parameters": {}}, env_origins=origins,
+        version=about.version, device=about.device, options=about.options, switches=about.switches, deviations=(),
+        fields=about.fields, scene={"name": scene, "sha256": described.sha256(), "parameters": {}},
+        env_origins=origins, buffers=about.buffers, counters=about.counters, overflow_bits=about.overflow_bits,
     )  # fmt: skip
     path = folder / (name or f"{simulator}-{run}-{uuid.uuid4().hex[:8]}.mcap")
     sink = Sink(path, compression=compression)
-    texts = {PROVENANCE: provenance.to_json(), SCENE: scene.to_json(), SIMULATION: simulation.to_json()}
+    texts = {PROVENANCE: provenance.to_json(), SCENE: described.to_json()}
+    if built:
+        texts[SIMULATION] = simulation.to_json()
     for attachment, text in texts.items():
         if change is not None:
             record = json.loads(text)
             changed = change(attachment, record)
             text = changed if isinstance(changed, str) else json.dumps(record)
         sink.attach(attachment, "application/json", text.encode())
+    if not built:
+        return sink.finish(status, reason, last_step=0, peak_rss_bytes=0, cause=cause)
+    for what, seconds in (clocks or {}).items():
+        _write_timing(sink, what, seconds, 1)
     if elapsed_s:
-        sink.channel(topics.timing("timed"), "gsb.v1.StepTiming")
-        timing = message_class("gsb.v1.StepTiming")(
-            first_step=0, steps_per_interval=timed_steps, start_ns=[0], end_ns=[round(elapsed_s * 1e9)]
-        )
-        sink.write(topics.timing("timed"), timing.SerializeToString())
+        _write_timing(sink, "timed", elapsed_s, timed_steps)
     if gpu_bytes:
-        topic = topics.gpu_memory(0, "device")
-        sink.channel(topic, "gsb.v1.MemorySample")
-        for used, phase, checkpoint in ((gpu_bytes[0], "baseline", "baseline"), (gpu_bytes[1], "timed", "")):
-            sample = message_class("gsb.v1.MemorySample")(
-                source=2, monotonic_ns=1, used_bytes=used, phase=phase, checkpoint=checkpoint
-            )
-            sink.write(topic, sample.SerializeToString())
-    writer = StateWriter(sink, (field,), n_env=n_env, dt=dt, stride=stride)
-    start = np.broadcast_to(np.array([b.position for b in scene.moving()[1:]], dtype=final.dtype), final.shape)
-    writer.feed([start[np.newaxis]])
-    writer.feed([np.stack([start] * (steps - 1) + [final])])
-    writer.flush()
+        _write_memory(sink, topics.gpu_memory(0, "device"), 2, gpu_bytes)
+    if host_bytes:
+        _write_memory(sink, topics.MEMORY_HOST, 1, host_bytes)
+    if allocator_peak:
+        _write_memory(sink, topics.gpu_memory(0, "allocator"), 4, (0, allocator_peak), peak="peak until final")
+    shown.write(sink, about, dt=dt, timed_steps=timed_steps)
+    if final is not None:
+        writer = StateWriter(sink, (field,), n_env=n_env, dt=dt, stride=stride)
+        start = np.broadcast_to(np.array([b.position for b in described.moving()[-27:]], dtype=dtype), final.shape)
+        writer.feed([start[np.newaxis]])
+        between = [path_of(start, step) if path_of else start for step in range(1, steps)]
+        writer.feed([np.stack([*between, final])])
+        writer.flush()
     if dropout:
         sink.channel(topics.RUN_DROPOUT, "gsb.v1.Dropout")
         lost = message_class("gsb.v1.Dropout")(topic="/state", first_step=1, steps=2, reason=dropout)
@@ -115,7 +189,59 @@ def write_recording(
     if not end:
         sink.abandon()
         return sink.partial
-    return sink.finish(status, reason, last_step=steps, peak_rss_bytes=0)
+    return sink.finish(status, reason, last_step=steps if final is not None else 0, peak_rss_bytes=0, cause=cause)
+
+
+def _write_timing(sink: Sink, phase: str, seconds: float, steps: int) -> None:
+    sink.channel(topics.timing(phase), "gsb.v1.StepTiming")
+    timing = message_class("gsb.v1.StepTiming")(
+        first_step=0, steps_per_interval=steps, start_ns=[0], end_ns=[round(seconds * 1e9)]
+    )
+    sink.write(topics.timing(phase), timing.SerializeToString())
+
+
+def _write_memory(sink: Sink, topic: str, source: int, found: tuple[int, int], *, peak: str = "") -> None:
+    sink.channel(topic, "gsb.v1.MemorySample")
+    for used, phase, checkpoint in ((found[0], "baseline", "baseline"), (found[1], "timed", peak)):
+        sample = message_class("gsb.v1.MemorySample")(
+            source=source, monotonic_ns=1, used_bytes=used, phase=phase, checkpoint=checkpoint
+        )
+        sink.write(topic, sample.SerializeToString())
+
+
+def write_sweep(
+    folder: Path,
+    sizes: tuple[int, ...],
+    *,
+    runs: int = 2,
+    fixed: float = 5e8,
+    per_env: float = 1e6,
+    speed: float = 1e5,
+    fails: int | None = None,
+    contacts: int = 27,
+    **keywords: Any,
+) -> list[Path]:
+    """A sweep on a GPU that captures nothing: memory fixed + per_env * N, throughput `speed` at any N.
+
+    fails  the N at which every run ends for want of device memory, before its simulator is built
+    """
+    written = []
+    for n_env in sizes:
+        counted = Shown(counts={"timed": {"contacts": np.full((1, n_env), contacts)}})
+        for run in range(runs):
+            failed = n_env == fails
+            outcome: dict[str, Any] = (
+                {"built": False, "status": "FAILED", "cause": "DEVICE_MEMORY", "reason": "no memory for the contacts"}
+                if failed
+                else {"shown": counted}
+            )
+            written.append(
+                write_recording(
+                    folder, None, n_env=n_env, run=run, timed_steps=1000, elapsed_s=n_env * 1000 / speed,
+                    gpu_bytes=(10**9, 10**9 + round(fixed + per_env * n_env)), **{**outcome, **keywords},
+                )
+            )  # fmt: skip
+    return written
 
 
 def grid(n_env: int, dtype: str = "float64") -> NDArray[Any]:

@@ -18,27 +18,29 @@ from numpy.typing import NDArray
 
 import schemas
 from evaluator import published as paper
-from evaluator.groups import status_notes
+from evaluator.groups import shown_status, status_notes
 from evaluator.metrics.density import Density, marginal
 from evaluator.metrics.radar import Axis
 from evaluator.metrics.regime import REGIME_MEANING
 from evaluator.recording import Recording
-from evaluator.report import numbers
-from evaluator.report.figures import density_map, matrix, palette, radar_chart
+from evaluator.report import numbers, words
+from evaluator.report.figures import density_map, lines, matrix, palette, radar_chart
+from evaluator.report.scaling import beside_published, scene_sweeps
 from evaluator.report.text import printable
 from evaluator.results import Evaluation, GroupResult, Map, Metric, Reference
-from evaluator.run_data import board_of
+from evaluator.scene import board_of
+from evaluator.sweeps import SOURCES, swept_only
 from schemas.errors import DamagedRecording
 from schemas.provenance import Deviation
 
 _TEMPLATE = "report.html.j2"
 _DEPTH = 3
-_AXIS_METRIC = {
-    Axis.THROUGHPUT: "fps",
-    Axis.MEMORY: "memory_peak_increment",
-    Axis.EMD_TO_REAL: "w1_real",
-    Axis.PARALLEL: "w1_parallel",
-    Axis.RUN_TO_RUN: "w1_run_to_run",
+_AXIS_UNITS = {
+    Axis.THROUGHPUT: "env-steps/s",
+    Axis.MEMORY: "GB",
+    Axis.EMD_TO_REAL: "cm",
+    Axis.PARALLEL: "cm",
+    Axis.RUN_TO_RUN: "cm",
 }
 
 Marginals = tuple[NDArray[np.int64], NDArray[np.int64]]
@@ -101,6 +103,9 @@ def render_html(evaluation: Evaluation, *, published: bool, command: str) -> str
     published  whether the paper's figures are shown as well, marked as the paper's
     command    that made the page, as a shell would take it
     """
+    swept = swept_only(evaluation.results, evaluation.sweeps)
+    shown = [r for r in evaluation.results if r.label not in swept]
+    scaled = evaluation.comparison.radar
     notes = [(r.label, note) for r in evaluation.results for note in r.notes if note not in status_notes(r.group)]
     return (
         _environment()
@@ -111,17 +116,22 @@ def render_html(evaluation: Evaluation, *, published: bool, command: str) -> str
             recordings=[(r.label, one) for r in evaluation.results for one in r.group.recordings],
             problems=list(_problems(evaluation)),
             notes=[("", note) for note in evaluation.notes] + notes,
-            maps=list(_maps(evaluation)),
-            parallel_matrices=[_matrix(r, r.parallel_matrix, "env", "w1_parallel") for r in evaluation.results],
-            run_matrices=[_matrix(r, r.run_matrix, "run", "w1_run_to_run") for r in evaluation.results],
-            radar=Markup(radar_chart.radar_chart(evaluation.radar)) if evaluation.radar else None,
+            maps=list(_maps(evaluation, shown)),
+            shown=shown,
+            hidden=[r for r in evaluation.results if r.label in swept],
+            sweeps=list(scene_sweeps(evaluation.sweeps)),
+            parallel_matrices=[_matrix(r, r.parallel_matrix, "env", "w1_parallel") for r in shown],
+            run_matrices=[_matrix(r, r.run_matrix, "run", "w1_run_to_run") for r in shown],
+            contenders=evaluation.comparison.contenders,
+            radar=Markup(radar_chart.radar_chart(scaled)) if scaled else None,
             axes=list(Axis),
-            axis_metric=_AXIS_METRIC,
-            swatches=[Markup(radar_chart.swatch(i)) for i in range(len(evaluation.results))],
+            axis_units=_AXIS_UNITS,
+            swatches=[Markup(lines.swatch(i)) for i in range(len(evaluation.comparison.contenders))],
             hatch=Markup(matrix.hatch()),
             deviations=_deviations(evaluation),
             regimes=REGIME_MEANING,
             paper=paper if published else None,
+            beside=list(beside_published(evaluation.sweeps)) if published else [],
             command=command,
             version=schemas.__version__,
             colours={
@@ -150,7 +160,9 @@ def _environment() -> jinja2.Environment:
         pairs=lambda record: list(_pairs(record)),
         power=_power_of_two,
     )
-    environment.globals.update(origins=_origins, simulation_of=_simulation_of)
+    environment.globals.update(
+        origins=_origins, simulation_of=_simulation_of, words=words, sources=SOURCES, status_of=shown_status
+    )
     return environment
 
 
@@ -176,14 +188,14 @@ def _problems(evaluation: Evaluation) -> Iterator[Problem]:
     for result in evaluation.results:
         for recording in result.group.recordings:
             if recording.status != "complete":
-                yield Problem(recording.path.name, recording.status, recording.reason)
+                yield Problem(recording.path.name, shown_status(recording), recording.reason)
             for lost in recording.dropouts:
                 yield Problem(recording.path.name, "lost data", lost)
 
 
-def _maps(evaluation: Evaluation) -> Iterator[SceneMaps]:
-    for scene in dict.fromkeys(r.group.key.scene for r in evaluation.results):
-        results = [r for r in evaluation.results if r.group.key.scene == scene]
+def _maps(evaluation: Evaluation, shown: list[GroupResult]) -> Iterator[SceneMaps]:
+    for scene in dict.fromkeys(r.group.key.scene for r in shown):
+        results = [r for r in shown if r.group.key.scene == scene]
         missing = [
             Picture(r.label, f"No map: {_why_no_cloud(r, evaluation)}.", None) for r in results if r.cloud is None
         ]

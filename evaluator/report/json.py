@@ -6,13 +6,16 @@ import json
 import math
 from typing import Any
 
+from evaluator.metrics.memory_model import MemoryModel
 from evaluator.recording import Recording
 from evaluator.results import SCHEMA_VERSION, Evaluation, GroupResult, Metric
+from evaluator.sweeps import SOURCES, Sweep, SweepPoint
+from evaluator.validity import Validity
 
 
 def to_json(evaluation: Evaluation) -> dict[str, Any]:
     """The document that ``gsb-eval --json`` prints; plain JSON values only."""
-    reference = evaluation.reference
+    reference, comparison = evaluation.reference, evaluation.comparison
     document = {
         "schema_version": SCHEMA_VERSION,
         "sample_time_s": evaluation.sample_time,
@@ -29,11 +32,12 @@ def to_json(evaluation: Evaluation) -> dict[str, Any]:
                 for u in evaluation.unreadable
             ),
         ],
+        "sweeps": [_sweep(sweep) for sweep in evaluation.sweeps],
         "radar": {
             name: {axis.value: value for axis, value in axes.items()}
-            for name, axes in (evaluation.radar.values if evaluation.radar else {}).items()
+            for name, axes in (comparison.radar.values if comparison.radar else {}).items()
         },
-        "guidelines": [vars(g) for g in evaluation.guidelines],
+        "guidelines": [vars(g) for g in comparison.guidelines],
     }
     plain: dict[str, Any] = _plain(document)
     return plain
@@ -55,13 +59,71 @@ def _group(result: GroupResult) -> dict[str, Any]:
         "n_env": key.n_env,
         "dt": key.dt,
         "seed": key.seed,
+        "determinism": key.determinism,
         "options": json.loads(key.options),
         "switches": json.loads(key.switches) if key.switches else {},
         "n_run": len(result.group.complete),
         "n_recording": len(result.group.recordings),
+        "runs": result.group.outcomes,
         "metrics": {name: _metric(metric) for name, metric in result.metrics.items()},
+        "validity": _validity(result.validity),
         "deviations": [vars(d) for d in _deviations(result)],
         "notes": list(result.notes),
+    }
+
+
+def _validity(validity: Validity) -> dict[str, Any]:
+    return {
+        "counters": [vars(c) for c in validity.counted],
+        "buffers": [{**vars(b.buffer), "needed": b.needed, "share": b.share} for b in validity.buffers],
+        "overflow": None if validity.overflow is None else [vars(o) for o in validity.overflow],
+        "actions": [vars(a) for a in validity.actions],
+    }
+
+
+def _sweep(sweep: Sweep) -> dict[str, Any]:
+    key = sweep.key
+    return {
+        "label": sweep.label,
+        "simulator": key.simulator,
+        "version": key.version,
+        "device": key.device,
+        "scene": key.scene,
+        "dt": key.dt,
+        "determinism": key.determinism,
+        "n_max": sweep.n_max,
+        "ends": sweep.ends,
+        "points": [_point(point) for point in sweep.points],
+        "memory_models": {
+            **{name: _model(model) for name, model in sweep.models.items()},
+            **{name: {"why_not": why_not} for name, why_not in sweep.no_model.items()},
+        },
+    }
+
+
+def _point(point: SweepPoint) -> dict[str, Any]:
+    return {
+        "n_env": point.n_env,
+        "group": point.result.label,
+        **{name: point.result.metrics[name].value for name in ("fps", *SOURCES)},
+        "n_run": point.complete,
+        "n_recording": len(point.recordings),
+        "failures": [failure._asdict() for failure in point.failures],
+    }
+
+
+def _model(model: MemoryModel) -> dict[str, Any]:
+    return {
+        "fixed_bytes": model.fixed,
+        "per_env_bytes": model.per_env,
+        "fixed_se_bytes": model.fixed_se,
+        "per_env_se_bytes": model.per_env_se,
+        "n_env": model.n,
+        "relative_residuals": model.residuals,
+        "largest_relative_residual": model.largest_residual,
+        "worst_n_env": model.worst_n,
+        "holds": model.holds,
+        "why_not": "",
     }
 
 
@@ -90,6 +152,7 @@ def _recording(recording: Recording) -> dict[str, Any]:
         "content_hash": recording.content_hash or None,
         "status": recording.status,
         "reason": recording.reason,
+        "cause": recording.cause,
         "run_id": recording.provenance.run_id,
         "run_index": recording.configuration.run_index,
         "created_utc": recording.provenance.created_utc,

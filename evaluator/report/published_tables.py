@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import IO
 
 from evaluator.published import SCALING, SOURCE, VARIABILITY, AtLargest
+from evaluator.report.console import make_console, plain_table
 from evaluator.report.numbers import NONE
-from evaluator.report.tables import make_console, plain_table
 
 
 def print_published(stream: IO[str]) -> None:

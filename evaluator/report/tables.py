@@ -9,44 +9,34 @@ from rich.table import Table
 from rich.text import Text
 
 from evaluator.metrics.regime import REGIME_MEANING
+from evaluator.report import words
+from evaluator.report.console import make_console, plain_table
 from evaluator.report.numbers import NONE, distance, interval, mean_sd
+from evaluator.report.sweep_tables import print_sweeps
 from evaluator.report.text import printable
 from evaluator.results import Evaluation, GroupResult, Metric
+from evaluator.sweeps import swept_only
 
-_WIDTH_WITHOUT_TERMINAL = 120
+_COLUMNS = 4
+_UNSHOWN = ("allocator_peak", "build_time", "compile_time")  # no row of dashes, so no reason
 
 
 def print_tables(evaluation: Evaluation, stream: IO[str]) -> None:
-    """Print the evaluation; what a stranger's recording says is printed as text, never as markup."""
-    console = make_console(stream, columns=len(evaluation.results))
+    """Print the evaluation; what a stranger's recording says is printed as text, never as markup.
+
+    Groups side by side, so many at a time that a line can be read. A group that only is a point of a long sweep stands
+    in the sweep's table, not there.
+    """
+    hidden = swept_only(evaluation.results, evaluation.sweeps)
+    columns = min(_COLUMNS, len(evaluation.results) - len(hidden))
+    console = make_console(stream, columns=columns)
     for scene in dict.fromkeys(r.group.key.scene for r in evaluation.results):
-        results = [r for r in evaluation.results if r.group.key.scene == scene]
-        _print_scene(console, evaluation, scene, results)
+        results = [r for r in evaluation.results if r.group.key.scene == scene and r.label not in hidden]
+        for begin in range(0, len(results), _COLUMNS):
+            _print_scene(console, evaluation, scene, results[begin : begin + _COLUMNS])
+        print_sweeps(console, scene, [s for s in evaluation.sweeps if s.key.scene == scene])
     _print_notes(console, evaluation)
     _print_guidelines(console, evaluation)
-
-
-def make_console(stream: IO[str], *, columns: int = 0) -> Console:
-    """A console that prints text as it is, in colour on a terminal alone; elsewhere as wide as `columns` need."""
-    console = Console(file=stream, highlight=False, markup=False, emoji=False)
-    if console.is_terminal:
-        return console
-    return Console(
-        file=stream,
-        highlight=False,
-        markup=False,
-        emoji=False,
-        width=max(_WIDTH_WITHOUT_TERMINAL, 30 * (columns + 1)),
-        color_system=None,
-    )
-
-
-def plain_table(*titles: str) -> Table:
-    """A table without rules; the first column to the left, the others to the right."""
-    table = Table(show_edge=False, pad_edge=False, box=None, header_style="bold")
-    for index, title in enumerate(titles):
-        table.add_column(title, overflow="fold", justify="right" if index else "left")
-    return table
 
 
 def _print_scene(console: Console, evaluation: Evaluation, scene: str, results: list[GroupResult]) -> None:
@@ -55,6 +45,11 @@ def _print_scene(console: Console, evaluation: Evaluation, scene: str, results: 
 
     def row(title: str, cells: list[str]) -> None:
         table.add_row(Text(title), *(Text(printable(c)) for c in cells))
+
+    def told(title: str, cells: list[str]) -> None:
+        # what no group of this table tells would be a row of dashes
+        if any(cell != NONE for cell in cells):
+            row(title, cells)
 
     def both(title: str, name: str, *, with_interval: bool = True) -> None:
         found = [r.metrics[name] for r in results]
@@ -68,6 +63,7 @@ def _print_scene(console: Console, evaluation: Evaluation, scene: str, results: 
     row("version", [r.group.key.version or NONE for r in results])
     row("device", [r.group.key.device or NONE for r in results])
     row("envs x complete runs", [f"{r.group.key.n_env} x {len(r.group.complete)}" for r in results])
+    told("INVALID or failed runs", [words.trouble(r.group) or NONE for r in results])
     both("throughput [env-steps/s]", "fps")
     both("GPU memory increment [GB]", "memory_peak_increment")
     both("host memory increment [MB]", "host_memory_peak_increment")
@@ -77,8 +73,13 @@ def _print_scene(console: Console, evaluation: Evaluation, scene: str, results: 
     row("distinct envs, bitwise", [_of(r.metrics["distinct_envs"]) for r in results])
     row("distinct runs, bitwise", [_of(r.metrics["distinct_runs"]) for r in results])
     both("cubes off the board per env", "left_board")
+    both("cubes sunk per env", "sank")
     row("published type", [_regime(r.metrics["regime_published"]) for r in results])
     row("capture changed the states", [_capture(r.metrics["capture_changes_states"]) for r in results])
+    told("contacts per env: mean / max", [words.counted(r.validity.of("contacts")) for r in results])
+    told("buffers used", [words.buffers(r.validity) for r in results])
+    told("overflow", [words.overflow(r.validity) for r in results])
+    told("build; compile [s]", [words.preparation(r.metrics) for r in results])
     console.print(table)
     for line in (*_legend(results), *_reasons(results)):
         console.print(printable(f"  {line}"), style="dim")
@@ -115,7 +116,7 @@ def _reasons(results: list[GroupResult]) -> list[str]:
     metrics: dict[tuple[int, str], list[str]] = {}
     for number, result in enumerate(results, start=1):
         for metric in result.metrics.values():
-            if metric.value is None:
+            if metric.value is None and metric.name not in _UNSHOWN:
                 metrics.setdefault((number, metric.why_not), []).append(metric.name)
     columns: dict[tuple[str, str], list[int]] = {}
     for (column, why), missing in metrics.items():
@@ -141,7 +142,7 @@ def _print_notes(console: Console, evaluation: Evaluation) -> None:
 
 
 def _print_guidelines(console: Console, evaluation: Evaluation) -> None:
-    picked = [g for g in evaluation.guidelines if g.pick]
+    picked = [g for g in evaluation.comparison.guidelines if g.pick]
     if not picked:
         return
     console.print("which for which need, from these recordings alone", style="bold")

@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 
 from evaluator import published
+from evaluator.comparison import Comparison, Contender
 from evaluator.evaluate import evaluate
 from evaluator.metrics.density import HexGrid, marginal
 from evaluator.metrics.guidelines import guidelines
@@ -23,6 +24,7 @@ from evaluator.recording import Recording, Unreadable
 from evaluator.report.html import render_html, write_html
 from evaluator.results import Cloud, Evaluation, GroupResult, Map, Metric, Reference, not_computed
 from schemas.errors import DamagedRecording
+from tests.synthetic import write_recording, write_sweep
 
 ROOT = Path(__file__).parents[2]
 HOSTILE = "\"'><script>alert(1)</script><img src=https://x.example/>"
@@ -102,11 +104,16 @@ def result(base: GroupResult, label: str, seed: int, *, off_map: int = 0) -> Gro
         Metric("w1_run_to_run", 0.0, "cm", "lower", "m", n=3, sd=0.0, ci95=(0.0, 0.0)),
         Metric("w1_real", 3.375 + seed, "cm", "lower", "m", n=3, sd=0.125, ci95=(3.0, 4.0)),
         Metric("left_board", 0.25, "cubes per env", "lower", "m", n=12, extra={"total": 3, "of": 324}),
+        Metric("sank", 0.5, "cubes per env", "lower", "m", n=12, extra={"total": 6, "of": 324, "first_step": 17}),
         Metric("regime_published", 1.0, "type", "neither", "m"),
+        Metric("allocator_peak", 1.5, "GB", "lower", "m", n=3, sd=0.0),
+        Metric("build_time", 1.25, "s", "lower", "m", n=3),
+        Metric("compile_time", 33.0, "s", "lower", "m", n=3),
     ]
     return GroupResult(
         group=base.group, label=label, metrics={m.name: m for m in made}, cloud=cloud(positions),
-        parallel_matrix=half + half.T, run_matrix=np.zeros((3, 3)), notes=(f"a note on {label}",),
+        parallel_matrix=half + half.T, run_matrix=np.zeros((3, 3)), validity=base.validity,
+        notes=(f"a note on {label}",),
     )  # fmt: skip
 
 
@@ -122,8 +129,9 @@ def several(alone: Evaluation) -> Evaluation:
     results = tuple(result(alone.results[0], f"engine {i}", i, off_map=101 if i == 2 else 0) for i in range(3))
     real = np.random.default_rng(9).normal(0.2, 0.05, (16, 27, 2))
     clouds = [r.cloud.density for r in results if r.cloud] + [GRID.bin(real)]
-    compared = [SimulatorResult(r.label, fps=r.metrics["fps"].value, w1_real=r.metrics["w1_real"].value)
-                for r in results]  # fmt: skip
+    figures = [SimulatorResult(r.label, fps=r.metrics["fps"].value, w1_real=r.metrics["w1_real"].value)
+               for r in results]  # fmt: skip
+    contenders = tuple(Contender(r, None, None, f, {}) for r, f in zip(results, figures, strict=True))
     return Evaluation(
         sample_time=5.0,
         results=results,
@@ -132,8 +140,8 @@ def several(alone: Evaluation) -> Evaluation:
             "16 real trials", Path("/data/trials.mcap"), "run", True, "inclined-collision", real, clouds[-1]
         ),
         reference_note="compared with 16 real trials",
-        radar=radar(compared),
-        guidelines=tuple(guidelines(compared)),
+        sweeps=(),
+        comparison=Comparison(contenders, radar(figures), tuple(guidelines(figures))),
         maps={"inclined-collision": Map(GRID, EDGES, max(int(d.counts.max()) for d in clouds if len(d.counts)))},
         notes=("a note on the whole set",),
     )
@@ -159,7 +167,7 @@ def test_page_is_well_formed(kind: str, request: pytest.FixtureRequest) -> None:
     assert len(pictures(text)) == text.count("<svg")
 
 
-@pytest.mark.parametrize("kind", ["alone", "several"])
+@pytest.mark.parametrize("kind", ["alone", "several", "swept"])
 def test_page_needs_nothing_else(kind: str, request: pytest.FixtureRequest) -> None:
     """Refer to places in the page only: no script, no import, no address."""
     text = render(request.getfixturevalue(kind), published=True)
@@ -191,8 +199,8 @@ def test_every_group_and_metric_appears(several: Evaluation) -> None:
         assert all(note in text for note in group.notes)
         assert all(name in text for name in group.metrics)
     assert "a note on the whole set" in text
-    assert all(g.need in text and g.rule in text for g in several.guidelines)
-    assert all((g.evidence or g.reason or "") in text for g in several.guidelines)
+    assert all(g.need in text and g.rule in text for g in several.comparison.guidelines)
+    assert all((g.evidence or g.reason or "") in text for g in several.comparison.guidelines)
 
 
 def test_values_have_sensible_digits(several: Evaluation) -> None:
@@ -348,7 +356,7 @@ def test_published_types_follow_from_the_published_values() -> None:
 
 def test_evaluation_of_nothing_is_a_page(several: Evaluation) -> None:
     """Write a page even where no group is left, with the files that could not be read."""
-    nothing = Evaluation(5.0, (), several.unreadable, None, "no reference", None, (), None)
+    nothing = Evaluation(5.0, (), several.unreadable, None, "no reference", (), Comparison(), {})
     text = Page(render(nothing)).text
     assert "torn.mcap" in text
     assert "No map" in text
@@ -378,6 +386,51 @@ def test_failed_write_leaves_the_old_page(several: Evaluation, tmp_path: Path, m
         write_html(several, tmp_path, published=True, command=COMMAND)
     assert page.read_bytes() == before
     assert [p.name for p in tmp_path.iterdir()] == ["index.html"]
+
+
+@pytest.fixture(scope="module")
+def swept(tmp_path_factory: pytest.TempPathFactory) -> Evaluation:
+    """Two sweeps of two simulators on one scene; one ends for want of memory."""
+    folder = tmp_path_factory.mktemp("swept")
+    write_sweep(folder, (1, 4, 16), simulator="one", scene="free-fall", fails=16)
+    write_sweep(folder, (1, 4, 16), simulator="two", scene="free-fall", allocator_peak=3 * 10**9)
+    return evaluate([Recording(f) for f in sorted(folder.glob("*.mcap"))])
+
+
+def test_scaling_is_drawn_and_tabulated(swept: Evaluation) -> None:
+    """Draw throughput and memory of all sweeps of a scene, with every value in a table below."""
+    text = render(swept, published=True)
+    section = text.partition('<h2 id="scaling">')[2].partition("</section>")[0]
+    assert section.count('role="img"') == 2
+    words = re.sub(r"<[^>]*>", " ", section)
+    for value in ("501 MB", "504 MB", "100,000", "failed at 16: device memory: no memory for the contacts", "3.00 GB"):
+        assert value in words, value
+    assert "largest N that was tried" in words
+    assert len(pictures(text)) == text.count("<svg")
+    Page(text)
+
+
+def test_published_points_stand_in_their_own_section(swept: Evaluation) -> None:
+    """Draw the paper's N_env^max beside the sweeps only there, and only when asked."""
+    assert 'class="foreign"' not in render(swept)
+    before, _, after = render(swept, published=True).partition('<h2 id="published">')
+    assert 'class="foreign"' not in before
+    assert after.count('class="foreign"') == 2 * (7 + 6)
+    assert "the paper's figures beside these sweeps" in after
+    assert "This report has no sweep of this scene" in after  # of franka
+
+
+def test_hostile_sweeps_stay_text(tmp_path: Path) -> None:
+    """Let no name or reason of a swept run become markup."""
+    for n_env in (1, 2, 4):
+        write_recording(
+            tmp_path, None, n_env=n_env, simulator=HOSTILE, name=f"{n_env}.mcap", gpu_bytes=(1, 10**9 * n_env),
+            status="FAILED" if n_env == 4 else "COMPLETE", reason=HOSTILE, cause="ENGINE" if n_env == 4 else "",
+        )  # fmt: skip
+    text = render(evaluate([Recording(f) for f in sorted(tmp_path.glob("*.mcap"))]), published=True)
+    assert "<script" not in text
+    assert Page(text).text.count(HOSTILE) > 3
+    assert len(pictures(text)) == text.count("<svg")
 
 
 def test_same_evaluation_gives_the_same_page(several: Evaluation) -> None:

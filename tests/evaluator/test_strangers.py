@@ -18,9 +18,9 @@ from schemas.blocks import encode_fingerprints
 from schemas.errors import DamagedRecording
 from schemas.fields import StateField
 from schemas.messages import message_class
-from schemas.provenance import PROVENANCE, SCENE, SIMULATION
+from schemas.provenance import PROVENANCE, SCENE, SIMULATION, Buffer, OverflowBit
 from tests.conftest import Command
-from tests.synthetic import cubes_field, grid, metrics_of, write_recording
+from tests.synthetic import Shown, cubes_field, grid, metrics_of, write_recording
 
 _CONFIGURATION: list[tuple[str, Any]] = [
     ("dt", "Infinity"), ("dt", "NaN"), ("dt", 10**400), ("dt", 0), ("dt", "0.01"), ("stride", 0), ("stride", True),
@@ -44,6 +44,70 @@ def _forge(attachment: str, path: tuple[str | int, ...], value: Any):  # type: i
     return change
 
 
+def _raw(topic: str, kind: str, *contents: dict[str, Any] | bytes) -> dict[str, Any]:
+    make = message_class(f"gsb.v1.{kind}")
+    messages = (c if isinstance(c, bytes) else make(**c) for c in contents)
+    return {"shown": Shown(raw=tuple((topic, f"gsb.v1.{kind}", message) for message in messages))}
+
+
+def _counts(**changed: Any) -> dict[str, Any]:
+    good = {"first_step": 1, "stride": 1, "mean": [1.0, 2.0], "p95": [2.0, 3.0], "max": [3.0, 3.0]}
+    return _raw("/count/capture/contacts", "StepCounts", {**good, **changed})
+
+
+def _overflow(**changed: Any) -> dict[str, Any]:
+    return _raw(
+        "/overflow/capture", "Overflow", {"first_step": 1, "stride": 1, "bits": [0, 1], "envs": [0, 2]} | changed
+    )
+
+
+def _stream(**changed: Any) -> dict[str, Any]:
+    return _raw("/action_stream/capture", "ActionStream", {"generator": "{}", "steps": 5, "envs": 2} | changed)
+
+
+_HUGE = 2**64 - 1
+
+_EVIDENCE: dict[str, dict[str, Any]] = {
+    "counts lengths": _counts(mean=[1.0]),
+    "counts not finite": _counts(mean=[1.0, float("nan")]),
+    "counts infinite": _counts(max=[3.0, float("inf")]),
+    "counts negative": _counts(p95=[2.0, -1.0]),
+    "counts huge": _counts(mean=[1e300] * 2, p95=[1e300] * 2, max=[1e300] * 2),
+    "counts mean above max": _counts(mean=[1.0, 4.0]),
+    "counts percentile above max": _counts(p95=[4.0, 3.0]),
+    "counts no stride": _counts(stride=0),
+    "counts first step": _counts(first_step=_HUGE),
+    "counts stride": _counts(first_step=2**40 - 1, stride=2**32 - 1),
+    "counts repeated": _raw(
+        "/count/capture/contacts", "StepCounts",
+        *[{"first_step": 1, "stride": 1, "mean": [1.0], "p95": [1.0], "max": [1.0]}] * 2,
+    ),
+    "counts no message": _raw("/count/capture/contacts", "StepCounts", b"\xff\xff\xff"),
+    "overflow lengths": _overflow(envs=[0]),
+    "overflow no stride": _overflow(stride=0),
+    "overflow more envs": _overflow(envs=[0, 3]),
+    "overflow huge envs": _overflow(envs=[0, 2**32 - 1]),
+    "overflow bits of no env": _overflow(envs=[0, 0]),
+    "overflow envs of no bit": _overflow(envs=[1, 2]),
+    "overflow first step": _overflow(first_step=_HUGE),
+    "overflow no message": _raw("/overflow/capture", "Overflow", b"\x0a"),
+    "stream envs": _stream(envs=3),
+    "stream steps": _stream(steps=_HUGE),
+    "stream digest": _stream(first_sha256="<script>"),
+    "stream twice": _raw("/action_stream/capture", "ActionStream", *[{"envs": 2}] * 2),
+    "buffer asked": {"change": lambda name, r: r.update(buffers=[{"name": "b", "asked": -1, "per": "env"}])
+                     if name == SIMULATION else None},
+    "buffer huge": {"change": lambda name, r: r.update(buffers=[{"name": "b", "asked": 10**40, "per": "env"}])
+                    if name == SIMULATION else None},
+    "overflow bit": {"change": lambda name, r: r.update(overflow_bits=[{"bit": 32, "name": "b"}])
+                     if name == SIMULATION else None},
+    "counters": {"change": lambda name, r: r.update(counters=[{"name": 3}]) if name == SIMULATION else None},
+    "allocator": _raw("/memory/gpu0/allocator", "MemorySample", {"used_bytes": _HUGE}),
+    "build clock": _raw("/timing/build", "StepTiming", {"start_ns": [5], "end_ns": [4]}),
+    "floor": {"change": _forge(SCENE, ("bodies", 0, "position"), [0, 0])},
+    "floor turned": {"change": _forge(SCENE, ("bodies", 0, "orientation"), ["up"])},
+}  # fmt: skip
+
 FORGERIES: dict[str, dict[str, Any]] = {
     **{
         f"configuration {key}={str(value)[:12]}": {"change": _forge(PROVENANCE, ("configuration", key), value)}
@@ -65,6 +129,7 @@ FORGERIES: dict[str, dict[str, Any]] = {
     "board size": {"change": _forge(SCENE, ("bodies", 0, "shape"), {"size": [1, 2]})},
     "board name": {"change": _forge(SCENE, ("board",), "table")},
     "clock": {"elapsed_s": -1.0},
+    **_EVIDENCE,
 }
 
 
@@ -325,3 +390,43 @@ def test_a_recording_that_grows_while_it_is_read(tmp_path: Path) -> None:
     finally:
         stop.set()
         thread.join()
+
+
+@pytest.mark.parametrize(
+    "forgery", [name for name in _EVIDENCE if name.startswith(("counts ", "overflow e", "stream"))]
+)
+def test_forged_evidence_of_a_run_that_failed(forgery: str, tmp_path: Path) -> None:
+    """Set a damaged file aside also where no value is computed from it."""
+    from evaluator.evaluate import evaluate
+
+    path = write_recording(tmp_path, grid(2), status="FAILED", reason="gone", **_EVIDENCE[forgery])
+    evaluation = evaluate([open_recording(path)])
+    assert (len(evaluation.results), len(evaluation.unreadable)) == (0, 1)
+
+
+def test_strange_names_of_counters_and_buffers(tmp_path: Path) -> None:
+    """Show counters, buffers and phases that nobody foresaw, as text."""
+    from evaluator.evaluate import evaluate
+    from evaluator.report.html import render_html
+
+    evil = "<script>alert(1)</script>\x1b[2J"
+    buffers = (Buffer(evil, 2**63, evil, "contacts", evil), Buffer("zero", 0, "env", "contacts"))
+    shown = Shown(
+        counts={"capture": {"contacts": np.ones((5, 2), dtype=int)}, "tea": {"biscuits": np.ones((5, 2), dtype=int)}},
+        overflow={"tea": np.full((5, 2), 2, dtype=np.uint32)},
+        bits=(OverflowBit(1, evil, fatal=False),),
+        buffers=buffers,
+    )
+    path = write_recording(tmp_path, grid(2), shown=shown)
+    (result,) = (evaluation := evaluate([open_recording(path)])).results
+    assert [u.share for u in result.validity.buffers] == [pytest.approx(2 / 2**63), None]
+    page = render_html(evaluation, published=False, command="")
+    assert "<script" not in page
+    assert "\x1b" not in page
+    assert "biscuits" not in {c.name for c in result.validity.counted if c.phase in ("capture", "timed")}
+
+
+def test_clocks_without_a_tick(tmp_path: Path) -> None:
+    """Accept a compilation that took no time: some engines compile nothing."""
+    found = open_recording(write_recording(tmp_path, grid(1), clocks={"compile_timed": 0.0})).timing
+    assert found["compile_timed"].elapsed_s == 0

@@ -10,7 +10,7 @@ import pytest
 
 from evaluator.metrics.density import HexGrid, marginal
 from evaluator.metrics.radar import SimulatorResult, radar
-from evaluator.report.figures import axis, density_map, matrix, palette, radar_chart, svg
+from evaluator.report.figures import axis, density_map, lines, matrix, palette, radar_chart, scaling, svg
 from evaluator.results import Map
 
 GRID = HexGrid((-0.1, 0.7, -0.3, 0.3), 0.02)
@@ -177,7 +177,7 @@ def test_radar_leaves_gaps_open() -> None:
 
 def test_swatches_tell_many_groups_apart() -> None:
     """Repeat neither colour with dash nor colour with mark among more groups than there are colours."""
-    drawn = [radar_chart.swatch(i) for i in range(2 * len(palette.GROUPS_LIGHT))]
+    drawn = [lines.swatch(i) for i in range(2 * len(palette.GROUPS_LIGHT))]
     assert len(set(drawn)) == len(drawn)
 
 
@@ -226,3 +226,68 @@ def test_coordinates_must_be_finite() -> None:
     with pytest.raises(ValueError, match="finite"):
         svg.number(float("nan"))
     assert svg.number(-0.001) == "0"
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "expected"),
+    [
+        (0.9, 120.0, [1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0]),
+        (90.0, 2e5, [100.0, 1000.0, 10000.0, 100000.0]),
+        (3.0, 4.0, []),
+    ],
+)
+def test_logarithmic_ticks(low: float, high: float, expected: list[float]) -> None:
+    """Put round values on a logarithmic axis, finer where it is short."""
+    assert axis.log_ticks(low, high) == pytest.approx(expected)
+
+
+def test_ticks_at_powers_of_two() -> None:
+    """Thin powers of two out evenly, and never leave the axis."""
+    assert axis.power_ticks(0.9, 40) == [1, 2, 4, 8, 16, 32]
+    many = axis.power_ticks(1, 2**20)
+    assert len(many) <= 8
+    assert many[0] == 1
+    assert axis.power_ticks(5, 7) == []
+    with pytest.raises(ValueError, match="positive"):
+        axis.log_ticks(0, 1)
+
+
+def draw_scaling(curves: list[scaling.Curve], **keywords: object) -> ET.Element:
+    """A scaling chart, parsed."""
+    return ET.fromstring(scaling.scaling_chart(curves, value=HOSTILE, tick=str, **keywords))  # type: ignore[arg-type]
+
+
+def test_scaling_curves() -> None:
+    """Draw a mark a point, ring N_env^max, cross the next N, and say why the curve ends."""
+    curve = scaling.Curve(
+        0, HOSTILE, ((1.0, 10.0), (2.0, 20.0), (4.0, 40.0)), model=lambda n: 10 * n, n_max=4, failed=8, ends="no memory"
+    )
+    root = draw_scaling([curve, scaling.Curve(1, "other", ((1.0, 5.0),)), scaling.Curve(2, "empty", ())])
+    marks = [e for e in root.iter("circle") if e.get("class") == "g0"]
+    assert len(marks) == 3
+    across = [float(e.get("cx", "")) for e in marks]
+    assert across[1] - across[0] == pytest.approx(across[2] - across[1], abs=0.05)
+    assert classes(root).count("g0 end-ring") == 1
+    assert classes(root).count("cross") == 1
+    assert classes(root).count("g0 model") == 1
+    said = [e.text or "" for e in root.iter("title")]
+    assert any("no memory" in text and "alert" in text for text in said)
+
+
+def test_scaling_of_strange_values() -> None:
+    """Draw one point, equal values and models below zero; draw nothing where there is nothing."""
+    alone = draw_scaling([scaling.Curve(0, "a", ((1.0, 3.0),), model=lambda n: -1.0, n_max=1)])
+    assert "g0 model" not in classes(alone)
+    flat = draw_scaling([scaling.Curve(0, "a", ((1.0, 3.0), (1024.0, 3.0)), model=lambda n: n - 500)])
+    assert "g0 model" in classes(flat)
+    assert scaling.scaling_chart([], value="v", tick=str) == ""
+    assert scaling.scaling_chart([scaling.Curve(0, "a", ())], value="v", tick=str) == ""
+
+
+def test_published_points_are_marked_as_foreign() -> None:
+    """Draw somebody else's points as hollow diamonds with their names, apart from each other."""
+    points = [scaling.Foreign(f"engine {i}", 2.0**10, 5.0 + i / 100) for i in range(4)]
+    root = draw_scaling([scaling.Curve(0, "a", ((1.0, 3.0),))], foreign=points)
+    assert classes(root).count("foreign") == 4
+    heights = sorted(float(e.get("y", "")) for e in root.iter("text") if (e.text or "").startswith("engine"))
+    assert min(np.diff(heights)) >= 12

@@ -18,6 +18,26 @@ def ticks(low: float, high: float, *, at_most: int = 7) -> list[float]:
     return [round(i * step, 12) for i in range(first, last + 1)]
 
 
+def log_ticks(low: float, high: float, *, at_most: int = 7) -> list[float]:
+    """Round values from low to high for a logarithmic axis: powers of ten, with 2 and 5 between them where few fit."""
+    if not (math.isfinite(high) and 0 < low < high):
+        raise ValueError(f"a logarithmic axis goes from a smaller to a larger positive value, not from {low} to {high}")
+    exponents = range(math.floor(math.log10(low)), math.ceil(math.log10(high)) + 1)
+    for factors in ((1, 2, 5), (1,)):
+        found = [
+            f * 10.0**e for e in exponents for f in factors if low * (1 - 1e-9) <= f * 10.0**e <= high * (1 + 1e-9)
+        ]
+        if len(found) <= at_most:
+            return found
+    return found[:: -(-len(found) // at_most)]
+
+
+def power_ticks(low: float, high: float, *, at_most: int = 8) -> list[int]:
+    """Powers of two from low to high, evenly spaced, at most so many."""
+    exponents = list(range(math.ceil(math.log2(low) - 1e-9), math.floor(math.log2(high) + 1e-9) + 1))
+    return [2**e for e in exponents[:: max(1, -(-len(exponents) // at_most))]]
+
+
 def index_ticks(count: int, *, at_most: int = 8) -> list[int]:
     """Indices from 0 to count - 1 at a round distance."""
     if count < 3:

@@ -5,13 +5,11 @@ from __future__ import annotations
 import math
 
 from evaluator.metrics.radar import Axis, Radar
-from evaluator.report.figures.palette import GROUPS_LIGHT
+from evaluator.report.figures import lines
 from evaluator.report.figures.svg import closed_path, element, figure, number, text
 
 _WIDTH, _HEIGHT, _RADIUS = 370.0, 310.0, 100.0
-_DASHES = ("", "7 3", "2 3", "9 3 2 3")
 _RINGS = (0.25, 0.5, 0.75, 1.0)
-_MARKS = 4
 
 
 def radar_chart(radar: Radar) -> str:
@@ -26,22 +24,16 @@ def radar_chart(radar: Radar) -> str:
         for x, y in (_at(i, 1.0) for i in range(len(axes)))
     ]
     rings = [element("path", d=closed_path(_at(i, r) for i in range(len(axes))), class_="faint ring") for r in _RINGS]
-    lines = [_line(i, [values[axis] for axis in axes]) for i, values in enumerate(radar.values.values())]
+    drawn = [_line(i, [values[axis] for axis in axes]) for i, values in enumerate(radar.values.values())]
     return figure(
         _WIDTH,
         _HEIGHT,
         f"Radar of {len(radar.values)} groups on {len(axes)} axes; the values stand in the table beside it",
         *rings,
         *spokes,
-        *lines,
+        *drawn,
         *(_label(i, axis, radar) for i, axis in enumerate(axes)),
     )
-
-
-def swatch(index: int) -> str:
-    """A group's line and mark, for a table's row."""
-    line = element("line", x1=1, x2=33, y1=8, y2=8, class_=_line_class(index), stroke_dasharray=_dash(index))
-    return element("svg", line, _mark(index, 17, 8), viewBox="0 0 34 16", class_="swatch", aria_hidden="true")
 
 
 def _at(index: int, value: float) -> tuple[float, float]:
@@ -61,8 +53,12 @@ def _line(index: int, values: list[float | None]) -> str:
     whole = [v for v in values if v is not None]
     if len(whole) == len(values):
         parts = [closed_path(_at(i, v) for i, v in enumerate(whole))]
-    path = element("path", d="".join(parts), class_=_line_class(index), stroke_dasharray=_dash(index)) if parts else ""
-    return path + "".join(_mark(index, *_at(i, v)) for i, v in enumerate(values) if v is not None)
+    path = (
+        element("path", d="".join(parts), class_=lines.line_class(index), stroke_dasharray=lines.dash(index))
+        if parts
+        else ""
+    )
+    return path + "".join(lines.mark(index, *_at(i, v)) for i, v in enumerate(values) if v is not None)
 
 
 def _label(index: int, axis: Axis, radar: Radar) -> str:
@@ -78,31 +74,3 @@ def _label(index: int, axis: Axis, radar: Radar) -> str:
     if remark:
         drawn.append(text(remark, x, top + 14.0 * len(lines) + 10, class_=f"small {side}".strip()))
     return "".join(drawn)
-
-
-def _mark(index: int, x: float, y: float) -> str:
-    shapes = {
-        0: element("circle", cx=x, cy=y, r=3.6, class_=_class(index)),
-        1: element("rect", x=x - 3.2, y=y - 3.2, width=6.4, height=6.4, class_=_class(index)),
-        2: element("path", d=closed_path([(x, y - 4.6), (x + 4.2, y + 3), (x - 4.2, y + 3)]), class_=_class(index)),
-        3: element("path", d=closed_path([(x, y - 4.6), (x + 4.6, y), (x, y + 4.6), (x - 4.6, y)]),
-                   class_=_class(index)),
-    }  # fmt: skip
-    return shapes[_style(index) % _MARKS]
-
-
-def _style(index: int) -> int:
-    """Which dash and mark; where colours begin again, these are shifted against them."""
-    return index + index // len(GROUPS_LIGHT)
-
-
-def _class(index: int) -> str:
-    return f"g{index % len(GROUPS_LIGHT)}"
-
-
-def _line_class(index: int) -> str:
-    return f"{_class(index)} line"
-
-
-def _dash(index: int) -> str | None:
-    return _DASHES[_style(index) % len(_DASHES)] or None

@@ -1,0 +1,94 @@
+"""Which bodies went through what should have held them up."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Support:
+    """A horizontal face that bodies lie on.
+
+    top       its height [m]
+    low, high its extent along x and y [m]; infinite for a ground plane
+    """
+
+    top: float
+    low: tuple[float, float]
+    high: tuple[float, float]
+
+
+class Sinking:
+    """Follows bodies through time and finds those that end beneath a support after going down through it.
+
+        sank  <=>  z < top - radius at the end, and when z last fell below top, (x, y) was within low .. high
+
+    z is of the body's centre and radius half its diagonal, so that all of the body is beneath: soft contacts let a body
+    in by up to its own size for a few steps of an impact, and push it out again. (x, y) at the crossing is interpolated
+    between two rows. What fell over the edge crossed the height of the top outside of the support, and is not counted,
+    wherever it went later.
+
+    sank   shape [env, item], after the rows fed so far
+    since  row at which each went below the top for the last time, shape [env, item]; -1 where it did not sink
+    """
+
+    def __init__(self, first: npt.NDArray[np.floating], supports: Sequence[Support], radius: float) -> None:
+        """Begin with the positions of the first row [m], shape [env, item, 3]."""
+        self._supports = tuple(supports)
+        self._radius = radius
+        self._before = np.asarray(first, dtype=np.float64)
+        self._through = np.zeros((len(self._supports), *self._before.shape[:2]), dtype=bool)
+        self._since = np.full(self._through.shape, -1, dtype=np.int64)
+        self._row = 0
+
+    def feed(self, position: npt.NDArray[np.floating]) -> None:
+        """The next row [m], shape [env, item, 3]."""
+        now = np.asarray(position, dtype=np.float64)
+        self._row += 1
+        for index, support in enumerate(self._supports):
+            was_above, is_above = self._before[..., 2] >= support.top, now[..., 2] >= support.top
+            crossed = was_above & (now[..., 2] < support.top)
+            for place in (self._before[..., :2], _at_height(self._before, now, support), now[..., :2]):
+                crossed &= _within(place, support)
+            self._through[index] = (self._through[index] | crossed) & ~is_above
+            self._since[index][crossed] = self._row
+        self._before = now
+
+    @property
+    def sank(self) -> npt.NDArray[np.bool_]:
+        """Whether each body sank, shape [env, item]."""
+        return np.asarray(self._sank().any(axis=0))
+
+    @property
+    def since(self) -> npt.NDArray[np.int64]:
+        """The row since which it is below, shape [env, item]; -1 where it did not sink."""
+        never = np.iinfo(np.int64).max
+        rows = np.where(self._sank(), self._since, never).min(axis=0, initial=never)
+        return np.asarray(np.where(rows == never, -1, rows))
+
+    def _sank(self) -> npt.NDArray[np.bool_]:
+        # by support, [support, env, item]
+        beneath = [self._before[..., 2] < support.top - self._radius for support in self._supports]
+        return np.asarray(self._through & np.array(beneath, dtype=bool).reshape(self._through.shape))
+
+
+def may_have_sunk(position: npt.NDArray[np.floating], supports: Sequence[Support], radius: float) -> bool:
+    """Whether any body [m], shape [..., 3], is beneath a support: without one, none can have sunk."""
+    return any(bool((np.asarray(position)[..., 2] < support.top - radius).any()) for support in supports)
+
+
+def _at_height(before: Array, now: Array, support: Support) -> Array:
+    # x and y where the straight line between two rows passes the height of the top
+    fall = before[..., 2] - now[..., 2]
+    share = np.divide(before[..., 2] - support.top, fall, out=np.zeros_like(fall), where=fall > 0)
+    return np.asarray(before[..., :2] + share[..., None] * (now[..., :2] - before[..., :2]))
+
+
+def _within(planar: Array, support: Support) -> npt.NDArray[np.bool_]:
+    return np.asarray(((planar >= support.low) & (planar <= support.high)).all(axis=-1))

@@ -1,0 +1,97 @@
+"""Short words for what a table's cell has room for."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from evaluator.groups import Group, shown_status
+from evaluator.metrics.memory_model import MemoryModel
+from evaluator.report.numbers import NONE
+from evaluator.results import Metric
+from evaluator.validity import BufferUse, Counted, OverflowSeen, Validity
+
+BYTES = {"GB": 1e9, "MB": 1e6}
+
+
+def trouble(group: Group) -> str:
+    """Runs that are not complete, by how they ended: "2 INVALID (buffer), 1 failed"; empty where all are complete."""
+    found: dict[str, int] = {}
+    for recording in group.recordings:
+        if not recording.usable:
+            what = "lost data" if recording.status == "complete" else shown_status(recording)
+            found[what] = found.get(what, 0) + 1
+    return ", ".join(f"{count} {what}" for what, count in found.items())
+
+
+def count(value: float) -> str:
+    """A count, or a mean of counts: whole numbers as such, others in four digits at least."""
+    return f"{value:,.0f}" if value == round(value) or value >= 1000 else f"{value:.4g}"
+
+
+def counted(found: Counted | None) -> str:
+    """Mean and maximum of a counter."""
+    return f"{count(found.mean)} / {count(found.max)}" if found else NONE
+
+
+def share(use: BufferUse) -> str:
+    """How much of a buffer was needed."""
+    return f"{use.share:.0%}" if use.share is not None else "not told"
+
+
+def buffers(validity: Validity) -> str:
+    """The buffers by name, each with the share that was needed."""
+    return ", ".join(f"{use.buffer.name} {share(use)}" for use in validity.buffers) or NONE
+
+
+def overflow(validity: Validity) -> str:
+    """The bits that fired; a dash where the engine does not tell."""
+    if validity.overflow is None:
+        return NONE
+    return "; ".join(fired(seen) for seen in validity.overflow) or "none"
+
+
+def fired(seen: OverflowSeen) -> str:
+    """One bit: how often, since when, and whether anything was dropped."""
+    kind = "DROPPED" if seen.fatal else "nothing dropped" if seen.fatal is not None else "meaning unknown"
+    steps = f"{seen.rows} recorded {'step' if seen.rows == 1 else 'steps'}"
+    since = f"{'by' if seen.spread else 'first at'} step {seen.first_step}"
+    return f"{seen.name} ({kind}) at {steps}, {since}"
+
+
+def preparation(metrics: Mapping[str, Metric]) -> str:
+    """Seconds of build and compilation."""
+    values = [metrics[name].value for name in ("build_time", "compile_time")]
+    return NONE if values == [None, None] else "; ".join(NONE if v is None else seconds(v) for v in values)
+
+
+def seconds(value: float) -> str:
+    """A time in as many digits as matter."""
+    return f"{value:.0f}" if value >= 100 else f"{value:.2g}" if value >= 0.01 else "0"
+
+
+def size(value: float, digits: str = ".3g") -> str:
+    """An amount of memory [bytes] in a fitting decimal unit."""
+    for unit, scale in (("GB", 1e9), ("MB", 1e6), ("kB", 1e3)):
+        if abs(value) >= scale:
+            return f"{format(value / scale, digits).rstrip('.')} {unit}"
+    return f"{value:.0f} B"
+
+
+def amount(metric: Metric) -> str:
+    """Mean of a metric of memory, in three digits."""
+    return NONE if metric.value is None else size(metric.value * BYTES[metric.unit], "#.3g")
+
+
+def model(found: MemoryModel) -> str:
+    """The memory model with its errors, and where it does not hold."""
+    line = (
+        f"{size(found.fixed)} (± {size(found.fixed_se)}) + {size(found.per_env)} (± {size(found.per_env_se)}) per env, "
+        f"from {len(found.n)} points"
+    )
+    worst = f"{found.largest_residual:.0%} at N = {found.worst_n:,}"
+    return f"{line}; off by at most {worst}" if found.holds else f"{line}; does NOT hold: off by {worst}"
+
+
+def shortened(text: str, length: int = 160) -> str:
+    """A reason for a table; the whole of it stands in JSON and HTML."""
+    return text if len(text) <= length else f"{text[: length - 3]}..."

@@ -1,0 +1,183 @@
+"""Streams of a run that say how it went: clocks, memory, state hashes, events."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from evaluator.messages import Messages
+from schemas import topics
+from schemas.blocks import decode_fingerprints
+from schemas.messages import enum_values
+
+_MAX_BYTES = 1 << 62
+_PEAK = "peak until "
+
+
+@dataclass(frozen=True)
+class StepTiming:
+    """Clocks of a phase.
+
+    first_step          simulator step that the first interval begins with
+    steps_per_interval  simulator steps per interval
+    start_ns, end_ns    host's monotonic clock at the begin and end of each interval [ns], shape [interval]
+    """
+
+    first_step: int
+    steps_per_interval: int
+    start_ns: NDArray[np.int64]
+    end_ns: NDArray[np.int64]
+
+    @property
+    def elapsed_s(self) -> float:
+        """From the first begin to the last end [s]."""
+        return float(self.end_ns[-1] - self.start_ns[0]) * 1e-9
+
+
+@dataclass(frozen=True)
+class MemoryTrace:
+    """Readings of one memory source, in order of time.
+
+    time_ns      host's monotonic clock, shape [sample]
+    used_bytes   shape [sample]
+    phase        of the run, one per sample
+    checkpoint   name of the protocol's checkpoint, or empty, one per sample
+    total_bytes  capacity, 0 where unknown
+    """
+
+    time_ns: NDArray[np.int64]
+    used_bytes: NDArray[np.int64]
+    phase: tuple[str, ...]
+    checkpoint: tuple[str, ...]
+    total_bytes: int
+
+    def at(self, checkpoint: str) -> int | None:
+        """Bytes in use at a checkpoint, None where it was not reached."""
+        for name, used in zip(self.checkpoint, self.used_bytes, strict=True):
+            if name == checkpoint:
+                return int(used)
+        return None
+
+    def peak(self, phase: str) -> int | None:
+        """Largest reading of a phase, None where it has none."""
+        used = [int(u) for u, p in zip(self.used_bytes, self.phase, strict=True) if p == phase]
+        return max(used) if used else None
+
+    def own_peak(self) -> int | None:
+        """Largest peak that the source itself kept, as an allocator does; None where it keeps none."""
+        used = [int(u) for u, c in zip(self.used_bytes, self.checkpoint, strict=True) if c.startswith(_PEAK)]
+        return max(used) if used else None
+
+
+@dataclass(frozen=True)
+class Fingerprints:
+    """State hashes of a phase.
+
+    steps   simulator step of each row, shape [row]
+    hashes  shape [row, env]
+    """
+
+    steps: NDArray[np.int64]
+    hashes: NDArray[np.uint64]
+
+
+@dataclass(frozen=True)
+class Event:
+    """A moment of the run: its kind (PHASE_BEGIN, PHASE_END, NOTE, GATE), phase, clocks and text."""
+
+    kind: str
+    phase: str
+    monotonic_ns: int
+    unix_ns: int
+    text: str
+
+
+def read_timing(messages: Messages) -> dict[str, StepTiming]:
+    """Clocks by phase ("warmup", "timed", "build", "compile_timed", "compile_capture")."""
+    found = {}
+    for topic in messages.topics("/timing/"):
+        parts = messages.read(topic, "gsb.v1.StepTiming")
+        if not parts:
+            continue
+        start = np.concatenate([np.array(p.start_ns, dtype=np.int64) for p in parts])
+        end = np.concatenate([np.array(p.end_ns, dtype=np.int64) for p in parts])
+        if len(start) != len(end):
+            raise messages.damaged(f"{topic} has {len(start)} begins and {len(end)} ends")
+        if not len(start):
+            continue  # a phase of no steps
+        # what takes less than a tick of the clock, such as compiling nothing, ends when it begins
+        if (
+            (end < start).any()
+            or (start[1:] < end[:-1]).any()
+            or end[-1] - start[0] < (topic == topics.timing("timed"))
+        ):
+            raise messages.damaged(f"the clock of {topic} went backwards")
+        name = topic.removeprefix("/timing/")
+        found[name] = StepTiming(parts[0].first_step, parts[0].steps_per_interval, start, end)
+    return found
+
+
+def read_memory(messages: Messages) -> dict[str, MemoryTrace]:
+    """Memory readings by source: "host", "gpu0/device", "gpu0/process", "gpu0/allocator", ..."""
+    found = {}
+    for topic in messages.topics("/memory/"):
+        samples = messages.read(topic, "gsb.v1.MemorySample")
+        if any(s.used_bytes >= _MAX_BYTES for s in samples):
+            raise messages.damaged(f"{topic} has a reading that no memory can have")
+        if samples:
+            found[topic.removeprefix("/memory/")] = MemoryTrace(
+                np.array([s.monotonic_ns for s in samples], dtype=np.int64),
+                np.array([s.used_bytes for s in samples], dtype=np.int64),
+                tuple(s.phase for s in samples),
+                tuple(s.checkpoint for s in samples),
+                int(samples[-1].total_bytes),
+            )
+    return found
+
+
+def read_fingerprints(messages: Messages, phase: str, *, n_env: int, cut_short: bool) -> Fingerprints | None:
+    """State hashes of a phase; None where it has none. Rows that lack environments are left out of a file cut short."""
+    topic = topics.fingerprint(phase)
+    if not messages.has(topic):
+        return None
+    if n_env * np.dtype(np.uint64).itemsize > messages.content_bytes:
+        raise messages.damaged(f"{n_env} environments are more than the file can hold hashes of")
+    rows: dict[int, NDArray[np.uint64]] = {}
+    filled: dict[int, int] = {}
+    for content in messages.contents(topic):
+        header, block = decode_fingerprints(content)
+        stop = header.env_start + header.envs
+        if not block.size or stop > n_env or (header.steps > 1 and header.stride < 1):
+            raise messages.damaged(f"a block of {topic} has environments or steps that cannot be")
+        for row, hashes in enumerate(block):
+            step = header.first_step + row * header.stride
+            whole = rows.setdefault(step, np.zeros(n_env, dtype=np.uint64))
+            whole[header.env_start : stop] = hashes
+            filled[step] = filled.get(step, 0) + header.envs
+    if not rows:
+        return None
+    if set(filled.values()) != {n_env}:
+        if not cut_short:
+            raise messages.damaged(f"{topic} does not cover every environment once at every step")
+        rows = {step: hashes for step, hashes in rows.items() if filled[step] == n_env}
+    steps = sorted(rows)
+    return Fingerprints(np.array(steps, dtype=np.int64), np.stack([rows[step] for step in steps]))
+
+
+def read_events(messages: Messages) -> tuple[Event, ...]:
+    """Phases, notes and gates, in order."""
+    names = {number: name.removeprefix("EVENT_KIND_") for name, number in enum_values("gsb.v1.EventKind").items()}
+    return tuple(
+        Event(names.get(e.kind, "UNSPECIFIED"), e.phase, e.monotonic_ns, e.unix_ns, e.text)
+        for e in messages.read(topics.RUN_EVENT, "gsb.v1.Event")
+    )
+
+
+def read_dropouts(messages: Messages) -> tuple[str, ...]:
+    """One sentence for each stretch of data that the recorder says was lost."""
+    return tuple(
+        f"{d.topic}: {d.steps} steps from step {d.first_step}: {d.reason}"
+        for d in messages.read(topics.RUN_DROPOUT, "gsb.v1.Dropout")
+    )

@@ -1,0 +1,206 @@
+"""Whether the steps of a group did the work that they are timed for: contacts, buffers, overflow, actions."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from evaluator.groups import Group
+from evaluator.recording import Recording
+from schemas.provenance import Buffer, OverflowBit
+
+PHASES = ("capture", "timed")
+"""In this order of preference: every captured step is counted, of the others the last of warm-up and timed phase."""
+
+_ALL = "all"
+
+
+@dataclass(frozen=True)
+class Counted:
+    """What one counter shows, per step and environment, over the complete runs.
+
+    mean   over environments, steps and runs
+    p95    95th percentile over environments, mean over steps and runs
+    max    of any environment at any step of any run
+    phase  "capture" or "timed"
+    rows   steps that were counted, all runs together
+    runs   that were counted
+    """
+
+    name: str
+    meaning: str
+    mean: float
+    p95: float
+    max: float
+    phase: str
+    rows: int
+    runs: int
+
+
+@dataclass(frozen=True)
+class BufferUse:
+    """A capacity, and how much of it was needed at the fullest step of any run, complete or not.
+
+    needed  None where no counter shows it; once a buffer is full, an engine may count no further
+    share   needed / asked
+    """
+
+    buffer: Buffer
+    needed: float | None
+
+    @property
+    def share(self) -> float | None:
+        """needed / asked; None where either is not known."""
+        return None if self.needed is None or not self.buffer.asked else self.needed / self.buffer.asked
+
+
+@dataclass(frozen=True)
+class OverflowSeen:
+    """A bit that fired, over all runs, complete or not.
+
+    fatal       contacts or constraints were dropped; None where simulation.json does not describe the bit
+    rows        recorded steps at which it fired, all runs together
+    envs        most environments with any bit at one of them
+    runs        runs in which it fired
+    phase       of the first
+    first_step  earliest step; with `spread` it fired at this one or at any of those since the row before
+    """
+
+    name: str
+    fatal: bool | None
+    rows: int
+    envs: int
+    runs: int
+    phase: str
+    first_step: int
+    spread: bool
+
+
+@dataclass(frozen=True)
+class ActionsApplied:
+    """The streams of actions of one phase, over the complete runs.
+
+    generators  JSON, different ones
+    sha256      of the actions of first and last step, different ones; more than one: the runs were not given the same
+    verified    runs in which the engine held what it was given
+    runs        that said what they applied
+    """
+
+    phase: str
+    generators: tuple[str, ...]
+    sha256: tuple[tuple[str, str], ...]
+    verified: int
+    runs: int
+
+
+@dataclass(frozen=True)
+class Validity:
+    """Everything of this kind about one group.
+
+    counted    by counter and phase: counters in the order of simulation.json
+    buffers    in the order of simulation.json
+    overflow   bits that fired; empty where none did, None where the engine does not tell
+    actions    by phase; empty where the scene has none
+    """
+
+    counted: tuple[Counted, ...]
+    buffers: tuple[BufferUse, ...]
+    overflow: tuple[OverflowSeen, ...] | None
+    actions: tuple[ActionsApplied, ...]
+
+    def of(self, name: str, *phases: str) -> Counted | None:
+        """A counter in the first of these phases that has it; by default in order of PHASES."""
+        found = {c.phase: c for c in self.counted if c.name == name}
+        return next((found[phase] for phase in phases or PHASES if phase in found), None)
+
+
+def validity_of(group: Group) -> Validity:
+    """Read it from the group's recordings; DamagedRecording where one says what cannot be."""
+    return Validity(
+        counted=tuple(_counted(group.complete)),
+        buffers=tuple(_buffers(group.recordings)),
+        overflow=_overflow(group.recordings),
+        actions=tuple(_actions(group.complete)),
+    )
+
+
+def check(recording: Recording) -> None:
+    """Read all of it once, so that DamagedRecording comes before anything is computed."""
+    _ = recording.counts, recording.overflows, recording.action_streams
+
+
+def _counted(runs: Sequence[Recording]) -> Iterable[Counted]:
+    meanings = {c.name: c.meaning for run in runs if run.simulation for c in run.simulation.counters}
+    names = dict.fromkeys([*meanings, *(name for run in runs for by in run.counts.values() for name in by)])
+    for name in names:
+        for phase in PHASES:
+            found = [by[name] for run in runs if name in (by := run.counts.get(phase, {}))]
+            if found:
+                yield Counted(
+                    name,
+                    meanings.get(name, ""),
+                    mean=float(np.mean([c.mean.mean() for c in found])),
+                    p95=float(np.mean([c.p95.mean() for c in found])),
+                    max=float(max(c.max.max() for c in found)),
+                    phase=phase,
+                    rows=sum(len(c.steps) for c in found),
+                    runs=len(found),
+                )
+
+
+def _buffers(runs: Sequence[Recording]) -> Iterable[BufferUse]:
+    buffers = dict.fromkeys(buffer for run in runs if run.simulation for buffer in run.simulation.buffers)
+    for buffer in buffers:
+        having = [run for run in runs if run.simulation and buffer in run.simulation.buffers]
+        needed = [
+            float(counts.mean.max() * run.configuration.n_env if buffer.per == _ALL else counts.max.max())
+            for run in having
+            for by in run.counts.values()
+            if (counts := by.get(buffer.counter)) is not None
+        ]
+        yield BufferUse(buffer, max(needed, default=None))
+
+
+def _overflow(runs: Sequence[Recording]) -> tuple[OverflowSeen, ...] | None:
+    telling = [run for run in runs if run.overflows]
+    if not telling:
+        return None
+    described: dict[int, OverflowBit] = {}
+    for run in telling:
+        described |= {bit.bit: bit for bit in (run.simulation.overflow_bits if run.simulation else ())}
+    fired = np.bitwise_or.reduce([np.bitwise_or.reduce(o.bits) for run in telling for o in run.overflows.values()])
+    return tuple(_seen(bit, described.get(bit), telling) for bit in range(32) if int(fired) >> bit & 1)
+
+
+def _seen(bit: int, described: OverflowBit | None, runs: Sequence[Recording]) -> OverflowSeen:
+    found = [
+        (int(overflows.steps[hit][0]), phase, int(hit.sum()), int(overflows.envs[hit].max()), overflows.stride > 1, run)
+        for run in runs
+        for phase, overflows in run.overflows.items()
+        if (hit := overflows.rows_of(bit)).any()
+    ]
+    first_step, phase, _, _, spread, _ = min(found, key=lambda one: one[0])
+    return OverflowSeen(
+        described.name if described else f"bit {bit}",
+        described.fatal if described else None,
+        rows=sum(rows for _, _, rows, _, _, _ in found),
+        envs=max(envs for _, _, _, envs, _, _ in found),
+        runs=len({id(run) for *_, run in found}),
+        phase=phase,
+        first_step=first_step,
+        spread=spread,
+    )
+
+
+def _actions(runs: Sequence[Recording]) -> Iterable[ActionsApplied]:
+    for phase in dict.fromkeys(phase for run in runs for phase in run.action_streams):
+        found = [run.action_streams[phase] for run in runs if phase in run.action_streams]
+        yield ActionsApplied(
+            phase,
+            tuple(dict.fromkeys(s.generator for s in found)),
+            tuple(dict.fromkeys((s.first_sha256, s.last_sha256) for s in found)),
+            verified=sum(s.verified for s in found),
+            runs=len(found),
+        )

@@ -1,0 +1,126 @@
+"""The memory model: exact lines, units, and what least squares of relative errors must satisfy."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from evaluator.metrics.memory_model import MemoryModel, fit_memory
+
+powers = st.lists(st.integers(0, 20).map(lambda k: 2**k), min_size=3, max_size=21, unique=True)
+bytes_ = st.floats(1e6, 1e11)
+
+
+@st.composite
+def sweeps(draw: st.DrawFn) -> tuple[list[int], list[float]]:
+    """Numbers of environments, and memory that follows no law."""
+    n_env = draw(powers)
+    return n_env, draw(st.lists(bytes_, min_size=len(n_env), max_size=len(n_env)))
+
+
+def loss(n_env: list[int], measured: list[float], fixed: float, per_env: float) -> float:
+    """Sum of squared relative errors."""
+    return sum(((fixed + per_env * n - m) / m) ** 2 for n, m in zip(n_env, measured, strict=True))
+
+
+@given(powers, st.floats(0, 1e10), st.floats(1, 1e8))
+def test_an_exact_line_is_found(n_env: list[int], fixed: float, per_env: float) -> None:
+    """Reproduce every point of a line, with no residual and no error to speak of."""
+    measured = [fixed + per_env * n for n in n_env]
+    model = fit_memory(n_env, measured)
+    assert model.largest_residual < 1e-9
+    assert model.holds
+    for n, memory in zip(n_env, measured, strict=True):
+        assert model.at(n) == pytest.approx(memory, rel=1e-9)
+
+
+@given(sweeps(), st.floats(1e-3, 1e3))
+def test_units_carry_through(sweep: tuple[list[int], list[float]], scale: float) -> None:
+    """Scale both costs and their errors with the unit of memory; leave relative residuals as they are."""
+    n_env, measured = sweep
+    one, other = fit_memory(n_env, measured), fit_memory(n_env, [m * scale for m in measured])
+    noise = 1e-9 * max(measured) * scale
+    for name in ("fixed", "per_env", "fixed_se", "per_env_se"):
+        assert getattr(other, name) == pytest.approx(getattr(one, name) * scale, rel=1e-6, abs=noise)
+    assert other.residuals == pytest.approx(one.residuals, abs=1e-6)
+
+
+@given(sweeps(), st.randoms(use_true_random=False))
+def test_order_does_not_matter(sweep: tuple[list[int], list[float]], random: object) -> None:
+    """Fit the same whatever the order of the points."""
+    n_env, measured = sweep
+    pairs = list(zip(n_env, measured, strict=True))
+    random.shuffle(pairs)  # type: ignore[attr-defined]
+    one, other = fit_memory(n_env, measured), fit_memory(*map(list, zip(*pairs, strict=True)))
+    assert other.largest_residual == pytest.approx(one.largest_residual, abs=1e-6)
+    assert other.at(1) == pytest.approx(one.at(1), rel=1e-6, abs=1e-9 * max(measured))
+
+
+@given(sweeps(), st.floats(-0.1, 0.1), st.floats(-0.1, 0.1))
+def test_nothing_nearby_fits_better(sweep: tuple[list[int], list[float]], d_fixed: float, d_per_env: float) -> None:
+    """Be the minimum of the stated loss."""
+    n_env, measured = sweep
+    model = fit_memory(n_env, measured)
+    best = loss(n_env, measured, model.fixed, model.per_env)
+    moved = loss(
+        n_env, measured, model.fixed + d_fixed * max(measured), model.per_env + d_per_env * max(measured) / max(n_env)
+    )
+    assert moved >= best * (1 - 1e-9) - 1e-12
+    assert best == pytest.approx(sum(r**2 for r in model.residuals), rel=1e-6, abs=1e-12)
+
+
+@given(sweeps())
+def test_figures_are_finite(sweep: tuple[list[int], list[float]]) -> None:
+    """Give finite costs and errors that are not negative, whatever was measured."""
+    model = fit_memory(*sweep)
+    assert all(map(math.isfinite, (model.fixed, model.per_env, model.fixed_se, model.per_env_se)))
+    assert min(model.fixed_se, model.per_env_se) >= 0
+    assert model.worst_n in model.n
+
+
+def test_standard_errors_cover_the_truth() -> None:
+    """Lie within two standard errors of the truth about as often as Student's t says, for noise of a few percent."""
+    n_env = [2**k for k in range(4, 16)]
+    rng = np.random.default_rng(0)
+    inside = 0
+    for _ in range(400):
+        measured = [(3e8 + 2e5 * n) * (1 + 0.03 * rng.standard_normal()) for n in n_env]
+        model = fit_memory(n_env, measured)
+        inside += abs(model.per_env - 2e5) < 2.228 * model.per_env_se  # t at 10 degrees of freedom
+    assert 0.90 < inside / 400 < 0.99
+
+
+def test_doubling_allocators_break_the_model() -> None:
+    """Say that the line does not hold where memory grows in steps of powers of two."""
+    n_env = [100 * k for k in range(1, 12)]
+    model = fit_memory(n_env, [float(2 ** math.ceil(math.log2(n * 1e6))) for n in n_env])
+    assert not model.holds
+    assert model.largest_residual > 0.2
+
+
+@pytest.mark.parametrize(
+    ("n_env", "measured", "message"),
+    [
+        ([1, 2], [1.0, 2.0], "at least 3"),
+        ([1, 2, 2], [1.0, 2.0, 2.0], "at least 3"),
+        ([1, 2, 4], [1.0, 2.0], "2 measurements"),
+        ([1, 2, 4], [1.0, 0.0, 2.0], "positive and finite"),
+        ([1, 2, 4], [1.0, float("nan"), 2.0], "positive and finite"),
+        ([1, 2, 4], [1.0, float("inf"), 2.0], "positive and finite"),
+        ([0, 2, 4], [1.0, 1.0, 2.0], "positive and finite"),
+    ],
+)
+def test_what_is_refused(n_env: list[int], measured: list[float], message: str) -> None:
+    """Refuse what no line can be drawn through."""
+    with pytest.raises(ValueError, match=message):
+        fit_memory(n_env, measured)
+
+
+def test_the_worst_point_is_named() -> None:
+    """Point at the number of environments with the largest residual."""
+    model = MemoryModel(0.0, 1.0, 0.0, 0.0, (1, 2, 4), (0.1, -0.5, 0.2))
+    assert (model.worst_n, model.largest_residual, model.holds) == (2, 0.5, False)
