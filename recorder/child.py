@@ -60,7 +60,7 @@ def _record(task: dict[str, Any], report: Callable[[dict[str, Any]], None], log:
         reserved=True,
     )
     outcome = run.record()
-    return {"status": outcome.status.lower(), "reason": outcome.reason}
+    return {"status": outcome.status.lower(), "reason": outcome.reason, "cause": outcome.cause}
 
 
 def _reporter(fd: int) -> Callable[[dict[str, Any]], None]:

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import argparse
 import json
-import sys
-import uuid
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import schemas
 from recorder.interruption import shielded
@@ -16,27 +14,43 @@ from schemas.configuration import OPTIONAL_PHASES, RunConfiguration
 from schemas.errors import ExitCode, UsageError
 from schemas.provenance import REAL
 
+if TYPE_CHECKING:
+    from recorder.simulators.registry import Entry
+
 _EPILOG = """\
 exit codes:
-  0  every run is complete
+  0  every run is complete; of a sweep, every run below its last point, and at least one run
   1  a run failed or is invalid; its recording says why
   2  the command asks for something that cannot be
   3  a run's process died or the disk was full: data was lost
+
+sweeps:
+  --sweep makes the runs of each number of environments, smallest first, and ends behind the first at which every run
+  fails or is invalid. To find that limit is what a sweep is for, so a failure there is no failure of the command. Where
+  the first run is out of memory or of a buffer, is refused or times out, the other runs of its point are not made.
+  The same command with the same --out goes on where it stopped: runs whose recordings lie there are not made again.
 
 examples:
   gsb-record --sim mujoco
   gsb-record --sim mujoco --scene free-fall --n-env 64 --runs 3 --out recordings/
   gsb-record --sim mujoco --option cone=pyramidal --option integrator=Euler
+  gsb-record --sim mujoco --scene free-fall --sweep 1..131072:4 --runs 3 --phases timed --timeout 600
   gsb-record --sim real --trials trials.csv --unit cm
 """
 
 
 _SIMULATED: dict[str, Any] = {
+    "sweep": None,
     "n_env": 16,
     "runs": 10,
     "dt": None,
     "seed": 0,
     "option": (),
+    "impl": (),
+    "solver": (),
+    "device": (),
+    "determinism": "default",
+    "timeout": 0.0,
     "phases": ",".join(OPTIONAL_PHASES),
     "steps": None,
     "stride": 1,
@@ -47,6 +61,13 @@ _SIMULATED: dict[str, Any] = {
 
 _MEASURED: dict[str, Any] = {"trials": None, "unit": None, "sample_time": 5.0}
 """The same for real trials."""
+
+_SHORTHANDS = {
+    "impl": "implementation, of simulators that have several",
+    "solver": "solver",
+    "device": "device to step on",
+}
+"""Options of simulators that are common enough for a switch of their own."""
 
 
 def parser() -> argparse.ArgumentParser:
@@ -66,10 +87,19 @@ def parser() -> argparse.ArgumentParser:
     what.add_argument("--sim", metavar="NAME", help="simulator (see --list), or 'real' for measured trials")
     what.add_argument("--scene", default="inclined-collision", metavar="NAME", help="default: %(default)s")
     what.add_argument("--n-env", type=int, metavar="N", help=f"environments (default: {_SIMULATED['n_env']})")
+    what.add_argument(
+        "--sweep",
+        metavar="A..B[:F]",
+        help="instead of --n-env: A, A*F, A*F*F... and B environments, powers of two (F: 2); see below",
+    )
     what.add_argument("--runs", type=int, metavar="R", help=f"independent runs (default: {_SIMULATED['runs']})")
     what.add_argument("--dt", type=float, metavar="S", help="step in seconds (default: the scene's, such as 0.01)")
     what.add_argument("--seed", type=int, help=f"default: {_SIMULATED['seed']}; the same in every run")
     what.add_argument("--option", action="append", metavar="NAME=VALUE", help="an option of the simulator; repeatable")
+    for name, meaning in _SHORTHANDS.items():
+        what.add_argument(f"--{name}", action="append", metavar="X", help=f"{meaning}: short for --option {name}=X")
+    what.add_argument("--determinism", metavar="LEVEL", help="default: the engine as it ships; see --list for others")
+    what.add_argument("--timeout", type=float, metavar="S", help="end each run after S seconds (default: 0, never)")
 
     how = p.add_argument_group("what is recorded")
     how.add_argument(
@@ -108,6 +138,7 @@ def configure(arguments: argparse.Namespace) -> RunConfiguration:
     scene = make_scene(arguments.scene)
     dt = scene.dt if arguments.dt is None else arguments.dt
     check_dt(dt)
+    shorthands = [f"{name}={value}" for name in _SHORTHANDS for value in getattr(arguments, name)]
     configuration = RunConfiguration(
         simulator=arguments.sim,
         scene=arguments.scene,
@@ -120,64 +151,41 @@ def configure(arguments: argparse.Namespace) -> RunConfiguration:
         phases=tuple(name.strip() for name in arguments.phases.split(",") if name.strip()),
         seed=arguments.seed,
         compression=arguments.compression,
-        options=split_options(arguments.option),
+        options=split_options([*arguments.option, *shorthands]),
+        determinism=arguments.determinism,
+        timeout=arguments.timeout,
     )
     check(configuration)
     adapter = find_simulator(arguments.sim).load()
     parse_options(arguments.sim, adapter.Options, configuration.options)
+    levels = adapter.determinism_levels
+    if configuration.determinism not in levels:
+        has = "; ".join(f"{level} ({meaning})" for level, meaning in levels.items())
+        raise UsageError(
+            f"simulator '{arguments.sim}' has no determinism level '{configuration.determinism}'; it has: {has}"
+        )
     return configuration
 
 
 def record(arguments: argparse.Namespace, argv: tuple[str, ...]) -> int:
     """Make all runs; returns the exit code."""
     with shielded():
-        from recorder.launch import Interruptions, Result, launch
-        from recorder.plan import prepare_folder, reserve, runs, utc_now
-        from recorder.progress import make_progress
+        from recorder.plan import check_runs
+        from recorder.series import Request, record_set, record_sweep
+        from recorder.sweep import Sweep, parse_points
 
-    configuration = configure(arguments)
-    planned = runs(configuration, arguments.runs)
-    prepare_folder(arguments.out)
-    title = (
-        f"{configuration.simulator}, {configuration.scene}, {configuration.n_env} envs, "
-        f"dt {configuration.dt:g} s, {len(planned)} runs"
-    )
-    results: list[Result] = []
-    with Interruptions() as interruptions, make_progress(title, len(planned)) as progress:
-        for run in planned:
-            created = utc_now()
-            result = launch(
-                run,
-                reserve(arguments.out, run, created),
-                run_id=str(uuid.uuid4()),
-                created=created,
-                argv=argv,
-                progress=lambda phase, done, of, index=run.run_index: progress.update(  # type: ignore[misc]
-                    index, phase, done, of
-                ),
-                interruptions=interruptions,
-            )
-            results.append(result)
-            progress.finish(result)
-            if not arguments.json and result.path:
-                progress.path(result.path)
-            if interruptions.count or result.exit_code == ExitCode.USAGE:
-                break
+    check_runs(arguments.runs)
+    points = () if arguments.sweep is None else parse_points(arguments.sweep)
+    if points:
+        arguments.n_env = points[0]
+    request = Request(configure(arguments), arguments.out, argv, quiet=arguments.json)
+    if points:
+        code, results = record_sweep(request, Sweep(points, arguments.runs))
+    else:
+        code, results = record_set(request, arguments.runs)
     if arguments.json:
-        _print_json({"runs": [_result_json(r) for r in results]})
-    if interruptions.count:
-        print_error(f"interrupted: {len(results)} of {len(planned)} runs were started")
-        return int(max(ExitCode.FAILURE, *(r.exit_code for r in results)))
-    return int(max(r.exit_code for r in results))
-
-
-def _result_json(result: Any) -> dict[str, Any]:
-    return {
-        "run": result.run_index,
-        "file": str(result.path) if result.path else None,
-        "status": result.status,
-        "reason": result.reason,
-    }
+        _print_json(results)
+    return code
 
 
 def _print_json(record: dict[str, Any]) -> None:
@@ -190,18 +198,23 @@ def list_all(as_json: bool) -> int:
         from recorder.scenes.registry import SCENES, make_scene
         from recorder.simulators.registry import simulators
 
-    known: list[dict[str, Any]] = [
-        {
-            "name": entry.name,
-            "summary": entry.summary,
-            "installed": not entry.missing(),
-            "install": entry.install,
-            "devices": list(entry.devices),
-            "precision": list(entry.precision),
-            "scenes": list(entry.scenes),
-        }
-        for entry in simulators().values()
-    ]
+    known: list[dict[str, Any]] = []
+    for entry in simulators().values():
+        installed = not entry.missing()
+        levels, problem = _determinism(entry) if installed else ({}, "")
+        known.append(
+            {
+                "name": entry.name,
+                "summary": entry.summary,
+                "installed": installed,
+                "install": entry.install,
+                "problem": problem,
+                "devices": list(entry.devices),
+                "precision": list(entry.precision),
+                "scenes": list(entry.scenes),
+                "determinism": levels,
+            }
+        )
     measurable = [name for name in SCENES if "cubes" in make_scene(name).groups()]
     known.append(
         {
@@ -209,9 +222,11 @@ def list_all(as_json: bool) -> int:
             "summary": "measured trials from a CSV file",
             "installed": True,
             "install": "",
+            "problem": "",
             "devices": [],
             "precision": ["float64"],
             "scenes": measurable,
+            "determinism": {},
         }
     )
     scenes = [{"name": name, "summary": make_scene(name).summary} for name in SCENES]
@@ -219,15 +234,32 @@ def list_all(as_json: bool) -> int:
         _print_json({"simulators": known, "scenes": scenes})
         return ExitCode.OK
     lines = ["simulators"]
-    for entry in known:
-        lines.append(f"  {entry['name']:<20} {entry['summary']}")
-        state = "installed" if entry["installed"] else f"not installed: {entry['install']}"
-        can = (f"{what}: {', '.join(entry[what])}" for what in ("devices", "precision", "scenes") if entry[what])
-        lines += [f"{'':<23}{line}" for line in (state, *can)]
+    for about in known:
+        lines.append(f"  {about['name']:<20} {about['summary']}")
+        lines += [f"{'':<23}{line}" for line in _abilities(about)]
     lines.append("scenes")
     lines += [f"  {scene['name']:<20} {scene['summary']}" for scene in scenes]
     show("\n".join(lines))
     return ExitCode.OK
+
+
+def _determinism(entry: Entry) -> tuple[dict[str, str], str]:
+    # levels of an installed simulator, or why its adapter does not tell
+    try:
+        adapter = entry.load()
+        return {str(level): str(meaning) for level, meaning in adapter.determinism_levels.items()}, ""
+    except UsageError as error:
+        return {}, str(error)
+    except Exception as error:  # whatever a third party's module raises; the others are still listed
+        text = " ".join(f"{type(error).__name__}: {error}".split())
+        return {}, f"simulator '{entry.name}' cannot be loaded: {text}"
+
+
+def _abilities(about: dict[str, Any]) -> list[str]:
+    state = "installed" if about["installed"] else f"not installed: {about['install']}"
+    lines = [f"{state}, but {about['problem']}" if about["problem"] else state]
+    lines += [f"{what}: {', '.join(about[what])}" for what in ("devices", "precision", "scenes") if about[what]]
+    return lines + [f"--determinism {level}: {meaning}" for level, meaning in about["determinism"].items()]
 
 
 def run(given: list[str]) -> int:
@@ -259,11 +291,8 @@ def _fill(arguments: argparse.Namespace) -> None:
         if getattr(arguments, name) is not None:
             kind = "a simulator" if arguments.sim == REAL else f"--sim {REAL}"
             raise UsageError(f"--{name.replace('_', '-')} is for {kind}; --sim {arguments.sim} has no use for it")
+    if arguments.sweep is not None and arguments.n_env is not None:
+        raise UsageError("--sweep says how many environments there are; leave --n-env out")
     for name, default in own.items():
         if getattr(arguments, name) is None:
             setattr(arguments, name, default)
-
-
-def print_error(text: str) -> None:
-    """One line on standard error."""
-    sys.stderr.write(text + "\n")

@@ -9,6 +9,7 @@ CAUSES = (
 )  # fmt: skip
 """Names of gsb.v1.Cause."""
 
+_HOST_MEMORY = ("std::bad_alloc", "could not allocate memory")  # MuJoCo C, as ValueError or FatalError
 _DEVICE_MEMORY = (
     "resource_exhausted",  # XLA
     "out of memory",  # CUDA, torch
@@ -40,4 +41,6 @@ def cause_of(error: BaseException) -> str:
     text = f"{type(error).__name__} {error}".lower()
     if any(words in text for words in _DEVICE_MEMORY):
         return "DEVICE_MEMORY"
+    if any(words in text for words in _HOST_MEMORY):
+        return "HOST_MEMORY"
     return "ENGINE"

@@ -3,6 +3,9 @@
 Python delivers a signal between any two instructions, also inside a buffered write, where an exception would lose or
 double bytes. While shielded, an interruption is remembered and raised at the end. Only the first one is raised: what
 it sets off, bringing a run to its end, is not interrupted in turn.
+
+A time limit (expire_after) is one more interruption. It is raised as KeyboardInterrupt as well, since engines catch
+Exception in many places; timed_out tells the two apart.
 """
 
 from __future__ import annotations
@@ -13,9 +16,12 @@ from contextlib import contextmanager
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
+ENDING = "ending"
+"""What a run reports as its phase once nothing interrupts it: the engine is closed, the recording gets its end."""
+
 _depth = 0
-_pending = False
-_raised = False
+_pending = 0  # number of the signal that waits, and of the one that was raised; 0: none
+_raised = 0
 
 
 def install(*, also_ignored: bool = False) -> None:
@@ -26,11 +32,23 @@ def install(*, also_ignored: bool = False) -> None:
     also_ignored  take over signals that this process was started to ignore, as a shell does for background jobs
     """
     global _pending, _raised
-    _pending = _raised = False
+    _pending = _raised = 0
     for number in SIGNALS:
         if also_ignored or signal.getsignal(number) is not signal.SIG_IGN:
             signal.signal(number, _handle)
     signal.pthread_sigmask(signal.SIG_UNBLOCK, SIGNALS)
+
+
+def expire_after(seconds: float) -> None:
+    """Interrupt once so many seconds from now have passed; 0: never. Comes after install."""
+    signal.signal(signal.SIGALRM, _handle)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGALRM})
+    signal.setitimer(signal.ITIMER_REAL, seconds)
+
+
+def timed_out() -> bool:
+    """Whether the interruption that was raised is that of expire_after, rather than the user's."""
+    return _raised == signal.SIGALRM
 
 
 @contextmanager
@@ -43,7 +61,7 @@ def shielded() -> Iterator[None]:
     finally:
         _depth -= 1
     if _pending and not _depth:
-        _raise()
+        _raise(_pending)
 
 
 @contextmanager
@@ -59,7 +77,8 @@ def blocked() -> Iterator[None]:
 
 def ignore() -> None:
     """From here on nothing interrupts: the run is being brought to its end."""
-    for number in SIGNALS:
+    signal.setitimer(signal.ITIMER_REAL, 0)
+    for number in (*SIGNALS, signal.SIGALRM):
         signal.signal(number, signal.SIG_IGN)
 
 
@@ -68,12 +87,12 @@ def _handle(number: int, frame: object) -> None:
     if _raised:
         return
     if _depth:
-        _pending = True
+        _pending = _pending or number
     else:
-        _raise()
+        _raise(number)
 
 
-def _raise() -> None:
+def _raise(number: int) -> None:
     global _pending, _raised
-    _pending, _raised = False, True
+    _pending, _raised = 0, number
     raise KeyboardInterrupt

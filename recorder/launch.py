@@ -9,19 +9,24 @@ import signal
 import subprocess
 import sys
 import tempfile
+import threading
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-from recorder.interruption import SIGNALS, blocked
+from recorder.interruption import ENDING, SIGNALS, blocked
 from recorder.plan import release
 from schemas.configuration import RunConfiguration
 from schemas.errors import ExitCode, GsbError
 
 Progress = Callable[[str, int, int], None]
+
+GRACE_S = 30.0
+"""How long a run that has timed out may take to bring its recording to an end [s]. An engine that sits in native code,
+such as a compilation, never lets it begin with that, and is killed."""
 
 _SAID_BYTES = 4096  # of the end of what a run's process printed
 _SAID_CHARACTERS = 300
@@ -35,6 +40,8 @@ class Result:
     reason     empty when complete
     path       the recording: under its final name, or its .partial name when incomplete; None when nothing was written
     exit_code  that this run asks the command to end with
+    cause      one of recorder.failure.CAUSES; empty when complete, or when nothing is known
+    died       the process ended without saying why
     """
 
     run_index: int
@@ -42,6 +49,8 @@ class Result:
     reason: str
     path: Path | None
     exit_code: ExitCode
+    cause: str = ""
+    died: bool = False
 
 
 class Interruptions:
@@ -101,6 +110,8 @@ def launch(
 ) -> Result:
     """Record one run in a fresh process, into `path`, whose name is reserved (recorder.plan.reserve).
 
+    A run with a time limit that neither ends nor begins to end its recording within GRACE_S more is killed.
+
     GsbError where no process can be started.
     """
     scratch = Path(tempfile.mkdtemp(prefix="gsb-run-"))
@@ -113,20 +124,73 @@ def launch(
         "scratch": str(scratch),
     }
     try:
-        returncode, last = _follow(task, scratch / "output", progress, interruptions)
-        said = "" if last else _last_line(scratch / "output")
+        end = _follow(task, scratch / "output", configuration.timeout, progress, interruptions)
+        said = "" if end.last else _last_line(scratch / "output")
     finally:
         shutil.rmtree(scratch, ignore_errors=True)
         left = release(path)
-    return _result(configuration.run_index, path, left, returncode, last, said, interrupted=interruptions.count > 0)
+    return _result(configuration, path, left, end, said, interrupted=interruptions.count > 0)
+
+
+@dataclass
+class _End:
+    """How a run's process ended.
+
+    returncode  as of subprocess.Popen
+    last        its last word: how the run ended; empty when it died without one
+    phase       the last that it reported
+    overdue     it was killed for taking too long
+    """
+
+    returncode: int = 0
+    last: dict[str, Any] = field(default_factory=dict)
+    phase: str = "start"
+    overdue: bool = False
+
+
+class _Deadline:
+    """Kills a process, and what it started, once a time is over. A context manager: outside of it, nothing is killed.
+
+    passed  whether it did
+    """
+
+    def __init__(self, child: subprocess.Popen[bytes]) -> None:
+        self.passed = False
+        self._child = child
+        self._timer: threading.Timer | None = None
+
+    def set(self, seconds: float) -> None:
+        """So many seconds from now, instead of what was set before."""
+        self.clear()
+        self._timer = threading.Timer(seconds, self._kill)
+        self._timer.daemon = True
+        self._timer.start()
+
+    def clear(self) -> None:
+        """Never."""
+        if self._timer is not None:
+            self._timer.cancel()
+
+    def __enter__(self) -> _Deadline:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.clear()
+
+    def _kill(self) -> None:
+        # The process leads a session of its own. A compiler that it started would hold its pipe open, and outlive it.
+        self.passed = True
+        with suppress(ProcessLookupError):
+            os.killpg(self._child.pid, signal.SIGKILL)
 
 
 def _follow(
-    task: dict[str, Any], output: Path, progress: Progress, interruptions: Interruptions
-) -> tuple[int, dict[str, Any]]:
-    # exit code of the run's process, and its last word: how the run ended; empty when it died without one
+    task: dict[str, Any], output: Path, timeout: float, progress: Progress, interruptions: Interruptions
+) -> _End:
+    end = _End()
     reader, writer = os.pipe()
-    last: dict[str, Any] = {}
     with os.fdopen(reader) as reports, tempfile.TemporaryFile() as given, output.open("wb") as printed:
         given.write(json.dumps(task).encode())
         given.seek(0)
@@ -146,21 +210,33 @@ def _follow(
         finally:
             os.close(writer)
         interruptions.follow(child)
-        try:
-            for line in reports:
-                with suppress(ValueError):  # a line that a killed process did not finish
-                    record = json.loads(line)
-                    if "phase" in record:
-                        progress(record["phase"], record["done"], record["of"])
-                    else:
-                        last = record
-        except BaseException:
-            child.send_signal(signal.SIGINT)  # no run goes on that nobody follows
-            raise
-        finally:
-            child.wait()
-            interruptions.follow(None)
-    return child.returncode, last
+        with _Deadline(child) as deadline:
+            if timeout:
+                deadline.set(timeout + GRACE_S)
+            try:
+                for line in reports:
+                    with suppress(ValueError):  # a line that a killed process did not finish
+                        _hear(json.loads(line), end, timeout, deadline, progress)
+            except BaseException:
+                child.send_signal(signal.SIGINT)  # no run goes on that nobody follows
+                raise
+            finally:
+                end.returncode = child.wait()
+                interruptions.follow(None)
+        end.overdue = deadline.passed
+    return end
+
+
+def _hear(record: dict[str, Any], end: _End, timeout: float, deadline: _Deadline, progress: Progress) -> None:
+    if "phase" not in record:
+        end.last = record
+        if timeout:
+            deadline.set(GRACE_S)  # an engine can hang in what it does at the process's exit, too
+        return
+    end.phase = record["phase"]
+    if end.phase == ENDING:
+        deadline.clear()  # what is left to do is writing, and a slow disk is no reason to lose it
+    progress(record["phase"], record["done"], record["of"])
 
 
 def _last_line(output: Path) -> str:
@@ -183,29 +259,30 @@ def _environment() -> dict[str, str]:
 
 
 def _result(
-    run_index: int,
-    path: Path,
-    left: Path | None,
-    returncode: int,
-    last: dict[str, Any],
-    said: str,
-    *,
-    interrupted: bool,
+    configuration: RunConfiguration, path: Path, left: Path | None, end: _End, said: str, *, interrupted: bool
 ) -> Result:
+    index, last = configuration.run_index, end.last
     if "status" in last:
         code = ExitCode.OK if last["status"] == "complete" else ExitCode.FAILURE
-        return Result(run_index, last["status"], last["reason"], path, code)
+        return Result(index, last["status"], last["reason"], path, code, last["cause"])
     if "error" in last:
-        return Result(run_index, "incomplete", last["error"], left, ExitCode(last["exit_code"]))
+        return Result(index, "incomplete", last["error"], left, ExitCode(last["exit_code"]))
     if interrupted and left is None:
-        return Result(run_index, "incomplete", "interrupted before anything was written", None, ExitCode.FAILURE)
-    if returncode < 0:
-        try:
-            how = f"was killed by {signal.Signals(-returncode).name}"
-        except ValueError:
-            how = f"was killed by signal {-returncode}"
-    else:
-        how = f"ended with exit code {returncode}"
+        return Result(index, "incomplete", "interrupted before anything was written", None, ExitCode.FAILURE)
     where = f"; what it had written is in {left}" if left else "; it had written nothing"
     words = f"; the last that it printed: {said}" if said else ""
-    return Result(run_index, "incomplete", f"the run's process {how}{where}{words}", left, ExitCode.DATA_LOST)
+    how, cause = _how_it_died(end.returncode), ""
+    if end.overdue and end.returncode == -signal.SIGKILL:
+        how = f"did not end {GRACE_S:g} s after its timeout of {configuration.timeout:g} s and was killed in phase "
+        how, cause = how + end.phase, "TIMEOUT"
+    reason = f"the run's process {how}{where}{words}"
+    return Result(index, "incomplete", reason, left, ExitCode.DATA_LOST, cause, died=True)
+
+
+def _how_it_died(returncode: int) -> str:
+    if returncode >= 0:
+        return f"ended with exit code {returncode}"
+    try:
+        return f"was killed by {signal.Signals(-returncode).name}"
+    except ValueError:
+        return f"was killed by signal {-returncode}"

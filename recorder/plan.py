@@ -15,6 +15,9 @@ from schemas.errors import GsbError, UsageError
 MIN_DT = 1e-6
 """Shortest step [s]: times are recorded in whole nanoseconds, and a step is to be off by no more than a thousandth."""
 
+MAX_TIMEOUT = 1e9
+"""Longest time limit [s]."""
+
 
 def check_dt(dt: float) -> None:
     """UsageError where no step [s] is that short or long."""
@@ -39,6 +42,8 @@ def check(configuration: RunConfiguration) -> None:
     if c.warmup < 0:
         raise UsageError(f"--warmup is at least 0, not {c.warmup}")
     check_dt(c.dt)
+    if not 0 <= c.timeout <= MAX_TIMEOUT:
+        raise UsageError(f"--timeout is a number of seconds up to {MAX_TIMEOUT:g}, 0 for never, not {c.timeout:g}")
     if c.steps % c.stride:
         raise UsageError(
             f"--stride {c.stride} does not divide --steps {c.steps}, so the last state would not be recorded"
@@ -51,10 +56,14 @@ def check(configuration: RunConfiguration) -> None:
         )
 
 
-def runs(configuration: RunConfiguration, count: int) -> list[RunConfiguration]:
-    """The same configuration for each run of a set; nothing else differs between them."""
+def check_runs(count: int) -> None:
+    """UsageError where no set has so many runs."""
     if count < 1:
         raise UsageError(f"--runs is at least 1, not {count}")
+
+
+def runs(configuration: RunConfiguration, count: int) -> list[RunConfiguration]:
+    """The same configuration for each run of a set; nothing else differs between them."""
     return [replace(configuration, run_index=index) for index in range(count)]
 
 
@@ -64,14 +73,17 @@ def utc_now() -> str:
 
 
 def reserve(folder: Path, configuration: RunConfiguration, created: str) -> Path:
-    """<sim>-<scene>-n<N>-r<run>-<UTC>.mcap, with a number appended where that name is taken.
+    """<sim>[-<impl or solver>][-<determinism>]-<scene>-n<N>-r<run>-<UTC>.mcap, and a number where that is taken.
 
     The name is taken by making its .partial file, empty, so that no other recorder gets it. GsbError where the folder
     does not take files.
     """
     c = configuration
     stamp = re.sub(r"[-:]", "", created)
-    stem = f"{c.simulator}-{c.scene}-n{c.n_env}-r{c.run_index}-{stamp}"
+    chosen = [c.options[name] for name in ("impl", "solver") if name in c.options]
+    level = [] if c.determinism == "default" else [c.determinism]
+    who = "-".join(re.sub(r"[^A-Za-z0-9.]+", "-", word) for word in (c.simulator, *chosen, *level))
+    stem = f"{who}-{c.scene}-n{c.n_env}-r{c.run_index}-{stamp}"
     path = folder / f"{stem}.mcap"
     number = 1
     while not _take(path):

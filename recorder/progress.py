@@ -32,9 +32,14 @@ class Progress(Protocol):
         """Print the path of a run's file on standard output."""
 
 
-def make_progress(title: str, runs: int) -> Progress:
-    """A bar where stderr is a terminal, lines otherwise."""
-    return BarProgress(title, runs) if sys.stderr.isatty() else LineProgress(title, runs)
+def make_progress(title: str, runs: int, done: int = 0) -> Progress:
+    """A bar where stderr is a terminal, lines otherwise; `done` of the runs are there already."""
+    return BarProgress(title, runs, done) if sys.stderr.isatty() else LineProgress(title, runs)
+
+
+def say(text: str) -> None:
+    """One line on stderr, between sets of runs."""
+    print(text, file=sys.stderr)
 
 
 def describe(result: Result, runs: int, elapsed: float) -> str:
@@ -75,7 +80,7 @@ class LineProgress:
 class BarProgress:
     """Two bars: the runs, and the phase of the present one."""
 
-    def __init__(self, title: str, runs: int) -> None:
+    def __init__(self, title: str, runs: int, done: int) -> None:
         from rich.console import Console
         from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn
         from rich.progress import Progress as RichProgress
@@ -92,12 +97,13 @@ class BarProgress:
         )
         self._title = title
         self._runs = runs
+        self._done = done
         self._began = time.monotonic()
 
     def __enter__(self) -> BarProgress:
         self._bars.start()
         self._bars.console.print(self._title, highlight=False)
-        self._run_bar = self._bars.add_task("runs", total=self._runs)
+        self._run_bar = self._bars.add_task("runs", total=self._runs, completed=self._done)
         self._phase_bar = self._bars.add_task("starting", total=None)
         return self
 

@@ -14,8 +14,8 @@ Validity gates are asked after the warm-up, after the timed phase and after the 
 (contacts, rows, overflow bits) is kept for every captured step, and for the last step of the warm-up and of the timed
 phase. What the engine compiles for a phase, it compiles before it, under clocks of its own.
 
-A run that cannot finish still ends its recording, with the reason. Only a crash of the process, or a disk that takes
-no more bytes, leaves a recording without an end.
+A run that cannot finish, or takes longer than it may, still ends its recording, with the reason. Only a crash of the
+process, or a disk that takes no more bytes, leaves a recording without an end.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ from recorder.capture.sink import Sink
 from recorder.capture.states import StateWriter, declare_fingerprints, write_fingerprints
 from recorder.engine import Engine
 from recorder.environment import apply_environment
-from recorder.failure import cause_of
+from recorder.failure import TimedOut, cause_of
 from recorder.options import parse_options
 from recorder.probes.gpu import Gpus
 from recorder.probes.host import describe_host, numeric_environment, peak_rss_bytes
@@ -56,7 +56,7 @@ from schemas.messages import enum_values, message_class
 from schemas.provenance import ENGINE_LOG, PACKAGES, PROVENANCE, SCENE, SIMULATION, Provenance, Simulation
 
 Progress = Callable[[str, int, int], None]
-"""Called with a phase, the steps done in it, and the steps that it has."""
+"""Called with a phase, the steps done in it, and the steps that it has; with interruption.ENDING at the end."""
 
 _T = TypeVar("_T")
 
@@ -71,10 +71,11 @@ _SAMPLED = "memory is sampled from another thread at 100 Hz"
 
 @dataclass(frozen=True)
 class Outcome:
-    """How a run ended: COMPLETE, FAILED or INVALID, and why."""
+    """How a run ended: COMPLETE, FAILED or INVALID, why, and one of recorder.failure.CAUSES, empty when complete."""
 
     status: str
     reason: str
+    cause: str
     path: Path
 
 
@@ -125,7 +126,7 @@ class Run:
         except BaseException:
             sink.abandon()
             raise
-        return Outcome(status, reason, self._path)
+        return Outcome(status, reason, cause, self._path)
 
     def _guarded(self, sink: Sink) -> tuple[str, str, str]:
         phase = ["baseline"]
@@ -135,11 +136,14 @@ class Run:
                     self._run_phases(sink, gpus, phase)
             finally:
                 interruption.ignore()
+                self._progress(interruption.ENDING, 0, 1)
         except DataLost:
             raise
         except BaseException as error:
             if isinstance(error, SystemExit):
                 raise
+            if interruption.timed_out():  # an engine may have made another error of it
+                error = TimedOut(f"timeout: more than {self._configuration.timeout:g} s, in phase {phase[0]}")
             return "FAILED", _reason(error, phase[0]), cause_of(error)
         if self._problems:
             # a gate that fires in each phase is said once
@@ -150,6 +154,7 @@ class Run:
         configuration = self._configuration
         with interruption.shielded():  # a recording that has an end says what it is of
             interruption.install(also_ignored=True)
+            interruption.expire_after(configuration.timeout)
             scene = make_scene(configuration.scene)
             trouble: GsbError | None = None
             try:

@@ -83,6 +83,7 @@ class Sink:
         with self._disk():
             self._digest.attachment(name, data)
             self._writer.add_attachment(now, now, name, media_type, data)
+            self._stream.flush()
 
     def channel(self, topic: str, message: str, metadata: dict[str, str] | None = None) -> None:
         """Declare a topic and the message type that it carries."""

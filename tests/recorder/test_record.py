@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 from pathlib import Path
 
@@ -203,6 +204,24 @@ def test_block_sizes() -> None:
         ),
         (("--sim", "mujoco", "--option", "solref="), "solref is 2 finite numbers, not ''"),
         (("--sim", "mujoco", "--option", "tolerance=nan"), "tolerance is a number from 0 on, not nan"),
+        (("--sim", "mujoco", "--impl", "jax"), "simulator 'mujoco' has no option 'impl'; it has: integrator"),
+        (("--sim", "mujoco", "--device", "cpu"), "simulator 'mujoco' has no option 'device'"),
+        (("--sim", "mujoco", "--solver", "magic"), "solver is one of Newton, CG, PGS, not 'magic'"),
+        (("--sim", "mujoco", "--solver", "CG", "--solver", "PGS"), "--option solver is given twice: CG and PGS"),
+        (("--sim", "mujoco", "--option", "solver=CG", "--solver", "CG"), "--option solver is given twice: CG and CG"),
+        (
+            ("--sim", "mujoco", "--determinism", "total"),
+            "simulator 'mujoco' has no determinism level 'total'; it has: default (the engine as it ships)",
+        ),
+        (("--sim", "mujoco", "--timeout", "-1"), "--timeout is a number of seconds up to 1e+09, 0 for never, not -1"),
+        (("--sim", "mujoco", "--timeout", "nan"), "0 for never, not nan"),
+        (("--sim", "mujoco", "--timeout", "inf"), "0 for never, not inf"),
+        (("--sim", "mujoco", "--sweep", "1..8", "--n-env", "4"), "--sweep says how many environments there are"),
+        (("--sim", "mujoco", "--sweep", "1..8", "--runs", "0"), "--runs is at least 1"),
+        (("--sim", "mujoco", "--sweep", "1-8"), "--sweep wants A..B or A..B:FACTOR"),
+        (("--sim", "real", "--sweep", "1..8"), "--sweep is for a simulator; --sim real has no use for it"),
+        (("--sim", "real", "--impl", "jax"), "--impl is for a simulator"),
+        (("--sim", "real", "--timeout", "5"), "--timeout is for a simulator"),
     ],
 )
 def test_what_cannot_be_is_refused(
@@ -248,11 +267,56 @@ def test_list(gsb_record: Command) -> None:
     assert known["mujoco"]["devices"] == ["cpu"]
     assert known["mujoco"]["precision"] == ["float64"]
     assert known["mujoco"]["scenes"] == [s["name"] for s in record["scenes"]]
+    assert known["mujoco"]["determinism"] == {"default": "the engine as it ships"}
+    assert "--determinism default: the engine as it ships" in text.stdout
+
+
+@pytest.mark.parametrize(
+    ("source", "problem"),
+    [
+        ("raise RuntimeError('no licence\\nfound')", "RuntimeError: no licence found"),
+        ("class Odd: pass", "AttributeError"),
+        ("import surely_not_installed", "No module named 'surely_not_installed'"),
+    ],
+)
+def test_a_simulator_that_cannot_be_loaded_is_listed(
+    gsb_record: Command, tmp_path: Path, source: str, problem: str
+) -> None:
+    """List a third party's simulator whose module fails, with what is wrong, and all others as ever."""
+    (tmp_path / "odd.py").write_text(source + "\n")
+    info = tmp_path / "odd-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: odd\nVersion: 1.0\n")
+    (info / "entry_points.txt").write_text("[gsb.simulators]\nodd = odd:Odd\n")
+    environment = {**os.environ, "PYTHONPATH": str(tmp_path)}
+    text = gsb_record("--list", env=environment)
+    assert text.returncode == 0, text.stderr
+    assert "installed, but simulator 'odd' cannot be loaded: " in text.stdout
+    assert problem in text.stdout
+    known = {s["name"]: s for s in json.loads(gsb_record("--list", "--json", env=environment).stdout)["simulators"]}
+    assert problem in known["odd"]["problem"]
+    assert known["mujoco"]["problem"] == ""
+
+
+def test_switches_of_common_options(gsb_record: Command, tmp_path: Path) -> None:
+    """Record what --solver, --determinism and --timeout ask for, the first as the option that it is short for."""
+    done = gsb_record(
+        "--sim", "mujoco", "--n-env", 1, "--runs", 1, "--steps", 1, "--phases", "capture", "--solver", "CG",
+        "--option", "cone=pyramidal", "--determinism", "default", "--timeout", 600, "--out", tmp_path,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    recording = open_recording(done.stdout.strip())
+    asked = recording.configuration
+    assert (asked.options, asked.determinism, asked.timeout) == ({"cone": "pyramidal", "solver": "CG"}, "default", 600)
+    assert recording.simulation is not None
+    assert recording.simulation.options["solver"] == "CG"
 
 
 def test_json_result(gsb_record: Command, tmp_path: Path) -> None:
     """Print results as JSON alone on standard output."""
     done = gsb_record("--sim", "mujoco", "--n-env", 1, "--runs", 2, *SMALL, "--json", "--out", tmp_path)
     runs = json.loads(done.stdout)["runs"]
-    assert [r["status"] for r in runs] == ["complete", "complete"]
+    assert [(r["run"], r["n_env"], r["status"], r["cause"]) for r in runs] == [
+        (0, 1, "complete", ""), (1, 1, "complete", ""),
+    ]  # fmt: skip
     assert all(Path(r["file"]).exists() for r in runs)

@@ -1,0 +1,102 @@
+"""The finished runs of a folder, as their own recordings tell: what was asked, and how it ended."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from mcap.reader import make_reader
+
+from recorder.sweep import Outcome, Place
+from schemas import FORMAT, PARTIAL, topics
+from schemas.configuration import RunConfiguration
+from schemas.errors import DamagedRecording, NotARecording, RecordingError
+from schemas.messages import enum_values, message_class
+from schemas.provenance import PROVENANCE, Provenance
+
+
+@dataclass(frozen=True)
+class Finished:
+    """A recording with an end."""
+
+    path: Path
+    configuration: RunConfiguration
+    outcome: Outcome
+
+
+def read_folder(folder: Path) -> tuple[list[Finished], dict[Path, str]]:
+    """The finished recordings of a folder, by name, and why its other .mcap and .partial files are none."""
+    found: list[Finished] = []
+    others: dict[Path, str] = {}
+    for path in sorted([*folder.glob("*.mcap"), *folder.glob(f"*.mcap{PARTIAL}")]):
+        if path.name.endswith(PARTIAL) or not path.is_file():
+            others[path] = "incomplete" if path.is_file() else "not a file"
+            continue
+        try:
+            found.append(read_end(path))
+        except RecordingError as error:
+            others[path] = str(error)
+    return found, others
+
+
+def read_end(path: Path) -> Finished:
+    """What a recording says of itself, without its data. RecordingError where it is none, or has no end."""
+    try:
+        with path.open("rb") as stream:
+            reader = make_reader(stream, validate_crcs=True)
+            if reader.get_header().profile != FORMAT:
+                raise NotARecording(f"not a recording of {FORMAT}")
+            provenance = [a.data for a in reader.iter_attachments() if a.name == PROVENANCE]
+            ends = [message.data for _, _, message in reader.iter_messages(topics.RUN_END)]
+            if len(provenance) != 1 or len(ends) != 1:
+                raise DamagedRecording("incomplete" if len(ends) < 2 else "it has two ends")
+            return Finished(path, Provenance.from_json(provenance[0]).configuration, _outcome(ends[0]))
+    except RecordingError:
+        raise
+    except Exception as error:  # whatever the library raises for bytes that are no MCAP file
+        raise DamagedRecording("unreadable: " + " ".join(f"{type(error).__name__}: {error}".split())) from None
+
+
+def matching(found: Iterable[Finished], wanted: RunConfiguration) -> dict[Place, Finished]:
+    """Those that need not be made again, by their place in a sweep of `wanted` over n_env.
+
+    The number of environments, the run's number, the file's compression and the time limit make no difference, and a
+    complete one goes before another. An interrupted run is to be made again, and so is one that failed for a cause that
+    is not known, or that timed out before the time that it would get now.
+    """
+    places: dict[Place, Finished] = {}
+    for run in found:
+        if _alike(run.configuration, wanted) and _settled(run, wanted):
+            place = Place(run.configuration.n_env, run.configuration.run_index)
+            if place not in places or run.outcome.good > places[place].outcome.good:
+                places[place] = run
+    return places
+
+
+def _alike(one: RunConfiguration, other: RunConfiguration) -> bool:
+    indifferent: dict[str, Any] = {"n_env": 1, "run_index": 0, "compression": "none", "timeout": 0.0}
+    return replace(one, **indifferent) == replace(other, **indifferent)
+
+
+def _settled(run: Finished, wanted: RunConfiguration) -> bool:
+    if run.outcome.good:
+        return True
+    if run.outcome.cause == "TIMEOUT":
+        return 0 < wanted.timeout <= run.configuration.timeout
+    return run.outcome.cause not in ("", "INTERRUPTED")
+
+
+def _outcome(data: bytes) -> Outcome:
+    end = message_class("gsb.v1.RunEnd").FromString(data)
+    status = _name("gsb.v1.RunStatus", "RUN_STATUS_", end.status)
+    if not status:
+        raise DamagedRecording("its end has no status")
+    return Outcome(status.lower(), _name("gsb.v1.Cause", "CAUSE_", end.cause), end.reason)
+
+
+def _name(enum: str, prefix: str, number: int) -> str:
+    # of a value; empty for the unspecified one and for one that this version does not know
+    names = {value: name.removeprefix(prefix) for name, value in enum_values(enum).items()}
+    return names.get(number, "") if number else ""

@@ -1,0 +1,68 @@
+"""The recording of a run whose process had to be killed after its timeout, written by the one that killed it.
+
+It has no data. It says what the run was, as far as the run itself had written that, and that it failed; so nobody waits
+for the same run a second time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+from mcap.records import Attachment
+from mcap.stream_reader import StreamReader
+
+from recorder.capture.sink import Sink
+from recorder.plan import release, reserve
+from recorder.probes.software import describe_software
+from schemas.configuration import RunConfiguration
+from schemas.provenance import PACKAGES, PROVENANCE, SCENE, SIMULATION, Provenance
+
+_SAID = (PROVENANCE, PACKAGES, SCENE, SIMULATION)
+
+
+def record_killed(
+    folder: Path,
+    configuration: RunConfiguration,
+    left: Path | None,
+    *,
+    run_id: str,
+    created: str,
+    argv: tuple[str, ...],
+    reason: str,
+) -> Path:
+    """Write the recording; returns its path. DataLost where it cannot be written.
+
+    left  what the run itself left behind: its .partial file, which stays as it is
+    """
+    said = {a.name: a for a in _attachments(left)} if left else {}
+    path = reserve(folder, configuration, created)
+    try:
+        sink = Sink(path, compression=configuration.compression, reserved=True)
+        try:
+            if PROVENANCE not in said:
+                provenance = Provenance(run_id, created, argv, configuration, software=describe_software())
+                sink.attach(PROVENANCE, "application/json", provenance.to_json().encode())
+            for name, attachment in said.items():
+                sink.attach(name, attachment.media_type, attachment.data)
+            return sink.finish("FAILED", reason, cause="TIMEOUT", last_step=0, peak_rss_bytes=0)
+        except BaseException:
+            sink.abandon()
+            raise
+    finally:
+        release(path)
+
+
+def _attachments(path: Path) -> Iterator[Attachment]:
+    # as far as the file goes: a killed process may have left half a record behind
+    wanted = set(_SAID)
+    try:
+        with path.open("rb") as stream:
+            for record in StreamReader(stream, emit_chunks=True, validate_crcs=True).records:
+                if isinstance(record, Attachment) and record.name in wanted:
+                    wanted.remove(record.name)
+                    yield record
+                if not wanted:
+                    return
+    except Exception:  # whatever the library raises at the cut
+        return

@@ -1,0 +1,481 @@
+"""Sweeps over n_env: which runs are made, when it ends, what a second call finds, and what it says."""
+
+from __future__ import annotations
+
+import json
+import os
+import resource
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterable
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from evaluator import open_recording
+from recorder.finished import Finished, matching, read_folder
+from recorder.sweep import CERTAIN, Outcome, Place, Sweep, parse_points
+from schemas.configuration import MAX_ENVS, RunConfiguration
+from schemas.errors import UsageError
+from tests.conftest import Command, command
+
+_TINY = ("--steps", "5", "--warmup", "1", "--timed-steps", "2", "--phases", "timed")
+
+_PLUGIN = '''
+"""A third party's simulator that cannot do more than so many environments."""
+import os, time
+from dataclasses import dataclass
+from pathlib import Path
+import numpy as np
+from recorder.simulators.base import Description, Simulator
+from schemas.fields import body_field
+
+@dataclass(frozen=True)
+class Options:
+    mode: str = "memory"
+    limit: int = 4
+
+class Limited(Simulator):
+    Options = Options
+
+    def build(self):
+        if self.n_env >= self.options.limit:
+            if self.options.mode == "memory":
+                self.more = np.empty(1 << 56)
+            if self.options.mode == "raise":
+                raise RuntimeError("too many")
+            if self.options.mode == "exit":
+                os._exit(7)
+            first = Path(os.environ["GSB_TEST_FOLDER"]) / "first"
+            if self.options.mode == "once" and not first.exists():
+                first.touch()
+                raise RuntimeError("only this once")
+        field = body_field("cubes", "position", "float32", ("a",))
+        return Description("1.0", "cpu", {}, {}, (), (field,), timing_covers="nothing")
+
+    def step(self, n_step):
+        while "GSB_TEST_SLOW" in os.environ and self.n_env >= self.options.limit:
+            time.sleep(0.01)
+
+    def state(self):
+        return (np.zeros((self.n_env, 1, 3), dtype=np.float32),)
+'''
+
+
+@pytest.fixture
+def limited(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
+    """An environment in which a third party's distribution offers the simulator "limited"."""
+    folder = tmp_path_factory.mktemp("plugin")
+    (folder / "limited_simulator.py").write_text(_PLUGIN)
+    info = folder / "limited_simulator-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: limited-simulator\nVersion: 1.0\n")
+    (info / "entry_points.txt").write_text("[gsb.simulators]\nlimited = limited_simulator:Limited\n")
+    return {**os.environ, "PYTHONPATH": str(folder), "GSB_TEST_FOLDER": str(folder)}
+
+
+# Plans, with nothing recorded
+
+
+_powers = st.integers(0, 24).map(lambda exponent: 1 << exponent)
+
+
+@given(_powers, _powers, st.integers(1, 24).map(lambda exponent: 1 << exponent))
+def test_points_of_a_range(first: int, last: int, factor: int) -> None:
+    """Go from the first to the last number in equal steps, but for the last step, which may be shorter."""
+    if first > last:
+        with pytest.raises(UsageError, match="goes upwards"):
+            parse_points(f"{first}..{last}:{factor}")
+        return
+    points = parse_points(f"{first}..{last}:{factor}")
+    assert (points[0], points[-1]) == (first, last)
+    steps = [b // a for a, b in zip(points, points[1:], strict=False)]
+    assert all(step == factor for step in steps[:-1])
+    assert all(1 < step <= factor for step in steps)
+    if factor == 2:
+        assert parse_points(f"{first}..{last}") == points
+
+
+def test_points_as_documented() -> None:
+    """Multiply by 2 unless told otherwise, and always include the end."""
+    assert parse_points("1..8") == (1, 2, 4, 8)
+    assert parse_points("1..131072:4") == (1, 4, 16, 64, 256, 1024, 4096, 16384, 65536, 131072)
+    assert parse_points("64..64") == (64,)
+    assert parse_points(f"1..{MAX_ENVS}:{MAX_ENVS}") == (1, MAX_ENVS)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "wants A..B"),
+        ("8", "wants A..B"),
+        ("1..", "wants A..B"),
+        ("1..8:", "wants A..B"),
+        ("1.. 8", "wants A..B"),
+        ("-1..8", "wants A..B"),
+        ("1..\u0664", "wants A..B"),
+        ("1.." + "9" * 5000, "wants A..B"),
+        ("0..8", "0 is none"),
+        ("1..6", "6 is none"),
+        ("8..4", "8 is more than 4"),
+        ("1..8:3", "not by 3"),
+        ("1..8:1", "not by 1"),
+        ("1..8:0", "not by 0"),
+        (f"1..{MAX_ENVS * 2}", f"ends at {MAX_ENVS} at most"),
+    ],
+)
+def test_ranges_that_are_none(text: str, message: str) -> None:
+    """Refuse what is no range of powers of two."""
+    with pytest.raises(UsageError, match=message.replace(".", r"\.")):
+        parse_points(text)
+
+
+_outcomes = st.one_of(
+    st.just(Outcome("complete")),
+    st.builds(
+        Outcome, st.sampled_from(["failed", "invalid"]), st.sampled_from([*CERTAIN, "ENGINE", "NOT_FINITE"]), st.text()
+    ),
+    st.just(Outcome("incomplete")),
+)
+
+
+@st.composite
+def _sweeps(draw: st.DrawFn) -> tuple[Sweep, dict[Place, Outcome]]:
+    # a sweep, and how each of its runs would end
+    points = parse_points(f"1..{1 << draw(st.integers(0, 4))}")
+    runs = draw(st.integers(1, 3))
+    places = [Place(n_env, index) for n_env in points for index in range(runs)]
+    good = draw(st.sets(st.sampled_from(places)))
+    return Sweep(points, runs), {p: Outcome("complete") if p in good else draw(_outcomes) for p in places}
+
+
+def _follow(sweep: Sweep, ends: dict[Place, Outcome], known: dict[Place, Outcome]) -> list[Place]:
+    made = []
+    while place := sweep.next_place(known):
+        assert place not in known, "a run is made twice"
+        known[place] = ends[place]
+        made.append(place)
+    return made
+
+
+@given(_sweeps())
+def test_a_sweep_from_its_beginning(case: tuple[Sweep, dict[Place, Outcome]]) -> None:
+    """Make runs in order, up to the first number at which none is complete, and leave out none that could be."""
+    sweep, ends = case
+    known: dict[Place, Outcome] = {}
+    made = _follow(sweep, ends, known)
+    assert made == sorted(made)
+    reached = sweep.reached(known)
+    assert {place.n_env for place in made} == set(reached)
+    sustained = {n_env for n_env in sweep.points if any(o.good for p, o in known.items() if p.n_env == n_env)}
+    assert set(reached) - sustained <= {reached[-1]}
+    assert sweep.n_env_max(known) == max(sustained, default=None)
+    for n_env in reached:
+        count = sum(place.n_env == n_env for place in made)
+        first = ends[Place(n_env, 0)]
+        certain = not first.good and first.cause in CERTAIN
+        assert count == (1 if certain else sweep.runs)
+        assert sweep.cut_short(n_env, known) == sweep.runs - count
+    if reached[-1] in sustained:
+        assert sweep.stopped(known) == f"{sweep.points[-1]} is the end of the sweep"
+    else:
+        assert sweep.stopped(known) == f"failed at {reached[-1]}: {ends[Place(reached[-1], 0)].reason}"
+    below = sweep.failed_below_the_last(known)
+    assert sum(below.values()) == sum(not known[place].good for place in made if place.n_env != reached[-1])
+
+
+@given(_sweeps(), st.data())
+def test_a_sweep_that_goes_on(case: tuple[Sweep, dict[Place, Outcome]], data: st.DataObject) -> None:
+    """Come to the same end from any part of what was made, making just what is lacking."""
+    sweep, ends = case
+    whole: dict[Place, Outcome] = {}
+    made = _follow(sweep, ends, whole)
+    there = data.draw(st.sets(st.sampled_from(made)))
+    known = {place: ends[place] for place in there}
+    assert set(_follow(sweep, ends, known)) == set(made) - there
+    assert known == whole
+
+
+@given(_sweeps(), st.data())
+def test_what_lies_beyond_the_end_does_not_count(case: tuple[Sweep, dict[Place, Outcome]], data: st.DataObject) -> None:
+    """End at the first number that fails, also where runs of larger ones were found."""
+    sweep, ends = case
+    known = {place: ends[place] for place in data.draw(st.sets(st.sampled_from(sorted(ends))))}
+    _follow(sweep, ends, known)
+    most, reached = sweep.n_env_max(known), sweep.reached(known)
+    assert most is None or most in reached
+    assert all(any(o.good for o in sweep.at(n_env, known)) for n_env in reached[:-1])
+
+
+_WANTED = RunConfiguration("s", "free-fall", n_env=1, dt=0.01, steps=5, timeout=10)
+
+
+def _finished(outcome: Outcome, name: str = "a", **changes: object) -> Finished:
+    return Finished(Path(name), replace(_WANTED, **changes), outcome)  # type: ignore[arg-type]
+
+
+def _places(found: Iterable[Finished], **wanted: object) -> dict[Place, str]:
+    matched = matching(found, replace(_WANTED, **wanted))  # type: ignore[arg-type]
+    return {place: run.path.name for place, run in matched.items()}
+
+
+@pytest.mark.parametrize(
+    ("changes", "same"),
+    [
+        ({}, True),
+        ({"compression": "zstd"}, True),
+        ({"timeout": 0.0}, True),
+        ({"dt": 0.005}, False),
+        ({"steps": 6}, False),
+        ({"stride": 5}, False),
+        ({"warmup": 1}, False),
+        ({"seed": 1}, False),
+        ({"phases": ("timed",)}, False),
+        ({"scene": "franka"}, False),
+        ({"simulator": "t"}, False),
+        ({"determinism": "run-to-run"}, False),
+        ({"options": {"solver": "CG"}}, False),
+    ],
+)
+def test_which_runs_are_the_same(changes: dict[str, object], same: bool) -> None:
+    """Take for a run of the sweep what was asked the same, however it was stored."""
+    found = _finished(Outcome("complete"), n_env=64, run_index=3, **changes)
+    assert _places([found]) == ({Place(64, 3): "a"} if same else {})
+
+
+@pytest.mark.parametrize(
+    ("outcome", "asked", "settled"),
+    [
+        (Outcome("complete"), 0.0, True),
+        (Outcome("invalid", "NOT_FINITE"), 0.0, True),
+        (Outcome("failed", "DEVICE_MEMORY"), 0.0, True),
+        (Outcome("failed", "INTERRUPTED"), 0.0, False),
+        (Outcome("failed"), 0.0, False),
+        (Outcome("failed", "TIMEOUT"), 10.0, True),
+        (Outcome("failed", "TIMEOUT"), 9.0, True),
+        (Outcome("failed", "TIMEOUT"), 11.0, False),
+        (Outcome("failed", "TIMEOUT"), 0.0, False),
+    ],
+)
+def test_which_runs_are_settled(outcome: Outcome, asked: float, settled: bool) -> None:
+    """Make again what was interrupted, what failed for no known cause, and what would get more time now."""
+    assert bool(_places([_finished(outcome)], timeout=asked)) == settled
+
+
+def test_a_complete_run_goes_first() -> None:
+    """Prefer a complete run to another in the same place."""
+    complete, failed = _finished(Outcome("complete"), "good"), _finished(Outcome("failed", "ENGINE"), "bad")
+    assert _places([complete, failed]) == _places([failed, complete]) == {Place(1, 0): "good"}
+
+
+# Real runs
+
+
+def _sweep(out: Path, *more: object) -> tuple[object, ...]:
+    return ("--sim", "mujoco", "--scene", "free-fall", *_TINY, "--sweep", "1..8:4", "--runs", 2, "--out", out, *more)
+
+
+def _made(folder: Path) -> list[tuple[int, int]]:
+    found, _ = read_folder(folder)
+    return sorted((run.configuration.n_env, run.configuration.run_index) for run in found)
+
+
+def test_a_sweep_and_its_continuation(gsb_record: Command, tmp_path: Path) -> None:
+    """Make every run once; make again only what is gone, and say what else lies there."""
+    every = [(n_env, index) for n_env in (1, 4, 8) for index in (0, 1)]
+    first = gsb_record(*_sweep(tmp_path))
+    assert first.returncode == 0, first.stderr
+    assert _made(tmp_path) == every
+    assert sorted(first.stdout.split()) == sorted(map(str, tmp_path.iterdir()))
+    assert first.stderr.splitlines()[:3] == [
+        "sweep of mujoco, free-fall, dt 0.01 s: 1 4 8 envs, 2 runs each", f"0 of 6 runs are in {tmp_path} already",
+        "1 envs",
+    ]  # fmt: skip
+    assert first.stderr.splitlines()[-1] == "N_env^max 8: 8 is the end of the sweep"
+    for file in tmp_path.iterdir():
+        open_recording(file).verify()
+
+    files = sorted(tmp_path.iterdir())
+    second = gsb_record(*_sweep(tmp_path, "--compression", "zstd"))
+    assert (second.returncode, second.stdout) == (0, "")
+    assert sorted(tmp_path.iterdir()) == files
+    assert second.stderr.splitlines()[1:] == [
+        f"6 of 6 runs are in {tmp_path} already", "N_env^max 8: 8 is the end of the sweep"
+    ]  # fmt: skip
+
+    (gone,) = tmp_path.glob("*-n4-r1-*.mcap")
+    whole = gone.read_bytes()
+    gone.write_bytes(whole[: len(whole) // 2])
+    (tmp_path / "foreign.mcap").write_bytes(b"PK\3\4 something else")
+    (tmp_path / "folder.mcap").mkdir()
+    (tmp_path / "killed.mcap.partial").write_bytes(whole[:-100])
+    third = gsb_record(*_sweep(tmp_path, "--json"))
+    assert third.returncode == 0, third.stderr
+    assert f"5 of 6 runs are in {tmp_path} already" in third.stderr
+    (ignored,) = (line for line in third.stderr.splitlines() if line.startswith("ignored"))
+    assert "folder.mcap (not a file), foreign.mcap (unreadable: " in ignored
+    assert ignored.endswith(" and 1 more")
+    record = json.loads(third.stdout)
+    assert record["schema_version"] == 1
+    assert record["sweep"] == {
+        "n_env_max": 8,
+        "stopped": "8 is the end of the sweep",
+        "points": [{"n_env": n_env, "complete": 2, "failed": 0} for n_env in (1, 4, 8)],
+    }
+    assert [(run["n_env"], run["run"]) for run in record["runs"]] == every
+    assert [(run["n_env"], run["run"]) for run in record["runs"] if not run["found"]] == [(4, 1)]
+    assert {run["status"] for run in record["runs"]} == {"complete"}
+    assert all(Path(run["file"]).exists() for run in record["runs"])
+
+
+def test_plain_runs_are_always_made(gsb_record: Command, tmp_path: Path) -> None:
+    """Make new files for --n-env whatever lies there, and let a sweep find them."""
+    plain = ("--sim", "mujoco", "--scene", "free-fall", *_TINY, "--n-env", 4, "--runs", 1, "--out", tmp_path)
+    for _ in range(2):
+        assert gsb_record(*plain).returncode == 0
+    assert _made(tmp_path) == [(4, 0), (4, 0)]
+    done = gsb_record(*_sweep(tmp_path))
+    assert f"1 of 6 runs are in {tmp_path} already" in done.stderr
+    assert "4 envs, 1 of 2 runs there" in done.stderr
+    assert _made(tmp_path) == [(1, 0), (1, 1), (4, 0), (4, 0), (4, 1), (8, 0), (8, 1)]
+
+
+def test_more_environments_than_memory_holds(gsb_record: Command, tmp_path: Path) -> None:
+    """Find the limit that the host's memory sets to MuJoCo, end well, and not try the limit again."""
+
+    def little_memory() -> None:
+        resource.setrlimit(resource.RLIMIT_AS, (4 << 30, 4 << 30))
+
+    arguments = (
+        "--sim", "mujoco", "--scene", "free-fall", "--option", "threads=1", *_TINY, "--runs", 1,
+        "--sweep", "4..4194304:1048576", "--out", tmp_path,
+    )  # fmt: skip
+    done = gsb_record(*arguments, preexec_fn=little_memory)
+    assert done.returncode == 0, done.stderr
+    assert "N_env^max 4: failed at 4194304: " in done.stderr
+    (file,) = tmp_path.glob("*-n4194304-*.mcap")
+    recording = open_recording(file)
+    recording.verify()
+    assert recording.status == "failed"
+    again = gsb_record(*arguments, "--json", preexec_fn=little_memory)
+    assert again.returncode == 0, again.stderr
+    record = json.loads(again.stdout)
+    assert record["sweep"]["n_env_max"] == 4
+    assert record["sweep"]["stopped"] == f"failed at 4194304: {recording.reason}"
+    assert all(run["found"] for run in record["runs"])
+
+
+def _limited(
+    gsb_record: Command, environment: dict[str, str], out: Path, mode: str, *more: object
+) -> subprocess.CompletedProcess[str]:
+    return gsb_record(
+        "--sim", "limited", *_TINY, "--sweep", "2..8", "--runs", 2, "--option", f"mode={mode}", *more, "--out", out,
+        env=environment,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("mode", "limit", "code", "made", "said"),
+    [
+        ("memory", 4, 0, [(2, 0), (2, 1), (4, 0)], "N_env^max 2: failed at 4: out of host memory in phase init"),
+        ("memory", 2, 1, [(2, 0)], "N_env^max none: failed at 2: out of host memory in phase init"),
+        (
+            "raise", 4, 0, [(2, 0), (2, 1), (4, 0), (4, 1)],
+            "N_env^max 2: failed at 4: RuntimeError in phase init: too many",
+        ),
+        (
+            "once", 4, 1, [(2, 0), (2, 1), (4, 0), (4, 1), (8, 0), (8, 1)],
+            "runs failed below the last point: 1 of 2 at 4 envs\nN_env^max 8: 8 is the end of the sweep",
+        ),
+        (
+            "once", 8, 0, [(2, 0), (2, 1), (4, 0), (4, 1), (8, 0), (8, 1)],
+            "N_env^max 8: 8 is the end of the sweep",
+        ),
+    ],
+)  # fmt: skip
+def test_where_a_sweep_ends(
+    gsb_record: Command, limited: dict[str, str], tmp_path: Path,
+    mode: str, limit: int, code: int, made: list[tuple[int, int]], said: str,
+) -> None:  # fmt: skip
+    """End behind the first number at which every run fails; repeat what would not fail for certain; say so."""
+    done = _limited(gsb_record, limited, tmp_path, mode, "--option", f"limit={limit}")
+    assert done.returncode == code, done.stderr
+    assert _made(tmp_path) == made
+    assert done.stderr.endswith(said + "\n")
+    spared = f"{limit} envs: 1 of 2 runs are not made: they would fail as the first did"
+    assert (spared in done.stderr) == (mode == "memory")
+    again = _limited(gsb_record, limited, tmp_path, mode, "--option", f"limit={limit}")
+    assert (again.returncode, again.stdout) == (code, "")
+    assert again.stderr.endswith(said + "\n")
+
+
+def test_processes_that_die_at_the_end(gsb_record: Command, limited: dict[str, str], tmp_path: Path) -> None:
+    """Take processes that die for a limit as well, but try them again, since their recordings have no end."""
+    for _ in range(2):
+        done = _limited(gsb_record, limited, tmp_path, "exit")
+        assert done.returncode == 0, done.stderr
+        assert "N_env^max 2: failed at 4: the run's process ended with exit code 7" in done.stderr
+    assert _made(tmp_path) == [(2, 0), (2, 1)]
+    assert len(list(tmp_path.glob("*-n4-*.partial"))) == 4
+    nothing = _limited(gsb_record, limited, tmp_path, "exit", "--option", "limit=1")
+    assert nothing.returncode == 3
+
+
+def test_an_interrupted_sweep_goes_on(gsb_record: Command, limited: dict[str, str], tmp_path: Path) -> None:
+    """End at once on Ctrl-C with what there is, and make the interrupted run again on the next call."""
+    process = subprocess.Popen(
+        [*command("gsb-record"), "--sim", "limited", *_TINY, "--sweep", "2..8", "--runs", "2", "--option", "mode=none",
+         "--json", "--out", str(tmp_path)],
+        env={**limited, "GSB_TEST_SLOW": "1"}, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    try:
+        _wait_for(lambda: any(b"provenance.json" in path.read_bytes() for path in tmp_path.glob("*-n4-*.partial")))
+    finally:
+        process.send_signal(signal.SIGINT)
+        out, err = process.communicate(timeout=60)
+    assert process.returncode == 1, err
+    sweep = json.loads(out)["sweep"]
+    assert (sweep["n_env_max"], sweep["points"][-1]) == (2, {"n_env": 4, "complete": 0, "failed": 1})
+    assert sweep["stopped"] == "interrupted at 4; the same command goes on from there"
+    assert _made(tmp_path) == [(2, 0), (2, 1), (4, 0)]
+    done = _limited(gsb_record, limited, tmp_path, "none")
+    assert done.returncode == 0, done.stderr
+    assert f"2 of 6 runs are in {tmp_path} already" in done.stderr
+    assert _made(tmp_path) == [(2, 0), (2, 1), (4, 0), (4, 0), (4, 1), (8, 0), (8, 1)]
+
+
+def test_a_sweep_on_a_full_disk(gsb_record: Command, tmp_path: Path) -> None:
+    """Give up with 3 where the disk takes no more, instead of taking it for the simulator's limit."""
+
+    def small_disk() -> None:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (10_000, 10_000))
+
+    done = gsb_record(*_sweep(tmp_path), preexec_fn=small_disk)
+    assert done.returncode == 3
+    assert done.stderr.splitlines()[-1].startswith("N_env^max none: given up at 1: writing stopped: File too large")
+    assert len(list(tmp_path.iterdir())) == 1
+
+
+def test_a_sweep_on_a_terminal(tmp_path: Path) -> None:
+    """Show a heading for each number of environments, and a line for each run."""
+    spawn = "import os, pty, sys; sys.exit(os.waitstatus_to_exitcode(pty.spawn(sys.argv[1:])))"
+    done = subprocess.run(
+        [sys.executable, "-c", spawn, *command("gsb-record"), *map(str, _sweep(tmp_path))],
+        stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=120, env={**os.environ, "TERM": "xterm"},
+    )  # fmt: skip
+    assert done.returncode == 0, done.stdout
+    for words in ("1 envs", "4 envs", "8 envs", "run 2/2 complete in", "N_env^max 8: 8 is the end of the sweep"):
+        assert words in done.stdout
+
+
+def _wait_for(condition) -> None:  # type: ignore[no-untyped-def]
+    for _ in range(600):
+        if condition():
+            return
+        time.sleep(0.1)
+    raise AssertionError("it did not happen within a minute")
