@@ -1,0 +1,265 @@
+"""Newton: its solvers in Warp kernels, on a GPU or, slowly, on the CPU.
+
+On a GPU, blocks of steps and single steps are captured as CUDA graphs and replayed. A step reads one of two states and
+writes the other, so a graph belongs to the state that it begins with. For a capture, further graphs store the state and
+the counts of each step in a ring on the device, which is read once it is full.
+"""
+
+from __future__ import annotations
+
+import gc
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from recorder.failure import Refused, cause_of
+from recorder.simulators import warp_runtime
+from recorder.simulators.base import Description, Simulator, States
+from recorder.simulators.evidence import Evidence
+from recorder.simulators.newton_options import NewtonOptions
+from schemas.errors import UsageError
+from schemas.fields import BODY_FIELDS, StateField, body_field
+
+_BLOCK = 10  # steps in a graph; even, so that it ends with the state that it began with
+_RING_ROWS = 50
+_RING_BYTES = 512 << 20
+
+# of the solver (warp.DeterministicMode), and whether collision detection sorts its contacts
+_LEVELS = {"default": ("off", False), "run-to-run": ("run-to-run", True), "gpu-to-gpu": ("gpu-to-gpu", True)}
+
+
+class Newton(Simulator):
+    """N environments, the worlds of one newton.Model, all at the same place."""
+
+    Options = NewtonOptions
+    timing_interval = _BLOCK
+    determinism_levels = {
+        "default": "as it ships: contacts, and what solvers add up by atomic operations, in the order in which the "
+        "device's threads arrive",
+        "run-to-run": "the solver orders its atomic operations (steel: its rows of constraints) and CollisionPipeline "
+        "sorts its contacts: the same bits again on the same kind of GPU, with the same driver and Warp",
+        "gpu-to-gpu": "as run-to-run, with Warp's stricter order of atomic operations, meant to hold for every GPU",
+    }
+
+    def build(self) -> Description:
+        """See Simulator.build."""
+        options: NewtonOptions = self.options
+        level, self._ordered = _LEVELS[self.determinism]
+        # Kamino has no determinism of its own: it gets Warp's, for all kernels
+        self._device = warp_runtime.start(options.device, level if options.solver == "kamino" else "off")
+        if self.scene.robot is not None:
+            raise UsageError(f"simulator 'newton' has no robots yet, and scene '{self.scene.name}' has one")
+        import newton
+        import warp as wp
+
+        from recorder.simulators.newton_deviations import deviations
+        from recorder.simulators.newton_ring import Ring
+        from recorder.simulators.newton_sizes import choose_sizes
+        from recorder.simulators.newton_solvers import in_force
+        from recorder.simulators.newton_watch import Watch
+
+        self._mode = wp.DeterministicMode[warp_runtime.MODES[level]]
+        self._sizes = choose_sizes(self.scene, dt=self.dt, seed=self.seed, options=options)
+        self._worlds = self._make_worlds(self.n_env)
+        self._watch = Watch(self._worlds, options, self._sizes)
+        self._last_step = Ring(self._worlds, self._watch, 1)  # for what is asked after `step`
+        self._ring: Any = None
+        self._graphs: dict[tuple[int, int, bool], Any] = {}
+        self._kernels_built = False
+        self._counted: Evidence | None = None
+        places = {body.name: index for index, body in enumerate(self.scene.moving())}
+        self._groups = [np.array([places[name] for name in names]) for names in self.scene.groups().values()]
+        pipeline = self._worlds.pipeline
+        return Description(
+            version=newton.__version__,
+            device=warp_runtime.name_of(self._device),
+            options=in_force(self._worlds.solver, options),
+            switches={
+                "precision": "float32",
+                "solver": options.solver,
+                "determinism": self.determinism,
+                "solver_deterministic": self._mode.name,
+                "warp.config.deterministic": wp.config.deterministic.name,
+                "contacts": "MuJoCo Warp" if pipeline is None else f"CollisionPipeline, {pipeline.broad_phase_mode}",
+                "contacts_sorted": pipeline is not None and pipeline.deterministic,
+                "warp": wp.config.version,
+                "warnings": list(self._worlds.warnings),
+            },
+            deviations=deviations(self.scene, options),
+            fields=self._fields(),
+            timing_covers=self._covers(),
+            buffers=self._watch.buffers,
+            counters=self._watch.counters,
+            overflow_bits=self._watch.overflow_bits,
+        )
+
+    def _make_worlds(self, n_env: int) -> Any:
+        from recorder.simulators.newton_worlds import Worlds
+
+        with self._refusals():
+            return Worlds(
+                self.scene, n_env=n_env, dt=self.dt, options=self.options,
+                sizes=self._sizes, mode=self._mode, ordered=self._ordered,
+            )  # fmt: skip
+
+    @contextmanager
+    def _refusals(self) -> Iterator[None]:
+        # what the engine does not do under a level of determinism is an outcome, not a crash
+        try:
+            yield
+        except (RuntimeError, ValueError, NotImplementedError) as error:
+            if self.determinism == "default" or cause_of(error) == "DEVICE_MEMORY":
+                raise
+            text = " ".join(str(error).split())
+            raise Refused(
+                f"Newton's solver '{self.options.solver}' refuses determinism '{self.determinism}': {text}"
+            ) from None
+
+    def _fields(self) -> tuple[StateField, ...]:
+        notes = {"orientation": "reordered by the recorder from Newton's xyzw"}
+        return tuple(
+            body_field(group, field, "float32", names, note=notes.get(field, ""))
+            for group, names in self.scene.groups().items()
+            for field in BODY_FIELDS
+        )
+
+    def _covers(self) -> str:
+        if self._device.is_cuda:
+            how = f"replay of CUDA graphs of {_BLOCK} steps (fewer for what is left over) and one synchronisation"
+        else:
+            how = "collision detection and solver, step by step, on the CPU"
+        return f"{how}; overflow bits are gathered on the device after each step; no state is copied"
+
+    def compile(self, phase: str) -> None:
+        """See Simulator.compile: kernels are built on one throw-away environment, then graphs are captured."""
+        if not self._kernels_built:
+            self._build_kernels()
+        storing = phase == "capture"
+        if storing and self._ring is None:
+            from recorder.simulators.newton_ring import Ring
+
+            rows = max(1, min(_RING_ROWS, _RING_BYTES // Ring.row_bytes(self._worlds, self._watch)))
+            self._ring = Ring(self._worlds, self._watch, rows)
+        if self._device.is_cuda and (_BLOCK, 0, storing) not in self._graphs:
+            parities = (0,) if self.options.substeps % 2 == 0 else (0, 1)
+            for parity in parities:
+                for n_step in (1, _BLOCK):
+                    self._graphs[n_step, parity, storing] = self._captured(n_step, parity, storing)
+
+    def _build_kernels(self) -> None:
+        import warp as wp
+
+        from recorder.simulators.newton_ring import Ring
+        from recorder.simulators.newton_watch import Watch
+
+        spare = self._make_worlds(1)
+        watch = Watch(spare, self.options, self._sizes)
+        ring = Ring(spare, watch, 2)
+        with self._refusals():
+            for _ in range(2):
+                spare.substep()
+                watch.gather()
+                ring.store()
+            wp.synchronize_device(self._device)
+        del spare, watch, ring
+        gc.collect()  # solvers and their watch are in cycles, which hold on to device memory
+        self._kernels_built = True
+
+    def _captured(self, n_step: int, parity: int, storing: bool) -> Any:
+        """A CUDA graph of steps that begins with the state of that parity; nothing is executed."""
+        import warp as wp
+
+        present = self._worlds.parity
+        self._worlds.parity = parity
+        with self._refusals(), wp.ScopedCapture(self._device) as capture:
+            self._enqueue(n_step, storing)
+        self._worlds.parity = present
+        return capture.graph
+
+    def _enqueue(self, n_step: int, storing: bool) -> None:
+        for _ in range(n_step):
+            for _ in range(self.options.substeps):
+                self._worlds.substep()
+                self._watch.gather()
+            if storing:
+                self._ring.store()
+
+    def _advance(self, n_step: int, storing: bool) -> None:
+        if not self._device.is_cuda:
+            self._enqueue(n_step, storing)
+            return
+        import warp as wp
+
+        worlds = self._worlds
+        while n_step:
+            size = _BLOCK if n_step >= _BLOCK else 1
+            wp.capture_launch(self._graphs[size, worlds.parity, storing])
+            worlds.parity = (worlds.parity + size * self.options.substeps) % 2
+            n_step -= size
+
+    def step(self, n_step: int) -> None:
+        """See Simulator.step."""
+        import warp as wp
+
+        if not self._kernels_built or (self._device.is_cuda and (_BLOCK, 0, False) not in self._graphs):
+            self.compile("timed")
+        self._counted = None
+        self._advance(n_step, storing=False)
+        wp.synchronize_device(self._device)
+
+    def state(self) -> States:
+        """See Simulator.state."""
+        state = self._worlds.state
+        return tuple(array[0] for array in self._split(state.body_q.numpy()[None], state.body_qd.numpy()[None]))
+
+    def states(self, n_step: int) -> States:
+        """See Simulator.states."""
+        self.compile("capture")
+        states, evidence = [], []
+        for first in range(0, n_step, self._ring.rows):
+            rows = min(self._ring.rows, n_step - first)
+            self._ring.rewind()
+            self._advance(rows, storing=True)
+            states.append(self._split(*self._ring.states(rows)))
+            evidence.append(self._ring.evidence(rows))
+        self._counted = _joined(evidence)
+        return states[0] if len(states) == 1 else tuple(map(np.concatenate, zip(*states, strict=True)))
+
+    def _split(self, poses: NDArray[np.float32], speeds: NDArray[np.float32]) -> States:
+        """Poses [step, env * body, 7] and speeds [step, env * body, 6] as copies, the arrays of the fields."""
+        poses = poses.reshape(len(poses), self.n_env, -1, 7)
+        speeds = speeds.reshape(len(speeds), self.n_env, -1, 6)
+        arrays: list[NDArray[np.float32]] = []
+        for group in self._groups:
+            pose, speed = poses[:, :, group], speeds[:, :, group]
+            arrays += [pose[..., :3], pose[..., [6, 3, 4, 5]], speed[..., :3], speed[..., 3:]]
+        return tuple(arrays)
+
+    def evidence(self) -> Evidence:
+        """See Simulator.evidence."""
+        if self._counted is None:
+            self._last_step.rewind()
+            self._last_step.store()
+            return self._last_step.evidence(1)
+        return self._counted
+
+    def allocator_bytes(self) -> tuple[int, int] | None:
+        """See Simulator.allocator_bytes."""
+        return warp_runtime.allocator_bytes(self._device)
+
+    def close(self) -> None:
+        """See Simulator.close."""
+        for name in ("_graphs", "_ring", "_last_step", "_watch", "_worlds"):
+            vars(self).pop(name, None)
+        gc.collect()
+
+
+def _joined(parts: list[Evidence]) -> Evidence:
+    if len(parts) == 1:
+        return parts[0]
+    counts = {name: np.concatenate([part.counts[name] for part in parts]) for name in parts[0].counts}
+    overflow = [part.overflow for part in parts if part.overflow is not None]
+    return Evidence(counts, np.concatenate(overflow))

@@ -1,0 +1,65 @@
+"""What Newton's solvers do with the contact parameters of a scene."""
+
+from __future__ import annotations
+
+from recorder.scenes.base import Scene
+from recorder.simulators.newton_options import NewtonOptions
+from schemas.provenance import Deviation
+
+_ONE_FRICTION = "Newton has one friction coefficient a shape; the kinetic one is used"
+
+_FRICTION_OF_A_PAIR = {
+    "mujoco": "the larger coefficient of the two",
+    "xpbd": "the mean of the two coefficients",
+    "steel": "the mean of the two coefficients",
+    "semi-implicit": "the mean of the two coefficients",
+    "featherstone": "the mean of the two coefficients",
+    "vbd": "the geometric mean of the two coefficients",
+    "kamino": "the mean of the two coefficients",
+}
+
+_NO_RESTITUTION = {
+    "mujoco": "contacts are damped springs of ke and kd",
+    "semi-implicit": "contacts are damped springs of ke and kd",
+    "featherstone": "contacts are damped springs of ke and kd",
+    "vbd": "contacts are damped springs of ke and kd",
+}
+
+_STICTION = {
+    "steel": "friction patches hold what rests by a spring along the surface, up to the same coefficient",
+    "semi-implicit": "friction is viscous, of gain kf, up to the coefficient: nothing sticks",
+    "featherstone": "friction is viscous, of gain kf, up to the coefficient: nothing sticks",
+    "vbd": "friction is smoothed below a slip of friction_epsilon: nothing sticks",
+}
+
+
+def deviations(scene: Scene, options: NewtonOptions) -> tuple[Deviation, ...]:
+    """The parameters that the chosen solver honours otherwise than the scene gives them, or not at all."""
+    solver = options.solver
+    found = [
+        Deviation("contact.friction_combination", "not given", _FRICTION_OF_A_PAIR[solver], f"rule of {solver}"),
+    ]
+    for name, material in {body.material.name: body.material for body in scene.bodies}.items():
+        found.append(
+            Deviation(
+                f"{name}.static_friction",
+                str(material.static_friction),
+                str(material.kinetic_friction),
+                f"{_ONE_FRICTION}; {_STICTION[solver]}" if solver in _STICTION else _ONE_FRICTION,
+            )
+        )
+        used, why = _restitution(solver, options.rebounds, material.restitution)
+        found.append(Deviation(f"{name}.restitution", str(material.restitution), used, why))
+    return tuple(found)
+
+
+def _restitution(solver: str, switched_on: bool, wanted: float) -> tuple[str, str]:
+    if solver in _NO_RESTITUTION:
+        return "none of its own", f"{solver} has no coefficient of restitution: {_NO_RESTITUTION[solver]}"
+    if solver == "kamino":
+        return str(wanted), "of a pair the smaller coefficient"
+    if not switched_on:
+        return "0", f"{solver} is not asked for it (option 'restitution')"
+    if solver == "steel":
+        return str(wanted), "of a pair the mean of the two; only where they close faster than 0.5 m/s"
+    return str(wanted), "of a pair the mean of the two"

@@ -1,0 +1,97 @@
+"""A scene as Newton's model: N worlds at the same place, which do not see each other."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from recorder.scenes.base import Body, Box, Capsule, Plane, Quaternion, Scene, Sphere, Vector
+from recorder.simulators.newton_options import NewtonOptions
+from schemas.errors import UsageError
+
+_FREE = 6  # speeds of a free joint: linear of the centre of mass, then angular, both in the world frame
+
+
+def build_model(scene: Scene, *, n_env: int, options: NewtonOptions, register: Callable[[Any], None]) -> Any:
+    """The newton.Model of n_env replicas of a scene on Warp's present device, bodies in the order of Scene.moving.
+
+    register  adds the attributes of a solver to a builder, before it has any shapes
+    """
+    import newton
+
+    if scene.robot is not None:
+        raise UsageError(f"simulator 'newton' has no robots yet, and scene '{scene.name}' has one")
+    world = newton.ModelBuilder(gravity=scene.gravity)
+    register(world)
+    for body in scene.bodies:
+        _add(world, body, options)
+    replicas = newton.ModelBuilder(gravity=scene.gravity)
+    register(replicas)
+    replicas.replicate(world, n_env)
+    if options.solver == "vbd":
+        replicas.color()  # groups of bodies that VBD may move at the same time
+    return replicas.finalize()
+
+
+def detection_distance(options: NewtonOptions) -> float:
+    """The gap of every shape [m]; MuJoCo's collision detection has none, as in MJCF."""
+    return options.gap if options.own_contacts else 0.0
+
+
+def _add(builder: Any, body: Body, options: NewtonOptions) -> None:
+    import newton
+
+    pose = _pose(body.position, body.orientation)
+    material = newton.ModelBuilder.ShapeConfig(
+        density=0.0,  # masses are the scene's
+        mu=body.material.kinetic_friction,
+        restitution=body.material.restitution,
+        mu_torsional=0.0,  # the scene has friction against sliding only
+        mu_rolling=0.0,
+        ke=options.ke,
+        kd=options.kd,
+        kf=options.kf,
+        gap=detection_distance(options),
+    )
+    if body.mass is None:
+        _add_shape(builder, body, material, body=-1, pose=pose)
+        return
+    xx, yy, zz = _inertia(body)
+    index = builder.add_body(
+        xform=pose, mass=body.mass, inertia=((xx, 0.0, 0.0), (0.0, yy, 0.0), (0.0, 0.0, zz)), label=body.name
+    )
+    _add_shape(builder, body, material, body=index, pose=_pose((0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0)))
+    speeds = (*body.linear_velocity, *body.angular_velocity)
+    builder.body_qd[index] = speeds
+    builder.joint_qd[-_FREE:] = speeds  # of the free joint that the body has just been given
+
+
+def _add_shape(builder: Any, described: Body, material: Any, *, body: int, pose: Any) -> None:
+    common = {"xform": pose, "cfg": material, "label": described.name}
+    match described.shape:
+        case Box((x, y, z)):
+            builder.add_shape_box(body, hx=x / 2, hy=y / 2, hz=z / 2, **common)
+        case Sphere(radius):
+            builder.add_shape_sphere(body, radius=radius, **common)
+        case Capsule(radius, length):
+            builder.add_shape_capsule(body, radius=radius, half_height=length / 2, **common)
+        case Plane():
+            builder.add_shape_plane(None, body=body, width=0.0, length=0.0, **common)  # 0: without an edge
+
+
+def _inertia(body: Body) -> Vector:
+    """Of a uniform solid about its centre, along its axes [kg m2]."""
+    mass = body.mass or 0.0
+    match body.shape:
+        case Box((x, y, z)):
+            return mass * (y * y + z * z) / 12, mass * (x * x + z * z) / 12, mass * (x * x + y * y) / 12
+        case Sphere(radius):
+            return (0.4 * mass * radius**2,) * 3
+    raise UsageError(f"simulator 'newton' has no moving {type(body.shape).__name__.lower()}s yet: '{body.name}'")
+
+
+def _pose(position: Vector, orientation: Quaternion) -> Any:
+    import warp as wp
+
+    w, x, y, z = orientation
+    return wp.transform(wp.vec3(*position), wp.quat(x, y, z, w))

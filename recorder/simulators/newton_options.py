@@ -1,0 +1,68 @@
+"""Options of Newton: which of its solvers, and what is worth setting of it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from recorder.simulators.mjcf_options import CONES, one_of
+
+SOLVERS = ("mujoco", "xpbd", "steel", "semi-implicit", "featherstone", "vbd", "kamino")
+
+
+@dataclass(frozen=True)
+class NewtonOptions:
+    """Options of Newton; one that a solver does not have is without effect, and recorded as null.
+
+    substeps             solver steps per step, each with its own collision detection
+    iterations           of the solver; 0: its own default
+    device               auto, cpu, cuda or cuda:N
+    gap                  each shape's detection distance in Newton's own collision detection [m]; a pair of shapes that
+                         is nearer than both gaps has contact points. Newton's default, 0.1 m, is five cubes of the
+                         published scenes and makes contacts of all pairs
+    ke, kd, kf           contact stiffness [N/m], damping [N s/m] and friction gain [N s/m] of the solvers by penalty;
+                         MuJoCo's solver makes its solref of ke and kd
+    restitution          xpbd, steel: rebounds by the coefficients of restitution: on, off, or default, as the solver
+                         ships (xpbd off, steel on)
+    use_mujoco_contacts  mujoco: MuJoCo's collision detection instead of Newton's
+    cone                 mujoco: elliptic or pyramidal friction cones
+    max_contacts         contacts per environment for which there is room; 0: as many as were measured, and a margin
+    max_rows             mujoco, steel: the same for rows of constraints; vbd: for contacts of one body
+    """
+
+    solver: str = "mujoco"
+    substeps: int = 1
+    iterations: int = 0
+    device: str = "auto"
+    gap: float = 0.01
+    ke: float = 2500.0
+    kd: float = 100.0
+    kf: float = 1000.0
+    restitution: str = "default"
+    use_mujoco_contacts: bool = True
+    cone: str = "elliptic"
+    max_contacts: int = 0
+    max_rows: int = 0
+
+    def __post_init__(self) -> None:
+        one_of("solver", self.solver, SOLVERS)
+        one_of("cone", self.cone, CONES)
+        one_of("restitution", self.restitution, ("default", "on", "off"))
+        if self.substeps < 1:
+            raise ValueError(f"substeps is at least 1, not {self.substeps}")
+        for name in ("iterations", "max_contacts", "max_rows"):
+            if getattr(self, name) < 0:
+                raise ValueError(f"{name} is 0 or a positive number, not {getattr(self, name)}")
+        for name in ("gap", "ke", "kd", "kf"):
+            if not 0 <= getattr(self, name) < math.inf:
+                raise ValueError(f"{name} is a number from 0 on, not {getattr(self, name)}")
+
+    @property
+    def rebounds(self) -> bool:
+        """Whether xpbd and steel honour coefficients of restitution."""
+        return self.restitution == "on" or (self.restitution == "default" and self.solver == "steel")
+
+    @property
+    def own_contacts(self) -> bool:
+        """Whether Newton's own collision detection makes the contacts."""
+        return self.solver != "mujoco" or not self.use_mujoco_contacts
