@@ -1,0 +1,209 @@
+"""What adapters on JAX share: the two compiled loops over the state of all environments.
+
+One program advances by any number of steps; the other one does the same and keeps what a recording wants of each step
+in a ring on the device, from which it is copied at once. Both make the same step: ``Physics.advance``.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from recorder.simulators import jax_runtime
+from recorder.simulators.base import Description, Simulator, States
+from recorder.simulators.evidence import Evidence
+from recorder.simulators.jax_actions import device_draw
+
+_RING_BYTES = 256 << 20
+_RING_STEPS = 50
+
+OVERFLOW = "overflow"
+
+
+@dataclass(frozen=True)
+class Physics:
+    """An engine's step, as functions that JAX traces; a state is that of all environments, in any form.
+
+    initial      makes the first state; called on the host, again for each fresh start
+    advance      state, targets [env, action] or None -> state after one step
+    observe      state -> what `split` of the adapter needs, arrays [env, ...] by name
+    count        state -> counts of the step that led to it, int32 [env] by counter name; and, under OVERFLOW, bits
+                 uint32 [env] where the engine has any
+    forget       state -> the same with its overflow bits cleared
+    applied      state -> the actions that it holds, [env, action]
+    lazy         the step builds kernels when it is first executed, not when it is compiled
+    """
+
+    initial: Callable[[], Any]
+    advance: Callable[[Any, Any], Any]
+    observe: Callable[[Any], dict[str, Any]]
+    count: Callable[[Any], dict[str, Any]]
+    forget: Callable[[Any], Any] = lambda state: state
+    applied: Callable[[Any], Any] | None = None
+    lazy: bool = False
+
+
+class JaxSimulator(Simulator):
+    """N environments on an engine written in JAX. A subclass says what its physics is (``_load``) and how a state is
+    laid out (``_split``)."""
+
+    # One reading of the clock for so many steps: inside, nothing but the engine's own loop runs.
+    timing_interval = 100
+    determinism_levels = jax_runtime.LEVELS
+    draws_actions = True
+
+    @classmethod
+    def environment(cls, options: Any, determinism: str) -> dict[str, str]:
+        """See Simulator.environment."""
+        return jax_runtime.environment(options, determinism)
+
+    @abstractmethod
+    def _load(self, device: Any) -> tuple[Physics, Description]:
+        """The physics of the scene on a jax.Device, and what the simulator says of itself."""
+
+    @abstractmethod
+    def _split(self, seen: dict[str, NDArray[Any]]) -> States:
+        """What was observed, arrays [..., env, ...] by name, as the state's fields."""
+
+    def build(self) -> Description:
+        """See Simulator.build."""
+        self._device = jax_runtime.start(self.options)
+        self._physics, description = self._load(self._device)
+        actions = self.scene.actions
+        self._draw = None if actions is None else device_draw(actions, seed=self.seed, n_env=self.n_env)
+        self._programs: dict[str, Any] = {}
+        self._rows: dict[str, NDArray[Any]] | None = None  # counts of the last states; None: to be counted when asked
+        self._restart()
+        row = sum(array.nbytes for array in self._seen().values())
+        fits = max(1, min(_RING_STEPS, _RING_BYTES // max(1, row)))
+        self._ring = self.options.ring or fits
+        description.options["ring"] = self._ring
+        return description
+
+    def _restart(self) -> None:
+        self._state = self._physics.initial()
+        self._step = np.uint32(0)
+
+    def _seen(self) -> dict[str, NDArray[Any]]:
+        return {name: np.asarray(array) for name, array in self._physics.observe(self._state).items()}
+
+    def _program(self, name: str) -> Any:
+        """The compiled program of that name: "advance", "record" or "count"."""
+        import jax
+
+        if name not in self._programs:
+            # The state's memory is handed over to the program that steps it: there is never a second copy.
+            arguments = (self._state,) if name == "count" else (self._state, self._step, np.int32(1))
+            traced = {
+                "advance": lambda: jax.jit(self._advance, donate_argnums=0),
+                "record": lambda: jax.jit(self._record, donate_argnums=0),
+                "count": lambda: jax.jit(self._physics.count),
+            }[name]()
+            self._programs[name] = traced.lower(*arguments).compile()
+        return self._programs[name]
+
+    def _one(self, state: Any, step: Any) -> Any:
+        return self._physics.advance(state, None if self._draw is None else self._draw(step))
+
+    def _advance(self, state: Any, first: Any, n_step: Any) -> Any:
+        """Traced: n_step steps, the first of them number `first`."""
+        import jax
+
+        return jax.lax.fori_loop(0, n_step, lambda i, state: self._one(state, first + i.astype(np.uint32)), state)
+
+    def _record(self, state: Any, first: Any, n_step: Any) -> Any:
+        """Traced: as _advance, with observations and counts of each step in rings of `_ring` rows."""
+        import jax
+        import jax.numpy as jnp
+
+        def row(state: Any) -> dict[str, Any]:
+            return {"seen": self._physics.observe(state), "counts": self._physics.count(state)}
+
+        def body(i: Any, carry: Any) -> Any:
+            state, rings = carry
+            state = self._one(state, first + i.astype(np.uint32))
+            rings = jax.tree.map(lambda ring, value: ring.at[i].set(value), rings, row(state))
+            return self._physics.forget(state), rings
+
+        shapes = jax.eval_shape(row, state)
+        rings = jax.tree.map(lambda shape: jnp.zeros((self._ring, *shape.shape), shape.dtype), shapes)
+        return jax.lax.fori_loop(0, n_step, body, (state, rings))
+
+    def compile(self, phase: str) -> None:
+        """See Simulator.compile; kernels that are built when they first run are run once, and the state made anew."""
+        name = "advance" if phase == "timed" else "record"
+        program = self._program(name)
+        if name == "advance":
+            self._program("count")
+        if self._physics.lazy:
+            import jax
+
+            jax.block_until_ready(program(self._state, self._step, np.int32(1)))
+            self._restart()
+
+    def step(self, n_step: int) -> None:
+        """See Simulator.step."""
+        import jax
+
+        self._state = jax.block_until_ready(self._program("advance")(self._state, self._step, np.int32(n_step)))
+        self._step = np.uint32(self._step + n_step)
+        self._rows = None
+
+    def state(self) -> States:
+        """See Simulator.state."""
+        return self._split(self._seen())
+
+    def states(self, n_step: int) -> States:
+        """See Simulator.states."""
+        import jax
+
+        seen: list[dict[str, NDArray[Any]]] = []
+        counts: list[dict[str, NDArray[Any]]] = []
+        program = self._program("record")
+        for first in range(0, n_step, self._ring):
+            rows = min(self._ring, n_step - first)
+            self._state, rings = program(self._state, self._step, np.int32(rows))
+            self._step = np.uint32(self._step + rows)
+            host = jax.device_get(rings)
+            for kept, part in ((seen, "seen"), (counts, "counts")):
+                kept.append({name: ring[:rows] for name, ring in host[part].items()})
+        self._rows = _concatenated(counts)
+        return self._split(_concatenated(seen))
+
+    def evidence(self) -> Evidence:
+        """See Simulator.evidence. After ``step``, counts are made from the last step's state, outside the timed loop,
+        which counts nothing."""
+        import jax
+
+        rows = self._rows
+        if rows is None:
+            counted = jax.device_get(self._program("count")(self._state))
+            rows = {name: array[None] for name, array in counted.items()}
+            self._state = self._physics.forget(self._state)
+        return Evidence({name: array for name, array in rows.items() if name != OVERFLOW}, rows.get(OVERFLOW))
+
+    def applied(self) -> NDArray[np.float32] | None:
+        """See Simulator.applied."""
+        if self._draw is None or self._physics.applied is None:
+            return None
+        return np.asarray(self._physics.applied(self._state))
+
+    def allocator_bytes(self) -> tuple[int, int] | None:
+        """See Simulator.allocator_bytes."""
+        return jax_runtime.allocator_bytes(self._device)
+
+    def close(self) -> None:
+        """See Simulator.close."""
+        self._state = None
+        self._programs = {}
+
+
+def _concatenated(parts: list[dict[str, NDArray[Any]]]) -> dict[str, NDArray[Any]]:
+    if len(parts) == 1:
+        return parts[0]
+    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}

@@ -1,0 +1,44 @@
+"""MJX: MuJoCo in JAX, or in Warp kernels that JAX calls."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from recorder.simulators import mjx_physics
+from recorder.simulators.jax_simulator import Physics
+from recorder.simulators.mjx_physics import MjxModel, MjxOptions
+from recorder.simulators.mjx_simulator import MjxSimulator
+
+
+class Mjx(MjxSimulator):
+    """N environments: mjx.step, vmapped over a batched mjx.Data."""
+
+    Options = MjxOptions
+    name = "mjx"
+    distribution = "mujoco-mjx"
+    covers = "a compiled loop (jax.lax.fori_loop) of vmapped mjx.step over all environments"
+
+    def _physics_of(self, model: MjxModel, device: Any) -> Physics:
+        import jax
+        import jax.numpy as jnp
+        from mujoco import mjx
+
+        model_on_device = model.put(device)
+        step = jax.vmap(mjx.step, (None, 0))
+
+        def initial() -> Any:
+            data = model.first_data(device)
+            return jax.vmap(lambda _: data)(jnp.arange(self.n_env))
+
+        def advance(data: Any, actions: Any) -> Any:
+            return step(model_on_device, data if actions is None else data.replace(ctrl=actions))
+
+        return Physics(
+            initial=initial,
+            advance=advance,
+            observe=mjx_physics.observe,
+            count=model.count,
+            forget=lambda data: mjx_physics.forget(data, model.impl),
+            applied=lambda data: data.ctrl,
+            lazy=model.impl == "warp",
+        )

@@ -1,0 +1,84 @@
+"""Simulators whose state holds a batched mjx.Data."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from importlib import metadata
+from typing import Any, ClassVar
+
+from numpy.typing import NDArray
+
+from recorder.scenes.emit.mjcf import deviations
+from recorder.simulators import jax_runtime, mjx_physics
+from recorder.simulators.base import Description, States
+from recorder.simulators.jax_simulator import JaxSimulator, Physics
+from recorder.simulators.mjx_physics import MjxModel
+
+
+class MjxSimulator(JaxSimulator):
+    """N environments stepped by MJX. A subclass says how (``_physics_of``).
+
+    name          of the simulator
+    distribution  whose version it is
+    covers        what one timed call runs
+    """
+
+    name: ClassVar[str]
+    distribution: ClassVar[str]
+    covers: ClassVar[str]
+
+    def _load(self, device: Any) -> tuple[Physics, Description]:
+        impl = self._implementation()
+        with mjx_physics.refusals(impl):
+            model = self._model = mjx_physics.load(
+                self.scene, n_env=self.n_env, dt=self.dt, seed=self.seed, options=self.options, impl=impl
+            )
+            physics = self._physics_of(model, device)
+        actions = "" if self.scene.actions is None else "the actions of each step are made in it; "
+        return physics, Description(
+            version=metadata.version(self.distribution),
+            device=jax_runtime.name_of(device),
+            options=model.options(self.options, self.name),
+            switches={
+                **jax_runtime.switches(self.determinism),
+                "implementation": impl,
+                "mjx": metadata.version("mujoco-mjx"),
+                "mujoco": metadata.version("mujoco"),
+            },
+            deviations=deviations(self.scene),
+            fields=model.compiled.fields("float32"),
+            timing_covers=f"{self.covers}, until the device is done; {actions}nothing is copied or counted",
+            attachments=model.compiled.attachments,
+            buffers=model.buffers,
+            counters=model.counters,
+            overflow_bits=model.overflow_bits,
+        )
+
+    def _implementation(self) -> str:
+        """jax or warp."""
+        impl: str = self.options.impl
+        return impl
+
+    @abstractmethod
+    def _physics_of(self, model: MjxModel, device: Any) -> Physics:
+        """How the model is stepped on a jax.Device."""
+
+    def _program(self, name: str) -> Any:
+        with mjx_physics.refusals(self._model.impl):
+            return super()._program(name)
+
+    def _split(self, seen: dict[str, NDArray[Any]]) -> States:
+        fields: States = self._model.compiled.split(seen["qpos"], seen["qvel"])
+        return fields
+
+    def allocator_bytes(self) -> tuple[int, int] | None:
+        """See Simulator.allocator_bytes; with impl=warp, both allocators of the device, the sum of their peaks."""
+        found = super().allocator_bytes()
+        if found is None or self._model.impl != "warp":
+            return found
+        import warp as wp
+
+        from recorder.simulators import warp_runtime
+
+        also = warp_runtime.allocator_bytes(wp.device_from_jax(self._device)) or (0, 0)
+        return found[0] + also[0], found[1] + also[1]

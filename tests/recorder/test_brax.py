@@ -1,0 +1,129 @@
+"""Brax in particular, on the CPU; what every simulator must do is in the conformance suite."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from recorder.options import parse_options
+from recorder.scenes.base import Scene
+from recorder.scenes.franka import franka
+from recorder.scenes.inclined_collision import inclined_collision
+from recorder.simulators.base import Description, Simulator
+from schemas.errors import UsageError
+
+pytest.importorskip("brax")
+
+
+def make(scene: Scene, *, n_env: int = 2, **options: Any) -> Simulator:
+    """A simulator on the CPU, not built yet."""
+    from recorder.simulators.brax import Brax
+
+    parsed = parse_options("brax", Brax.Options, {"device": "cpu", **{k: str(v) for k, v in options.items()}})
+    return Brax(scene, n_env=n_env, dt=0.01, seed=0, options=parsed)
+
+
+def build(scene: Scene, **options: Any) -> tuple[Simulator, Description]:
+    """A built simulator on the CPU."""
+    simulator = make(scene, **options)
+    return simulator, simulator.build()
+
+
+def cubes(*names: str) -> Scene:
+    """Some cubes of the stack on the board."""
+    scene = inclined_collision()
+    return replace(scene, bodies=tuple(body for body in scene.bodies if body.name in ("board", *names)))
+
+
+PAIR = cubes("cube_0_0_0", "cube_0_0_1")
+
+
+def falling_ball(height: float) -> Scene:
+    """The steel ball above the board, its lowest point at `height` [m] over it."""
+    scene = inclined_collision()
+    board = next(body for body in scene.bodies if body.name == "board")
+    ball = next(body for body in scene.bodies if body.name == "ball")
+    centre = (board.position[0], board.position[1], 0.02 + ball.shape.radius + height)  # type: ignore[union-attr]
+    return replace(scene, bodies=(board, replace(ball, position=centre)))
+
+
+def bits(simulator: Simulator) -> int:
+    """All overflow bits of all rows and environments."""
+    evidence = simulator.evidence()
+    assert evidence is not None
+    assert evidence.overflow is not None
+    return int(np.bitwise_or.reduce(evidence.overflow, axis=None))
+
+
+def test_robots_are_refused() -> None:
+    """Say that there is no robot in Brax, instead of simulating another one."""
+    with pytest.raises(UsageError, match="franka"):
+        make(franka()).build()
+
+
+@pytest.mark.parametrize("options", [{"solver": "xpbd"}, {"collide_scale": 0}, {"solver_maxls": 0}])
+def test_options_that_there_are_not(options: dict[str, Any]) -> None:
+    """Refuse values that Brax has no meaning for."""
+    with pytest.raises(UsageError, match=next(iter(options))):
+        make(PAIR, **options)
+
+
+def test_materials_as_brax_takes_them() -> None:
+    """Give each shape its restitution, say what becomes of both frictions, record the options in force."""
+    simulator, description = build(PAIR, solver="spring", baumgarte_erp=0.2)
+    assert description.options["baumgarte_erp"] == 0.2
+    assert description.options["solver"] == "spring"
+    said = {deviation.parameter: deviation.used for deviation in description.deviations}
+    assert said["contact.friction_combination"] == "the larger coefficient of the two"
+    assert said["contact.restitution_combination"] == "the mean of the two coefficients"
+    materials = [body.material for body in PAIR.bodies]
+    assert {f"{material.name}.static_friction" for material in materials} <= set(said)
+    text = description.attachments["scene.xml"][1].decode()
+    elasticity = text.split('name="elasticity" data="')[1].split('"')[0]
+    assert elasticity.split() == [repr(material.restitution) for material in materials]
+    simulator.close()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("solver", ["positional", "spring"])
+def test_a_ball_bounces(solver: str) -> None:
+    """Leave the board with the mean of the two restitutions times the speed of the impact, within 15 %."""
+    scene = falling_ball(0.1)
+    simulator, description = build(scene, n_env=1, solver=solver)
+    names = [f.name for f in description.fields]
+    velocity = simulator.states(25)[names.index("ball/linear_velocity")][:, 0, 0, 2]
+    mean = sum(body.material.restitution for body in scene.bodies) / 2
+    assert velocity.max() / -velocity.min() == pytest.approx(mean, rel=0.15)
+
+
+@pytest.mark.slow
+def test_by_step_and_by_states() -> None:
+    """Reach the same bits by step, by states, in pieces of any size; count the contacts of the poses reached."""
+    stepped, description = build(PAIR, solver="spring")
+    stepped.compile("timed")
+    stepped.step(3)
+    stepped.step(4)
+    captured, _ = build(PAIR, solver="spring", ring=3)
+    captured.states(2)
+    rows = captured.states(5)
+    assert [a.tobytes() for a in stepped.state()] == [a[-1].tobytes() for a in rows]
+    ours, theirs = stepped.evidence(), captured.evidence()
+    assert ours is not None
+    assert theirs is not None
+    assert set(ours.counts) == {counter.name for counter in description.counters}
+    for name, counted in ours.counts.items():
+        assert counted[0].tolist() == theirs.counts[name][-1].tolist()
+    assert ours.counts["candidate_pairs"].tolist() == [[3, 3]]
+    assert bits(stepped) == bits(captured) == 0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("limits", "expected"), [({"max_geom_pairs": 2}, 0b01), ({"max_contact_points": 4}, 0b10)])
+def test_limits_that_may_have_dropped_something(limits: dict[str, int], expected: int) -> None:
+    """Set the bit of the limit of MJX's collision code that was reached at some step."""
+    simulator, _ = build(PAIR, n_env=1, solver="spring", **limits)
+    simulator.states(8)
+    assert bits(simulator) == expected

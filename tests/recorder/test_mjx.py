@@ -1,0 +1,317 @@
+"""MJX and MuJoCo Playground in particular, on the CPU; what every simulator must do is in the conformance suite.
+
+Scenes are as small as the question allows: XLA compiles for seconds for each.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import subprocess
+import sys
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from recorder.failure import Refused
+from recorder.options import parse_options
+from recorder.scenes.base import Scene
+from recorder.scenes.franka import franka
+from recorder.scenes.inclined_collision import inclined_collision
+from recorder.simulators.base import Description, Simulator
+from recorder.simulators.registry import find_simulator
+from schemas.errors import UsageError
+
+pytest.importorskip("jax")
+pytest.importorskip("mujoco.mjx")
+
+LEVELS = {
+    "default": "",
+    "no-autotune": "--xla_gpu_autotune_level=0",
+    "exclude-nondeterministic": "--xla_gpu_exclude_nondeterministic_ops=true",
+    "run-to-run": "--xla_gpu_deterministic_ops=true --xla_gpu_autotune_level=0",
+}
+
+
+def make(name: str, scene: Scene, *, n_env: int = 2, seed: int = 0, **options: Any) -> Simulator:
+    """A simulator on the CPU, not built yet."""
+    entry = find_simulator(name)
+    if entry.missing():
+        pytest.skip(f"{name} is not installed")
+    adapter = entry.load()
+    parsed = parse_options(name, adapter.Options, {"device": "cpu", **{k: str(v) for k, v in options.items()}})
+    return adapter(scene, n_env=n_env, dt=0.01, seed=seed, options=parsed)
+
+
+def build(name: str, scene: Scene, **options: Any) -> tuple[Simulator, Description]:
+    """A built simulator on the CPU."""
+    simulator = make(name, scene, **options)
+    return simulator, simulator.build()
+
+
+def cubes(*names: str) -> Scene:
+    """Some cubes of the stack on the board."""
+    scene = inclined_collision()
+    return replace(scene, bodies=tuple(body for body in scene.bodies if body.name in ("board", *names)))
+
+
+PAIR = cubes("cube_0_0_0", "cube_0_0_1")
+"""Two cubes, one on the other: eight contacts at rest, three pairs of boxes."""
+
+
+def counts(simulator: Simulator, name: str) -> list[list[int]]:
+    """What the simulator counts, [row][env]."""
+    evidence = simulator.evidence()
+    assert evidence is not None
+    rows: list[list[int]] = evidence.counts[name].tolist()
+    return rows
+
+
+def bits(simulator: Simulator) -> int:
+    """All overflow bits of all rows and environments."""
+    evidence = simulator.evidence()
+    assert evidence is not None
+    assert evidence.overflow is not None
+    return int(np.bitwise_or.reduce(evidence.overflow, axis=None))
+
+
+@pytest.mark.parametrize(("level", "flags"), LEVELS.items())
+def test_flags_of_a_level_are_xlas(level: str, flags: str) -> None:
+    """Ask for flags that XLA knows: it ends a process that has any other."""
+    adapter = find_simulator("mjx").load()
+    wanted = adapter.environment(adapter.Options(), level)
+    assert wanted.pop("XLA_PYTHON_CLIENT_PREALLOCATE") == "false"
+    assert wanted.get("XLA_FLAGS", "") == flags
+    assert set(adapter.determinism_levels) == set(LEVELS)
+    script = "import jax; print(int(jax.jit(lambda x: x + 1)(1)))"
+    done = subprocess.run(
+        [sys.executable, "-c", script], env={**os.environ, **wanted}, capture_output=True, text=True, timeout=300
+    )
+    assert (done.returncode, done.stdout) == (0, "2\n"), done.stderr
+
+
+def test_the_cpu_is_asked_for_before_jax_looks_for_others() -> None:
+    """Keep JAX from touching a GPU that nothing will run on."""
+    adapter = find_simulator("mjx").load()
+    assert adapter.environment(adapter.Options(device="cpu"), "default")["JAX_PLATFORMS"] == "cpu"
+    assert "JAX_PLATFORMS" not in adapter.environment(adapter.Options(), "default")
+
+
+@settings(max_examples=20, deadline=None)
+@given(seed=st.integers(0, 2**64 - 1), step=st.integers(0, 2**31 - 2), n_env=st.integers(1, 3))
+def test_targets_are_drawn_on_the_device(seed: int, step: int, n_env: int) -> None:
+    """Make on the device, bit for bit, the targets that the scene defines."""
+    from recorder.simulators.jax_actions import device_draw
+
+    actions = franka().actions
+    assert actions is not None
+    drawn = np.asarray(device_draw(actions, seed=seed, n_env=n_env)(np.uint32(step)))
+    assert drawn.tobytes() == actions.draw(seed, n_env=n_env, first_step=step, n_step=1)[0].tobytes()
+
+
+@pytest.mark.parametrize("options", [{"impl": "vulkan"}, {"cone": "round"}, {"njmax": -1}, {"device": "tpu"}])
+def test_options_that_there_are_not(options: dict[str, Any]) -> None:
+    """Refuse values that MJX has no meaning for."""
+    with pytest.raises(UsageError, match=next(iter(options))):
+        make("mjx", PAIR, **options)
+
+
+@pytest.mark.parametrize("options", [{"integrator": "implicit"}, {"solver": "PGS"}])
+def test_what_mjx_has_not_implemented_is_refused(options: dict[str, Any]) -> None:
+    """Say as an outcome, not as a crash, that the implementation in JAX lacks something."""
+    simulator = make("mjx", PAIR, n_env=1, **options)
+    with pytest.raises(Refused, match="impl=jax"):
+        simulator.build()
+        simulator.compile("timed")
+
+
+class TestJax:
+    """impl=jax: contacts are limited, and what the limits may have cost is counted."""
+
+    def test_the_cone_is_the_one_that_is_stable(self) -> None:
+        """Choose the cone by the implementation, unless it is given."""
+        adapter = find_simulator("mjx").load()
+        assert adapter.Options().physics("jax").cone == "pyramidal"
+        assert adapter.Options().physics("warp").cone == "elliptic"
+        assert adapter.Options(cone="elliptic").physics("jax").cone == "elliptic"
+
+    @pytest.mark.slow
+    def test_equals_a_plain_loop(self) -> None:
+        """Give the bits of vmapped mjx.step called by hand; by step, by states, in pieces of any size; and count four
+        contacts a face, four rows of a pyramid a contact, three pairs of boxes that could touch."""
+        import jax
+        import mujoco
+        from mujoco import mjx
+
+        simulator, description = build("mjx", PAIR, ring=3)
+        assert {b.name: b.asked for b in description.buffers} == {"max_geom_pairs": 32, "max_contact_points": 32}
+        assert all("MuJoCo C" in buffer.sized_by for buffer in description.buffers)
+        model = mujoco.MjModel.from_xml_string(description.attachments["scene.xml"][1].decode())
+        data = jax.vmap(lambda _: mjx.make_data(model))(np.arange(2))
+        step = jax.jit(jax.vmap(mjx.step, (None, 0)))
+        on_device = mjx.put_model(model)
+        for _ in range(11):
+            data = step(on_device, data)
+        first = simulator.state()
+        simulator.compile("timed")
+        assert [a.tobytes() for a in simulator.state()] == [a.tobytes() for a in first]
+        simulator.step(4)
+        simulator.step(7)
+        by_steps = simulator.state()
+        positions = np.asarray(data.qpos).reshape(2, 2, 7)[..., :3]
+        assert by_steps[0].tobytes() == np.ascontiguousarray(positions).tobytes()
+        expected = {"contacts": 8, "constraint_rows": 32, "candidate_pairs": 3}
+        for name, count in expected.items():
+            assert counts(simulator, name) == [[count, count]]
+        assert bits(simulator) == 0
+        other, _ = build("mjx", PAIR, ring=3)
+        other.states(4)
+        captured = other.states(7)
+        for name, count in expected.items():
+            assert counts(other, name)[3:] == [[count, count]] * 4
+        assert bits(other) == 0
+        assert captured[0].shape == (7, 2, 2, 3)
+        assert [a.tobytes() for a in by_steps] == [a[-1].tobytes() for a in captured]
+
+    @pytest.mark.slow
+    def test_limits_that_may_have_dropped_something(self) -> None:
+        """Set the bits of the limits that were reached."""
+        limits = {"max_geom_pairs": 2, "max_contact_points": 4}
+        simulator, description = build("mjx", PAIR, n_env=1, **limits)
+        assert {b.name: b.asked for b in description.buffers if b.sized_by == "asked for"} == limits
+        simulator.step(5)
+        assert bits(simulator) == 0b11
+
+    @pytest.mark.slow
+    @pytest.mark.parametrize(
+        ("pairs", "points", "contacts", "bit"), [(2, 100, 4, 0b01), (100, 8, 8, 0b10), (3, 9, 8, 0)]
+    )
+    def test_which_limit_was_reached(self, pairs: int, points: int, contacts: int, bit: int) -> None:
+        """Tell which limit was too small for two cubes a hair within each other and the board."""
+        import jax
+        from mujoco import mjx
+
+        from recorder.simulators import mjx_physics
+
+        options = find_simulator("mjx").load().Options(max_geom_pairs=pairs, max_contact_points=points)
+        model = mjx_physics.load(PAIR, n_env=1, dt=0.01, seed=0, options=options, impl="jax")
+        device = jax.devices("cpu")[0]
+        on_device, data = model.put(device), model.first_data(device)
+        data = data.replace(qpos=data.qpos.at[2].add(-1e-4).at[9].add(-2e-4))
+        data = jax.vmap(lambda _: data)(np.arange(1))
+        counted = jax.jit(lambda d: model.count(jax.vmap(mjx.fwd_position, (None, 0))(on_device, d)))(data)
+        assert counted["overflow"].tolist() == [bit]
+        assert counted["contacts"].tolist() == [contacts]
+        assert counted["constraint_rows"].tolist() == [4 * contacts]
+        assert counted["candidate_pairs"].tolist() == [3]
+
+    def test_a_dropped_pair_is_one_of_the_candidates(self) -> None:
+        """Count overlapping bounding spheres as MJX orders pairs by them."""
+        import jax.numpy as jnp
+        import mujoco
+
+        from recorder.simulators.mjcf_model import compile_scene
+        from recorder.simulators.mjx_caps import Certificate, choose
+
+        options = find_simulator("mjx").load().Options().physics("jax")
+        scene = cubes("cube_0_0_0", "cube_1_0_0", "cube_2_0_0")
+        compiled = compile_scene(scene, dt=0.01, options=options)
+        caps = choose(compiled, dt=0.01, seed=0, max_geom_pairs=1, max_contact_points=1)
+        certificate = Certificate(compiled.model, caps)
+        data = compiled.data()
+        radius = compiled.model.geom("cube_0_0_0").rbound[0]
+        neighbours = compiled.model.geom("cube_1_0_0").id, compiled.model.geom("cube_2_0_0").id
+        board = compiled.model.geom("board").id
+        assert data.geom_xpos[board].shape == (3,)
+        for apart, overlapping in ((1.99 * radius, True), (2.01 * radius, False)):
+            centres = data.geom_xpos.copy()
+            centres[neighbours[0]] = (100.0, 0.0, 0.0)
+            centres[neighbours[1]] = (100.0 + apart, 0.0, 0.0)
+            centres[compiled.model.geom("cube_0_0_0").id] = (-100.0, 0.0, 0.0)
+            found = certificate.candidates(jnp.asarray(centres, jnp.float32)[None])
+            assert found.tolist() == [int(overlapping)]
+        assert mujoco.mjtGeom.mjGEOM_BOX in compiled.model.geom_type
+
+
+class TestWarp:
+    """impl=warp: buffers overflow with a bit, in kernels that are built when they first run."""
+
+    @pytest.mark.slow
+    def test_by_step_and_by_states(self) -> None:
+        """Reach the same bits; building the kernels moves nothing."""
+        stepped, description = build("mjx", PAIR, impl="warp")
+        assert description.options["cone"] == "elliptic"
+        first = stepped.state()
+        stepped.compile("timed")
+        assert [a.tobytes() for a in stepped.state()] == [a.tobytes() for a in first]
+        stepped.step(11)
+        assert counts(stepped, "contacts") == [[8, 8]]
+        captured, _ = build("mjx", PAIR, impl="warp", ring=4)
+        captured.compile("capture")
+        captured.states(4)
+        rows = captured.states(7)
+        assert [a.tobytes() for a in stepped.state()] == [a[-1].tobytes() for a in rows]
+        assert counts(captured, "constraint_rows")[2:] == [[24, 24]] * 5
+        assert bits(captured) == 0
+
+    @pytest.mark.slow
+    @pytest.mark.parametrize(("option", "bit"), [({"naconmax": 4}, "NARROWPHASE"), ({"njmax": 12}, "NEFC")])
+    def test_a_buffer_that_is_too_small(self, option: dict[str, int], bit: str) -> None:
+        """Set the engine's bit at some step of many, keep it until it is asked for, forget it then."""
+        simulator, description = build("mjx", PAIR, n_env=1, impl="warp", **option)
+        numbers = {b.name: b.bit for b in description.overflow_bits if b.fatal}
+        assert "ITERATIONS" not in numbers
+        simulator.step(5)
+        assert bits(simulator) & 1 << numbers[bit]
+        assert bits(simulator) == 0
+        simulator.states(2)
+        assert bits(simulator) & 1 << numbers[bit]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "options"), [("mjx", {"impl": "warp"}), ("playground", {})])
+def test_actions_are_the_scenes(name: str, options: dict[str, str]) -> None:
+    """Hold at each step the targets of that step, counted over calls of any kind."""
+    scene = franka()
+    assert scene.actions is not None
+    simulator, _ = build(name, scene, seed=7, **options)
+    expected = scene.actions.draw(7, n_env=2, first_step=0, n_step=9)
+    done = 0
+    for count, advance in ((3, simulator.step), (4, simulator.states), (2, simulator.step)):
+        advance(count)
+        done += count
+        applied = simulator.applied()
+        assert applied is not None
+        assert applied.tobytes() == expected[done - 1].tobytes()
+
+
+@pytest.mark.slow
+def test_playground_steps_its_own_way_to_the_same_bits() -> None:
+    """Take the package's default implementation, and lead where MJX leads with it."""
+    environment, description = build("playground", PAIR)
+    assert description.options["impl"] == "warp"
+    plain, _ = build("mjx", PAIR, impl="warp")
+    for simulator in (environment, plain):
+        simulator.step(9)
+    pairs = zip(environment.state(), plain.state(), strict=True)
+    assert all(a.tobytes() == b.tobytes() for a, b in pairs)
+    assert counts(environment, "contacts") == [[8, 8]]
+
+
+def test_first_state_is_the_scenes() -> None:
+    """Start with the pose and the velocities that the scene gives, angular ones in the world frame."""
+    half = math.sqrt(0.5)
+    body = replace(
+        PAIR.bodies[1],
+        orientation=(half, half, 0.0, 0.0),
+        linear_velocity=(1.0, 2.0, 3.0),
+        angular_velocity=(0.1, 0.2, 0.3),
+    )
+    simulator, description = build("mjx", replace(PAIR, bodies=(PAIR.bodies[0], body)), n_env=3)
+    for layout, array in zip(description.fields, simulator.state(), strict=True):
+        assert array.dtype == np.float32
+        assert np.allclose(array, getattr(body, layout.field), atol=1e-6)
