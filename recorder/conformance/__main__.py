@@ -1,0 +1,128 @@
+"""``python -m recorder.conformance --sim NAME``: all checks of one adapter, a line each."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+import time
+from contextlib import redirect_stdout
+from dataclasses import asdict, dataclass
+
+from recorder.conformance import CHECKS, Check, NotApplicable, Subject
+from recorder.options import split_options
+from recorder.output import show
+from schemas.errors import ExitCode, GsbError, UsageError
+
+_EPILOG = """\
+exit codes:
+  0  no check failed
+  1  a check failed
+  2  the command asks for something that cannot be, such as an option that the simulator does not have
+
+examples:
+  python -m recorder.conformance --sim mujoco
+  python -m recorder.conformance --sim mujoco --option cone=pyramidal --json
+"""
+
+OK, FAILED, SKIPPED = "ok", "failed", "skipped"
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What one check found.
+
+    outcome  ok, failed or skipped
+    why      empty where ok
+    seconds  that the check took, builds that it was the first to need included
+    """
+
+    check: str
+    outcome: str
+    why: str
+    seconds: float
+
+    def line(self) -> str:
+        """For people."""
+        if self.outcome == OK:
+            return f"{OK:<7} {self.check}"
+        return f"{self.outcome.upper() if self.outcome == FAILED else self.outcome:<7} {self.check}: {self.why}"
+
+
+def judge(check: Check, subject: Subject) -> Verdict:
+    """Make one check. UsageError where the adapter does not take the conformance scene or its options."""
+    began = time.perf_counter()
+    outcome, why = OK, ""
+    try:
+        with redirect_stdout(sys.stderr):  # what engines print is no result
+            check(subject)
+    except NotApplicable as reason:
+        outcome, why = SKIPPED, str(reason)
+    except AssertionError as error:
+        outcome, why = FAILED, str(error) or "an assertion failed"
+    except UsageError:
+        raise
+    except Exception as error:
+        outcome, why = FAILED, f"{type(error).__name__}: {error}"
+    return Verdict(check.__name__, outcome, " ".join(why.split()), round(time.perf_counter() - began, 3))
+
+
+def parser() -> argparse.ArgumentParser:
+    """The command's arguments."""
+    p = argparse.ArgumentParser(
+        prog="python -m recorder.conformance",
+        description="Check a simulator's adapter against the contract, formulas and itself.",
+        epilog=_EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    p.add_argument("--sim", required=True, metavar="NAME", help="simulator, as gsb-record --list shows it")
+    p.add_argument("--option", action="append", default=[], metavar="NAME=VALUE", help="of the simulator; repeatable")
+    p.add_argument("--determinism", default="default", metavar="LEVEL", help="of the simulator (default: %(default)s)")
+    p.add_argument("--json", action="store_true", help="print the results as JSON on standard output, at the end")
+    return p
+
+
+def run(given: list[str]) -> int:
+    """Do what the arguments say; returns the exit code. Errors as of schemas.errors."""
+    arguments = parser().parse_args(given)
+    subject = Subject.named(arguments.sim, split_options(arguments.option), arguments.determinism)
+    verdicts = []
+    for check in CHECKS:
+        verdict = judge(check, subject)
+        verdicts.append(verdict)
+        if not arguments.json:
+            show(verdict.line())
+    tally = {outcome: sum(v.outcome == outcome for v in verdicts) for outcome in (OK, FAILED, SKIPPED)}
+    if arguments.json:
+        what = {"simulator": arguments.sim, "options": subject.given, "determinism": arguments.determinism}
+        show(json.dumps({"schema_version": 1, **what, "checks": [asdict(v) for v in verdicts]}, indent=1))
+    else:
+        show(f"{subject.name}: " + ", ".join(f"{count} {outcome}" for outcome, count in tally.items()))
+    return int(ExitCode.FAILURE if tally[FAILED] else ExitCode.OK)
+
+
+def _take_standard_output() -> None:
+    # Engines print below Python's streams, too: results keep the real standard output, all else goes where errors go.
+    sys.stdout.flush()
+    sys.stdout = os.fdopen(os.dup(1), "w", encoding=sys.stdout.encoding)
+    os.dup2(2, 1)
+
+
+def main() -> int:
+    """Entry point."""
+    try:
+        _take_standard_output()
+        return run(sys.argv[1:])
+    except GsbError as error:
+        sys.stderr.write(f"recorder.conformance: {error}\n")
+        return int(error.exit_code)
+    except BrokenPipeError:
+        return int(ExitCode.FAILURE)
+    except KeyboardInterrupt:
+        sys.stderr.write("recorder.conformance: interrupted\n")
+        return int(ExitCode.FAILURE)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,80 @@
+"""All checks, in the order of the questions that a new adapter meets: cheap ones first, formulas before recordings."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from recorder.conformance.checks.actions import actions_are_those_drawn
+from recorder.conformance.checks.agreement import captured_states_stay, step_and_states_agree
+from recorder.conformance.checks.description import (
+    buffers_are_measured,
+    class_keeps_the_contract,
+    layout_is_as_the_format_asks,
+    says_what_it_is,
+)
+from recorder.conformance.checks.evidence import (
+    buffers_are_larger_than_what_they_held,
+    contacts_change_when_a_pebble_lands,
+    contacts_hold_up_the_stack,
+    counts_agree_step_by_step,
+    evidence_has_a_row_for_every_step,
+    gates_stay_silent,
+    overflow_stays_silent,
+)
+from recorder.conformance.checks.importing import importing_needs_no_engine
+from recorder.conformance.checks.motion import (
+    angular_velocity_is_in_the_world_frame,
+    ball_rolls_down_the_slope,
+    free_flight_follows_gravity,
+    quaternions_are_normalised,
+    stack_at_rest_stays,
+    states_are_finite,
+    turns_counter_clockwise,
+)
+from recorder.conformance.checks.recorded import (
+    recording_says_what_it_is_of,
+    run_is_recorded_whole,
+    timed_steps_lead_where_captured_ones_do,
+)
+from recorder.conformance.checks.start import (
+    compile_moves_nothing,
+    envs_start_alike,
+    first_state_is_the_scenes,
+    registered_scenes_start_as_described,
+)
+from recorder.conformance.subject import Subject
+
+Check = Callable[[Subject], None]
+"""Returns where all is well; AssertionError says what was expected and found, NotApplicable why it cannot be asked."""
+
+CHECKS: tuple[Check, ...] = (
+    importing_needs_no_engine,
+    class_keeps_the_contract,
+    says_what_it_is,
+    layout_is_as_the_format_asks,
+    first_state_is_the_scenes,
+    envs_start_alike,
+    registered_scenes_start_as_described,
+    compile_moves_nothing,
+    states_are_finite,
+    quaternions_are_normalised,
+    turns_counter_clockwise,
+    angular_velocity_is_in_the_world_frame,
+    free_flight_follows_gravity,
+    stack_at_rest_stays,
+    ball_rolls_down_the_slope,
+    gates_stay_silent,
+    evidence_has_a_row_for_every_step,
+    overflow_stays_silent,
+    contacts_hold_up_the_stack,
+    contacts_change_when_a_pebble_lands,
+    buffers_are_measured,
+    buffers_are_larger_than_what_they_held,
+    captured_states_stay,
+    step_and_states_agree,
+    counts_agree_step_by_step,
+    actions_are_those_drawn,
+    run_is_recorded_whole,
+    recording_says_what_it_is_of,
+    timed_steps_lead_where_captured_ones_do,
+)

@@ -1,0 +1,99 @@
+"""The state that a simulator begins with."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from recorder.conformance.checks.description import expect_layout
+from recorder.conformance.subject import Subject
+from recorder.conformance.verdict import NotApplicable, expect, expect_close
+from recorder.scenes.base import Scene
+from recorder.scenes.registry import make_scene
+from recorder.simulators.base import Description, States
+from schemas.errors import UsageError
+from schemas.fields import StateField
+
+_TOLERANCE = 2e-6  # absolute and relative: a few roundings of float32
+_ENVS = 2
+
+
+def first_state_is_the_scenes(subject: Subject) -> None:
+    """Positions, orientations (wxyz) and velocities after build are those of the conformance scene."""
+    trajectory = subject.trajectory
+    _expect_first_state(trajectory.scene, trajectory.description, trajectory.described)
+
+
+def envs_start_alike(subject: Subject) -> None:
+    """All environments begin with the same bits, but for positions where they have origins of their own."""
+    trajectory = subject.trajectory
+    apart = bool(trajectory.description.env_origins)
+    for layout, array in zip(trajectory.description.fields, trajectory.described, strict=True):
+        if apart and layout.field == "position":
+            continue  # rounded differently at each origin; held to the scene by first_state_is_the_scenes
+        for env in range(1, trajectory.n_env):
+            expect(
+                array[env].tobytes() == array[0].tobytes(),
+                f"{layout.name} of envs {env} and 0 starts differently, by {np.abs(array[env] - array[0]).max():.2g}",
+            )
+
+
+def compile_moves_nothing(subject: Subject) -> None:
+    """compile leaves the state as build made it, bit for bit."""
+    trajectory = subject.trajectory
+    for layout, before, after in zip(
+        trajectory.description.fields, trajectory.described, trajectory.compiled, strict=True
+    ):
+        expect(
+            before.tobytes() == after.tobytes(), f"compile changes {layout.name}, by {np.abs(after - before).max():.2g}"
+        )
+
+
+def registered_scenes_start_as_described(subject: Subject) -> None:
+    """Every scene that the registry promises builds, with the layout and the first state that it describes."""
+    built = 0
+    for name in subject.scenes:
+        scene = make_scene(name)
+        try:
+            with subject.built(scene, n_env=_ENVS) as (simulator, description):
+                state = tuple(np.array(array) for array in simulator.state())
+        except UsageError as error:
+            expect(not subject.promises_scenes, f"scene {name} is promised by the registry and refused: {error}")
+            continue
+        built += 1
+        try:
+            expect_layout(subject, scene, description, state, _ENVS)
+            _expect_first_state(scene, description, state)
+        except AssertionError as error:
+            raise AssertionError(f"scene {name}: {error}") from None
+    if not built:
+        raise NotApplicable("the adapter simulates none of the registered scenes")
+
+
+def _expect_first_state(scene: Scene, description: Description, state: States) -> None:
+    for layout, array in zip(description.fields, state, strict=True):
+        expected = _described(scene, layout)
+        if layout.field == "position" and description.env_origins:
+            expected = expected + np.array(description.env_origins)[:, None]
+        found = array[None]  # one step
+        if layout.field == "orientation":  # a quaternion and its negative are one orientation
+            found = found * np.where(np.sum(found * expected, axis=-1, keepdims=True) < 0, -1.0, 1.0)
+        for index, item in enumerate(layout.items):
+            expect_close(
+                found[:, :, index],
+                np.broadcast_to(expected, array.shape)[None, :, index],
+                atol=_TOLERANCE,
+                rtol=_TOLERANCE,
+                what=f"first {layout.field} of {item}",
+                unit=layout.unit,
+            )
+
+
+def _described(scene: Scene, layout: StateField) -> NDArray[np.float64]:
+    if layout.field == "qpos":
+        assert scene.robot is not None
+        return np.array(scene.robot.start)[:, None]
+    if layout.field == "qvel":
+        return np.zeros((len(layout.items), 1))
+    bodies = {body.name: body for body in scene.moving()}
+    return np.array([getattr(bodies[item], layout.field) for item in layout.items])

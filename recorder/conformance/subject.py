@@ -1,0 +1,230 @@
+"""The adapter under check. What several checks need is made once and kept: few builds, whatever a build costs."""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+import uuid
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+
+from recorder.conformance.recording import RecordedRun, read
+from recorder.conformance.scene import DT, LANDING, N_ENV, N_STEP, conformance_scene
+from recorder.conformance.trajectory import Trajectory
+from recorder.environment import apply_environment
+from recorder.options import parse_options
+from recorder.scenes.base import Scene
+from recorder.scenes.registry import SCENES
+from recorder.simulators.base import Description, Simulator, States
+from recorder.simulators.evidence import Evidence
+from recorder.simulators.registry import Entry, find_simulator
+from schemas.configuration import RunConfiguration
+from schemas.errors import UsageError
+
+SEED = (3 << 32) + 7
+"""Of every build: both of its 32-bit words count."""
+
+_BLOCKS = (30, N_STEP - 30)  # of states: of different sizes, as a recording's last block is
+_STEPS = (*(1 for _ in range(LANDING + 5)), N_STEP - LANDING - 5)  # of step: one by one until the counts have changed
+
+_T = TypeVar("_T")
+
+
+@dataclass(frozen=True)
+class Stepped:
+    """A build of the conformance scene that was stepped without asking for states.
+
+    state     after N_STEP steps, arrays [env, item, width]
+    evidence  what evidence() returned after each of the first steps, which were made one by one, and at the end
+    gates     that fired
+    """
+
+    state: States
+    evidence: tuple[Evidence | None, ...]
+    gates: tuple[str, ...]
+
+
+class Subject:
+    """An adapter with the options and the determinism level that it is checked with.
+
+    adapter      the class
+    name         what users call it
+    options      as text, by name
+    determinism  one of the adapter's levels
+    entry        what the registry says of it; None for an adapter that is not registered
+
+    UsageError for an option or a level that the adapter does not have. Sets the environment variables that the adapter
+    asks for; an engine that is imported already no longer heeds them.
+    """
+
+    def __init__(
+        self,
+        adapter: type[Simulator],
+        *,
+        name: str = "",
+        options: Mapping[str, str] | None = None,
+        determinism: str = "default",
+        entry: Entry | None = None,
+    ) -> None:
+        self.adapter = adapter
+        self.name = name or adapter.__name__
+        self.given = dict(options or {})
+        self.options: Any = parse_options(self.name, adapter.Options, self.given)
+        self.determinism = determinism
+        self.entry = entry
+        if determinism not in adapter.determinism_levels:
+            raise UsageError(
+                f"simulator '{self.name}' has no determinism level '{determinism}'; "
+                f"it has: {', '.join(adapter.determinism_levels)}"
+            )
+        apply_environment(adapter.environment(self.options, determinism))
+        self._kept: dict[str, tuple[Any, Exception | None]] = {}
+
+    @classmethod
+    def named(cls, name: str, options: Mapping[str, str] | None = None, determinism: str = "default") -> Subject:
+        """The simulator of that name, built in or added by an installed distribution. UsageError as of the registry."""
+        entry = find_simulator(name)
+        return cls(entry.load(), name=name, options=options, determinism=determinism, entry=entry)
+
+    @contextmanager
+    def built(self, scene: Scene, *, n_env: int = N_ENV) -> Iterator[tuple[Simulator, Description]]:
+        """A fresh build of a scene, at the scene's step; closed at the end."""
+        simulator = self.adapter(
+            scene, n_env=n_env, dt=scene.dt, seed=SEED, options=self.options, determinism=self.determinism
+        )
+        try:
+            yield simulator, simulator.build()
+        finally:
+            simulator.close()
+
+    @property
+    def scenes(self) -> tuple[str, ...]:
+        """Registered scenes that the adapter may simulate: those it promises, or all where it does not say."""
+        return self.entry.scenes if self.entry and self.entry.scenes else tuple(SCENES)
+
+    @property
+    def promises_scenes(self) -> bool:
+        """Whether the registry says which scenes the adapter simulates."""
+        return bool(self.entry and self.entry.scenes)
+
+    @property
+    def trajectory(self) -> Trajectory:
+        """The conformance scene, captured."""
+        return self._once("trajectory", self._capture)
+
+    @property
+    def repeated(self) -> Trajectory:
+        """The same in another build, to see whether two are the same."""
+        return self._once("repeated", self._capture)
+
+    @property
+    def stepped(self) -> Stepped:
+        """The conformance scene in another build, stepped without being captured."""
+        return self._once("stepped", self._step)
+
+    @property
+    def recording(self) -> RecordedRun:
+        """A short run of the first of `scenes`, recorded by a process of its own and read back."""
+        return self._once("recording", self._record)
+
+    def _once(self, name: str, make: Callable[[], _T]) -> _T:
+        # what fails, fails for every check that needs it, without being tried again
+        if name not in self._kept:
+            try:
+                self._kept[name] = make(), None
+            except Exception as trouble:
+                self._kept[name] = None, trouble
+        value, error = self._kept[name]
+        if error is not None:
+            raise error
+        made: _T = value
+        return made
+
+    def _capture(self) -> Trajectory:
+        scene = conformance_scene()
+        with self.built(scene) as (simulator, description):
+            described = _copy(simulator.state())
+            simulator.compile("capture")
+            compiled = _copy(simulator.state())
+            rows, evidence = [tuple(array[np.newaxis] for array in compiled)], []
+            given: list[States] = []
+            for count in _BLOCKS:
+                simulator.prepare(None)
+                given.append(simulator.states(count))
+                rows.append(_copy(given[-1]))
+                evidence.append(_copy_evidence(simulator.evidence()))
+            return Trajectory(
+                scene,
+                N_ENV,
+                DT,
+                description,
+                described,
+                compiled,
+                tuple(np.concatenate(field) for field in zip(*rows, strict=True)),
+                given[0],
+                _BLOCKS,
+                tuple(evidence),
+                tuple(simulator.gates()),
+                simulator.allocator_bytes(),
+            )
+
+    def _step(self) -> Stepped:
+        with self.built(conformance_scene()) as (simulator, _):
+            simulator.compile("timed")
+            simulator.prepare(None)
+            evidence = []
+            for count in _STEPS:
+                simulator.step(count)
+                evidence.append(_copy_evidence(simulator.evidence()))
+            return Stepped(_copy(simulator.state()), tuple(evidence), tuple(simulator.gates()))
+
+    def _record(self) -> RecordedRun:
+        from recorder.launch import Interruptions, launch
+        from recorder.plan import reserve, utc_now
+
+        configuration = RunConfiguration(
+            simulator=self.name,
+            scene=self.scenes[0],
+            n_env=2,
+            dt=SCENES[self.scenes[0]]().dt,
+            steps=4,
+            warmup=1,
+            timed_steps=3,
+            seed=SEED,
+            options=self.given,
+            determinism=self.determinism,
+        )
+        folder, created = Path(tempfile.mkdtemp(prefix="gsb-conformance-")), utc_now()
+        try:
+            with Interruptions() as interruptions:
+                result = launch(
+                    configuration,
+                    reserve(folder, configuration, created),
+                    run_id=str(uuid.uuid4()),
+                    created=created,
+                    argv=("python", "-m", "recorder.conformance", "--sim", self.name),
+                    progress=lambda phase, done, of: None,
+                    interruptions=interruptions,
+                )
+            if interruptions.count:
+                raise KeyboardInterrupt
+            return read(configuration, result)
+        finally:
+            shutil.rmtree(folder, ignore_errors=True)
+
+
+def _copy(state: States) -> States:
+    return tuple(np.array(array) for array in state)
+
+
+def _copy_evidence(evidence: Evidence | None) -> Evidence | None:
+    # it is written as soon as it is given, so an engine may use the same memory again
+    if evidence is None:
+        return None
+    counts = {name: np.array(rows) for name, rows in evidence.counts.items()}
+    return Evidence(counts, None if evidence.overflow is None else np.array(evidence.overflow))

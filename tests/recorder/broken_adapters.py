@@ -1,0 +1,338 @@
+"""MuJoCo C with one defect each; what is wrong with an adapter is its docstring."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from recorder.conformance.rotation import turn_between
+from recorder.simulators.counters import CONTACTS
+from recorder.simulators.evidence import Evidence
+from recorder.simulators.mujoco_c import MujocoC
+from schemas.errors import UsageError
+from schemas.provenance import Buffer, Counter, OverflowBit
+
+
+class Spoiled(MujocoC):
+    """MuJoCo C whose states all pass through `spoil`: field, array [..., env, item, width], step of each row."""
+
+    def spoil(self, field: Any, array: Any, step: Any) -> Any:
+        return array
+
+    def build(self):
+        description = super().build()
+        self.done, self.fields = 0, description.fields
+        return description
+
+    def step(self, n_step):
+        super().step(n_step)
+        self.done += n_step
+
+    def state(self):
+        return tuple(self.spoil(f, a, self.done) for f, a in zip(self.fields, super().state(), strict=True))
+
+    def states(self, n_step):
+        steps = self.done + np.arange(1, n_step + 1).reshape(-1, 1, 1, 1)
+        arrays = super().states(n_step)
+        return tuple(self.spoil(f, a, steps) for f, a in zip(self.fields, arrays, strict=True))
+
+
+class Xyzw(Spoiled):
+    """Gives quaternions xyzw."""
+
+    def spoil(self, field, array, step):
+        return np.roll(array, -1, axis=-1) if field.field == "orientation" else array
+
+
+class BodyFrame(MujocoC):
+    """Gives angular velocities as MuJoCo holds them: in the body's frame."""
+
+    def state(self):
+        return self.raw(super().state(), np.asarray(self._qvel))
+
+    def states(self, n_step):
+        rows = []
+        for _ in range(n_step):
+            self.step(1)
+            rows.append(tuple(np.array(a) for a in self.state()))
+        return tuple(np.stack(column) for column in zip(*rows, strict=True))
+
+    def raw(self, state, qvel):
+        state = list(state)
+        for k, (_, at) in enumerate(self._compiled._groups):
+            state[4 * k + 3] = qvel[..., at][..., 3:]
+        return tuple(state)
+
+
+class LeftHanded(Spoiled):
+    """Turns the wrong way about the axis that it reports."""
+
+    def spoil(self, field, array, step):
+        if field.field != "orientation":
+            return array
+        bodies = {body.name: body for body in self.scene.moving()}
+        start = np.array([bodies[item].orientation for item in field.items])
+        half = turn_between(start, array) / -2
+        angle = np.linalg.norm(half, axis=-1, keepdims=True)
+        unit = np.divide(half, angle, out=np.zeros_like(half), where=angle > 0)
+        scalar, vector = np.cos(angle), unit * np.sin(angle)
+        return np.concatenate(
+            [
+                scalar * start[..., :1] - np.sum(vector * start[..., 1:], axis=-1, keepdims=True),
+                scalar * start[..., 1:] + start[..., :1] * vector + np.cross(vector, start[..., 1:]),
+            ],
+            axis=-1,
+        )
+
+
+class Unnormalised(Spoiled):
+    """Lets quaternions grow."""
+
+    def spoil(self, field, array, step):
+        return array * (1 + 1e-5 * np.asarray(step)) if field.field == "orientation" else array
+
+
+class Weightless(MujocoC):
+    """Leaves gravity out."""
+
+    def __init__(self, scene, **keywords):
+        super().__init__(replace(scene, gravity=(0.0, 0.0, 0.0)), **keywords)
+
+
+class StandardGravity(MujocoC):
+    """Uses the standard's 9.80665 m/s2 instead of the scene's 9.81."""
+
+    def __init__(self, scene, **keywords):
+        super().__init__(replace(scene, gravity=(0.0, 0.0, -9.80665)), **keywords)
+
+
+class Drifting(Spoiled):
+    """Lets cubes creep by 0.1 mm a step."""
+
+    def spoil(self, field, array, step):
+        creep = 1e-4 * np.asarray(step) * np.array([1.0, 0.0, 0.0])
+        return array + creep if field.name == "cubes/position" else array
+
+
+class NotANumber(Spoiled):
+    """Has a velocity that is no number at step 20."""
+
+    def spoil(self, field, array, step):
+        return np.where(np.asarray(step) == 20, np.nan, array) if field.name == "flying/linear_velocity" else array
+
+
+class StepsWhileBuilding(MujocoC):
+    """Gives the state after one step as the first one."""
+
+    def build(self):
+        description = super().build()
+        super().step(1)
+        return description
+
+
+class StepsWhileCompiling(MujocoC):
+    """Makes a step to compile it."""
+
+    def compile(self, phase):
+        super().step(1)
+
+
+class EnvsApart(Spoiled):
+    """Lets environments begin differently, by less than anybody would see."""
+
+    def spoil(self, field, array, step):
+        return array + 1e-9 * np.arange(array.shape[-3])[:, None, None] if field.field == "position" else array
+
+
+class OtherUnit(MujocoC):
+    """Declares degrees."""
+
+    def build(self):
+        description = super().build()
+        fields = (replace(f, unit="deg/s") if f.field == "angular_velocity" else f for f in description.fields)
+        return replace(description, fields=tuple(fields))
+
+
+class OtherDtype(Spoiled):
+    """Declares float64 and gives float32."""
+
+    def spoil(self, field, array, step):
+        return array.astype(np.float32)
+
+
+class OtherOrder(MujocoC):
+    """Names the bodies in another order than the scene."""
+
+    def build(self):
+        description = super().build()
+        return replace(description, fields=tuple(replace(f, items=f.items[::-1]) for f in description.fields))
+
+
+class Silent(MujocoC):
+    """Does not say what its clocks cover."""
+
+    def build(self):
+        return replace(super().build(), timing_covers="")
+
+
+class HidesAnOption(MujocoC):
+    """Does not say which cone it uses."""
+
+    def build(self):
+        description = super().build()
+        return replace(description, options={k: v for k, v in description.options.items() if k != "cone"})
+
+
+class NoDefaultLevel(MujocoC):
+    """Cannot be left as the engine ships."""
+
+    determinism_levels = {"strict": "everything"}
+
+
+@dataclass(frozen=True)
+class NeedsAnOption:
+    """Options of which one must be given."""
+
+    colour: str
+
+
+class NoDefaultOption(MujocoC):
+    """Cannot be made without options."""
+
+    Options = NeedsAnOption
+
+
+class Gated(MujocoC):
+    """Finds something wrong."""
+
+    def gates(self):
+        return ["contacts were dropped"]
+
+
+class Counting(MujocoC):
+    """Declares and counts as it is told."""
+
+    counters: tuple[Counter, ...] = (CONTACTS, Counter("constraint_rows", "rows"))
+    buffers: tuple[Buffer, ...] = ()
+    bits: tuple[OverflowBit, ...] = ()
+    mask = 0
+
+    def build(self):
+        described = super().build()
+        return replace(described, counters=self.counters, buffers=self.buffers, overflow_bits=self.bits)
+
+    def counted(self, counts):
+        return counts
+
+    def evidence(self):
+        counts = self.counted(super().evidence().counts)
+        some = next(iter(counts.values()))
+        return Evidence(counts, np.full(some.shape, self.mask, dtype=np.uint32) if self.bits else None)
+
+
+class MisnamedCounter(Counting):
+    """Counts under another name than it declares."""
+
+    counters = (CONTACTS, Counter("rows", "constraint rows"))
+
+
+class TooFewRows(Counting):
+    """Counts the last step only."""
+
+    def counted(self, counts):
+        return {name: rows[-1:] for name, rows in counts.items()}
+
+
+class NoContacts(Counting):
+    """Loses the contacts of the stack."""
+
+    def counted(self, counts):
+        return {**counts, "contacts": counts["contacts"] - 8}
+
+
+class StaleCounts(Counting):
+    """Gives the counts of the last step for every step."""
+
+    def counted(self, counts):
+        return {name: np.repeat(rows[-1:], len(rows), axis=0) for name, rows in counts.items()}
+
+
+class LateCounts(Counting):
+    """Gives, for states, the counts of the step before."""
+
+    def counted(self, counts):
+        return {name: np.roll(rows, 1, axis=0) for name, rows in counts.items()}
+
+
+class Overflowing(Counting):
+    """Drops contacts."""
+
+    bits = (OverflowBit(3, "NARROWPHASE", fatal=True), OverflowBit(9, "ITERATIONS", fatal=False))
+    mask = 1 << 3
+
+
+class UnknownBit(Overflowing):
+    """Sets a bit that it does not declare."""
+
+    mask = 1 << 5
+
+
+class FullBuffer(Counting):
+    """Has a buffer that is as large as what was needed."""
+
+    buffers = (Buffer("nconmax", 10, "env", CONTACTS.name, "guessed"),)
+
+
+class UnmeasuredBuffer(Counting):
+    """Does not say where a buffer's size comes from."""
+
+    buffers = (Buffer("nconmax", 100, "env", CONTACTS.name),)
+
+
+class StepsOtherwise(Spoiled):
+    """Captures something else than it steps."""
+
+    def states(self, n_step):
+        return tuple(array + 1e-12 for array in super().states(n_step))
+
+
+class Overwriting(MujocoC):
+    """Captures into the same memory again and again."""
+
+    memory: Any = None
+
+    def states(self, n_step):
+        arrays = super().states(n_step)
+        if self.memory is None:
+            self.memory = tuple(np.array(array) for array in arrays)
+        for kept, array in zip(self.memory, arrays, strict=True):
+            kept[:n_step] = array
+        return tuple(array[:n_step] for array in self.memory)
+
+
+class OtherActions(MujocoC):
+    """Applies the targets of the step before."""
+
+    def prepare(self, actions):
+        super().prepare(None if actions is None else np.roll(actions, 1, axis=0))
+
+
+class FirstEnvOnly(MujocoC):
+    """Gives all environments the first one's targets, and does not tell."""
+
+    def prepare(self, actions):
+        super().prepare(None if actions is None else np.repeat(actions[:, :1], self.n_env, axis=1))
+
+    def applied(self):
+        return None
+
+
+class Choosy(MujocoC):
+    """Promises free-fall and refuses it."""
+
+    def build(self):
+        if self.scene.name == "free-fall":
+            raise UsageError("no planes")
+        return super().build()
