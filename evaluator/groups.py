@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -108,6 +108,7 @@ def key_of(recording: Recording) -> GroupKey:
     c = recording.configuration
     simulation = recording.simulation
     timed = "timed" in c.phases
+    conditions = _conditions(recording)
     return GroupKey(
         simulator=c.simulator,
         version=simulation.version if simulation else "",
@@ -120,13 +121,17 @@ def key_of(recording: Recording) -> GroupKey:
         warmup=c.warmup if timed else 0,
         timed_steps=c.timed_steps if timed else 0,
         determinism=c.determinism,
-        options=_canonical(simulation.options if simulation else c.options),
-        switches=_canonical(simulation.switches) if simulation else "",
-        conditions=_canonical(_conditions(recording)),
+        options=_canonical(_without(simulation.options if simulation else c.options, _CARRYING)),
+        # the level that was asked for has a place of its own, and so have the versions of packages
+        switches=_canonical(_without(simulation.switches, ("determinism", *conditions))) if simulation else "",
+        conditions=_canonical(conditions),
         layout=_canonical({f.name: [f.dtype, f.frame, len(f.items), f.width] for f in recording.fields}),
         origins=json.dumps(simulation.env_origins if simulation else []),
     )
 
+
+# rows that wait on the device to be read, which are fewer where environments are many: they change no number
+_CARRYING = ("ring",)
 
 # which devices are visible is said by the device; these packages carry numbers and do not compute them
 _NOT_NUMERIC = ("CUDA_VISIBLE_DEVICES", "NVIDIA_VISIBLE_DEVICES", "mcap", "protobuf")
@@ -138,7 +143,11 @@ def _conditions(recording: Recording) -> dict[str, Any]:
     found = {**provenance.environment, **(packages if isinstance(packages, dict) else {})}
     if provenance.gpus:
         found["driver"] = provenance.gpus[0].get("driver", "")
-    return {name: value for name, value in found.items() if name not in _NOT_NUMERIC}
+    return _without(found, _NOT_NUMERIC)
+
+
+def _without(settings: Mapping[str, Any], names: Collection[str]) -> dict[str, Any]:
+    return {name: value for name, value in settings.items() if name not in names}
 
 
 def group(recordings: Sequence[Recording]) -> list[Group]:
@@ -169,18 +178,19 @@ def asked(recording: Recording) -> GroupKey:
 
 
 def labels(keys: Sequence[GroupKey], given: Collection[str] = ()) -> list[str]:
-    """A short unique name for each key: the simulator, and what tells it from the others of that simulator.
+    """A short unique name for each key: the simulator, and what tells it from its others in the same scene.
 
-    What a user chose comes first. Settings that nobody chose are named only where nothing else tells two keys apart:
-    most of them follow from a choice, a machine or a level of determinism.
+    The scene is named where two scenes would have the same name otherwise. What a user chose comes first. Settings that
+    nobody chose are named only where nothing else tells two keys apart: most of them follow from a choice, a machine or
+    a level of determinism.
 
     given  names of the options that a user gave for any of them
     """
-    named = []
+    telling_parts = []
     for one in keys:
         # a run that failed before it was built knows only what was asked, and would make every default stand out
         built = [key for key in keys if key.version or not one.version]
-        rivals = [key for key in built if key.simulator == one.simulator and key is not one]
+        rivals = [key for key in built if (key.simulator, key.scene) == (one.simulator, one.scene) and key is not one]
         telling = [name for name in _DISTINGUISHING if any(_differs(name, one, r) for r in rivals)]
         parts = [_shown(name, one) for name in telling if getattr(one, name) != ""]
         chosen = _chosen(one, given)
@@ -189,8 +199,21 @@ def labels(keys: Sequence[GroupKey], given: Collection[str] = ()) -> list[str]:
         parts += _limited(_changed(_settings(one), [_settings(rival) for rival in alike]))
         if "version" in telling and not one.version:
             parts.append("never built")
-        named.append(f"{one.simulator} [{', '.join(parts)}]" if parts else one.simulator)
+        telling_parts.append(parts)
+    named = _apart(keys, telling_parts)
     return [label if named.count(label) == 1 else f"{label} #{i + 1}" for i, label in enumerate(named)]
+
+
+def _apart(keys: Sequence[GroupKey], parts: Sequence[list[str]]) -> list[str]:
+    # the same name in two scenes: the scene comes first
+    scenes: dict[tuple[str, ...], set[str]] = {}
+    for key, found in zip(keys, parts, strict=True):
+        scenes.setdefault((key.simulator, *found), set()).add(key.scene)
+    names = []
+    for key, found in zip(keys, parts, strict=True):
+        shown = [key.scene, *found] if len(scenes[(key.simulator, *found)]) > 1 else found
+        names.append(f"{key.simulator} [{', '.join(shown)}]" if shown else key.simulator)
+    return names
 
 
 def options_given(recordings: Iterable[Recording]) -> set[str]:
@@ -202,13 +225,11 @@ _SHOWN_SETTINGS = 4
 _SHOWN_LENGTH = 60
 
 _DISTINGUISHING = (
-    "version", "device", "scene", "scene_hash", "n_env", "dt", "seed", "warmup", "timed_steps", "determinism",
+    "version", "device", "scene_hash", "n_env", "dt", "seed", "warmup", "timed_steps", "determinism",
 )  # fmt: skip
 
 
 def _differs(name: str, one: GroupKey, other: GroupKey) -> bool:
-    if name == "scene_hash" and one.scene != other.scene:
-        return False  # its name says it
     return bool(getattr(one, name) != getattr(other, name))
 
 
@@ -216,7 +237,7 @@ def _shown(name: str, key: GroupKey) -> str:
     value = getattr(key, name)
     if name == "scene_hash":
         return f"scene {value[:8]}"
-    if name in ("version", "device", "scene"):
+    if name in ("version", "device"):
         return str(value)
     return f"{name}={value:g}" if isinstance(value, float) else f"{name}={value}"
 
