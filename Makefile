@@ -12,7 +12,7 @@ help:
 	@echo "make fast   the same without the slow tests"
 	@echo "make lint   style, types and the import contract"
 	@echo "make proto  rebuild the descriptor set after a change of schemas/proto"
-	@echo "make figures  redraw the README's table and picture from recordings/"
+	@echo "make figures  redraw the tables and the picture of the documents from recordings/"
 	@echo "make bench  every performance claim, measured here"
 
 $(VENV)/.installed-demo: pyproject.toml constraints.txt
@@ -48,6 +48,7 @@ proto: $(VENV)/.installed-test
 
 figures: install
 	$(BIN)/python docs/make_figures.py
+	$(BIN)/python docs/make_h200.py
 
 bench: install
 	$(BIN)/python -m benchmarks.all

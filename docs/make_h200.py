@@ -1,0 +1,143 @@
+"""Redraws the tables of recordings/h200/README.md and of README.md from the recordings of that folder.
+
+usage: python docs/make_h200.py
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from evaluator.evaluate import evaluate
+from evaluator.recording import Recording
+from evaluator.report.numbers import distance
+from evaluator.results import Evaluation, GroupResult
+from evaluator.sweeps import Sweep
+
+ROOT = Path(__file__).resolve().parent.parent
+FOLDER = ROOT / "recordings" / "h200"
+BEGIN, END = "<!-- {}: make figures -->", "<!-- end of {} -->"
+_SCENE = "inclined-collision"
+_NONE = "-"
+
+
+def shipped() -> Evaluation:
+    """The evaluation of the set."""
+    return evaluate([Recording(path) for path in sorted(FOLDER.glob("*.mcap"))])
+
+
+def _settings(result: GroupResult) -> str:
+    recording = result.group.recordings[0]
+    given = recording.configuration.options
+    options = recording.simulation.options if recording.simulation else given
+    return " ".join(str(options[name]) for name in ("impl", "solver") if name in given or name == "impl" in options)
+
+
+def _who(result: GroupResult) -> str:
+    key = result.group.key
+    return " ".join(part for part in (key.simulator, _settings(result)) if part)
+
+
+def _of(result: GroupResult, name: str) -> str:
+    metric = result.metrics[name]
+    return _NONE if metric.value is None else f"{metric.value:.0f} of {metric.n}"
+
+
+def _value(result: GroupResult, name: str) -> str:
+    metric = result.metrics[name]
+    return _NONE if metric.value is None else distance(metric.value)
+
+
+def _outcome(result: GroupResult) -> str:
+    endings = {f"{r.status}: {r.cause}" for r in result.group.recordings if not r.usable}
+    sank = result.metrics["sank"].value
+    notes = [*sorted(endings), *([f"{sank:.1f} of 27 cubes sank"] if sank and sank >= 1 else [])]
+    left = result.metrics["left_board"].value
+    if left and left >= 1 and not (sank and sank >= 1):
+        notes.append(f"{left:.1f} of 27 cubes left the board")
+    return "; ".join(notes)
+
+
+def verdicts(evaluation: Evaluation) -> str:
+    """Who repeats itself, and what each level of determinism costs, as a Markdown table."""
+    results = [r for r in evaluation.results if r.group.key.scene == _SCENE]
+    default = {_who(r): r.metrics["fps"].value for r in results if r.group.key.determinism == "default"}
+    lines = [
+        "| simulator | determinism | distinct envs | envs differ from step | distinct runs | type | W1 envs [cm] "
+        "| W1 runs [cm] | env-steps/s | of default | what else |",
+        "| --- | --- | --- | --- | --- | --- | --- | --- | --- | --- | --- |",
+    ]
+    for result in sorted(results, key=lambda r: (_who(r), r.group.key.determinism != "default")):
+        fps, first = result.metrics["fps"].value, result.metrics["distinct_envs"].extra.get("first_difference_step")
+        base = default.get(_who(result))
+        cells = [
+            f"{_who(result)} {result.group.key.version}".strip(),
+            result.group.key.determinism,
+            _of(result, "distinct_envs"),
+            _NONE if first is None else str(first),
+            _of(result, "distinct_runs"),
+            _NONE if (kind := result.metrics["regime_published"].value) is None else f"{kind:.0f}",
+            _value(result, "w1_parallel"),
+            _value(result, "w1_run_to_run"),
+            _NONE if fps is None else f"{fps:,.0f}",
+            _NONE if fps is None or not base else f"{fps / base:.2f}",
+            _outcome(result),
+        ]
+        lines.append(f"| {' | '.join(cells)} |")
+    return "\n".join(lines)
+
+
+def _best(sweep: Sweep) -> str:
+    found = [(p.result.metrics["fps"].value or 0.0, p.n_env) for p in sweep.points]
+    fps, n_env = max(found)
+    return f"{fps:,.0f} at {n_env:,}"
+
+
+def _memory(sweep: Sweep) -> str:
+    model = sweep.models.get(sweep.memory)
+    if model is None:
+        return _NONE
+    off = f"off by up to {100 * model.largest_residual:.0f} %"
+    return f"{model.fixed / 1e6:,.0f} MB + {model.per_env / 1e3:,.0f} kB per env, {off}"
+
+
+def sweeps(evaluation: Evaluation) -> str:
+    """How far each goes, as a Markdown table."""
+    lines = [
+        "| scene | simulator | N_env^max | why no further | most env-steps/s | device memory |",
+        "| --- | --- | --- | --- | --- | --- |",
+    ]
+    for sweep in sorted(evaluation.sweeps, key=lambda s: (s.key.scene, s.label)):
+        n_max = _NONE if sweep.n_max is None else f"{sweep.n_max:,}"
+        ends = sweep.ends.partition(": RuntimeError")[0]
+        lines.append(
+            f"| {sweep.key.scene} | {sweep.label} {sweep.key.version} | {n_max} | {ends} | {_best(sweep)} "
+            f"| {_memory(sweep)} |"
+        )
+    return "\n".join(lines)
+
+
+def with_block(page: str, name: str, shown: str) -> str:
+    """A page with what is between its markers replaced."""
+    begin, end = BEGIN.format(name), END.format(name)
+    head, rest = page.split(begin)
+    _, tail = rest.split(end)
+    return f"{head}{begin}\n{shown}\n{end}{tail}"
+
+
+def pages(evaluation: Evaluation) -> dict[Path, str]:
+    """Both pages as they should be."""
+    card, readme = FOLDER / "README.md", ROOT / "README.md"
+    page = with_block(card.read_text(encoding="utf-8"), "verdicts", verdicts(evaluation))
+    page = with_block(page, "sweeps", sweeps(evaluation))
+    return {card: page, readme: with_block(readme.read_text(encoding="utf-8"), "h200", verdicts(evaluation))}
+
+
+def main() -> None:
+    """Write them."""
+    for path, page in pages(shipped()).items():
+        path.write_text(page, encoding="utf-8")
+        print(path)
+
+
+if __name__ == "__main__":
+    main()
