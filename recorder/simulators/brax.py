@@ -69,7 +69,7 @@ class Brax(JaxSimulator):
             fields=self._fields(),
             timing_covers=(
                 f"a compiled loop (jax.lax.fori_loop) of the vmapped step of brax.{options.solver}.pipeline, until the "
-                "device is done; nothing is copied or counted"
+                "device is done; nothing is copied or counted: overflow bits of this phase are those of its last step"
             ),
             attachments=compiled.attachments,
             buffers=caps.buffers,

@@ -34,6 +34,7 @@ class MjxSimulator(JaxSimulator):
                 self.scene, n_env=self.n_env, dt=self.dt, seed=self.seed, options=self.options, impl=impl
             )
             physics = self._physics_of(model, device)
+        counted = "; overflow bits of this phase are those of its last step" if impl == "jax" else ""
         actions = "" if self.scene.actions is None else "the actions of each step are made in it; "
         return physics, Description(
             version=metadata.version(self.distribution),
@@ -47,7 +48,7 @@ class MjxSimulator(JaxSimulator):
             },
             deviations=deviations(self.scene),
             fields=model.compiled.fields("float32"),
-            timing_covers=f"{self.covers}, until the device is done; {actions}nothing is copied or counted",
+            timing_covers=f"{self.covers}, until the device is done; {actions}nothing is copied or counted{counted}",
             attachments=model.compiled.attachments,
             buffers=model.buffers,
             counters=model.counters,
