@@ -80,11 +80,12 @@ def compare(results: Sequence[GroupResult], sweeps: Sequence[Sweep], reference: 
     else. Of the conditions that at least two simulators share, the one with the most groups is compared; of several,
     the one with the most distances, then the first. The same for sweeps, of scenes without a robot and with one. Where
     sweeps are shared, throughput and memory are those at each simulator's own N_env^max, as the published definition
-    has it. Settings of one simulator are no choice between simulators.
+    has it; a sweep that ended below the largest number tried, though nothing failed, says nothing of its simulator's.
+    Settings of one simulator are no choice between simulators.
     """
     ended = [s for s in sweeps if s.n_max is not None]
-    simple = _shared([s for s in ended if not s.articulated], lambda s: s.key)
-    robots = _shared([s for s in ended if s.articulated], lambda s: s.key)
+    simple = _as_far(_shared([s for s in ended if not s.articulated], lambda s: s.key))
+    robots = _as_far(_shared([s for s in ended if s.articulated], lambda s: s.key))
     swept = {p.result.label for s in (*simple, *robots) for p in s.points}
     complete = [r for r in results if r.group.complete]
     # points of a sweep that captured no states would be compared twice
@@ -117,6 +118,13 @@ def _shared(items: Sequence[_T], key: Callable[[_T], GroupKey], merit: Callable[
         alike.setdefault(_conditions(key(item)), []).append(item)
     shared = [found for found in alike.values() if len({key(item).simulator for item in found}) > 1]
     return max(shared, key=lambda found: (len(found), sum(map(merit, found))), default=[])
+
+
+def _as_far(sweeps: list[Sweep]) -> list[Sweep]:
+    """Those that met their simulator's limit, or went as far as any; none where that leaves a single simulator."""
+    tried = max((s.points[-1].n_env for s in sweeps), default=0)
+    kept = [s for s in sweeps if s.limited or s.n_max == tried]
+    return kept if len({s.key.simulator for s in kept}) > 1 else []
 
 
 def _distances(result: GroupResult) -> int:

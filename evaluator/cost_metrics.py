@@ -47,7 +47,9 @@ def allocator_peak(runs: Runs) -> Metric:
         return not_computed(name, unit, "lower", why_not)
     values = [r.allocator / _GB for r in runs if r.allocator is not None]
     if not values:
-        return not_computed(name, unit, "lower", "the engine's allocator did not tell its peak")
+        return not_computed(
+            name, unit, "lower", "the engine's allocator did not tell its peak, or had it while the simulator was built"
+        )
     method = f"peak that the engine's own allocator kept, mean over runs; 1 {unit} = {_GB:.0e} B"
     return mean_over_runs(name, unit, "lower", values, method=method, extra={})
 
@@ -65,7 +67,9 @@ def build_time(runs: Runs) -> Metric:
     """Time that building the simulator takes: median over runs."""
     why_not = "building was not clocked" if runs else NO_RUN
     values = [r.build_s for r in runs if r.build_s is not None]
-    return _median_time("build_time", values, "import of the engine, loading of the model, allocation", why_not)
+    return _median_time(
+        "build_time", values, "import of the engine, sizing of its buffers, loading of the model, allocation", why_not
+    )
 
 
 def compile_time(runs: Runs) -> Metric:

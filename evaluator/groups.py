@@ -121,7 +121,7 @@ def key_of(recording: Recording) -> GroupKey:
         warmup=c.warmup if timed else 0,
         timed_steps=c.timed_steps if timed else 0,
         determinism=c.determinism,
-        options=_canonical(_without(simulation.options if simulation else c.options, _CARRYING)),
+        options=_canonical(_without(simulation.options if simulation else c.options, _FOLLOWING)),
         # the level that was asked for has a place of its own, and so have the versions of packages
         switches=_canonical(_without(simulation.switches, ("determinism", *conditions))) if simulation else "",
         conditions=_canonical(conditions),
@@ -130,8 +130,9 @@ def key_of(recording: Recording) -> GroupKey:
     )
 
 
-# rows that wait on the device to be read, which are fewer where environments are many: they change no number
-_CARRYING = ("ring",)
+# what follows from the scene or from the number of environments, and is no choice: rows that wait on the device to be
+# read, the form of a matrix
+_FOLLOWING = ("ring", "sparse")
 
 # which devices are visible is said by the device; these packages carry numbers and do not compute them
 _NOT_NUMERIC = ("CUDA_VISIBLE_DEVICES", "NVIDIA_VISIBLE_DEVICES", "mcap", "protobuf")

@@ -13,7 +13,7 @@ from evaluator.positions import Positions, sample_positions
 from evaluator.recording import Recording
 from evaluator.scene import board_of
 from evaluator.sinking import Sunk, sunk
-from evaluator.streams import Fingerprints, MemoryTrace
+from evaluator.streams import Fingerprints, MemoryTrace, StepTiming
 from schemas.errors import DamagedRecording
 
 
@@ -61,11 +61,12 @@ def read_run(recording: Recording, sample_time: float) -> RunData:
         allocator = recording.memory.get("gpu0/allocator") if "timed" in recording.configuration.phases else None
         gpu = recording.memory.get("gpu0/device") if recording.provenance.gpus else None
         host = recording.memory.get("host")
+        timed = recording.timing.get("timed")
         return RunData(
             recording=recording,
             elapsed_s=_elapsed(recording),
-            gpu=_checkpoints(gpu) if gpu else None,
-            host=_checkpoints(host) if host else None,
+            gpu=_checkpoints(gpu, timed) if gpu else None,
+            host=_checkpoints(host, timed) if host else None,
             allocator=allocator.own_peak() if allocator else None,
             build_s=timing["build"].elapsed_s if "build" in timing else None,
             compile_s={p: timing[f"compile_{p}"].elapsed_s for p in ("timed", "capture") if f"compile_{p}" in timing},
@@ -107,9 +108,9 @@ def _elapsed(recording: Recording) -> float | None:
     return timing.elapsed_s
 
 
-def _checkpoints(trace: MemoryTrace) -> Checkpoints:
+def _checkpoints(trace: MemoryTrace, timing: StepTiming | None) -> Checkpoints:
     baseline = trace.at("baseline")
-    peak = trace.peak("timed")
+    peak = None if timing is None else trace.peak("timed", int(timing.end_ns[-1]))
     if peak is not None and baseline is not None:
         peak = max(peak, baseline)  # a monitor of a whole device also sees others release memory
     return Checkpoints(baseline, trace.at("post-init"), trace.at("post-warmup"), peak, trace.at("final"))

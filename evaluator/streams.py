@@ -60,15 +60,28 @@ class MemoryTrace:
                 return int(used)
         return None
 
-    def peak(self, phase: str) -> int | None:
-        """Largest reading of a phase, None where it has none."""
-        used = [int(u) for u, p in zip(self.used_bytes, self.phase, strict=True) if p == phase]
-        return max(used) if used else None
+    def peak(self, phase: str, until_ns: int) -> int | None:
+        """Largest reading of a phase up to a time on the monotonic clock; the first one behind, where there is none.
+
+        None where the phase has no reading. What an engine does behind its last step, such as handing over its state,
+        is none of the phase's memory.
+        """
+        found = [
+            (int(t), int(u)) for t, u, p in zip(self.time_ns, self.used_bytes, self.phase, strict=True) if p == phase
+        ]
+        inside = [used for time, used in found if time <= until_ns]
+        return max(inside, default=found[0][1] if found else None)
 
     def own_peak(self) -> int | None:
-        """Largest peak that the source itself kept, as an allocator does; None where it keeps none."""
-        used = [int(u) for u, c in zip(self.used_bytes, self.checkpoint, strict=True) if c.startswith(_PEAK)]
-        return max(used) if used else None
+        """Largest peak that the source itself kept, as an allocator does.
+
+        None where it keeps none, and where it was reached while the simulator was built: then it is the memory of a
+        compiler or a loader, and that of the simulation was smaller.
+        """
+        kept = [(c, int(u)) for c, u in zip(self.checkpoint, self.used_bytes, strict=True) if c.startswith(_PEAK)]
+        built = max((used for name, used in kept if name == f"{_PEAK}post-init"), default=-1)
+        used = [used for _, used in kept if used > built]
+        return max(used, default=None)
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ _BYTES = {"GB": 1e9, "MB": 1e6}
 
 SOURCES = {
     "memory_peak_increment": "device, NVML: peak minus baseline",
-    "allocator_peak": "device, the engine's own allocator: peak",
+    "allocator_peak": "device, the engine's own allocator, without what CUDA graphs hold: peak",
     "host_memory_peak_increment": "host, resident set: peak minus baseline",
 }
 """Metrics that a memory model is fitted to, and what they are."""
@@ -101,6 +101,11 @@ class Sweep:
     def long(self) -> bool:
         """Whether it is shown as one."""
         return len(self.points) >= LONG
+
+    @property
+    def limited(self) -> bool:
+        """Whether a larger number of environments failed, so that N_env^max is the engine's and not the user's."""
+        return self.n_max is not None and self.points[-1].n_env > self.n_max
 
     @property
     def articulated(self) -> bool:

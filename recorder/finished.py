@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import json
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -19,11 +20,15 @@ from schemas.provenance import PROVENANCE, Provenance
 
 @dataclass(frozen=True)
 class Finished:
-    """A recording with an end."""
+    """A recording with an end.
+
+    where  machine and software that it was made with, as `where_am_i` says it
+    """
 
     path: Path
     configuration: RunConfiguration
     outcome: Outcome
+    where: str = ""
 
 
 def read_folder(folder: Path) -> tuple[list[Finished], dict[Path, str]]:
@@ -52,15 +57,33 @@ def read_end(path: Path) -> Finished:
             ends = [message.data for _, _, message in reader.iter_messages(topics.RUN_END)]
             if len(provenance) != 1 or len(ends) != 1:
                 raise DamagedRecording("incomplete" if len(ends) < 2 else "it has two ends")
-            return Finished(path, Provenance.from_json(provenance[0]).configuration, _outcome(ends[0]))
+            made = Provenance.from_json(provenance[0])
+            return Finished(path, made.configuration, _outcome(ends[0]), _where(made.host, made.gpus, made.software))
     except RecordingError:
         raise
     except Exception as error:  # whatever the library raises for bytes that are no MCAP file
         raise DamagedRecording("unreadable: " + " ".join(f"{type(error).__name__}: {error}".split())) from None
 
 
-def matching(found: Iterable[Finished], wanted: RunConfiguration) -> dict[Place, Finished]:
+def where_am_i() -> str:
+    """The machine and the software that a run made now would have: CPU, GPUs and versions of packages that compute."""
+    from recorder.probes.gpu import Gpus
+    from recorder.probes.host import describe_host
+    from recorder.probes.software import describe_software
+
+    with Gpus() as gpus:
+        return _where(describe_host(), gpus.describe(), describe_software())
+
+
+def _where(host: dict[str, Any], gpus: Sequence[dict[str, Any]], software: dict[str, Any]) -> str:
+    names = sorted({str(gpu.get("name", "")) for gpu in gpus})
+    return json.dumps([host.get("cpu", ""), names, software.get("packages", {})], sort_keys=True)
+
+
+def matching(found: Iterable[Finished], wanted: RunConfiguration, where: str = "") -> dict[Place, Finished]:
     """Those that need not be made again, by their place in a sweep of `wanted` over n_env.
+
+    where  machine and software that they must be of (`where_am_i`); empty: of any
 
     The number of environments, the run's number, the file's compression and the time limit make no difference, and a
     complete one goes before another. An interrupted run is to be made again, and so is one that failed for a cause that
@@ -68,7 +91,7 @@ def matching(found: Iterable[Finished], wanted: RunConfiguration) -> dict[Place,
     """
     places: dict[Place, Finished] = {}
     for run in found:
-        if _alike(run.configuration, wanted) and _settled(run, wanted):
+        if _alike(run.configuration, wanted) and _settled(run, wanted) and where in ("", run.where):
             place = Place(run.configuration.n_env, run.configuration.run_index)
             if place not in places or run.outcome.good > places[place].outcome.good:
                 places[place] = run

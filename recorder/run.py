@@ -61,7 +61,7 @@ Progress = Callable[[str, int, int], None]
 _T = TypeVar("_T")
 
 _CLOCKED = {
-    "build": "import of the engine, loading of the model, allocation",
+    "build": "import of the engine, sizing of its buffers, loading of the model, allocation",
     "compile_timed": "compilation of what the timed phase runs",
     "compile_capture": "compilation of what the capture phase runs",
 }
@@ -279,7 +279,8 @@ class Run:
             hashes.append(fingerprint(simulator.state()))
             memory.checkpoint("post-warmup")
         self._write_timing(sink, "warmup", clocks, 0, interval, covers)
-        self._count(sink, "warmup", simulator, counted, configuration.warmup)
+        if configuration.warmup:
+            self._count(sink, "warmup", simulator, counted, configuration.warmup)
         self._ask_gates(sink, "warmup", simulator)
         simulator.prepare(self._handed(simulator, configuration.warmup, configuration.timed_steps))
         with _Phase(self, sink, memory, "timed", phase):
@@ -445,6 +446,7 @@ class _Phase:
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: object) -> None:
         if isinstance(error, DataLost):
             return  # the file takes nothing more
+        self._memory.leave()
         self._run.event(self._sink, "PHASE_END", self._name)
         self._memory.drain()
 

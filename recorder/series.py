@@ -60,11 +60,11 @@ def record_set(request: Request, count: int) -> tuple[int, Json]:
 def record_sweep(request: Request, sweep: Sweep) -> tuple[int, Json]:
     """Make the runs of a sweep that its folder does not hold yet; returns the exit code and the results."""
     with shielded():  # the reader of recordings is nothing that a set of runs needs
-        from recorder.finished import matching, read_folder
+        from recorder.finished import matching, read_folder, where_am_i
 
     prepare_folder(request.out)
     found, others = read_folder(request.out)
-    there = {place: f for place, f in matching(found, request.configuration).items() if place in sweep}
+    there = {place: f for place, f in matching(found, request.configuration, where_am_i()).items() if place in sweep}
     known = {place: f.outcome for place, f in there.items()}
     results = {place: {**_json(f.configuration, f.path, f.outcome), "found": True} for place, f in there.items()}
     codes: dict[int, ExitCode] = {}  # the gravest of the runs that are made here, by n_env

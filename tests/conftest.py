@@ -57,3 +57,19 @@ def small_set(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
 def small(small_set: list[Path]) -> Path:
     """The first of the small set."""
     return small_set[0]
+
+
+_ENGINES = ("test_warp", "test_mjx", "test_brax", "test_newton")
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Put tests that load an engine into this process last, in an order in which none spoils another.
+
+    JAX minds every fork that comes after it, and Warp's modules keep the determinism mode that a test of Newton set.
+    """
+
+    def turn(item: pytest.Item) -> int:
+        name = item.path.stem
+        return _ENGINES.index(name) + 1 if name in _ENGINES else 0
+
+    items.sort(key=turn)

@@ -44,6 +44,11 @@ class MemoryWriter:
         """Readings from here on belong to this phase."""
         self._sampler.phase = phase
 
+    def leave(self) -> None:
+        """Take one last reading of the phase, so that the shortest has one; what follows belongs to none."""
+        self._sampler.read_now()
+        self._sampler.phase = ""
+
     def failures(self) -> str:
         """How many readings failed, and why the last did; empty when none."""
         count = self._sampler.failures

@@ -70,6 +70,10 @@ class MemorySampler:
         """Read every source now, under the name of a checkpoint of the protocol."""
         self._read(name)
 
+    def read_now(self) -> None:
+        """Read every source now."""
+        self._read("")
+
     def take(self) -> list[Reading]:
         """The readings since the last call, in order of time."""
         with self._lock:

@@ -148,8 +148,7 @@ class Simulator(ABC):
         """Counts of the steps of the last call of ``states``, or of the last step, one row, after ``step``.
 
         After ``step`` the overflow bits are those of all steps since the last call; an engine that clears them at each
-        step has to gather them on its device. Where that would cost the timed loop its speed, an adapter tells those of
-        the last step alone, and says so in its timing_covers. None where the engine tells nothing.
+        step has to gather them on its device. None where the engine tells nothing.
         """
         return None
 

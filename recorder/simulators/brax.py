@@ -58,7 +58,6 @@ class Brax(JaxSimulator):
                 "restitution": options.restitution,
                 "solver_iterations": int(system.solver_iterations),
                 "solver_maxls": int(system.solver_maxls),
-                **{buffer.name: buffer.asked for buffer in caps.buffers},
             },
             switches={
                 **jax_runtime.switches(self.determinism),
@@ -69,7 +68,7 @@ class Brax(JaxSimulator):
             fields=self._fields(),
             timing_covers=(
                 f"a compiled loop (jax.lax.fori_loop) of the vmapped step of brax.{options.solver}.pipeline, until the "
-                "device is done; nothing is copied or counted: overflow bits of this phase are those of its last step"
+                "device is done; overflow bits are gathered on the device after each step; nothing is copied"
             ),
             attachments=compiled.attachments,
             buffers=caps.buffers,

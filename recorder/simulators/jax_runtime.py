@@ -52,6 +52,8 @@ class JaxOptions:
 
     def __post_init__(self) -> None:
         one_of("device", self.device, DEVICES)
+        if self.compile_cache and not Path(self.compile_cache).is_absolute():
+            raise ValueError("compile_cache is an absolute path: a run works in a folder of its own, which it removes")
         if self.ring < 0:
             raise ValueError("ring is 0 (what fits) or a positive number")
 

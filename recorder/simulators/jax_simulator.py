@@ -37,6 +37,7 @@ class Physics:
     forget       state -> the same with its overflow bits cleared
     applied      state -> the actions that it holds, [env, action]
     lazy         the step builds kernels when it is first executed, not when it is compiled
+    gathers      the engine itself adds up overflow bits over steps
     """
 
     initial: Callable[[], Any]
@@ -46,6 +47,7 @@ class Physics:
     forget: Callable[[Any], Any] = lambda state: state
     applied: Callable[[Any], Any] | None = None
     lazy: bool = False
+    gathers: bool = False
 
 
 class JaxSimulator(Simulator):
@@ -88,6 +90,7 @@ class JaxSimulator(Simulator):
     def _restart(self) -> None:
         self._state = self._physics.initial()
         self._step = np.uint32(0)
+        self._bits = np.zeros(self.n_env, np.uint32)  # overflow bits of the steps since they were asked for
 
     def _seen(self) -> dict[str, NDArray[Any]]:
         return {name: np.asarray(array) for name, array in self._physics.observe(self._state).items()}
@@ -98,7 +101,11 @@ class JaxSimulator(Simulator):
 
         if name not in self._programs:
             # The state's memory is handed over to the program that steps it: there is never a second copy.
-            arguments = (self._state,) if name == "count" else (self._state, self._step, np.int32(1))
+            arguments = {
+                "advance": (self._state, self._bits, self._step, np.int32(1)),
+                "record": (self._state, self._step, np.int32(1)),
+                "count": (self._state,),
+            }[name]
             traced = {
                 "advance": lambda: jax.jit(self._advance, donate_argnums=0),
                 "record": lambda: jax.jit(self._record, donate_argnums=0),
@@ -110,11 +117,21 @@ class JaxSimulator(Simulator):
     def _one(self, state: Any, step: Any) -> Any:
         return self._physics.advance(state, None if self._draw is None else self._draw(step))
 
-    def _advance(self, state: Any, first: Any, n_step: Any) -> Any:
-        """Traced: n_step steps, the first of them number `first`."""
+    def _advance(self, state: Any, bits: Any, first: Any, n_step: Any) -> Any:
+        """Traced: n_step steps, the first of them number `first`, and the overflow bits with theirs added.
+
+        Of what is counted only the bits are wanted, so the compiler leaves out the rest.
+        """
         import jax
 
-        return jax.lax.fori_loop(0, n_step, lambda i, state: self._one(state, first + i.astype(np.uint32)), state)
+        def body(i: Any, carry: Any) -> Any:
+            state, bits = carry
+            state = self._one(state, first + i.astype(np.uint32))
+            if not self._physics.gathers:
+                bits = bits | self._physics.count(state).get(OVERFLOW, np.uint32(0))
+            return state, bits
+
+        return jax.lax.fori_loop(0, n_step, body, (state, bits))
 
     def _record(self, state: Any, first: Any, n_step: Any) -> Any:
         """Traced: as _advance, with observations and counts of each step in rings of `_ring` rows."""
@@ -143,14 +160,17 @@ class JaxSimulator(Simulator):
         if self._physics.lazy:
             import jax
 
-            jax.block_until_ready(program(self._state, self._step, np.int32(1)))
+            bits = (self._bits,) if name == "advance" else ()
+            jax.block_until_ready(program(self._state, *bits, self._step, np.int32(1)))
             self._restart()
 
     def step(self, n_step: int) -> None:
         """See Simulator.step."""
         import jax
 
-        self._state = jax.block_until_ready(self._program("advance")(self._state, self._step, np.int32(n_step)))
+        self._state, self._bits = jax.block_until_ready(
+            self._program("advance")(self._state, self._bits, self._step, np.int32(n_step))
+        )
         self._step = np.uint32(self._step + n_step)
         self._rows = None
 
@@ -177,14 +197,17 @@ class JaxSimulator(Simulator):
 
     def evidence(self) -> Evidence:
         """See Simulator.evidence. After ``step``, counts are made from the last step's state, outside the timed loop,
-        which counts nothing."""
+        which gathers overflow bits alone."""
         import jax
 
         rows = self._rows
         if rows is None:
             counted = jax.device_get(self._program("count")(self._state))
             rows = {name: array[None] for name, array in counted.items()}
+            if OVERFLOW in rows:
+                rows[OVERFLOW] = rows[OVERFLOW] | np.asarray(self._bits)
             self._state = self._physics.forget(self._state)
+            self._bits = np.zeros(self.n_env, np.uint32)
         return Evidence({name: array for name, array in rows.items() if name != OVERFLOW}, rows.get(OVERFLOW))
 
     def applied(self) -> NDArray[np.float32] | None:

@@ -41,4 +41,5 @@ class Mjx(MjxSimulator):
             forget=lambda data: mjx_physics.forget(data, model.impl),
             applied=lambda data: data.ctrl,
             lazy=model.impl == "warp",
+            gathers=model.impl == "warp",
         )

@@ -34,7 +34,6 @@ class MjxSimulator(JaxSimulator):
                 self.scene, n_env=self.n_env, dt=self.dt, seed=self.seed, options=self.options, impl=impl
             )
             physics = self._physics_of(model, device)
-        counted = "; overflow bits of this phase are those of its last step" if impl == "jax" else ""
         actions = "" if self.scene.actions is None else "the actions of each step are made in it; "
         return physics, Description(
             version=metadata.version(self.distribution),
@@ -48,7 +47,10 @@ class MjxSimulator(JaxSimulator):
             },
             deviations=deviations(self.scene),
             fields=model.compiled.fields("float32"),
-            timing_covers=f"{self.covers}, until the device is done; {actions}nothing is copied or counted{counted}",
+            timing_covers=(
+                f"{self.covers}, until the device is done; {actions}overflow bits are gathered on the device after "
+                "each step; nothing is copied"
+            ),
             attachments=model.compiled.attachments,
             buffers=model.buffers,
             counters=model.counters,

@@ -59,7 +59,7 @@ class MujocoC(Simulator):
         self._rows = self._batch.bind("nefc")
         self._counts: NDArray[np.int64] | None = None  # of the last states; None: to be counted when asked
         self._warned = np.zeros((self.n_env, len(self._warnings)), dtype=np.int64)
-        self._actions: NDArray[np.float64] | None = None
+        self._actions: NDArray[np.float32] | None = None
         self._next_action = 0
         if self.scene.actions is not None:
             self._ctrl = self._batch.bind("ctrl")
@@ -76,8 +76,8 @@ class MujocoC(Simulator):
         )
 
     def prepare(self, actions: NDArray[np.float32] | None) -> None:
-        """See Simulator.prepare; MuJoCo takes controls in double precision, which holds every float32."""
-        self._actions = None if actions is None else actions.astype(np.float64)
+        """See Simulator.prepare."""
+        self._actions = actions
         self._next_action = 0
 
     def step(self, n_step: int) -> None:
@@ -87,7 +87,7 @@ class MujocoC(Simulator):
             self._batch.step(nstep=n_step)
             return
         for _ in range(n_step):
-            self._ctrl[:] = self._actions[self._next_action]
+            self._ctrl[:] = self._actions[self._next_action]  # in double precision, which holds every float32
             self._next_action += 1
             self._batch.step()
 

@@ -84,7 +84,7 @@ class MujocoWarp(Simulator):
         """See Simulator.build."""
         options: WarpOptions = self.options
         bits, mode = _LEVELS[self.determinism]
-        if mode != "off" and "mujoco_warp" in sys.modules:
+        if "mujoco_warp" in sys.modules and not warp_runtime.has_mode(mode):
             raise GsbError("Warp's determinism mode must be chosen before MuJoCo Warp is imported: use a fresh process")
         self._device = warp_runtime.start(options.device, mode)
         import mujoco
@@ -121,7 +121,6 @@ class MujocoWarp(Simulator):
             options={
                 **compiled.in_force(options, "warp"),
                 "graph_conditional": bool(self._model.opt.graph_conditional),
-                "sparse": bool(self._model.is_sparse),
             },
             switches={
                 "precision": "float32",

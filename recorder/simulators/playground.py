@@ -63,6 +63,7 @@ class Playground(MjxSimulator):
             forget=lambda state: state.replace(data=mjx_physics.forget(state.data, model.impl)),
             applied=lambda state: state.data.ctrl,
             lazy=model.impl == "warp",
+            gathers=model.impl == "warp",
         )
 
 

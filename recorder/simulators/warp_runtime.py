@@ -6,7 +6,7 @@ from typing import Any
 
 from schemas.errors import UsageError
 
-DEVICES = "auto, cpu, cuda or cuda:N"
+DEVICES = "auto, cpu or cuda"
 
 # names of warp.DeterministicMode, in the words of an option
 MODES = {"off": "NOT_GUARANTEED", "run-to-run": "RUN_TO_RUN", "gpu-to-gpu": "GPU_TO_GPU"}
@@ -24,12 +24,22 @@ def start(device: str, mode: str = "off") -> Any:
     wp.init()
     if device == "auto":
         device = "cuda:0" if wp.is_cuda_available() else "cpu"
+    if device.startswith("cuda:") and device != "cuda:0":
+        # memory is read from the first GPU that CUDA shows
+        raise UsageError(f"option 'device' is {DEVICES}, not '{device}': choose a GPU with CUDA_VISIBLE_DEVICES")
     try:
         found = wp.get_device(device)
     except (ValueError, RuntimeError) as error:
         raise UsageError(f"option 'device' is {DEVICES}; Warp has no '{device}' here: {error}") from None
     wp.set_device(found)
     return found
+
+
+def has_mode(mode: str) -> bool:
+    """Whether kernels of modules that are imported already were made under this mode."""
+    import warp as wp
+
+    return bool(wp.config.deterministic == wp.DeterministicMode[MODES[mode]])
 
 
 def name_of(device: Any) -> str:

@@ -210,6 +210,16 @@ def test_radar_at_n_max(tmp_path: Path) -> None:
     assert comparison.notes == ()
 
 
+def test_a_sweep_that_merely_ended_is_not_compared(tmp_path: Path) -> None:
+    """Leave out a simulator whose sweep was cut short, which would win on memory, and name it."""
+    write_sweep(tmp_path, (1, 4), simulator="short")
+    write_sweep(tmp_path, SIZES, simulator="long")
+    write_sweep(tmp_path, SIZES, simulator="longer")
+    comparison = evaluated(tmp_path).comparison
+    assert {c.figures.name for c in comparison.contenders} == {"long", "longer"}
+    assert any("short" in note for note in comparison.notes)
+
+
 def test_radar_without_a_shared_sweep(tmp_path: Path) -> None:
     """Compare at the shared number of environments where only one simulator was swept, and claim no N_env^max."""
     write_sweep(tmp_path, (1, 4, 16), simulator="swept")

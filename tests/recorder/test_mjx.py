@@ -186,6 +186,21 @@ class TestJax:
         simulator.step(5)
         assert bits(simulator) == 0b11
 
+    def test_bits_of_earlier_steps_are_kept(self) -> None:
+        """Tell of contacts that were dropped in the timed phase's first steps, though the last has none; tell once."""
+        cube = next(body for body in PAIR.bodies if body.name == "cube_0_0_0")
+        leaving = replace(cube, position=(0.06, -0.02, 0.0299), linear_velocity=(0.0, 0.0, 3.0))
+        scene = replace(PAIR, bodies=(PAIR.bodies[0], leaving))
+        simulator, _ = build("mjx", scene, n_env=1, max_contact_points=2)
+        simulator.step(20)
+        evidence = simulator.evidence()
+        assert evidence is not None
+        assert evidence.overflow is not None
+        assert evidence.counts["contacts"].tolist() == [[0]]
+        assert evidence.overflow.tolist() == [[0b10]]
+        simulator.step(5)
+        assert bits(simulator) == 0
+
     @pytest.mark.slow
     @pytest.mark.parametrize(
         ("pairs", "points", "contacts", "bit"), [(2, 100, 4, 0b01), (100, 8, 8, 0b10), (3, 9, 8, 0)]

@@ -8,6 +8,8 @@ from pathlib import Path
 import pytest
 
 from evaluator import open_recording
+from recorder.environment import apply_environment
+from schemas.errors import UsageError
 from tests.conftest import SMALL, Command
 
 _NVML = '''
@@ -78,3 +80,35 @@ def test_a_driver_that_fails(gsb_record: Command, tmp_path: Path, how: str, gpus
         number = int(notes[0].split()[0])
         lost = len(recording.memory["gpu0/device"].time_ns) - len(recording.memory["gpu1/device"].time_ns)
         assert 0 < lost <= number
+
+
+@pytest.mark.parametrize(
+    ("given", "wanted", "found"),
+    [
+        (None, "--a=1 --b=2", "--a=1 --b=2"),
+        ("--c=3", "--a=1", "--c=3 --a=1"),
+        ("--a=1", "--a=1 --b=2", "--a=1 --b=2"),
+    ],
+)
+def test_flags_are_added(given: str | None, wanted: str, found: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Add an engine's flags to the user's, each once."""
+    monkeypatch.delenv("XLA_FLAGS", raising=False)
+    if given is not None:
+        monkeypatch.setenv("XLA_FLAGS", given)
+    apply_environment({"XLA_FLAGS": wanted})
+    assert os.environ["XLA_FLAGS"] == found
+
+
+def test_a_flag_that_contradicts(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Refuse a level whose flag the user has set to something else: it would be recorded and not in force."""
+    monkeypatch.setenv("XLA_FLAGS", "--level=4")
+    with pytest.raises(UsageError, match="--level=4.*--level=0"):
+        apply_environment({"XLA_FLAGS": "--level=0"})
+
+
+def test_other_variables_stay_as_the_user_set_them(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Set what is not set, and nothing else."""
+    monkeypatch.setenv("GSB_TEST_ONE", "user")
+    monkeypatch.delenv("GSB_TEST_TWO", raising=False)
+    apply_environment({"GSB_TEST_ONE": "engine", "GSB_TEST_TWO": "engine"})
+    assert (os.environ["GSB_TEST_ONE"], os.environ.pop("GSB_TEST_TWO")) == ("user", "engine")

@@ -267,6 +267,13 @@ def test_which_runs_are_settled(outcome: Outcome, asked: float, settled: bool) -
     assert bool(_places([_finished(outcome)], timeout=asked)) == settled
 
 
+def test_runs_of_another_machine_are_others() -> None:
+    """Make again what was made with another processor, GPU or version."""
+    complete = replace(_finished(Outcome("complete")), where="here")
+    assert matching([complete], _WANTED, "here")
+    assert not matching([complete], _WANTED, "there")
+
+
 def test_a_complete_run_goes_first() -> None:
     """Prefer a complete run to another in the same place."""
     complete, failed = _finished(Outcome("complete"), "good"), _finished(Outcome("failed", "ENGINE"), "bad")
