@@ -50,7 +50,7 @@ figures: install
 	$(BIN)/python docs/make_figures.py
 	$(BIN)/python docs/make_h200.py
 
-bench: install
+bench: $(VENV)/.installed-test
 	$(BIN)/python -m benchmarks.all
 
 clean:

@@ -106,7 +106,6 @@ class MujocoWarp(Simulator):
         if bits:
             self._model.opt.deterministic = sum(int(mjw.DeterminismType[bit]) for bit in bits)
         self._data = self._try(lambda: self._new_data(self.n_env))
-        self._gathered = wp.zeros(self.n_env, dtype=int)
         self._step_number = wp.zeros(1, dtype=wp.int32)
         self._row = wp.zeros(1, dtype=wp.int32)
         self._rows = 0
@@ -243,7 +242,7 @@ class MujocoWarp(Simulator):
             kernels.snapshot_counts,
             dim=self.n_env,
             inputs=[self._row, data.nefc, data.solver_niter, data.overflow],
-            outputs=[self._gathered, self._ring_counts],
+            outputs=[self._ring_counts],
         )
         wp.launch(
             kernels.count_contacts,

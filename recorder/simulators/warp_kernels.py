@@ -59,17 +59,14 @@ def snapshot_counts(
     nefc: wp.array(dtype=int),
     niter: wp.array(dtype=int),
     overflow: wp.array(dtype=int),
-    gathered: wp.array(dtype=int),
     ring: wp.array3d(dtype=int),
 ):
-    """Of each env into ring[row[0], .., env]: no contacts yet, rows, iterations, overflow bits; the bits are gathered
-    and cleared."""
+    """Of each env into ring[row[0], .., env]: no contacts yet, rows, iterations, overflow bits; these are cleared."""
     env = wp.tid()
     ring[row[0], 0, env] = 0
     ring[row[0], 1, env] = nefc[env]
     ring[row[0], 2, env] = niter[env]
     ring[row[0], 3, env] = overflow[env]
-    gathered[env] = gathered[env] | overflow[env]
     overflow[env] = 0
 
 
