@@ -1,7 +1,7 @@
 """The finaliser of SplitMix64: a bijection on 64-bit words that leaves no trace of their order.
 
-Steele, Lea and Flood, "Fast splittable pseudorandom number generators", OOPSLA 2014. State hashes and action streams
-are defined by it, since any device computes it in a few instructions.
+Steele, Lea and Flood, "Fast splittable pseudorandom number generators", OOPSLA 2014. State hashes are
+defined by it, since any device computes it in a few instructions.
 """
 
 from __future__ import annotations

@@ -5,6 +5,7 @@ from __future__ import annotations
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -36,6 +37,15 @@ def call(name: str, *arguments: object, **keywords: object) -> subprocess.Comple
     return subprocess.run(  # type: ignore[call-overload,no-any-return]
         [*command(name), *map(str, arguments)], **{"capture_output": True, "text": True, "timeout": 600, **keywords}
     )
+
+
+def wait_for(condition: Callable[[], bool]) -> None:
+    """Wait until the condition holds; AssertionError after a minute."""
+    for _ in range(600):
+        if condition():
+            return
+        time.sleep(0.1)
+    raise AssertionError("it did not happen within a minute")
 
 
 @pytest.fixture(scope="session")

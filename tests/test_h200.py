@@ -53,7 +53,7 @@ def test_the_set_is_small() -> None:
     assert everything < 60e6
 
 
-def test_states_of_mjx_agree_where_fingerprints_do(evaluation: Any) -> None:
+def test_states_of_mjx_agree_where_fingerprints_do() -> None:
     """Find the environments of MJX (jax) equal in their states too, not by their hashes alone."""
     found = [Recording(p) for p in FILES if p.name.startswith("mjx-jax-inclined")]
     assert found

@@ -10,6 +10,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
+from importlib.metadata import version
 from typing import Any
 
 import numpy as np
@@ -46,7 +47,7 @@ _LEVELS = {
 class WarpOptions(MjcfOptions):
     """Options of MuJoCo Warp.
 
-    device   auto (the first GPU, else the CPU), cpu, cuda or cuda:N
+    device   auto (the first GPU that CUDA shows, else the CPU), cpu or cuda
     nconmax  contacts (and candidate pairs) per env, in a pool that all environments share; 0: measured
     njmax    constraint rows per env; 0: measured
     """
@@ -127,7 +128,7 @@ class MujocoWarp(Simulator):
                 "opt.deterministic": mjw.DeterminismType(self._model.opt.deterministic).name,
                 "warp.config.deterministic": wp.config.deterministic.name,
                 "warp": wp.config.version,
-                "mujoco": _version("mujoco"),
+                "mujoco": version("mujoco"),
             },
             deviations=deviations(self.scene),
             fields=compiled.fields("float32"),
@@ -317,9 +318,3 @@ class MujocoWarp(Simulator):
         for name in list(vars(self)):
             if name.startswith(("_data", "_model", "_ring", "_graphs")):
                 delattr(self, name)
-
-
-def _version(distribution: str) -> str:
-    from importlib.metadata import version
-
-    return version(distribution)

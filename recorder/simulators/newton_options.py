@@ -16,7 +16,7 @@ class NewtonOptions:
 
     substeps             solver steps per step, each with its own collision detection
     iterations           of the solver; 0: its own default
-    device               auto, cpu, cuda or cuda:N
+    device               auto, cpu or cuda (the first GPU that CUDA shows)
     gap                  each shape's detection distance in Newton's own collision detection [m]; a pair of shapes that
                          is nearer than both gaps has contact points. Newton's default, 0.1 m, is five cubes of the
                          published scenes and makes contacts of all pairs

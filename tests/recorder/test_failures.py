@@ -18,7 +18,7 @@ import pytest
 from evaluator import open_recording
 from recorder.capture.sink import Sink
 from schemas.errors import DamagedRecording, DataLost, RecordingError
-from tests.conftest import SMALL, Command, command
+from tests.conftest import SMALL, Command, command, wait_for
 
 
 def _run(gsb_record: Command, plugin: dict[str, str], out: Path, mode: str, *more: object):  # type: ignore[no-untyped-def]
@@ -88,7 +88,7 @@ def test_an_interruption_ends_the_recording(plugin: dict[str, str], tmp_path: Pa
          "capture", "--option", "mode=slow", "--out", str(tmp_path)],
         env=plugin, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True,
     )  # fmt: skip
-    _wait_for(lambda: any(b"gsb.v1.StateBlock" in p.read_bytes() for p in tmp_path.glob("*.partial")))
+    wait_for(lambda: any(b"gsb.v1.StateBlock" in p.read_bytes() for p in tmp_path.glob("*.partial")))
     os.killpg(process.pid, signal.SIGINT)
     out, err = process.communicate(timeout=60)
     assert process.returncode == 1
@@ -108,10 +108,10 @@ def test_a_run_ends_with_the_command_that_started_it(plugin: dict[str, str], tmp
          "--option", "mode=slow", "--out", str(tmp_path)],
         env=plugin, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
     )  # fmt: skip
-    _wait_for(lambda: any(b"gsb.v1.StateBlock" in p.read_bytes() for p in tmp_path.glob("*.partial")))
+    wait_for(lambda: any(b"gsb.v1.StateBlock" in p.read_bytes() for p in tmp_path.glob("*.partial")))
     process.kill()
     process.wait()
-    _wait_for(lambda: bool(list(tmp_path.glob("*.mcap"))))
+    wait_for(lambda: bool(list(tmp_path.glob("*.mcap"))))
     (file,) = tmp_path.iterdir()
     assert open_recording(file).status == "failed"
 
@@ -188,14 +188,6 @@ def _children(pid: int) -> list[int]:
         return [int(p) for p in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
     except FileNotFoundError:
         return []
-
-
-def _wait_for(condition) -> None:  # type: ignore[no-untyped-def]
-    for _ in range(600):
-        if condition():
-            return
-        time.sleep(0.1)
-    raise AssertionError("it did not happen within a minute")
 
 
 def test_gates_are_asked_after_every_phase(gsb_record: Command, plugin: dict[str, str], tmp_path: Path) -> None:

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from evaluator import open_recording
-from tests.conftest import Command, command
+from tests.conftest import Command, command, wait_for
 
 _INTERRUPTED_BETWEEN = '''
 """Interrupt a capture right after the digest of its n-th piece of a kind; print how it ended."""
@@ -126,7 +126,7 @@ def test_an_interruption_keeps_results(plugin: dict[str, str], tmp_path: Path) -
          "capture", "--json", "--out", str(tmp_path)],
         env=plugin, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
     )  # fmt: skip
-    _wait_for(lambda: len(list(tmp_path.glob("*.mcap"))) >= 2)
+    wait_for(lambda: len(list(tmp_path.glob("*.mcap"))) >= 2)
     process.terminate()
     out, err = process.communicate(timeout=60)
     assert process.returncode == 1
@@ -142,7 +142,7 @@ def test_a_second_interruption_kills_the_run(plugin: dict[str, str], tmp_path: P
          "capture", "--option", "mode=deaf", "--out", str(tmp_path)],
         env=plugin, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
     )  # fmt: skip
-    _wait_for(lambda: any(b"gsb.v1.StateBlock" in p.read_bytes() for p in tmp_path.glob("*.partial")))
+    wait_for(lambda: any(b"gsb.v1.StateBlock" in p.read_bytes() for p in tmp_path.glob("*.partial")))
     process.send_signal(signal.SIGINT)
     time.sleep(0.5)
     assert process.poll() is None
@@ -171,11 +171,3 @@ def test_an_import_that_is_interrupted_is_no_broken_one(tmp_path: Path) -> None:
     )  # fmt: skip
     assert (done.returncode, done.stdout) == (1, "")
     assert done.stderr == "gsb-record: interrupted\n"
-
-
-def _wait_for(condition) -> None:  # type: ignore[no-untyped-def]
-    for _ in range(600):
-        if condition():
-            return
-        time.sleep(0.1)
-    raise AssertionError("it did not happen within a minute")

@@ -8,7 +8,6 @@ import resource
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
@@ -22,7 +21,7 @@ from recorder.finished import Finished, matching, read_folder
 from recorder.sweep import CERTAIN, Outcome, Place, Sweep, parse_points
 from schemas.configuration import MAX_ENVS, RunConfiguration
 from schemas.errors import UsageError
-from tests.conftest import Command, command
+from tests.conftest import Command, command, wait_for
 
 _TINY = ("--steps", "5", "--warmup", "1", "--timed-steps", "2", "--phases", "timed")
 
@@ -441,7 +440,7 @@ def test_an_interrupted_sweep_goes_on(gsb_record: Command, limited: dict[str, st
         env={**limited, "GSB_TEST_SLOW": "1"}, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
     )  # fmt: skip
     try:
-        _wait_for(lambda: any(b"provenance.json" in path.read_bytes() for path in tmp_path.glob("*-n4-*.partial")))
+        wait_for(lambda: any(b"provenance.json" in path.read_bytes() for path in tmp_path.glob("*-n4-*.partial")))
     finally:
         process.send_signal(signal.SIGINT)
         out, err = process.communicate(timeout=60)
@@ -478,11 +477,3 @@ def test_a_sweep_on_a_terminal(tmp_path: Path) -> None:
     assert done.returncode == 0, done.stdout
     for words in ("1 envs", "4 envs", "8 envs", "run 2/2 complete in", "N_env^max 8: 8 is the end of the sweep"):
         assert words in done.stdout
-
-
-def _wait_for(condition) -> None:  # type: ignore[no-untyped-def]
-    for _ in range(600):
-        if condition():
-            return
-        time.sleep(0.1)
-    raise AssertionError("it did not happen within a minute")
