@@ -77,7 +77,7 @@ BUILT_IN = (
     Entry(
         "mujoco",
         "MuJoCo C on the CPU, float64, environments spread over threads",
-        "recorder.simulators.mujoco_c:MujocoC",
+        "recorder.simulators.mujoco.simulator:MujocoC",
         requires=("mujoco", "psutil"),
         install=_extra("mujoco"),
         devices=("cpu",),
@@ -87,7 +87,7 @@ BUILT_IN = (
     Entry(
         "warp",
         "MuJoCo Warp: MuJoCo in Warp kernels, CUDA graph capture on a GPU",
-        "recorder.simulators.mujoco_warp:MujocoWarp",
+        "recorder.simulators.warp.simulator:MujocoWarp",
         requires=("mujoco_warp", "psutil"),
         install=_extra("warp"),
         devices=("cuda", "cpu"),
@@ -97,7 +97,7 @@ BUILT_IN = (
     Entry(
         "mjx",
         "MJX: MuJoCo in JAX (--impl jax) or in Warp kernels called from JAX (--impl warp)",
-        "recorder.simulators.mjx:Mjx",
+        "recorder.simulators.mjx.simulator:Mjx",
         requires=("jax", "mujoco.mjx", "psutil"),
         install=_extra("mjx"),
         devices=("cuda", "cpu"),
@@ -107,7 +107,7 @@ BUILT_IN = (
     Entry(
         "playground",
         "MuJoCo Playground: an environment of its own kind over MJX, with its default implementation",
-        "recorder.simulators.playground:Playground",
+        "recorder.simulators.playground.simulator:Playground",
         requires=("mujoco_playground", "psutil"),
         install=_extra("playground"),
         devices=("cuda", "cpu"),
@@ -117,7 +117,7 @@ BUILT_IN = (
     Entry(
         "brax",
         "Brax: --solver positional, spring or generalized, in JAX",
-        "recorder.simulators.brax:Brax",
+        "recorder.simulators.brax.simulator:Brax",
         requires=("brax", "psutil"),
         install=_extra("brax"),
         devices=("cuda", "cpu"),
@@ -127,7 +127,7 @@ BUILT_IN = (
     Entry(
         "newton",
         "Newton: --solver mujoco, xpbd, steel and others, in Warp kernels",
-        "recorder.simulators.newton:Newton",
+        "recorder.simulators.newton.simulator:Newton",
         requires=("newton", "psutil"),
         install=_extra("newton"),
         devices=("cuda", "cpu"),

@@ -10,7 +10,7 @@ import numpy as np
 from recorder.conformance.rotation import turn_between
 from recorder.simulators.counters import CONTACTS
 from recorder.simulators.evidence import Evidence
-from recorder.simulators.mujoco_c import MujocoC
+from recorder.simulators.mujoco.simulator import MujocoC
 from schemas.errors import UsageError
 from schemas.provenance import Buffer, Counter, OverflowBit
 

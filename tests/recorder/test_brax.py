@@ -20,7 +20,7 @@ pytest.importorskip("brax")
 
 def make(scene: Scene, *, n_env: int = 2, **options: Any) -> Simulator:
     """A simulator on the CPU, not built yet."""
-    from recorder.simulators.brax import Brax
+    from recorder.simulators.brax.simulator import Brax
 
     parsed = parse_options("brax", Brax.Options, {"device": "cpu", **{k: str(v) for k, v in options.items()}})
     return Brax(scene, n_env=n_env, dt=0.01, seed=0, options=parsed)

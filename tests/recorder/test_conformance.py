@@ -20,7 +20,7 @@ from recorder.conformance import CHECKS, NotApplicable, Subject, conformance_sce
 from recorder.conformance.rotation import turn_between
 from recorder.conformance.scene import N_STEP, UPPER
 from recorder.conformance.verdict import expect_close
-from recorder.simulators.mujoco_c import MujocoC, MujocoOptions
+from recorder.simulators.mujoco.simulator import MujocoC, MujocoOptions
 from recorder.simulators.registry import Entry
 from tests.recorder import broken_adapters as broken
 
@@ -209,7 +209,7 @@ def test_a_build_that_fails_is_not_tried_again() -> None:
 
 def test_importing_an_engine_too_early(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Catch an adapter that imports its engine at the top, and one that only looks whether it is there."""
-    head = "from importlib.util import find_spec\nfrom recorder.simulators.mujoco_c import MujocoC\n"
+    head = "from importlib.util import find_spec\nfrom recorder.simulators.mujoco.simulator import MujocoC\n"
     (tmp_path / "early.py").write_text(head + "import mujoco\nclass Early(MujocoC): pass\n")
     (tmp_path / "hidden.py").write_text(
         head + "try:\n    import jax.numpy\nexcept ImportError:\n    pass\nclass Hidden(MujocoC): pass\n"

@@ -15,7 +15,7 @@ from recorder.options import parse_options
 from recorder.scenes.base import IDENTITY, Scene
 from recorder.scenes.registry import make_scene
 from recorder.simulators.base import Description
-from recorder.simulators.mujoco_c import MujocoC
+from recorder.simulators.mujoco.simulator import MujocoC
 from schemas.errors import UsageError
 
 

@@ -19,9 +19,9 @@ from recorder.scenes.base import Body, Box, Plane, Scene, Sphere
 from recorder.scenes.cube_stack import ROUGH_WOOD, SMOOTH_WOOD
 from recorder.scenes.registry import make_scene
 from recorder.simulators.base import Description
-from recorder.simulators.newton import Newton
-from recorder.simulators.newton_deviations import deviations
-from recorder.simulators.newton_options import SOLVERS, NewtonOptions
+from recorder.simulators.newton.deviations import deviations
+from recorder.simulators.newton.options import SOLVERS, NewtonOptions
+from recorder.simulators.newton.simulator import Newton
 from schemas.errors import UsageError
 from schemas.fields import BODY_FIELDS
 
@@ -260,7 +260,8 @@ def test_robots_are_refused() -> None:
 
 def test_import_is_light() -> None:
     """Import the adapter without Newton, Warp or MuJoCo."""
-    code = "import sys, recorder.simulators.newton; sys.exit(bool({'newton', 'warp', 'mujoco'} & set(sys.modules)))"
+    engines = {"newton", "warp", "mujoco"}
+    code = f"import sys, recorder.simulators.newton.simulator; sys.exit(bool({engines} & set(sys.modules)))"
     assert subprocess.run([sys.executable, "-c", code]).returncode == 0
 
 

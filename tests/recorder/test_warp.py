@@ -27,7 +27,7 @@ def build(
     scene: Scene, *, n_env: int = 2, determinism: str = "default", **options: Any
 ) -> tuple[Simulator, Description]:
     """A built simulator on the CPU."""
-    from recorder.simulators.mujoco_warp import MujocoWarp
+    from recorder.simulators.warp.simulator import MujocoWarp
 
     parsed = parse_options("warp", MujocoWarp.Options, {"device": "cpu", **{k: str(v) for k, v in options.items()}})
     simulator = MujocoWarp(scene, n_env=n_env, dt=0.01, seed=0, options=parsed, determinism=determinism)
@@ -74,7 +74,7 @@ def test_targets_are_drawn_on_the_device(seed: int, step: int, n_env: int) -> No
     import warp as wp
 
     from recorder.scenes.actions import GRID
-    from recorder.simulators import warp_kernels as kernels
+    from recorder.simulators.warp import kernels
 
     actions = franka().actions
     assert actions is not None

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from recorder.simulators.mjcf_options import one_of
+from recorder.simulators.mujoco.options import one_of
 from schemas.errors import UsageError
 
 DEVICES = ("auto", "cpu", "cuda")

@@ -16,10 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recorder.failure import Refused, cause_of
-from recorder.simulators import warp_runtime
 from recorder.simulators.base import Description, Simulator, States
 from recorder.simulators.evidence import Evidence
-from recorder.simulators.newton_options import NewtonOptions
+from recorder.simulators.newton.options import NewtonOptions
+from recorder.simulators.warp import runtime as warp_runtime
 from schemas.errors import UsageError
 from schemas.fields import BODY_FIELDS, StateField, body_field
 
@@ -55,11 +55,11 @@ class Newton(Simulator):
         import newton
         import warp as wp
 
-        from recorder.simulators.newton_deviations import deviations
-        from recorder.simulators.newton_ring import Ring
-        from recorder.simulators.newton_sizes import choose_sizes
-        from recorder.simulators.newton_solvers import in_force
-        from recorder.simulators.newton_watch import Watch
+        from recorder.simulators.newton.deviations import deviations
+        from recorder.simulators.newton.ring import Ring
+        from recorder.simulators.newton.sizes import choose_sizes
+        from recorder.simulators.newton.solvers import in_force
+        from recorder.simulators.newton.watch import Watch
 
         self._mode = wp.DeterministicMode[warp_runtime.MODES[level]]
         self._sizes = choose_sizes(self.scene, dt=self.dt, seed=self.seed, options=options)
@@ -97,7 +97,7 @@ class Newton(Simulator):
         )
 
     def _make_worlds(self, n_env: int) -> Any:
-        from recorder.simulators.newton_worlds import Worlds
+        from recorder.simulators.newton.worlds import Worlds
 
         with self._refusals():
             return Worlds(
@@ -139,7 +139,7 @@ class Newton(Simulator):
             self._build_kernels()
         storing = phase == "capture"
         if storing and self._ring is None:
-            from recorder.simulators.newton_ring import Ring
+            from recorder.simulators.newton.ring import Ring
 
             rows = max(1, min(_RING_ROWS, _RING_BYTES // Ring.row_bytes(self._worlds, self._watch)))
             self._ring = Ring(self._worlds, self._watch, rows)
@@ -152,8 +152,8 @@ class Newton(Simulator):
     def _build_kernels(self) -> None:
         import warp as wp
 
-        from recorder.simulators.newton_ring import Ring
-        from recorder.simulators.newton_watch import Watch
+        from recorder.simulators.newton.ring import Ring
+        from recorder.simulators.newton.watch import Watch
 
         spare = self._make_worlds(1)
         watch = Watch(spare, self.options, self._sizes)

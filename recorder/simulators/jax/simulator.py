@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from recorder.simulators import jax_runtime
 from recorder.simulators.base import Description, Simulator, States
 from recorder.simulators.evidence import Evidence
-from recorder.simulators.jax_actions import device_draw
+from recorder.simulators.jax import runtime as jax_runtime
+from recorder.simulators.jax.actions import device_draw
 
 _RING_BYTES = 256 << 20
 _RING_STEPS = 50

@@ -6,9 +6,9 @@ from collections.abc import Callable
 from typing import Any
 
 from recorder.simulators.counters import CONSTRAINT_ROWS, CONTACTS, SOLVER_ITERATIONS
-from recorder.simulators.newton_options import NewtonOptions
-from recorder.simulators.newton_solvers import Sizes
-from recorder.simulators.newton_worlds import Worlds
+from recorder.simulators.newton.options import NewtonOptions
+from recorder.simulators.newton.solvers import Sizes
+from recorder.simulators.newton.worlds import Worlds
 from schemas.provenance import Buffer, Counter, OverflowBit
 
 _NOT_FATAL = ("ITERATIONS", "LS_ITERATIONS")  # nothing is dropped
@@ -65,7 +65,7 @@ class Watch:
     def _watch_mujoco(self) -> None:
         import mujoco_warp as mjw
 
-        from recorder.simulators import newton_kernels as kernels
+        from recorder.simulators.newton import kernels
 
         n_env, data, sizes = self._worlds.n_env, self._worlds.solver.mjw_data, self._sizes
         self.overflow_bits = tuple(
@@ -97,13 +97,13 @@ class Watch:
         ]
 
     def _store(self, row: Any, counts: Any, stored: Any) -> None:
-        from recorder.simulators import newton_kernels as kernels
+        from recorder.simulators.newton import kernels
 
         self._launch(kernels.store_counts, self._worlds.n_env, row, counts, stored)
 
     def _watch_pool(self, bit: int, name: str, *, counted: bool = True) -> None:
         """The buffer of Newton's collision detection: it counts on where it is full, and drops what comes then."""
-        from recorder.simulators import newton_kernels as kernels
+        from recorder.simulators.newton import kernels
 
         n_env, contacts = self._worlds.n_env, self._worlds.contacts
         capacity, found = contacts.rigid_contact_max, contacts.rigid_contact_count
@@ -123,7 +123,7 @@ class Watch:
 
     def _watch_solver(self) -> None:
         """The buffers that the solver has besides."""
-        from recorder.simulators import newton_kernels as kernels
+        from recorder.simulators.newton import kernels
 
         worlds, solver, n_env = self._worlds, self._worlds.solver, self._worlds.n_env
         rows, by = self._sizes.rows, self._sizes.rows_by

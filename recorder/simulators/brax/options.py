@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from recorder.scenes.base import Scene
-from recorder.simulators.jax_runtime import JaxOptions
-from recorder.simulators.mjcf_options import one_of
+from recorder.simulators.jax.runtime import JaxOptions
+from recorder.simulators.mujoco.options import one_of
 from schemas.provenance import Deviation
 
 SOLVERS = ("positional", "spring", "generalized")

@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 
 from recorder.simulators.buffer_sizes import Need, measure
 from recorder.simulators.counters import CANDIDATE_PAIRS
-from recorder.simulators.mjcf_model import MjcfModel
+from recorder.simulators.mujoco.model import MjcfModel
 from schemas.provenance import Buffer, Counter, OverflowBit
 
 _TOUCHING_M = 1e-5

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from recorder.scenes.base import Scene
 from recorder.scenes.emit.mjcf import emit_mjcf
 from recorder.simulators.base import States
-from recorder.simulators.mjcf_options import GEOM_ATTRIBUTES, OPTION_ATTRIBUTES, MjcfOptions
+from recorder.simulators.mujoco.options import GEOM_ATTRIBUTES, OPTION_ATTRIBUTES, MjcfOptions
 from schemas.errors import UsageError
 from schemas.fields import BODY_FIELDS, StateField, body_field, joint_field
 

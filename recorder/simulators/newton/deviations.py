@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from recorder.scenes.base import Scene
-from recorder.simulators.newton_options import NewtonOptions
+from recorder.simulators.newton.options import NewtonOptions
 from schemas.provenance import Deviation
 
 _ONE_FRICTION = "Newton has one friction coefficient a shape; the kinetic one is used"

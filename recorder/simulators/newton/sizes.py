@@ -8,11 +8,11 @@ import numpy as np
 
 from recorder.scenes.base import Scene
 from recorder.simulators.buffer_sizes import Need, measure
-from recorder.simulators.mjcf_model import MjcfModel, compile_scene
-from recorder.simulators.mjcf_options import MjcfOptions
-from recorder.simulators.newton_model import detection_distance
-from recorder.simulators.newton_options import NewtonOptions
-from recorder.simulators.newton_solvers import Sizes
+from recorder.simulators.mujoco.model import MjcfModel, compile_scene
+from recorder.simulators.mujoco.options import MjcfOptions
+from recorder.simulators.newton.model import detection_distance
+from recorder.simulators.newton.options import NewtonOptions
+from recorder.simulators.newton.solvers import Sizes
 
 _MARGIN = 1.5  # Newton's collision detection makes other contacts of the same shapes, and its solvers other motions
 _STEEL_ROWS = 2  # of a contact: one along its normal, and its part of what a patch of contacts has along the surface

@@ -19,11 +19,11 @@ from numpy.typing import NDArray
 from recorder.failure import Refused, cause_of
 from recorder.scenes.actions import GRID
 from recorder.scenes.emit.mjcf import deviations
-from recorder.simulators import warp_runtime
 from recorder.simulators.base import Description, Simulator, States
 from recorder.simulators.counters import CONSTRAINT_ROWS, CONTACTS, SOLVER_ITERATIONS
 from recorder.simulators.evidence import Evidence
-from recorder.simulators.mjcf_options import MjcfOptions
+from recorder.simulators.mujoco.options import MjcfOptions
+from recorder.simulators.warp import runtime as warp_runtime
 from schemas.errors import GsbError
 from schemas.provenance import Buffer, OverflowBit
 
@@ -93,7 +93,7 @@ class MujocoWarp(Simulator):
         import warp as wp
 
         from recorder.simulators.buffer_sizes import measure
-        from recorder.simulators.mjcf_model import compile_scene
+        from recorder.simulators.mujoco.model import compile_scene
 
         compiled = self._compiled = compile_scene(self.scene, dt=self.dt, options=options)
         need = measure(compiled, dt=self.dt, seed=self.seed)
@@ -209,7 +209,7 @@ class MujocoWarp(Simulator):
         import mujoco_warp as mjw
         import warp as wp
 
-        from recorder.simulators import warp_kernels as kernels
+        from recorder.simulators.warp import kernels
 
         if self.scene.actions is not None:
             seed_word = self.scene.actions.seed_word(self.seed)
@@ -234,7 +234,7 @@ class MujocoWarp(Simulator):
     def _one_snapshot(self) -> None:
         import warp as wp
 
-        from recorder.simulators import warp_kernels as kernels
+        from recorder.simulators.warp import kernels
 
         data = self._data
         wp.launch(kernels.snapshot, dim=data.qpos.shape, inputs=[self._row, data.qpos], outputs=[self._ring_qpos])

@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from recorder.simulators import jax_runtime
 from recorder.simulators.base import Description, States
-from recorder.simulators.brax_options import BraxOptions, deviations
+from recorder.simulators.brax.options import BraxOptions, deviations
 from recorder.simulators.counters import CANDIDATE_PAIRS, CONTACTS
-from recorder.simulators.jax_simulator import OVERFLOW, JaxSimulator, Physics
-from recorder.simulators.mjcf_options import MjcfOptions
+from recorder.simulators.jax import runtime as jax_runtime
+from recorder.simulators.jax.simulator import OVERFLOW, JaxSimulator, Physics
+from recorder.simulators.mujoco.options import MjcfOptions
 from schemas.errors import UsageError
 from schemas.fields import BODY_FIELDS, StateField, body_field
 
@@ -82,7 +82,7 @@ class Brax(JaxSimulator):
         from brax import contact
         from mujoco.mjx._src import collision_driver
 
-        from recorder.simulators.mjx_caps import Certificate
+        from recorder.simulators.mjx.caps import Certificate
 
         certificate = Certificate(compiled.model, caps)
         dim = collision_driver.make_condim(compiled.model)
@@ -154,15 +154,15 @@ def _short(number: Any) -> float:
 
 
 def _bits() -> Any:
-    from recorder.simulators.mjx_caps import BITS
+    from recorder.simulators.mjx.caps import BITS
 
     return BITS
 
 
 def _compile(simulator: Brax, options: BraxOptions) -> tuple[Any, Any]:
     """The scene's model as Brax takes it, with MJX's limits in it, and these limits."""
-    from recorder.simulators import mjx_caps
-    from recorder.simulators.mjcf_model import compile_scene
+    from recorder.simulators.mjx import caps as mjx_caps
+    from recorder.simulators.mujoco.model import compile_scene
 
     # all that Brax accepts; of MuJoCo's solver options it reads only the iterations, and those in generalized alone
     physics = MjcfOptions(integrator="Euler", cone="pyramidal", iterations=options.solver_iterations)

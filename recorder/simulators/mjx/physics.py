@@ -13,9 +13,9 @@ import numpy as np
 from recorder.failure import Refused
 from recorder.scenes.base import Scene
 from recorder.simulators.counters import CANDIDATE_PAIRS, CONSTRAINT_ROWS, CONTACTS, SOLVER_ITERATIONS
-from recorder.simulators.jax_runtime import JaxOptions
-from recorder.simulators.jax_simulator import OVERFLOW
-from recorder.simulators.mjcf_options import CONES, MjcfOptions, one_of
+from recorder.simulators.jax.runtime import JaxOptions
+from recorder.simulators.jax.simulator import OVERFLOW
+from recorder.simulators.mujoco.options import CONES, MjcfOptions, one_of
 from schemas.provenance import Buffer, Counter, OverflowBit
 
 IMPLEMENTATIONS = ("jax", "warp")
@@ -123,13 +123,13 @@ class MjxModel:
 
 def load(scene: Scene, *, n_env: int, dt: float, seed: int, options: MjxOptions, impl: str) -> MjxModel:
     """Compile a scene for MJX and size its buffers on MuJoCo C."""
-    from recorder.simulators.mjcf_model import compile_scene
+    from recorder.simulators.mujoco.model import compile_scene
 
     physics = options.physics(impl)
     compiled = compile_scene(scene, dt=dt, options=physics)
     if impl == "warp":
         return _for_warp(compiled, n_env=n_env, dt=dt, seed=seed, options=options)
-    from recorder.simulators import mjx_caps
+    from recorder.simulators.mjx import caps as mjx_caps
 
     caps = mjx_caps.choose(
         compiled,

@@ -6,9 +6,9 @@ import warnings
 from typing import Any
 
 from recorder.scenes.base import Scene
-from recorder.simulators.newton_model import build_model
-from recorder.simulators.newton_options import NewtonOptions
-from recorder.simulators.newton_solvers import Sizes, make_solver, register
+from recorder.simulators.newton.model import build_model
+from recorder.simulators.newton.options import NewtonOptions
+from recorder.simulators.newton.solvers import Sizes, make_solver, register
 
 
 class Worlds:

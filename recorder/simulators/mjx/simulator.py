@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
-from recorder.simulators import mjx_physics
-from recorder.simulators.jax_simulator import Physics
-from recorder.simulators.mjx_physics import MjxModel, MjxOptions
-from recorder.simulators.mjx_simulator import MjxSimulator
+from recorder.simulators.jax.simulator import Physics
+from recorder.simulators.mjx import physics as mjx_physics
+from recorder.simulators.mjx.physics import MjxModel, MjxOptions
+from recorder.simulators.mjx.stepper import MjxSimulator
 
 
 class Mjx(MjxSimulator):

@@ -1,0 +1,1 @@
+"""MuJoCo C; and MuJoCo's model and options, for every engine that reads them."""

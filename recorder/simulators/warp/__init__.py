@@ -1,0 +1,1 @@
+"""MuJoCo Warp; and what engines on Warp share."""
