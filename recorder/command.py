@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import schemas
 from recorder.interruption import shielded
@@ -13,9 +13,6 @@ from recorder.output import flush, show
 from schemas.configuration import OPTIONAL_PHASES, RunConfiguration
 from schemas.errors import ExitCode, UsageError
 from schemas.provenance import REAL
-
-if TYPE_CHECKING:
-    from recorder.simulators.registry import Entry
 
 _EPILOG = """\
 exit codes:
@@ -30,11 +27,17 @@ sweeps:
   the first run is out of memory or of a buffer, is refused or times out, the other runs of its point are not made.
   The same command with the same --out goes on where it stopped: runs whose recordings lie there are not made again.
 
+environments:
+  Engines whose packages cannot live together get an environment each: --setup NAME makes it, in $GSB_ENVIRONMENTS or
+  the user's folder for data, from pinned requirements whose hashes are checked. Later runs of that simulator find it.
+  --python PATH takes one of your own. What builds on torch gets the torch that pip is configured for on this machine.
+
 examples:
   gsb-record --sim mujoco
   gsb-record --sim mujoco --scene free-fall --n-env 64 --runs 3 --out recordings/
   gsb-record --sim mujoco --option cone=pyramidal --option integrator=Euler
   gsb-record --sim mujoco --scene free-fall --sweep 1..131072:4 --runs 3 --phases timed --timeout 600
+  gsb-record --setup genesis && gsb-record --sim genesis
   gsb-record --sim real --trials trials.csv --unit cm
 """
 
@@ -80,7 +83,14 @@ def parser() -> argparse.ArgumentParser:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     p.add_argument("--version", action="version", version=f"gpusimbench {schemas.__version__}")
-    p.add_argument("--list", action="store_true", help="show simulators, whether they are installed, and scenes")
+    p.add_argument("--list", action="store_true", help="show simulators, where they are installed, and scenes")
+    p.add_argument("--setup", metavar="NAME", help="make the environment of a simulator that needs one of its own")
+    p.add_argument(
+        "--python",
+        type=Path,
+        metavar="PATH",
+        help="interpreter, or virtual environment, that makes the runs (or the environment of --setup)",
+    )
     p.add_argument("--json", action="store_true", help="print results (or the list) as JSON on standard output")
 
     what = p.add_argument_group("what is run")
@@ -156,7 +166,7 @@ def configure(arguments: argparse.Namespace) -> RunConfiguration:
         timeout=arguments.timeout,
     )
     check(configuration)
-    adapter = find_simulator(arguments.sim).load()
+    adapter = find_simulator(arguments.sim).adapter()
     parse_options(arguments.sim, adapter.Options, configuration.options)
     levels = adapter.determinism_levels
     if configuration.determinism not in levels:
@@ -170,15 +180,18 @@ def configure(arguments: argparse.Namespace) -> RunConfiguration:
 def record(arguments: argparse.Namespace, argv: tuple[str, ...]) -> int:
     """Make all runs; returns the exit code."""
     with shielded():
+        from recorder.environments.choice import interpreter_for
         from recorder.plan import check_runs
         from recorder.series import Request, record_set, record_sweep
+        from recorder.simulators.registry import find_simulator
         from recorder.sweep import Sweep, parse_points
 
     check_runs(arguments.runs)
     points = () if arguments.sweep is None else parse_points(arguments.sweep)
     if points:
         arguments.n_env = points[0]
-    request = Request(configure(arguments), arguments.out, argv, quiet=arguments.json)
+    interpreter = interpreter_for(find_simulator(arguments.sim), arguments.python)
+    request = Request(configure(arguments), arguments.out, argv, quiet=arguments.json, interpreter=interpreter)
     if points:
         code, results = record_sweep(request, Sweep(points, arguments.runs))
     else:
@@ -192,74 +205,27 @@ def _print_json(record: dict[str, Any]) -> None:
     show(json.dumps({"schema_version": 1, **record}, indent=1))
 
 
-def list_all(as_json: bool) -> int:
-    """Print simulators, what each of them can do, and scenes."""
+def _list(as_json: bool) -> int:
     with shielded():
-        from recorder.scenes.registry import SCENES, make_scene
-        from recorder.simulators.registry import simulators
-
-    known: list[dict[str, Any]] = []
-    for entry in simulators().values():
-        installed = not entry.missing()
-        levels, problem = _determinism(entry) if installed else ({}, "")
-        known.append(
-            {
-                "name": entry.name,
-                "summary": entry.summary,
-                "installed": installed,
-                "install": entry.install,
-                "problem": problem,
-                "devices": list(entry.devices),
-                "precision": list(entry.precision),
-                "scenes": list(entry.scenes),
-                "determinism": levels,
-            }
-        )
-    measurable = [name for name in SCENES if "cubes" in make_scene(name).groups()]
-    known.append(
-        {
-            "name": REAL,
-            "summary": "measured trials from a CSV file",
-            "installed": True,
-            "install": "",
-            "problem": "",
-            "devices": [],
-            "precision": ["float64"],
-            "scenes": measurable,
-            "determinism": {},
-        }
-    )
-    scenes = [{"name": name, "summary": make_scene(name).summary} for name in SCENES]
+        from recorder.listing import list_all, text_of
+    known = list_all()
     if as_json:
-        _print_json({"simulators": known, "scenes": scenes})
-        return ExitCode.OK
-    lines = ["simulators"]
-    for about in known:
-        lines.append(f"  {about['name']:<20} {about['summary']}")
-        lines += [f"{'':<23}{line}" for line in _abilities(about)]
-    lines.append("scenes")
-    lines += [f"  {scene['name']:<20} {scene['summary']}" for scene in scenes]
-    show("\n".join(lines))
+        _print_json(known)
+    else:
+        show(text_of(known))
     return ExitCode.OK
 
 
-def _determinism(entry: Entry) -> tuple[dict[str, str], str]:
-    # levels of an installed simulator, or why its adapter does not tell
-    try:
-        adapter = entry.load()
-        return {str(level): str(meaning) for level, meaning in adapter.determinism_levels.items()}, ""
-    except UsageError as error:
-        return {}, str(error)
-    except Exception as error:  # whatever a third party's module raises; the others are still listed
-        text = " ".join(f"{type(error).__name__}: {error}".split())
-        return {}, f"simulator '{entry.name}' cannot be loaded: {text}"
-
-
-def _abilities(about: dict[str, Any]) -> list[str]:
-    state = "installed" if about["installed"] else f"not installed: {about['install']}"
-    lines = [f"{state}, but {about['problem']}" if about["problem"] else state]
-    lines += [f"{what}: {', '.join(about[what])}" for what in ("devices", "precision", "scenes") if about[what]]
-    return lines + [f"--determinism {level}: {meaning}" for level, meaning in about["determinism"].items()]
+def _set_up(arguments: argparse.Namespace) -> int:
+    with shielded():
+        from recorder.environments.setup import set_up
+        from recorder.listing import about_environment, environment_line
+    made = about_environment(set_up(arguments.setup, arguments.python))
+    if arguments.json:
+        _print_json({"environment": made})
+    else:
+        show(environment_line(made))
+    return ExitCode.OK
 
 
 def run(given: list[str]) -> int:
@@ -270,7 +236,9 @@ def run(given: list[str]) -> int:
         flush()  # --help and --version only write to a buffer, and an error there would come too late
         raise
     if arguments.list:
-        return list_all(arguments.json)
+        return _list(arguments.json)
+    if arguments.setup:
+        return _set_up(arguments)
     if not arguments.sim:
         raise UsageError("say which simulator with --sim NAME; gsb-record --list shows them")
     _fill(arguments)

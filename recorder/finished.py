@@ -10,6 +10,7 @@ from typing import Any
 
 from mcap.reader import make_reader
 
+from recorder.environments.interpreter import Interpreter
 from recorder.sweep import Outcome, Place
 from schemas import FORMAT, PARTIAL, topics
 from schemas.configuration import RunConfiguration
@@ -65,14 +66,13 @@ def read_end(path: Path) -> Finished:
         raise DamagedRecording("unreadable: " + " ".join(f"{type(error).__name__}: {error}".split())) from None
 
 
-def where_am_i() -> str:
+def where_am_i(interpreter: Interpreter) -> str:
     """The machine and the software that a run made now would have: CPU, GPUs and versions of packages that compute."""
     from recorder.probes.gpu import Gpus
     from recorder.probes.host import describe_host
-    from recorder.probes.software import describe_software
 
     with Gpus() as gpus:
-        return _where(describe_host(), gpus.describe(), describe_software())
+        return _where(describe_host(), gpus.describe(), interpreter.software())
 
 
 def _where(host: dict[str, Any], gpus: Sequence[dict[str, Any]], software: dict[str, Any]) -> str:

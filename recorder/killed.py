@@ -13,8 +13,8 @@ from mcap.records import Attachment
 from mcap.stream_reader import StreamReader
 
 from recorder.capture.sink import Sink
+from recorder.environments.interpreter import Interpreter
 from recorder.plan import release, reserve
-from recorder.probes.software import describe_software
 from schemas.configuration import RunConfiguration
 from schemas.provenance import PACKAGES, PROVENANCE, SCENE, SIMULATION, Provenance
 
@@ -29,6 +29,7 @@ def record_killed(
     run_id: str,
     created: str,
     argv: tuple[str, ...],
+    interpreter: Interpreter,
     reason: str,
 ) -> Path:
     """Write the recording; returns its path. DataLost where it cannot be written.
@@ -41,7 +42,7 @@ def record_killed(
         sink = Sink(path, compression=configuration.compression, reserved=True)
         try:
             if PROVENANCE not in said:
-                provenance = Provenance(run_id, created, argv, configuration, software=describe_software())
+                provenance = Provenance(run_id, created, argv, configuration, software=interpreter.software())
                 sink.attach(PROVENANCE, "application/json", provenance.to_json().encode())
             for name, attachment in said.items():
                 sink.attach(name, attachment.media_type, attachment.data)

@@ -7,7 +7,6 @@ import os
 import shutil
 import signal
 import subprocess
-import sys
 import tempfile
 import threading
 from collections.abc import Callable
@@ -17,6 +16,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
+from recorder.environments.interpreter import Interpreter
 from recorder.interruption import ENDING, SIGNALS, blocked
 from recorder.plan import release
 from schemas.configuration import RunConfiguration
@@ -28,6 +28,7 @@ GRACE_S = 30.0
 """How long a run that has timed out may take to bring its recording to an end [s]. An engine that sits in native code,
 such as a compilation, never lets it begin with that, and is killed."""
 
+_OUTPUT = "output"  # in the run's folder: what its process prints
 _SAID_BYTES = 4096  # of the end of what a run's process printed
 _SAID_CHARACTERS = 300
 
@@ -105,10 +106,13 @@ def launch(
     run_id: str,
     created: str,
     argv: tuple[str, ...],
+    interpreter: Interpreter,
     progress: Progress,
     interruptions: Interruptions,
 ) -> Result:
     """Record one run in a fresh process, into `path`, whose name is reserved (recorder.plan.reserve).
+
+    interpreter  that the process is of
 
     A run with a time limit that neither ends nor begins to end its recording within GRACE_S more is killed.
 
@@ -124,8 +128,8 @@ def launch(
         "scratch": str(scratch),
     }
     try:
-        end = _follow(task, scratch / "output", configuration.timeout, progress, interruptions)
-        said = "" if end.last else _last_line(scratch / "output")
+        end = _follow(task, scratch, interpreter, configuration.timeout, progress, interruptions)
+        said = "" if end.last else _last_line(scratch / _OUTPUT)
     finally:
         shutil.rmtree(scratch, ignore_errors=True)
         left = release(path)
@@ -187,22 +191,28 @@ class _Deadline:
 
 
 def _follow(
-    task: dict[str, Any], output: Path, timeout: float, progress: Progress, interruptions: Interruptions
+    task: dict[str, Any],
+    scratch: Path,
+    interpreter: Interpreter,
+    timeout: float,
+    progress: Progress,
+    interruptions: Interruptions,
 ) -> _End:
     end = _End()
+    environment = interpreter.environment(scratch)
     reader, writer = os.pipe()
-    with os.fdopen(reader) as reports, tempfile.TemporaryFile() as given, output.open("wb") as printed:
+    with os.fdopen(reader) as reports, tempfile.TemporaryFile() as given, (scratch / _OUTPUT).open("wb") as printed:
         given.write(json.dumps(task).encode())
         given.seek(0)
         try:
             with blocked():  # until the run can end its recording, an interruption waits
                 child = subprocess.Popen(
-                    [sys.executable, "-m", "recorder.child", str(writer)],
+                    interpreter.command("-m", "recorder.child", str(writer)),
                     stdin=given,
                     stdout=printed,
                     stderr=printed,
                     pass_fds=(writer,),
-                    env=_environment(),
+                    env=environment,
                     start_new_session=True,  # interruptions reach the run once, through this process
                 )
         except OSError as error:
@@ -248,14 +258,6 @@ def _last_line(output: Path) -> str:
         return ""
     printable = ("".join(c for c in line if c.isprintable()).strip() for line in lines)
     return next((line[:_SAID_CHARACTERS] for line in reversed(list(printable)) if line), "")
-
-
-def _environment() -> dict[str, str]:
-    # the child imports the same packages, also from a checkout that is not installed
-    root = str(Path(__file__).resolve().parent.parent)
-    given = filter(None, os.environ.get("PYTHONPATH", "").split(os.pathsep))
-    paths = [root, *map(os.path.abspath, given)]  # the run works in a folder of its own
-    return {**os.environ, "PYTHONPATH": os.pathsep.join(dict.fromkeys(paths))}
 
 
 def _result(

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from recorder.environments.interpreter import Interpreter
 from recorder.interruption import shielded
 from recorder.launch import Interruptions, Result, launch
 from recorder.plan import prepare_folder, reserve, runs, utc_now
@@ -28,12 +29,14 @@ class Request:
     out            folder of the recordings
     argv           the user's command
     quiet          print no paths and no summary: the caller prints the results itself
+    interpreter    that the runs' processes are of
     """
 
     configuration: RunConfiguration
     out: Path
     argv: tuple[str, ...]
     quiet: bool
+    interpreter: Interpreter
 
 
 def record_set(request: Request, count: int) -> tuple[int, Json]:
@@ -64,7 +67,8 @@ def record_sweep(request: Request, sweep: Sweep) -> tuple[int, Json]:
 
     prepare_folder(request.out)
     found, others = read_folder(request.out)
-    there = {place: f for place, f in matching(found, request.configuration, where_am_i()).items() if place in sweep}
+    where = where_am_i(request.interpreter)
+    there = {place: f for place, f in matching(found, request.configuration, where).items() if place in sweep}
     known = {place: f.outcome for place, f in there.items()}
     results = {place: {**_json(f.configuration, f.path, f.outcome), "found": True} for place, f in there.items()}
     codes: dict[int, ExitCode] = {}  # the gravest of the runs that are made here, by n_env
@@ -110,6 +114,7 @@ def _make(
         run_id=run_id,
         created=created,
         argv=request.argv,
+        interpreter=request.interpreter,
         progress=lambda phase, done, of: progress.update(run.run_index, phase, done, of),
         interruptions=interruptions,
     )
@@ -117,8 +122,9 @@ def _make(
         from recorder.killed import record_killed
 
         path = record_killed(
-            request.out, run, result.path, run_id=run_id, created=created, argv=request.argv, reason=result.reason
-        )
+            request.out, run, result.path, run_id=run_id, created=created, argv=request.argv,
+            interpreter=request.interpreter, reason=result.reason,
+        )  # fmt: skip
         result = replace(result, status="failed", path=path, exit_code=ExitCode.FAILURE)
     progress.finish(result)
     if not request.quiet and result.path:

@@ -5,14 +5,20 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import subprocess
 import sys
+import tempfile
 import time
 from contextlib import redirect_stdout
 from dataclasses import asdict, dataclass
+from pathlib import Path
 
 from recorder.conformance import CHECKS, Check, NotApplicable, Subject
+from recorder.environments.choice import interpreter_for
+from recorder.environments.interpreter import Interpreter
 from recorder.options import split_options
 from recorder.output import show
+from recorder.simulators.registry import find_simulator
 from schemas.errors import ExitCode, GsbError, UsageError
 
 _EPILOG = """\
@@ -79,6 +85,7 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument("--sim", required=True, metavar="NAME", help="simulator, as gsb-record --list shows it")
     p.add_argument("--option", action="append", default=[], metavar="NAME=VALUE", help="of the simulator; repeatable")
     p.add_argument("--determinism", default="default", metavar="LEVEL", help="of the simulator (default: %(default)s)")
+    p.add_argument("--python", type=Path, metavar="PATH", help="interpreter that has the engine (default: found)")
     p.add_argument("--json", action="store_true", help="print the results as JSON on standard output, at the end")
     return p
 
@@ -86,6 +93,9 @@ def parser() -> argparse.ArgumentParser:
 def run(given: list[str]) -> int:
     """Do what the arguments say; returns the exit code. Errors as of schemas.errors."""
     arguments = parser().parse_args(given)
+    interpreter = interpreter_for(find_simulator(arguments.sim), arguments.python)
+    if not interpreter.own:
+        return _elsewhere(interpreter, given)
     subject = Subject.named(arguments.sim, split_options(arguments.option), arguments.determinism)
     verdicts = []
     for check in CHECKS:
@@ -100,6 +110,12 @@ def run(given: list[str]) -> int:
     else:
         show(f"{subject.name}: " + ", ".join(f"{count} {outcome}" for outcome, count in tally.items()))
     return int(ExitCode.FAILURE if tally[FAILED] else ExitCode.OK)
+
+
+def _elsewhere(interpreter: Interpreter, given: list[str]) -> int:
+    with tempfile.TemporaryDirectory(prefix="gsb-code-") as folder:
+        command = interpreter.command("-m", "recorder.conformance", *given)
+        return subprocess.run(command, stdout=sys.stdout, env=interpreter.environment(Path(folder))).returncode
 
 
 def _take_standard_output() -> None:

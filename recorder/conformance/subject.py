@@ -19,7 +19,7 @@ from recorder.conformance.trajectory import Trajectory
 from recorder.environment import apply_environment
 from recorder.options import parse_options
 from recorder.scenes.base import Scene
-from recorder.scenes.registry import SCENES
+from recorder.scenes.registry import SCENES, make_scene
 from recorder.simulators.base import Description, Simulator, States
 from recorder.simulators.evidence import Evidence
 from recorder.simulators.registry import Entry, find_simulator
@@ -184,6 +184,7 @@ class Subject:
             return Stepped(_copy(simulator.state()), tuple(evidence), tuple(simulator.gates()))
 
     def _record(self) -> RecordedRun:
+        from recorder.environments.interpreter import own
         from recorder.launch import Interruptions, launch
         from recorder.plan import reserve, utc_now
 
@@ -191,7 +192,7 @@ class Subject:
             simulator=self.name,
             scene=self.scenes[0],
             n_env=2,
-            dt=SCENES[self.scenes[0]]().dt,
+            dt=make_scene(self.scenes[0]).dt,
             steps=4,
             warmup=1,
             timed_steps=3,
@@ -208,6 +209,7 @@ class Subject:
                     run_id=str(uuid.uuid4()),
                     created=created,
                     argv=("python", "-m", "recorder.conformance", "--sim", self.name),
+                    interpreter=own(),
                     progress=lambda phase, done, of: None,
                     interruptions=interruptions,
                 )

@@ -1,8 +1,13 @@
-"""Scenes by name."""
+"""Scenes by name, loaded only when asked for.
+
+A distribution adds its own through the entry-point group ``gsb.scenes``: the entry's name is what users say, its object
+is a callable without arguments that returns the Scene of that name.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from importlib import metadata
 
 from recorder.scenes.base import Scene
 from recorder.scenes.franka import franka
@@ -10,16 +15,39 @@ from recorder.scenes.free_fall import free_fall
 from recorder.scenes.inclined_collision import inclined_collision
 from schemas.errors import UsageError
 
+ENTRY_POINTS = "gsb.scenes"
+
 SCENES: dict[str, Callable[[], Scene]] = {
     "inclined-collision": inclined_collision,
     "free-fall": free_fall,
     "franka": franka,
 }
+"""The built-in ones."""
+
+
+def scene_names() -> tuple[str, ...]:
+    """All scenes: the built-in ones, and those that installed distributions add."""
+    return tuple(dict.fromkeys([*SCENES, *sorted(_added())]))
 
 
 def make_scene(name: str) -> Scene:
-    """The scene of that name; UsageError names the known ones."""
-    try:
+    """The scene of that name; UsageError names the known ones, or says why one that was added cannot be made."""
+    if name in SCENES:
         return SCENES[name]()
-    except KeyError:
-        raise UsageError(f"there is no scene '{name}'; known scenes: {', '.join(SCENES)}") from None
+    point = _added().get(name)
+    if point is None:
+        raise UsageError(f"there is no scene '{name}'; known scenes: {', '.join(scene_names())}")
+    owner = point.dist.name if point.dist else "an installed distribution"
+    try:
+        scene = point.load()()
+    except Exception as error:  # whatever a third party's code raises
+        text = " ".join(f"{type(error).__name__}: {error}".split())
+        raise UsageError(f"scene '{name}' of {owner} cannot be made: {text}") from None
+    if not isinstance(scene, Scene) or scene.name != name:
+        made = f"a Scene named '{scene.name}'" if isinstance(scene, Scene) else f"a {type(scene).__name__}"
+        raise UsageError(f"scene '{name}' of {owner} has to be a Scene of that name, and is {made}")
+    return scene
+
+
+def _added() -> dict[str, metadata.EntryPoint]:
+    return {point.name: point for point in metadata.entry_points(group=ENTRY_POINTS)}

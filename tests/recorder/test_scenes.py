@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import math
+import os
+from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -15,6 +17,7 @@ from recorder.scenes.free_fall import DROP_HEIGHT
 from recorder.scenes.inclined_collision import SLOPE_ANGLE
 from recorder.scenes.registry import SCENES, make_scene
 from schemas.errors import UsageError
+from tests.conftest import SMALL, Command
 
 scenes = pytest.mark.parametrize("name", SCENES)
 
@@ -119,3 +122,52 @@ def test_an_unknown_scene_names_the_known_ones() -> None:
     """List the scenes that there are."""
     with pytest.raises(UsageError, match="inclined-collision"):
         make_scene("outer-space")
+
+
+def _distribution(folder: Path, code: str, names: dict[str, str]) -> None:
+    # an installed one that adds scenes
+    (folder / "their_scenes.py").write_text(code)
+    info = folder / "their_scenes-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: their-scenes\nVersion: 1.0\n")
+    lines = "".join(f"{name} = their_scenes:{target}\n" for name, target in names.items())
+    (info / "entry_points.txt").write_text(f"[gsb.scenes]\n{lines}")
+
+
+_THEIRS = """
+from dataclasses import replace
+from recorder.scenes.free_fall import free_fall
+
+def low_drop():
+    return replace(free_fall(), name="low-drop", summary="a drop of another height")
+
+def misnamed():
+    return free_fall()
+
+def broken():
+    raise RuntimeError("no such thing")
+
+def nothing():
+    return None
+"""
+
+
+def test_a_distribution_adds_scenes(tmp_path: Path, gsb_record: Command) -> None:
+    """Record a third party's scene by its name, list it, and say what is wrong with one that cannot be made."""
+    names = {"low-drop": "low_drop", "misnamed": "misnamed", "broken": "broken", "nothing": "nothing", "no": "absent"}
+    _distribution(tmp_path, _THEIRS, names)
+    environment = {**os.environ, "PYTHONPATH": str(tmp_path)}
+    listed = json.loads(gsb_record("--list", "--json", env=environment).stdout)["scenes"]
+    assert {"name": "low-drop", "summary": "a drop of another height", "problem": ""} in listed
+    problems = {scene["name"]: scene["problem"] for scene in listed if scene["problem"]}
+    assert set(problems) == {"misnamed", "broken", "nothing", "no"}
+    assert "a Scene named 'free-fall'" in problems["misnamed"]
+    assert "RuntimeError: no such thing" in problems["broken"]
+    done = gsb_record(
+        "--sim", "mujoco", "--scene", "low-drop", "--n-env", 1, "--runs", 1, *SMALL, "--out", tmp_path / "out",
+        env=environment,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    done = gsb_record("--sim", "mujoco", "--scene", "broken", env=environment)
+    assert done.returncode == 2
+    assert "scene 'broken' of their-scenes cannot be made" in done.stderr

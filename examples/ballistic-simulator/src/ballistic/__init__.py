@@ -1,0 +1,1 @@
+"""A small rigid-body engine, its adapter, and a scene."""

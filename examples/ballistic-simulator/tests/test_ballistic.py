@@ -1,0 +1,44 @@
+"""The engine conforms, and its scene comes to rest."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from ballistic.adapter import Ballistic, Options
+from ballistic.scenes import EDGE, dice_drop
+
+from recorder.conformance import CHECKS, NotApplicable, Subject
+
+
+@pytest.fixture(scope="session")
+def subject() -> Subject:
+    """One subject, so that all checks share its builds; of the installed package, and recorded as well."""
+    return Subject.named("ballistic")
+
+
+@pytest.mark.parametrize("check", CHECKS, ids=lambda check: check.__name__)
+def test_conforms(subject, check):
+    """Pass the check."""
+    try:
+        check(subject)
+    except NotApplicable as reason:
+        pytest.skip(str(reason))
+
+
+def test_dice_come_to_rest():
+    """Let the dice lie flat on the table after 1.5 s, each world alike."""
+    simulator = Ballistic(dice_drop(), n_env=2, dt=0.01, seed=0, options=Options())
+    fields = [field.field for field in simulator.build().fields]
+    simulator.step(150)
+    state = dict(zip(fields, simulator.state(), strict=True))
+    assert np.allclose(state["position"][..., 2], EDGE / 2, atol=1e-4)
+    assert np.abs(state["linear_velocity"]).max() < 1e-3
+    assert all(array[0].tobytes() == array[1].tobytes() for array in state.values())
+
+
+def test_dice_stay_above_the_table():
+    """Let no die's centre come closer to the table than 8 mm, two less than where it rests, at any impact."""
+    simulator = Ballistic(dice_drop(), n_env=1, dt=0.01, seed=0, options=Options())
+    simulator.build()
+    lowest = min(simulator.states(1)[0][..., 2].min() for _ in range(60))
+    assert lowest > EDGE / 2 * 0.8

@@ -1,0 +1,165 @@
+"""Makes the environment of a simulator: a virtual environment with pinned requirements, each checked by its hash."""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from recorder.environments.interpreter import RECORDING, Interpreter, at
+from recorder.environments.specification import Specification, specification_of
+from recorder.environments.store import Prepared, find, folder_of, store
+from recorder.plan import utc_now
+from recorder.probes.software import NUMERIC_PACKAGES
+from recorder.progress import say
+from recorder.simulators.registry import find_simulator
+from schemas.errors import GsbError, UsageError
+
+_VERSIONS = """
+import json, sys
+from importlib import metadata
+there = {}
+for name in sys.argv[1:]:
+    try:
+        there[name] = metadata.version(name)
+    except metadata.PackageNotFoundError:
+        pass
+print(json.dumps(there))
+"""
+
+
+def set_up(simulator: str, python: Path | None = None) -> Prepared:
+    """The environment of a simulator, made unless it is there already.
+
+    python  to make it with; None: this one or another on PATH, of a version that the requirements are for
+
+    UsageError where there is nothing to make it from or no such Python; GsbError where an installation fails. What was
+    made by then is removed.
+    """
+    specification = specification_of(simulator)
+    with _alone(simulator):
+        there = find(simulator)
+        if there and there.current and python is None:
+            return there
+        base = _base(specification, python)
+        folder = folder_of(simulator)
+        if folder.exists():
+            say(f"removing {folder}, which was not finished or is of other requirements")
+            shutil.rmtree(folder)
+        try:
+            return _make(specification, base, folder)
+        except BaseException:
+            shutil.rmtree(folder, ignore_errors=True)
+            raise
+
+
+def size_of(folder: Path) -> int:
+    """Bytes of all files below; links count nothing."""
+    return sum(
+        (Path(place) / name).lstat().st_size
+        for place, _, names in os.walk(folder)
+        for name in names
+        if not (Path(place) / name).is_symlink()
+    )
+
+
+def _make(specification: Specification, base: Interpreter, folder: Path) -> Prepared:
+    simulator = specification.simulator
+    version = ".".join(map(str, base.version()))
+    say(f"{simulator}: an environment of Python {version} in {folder}")
+    uv = shutil.which("uv")
+    if uv:
+        _call([uv, "venv", "--quiet", "--seed", "--python", str(base.python), str(folder)])
+    else:
+        _call([str(base.python), "-m", "venv", str(folder)])
+    made = Interpreter(folder / "bin" / "python")
+    pip = [str(made.python), "-m", "pip", "install", "--disable-pip-version-check", "--quiet"]
+    if specification.beforehand:
+        # By pip also where there is uv, which does not read pip's configuration: the index or folder that has the
+        # build of torch for this machine is named there.
+        say(f"{simulator}: {', '.join(specification.beforehand)}, as the configured index has it")
+        _call([*pip, *specification.beforehand])
+    locked = ["--no-deps", "--require-hashes", "-r", str(specification.requirements)]
+    say(f"{simulator}: {_count(specification.requirements)} pinned requirements, each checked by its hash")
+    _call([uv, "pip", "install", "--quiet", "--python", str(made.python), *locked] if uv else [*pip, *locked])
+    if lost := made.missing((*RECORDING, *find_simulator(simulator).requires)):
+        raise GsbError(f"the environment of '{simulator}' was made, but has no {', '.join(lost)}")
+    prepared = Prepared(
+        simulator=simulator,
+        requirements=specification.sha256(),
+        python=version,
+        versions=_versions(made.python),
+        size=size_of(folder),
+        created=utc_now(),
+    )
+    prepared.write()
+    return prepared
+
+
+def _base(specification: Specification, given: Path | None) -> Interpreter:
+    wanted = ", ".join(f"3.{minor}" for minor in specification.pythons)
+    if given is not None:
+        chosen = at(given)
+        if not _fits(chosen, specification):
+            version = ".".join(map(str, chosen.version()))
+            raise UsageError(f"{given} is Python {version}; '{specification.simulator}' wants {wanted}")
+        return chosen
+    for path in (Path(sys.executable), *(Path(f"python3.{minor}") for minor in specification.pythons)):
+        try:
+            found = at(path)
+        except UsageError:  # such as a shim of a version that is not there
+            continue
+        if _fits(found, specification):
+            return found
+    raise UsageError(
+        f"the environment of '{specification.simulator}' is of Python {wanted}, and none is on PATH; name one: "
+        f"gsb-record --setup {specification.simulator} --python PATH"
+    )
+
+
+def _fits(interpreter: Interpreter, specification: Specification) -> bool:
+    major, minor, _ = interpreter.version()
+    return major == 3 and minor in specification.pythons
+
+
+def _count(requirements: Path) -> int:
+    return sum("==" in line for line in requirements.read_text().splitlines() if not line.startswith("#"))
+
+
+def _versions(python: Path) -> dict[str, str]:
+    said: dict[str, str] = json.loads(_call([str(python), "-c", _VERSIONS, *NUMERIC_PACKAGES]))
+    return said
+
+
+def _call(command: list[str]) -> str:
+    # without the variables that would lead pip into another environment
+    environment: dict[str, Any] = {k: v for k, v in os.environ.items() if k not in ("PYTHONPATH", "VIRTUAL_ENV")}
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, env=environment)
+    except OSError as error:
+        raise GsbError(f"cannot run {command[0]}: {error.strerror}") from None
+    if done.returncode:
+        said = [line for line in done.stderr.splitlines() if line.strip()] or ["it said nothing"]
+        raise GsbError(f"'{' '.join(command[:4])} ...' failed: " + " ".join(said[-6:]))
+    return done.stdout
+
+
+@contextmanager
+def _alone(simulator: str) -> Iterator[None]:
+    # two commands that make the same environment at once would make a broken one
+    folder = store()
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        lock = (folder / f".{simulator}.lock").open("w")
+    except OSError as error:
+        raise GsbError(f"cannot write to {folder}: {error.strerror}; name another with GSB_ENVIRONMENTS") from None
+    with lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        yield

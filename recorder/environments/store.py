@@ -1,0 +1,85 @@
+"""The folder in which prepared environments lie, one for each simulator."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+from recorder.environments.specification import SPECIFICATIONS
+
+FOLDER_VARIABLE = "GSB_ENVIRONMENTS"
+"""Environment variable that says where they lie."""
+
+_MANIFEST = "gsb-environment.json"  # written last: an environment without it was never finished
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """A finished environment, as it said of itself when it was made.
+
+    requirements  Specification.sha256 of what it was made from
+    python        version of Python
+    versions      of the distributions that decide which numbers come out
+    size          [bytes]
+    created       UTC, ISO 8601
+    """
+
+    simulator: str
+    requirements: str
+    python: str
+    versions: dict[str, str]
+    size: int
+    created: str
+
+    @property
+    def folder(self) -> Path:
+        """Where it lies."""
+        return folder_of(self.simulator)
+
+    @property
+    def interpreter(self) -> Path:
+        """Its Python."""
+        return self.folder / "bin" / "python"
+
+    @property
+    def current(self) -> bool:
+        """Whether it was made from the requirements of this version."""
+        return self.requirements == SPECIFICATIONS[self.simulator].sha256()
+
+    def write(self) -> None:
+        """Say that it is finished."""
+        (self.folder / _MANIFEST).write_text(json.dumps(asdict(self), indent=1) + "\n")
+
+
+def store() -> Path:
+    """$GSB_ENVIRONMENTS, else gpusimbench/environments in the user's folder for data."""
+    if given := os.environ.get(FOLDER_VARIABLE):
+        return Path(given).absolute()
+    data = os.environ.get("XDG_DATA_HOME") or Path.home() / ".local" / "share"
+    return Path(data).absolute() / "gpusimbench" / "environments"
+
+
+def folder_of(simulator: str) -> Path:
+    """Where the environment of a simulator lies, made or not."""
+    return store() / simulator
+
+
+def find(simulator: str) -> Prepared | None:
+    """The finished environment of a simulator; None where there is none, or one that was not finished."""
+    if simulator not in SPECIFICATIONS:
+        return None
+    try:
+        prepared = Prepared(**json.loads((folder_of(simulator) / _MANIFEST).read_text()))
+    except (OSError, ValueError, TypeError):
+        return None
+    return prepared if prepared.simulator == simulator and prepared.interpreter.exists() else None
+
+
+def prepared() -> Iterator[Prepared]:
+    """All finished environments, by name."""
+    for simulator in sorted(SPECIFICATIONS):
+        if there := find(simulator):
+            yield there

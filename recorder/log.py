@@ -1,0 +1,278 @@
+"""Recordings of programs that are no adapter: any program that has states can log them, without a base class.
+
+    with RecordingWriter(
+        "run-0.mcap", simulator="mine", version="1.0", scene="toss", n_env=4, dt=0.01, steps=100,
+        fields=(body_field("cubes", "position", "float32", ("red", "blue")),),
+    ) as log:
+        log.append(positions)                # [env, item, 3]: the first state, at step 0
+        for _ in range(100):
+            positions = simulate(...)
+            log.append(positions)
+
+The file is what ``gsb-record`` writes, with the same provenance, and ``gsb-eval`` reads it. Nothing is measured here:
+clocks of steps come from the program (``clocks``), memory is not read.
+"""
+
+from __future__ import annotations
+
+import sys
+import uuid
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from recorder.capture.sink import COMPRESSIONS, Sink
+from recorder.capture.states import StateWriter
+from recorder.failure import cause_of
+from recorder.plan import check, utc_now
+from recorder.probes.gpu import Gpus
+from recorder.probes.host import describe_host, numeric_environment, peak_rss_bytes
+from recorder.probes.software import describe_software, package_list
+from recorder.scenes.base import Scene
+from schemas import topics
+from schemas.configuration import RunConfiguration
+from schemas.errors import DataLost, UsageError
+from schemas.fields import StateField
+from schemas.messages import message_class
+from schemas.provenance import PACKAGES, PROVENANCE, REAL, SCENE, SIMULATION, Deviation, Provenance, Simulation
+
+
+class RecordingWriter:
+    """Writes one recording; a context manager.
+
+    The end of the block ends the recording: complete, where every state and clock that was announced is there; invalid,
+    where a state was not finite or ``invalid`` was called; failed, with the reason, where something is missing or an
+    error left the block, which goes on its way.
+
+    path           final name; must not exist, and its folder must
+    simulator      name of what computed the states; runs of one name, version and configuration are compared
+    version        of it
+    scene          a description, or a name where there is none; cubes and boards are found only in a description
+    n_env, dt      environments, and the step [s]
+    steps          captured after the first state
+    fields         layout of the state, as recorder.simulators.base.Description has it (schemas.fields.body_field)
+    device         "cpu", or the name of the GPU that steps
+    stride         every how many steps a state is recorded; divides `steps`
+    warmup         steps before the timed ones
+    timed_steps    steps that ``clocks`` will tell the duration of; 0: none
+    timing_covers  what lies between two clock readings
+    options        whatever was set, by name: plain values
+    switches       whatever decides which numbers come out
+    deviations     parameters of the scene that were not honoured
+    env_origins    origin of each environment [m]; empty where all are at zero
+    attachments    files worth keeping: name -> (media type, bytes)
+
+    UsageError for a configuration that cannot be.
+    """
+
+    def __init__(
+        self,
+        path: str | Path,
+        *,
+        simulator: str,
+        version: str,
+        scene: Scene | str,
+        n_env: int,
+        dt: float,
+        steps: int,
+        fields: Sequence[StateField],
+        device: str = "cpu",
+        stride: int = 1,
+        run_index: int = 0,
+        seed: int = 0,
+        warmup: int = 0,
+        timed_steps: int = 0,
+        timing_covers: str = "",
+        options: Mapping[str, Any] | None = None,
+        switches: Mapping[str, Any] | None = None,
+        deviations: Sequence[Deviation] = (),
+        env_origins: Sequence[tuple[float, float, float]] = (),
+        compression: str = "none",
+        attachments: Mapping[str, tuple[str, bytes]] | None = None,
+    ) -> None:
+        self.path = Path(path)
+        self._scene = scene if isinstance(scene, Scene) else None
+        self._attachments = dict(attachments or {})
+        options = dict(options or {})
+        self._configuration = RunConfiguration(
+            simulator=simulator,
+            scene=scene.name if isinstance(scene, Scene) else scene,
+            n_env=n_env,
+            dt=dt,
+            steps=steps,
+            stride=stride,
+            warmup=warmup,
+            timed_steps=timed_steps,
+            phases=("timed", "capture") if timed_steps else ("capture",),
+            seed=seed,
+            run_index=run_index,
+            compression=compression,
+            options={name: str(value) for name, value in options.items()},
+        )
+        self._simulation = Simulation(
+            version=version,
+            device=device,
+            options=options,
+            switches=dict(switches or {}),
+            deviations=tuple(deviations),
+            fields=tuple(fields),
+            scene={
+                "name": self._configuration.scene,
+                "sha256": self._scene.sha256() if self._scene else "",
+                "parameters": self._scene.parameters if self._scene else {},
+            },
+            env_origins=tuple(env_origins),
+            timing_covers=timing_covers,
+            fresh_start="as the program that logged it says",
+        )
+        self._check()
+        self._problems: list[tuple[str, str]] = []  # cause and sentence
+        self._clocked = False
+
+    def _check(self) -> None:
+        check(self._configuration)
+        c, s = self._configuration, self._simulation
+        for what, text in (
+            ("simulator", c.simulator),
+            ("version", s.version),
+            ("scene", c.scene),
+            ("device", s.device),
+        ):
+            if not text:
+                raise UsageError(f"the {what} of a recording has a name")
+        if c.simulator == REAL:
+            raise UsageError(f"'{REAL}' is the name of measured trials: gsb-record --sim {REAL} records them")
+        if c.compression not in COMPRESSIONS:
+            raise UsageError(f"compression is one of {', '.join(COMPRESSIONS)}, not '{c.compression}'")
+        if not s.fields:
+            raise UsageError("a recording of states has at least one field")
+        if s.env_origins and len(s.env_origins) != c.n_env:
+            raise UsageError(f"there are {len(s.env_origins)} env origins, and {c.n_env} environments")
+
+    def __enter__(self) -> Self:
+        """Open the file and write what is known. UsageError where it cannot be made."""
+        c = self._configuration
+        with Gpus() as gpus:
+            provenance = Provenance(
+                run_id=str(uuid.uuid4()),
+                created_utc=utc_now(),
+                argv=tuple(sys.argv),
+                configuration=c,
+                host=describe_host(),
+                gpus=gpus.describe(),
+                software=describe_software(),
+                environment=numeric_environment(),
+            )
+        attached = {
+            PROVENANCE: ("application/json", provenance.to_json().encode()),
+            PACKAGES: ("text/plain", package_list().encode()),
+            SIMULATION: ("application/json", self._simulation.to_json().encode()),
+            **({SCENE: ("application/json", self._scene.to_json().encode())} if self._scene else {}),
+            **self._attachments,
+        }
+        self._sink = Sink(self.path, compression=c.compression)
+        try:
+            for name, (media_type, data) in attached.items():
+                self._sink.attach(name, media_type, data)
+            self._states = StateWriter(self._sink, self._simulation.fields, n_env=c.n_env, dt=c.dt, stride=c.stride)
+        except BaseException:
+            self._sink.abandon()
+            raise
+        return self
+
+    def append(self, *arrays: ArrayLike) -> None:
+        """The state after one step, or after several: one array a field, [env, item, width] or with a step axis first.
+
+        The very first is the state at step 0. Numbers are recorded as they are, so that the dtype is the field's.
+        UsageError for other shapes, another dtype, and more states than were announced.
+        """
+        fields = self._simulation.fields
+        if len(arrays) != len(fields):
+            raise UsageError(f"there are {len(fields)} fields, and {len(arrays)} arrays were given")
+        rows = [self._rows(field, array) for field, array in zip(fields, arrays, strict=True)]
+        counts = {len(array) for array in rows}
+        if len(counts) != 1:
+            raise UsageError(f"the arrays have different numbers of steps: {sorted(counts)}")
+        last = self._states.last_step + counts.pop()
+        if last > self._configuration.steps:
+            raise UsageError(
+                f"step {last} is given, and the recording was announced to end at step {self._configuration.steps}"
+            )
+        if problem := self._states.feed(rows):
+            self._problems.append(("NOT_FINITE", problem))
+
+    def _rows(self, field: StateField, given: ArrayLike) -> NDArray[np.floating]:
+        array = np.array(given)  # a copy: rows are kept until a block is full
+        shape = (self._configuration.n_env, len(field.items), field.width)
+        if array.dtype != field.dtype:
+            raise UsageError(f"{field.name} is {array.dtype}, and was announced as {field.dtype}")
+        if array.shape[-3:] != shape or array.ndim not in (3, 4):
+            raise UsageError(
+                f"{field.name} has shape {array.shape}, not [env, item, width] = {shape}, or with steps first"
+            )
+        return array.reshape(-1, *shape)
+
+    def clocks(self, start_ns: ArrayLike, end_ns: ArrayLike, *, steps_per_interval: int = 1) -> None:
+        """When each interval of the timed steps began and ended, by one monotonic clock [ns], shape [interval].
+
+        The last interval may have fewer steps. UsageError where they are not those of `timed_steps`.
+        """
+        c = self._configuration
+        start, end = np.asarray(start_ns, dtype=np.int64), np.asarray(end_ns, dtype=np.int64)
+        if self._clocked or not c.timed_steps:
+            raise UsageError("clocks are given once, and only where timed_steps says of how many steps")
+        expected = -(-c.timed_steps // steps_per_interval) if steps_per_interval > 0 else 0
+        if start.shape != (expected,) or end.shape != (expected,):
+            raise UsageError(
+                f"{c.timed_steps} steps in intervals of {steps_per_interval} have {expected} begins and ends, "
+                f"not {start.shape} and {end.shape}"
+            )
+        if (end < start).any() or (start[1:] < end[:-1]).any():
+            raise UsageError(
+                "clocks run backwards: an interval ends before it begins, or begins before the last one ends"
+            )
+        topic = topics.timing("timed")
+        covers = {"clock": "monotonic [ns]", "covers": self._simulation.timing_covers}
+        self._sink.channel(topic, "gsb.v1.StepTiming", covers)
+        message = message_class("gsb.v1.StepTiming")(
+            first_step=c.warmup, steps_per_interval=steps_per_interval, start_ns=start.tolist(), end_ns=end.tolist()
+        )
+        self._sink.write(topic, message.SerializeToString())
+        self._clocked = True
+
+    def invalid(self, reason: str) -> None:
+        """Declare that the states mean nothing, in one sentence: contacts were dropped, a solver gave up."""
+        self._problems.append(("ENGINE", reason))
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """End the recording. DataLost where the file cannot be written."""
+        try:
+            if isinstance(error, DataLost):
+                self._sink.abandon()
+                return
+            self._states.flush()
+            status, reason, cause = self._outcome(error)
+            last = max(0, self._states.last_recorded_step)
+            self._sink.finish(status, reason, cause=cause, last_step=last, peak_rss_bytes=peak_rss_bytes())
+        except BaseException:
+            self._sink.abandon()
+            raise
+
+    def _outcome(self, error: BaseException | None) -> tuple[str, str, str]:
+        if error is not None:
+            return "FAILED", f"{type(error).__name__}: {' '.join(str(error).split()) or 'no message'}", cause_of(error)
+        c, done = self._configuration, self._states.last_step
+        if self._problems:
+            cause, _ = self._problems[0]
+            return "INVALID", "; ".join(dict.fromkeys(text for _, text in self._problems)), cause
+        if done < c.steps:
+            return "FAILED", f"states end at step {done} of {c.steps}" if done >= 0 else "no state was given", "ENGINE"
+        if c.timed_steps and not self._clocked:
+            return "FAILED", f"{c.timed_steps} timed steps were announced, and no clocks were given", "ENGINE"
+        return "COMPLETE", "", ""

@@ -1,0 +1,1 @@
+"""Madrona: a simulator module that the user builds; docs/madrona.md is the contract with it."""

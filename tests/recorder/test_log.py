@@ -1,0 +1,205 @@
+"""States of any program as a recording that the evaluator reads."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from evaluator import open_recording
+from recorder.log import RecordingWriter
+from recorder.scenes.registry import make_scene
+from schemas.errors import DataLost, UsageError
+from schemas.fields import body_field
+from tests.conftest import Command
+from tests.synthetic import metrics_of
+
+NAMES = ("red", "blue")
+FIELDS = (body_field("cubes", "position", "float32", NAMES), body_field("cubes", "linear_velocity", "float32", NAMES))
+
+
+def writer(path: Path, **others: Any) -> RecordingWriter:
+    """A writer of four environments, two cubes, ten steps."""
+    announced: dict[str, Any] = {
+        "simulator": "mine", "version": "1.0", "scene": "toss", "n_env": 4, "dt": 0.1, "steps": 10, "fields": FIELDS,
+    }  # fmt: skip
+    return RecordingWriter(path, **{**announced, **others})
+
+
+def states(n_step: int = 11) -> tuple[np.ndarray, np.ndarray]:
+    """Positions and velocities of some steps, [step, env, item, 3]."""
+    position = np.arange(n_step * 4 * 2 * 3, dtype=np.float32).reshape(n_step, 4, 2, 3) / 1000
+    return position, np.ones_like(position)
+
+
+def test_a_program_logs_its_states(tmp_path: Path) -> None:
+    """Log state by state, reusing one array, and find every number and what was said of them."""
+    position, velocity = states()
+    reused = np.empty_like(position[0])
+    with writer(tmp_path / "a.mcap", options={"drag": 0.1}, switches={"precision": "float32"}) as log:
+        for step in range(11):
+            reused[:] = position[step]
+            log.append(reused, velocity[step])
+    recording = open_recording(tmp_path / "a.mcap")
+    recording.verify()
+    assert (recording.status, recording.reason) == ("complete", "")
+    assert np.array_equal(recording.state("cubes", "position")[:], position)
+    assert np.array_equal(recording.state("cubes", "linear_velocity")[:], velocity)
+    assert recording.configuration.options == {"drag": "0.1"}
+    assert recording.configuration.phases == ("capture",)
+    assert recording.simulation is not None
+    assert recording.simulation.options == {"drag": 0.1}
+    assert recording.provenance.host["cpu"]
+    assert recording.provenance.software["packages"]["numpy"] == np.__version__
+    assert recording.provenance.argv
+    assert b"numpy==" in (recording.attachment("pip-freeze.txt") or b"")
+    assert recording.scene == {}
+
+
+def test_all_at_once_is_the_same(tmp_path: Path) -> None:
+    """Give the same states in one call, and in two, and find the same identity of content."""
+    position, velocity = states()
+    for name, pieces in {"a": (slice(0, 11),), "b": (slice(0, 1), slice(1, 11))}.items():
+        with writer(tmp_path / f"{name}.mcap", stride=5, attachments={"note.txt": ("text/plain", b"x")}) as log:
+            for piece in pieces:
+                log.append(position[piece], velocity[piece])
+    one, other = open_recording(tmp_path / "a.mcap"), open_recording(tmp_path / "b.mcap")
+    assert one.state("cubes", "position").steps.tolist() == [0, 5, 10]
+    assert np.array_equal(one.state("cubes", "position")[:], other.state("cubes", "position")[:])
+    assert one.attachment("note.txt") == b"x"
+
+
+def test_runs_are_evaluated(tmp_path: Path, gsb_eval: Command) -> None:
+    """Log three runs with clocks, and get variability, reproducibility and speed of one group."""
+    scene = make_scene("free-fall")
+    names = scene.groups()["cubes"]
+    position = np.zeros((11, 4, 27, 3), dtype=np.float32)
+    position[:, :, :, 2] = 0.5
+    position[-1, :, :, 0] = np.arange(4, dtype=np.float32)[:, None] / 100
+    begins = np.arange(20) * 1_000_000
+    for run in range(3):
+        with writer(
+            tmp_path / f"{run}.mcap", scene=scene, run_index=run, warmup=2, timed_steps=20, timing_covers="a step",
+            fields=(body_field("cubes", "position", "float32", names),),
+        ) as log:  # fmt: skip
+            log.clocks(begins, begins + 500_000)
+            log.append(position)
+    done = gsb_eval(*sorted(tmp_path.glob("*.mcap")), "--sample-time", "1", "--json", "-")
+    assert done.returncode == 0, done.stderr
+    assert len(json.loads(done.stdout)["groups"]) == 1
+    metrics = metrics_of(done.stdout)
+    assert metrics["fps"]["value"] == pytest.approx(4 * 20 / 0.0195)
+    assert metrics["distinct_envs"]["value"] == 4
+    assert metrics["distinct_runs"]["value"] == 1
+    assert open_recording(tmp_path / "0.mcap").scene["name"] == "free-fall"
+
+
+@pytest.mark.parametrize(
+    ("others", "message"),
+    [
+        ({"n_env": 0}, "--n-env is at least 1"),
+        ({"stride": 3}, "does not divide"),
+        ({"dt": 0.0}, "--dt is a step in seconds"),
+        ({"simulator": ""}, "the simulator of a recording has a name"),
+        ({"version": ""}, "the version of a recording has a name"),
+        ({"simulator": "real"}, "is the name of measured trials"),
+        ({"compression": "rar"}, "compression is one of none, lz4, zstd"),
+        ({"fields": ()}, "at least one field"),
+        ({"env_origins": ((0.0, 0.0, 0.0),)}, "there are 1 env origins, and 4 environments"),
+    ],
+)
+def test_what_cannot_be_recorded(tmp_path: Path, others: dict[str, Any], message: str) -> None:
+    """Say so before a file is made."""
+    with pytest.raises(UsageError, match=message):
+        writer(tmp_path / "a.mcap", **others)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("arrays", "message"),
+    [
+        ((states()[0],), "there are 2 fields, and 1 arrays were given"),
+        ((states()[0].astype(np.float64), states()[1]), "cubes/position is float64, and was announced as float32"),
+        ((states()[0][:, :3], states()[1]), r"cubes/position has shape \(11, 3, 2, 3\), not"),
+        ((states()[0][None], states()[1]), r"cubes/position has shape \(1, 11, 4, 2, 3\), not"),
+        ((states(3)[0], states(4)[1]), r"different numbers of steps: \[3, 4\]"),
+        (states(12), "step 11 is given, and the recording was announced to end at step 10"),
+    ],
+)
+def test_states_of_another_layout(tmp_path: Path, arrays: tuple[Any, ...], message: str) -> None:
+    """Refuse them, and end the recording as failed, with the reason."""
+    with pytest.raises(UsageError, match=message), writer(tmp_path / "a.mcap") as log:
+        log.append(*arrays)
+    recording = open_recording(tmp_path / "a.mcap")
+    assert recording.status == "failed"
+    assert recording.reason.startswith("UsageError: ")
+
+
+@pytest.mark.parametrize(
+    ("start", "end", "interval", "message"),
+    [
+        ([0], [1], 1, "4 steps in intervals of 1 have 4 begins and ends"),
+        ([0, 5], [4, 4], 2, "clocks run backwards"),
+        ([0, 3], [4, 6], 2, "clocks run backwards"),
+        ([0], [1], 0, "in intervals of 0"),
+    ],
+)
+def test_clocks_that_cannot_be(tmp_path: Path, start: Any, end: Any, interval: int, message: str) -> None:
+    """Refuse clocks of other steps, and of no order."""
+    with pytest.raises(UsageError, match=message), writer(tmp_path / "a.mcap", timed_steps=4) as log:
+        log.clocks(start, end, steps_per_interval=interval)
+
+
+def test_clocks_of_nothing(tmp_path: Path) -> None:
+    """Refuse clocks where no timed steps were announced, and clocks that are given twice."""
+    with pytest.raises(UsageError, match="given once"), writer(tmp_path / "a.mcap") as log:
+        log.clocks([0], [1])
+    with pytest.raises(UsageError, match="given once"), writer(tmp_path / "b.mcap", timed_steps=1) as log:
+        log.clocks([0], [1])
+        log.clocks([0], [1])
+
+
+def test_an_end_that_is_none(tmp_path: Path) -> None:
+    """Record what is missing, what went wrong, and what the states are not worth."""
+    position, velocity = states()
+    with writer(tmp_path / "empty.mcap"):
+        pass
+    with writer(tmp_path / "short.mcap") as log:
+        log.append(position[:4], velocity[:4])
+    with writer(tmp_path / "untimed.mcap", timed_steps=5) as log:
+        log.append(position, velocity)
+    with pytest.raises(RuntimeError, match="no such device"), writer(tmp_path / "broken.mcap") as log:
+        log.append(position[:4], velocity[:4])
+        raise RuntimeError("no such device")
+    with writer(tmp_path / "dropped.mcap") as log:
+        log.append(position, velocity)
+        log.invalid("the solver gave up")
+    with writer(tmp_path / "nan.mcap") as log:
+        spoiled = position.copy()
+        spoiled[7, 2, 1, 0] = np.nan
+        log.append(spoiled, velocity)
+    found = {path.stem: open_recording(path) for path in tmp_path.glob("*.mcap")}
+    assert {name: (r.status, r.reason) for name, r in found.items()} == {
+        "empty": ("failed", "no state was given"),
+        "short": ("failed", "states end at step 3 of 10"),
+        "untimed": ("failed", "5 timed steps were announced, and no clocks were given"),
+        "broken": ("failed", "RuntimeError: no such device"),
+        "dropped": ("invalid", "the solver gave up"),
+        "nan": ("invalid", "a state is not finite: step 7, env 2, cubes/position of blue"),
+    }
+    assert found["nan"].cause == "not finite"
+    assert len(found["broken"].state("cubes", "position")) == 4
+
+
+def test_no_file_is_overwritten(tmp_path: Path) -> None:
+    """Refuse a name that is taken, and leave an unfinished file its .partial name where the disk takes no more."""
+    (tmp_path / "a.mcap").write_bytes(b"kept")
+    with pytest.raises(UsageError, match="exists already"), writer(tmp_path / "a.mcap"):
+        pass
+    assert (tmp_path / "a.mcap").read_bytes() == b"kept"
+    with pytest.raises(DataLost), writer(tmp_path / "b.mcap"):
+        raise DataLost("full")
+    assert [path.name for path in tmp_path.glob("b*")] == ["b.mcap.partial"]

@@ -1,0 +1,75 @@
+"""The examples work as their documents say: as packages that are installed, and by the commands that are shown."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from tests.test_docs import commands, shell
+
+EXAMPLES = Path(__file__).resolve().parent.parent / "examples"
+PACKAGE = EXAMPLES / "ballistic-simulator"
+
+
+@pytest.fixture
+def installed(tmp_path: Path) -> str:
+    """The PYTHONPATH with which the package is there, with the entry points of its project file."""
+    project = tomllib.loads((PACKAGE / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    info = tmp_path / "site" / f"{project['name']}-{project['version']}.dist-info"
+    info.mkdir(parents=True)
+    (info / "METADATA").write_text(
+        f"Metadata-Version: 2.1\nName: {project['name']}\nVersion: {project['version']}\n", encoding="utf-8"
+    )
+    groups = "".join(
+        f"[{group}]\n" + "".join(f"{name} = {target}\n" for name, target in points.items())
+        for group, points in project["entry-points"].items()
+    )
+    (info / "entry_points.txt").write_text(groups, encoding="utf-8")
+    return os.pathsep.join([str(tmp_path / "site"), str(PACKAGE / "src"), str(EXAMPLES.parent)])
+
+
+@pytest.mark.slow
+def test_the_packages_tests(installed: str, tmp_path: Path) -> None:
+    """Pass the tests that come with the package, where it is installed."""
+    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "--rootdir", str(PACKAGE), str(PACKAGE)]
+    environment = {**os.environ, "PYTHONPATH": installed, "PYTHONDONTWRITEBYTECODE": "1"}
+    done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=600)
+    assert done.returncode == 0, done.stdout
+    assert ", 3 skipped" in done.stdout
+
+
+@pytest.mark.slow
+def test_the_packages_commands(installed: str, tmp_path: Path) -> None:
+    """Run what the package's document shows, and find its simulator, its scene and the tally of its checks."""
+    document = PACKAGE / "README.md"
+    printed = ""
+    for line in commands(document):
+        done = shell(line, tmp_path, {"PYTHONPATH": installed})
+        assert done.returncode == 0, f"{line}\n{done.stderr}"
+        printed += done.stdout
+    assert "three tilted dice fall" in printed
+    assert "ballistic: 26 ok, 0 failed, 3 skipped" in printed
+    text = document.read_text(encoding="utf-8")
+    assert "26 checks hold, 3 are skipped" in " ".join(text.split())
+
+
+def test_a_program_that_logs(tmp_path: Path) -> None:
+    """Run what the document shows beside the program, and evaluate its recordings."""
+    from evaluator import open_recording
+
+    shutil.copy(EXAMPLES / "log_your_own" / "log_states.py", tmp_path)
+    for line in commands(EXAMPLES / "log_your_own" / "README.md"):
+        done = shell(line, tmp_path, {"PYTHONPATH": str(EXAMPLES.parent)})
+        assert done.returncode == 0, f"{line}\n{done.stderr}"
+    assert "three-balls" in done.stdout
+    assert "throughput" in done.stdout
+    recording = open_recording(tmp_path / "run-1.mcap")
+    recording.verify()
+    assert recording.status == "complete"
+    assert recording.state("cubes", "position").shape == (101, 8, 3, 3)
