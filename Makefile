@@ -3,15 +3,21 @@ PYTHON ?= python3
 VENV   ?= .venv
 BIN    := $(VENV)/bin
 OUT    ?= demo
+# Simulators whose environments make test sets up; make engines has them all, with minutes of kernel builds.
+ENGINES     ?= calibration physx sapien
+ALL_ENGINES := calibration genesis isaaclab maniskill physx sapien
+export GSB_ENVIRONMENTS ?= $(abspath $(VENV))/environments
 
-.PHONY: help install demo test fast lint proto figures bench clean
+.PHONY: help install demo test engines environments test-engines fast lint proto locks figures bench clean
 
 help:
 	@echo "make demo   install, record 16 envs x 10 runs of inclined-collision with MuJoCo C, evaluate, write a report"
 	@echo "make test   install what is missing and run every check and test"
+	@echo "make engines  the same with every simulator that has an environment of its own: gigabytes, and minutes of builds"
 	@echo "make fast   the same without the slow tests"
 	@echo "make lint   style, types and the import contract"
 	@echo "make proto  rebuild the descriptor set after a change of schemas/proto"
+	@echo "make locks  pin the environments of simulators anew; INDEX=URL names a package index (PEP 503)"
 	@echo "make figures  redraw the tables and the picture of the documents from recordings/"
 	@echo "make bench  every performance claim, measured here"
 
@@ -37,14 +43,32 @@ lint: $(VENV)/.installed-test
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 
-test: lint
+test: lint environments
 	$(BIN)/python -m pytest
+	$(MAKE) test-engines
+
+engines:
+	$(MAKE) test ENGINES="$(ALL_ENGINES)"
+
+environments: $(VENV)/.installed-test
+	for engine in $(ENGINES); do $(BIN)/gsb-record --setup $$engine || exit; done
+
+# Tests that load an engine run in its environment, with the tools of testing lent to it.
+test-engines: environments
+	for engine in $(ENGINES); do \
+	  python=$(GSB_ENVIRONMENTS)/$$engine/bin/python; tools=$(abspath $(VENV))/lent/$$engine; \
+	  test -d $$tools || $$python -m pip install --quiet --disable-pip-version-check --target $$tools -c constraints.txt pytest hypothesis || exit; \
+	  PYTHONPATH=$(CURDIR):$$tools $$python -P -m pytest tests/recorder/test_$$engine.py || exit; \
+	done
 
 fast: lint
 	$(BIN)/python -m pytest -m 'not slow'
 
 proto: $(VENV)/.installed-test
 	$(BIN)/python schemas/build_descriptors.py
+
+locks: $(VENV)/.installed-test
+	$(BIN)/python -m recorder.environments.lock --index $(INDEX)
 
 figures: install
 	$(BIN)/python docs/make_figures.py

@@ -29,8 +29,9 @@ class Entry:
     devices    kinds of device that it steps on: "cpu", "cuda"
     precision  of its states: "float32", "float64"
     scenes     names of the scenes that it simulates
+    needs      what no installation brings, for simulators that want something of the user's
 
-    The last three are empty where only the adapter itself could tell: it is not loaded to find out.
+    Devices, precision and scenes are empty where only the adapter itself could tell: it is not loaded to find out.
     """
 
     name: str
@@ -41,6 +42,7 @@ class Entry:
     devices: tuple[str, ...] = ()
     precision: tuple[str, ...] = ()
     scenes: tuple[str, ...] = ()
+    needs: str = ""
 
     def missing(self) -> tuple[str, ...]:
         """Import names that are not installed; nothing is imported to find out."""
@@ -49,9 +51,15 @@ class Entry:
     def load(self) -> type[Simulator]:
         """The adapter; UsageError says how to install what is missing."""
         if missing := self.missing():
-            raise UsageError(
-                f"simulator '{self.name}' needs {', '.join(missing)}, which is not installed: {self.install}"
-            )
+            raise UsageError(self.not_installed(missing))
+        return self.adapter()
+
+    def not_installed(self, missing: tuple[str, ...]) -> str:
+        """What to say where these import names are missing."""
+        return f"simulator '{self.name}' needs {', '.join(missing)}, which is not installed: {self.install}"
+
+    def adapter(self) -> type[Simulator]:
+        """The adapter, also where its engine is not installed: to read its options. UsageError where it is broken."""
         module, _, name = self.target.partition(":")
         try:
             # An import that is interrupted shows as one that is broken, and some engines start processes in theirs.
@@ -67,6 +75,10 @@ def _is_there(name: str) -> bool:
         return find_spec(name) is not None
     except ModuleNotFoundError:  # of a package whose parent is missing
         return False
+
+
+def _set_up(name: str) -> str:
+    return f"gsb-record --setup {name} makes it an environment of its own"
 
 
 def _extra(name: str) -> str:
@@ -130,6 +142,76 @@ BUILT_IN = (
         "recorder.simulators.newton.simulator:Newton",
         requires=("newton", "psutil"),
         install=_extra("newton"),
+        devices=("cuda", "cpu"),
+        precision=("float32",),
+        scenes=("inclined-collision", "free-fall"),
+    ),
+    Entry(
+        "genesis",
+        "Genesis: rigid bodies in Quadrants kernels",
+        "recorder.simulators.genesis.simulator:Genesis",
+        requires=("genesis", "torch", "psutil"),
+        install=_set_up("genesis"),
+        devices=("cuda", "cpu"),
+        precision=("float32",),
+        scenes=("inclined-collision", "free-fall"),
+    ),
+    Entry(
+        "physx",
+        "PhysX by way of ovphysx, the engine of Isaac Lab 3, without Isaac Lab",
+        "recorder.simulators.physx.simulator:Physx",
+        requires=("ovphysx", "ovstage", "warp", "psutil"),
+        install=_set_up("physx"),
+        devices=("cuda", "cpu"),
+        precision=("float32",),
+        scenes=("inclined-collision", "free-fall", "franka"),
+    ),
+    Entry(
+        "isaaclab",
+        "Isaac Lab 3 without Isaac Sim: --backend ovphysx or newton",
+        "recorder.simulators.isaaclab.simulator:IsaacLab",
+        requires=("isaaclab", "torch", "psutil"),
+        install=_set_up("isaaclab"),
+        devices=("cuda", "cpu"),
+        precision=("float32",),
+        scenes=("inclined-collision", "free-fall"),
+    ),
+    Entry(
+        "sapien",
+        "SAPIEN: PhysX, one system for each environment on the CPU",
+        "recorder.simulators.sapien.simulator:Sapien",
+        requires=("sapien", "psutil"),
+        install=_set_up("sapien"),
+        devices=("cuda", "cpu"),
+        precision=("float32",),
+        scenes=("inclined-collision", "free-fall", "franka"),
+    ),
+    Entry(
+        "maniskill",
+        "ManiSkill: an environment of its own kind on SAPIEN; one environment on the CPU",
+        "recorder.simulators.maniskill.simulator:ManiSkill",
+        requires=("mani_skill", "sapien", "torch", "psutil"),
+        install=_set_up("maniskill"),
+        devices=("cuda", "cpu"),
+        precision=("float32",),
+        scenes=("inclined-collision", "free-fall"),
+    ),
+    Entry(
+        "madrona",
+        "Madrona: worlds of an entity component system, stepped by a module that you compile",
+        "recorder.simulators.madrona.simulator:Madrona",
+        requires=("psutil",),
+        install=_extra("record"),
+        devices=("cuda", "cpu"),
+        precision=("float32",),
+        needs="a module of your own build: docs/madrona.md",
+    ),
+    Entry(
+        "calibration",
+        "an instrument, no engine: results known beforehand, to test the whole pipeline with",
+        "recorder.simulators.calibration.simulator:Calibration",
+        requires=("taichi", "psutil"),
+        install=_set_up("calibration"),
         devices=("cuda", "cpu"),
         precision=("float32",),
         scenes=("inclined-collision", "free-fall"),

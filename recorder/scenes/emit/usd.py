@@ -1,0 +1,378 @@
+"""A scene as USD with the UsdPhysics schema, in the text form (.usda), for every engine that reads it.
+
+Metres, kilograms, z up. The stage has these prims:
+
+    /World/physicsScene       gravity and the engine's own settings
+    /World/materials/NAME     contact parameters
+    /World/shared/BODY        fixed bodies that all environments have in common
+    /World/envs/env0/BODY     the bodies of one environment, for the engine to clone
+    /World/envs/env0/ROBOT    links and joints, the articulation's root on ROBOT itself
+
+A body is an Xform at its pose, without scale, and its collider is a child named "shape": a pose that is composed with a
+scale would have to be taken apart again, and would lose bits.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Collection, Iterable, Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from recorder.scenes.articulation import Inertial, Link, Robot
+from recorder.scenes.base import (
+    IDENTITY,
+    Body,
+    Box,
+    Capsule,
+    Material,
+    Plane,
+    Quaternion,
+    Scene,
+    Shape,
+    Sphere,
+    Vector,
+)
+
+ENVS = "/World/envs"
+SCENE = "/World/physicsScene"
+_MATERIALS = "/World/materials"
+_SHARED = "/World/shared"
+
+Value = bool | int | float | str
+Apis = Mapping[str, Mapping[str, Value]]
+
+
+def env_path(env: int) -> str:
+    """Path of the root prim of an environment; number 0 is the one in the file."""
+    return f"{ENVS}/env{env}"
+
+
+def identifiers(names: Iterable[str]) -> dict[str, str]:
+    """A name that USD allows for each of these names, in order; different names stay different."""
+    found: dict[str, str] = {}
+    for name in names:
+        word = re.sub(r"[^A-Za-z0-9_]", "_", name) or "_"
+        stem = word if not word[0].isdigit() else f"_{word}"
+        word, number = stem, 1
+        while word in found.values():
+            number += 1
+            word = f"{stem}_{number}"
+        found.setdefault(name, word)
+    return found
+
+
+def solid_inertia(shape: Shape, mass: float) -> Vector:
+    """Principal moments of a uniform solid about its centre, along its axes [kg m2].
+
+    A capsule is a cylinder and two hemispheres, whose centres of mass are 3/8 of a radius beyond its ends; see any
+    table of moments of inertia. ValueError for a plane.
+    """
+    match shape:
+        case Box((x, y, z)):
+            return mass * (y * y + z * z) / 12, mass * (x * x + z * z) / 12, mass * (x * x + y * y) / 12
+        case Sphere(radius):
+            return (0.4 * mass * radius**2,) * 3
+        case Capsule(radius, length):
+            cylinder = mass * length / (length + 4 / 3 * radius)
+            ends = mass - cylinder
+            along = cylinder * radius**2 / 2 + ends * 0.4 * radius**2
+            across = cylinder * (length**2 / 12 + radius**2 / 4)
+            across += ends * (0.4 * radius**2 + length**2 / 4 + 3 / 8 * radius * length)
+            return across, across, along
+    raise ValueError("a plane has no inertia")
+
+
+@dataclass
+class _Prim:
+    """A prim on its way into the text.
+
+    apis        schemas applied
+    properties  lines
+    """
+
+    kind: str
+    name: str
+    apis: list[str] = field(default_factory=list)
+    properties: list[str] = field(default_factory=list)
+    children: list[_Prim] = field(default_factory=list)
+
+    def add(self, child: _Prim) -> _Prim:
+        """Put a prim below this one."""
+        self.children.append(child)
+        return child
+
+    def apply(self, apis: Apis, *names: str) -> None:
+        """Apply schemas with the engine's settings of them, if it has any."""
+        for name in names:
+            if name in apis:
+                self.apis.append(name)
+                self.properties += [f"{key} = {_literal(value)}" for key, value in apis[name].items()]
+
+    def lines(self) -> list[str]:
+        """The text; braces stand on lines of their own, without which some readers fail."""
+        head = f'def {self.kind} "{self.name}"'
+        schemas = ", ".join(f'"{api}"' for api in self.apis)
+        top = [f"{head} (", f"    prepend apiSchemas = [{schemas}]", ")"] if self.apis else [head]
+        inner = list(self.properties)
+        for child in self.children:
+            inner += child.lines()
+        return [*top, "{", *(f"    {line}" for line in inner), "}"]
+
+
+def emit_usd(scene: Scene, *, apis: Apis, shared: Collection[str] = ()) -> str:
+    """The text of a stage with one environment; prims of bodies, links and joints have the scene's names.
+
+    apis    the engine's own settings by the schema that they belong to: for "PhysxSceneAPI" on the physics scene,
+            "PhysxMaterialAPI" on materials, "PhysxCollisionAPI" on colliders, "PhysxRigidBodyAPI" on moving bodies and
+            links, "PhysxArticulationAPI" on robots, "PhysxJointAxisAPI:angular" on hinges. Each setting is a
+            declaration such as "float physxCollision:restOffset" and its value
+    shared  names of the fixed bodies that stand outside of the environment
+
+    ValueError where `shared` names a body that moves, or none.
+    """
+    fixed = {body.name for body in scene.bodies if body.fixed}
+    if unknown := sorted(set(shared) - fixed):
+        raise ValueError(f"only fixed bodies of the scene can be shared by all environments, not {', '.join(unknown)}")
+    materials = {body.material.name: body.material for body in scene.bodies}
+    if scene.robot is not None:
+        materials[scene.robot.material.name] = scene.robot.material
+    paths = {name: f"{_MATERIALS}/{word}" for name, word in identifiers(materials).items()}
+
+    world = _Prim("Xform", "World")
+    world.add(_physics_scene(scene, apis))
+    place = world.add(_Prim("Scope", "materials"))
+    for name, material in materials.items():
+        place.add(_material(material, paths[name].rpartition("/")[2], apis))
+    common = world.add(_Prim("Scope", "shared"))
+    env = world.add(_Prim("Scope", "envs")).add(_Prim("Xform", "env0"))
+    names = prim_names(scene)
+    for body in scene.bodies:
+        parent = common if body.name in shared else env
+        parent.add(_body(body, names[body.name], paths[body.material.name], apis))
+    if scene.robot is not None:
+        env.add(_robot(scene.robot, names[scene.robot.name], paths[scene.robot.material.name], apis))
+    header = ["#usda 1.0", "(", '    defaultPrim = "World"', "    kilogramsPerUnit = 1", "    metersPerUnit = 1"]
+    return "\n".join([*header, '    upAxis = "Z"', ")", "", *world.lines(), ""])
+
+
+def prim_names(scene: Scene) -> dict[str, str]:
+    """Names of the prims below an environment, by the names of bodies and of the robot."""
+    robot = [] if scene.robot is None else [scene.robot.name]
+    return identifiers([*(body.name for body in scene.bodies), *robot])
+
+
+def _physics_scene(scene: Scene, apis: Apis) -> _Prim:
+    magnitude = math.hypot(*scene.gravity)
+    direction = tuple(g / magnitude for g in scene.gravity) if magnitude else (0.0, 0.0, -1.0)
+    prim = _Prim("PhysicsScene", SCENE.rpartition("/")[2])
+    prim.properties = [
+        f"vector3f physics:gravityDirection = {_tuple(direction)}",
+        f"float physics:gravityMagnitude = {_literal(magnitude)}",
+    ]
+    prim.apply(apis, "PhysxSceneAPI")
+    return prim
+
+
+def _material(material: Material, name: str, apis: Apis) -> _Prim:
+    prim = _Prim("Material", name, ["PhysicsMaterialAPI"])
+    prim.properties = [
+        f"float physics:staticFriction = {_literal(material.static_friction)}",
+        f"float physics:dynamicFriction = {_literal(material.kinetic_friction)}",
+        f"float physics:restitution = {_literal(material.restitution)}",
+    ]
+    prim.apply(apis, "PhysxMaterialAPI")
+    return prim
+
+
+def _body(body: Body, name: str, material: str, apis: Apis) -> _Prim:
+    prim = _Prim("Xform", name)
+    prim.properties = _pose(body.position, body.orientation)
+    if body.mass is not None:
+        prim.apis += ["PhysicsRigidBodyAPI", "PhysicsMassAPI"]
+        prim.properties += [
+            f"vector3f physics:velocity = {_tuple(body.linear_velocity)}",
+            f"vector3f physics:angularVelocity = {_tuple(math.degrees(w) for w in body.angular_velocity)}",
+            f"float physics:mass = {_literal(body.mass)}",
+            "point3f physics:centerOfMass = (0, 0, 0)",
+            f"float3 physics:diagonalInertia = {_tuple(solid_inertia(body.shape, body.mass))}",
+            "quatf physics:principalAxes = (1, 0, 0, 0)",
+        ]
+        prim.apply(apis, "PhysxRigidBodyAPI")
+    prim.add(_collider(body.shape, "shape", material, apis))
+    return prim
+
+
+def _collider(shape: Shape, name: str, material: str, apis: Apis) -> _Prim:
+    kind, properties, scale = _geometry(shape)
+    prim = _Prim(kind, name, ["PhysicsCollisionAPI", "MaterialBindingAPI"], properties)
+    prim.properties.append(f"rel material:binding:physics = <{material}>")
+    if scale is not None:
+        prim.properties += _operations({"double3 xformOp:scale": _tuple(scale)})
+    prim.apply(apis, "PhysxCollisionAPI")
+    return prim
+
+
+def _geometry(shape: Shape) -> tuple[str, list[str], Vector | None]:
+    match shape:
+        case Box((x, y, z)) if x == y == z:
+            return "Cube", [f"double size = {_literal(x)}"], None
+        case Box(size):
+            return "Cube", ["double size = 1"], size
+        case Sphere(radius):
+            return "Sphere", [f"double radius = {_literal(radius)}"], None
+        case Capsule(radius, length):
+            sizes = [f"double radius = {_literal(radius)}", f"double height = {_literal(length)}"]
+            return "Capsule", [*sizes, 'uniform token axis = "Z"'], None
+        case Plane():
+            return "Plane", ['uniform token axis = "Z"'], None
+
+
+def _robot(robot: Robot, name: str, material: str, apis: Apis) -> _Prim:
+    root = _Prim("Xform", name, ["PhysicsArticulationRootAPI"])
+    root.apply(apis, "PhysxArticulationAPI")
+    words = identifiers([*(link.name for link in robot.links), *(joint.name for joint in robot.joints())])
+    path = f"{env_path(0)}/{name}"
+    angles = dict(zip((joint.name for joint in robot.joints()), robot.start, strict=True))
+    poses: dict[str, tuple[Vector, Quaternion]] = {"": ((0.0, 0.0, 0.0), IDENTITY)}
+    for link in robot.links:
+        position, orientation = _compose(poses[link.parent], (link.position, link.orientation))
+        if link.joint is not None:
+            half = angles[link.joint.name] / 2
+            turned = (math.cos(half), 0.0, 0.0, math.sin(half))
+            position, orientation = _compose((position, orientation), ((0.0, 0.0, 0.0), turned))
+        poses[link.name] = (position, orientation)
+        root.add(_link(link, words[link.name], poses[link.name], material, apis, _apart(robot, link, path, words)))
+        root.add(_joint(link, path, words, angles, apis))
+    return root
+
+
+def _apart(robot: Robot, link: Link, path: str, words: Mapping[str, str]) -> list[str]:
+    return [f"<{path}/{words[other]}>" for one, other in robot.apart if one == link.name]
+
+
+def _link(link: Link, name: str, pose: tuple[Vector, Quaternion], material: str, apis: Apis, apart: list[str]) -> _Prim:
+    prim = _Prim("Xform", name, ["PhysicsRigidBodyAPI", "PhysicsMassAPI"], _pose(*pose))
+    moments, axes = _principal(link.inertial)
+    prim.properties += [
+        f"float physics:mass = {_literal(link.inertial.mass)}",
+        f"point3f physics:centerOfMass = {_tuple(link.inertial.centre)}",
+        f"float3 physics:diagonalInertia = {_tuple(moments)}",
+        f"quatf physics:principalAxes = {_tuple(axes)}",
+    ]
+    prim.apply(apis, "PhysxRigidBodyAPI")
+    if apart:
+        prim.apis.append("PhysicsFilteredPairsAPI")
+        prim.properties.append(f"rel physics:filteredPairs = [{', '.join(apart)}]")
+    for index, placed in enumerate(link.shapes):
+        place = prim.add(_Prim("Xform", f"shape_{index}"))
+        place.properties = _pose(placed.position, placed.orientation)
+        place.add(_collider(placed.shape, "shape", material, apis))
+    return prim
+
+
+def _joint(link: Link, path: str, words: Mapping[str, str], angles: Mapping[str, float], apis: Apis) -> _Prim:
+    """What holds a link: its hinge, or a weld to its parent or to the world."""
+    joint = link.joint
+    prim = _Prim("PhysicsFixedJoint", f"{words[link.name]}_weld")
+    if joint is not None:
+        prim = _Prim("PhysicsRevoluteJoint", words[joint.name], ["PhysicsDriveAPI:angular"])
+        prim.properties = [
+            'uniform token physics:axis = "Z"',
+            f"float physics:lowerLimit = {_literal(math.degrees(joint.lower))}",
+            f"float physics:upperLimit = {_literal(math.degrees(joint.upper))}",
+            'uniform token drive:angular:physics:type = "force"',
+            f"float drive:angular:physics:stiffness = {_literal(math.radians(joint.stiffness))}",
+            f"float drive:angular:physics:damping = {_literal(math.radians(joint.damping))}",
+            f"float drive:angular:physics:maxForce = {_literal(joint.max_torque)}",
+            f"float drive:angular:physics:targetPosition = {_literal(math.degrees(angles[joint.name]))}",
+        ]
+        prim.apis.append("PhysicsJointStateAPI:angular")
+        prim.properties += [
+            f"float state:angular:physics:position = {_literal(math.degrees(angles[joint.name]))}",
+            "float state:angular:physics:velocity = 0",
+        ]
+        axis = "PhysxJointAxisAPI:angular"
+        prim.apis.append(axis)
+        prim.properties += [
+            f"float physxJointAxis:angular:armature = {_literal(joint.armature)}",
+            f"float physxJointAxis:angular:viscousFrictionCoefficient = {_literal(math.radians(joint.friction))}",
+            f"float physxJointAxis:angular:maxJointVelocity = {_literal(math.degrees(joint.max_velocity))}",
+        ]
+        prim.properties += [f"{key} = {_literal(value)}" for key, value in apis.get(axis, {}).items()]
+    if link.parent:
+        prim.properties.append(f"rel physics:body0 = <{path}/{words[link.parent]}>")
+    w, x, y, z = link.orientation
+    prim.properties += [
+        f"rel physics:body1 = <{path}/{words[link.name]}>",
+        f"point3f physics:localPos0 = {_tuple(link.position)}",
+        f"quatf physics:localRot0 = {_tuple((w, x, y, z))}",
+        "point3f physics:localPos1 = (0, 0, 0)",
+        "quatf physics:localRot1 = (1, 0, 0, 0)",
+    ]
+    return prim
+
+
+def _principal(inertial: Inertial) -> tuple[Vector, Quaternion]:
+    """Principal moments and the rotation to their axes, of a symmetric inertia tensor."""
+    xx, yy, zz, xy, xz, yz = inertial.inertia
+    moments, axes = np.linalg.eigh(np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]))
+    if np.linalg.det(axes) < 0:
+        axes[:, 0] *= -1
+    a, b, c = (float(moment) for moment in moments)
+    return (a, b, c), _quaternion(axes)
+
+
+def _quaternion(rotation: np.ndarray) -> Quaternion:
+    """Of a rotation matrix, wxyz: the eigenvector of Bar-Itzhack's symmetric matrix to its largest eigenvalue.
+
+    Bar-Itzhack, "New Method for Extracting the Quaternion from a Rotation Matrix", J. Guidance 23 (2000).
+    """
+    (a, b, c), (d, e, f), (g, h, i) = rotation
+    k = np.array([
+        [a - e - i, d + b, g + c, h - f],
+        [d + b, e - a - i, h + f, c - g],
+        [g + c, h + f, i - a - e, d - b],
+        [h - f, c - g, d - b, a + e + i],
+    ])  # fmt: skip
+    x, y, z, w = (float(value) for value in np.linalg.eigh(k)[1][:, -1])
+    return (w, x, y, z)
+
+
+def _compose(outer: tuple[Vector, Quaternion], inner: tuple[Vector, Quaternion]) -> tuple[Vector, Quaternion]:
+    """The pose `inner`, given in the frame `outer`, in the frame that `outer` is given in."""
+    (ow, *ov), (iw, *iv) = outer[1], inner[1]
+    u, v, p = np.array(ov), np.array(iv), np.array(inner[0])
+    twice = 2 * np.cross(u, p)
+    x, y, z = (float(value) for value in np.array(outer[0]) + p + ow * twice + np.cross(u, twice))
+    i, j, k = (float(value) for value in ow * v + iw * u + np.cross(u, v))
+    return (x, y, z), (float(ow * iw - u @ v), i, j, k)
+
+
+def _pose(position: Vector, orientation: Quaternion) -> list[str]:
+    operations = {"double3 xformOp:translate": _tuple(position)}
+    if orientation != IDENTITY:
+        operations["quatd xformOp:orient"] = _tuple(orientation)
+    return _operations(operations)
+
+
+def _operations(operations: Mapping[str, str]) -> list[str]:
+    order = ", ".join(f'"{name.partition(" ")[2]}"' for name in operations)
+    return [*(f"{name} = {value}" for name, value in operations.items()), f"uniform token[] xformOpOrder = [{order}]"]
+
+
+def _tuple(values: Iterable[float]) -> str:
+    return f"({', '.join(_literal(value) for value in values)})"
+
+
+def _literal(value: Value) -> str:
+    match value:
+        case bool():
+            return "true" if value else "false"
+        case str():
+            return f'"{value}"'
+        case int():
+            return str(value)
+    return repr(float(value))

@@ -1,0 +1,1 @@
+"""PhysX, NVIDIA's rigid-body engine, through ovphysx."""

@@ -1,0 +1,53 @@
+"""What PhysX does with the contact parameters of a scene."""
+
+from __future__ import annotations
+
+from recorder.scenes.base import Scene
+from recorder.simulators.physx.options import NO_THRESHOLD, PhysxOptions
+from schemas.provenance import Deviation
+
+_RULES = {
+    "average": "the mean of the two",
+    "min": "the smaller of the two",
+    "max": "the larger of the two",
+    "multiply": "the product of the two",
+}
+
+
+def deviations(scene: Scene, options: PhysxOptions) -> tuple[Deviation, ...]:
+    """The three numbers of each material are honoured; how they meet, and where they begin to count, is the engine's.
+
+    Only scenes with contacts have any.
+    """
+    if not scene.bodies and scene.robot is None:
+        return ()
+    found = [
+        Deviation(
+            f"contact.{name}_combination",
+            "not given",
+            f"of a pair {_RULES[mode]}, for {what}",
+            f"option '{name}_combine'",
+        )
+        for name, mode, what in (
+            ("friction", options.friction_combine, "static and kinetic friction"),
+            ("restitution", options.restitution_combine, "restitution"),
+        )
+    ]
+    if options.bounce_threshold > NO_THRESHOLD:
+        found.append(
+            Deviation(
+                "contact.restitution",
+                "at any speed",
+                f"only where a pair closes faster than {options.bounce_threshold:g} m/s",
+                "option 'bounce_threshold'",
+            )
+        )
+    found.append(
+        Deviation(
+            "contact.friction",
+            "at each point of contact",
+            "at two points of each patch of contact",
+            "PhysX's friction model; option 'friction_correlation_distance' says what makes a patch",
+        )
+    )
+    return tuple(found)

@@ -1,0 +1,47 @@
+"""Where the environments of one PhysX scene stand."""
+
+from __future__ import annotations
+
+import math
+
+from recorder.scenes.base import Body, Plane, Scene, Vector
+from schemas.errors import UsageError
+
+_UPRIGHT = 1e-12  # of a plane's normal
+
+
+def origins(n_env: int, spacing: float) -> tuple[Vector, ...]:
+    """Origin of each environment [m]: on a square grid, numbered square by square, so that they do not depend on how
+    many there are. Empty where the spacing is 0."""
+    return tuple((spacing * x, spacing * y, 0.0) for x, y in map(_cell, range(n_env))) if spacing else ()
+
+
+def _cell(env: int) -> tuple[int, int]:
+    # the first n * n fill a square: cell (n, 0) .. (n, n) and then (n - 1, n) .. (0, n) make the next one
+    side = math.isqrt(env)
+    rest = env - side * side
+    return (side, rest) if rest <= side else (2 * side - rest, side)
+
+
+def shared_bodies(scene: Scene, spacing: float) -> tuple[str, ...]:
+    """Names of the fixed bodies of which one serves all environments: all of them where the spacing is 0, else planes.
+
+    A plane has no edge: every environment would meet those of all others. UsageError for one that is not level, and so
+    is another one at each origin.
+    """
+    fixed = [body for body in scene.bodies if body.fixed]
+    if not spacing:
+        return tuple(body.name for body in fixed)
+    planes = [body for body in fixed if isinstance(body.shape, Plane)]
+    for body in planes:
+        if not _level(body):
+            raise UsageError(
+                f"simulator 'physx' puts environments beside each other, where plane '{body.name}', which is not "
+                "level, is not the same for all: use a box, or option spacing=0 on a GPU"
+            )
+    return tuple(body.name for body in planes)
+
+
+def _level(body: Body) -> bool:
+    w, x, y, z = body.orientation
+    return math.hypot(2 * (x * z + w * y), 2 * (y * z - w * x)) < _UPRIGHT

@@ -1,0 +1,119 @@
+"""One instance of PhysX with one stage: from USD to columns of numbers."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from recorder.scenes.base import Vector
+from recorder.scenes.emit.usd import env_path
+from recorder.simulators.physx import libraries
+from recorder.simulators.physx.log import NativeLog
+from schemas.errors import GsbError
+
+_ORDINAL = 1  # of the one version of the stage that there is
+_NO_TURN = (0.0, 0.0, 0.0, 1.0)
+
+
+class Session:
+    """PhysX with the environments of a run.
+
+    physx  ovphysx.PhysX
+    log    what the engine says
+    """
+
+    def __init__(self, *, gpu: bool, threads: int) -> None:
+        """Start the engine. On a GPU states stay there: nothing is read back after a step."""
+        import ovphysx
+
+        libraries.load()
+        libraries.choose_processor(gpu=gpu)
+        ovphysx.set_global_config(ovphysx.GlobalConfigKey.NUM_THREADS, threads)
+        self._stage: Any = None
+        self._queries: dict[Any, Any] = {}
+        self.log = NativeLog()
+        with libraries.quiet():
+            if gpu:
+                config = ovphysx.PhysXConfig(carbonite_overrides={"/physics/suppressReadback": True})
+                self.physx = ovphysx.PhysX(config=config, active_cuda_gpus="0")
+            else:
+                self.physx = ovphysx.PhysX()
+        self.log.open()
+
+    def open(self, usd: str) -> None:
+        """Read a stage."""
+        import ovstage
+
+        self._stage = ovstage.Stage("recorder")
+        with tempfile.TemporaryDirectory(prefix="gsb-usd-") as folder:
+            path = Path(folder) / "scene.usda"
+            path.write_text(usd, encoding="utf-8")
+            domains = ovstage.PopulationDomain.ALL
+            ovstage.population.open_usd(self._stage, str(path), ordinal=_ORDINAL, domains=domains)
+        self._stage.advance_write_floor(ordinal=_ORDINAL).wait()
+        self.physx.wait_task(self.physx.attach_ovstage(self._stage, read_ordinal=_ORDINAL))
+
+    def clone(self, n_env: int, origins: Sequence[Vector]) -> None:
+        """Copy environment 0 until there are n_env, each at its origin, or all at the same place."""
+        if n_env == 1:
+            return
+        targets = [env_path(env) for env in range(1, n_env)]
+        anchors = [(*origin, *_NO_TURN) for origin in origins[1:]] or None
+        self.physx.wait_task(self.physx.clone(env_path(0), targets, anchor_transforms=anchors))
+
+    @contextmanager
+    def columns(self, kind: Any, names: Sequence[str]) -> Iterator[dict[str, Any]]:
+        """Read-outs of all objects of a kind (ovphysx.types.SimObjectType), by name: an ovphysx.ReadGroup each.
+
+        Their arrays lie where the engine computes and are gone when the context ends: whatever reads them must be done
+        by then. Empty on a GPU before the first step.
+        """
+        if kind not in self._queries:
+            self._queries[kind] = self.physx.query(kind, metadata=False).wait()
+        with libraries.quiet():
+            result = self.physx.read(self._queries[kind], list(names)).wait()
+            try:
+                groups: dict[str, Any] = {}
+                while (group := result.fetch_next().wait()) is not None:
+                    name = result.dictionary.token_to_string(group.attribute)
+                    if name in groups:
+                        raise GsbError(f"PhysX gives '{name}' in several parts, as of several scenes")
+                    groups[name] = group
+                yield groups
+            finally:
+                group = None
+                groups.clear()
+                result.groups.clear()
+                result.close_sync()
+
+    def rows(self, groups: Iterable[Any], paths: Sequence[str]) -> list[int]:
+        """The row of each of these prims in all of some groups, which are of these prims alone."""
+        import ovstage
+
+        with ovstage.PathDictionary(self._stage) as dictionary:
+            found = [dictionary.get_paths(prims) for prims in {group.prim_list for group in groups}]
+            with dictionary.create_path_list_from_strings(paths) as listed:
+                wanted = dictionary.get_paths(listed)
+        rows = {prim: row for row, prim in enumerate(found[0])}
+        missing = [path for path, prim in zip(paths, wanted, strict=True) if prim not in rows]
+        if missing or len(rows) != len(wanted):
+            there = f"{len(rows)} objects, not the {len(wanted)} of the scene"
+            raise GsbError(f"PhysX has {there}{f'; there is no {missing[0]}' if missing else ''}")
+        if any(prims != found[0] for prims in found):
+            raise GsbError("PhysX gives the columns of its objects in different orders")
+        return [rows[prim] for prim in wanted]
+
+    def close(self) -> None:
+        """End the engine. RuntimeError where an array of it is still in use."""
+        for query in self._queries.values():
+            query.close_sync()
+        self._queries.clear()
+        if self._stage is not None:
+            self.physx.wait_task(self.physx.detach_ovstage())
+            self._stage.destroy()
+            self._stage = None
+        self.log.close()
+        self.physx.destroy()

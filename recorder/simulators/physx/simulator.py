@@ -1,0 +1,193 @@
+"""PhysX through ovphysx: on a GPU, or on the CPU.
+
+All environments are in one PhysX scene: environment 0 is read from USD, and the others are clones of it, beside each
+other on a grid, or on a GPU all at the same place. On a GPU states stay there; for a capture those of each step are
+gathered in a ring on the device, which is read once it is full.
+"""
+
+from __future__ import annotations
+
+import gc
+import os
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from recorder.scenes.emit.usd import emit_usd
+from recorder.simulators.base import Description, Simulator, States
+from recorder.simulators.physx import grid
+from recorder.simulators.physx.deviations import deviations
+from recorder.simulators.physx.options import OF_THE_GPU, PhysxOptions, apis, broad_phase
+from recorder.simulators.warp import runtime as warp_runtime
+from schemas.errors import GsbError, UsageError
+from schemas.provenance import Buffer
+
+_RING_ROWS = 50
+_RING_BYTES = 512 << 20
+
+
+class Physx(Simulator):
+    """N environments in one PhysX scene."""
+
+    Options = PhysxOptions
+    determinism_levels = {
+        "default": "the engine as it ships: what an environment does may depend on how many others there are",
+        "enhanced": "physxScene:enableEnhancedDeterminism: what an environment does does not depend on the others, "
+        "but still on where it stands",
+    }
+
+    def build(self) -> Description:
+        """See Simulator.build."""
+        options: PhysxOptions = self.options
+        robot = self.scene.robot
+        if robot is not None and self.scene.moving():
+            raise UsageError("simulator 'physx' has no scenes yet with both a robot and other bodies that move")
+        device = self._device = warp_runtime.start(options.device)
+        gpu = bool(device.is_cuda)
+        if not gpu and not options.spacing and self.n_env > 1:
+            raise UsageError(
+                "option 'spacing' is above 0 where PhysX runs on the CPU: environments at the same place would collide"
+            )
+        from recorder.simulators.physx import arms, bodies, libraries
+        from recorder.simulators.physx.session import Session
+        from recorder.simulators.physx.sizes import choose_buffers
+
+        origins = grid.origins(self.n_env, options.spacing)
+        buffers: tuple[Buffer, ...] = ()
+        capacities: dict[str, int] = {}
+        if gpu:
+            buffers = choose_buffers(self.scene, n_env=self.n_env, dt=self.dt, seed=self.seed, options=options)
+            capacities = {buffer.name: buffer.asked for buffer in buffers}
+            capacities |= {"gpuHeapCapacity": options.heap, "gpuTempBufferCapacity": options.temp_buffer}
+        enhanced = self.determinism == "enhanced"
+        usd = emit_usd(
+            self.scene,
+            apis=apis(options, gpu=gpu, enhanced=enhanced, capacities=capacities),
+            shared=grid.shared_bodies(self.scene, options.spacing),
+        )
+        threads = options.threads or len(os.sched_getaffinity(0))
+        libraries.load()
+        session = self._session = Session(gpu=gpu, threads=threads)
+        session.open(usd)
+        session.clone(self.n_env, origins)
+        self._start: States | None = None  # until the engine tells its state
+        self._arms: Any = None
+        if robot is not None:
+            self._arms = arms.Arms(session, self.scene, robot, n_env=self.n_env, device=device)
+        self._source: Any = self._arms or bodies.Bodies(session, self.scene, n_env=self.n_env, device=device)
+        self._last = self._source.rows(1)
+        self._ring: Any = None
+        if gpu and robot is None:
+            if self._source.store(self._last, 0):
+                raise GsbError("PhysX did not take the GPU: its states are on the host; its messages say why")
+            self._start = self._source.split(bodies.described(self.scene, origins, self.n_env)[None])
+        return Description(
+            version=libraries.version(),
+            device=warp_runtime.name_of(device),
+            options=self._in_force(gpu, threads),
+            switches={
+                "precision": "float32",
+                "determinism": self.determinism,
+                "enableEnhancedDeterminism": enhanced,
+                "dynamics": "GPU" if gpu else "CPU",
+                "broad_phase": broad_phase(gpu),
+                "readback": "suppressed (DirectGPU)" if gpu else "on the host",
+                "sleeping": "off",
+                "environments": "grid" if options.spacing else "co-located, told apart by ids",
+                "first_state": _first_state(gpu=gpu, robot=robot is not None),
+                **libraries.versions(),
+            },
+            deviations=deviations(self.scene, options),
+            fields=bodies.fields(self.scene) if robot is None else arms.fields(robot),
+            timing_covers=self._covers(gpu),
+            attachments={"scene.usda": ("model/vnd.usda", usd.encode())},
+            env_origins=origins,
+            buffers=buffers,
+        )
+
+    def _covers(self, gpu: bool) -> str:
+        given = "the targets of the drives, which are on the device, and " if self.scene.robot is not None else ""
+        done = " and one synchronisation" if gpu else ""
+        return f"{given}PhysX.step_sync of the one scene with all environments{done}; no state is copied"
+
+    def _in_force(self, gpu: bool, threads: int) -> dict[str, Any]:
+        """Every option; null for those of the GPU on a CPU. What was chosen for a size of 0 is among the buffers."""
+        found = asdict(self.options) | {"device": str(self._device), "threads": threads}
+        return found if gpu else found | dict.fromkeys(OF_THE_GPU)
+
+    def compile(self, phase: str) -> None:
+        """See Simulator.compile: the ring and the kernel that fills it; PhysX comes compiled."""
+        if phase == "capture" and self._ring is None:
+            import warp as wp
+
+            from recorder.simulators.physx import kernels
+
+            rows = max(1, min(_RING_ROWS, _RING_BYTES // self._source.row_bytes(self.scene, self.n_env)))
+            self._ring = self._source.rows(rows)
+            wp.load_module(kernels, device=self._device)
+
+    def prepare(self, actions: NDArray[np.float32] | None) -> None:
+        """See Simulator.prepare."""
+        if self._arms is not None and actions is not None:
+            self._arms.prepare(actions)
+
+    def applied(self) -> NDArray[np.float32] | None:
+        """See Simulator.applied."""
+        return None if self._arms is None else self._arms.applied()
+
+    def step(self, n_step: int) -> None:
+        """See Simulator.step."""
+        import warp as wp
+
+        self._advance(n_step)
+        wp.synchronize_device(self._device)
+
+    def _advance(self, n_step: int) -> None:
+        self._start = None
+        for _ in range(n_step):
+            if self._arms is not None:
+                self._arms.command()
+            self._session.physx.step_sync(self.dt)
+
+    def state(self) -> States:
+        """See Simulator.state; on a GPU, which tells nothing before the first step, the state that it was given."""
+        if self._start is not None:
+            return tuple(array[0] for array in self._start)
+        self._source.store(self._last, 0)
+        return tuple(array[0] for array in self._source.split(self._last.numpy()))
+
+    def states(self, n_step: int) -> States:
+        """See Simulator.states."""
+        self.compile("capture")
+        blocks = []
+        for first in range(0, n_step, len(self._ring)):
+            rows = min(len(self._ring), n_step - first)
+            for row in range(rows):
+                self._advance(1)
+                self._source.store(self._ring, row)
+            blocks.append(self._source.split(self._ring[:rows].numpy()))
+        return blocks[0] if len(blocks) == 1 else tuple(map(np.concatenate, zip(*blocks, strict=True)))
+
+    def gates(self) -> list[str]:
+        """See Simulator.gates: what PhysX said of dropped contacts, and its errors."""
+        return self._session.log.take()
+
+    def close(self) -> None:
+        """See Simulator.close."""
+        if vars(self).get("_arms") is not None:
+            self._arms.close()
+        for name in ("_ring", "_last", "_source", "_arms"):
+            vars(self).pop(name, None)
+        session = vars(self).pop("_session", None)
+        gc.collect()  # the engine does not end while an array of it is alive
+        if session is not None:
+            session.close()
+
+
+def _first_state(*, gpu: bool, robot: bool) -> str:
+    """How the first state that is recorded is known."""
+    if robot:
+        return "written, and read, after a step of 1 ns"
+    return "as given to the engine, which tells none before its first step" if gpu else "read from the engine"

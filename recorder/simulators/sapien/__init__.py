@@ -1,0 +1,1 @@
+"""SAPIEN: PhysX through SAPIEN's own Python interface; and what ManiSkill, which is built on it, shares."""

@@ -1,0 +1,143 @@
+"""A scene's robot as one of SAPIEN's articulations, on a fixed base."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from recorder.scenes.articulation import Hinge, Inertial, Link, Robot
+from recorder.scenes.base import Quaternion, Vector
+from recorder.simulators.sapien.bodies import X_TO_Z, limit, make_material, make_shape
+from recorder.simulators.sapien.options import SapienOptions
+from schemas.provenance import Deviation
+
+_ALL, _ROBOT = 1, 1  # the group that meets everything; the number of the only articulation of an environment
+
+
+def add_arm(scene: Any, robot: Robot, options: SapienOptions) -> Any:
+    """Add the robot to a sapien.Scene, at its initial angles; returns the PhysxArticulation."""
+    import sapien
+    from sapien import physx
+
+    made: dict[str, Any] = {}
+    apart = _bits_apart(robot)
+    material = make_material(robot.material)
+    entities = []
+    for link in robot.links:
+        component = physx.PhysxArticulationLinkComponent(made.get(link.parent))
+        component.name = link.name
+        for placed in link.shapes:
+            shape = make_shape(placed.shape, material)
+            shape.local_pose = sapien.Pose(placed.position, placed.orientation) * shape.local_pose
+            shape.set_collision_groups([_ALL, _ALL, apart[link.name], _ROBOT])
+            component.attach(shape)
+        _set_inertial(component, link.inertial)
+        limit(component, options)
+        _set_joint(component.joint, link, options)
+        entity = sapien.Entity()
+        entity.name = link.name
+        entity.add_component(component)
+        made[link.name] = component
+        entities.append(entity)
+    articulation = made[robot.links[0].name].articulation
+    articulation.solver_position_iterations = options.solver_position_iterations
+    articulation.solver_velocity_iterations = options.solver_velocity_iterations
+    articulation.sleep_threshold = options.sleep_threshold
+    for entity in entities:
+        scene.add_entity(entity)
+    articulation.qpos = np.array(robot.start, dtype=np.float32)
+    for joint, angle in zip(articulation.active_joints, robot.start, strict=True):
+        joint.set_drive_target(angle)
+    return articulation
+
+
+def arm_deviations(robot: Robot) -> tuple[Deviation, ...]:
+    """What PhysX does otherwise than the robot's description says."""
+    joints = robot.joints()
+    return (
+        Deviation(
+            "joint.friction",
+            " ".join(f"{joint.friction:g}" for joint in joints) + " N m s/rad, beside the servo",
+            "added to the servo's damping, and so within its torque limit",
+            "PhysX's joints have dry friction, but no viscous friction of their own",
+        ),
+        Deviation(
+            "joint.max_velocity",
+            " ".join(str(joint.max_velocity) for joint in joints),
+            "not enforced",
+            "the description's limits are not enforced by any simulator, so that they can be compared",
+        ),
+    )
+
+
+def _bits_apart(robot: Robot) -> dict[str, int]:
+    """For each link a bit for each pair that it is in of those that never collide; links that share one do not meet."""
+    bits = {link.name: 0 for link in robot.links}
+    for place, pair in enumerate(robot.apart):
+        for name in pair:
+            bits[name] |= 1 << place
+    return bits
+
+
+def _set_joint(joint: Any, link: Link, options: SapienOptions) -> None:
+    import sapien
+
+    # SAPIEN's hinges turn about the x axis of the joint's frame, the description's about the z axis of the link's
+    turned = sapien.Pose((0.0, 0.0, 0.0), X_TO_Z)
+    hinge = link.joint
+    joint.type = "fixed" if hinge is None else "revolute"
+    joint.pose_in_parent = sapien.Pose(link.position, link.orientation) * turned
+    joint.pose_in_child = turned
+    if hinge is None:
+        return
+    joint.name = hinge.name
+    joint.limits = np.array([[hinge.lower, hinge.upper]], dtype=np.float32)
+    joint.friction = 0.0
+    joint.armature = np.array([hinge.armature], dtype=np.float32)
+    joint.max_velocity = options.max_angular_velocity
+    joint.set_drive_properties(hinge.stiffness, _damping(hinge), force_limit=hinge.max_torque, mode="force")
+
+
+def _damping(hinge: Hinge) -> float:
+    return hinge.damping + hinge.friction
+
+
+def _set_inertial(component: Any, inertial: Inertial) -> None:
+    import sapien
+
+    moments, axes = principal_axes(inertial)
+    component.mass = inertial.mass
+    component.cmass_local_pose = sapien.Pose(inertial.centre, axes)
+    component.inertia = moments
+
+
+def principal_axes(inertial: Inertial) -> tuple[Vector, Quaternion]:
+    """Principal moments of inertia [kg m2], and the orientation of their axes in the link's frame, wxyz."""
+    xx, yy, zz, xy, xz, yz = inertial.inertia
+    moments, axes = np.linalg.eigh(np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]))
+    if np.linalg.det(axes) < 0:
+        axes[:, 0] *= -1.0
+    ixx, iyy, izz = moments.tolist()
+    return (ixx, iyy, izz), _quaternion(axes)
+
+
+def _quaternion(rotation: NDArray[np.float64]) -> Quaternion:
+    """wxyz of a rotation matrix [3, 3], by the largest of the four (Shepperd, J. Guidance and Control, 1978)."""
+    r = rotation
+    trace = float(np.trace(r))
+    squares = np.array([trace, r[0, 0], r[1, 1], r[2, 2]])
+    largest = int(np.argmax(squares))
+    q = np.empty(4)
+    if largest == 0:
+        q[:] = 1.0 + trace, r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1]
+    else:
+        i = largest - 1
+        j, k = (i + 1) % 3, (i + 2) % 3
+        q[0] = r[k, j] - r[j, k]
+        q[1 + i] = 1.0 + 2.0 * r[i, i] - trace
+        q[1 + j] = r[j, i] + r[i, j]
+        q[1 + k] = r[k, i] + r[i, k]
+    w, x, y, z = (q / np.linalg.norm(q)).tolist()
+    return w, x, y, z

@@ -1,0 +1,48 @@
+"""PhysX's library for GPUs, which SAPIEN's wheel leaves out, and which SAPIEN would fetch unasked."""
+
+from __future__ import annotations
+
+import ctypes
+import platform
+from importlib.util import find_spec
+from pathlib import Path
+
+from schemas.errors import UsageError
+
+_PUBLISHED = "https://github.com/sapien-sim/physx-precompiled/releases/download"  # as in sapien/physx/__init__.py
+_ARCHIVES = {"x86_64": "linux-so.zip", "amd64": "linux-so.zip", "aarch64": "linux-aarch64-so.zip"}
+_DRIVER = "libcuda.so"
+
+
+def library_path(version: str) -> Path:
+    """Where SAPIEN looks for the library of that release of PhysX; only the variable HOME moves it."""
+    return Path.home() / ".sapien" / "physx" / version / "libPhysXGpu_64.so"
+
+
+def enable_gpu() -> None:
+    """Let PhysX use a GPU, with a library that is there already.
+
+    UsageError where something is missing that the user has to bring; nothing is downloaded.
+    """
+    from sapien import physx
+
+    if find_spec("torch") is None:
+        raise UsageError("on a GPU SAPIEN's memory is read through torch, which is not installed: pip install torch")
+    if physx.is_gpu_enabled():
+        return
+    path = library_path(physx.version())
+    if not path.is_file():
+        archive = _ARCHIVES.get(platform.machine().lower(), "linux-so.zip")
+        raise UsageError(
+            f"on a GPU SAPIEN needs PhysX's library {path}, which is not there; SAPIEN's makers publish it as "
+            f"{_PUBLISHED}/{physx.version()}/{archive}, to be unzipped into {path.parent}; "
+            "this program downloads nothing"
+        )
+    try:
+        ctypes.CDLL(_DRIVER, ctypes.RTLD_GLOBAL)
+    except OSError as error:
+        raise UsageError(
+            f"on a GPU SAPIEN loads the driver's library by the name {_DRIVER}, without a number, which failed "
+            f"({error}); on a machine with an NVIDIA driver a link of that name to libcuda.so.1 is enough"
+        ) from None
+    physx.enable_gpu()

@@ -1,0 +1,119 @@
+"""What simulators on SAPIEN have in common: the loops around their environments."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from recorder.simulators.base import Description, Simulator, States
+from recorder.simulators.evidence import Evidence
+from recorder.simulators.sapien.complaints import Complaints
+from recorder.simulators.sapien.deviations import deviations
+from recorder.simulators.sapien.options import SapienOptions
+from recorder.simulators.sapien.worlds import Worlds
+
+LEVELS = {
+    "default": "PhysX as it ships, without enhanced determinism",
+    "enhanced": "PhysX's enhanced determinism (enable_enhanced_determinism): bodies that do not meet do not influence "
+    "each other, in whatever order they were added",
+}
+
+
+@dataclass(frozen=True)
+class Made:
+    """Environments that are ready to step, and what is to be said of them.
+
+    version   of the engine that the user asked for
+    switches  beside those of PhysX
+    keep      what must live as long as they do
+    """
+
+    worlds: Worlds
+    version: str
+    switches: dict[str, Any]
+    keep: tuple[Any, ...] = ()
+
+
+class SapienStepper(Simulator):
+    """N environments that PhysX steps through SAPIEN."""
+
+    determinism_levels = LEVELS
+
+    _complaints: Complaints | None = None
+
+    @abstractmethod
+    def make(self, complaints: Complaints) -> Made:
+        """The environments; UsageError where they cannot be had."""
+
+    def build(self) -> Description:
+        """See Simulator.build."""
+        from sapien import physx
+
+        complaints = self._complaints = Complaints()
+        made = self._made = self.make(complaints)
+        worlds = self._worlds = made.worlds
+        options: SapienOptions = self.options
+        buffers = {buffer.name: buffer.asked for buffer in worlds.buffers} if worlds.device != "cpu" else None
+        return Description(
+            version=made.version,
+            device=worlds.device,
+            options=options.in_force("cpu" if worlds.device == "cpu" else "cuda", buffers),
+            switches={
+                "precision": "float32",
+                "determinism": self.determinism,
+                "enable_enhanced_determinism": self.enhanced,
+                "physx": physx.version(),
+                **made.switches,
+            },
+            deviations=deviations(self.scene, options),
+            fields=worlds.fields,
+            timing_covers=worlds.timing_covers,
+            env_origins=worlds.env_origins,
+            buffers=worlds.buffers,
+            counters=worlds.counters,
+            overflow_bits=worlds.overflow_bits,
+        )
+
+    @property
+    def enhanced(self) -> bool:
+        """Whether PhysX's enhanced determinism is asked for."""
+        return self.determinism == "enhanced"
+
+    def prepare(self, actions: NDArray[np.float32] | None) -> None:
+        """See Simulator.prepare."""
+        self._worlds.prepare(actions)
+
+    def step(self, n_step: int) -> None:
+        """See Simulator.step."""
+        self._worlds.advance(n_step)
+
+    def applied(self) -> NDArray[np.float32] | None:
+        """See Simulator.applied."""
+        return None if self.scene.actions is None else self._worlds.applied()
+
+    def state(self) -> States:
+        """See Simulator.state."""
+        return self._worlds.state()
+
+    def states(self, n_step: int) -> States:
+        """See Simulator.states."""
+        return self._worlds.record(n_step)
+
+    def evidence(self) -> Evidence:
+        """See Simulator.evidence."""
+        return self._worlds.evidence()
+
+    def gates(self) -> list[str]:
+        """See Simulator.gates; whatever PhysX complains of is a gate."""
+        return [] if self._complaints is None else self._complaints.take_sentences()
+
+    def close(self) -> None:
+        """See Simulator.close."""
+        for name in ("_worlds", "_made"):
+            vars(self).pop(name, None)
+        if self._complaints is not None:
+            self._complaints.close()
