@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, replace
@@ -81,8 +82,14 @@ def compare(results: Sequence[GroupResult], sweeps: Sequence[Sweep], reference: 
     the one with the most distances, then the first. The same for sweeps, of scenes without a robot and with one. Where
     sweeps are shared, throughput and memory are those at each simulator's own N_env^max, as the published definition
     has it; a sweep that ended below the largest number tried, though nothing failed, says nothing of its simulator's.
-    Settings of one simulator are no choice between simulators.
+    Settings of one simulator are no choice between simulators, and what says of itself that it is an instrument is not
+    ranked at all.
     """
+    aside = dict.fromkeys(r.group.key.simulator for r in results if _is_instrument(r.group.key))
+    results = [r for r in results if not _is_instrument(r.group.key)]
+    sweeps = [s for s in sweeps if not _is_instrument(s.key)]
+    notes = [f"radar and guidelines leave out instruments: {', '.join(aside)}"] if aside and results else []
+
     ended = [s for s in sweeps if s.n_max is not None]
     simple = _as_far(_shared([s for s in ended if not s.articulated], lambda s: s.key))
     robots = _as_far(_shared([s for s in ended if s.articulated], lambda s: s.key))
@@ -98,7 +105,7 @@ def compare(results: Sequence[GroupResult], sweeps: Sequence[Sweep], reference: 
     for sweep in robots:
         _join(found, sweep.key, "robot").robot = sweep
     if len({parts.key.simulator for parts in found}) < 2:
-        return Comparison()
+        return Comparison(notes=tuple(notes))
     given = options_given(r for result in results for r in result.group.recordings)
     contenders = tuple(
         _contender(parts, name, reference, at_max=bool(simple))
@@ -107,8 +114,14 @@ def compare(results: Sequence[GroupResult], sweeps: Sequence[Sweep], reference: 
     figures = [c.figures for c in contenders]
     used = {r.label for r in groups} | swept
     others = _left_out(results, sweeps, used)
-    notes = (f"radar and guidelines leave out what ran under other conditions: {', '.join(others)}",) if others else ()
-    return Comparison(contenders, radar(figures), tuple(guidelines(figures)), notes)
+    if others:
+        notes.append(f"radar and guidelines leave out what ran under other conditions: {', '.join(others)}")
+    return Comparison(contenders, radar(figures), tuple(guidelines(figures)), tuple(notes))
+
+
+def _is_instrument(key: GroupKey) -> bool:
+    # a control with a known answer, as its adapter declares it among its switches
+    return bool(key.switches) and json.loads(key.switches).get("instrument") is True
 
 
 def _shared(items: Sequence[_T], key: Callable[[_T], GroupKey], merit: Callable[[_T], int] = lambda _: 0) -> list[_T]:

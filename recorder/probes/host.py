@@ -21,8 +21,10 @@ NUMERIC_ENVIRONMENT = (
     "OMP_",
     "OPENBLAS_",
     "PYTHONHASHSEED",
+    "QD_",
     "TF_CUDNN",
     "TF_DETERMINISTIC",
+    "TI_",
     "WARP_",
     "XLA_",
 )

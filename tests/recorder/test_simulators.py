@@ -28,6 +28,9 @@ _NO_COUNTS = {
     "counts_agree_step_by_step": "declares no counters",
 }
 _NO_BUFFERS = {"buffers_are_larger_than_what_they_held": "no buffer that a counter shows"}
+_NO_ORIENTATION = dict.fromkeys(
+    ("quaternions_are_normalised", "turns_counter_clockwise", "stack_at_rest_stays"), "does not record orientation"
+)
 _NO_FRANKA = {"actions_are_those_drawn": "does not simulate franka"}
 
 _SINKS = "sinks into the board at a step of 0.01 s"
@@ -99,7 +102,11 @@ VARIANTS = (
     Variant("isaaclab", ("backend=ovphysx",), skipped=_NO_FRANKA),
     Variant("isaaclab", ("backend=newton",), skipped=_NO_FRANKA),
     Variant("sapien", skipped={**_NO_BITS, **_NO_BUFFERS}),
-    Variant("calibration", skipped=_NO_FRANKA),
+    Variant(
+        "calibration",
+        fails={"contacts_hold_up_the_stack": "a cube is a sphere, with one point of contact"},
+        skipped={**_NO_FRANKA, **_NO_BITS, **_NO_BUFFERS, **_NO_ORIENTATION},
+    ),
 )
 
 

@@ -1,0 +1,80 @@
+"""Options of the calibration simulator: who differs from whom, by what, and since when."""
+
+from __future__ import annotations
+
+import math
+import string
+from dataclasses import dataclass
+
+REGIMES = ("identical", "offset", "order", "run-order", "atomics")
+
+BY_ENV = ("offset", "order")
+"""Regimes in which the environments of a run differ."""
+
+BY_RUN = ("order", "run-order")
+"""Regimes in which runs differ, by a number that each draws."""
+
+DIGITS = 16
+"""Of an entropy, at most."""
+
+_DEVICES = ("auto", "cpu", "cuda")
+
+
+@dataclass(frozen=True)
+class CalibrationOptions:
+    """Options of the calibration simulator.
+
+    regime    identical: nothing differs (Type 2); offset: environments differ, alike in every run (Type 1); order:
+              environments and runs differ (Type 3); run-order: runs differ (Type 4); atomics: whatever racing atomic
+              additions make of it
+    contacts  whether the moving bodies touch each other; that amplifies every difference
+    shift     largest distance between two environments of a run, or two runs [m]: bodies are moved by it along x
+    ulps      the same in units in the last place, of the x of the last body alone
+    at        number of the first step whose state has the shift
+    env       the one environment that differs from the others; -1: all differ from each other
+    entropy   what a run that differs from others draws: run (anew in each process), build (anew in each build), or
+              hexadecimal digits after the point of a number from 0 to 1
+    device    auto, cpu or cuda (the first GPU that CUDA shows)
+
+    Without a shift in metres or ulps, the cause of differences is rounding.
+    """
+
+    regime: str = "identical"
+    contacts: bool = True
+    shift: float = 0.0
+    ulps: int = 0
+    at: int = 1
+    env: int = -1
+    entropy: str = "run"
+    device: str = "auto"
+
+    def __post_init__(self) -> None:
+        if self.regime not in REGIMES:
+            raise ValueError(f"regime is one of {', '.join(REGIMES)}, not '{self.regime}'")
+        if self.device not in _DEVICES:
+            raise ValueError(f"device is one of {', '.join(_DEVICES)}, not '{self.device}'")
+        if not (0 <= self.shift < math.inf):
+            raise ValueError(f"shift is a distance in metres from 0 on, not {self.shift}")
+        if not 0 <= self.ulps < 1 << 23:
+            raise ValueError(f"ulps is from 0 to 2^23 - 1, within a factor of two of the number, not {self.ulps}")
+        if self.shift and self.ulps:
+            raise ValueError("shift and ulps are two ways to say how far: give one of them")
+        if self.at < 1:
+            raise ValueError(f"at is at least 1, since all environments begin alike, not {self.at}")
+        if self.moves and self.regime not in (*BY_ENV, *BY_RUN):
+            raise ValueError(f"shift and ulps move nothing in regime {self.regime}")
+        if not self.moves and not self.contacts and self.regime in ("order", "run-order", "atomics"):
+            raise ValueError(f"regime {self.regime} needs contacts, or shift or ulps: nothing would differ")
+        if self.env != -1 and not (self.moves and self.regime in BY_ENV and self.env >= 0):
+            raise ValueError("env is -1, or the number of an environment that shift or ulps moves, in offset or order")
+        if self.entropy not in ("run", "build") and not _is_fraction(self.entropy):
+            raise ValueError(f"entropy is run, build or up to {DIGITS} hexadecimal digits, not '{self.entropy}'")
+
+    @property
+    def moves(self) -> bool:
+        """Whether bodies are moved by a known distance, rather than left to rounding."""
+        return bool(self.shift or self.ulps)
+
+
+def _is_fraction(text: str) -> bool:
+    return 0 < len(text) <= DIGITS and set(text) <= set(string.hexdigits)

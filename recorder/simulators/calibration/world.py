@@ -1,0 +1,119 @@
+"""The environments on the device."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from recorder.scenes.base import Scene
+from recorder.simulators.calibration.chance import orders, places, shares
+from recorder.simulators.calibration.model import LONGEST_STEP, model_of
+from recorder.simulators.calibration.options import CalibrationOptions
+
+_RING_ROWS = 50
+_RING_BYTES = 256 << 20
+
+
+class World:
+    """N environments of a scene, in their initial state; Taichi has been started. UsageError as of model_of."""
+
+    def __init__(self, scene: Scene, *, n_env: int, dt: float, options: CalibrationOptions, entropy: str) -> None:
+        import taichi as ti
+
+        from recorder.simulators.calibration import kernels
+
+        model = model_of(scene)
+        n_body = len(model.start)
+        self.substeps = math.ceil(dt / LONGEST_STEP - 1e-9)
+        self.rows = max(1, min(_RING_ROWS, _RING_BYTES // (4 * n_env * (9 * n_body + 1))))
+        self._kernels, self._options = kernels, options
+        self._shape = (n_env, n_body)
+        self._dt = dt / self.substeps
+        self._gravity = ti.Vector(scene.gravity, ti.f32)
+        self._state = [_vectors(np.tile(first, (n_env, 1, 1))) for first in (model.start, model.velocity, model.spin)]
+        self._force = _vectors(np.zeros((n_env, n_body, 3), dtype=np.float32))
+        self._traits, self._faces = _vectors(model.traits), _vectors(model.faces)
+        self._order = _numbers(orders(options, n_env, n_body, entropy))
+        self._places = _vectors(places(options, n_env))
+        share = shares(options, n_env, entropy)
+        self._metres = _numbers((options.shift * share).astype(np.float32))
+        self._ulps = _numbers(np.rint(options.ulps * share).astype(np.int32))
+        self._touching = _numbers(np.zeros(n_env, dtype=np.int32))
+        self._ring: list[Any] = []
+        self._done = 0
+
+    def rehearse(self, *, storing: bool) -> None:
+        """Compile the kernels of a step, and of storing it, by running them, and put the state back."""
+        present = [array.to_numpy() for array in (*self._state, self._touching)]
+        self._advance()
+        self._shift()
+        if storing:
+            self.store(0)
+        for array, before in zip((*self._state, self._touching), present, strict=True):
+            array.from_numpy(before)
+
+    def step(self) -> None:
+        """Enqueue a step."""
+        self._advance()
+        self._done += 1
+        if self._options.moves and self._done == self._options.at:
+            self._shift()
+
+    def _advance(self) -> None:
+        k, x_v = self._kernels, self._state[:2]
+        bodies = (*self._state, self._force, self._traits, self._faces)
+        if self._options.regime != "atomics":
+            k.step(
+                self.substeps, self._dt, self._gravity, int(self._options.contacts), *bodies,
+                self._order, self._places, self._touching,
+            )  # fmt: skip
+            return
+        for _ in range(self.substeps):
+            k.clear(self._force, self._touching)
+            k.race(*x_v, self._force, self._traits, self._touching)
+            k.advance_all(self._dt, self._gravity, *bodies, self._places, self._touching)
+
+    def _shift(self) -> None:
+        self._kernels.shift(self._state[0], self._metres, self._ulps)
+
+    def store(self, row: int) -> None:
+        """Enqueue: keep the present state and count as a row of the ring, which has `rows` of them."""
+        if not self._ring:
+            fields = (np.zeros((self.rows, *self._shape, 3), dtype=np.float32) for _ in self._state)
+            counts = np.zeros((self.rows, self._shape[0]), dtype=np.int32)
+            self._ring = [*map(_vectors, fields), _numbers(counts)]
+        self._kernels.store(row, *self._state, self._touching, *self._ring)
+
+    def stored(self, rows: int) -> tuple[list[NDArray[np.float32]], NDArray[np.int32]]:
+        """Copies of the first rows: positions, velocities and angular velocities [row, env, body, 3]; counts."""
+        *fields, counts = (array.to_numpy()[:rows] for array in self._ring)
+        return fields, counts
+
+    def state(self) -> list[NDArray[np.float32]]:
+        """Copies of positions, velocities and angular velocities, [env, body, 3]."""
+        return [array.to_numpy() for array in self._state]
+
+    def counts(self) -> NDArray[np.int32]:
+        """Contacts of the last step, [env]."""
+        return np.asarray(self._touching.to_numpy())
+
+
+def _vectors(values: NDArray[np.float32]) -> Any:
+    import taichi as ti
+
+    return _filled(ti.Vector.ndarray(values.shape[-1], ti.f32, values.shape[:-1]), values)
+
+
+def _numbers(values: NDArray[Any]) -> Any:
+    import taichi as ti
+
+    kind = ti.i32 if values.dtype.kind == "i" else ti.f32
+    return _filled(ti.ndarray(kind, values.shape), values)
+
+
+def _filled(array: Any, values: NDArray[Any]) -> Any:
+    array.from_numpy(np.ascontiguousarray(values))
+    return array

@@ -1,0 +1,116 @@
+"""The calibration simulator: what it draws, shares out and steps. What comes of it is in tests/test_control.py."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+pytest.importorskip("taichi")
+
+from recorder.conformance import Subject
+from recorder.options import parse_options
+from recorder.scenes.registry import make_scene
+from recorder.simulators.base import Description
+from recorder.simulators.calibration.chance import places, shares
+from recorder.simulators.calibration.options import REGIMES, CalibrationOptions
+from recorder.simulators.calibration.simulator import Calibration
+from schemas.errors import UsageError
+
+Json = dict[str, Any]
+
+
+def build(n_env: int = 2, scene: str = "inclined-collision", **options: object) -> tuple[Calibration, Description]:
+    """A simulator on the CPU, built in this process."""
+    text = {name: str(value) for name, value in {"device": "cpu", **options}.items()}
+    parsed = parse_options("calibration", CalibrationOptions, text)
+    simulator = Calibration(make_scene(scene), n_env=n_env, dt=0.01, seed=0, options=parsed)
+    return simulator, simulator.build()
+
+
+def test_racing_atomics() -> None:
+    """Step with racing additions; whether anything differs is the hardware's affair, and not said here."""
+    simulator, description = build(regime="atomics")
+    assert description.switches["sums"] == "racing atomic additions"
+    simulator.compile("capture")
+    assert all(np.isfinite(array).all() for array in simulator.states(20))
+    counts = simulator.evidence()
+    assert counts is not None
+    assert counts.counts["contacts"].min() > 0
+    simulator.close()
+
+
+@pytest.mark.parametrize("regime", REGIMES)
+def test_stepping_and_capturing_agree(regime: str) -> None:
+    """Reach the same bits by step, by states, and in blocks longer than the ring; atomics on one environment."""
+    options: Json = {"n_env": 1 if regime == "atomics" else 3, "regime": regime, "entropy": "5a"}
+    stepped, _ = build(**options)
+    stepped.compile("timed")
+    stepped.step(3)
+    stepped.step(58)
+    state = stepped.state()
+    stepped.close()
+    captured, _ = build(**options)
+    captured.states(1)
+    states = captured.states(60)
+    if regime != "atomics":
+        assert all(a.tobytes() == b[-1].tobytes() for a, b in zip(state, states, strict=True))
+    captured.close()
+
+
+def test_a_stack_stays() -> None:
+    """Hold the resting stack of the conformance scene within a millimetre, without orientations to look at."""
+    trajectory = Subject(Calibration, options={"device": "cpu"}).trajectory
+    for name in ("lower_cube", "upper_cube"):
+        settled = trajectory.of(name, "position")[25:]
+        assert np.abs(settled - np.array(trajectory.body(name).position)).max() < 1e-3
+
+
+def test_places_are_powers_of_two() -> None:
+    """Give each environment a combination of its own, as near as that allows, and none where bodies are moved."""
+    found: NDArray[Any] = places(CalibrationOptions(regime="offset"), 4096)
+    assert len(np.unique(found, axis=0)) == 4096
+    assert found.max() == 2**15
+    assert not places(CalibrationOptions(regime="offset", shift=0.1), 8).any()
+
+
+def test_shares() -> None:
+    """Share the shift out by environment, by run, by both, or to one environment alone."""
+    half = "8000"
+    assert shares(CalibrationOptions(regime="offset", shift=1.0), 3, half).tolist() == [0.0, 0.5, 1.0]
+    assert shares(CalibrationOptions(regime="offset", shift=1.0, env=1), 3, half).tolist() == [0.0, 1.0, 0.0]
+    assert shares(CalibrationOptions(regime="order", shift=1.0), 2, half).tolist() == [0.5, 1.5]
+    assert shares(CalibrationOptions(regime="run-order", shift=1.0), 2, half).tolist() == [0.5, 0.5]
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        ({"regime": "chaos"}, "regime is one of identical"),
+        ({"device": "tpu"}, "device is one of auto"),
+        ({"regime": "offset", "shift": "-1"}, "shift is a distance in metres"),
+        ({"regime": "offset", "shift": "nan"}, "shift is a distance in metres"),
+        ({"regime": "offset", "ulps": "-1"}, "ulps is from 0"),
+        ({"regime": "offset", "shift": "1", "ulps": "1"}, "give one of them"),
+        ({"at": "0"}, "at is at least 1"),
+        ({"shift": "1"}, "move nothing in regime identical"),
+        ({"regime": "order", "contacts": "off"}, "nothing would differ"),
+        ({"regime": "offset", "env": "1"}, "env is -1, or"),
+        ({"regime": "run-order", "ulps": "1", "env": "1"}, "env is -1, or"),
+        ({"entropy": "0x1"}, "entropy is run, build or"),
+    ],
+)
+def test_options_that_cannot_be(options: dict[str, str], says: str) -> None:
+    """Refuse options that mean nothing, or contradict each other, with a sentence."""
+    with pytest.raises(UsageError, match=says):
+        parse_options("calibration", CalibrationOptions, options)
+
+
+def test_what_cannot_be_built() -> None:
+    """Refuse an environment that is not there, and a scene with a robot."""
+    with pytest.raises(UsageError, match="there are 2 environments"):
+        build(regime="offset", ulps=1, env=2)
+    with pytest.raises(UsageError, match="scene 'franka' has others"):
+        build(scene="franka")
