@@ -18,6 +18,7 @@ FOLDER = ROOT / "recordings" / "h200"
 BEGIN, END = "<!-- {}: make figures -->", "<!-- end of {} -->"
 _SCENE = "inclined-collision"
 _NONE = "-"
+_PLAIN = ("impl", "backend", "solver")  # options that say what is run, and need not say their name
 
 
 def shipped() -> Evaluation:
@@ -29,7 +30,8 @@ def _settings(result: GroupResult) -> str:
     recording = result.group.recordings[0]
     given = recording.configuration.options
     options = recording.simulation.options if recording.simulation else given
-    return " ".join(str(options[name]) for name in ("impl", "solver") if name in given or name == "impl" in options)
+    plain = [str(options[name]) for name in _PLAIN if name in given or name == "impl" in options]
+    return " ".join([*plain, *(f"{name} {value}" for name, value in given.items() if name not in _PLAIN)])
 
 
 def _who(result: GroupResult) -> str:

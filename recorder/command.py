@@ -50,6 +50,7 @@ _SIMULATED: dict[str, Any] = {
     "seed": 0,
     "option": (),
     "impl": (),
+    "backend": (),
     "solver": (),
     "device": (),
     "determinism": "default",
@@ -67,6 +68,7 @@ _MEASURED: dict[str, Any] = {"trials": None, "unit": None, "sample_time": 5.0}
 
 _SHORTHANDS = {
     "impl": "implementation, of simulators that have several",
+    "backend": "engine, of simulators that stand on several",
     "solver": "solver",
     "device": "device to step on",
 }

@@ -73,14 +73,14 @@ def utc_now() -> str:
 
 
 def reserve(folder: Path, configuration: RunConfiguration, created: str) -> Path:
-    """<sim>[-<impl or solver>][-<determinism>]-<scene>-n<N>-r<run>-<UTC>.mcap, and a number where that is taken.
+    """<sim>[-<impl, backend or solver>][-<determinism>]-<scene>-n<N>-r<run>-<UTC>.mcap, and a number where that is taken.
 
     The name is taken by making its .partial file, empty, so that no other recorder gets it. GsbError where the folder
     does not take files.
     """
     c = configuration
     stamp = re.sub(r"[-:]", "", created)
-    chosen = [c.options[name] for name in ("impl", "solver") if name in c.options]
+    chosen = [c.options[name] for name in ("impl", "backend", "solver") if name in c.options]
     level = [] if c.determinism == "default" else [c.determinism]
     who = "-".join(re.sub(r"[^A-Za-z0-9.]+", "-", word) for word in (c.simulator, *chosen, *level))
     stem = f"{who}-{c.scene}-n{c.n_env}-r{c.run_index}-{stamp}"

@@ -170,7 +170,7 @@ BUILT_IN = (
         "isaaclab",
         "Isaac Lab 3 without Isaac Sim: --backend ovphysx or newton",
         "recorder.simulators.isaaclab.simulator:IsaacLab",
-        requires=("isaaclab", "torch", "psutil"),
+        requires=("isaaclab", "torch", "mujoco", "psutil"),
         install=_set_up("isaaclab"),
         devices=("cuda", "cpu"),
         precision=("float32",),

@@ -16,6 +16,7 @@ mkdir -p "$OUT"
 collision="--sweep 16..16 --runs ${RUNS:-10} --stride 250"
 slow="--sweep 16..16 --runs ${SLOW_RUNS:-5} --stride 250 --warmup 20 --timed-steps 100"  # MJX takes its time for this scene
 few="--sweep 16..16 --runs 3 --stride 250"
+part="--sweep 16..16 --runs ${PART_RUNS:-5} --stride 250"
 # throughput and memory up to the largest number of environments
 sweep="--sweep ${SWEEP:-1..131072:8} --runs ${SWEEP_RUNS:-1} --phases timed --timed-steps 200"
 jobs=(
@@ -45,6 +46,23 @@ jobs=(
   "--sim brax --solver spring $few"
   "--sim playground --scene franka $sweep"
   "--sim mjx --impl jax --scene free-fall $sweep"
+  # from here on each simulator is in an environment of its own: gsb-record --setup NAME
+  "--sim genesis $collision"
+  "--sim physx $collision"
+  "--sim isaaclab --backend ovphysx $collision"
+  "--sim isaaclab --backend newton $collision"
+  "--sim physx --option spacing=0 $part"
+  "--sim physx --determinism enhanced $part"
+  "--sim genesis --option performance_mode=true $part"
+  "--sim isaaclab --backend ovphysx --option spacing=0 $part"
+  "--sim physx --scene free-fall $sweep"
+  "--sim genesis --scene free-fall $sweep"
+  "--sim genesis --scene franka $sweep"
+  "--sim isaaclab --backend ovphysx --scene free-fall $sweep"
+  "--sim isaaclab --backend newton --scene free-fall $sweep"
+  "--sim physx --scene franka $sweep"
+  "--sim calibration --option regime=identical $few"
+  "--sim calibration --option regime=atomics $few"
 )
 if [ $# -gt 0 ]; then wanted=("$@"); else wanted=($(seq 1 ${#jobs[@]})); fi
 

@@ -99,7 +99,7 @@ VARIANTS = (
     Variant("newton", ("solver=steel",), skipped=_NO_FRANKA),
     Variant("genesis", skipped=_NO_FRANKA),
     Variant("physx", skipped={**_NO_COUNTS, **_NO_BUFFERS}),
-    Variant("isaaclab", ("backend=ovphysx",), skipped=_NO_FRANKA),
+    Variant("isaaclab", ("backend=ovphysx",), skipped={**_NO_FRANKA, **_NO_COUNTS, **_NO_BUFFERS}),
     Variant("isaaclab", ("backend=newton",), skipped=_NO_FRANKA),
     Variant("sapien", skipped={**_NO_BITS, **_NO_BUFFERS}),
     Variant(

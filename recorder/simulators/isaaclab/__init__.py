@@ -1,0 +1,1 @@
+"""Isaac Lab, on PhysX (ovphysx, or Isaac Sim's) or on Newton."""

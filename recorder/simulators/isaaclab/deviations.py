@@ -1,0 +1,69 @@
+"""What Isaac Lab's backends do with the contact parameters of a scene."""
+
+from __future__ import annotations
+
+from recorder.scenes.base import Scene
+from recorder.simulators.isaaclab.options import IsaacLabOptions
+from recorder.simulators.isaaclab.scene import BODY_LIMITS
+from schemas.provenance import Deviation
+
+
+def deviations(scene: Scene, options: IsaacLabOptions) -> tuple[Deviation, ...]:
+    """The parameters that the backend honours otherwise than the scene gives them, or not at all."""
+    return _newton(scene) if options.backend == "newton" else _physx(options)
+
+
+def _physx(options: IsaacLabOptions) -> tuple[Deviation, ...]:
+    found = [
+        Deviation(
+            f"contact.{name}_combination",
+            "not given",
+            f"{how} of the two coefficients",
+            f"option '{name}_combine'",
+        )
+        for name, how in (("friction", options.friction_combine), ("restitution", options.restitution_combine))
+    ]
+    found.append(
+        Deviation(
+            "angular_velocity.limit",
+            "none",
+            f"{BODY_LIMITS['max_angular_velocity']} deg/s",
+            "PhysX limits how fast a body turns; this is its default",
+        )
+    )
+    if options.bounce_threshold:
+        found.append(
+            Deviation(
+                "contact.restitution",
+                "at any speed",
+                f"only where two close faster than {options.bounce_threshold:g} m/s",
+                "option 'bounce_threshold'",
+            )
+        )
+    return tuple(found)
+
+
+def _newton(scene: Scene) -> tuple[Deviation, ...]:
+    found = [
+        Deviation(
+            "contact.friction_combination", "not given", "the larger coefficient of the two", "rule of MuJoCo Warp"
+        )
+    ]
+    for name, material in {body.material.name: body.material for body in scene.bodies}.items():
+        found.append(
+            Deviation(
+                f"{name}.static_friction",
+                str(material.static_friction),
+                str(material.kinetic_friction),
+                "Newton has one friction coefficient a shape; Isaac Lab gives it the kinetic one",
+            )
+        )
+        found.append(
+            Deviation(
+                f"{name}.restitution",
+                str(material.restitution),
+                "none of its own",
+                "MuJoCo Warp has no coefficient of restitution: contacts are damped springs",
+            )
+        )
+    return tuple(found)

@@ -1,0 +1,172 @@
+"""Newton under Isaac Lab, with MuJoCo Warp as its solver."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from recorder.scenes.base import Scene
+from recorder.simulators.counters import CONSTRAINT_ROWS, CONTACTS, SOLVER_ITERATIONS
+from recorder.simulators.evidence import Evidence
+from recorder.simulators.isaaclab.options import IsaacLabOptions
+from schemas.provenance import Buffer, Counter, OverflowBit
+
+if TYPE_CHECKING:
+    from recorder.simulators.buffer_sizes import Need
+
+MODES = {"default": "not_guaranteed", "run-to-run": "run_to_run", "gpu-to-gpu": "gpu_to_gpu"}
+"""Isaac Lab's deterministic_mode by determinism level."""
+
+_MARGIN = 1.5  # the solver's contacts are softer than those that were counted
+
+
+class Newton:
+    """MuJoCo Warp as the physics of an Isaac Lab simulation.
+
+    cfg      Isaac Lab's configuration of it
+    """
+
+    counters: tuple[Counter, ...] = (CONTACTS, CONSTRAINT_ROWS, SOLVER_ITERATIONS)
+
+    def __init__(self, scene: Scene, *, n_env: int, dt: float, seed: int, options: IsaacLabOptions, level: str) -> None:
+        from isaaclab_newton.physics import MJWarpSolverCfg, NewtonCfg
+
+        self._options = options
+        self._n_env = n_env
+        self._mode = MODES[level]
+        need = _measure(scene, dt=dt, seed=seed, options=options)
+        self._contacts = options.max_contacts or need.size(need.pool)
+        self._contacts_by = "asked for" if options.max_contacts else need.sized_by(need.pool)
+        self._rows = options.max_rows or need.size(need.rows)
+        self._rows_by = "asked for" if options.max_rows else need.sized_by(need.rows)
+        self.cfg = NewtonCfg(
+            solver_cfg=MJWarpSolverCfg(
+                njmax=self._rows,
+                nconmax=self._contacts,
+                iterations=options.iterations,
+                ls_iterations=options.ls_iterations,
+                cone=options.cone,
+                disable_sensors=level != "default",  # a condition of deterministic modes; the scene has none
+            ),
+            deterministic_mode=self._mode,
+        )
+
+    def author(self, stage: Any, path: str) -> None:
+        """The configuration says all."""
+
+    def attach(self, sim: Any, rows: int) -> None:
+        """Watch the solver from now on, with room for so many rows of counts."""
+        import mujoco_warp as mjw
+        import warp as wp
+
+        manager = sim.physics_manager
+        self._solver = manager._solver  # Isaac Lab shows the solver nowhere else
+        self._solver.mjw_model.opt.warn_overflow = False  # the bits are recorded; printing them would fill the log
+        self._bits = wp.zeros(self._n_env, dtype=wp.int32)
+        self._row = wp.zeros(1, dtype=wp.int32)
+        self._stored = tuple(wp.zeros((rows, self._n_env), dtype=wp.int32) for _ in range(1 + len(self.counters)))
+        self.overflow_bits = tuple(
+            # more iterations would have been of use: nothing was dropped
+            OverflowBit(int(bit).bit_length() - 1, bit.name, fatal="ITERATIONS" not in bit.name)
+            for bit in mjw.OverflowType
+            if int(bit).bit_count() == 1
+        )
+        data = self._solver.mjw_data
+        self.buffers = (
+            _buffer("nconmax", data.naconmax // self._n_env, CONTACTS, self._contacts, self._contacts_by),
+            _buffer("njmax", data.njmax, CONSTRAINT_ROWS, self._rows, self._rows_by),
+        )
+        # becomes part of the CUDA graph of a step: the solver clears its bits at the next one
+        manager.register_post_step_callback(self._gather)
+
+    def _gather(self) -> None:
+        self._launch("gather_bits", self._n_env, self._solver.mjw_data.overflow, self._bits)
+
+    def _launch(self, kernel: str, dim: int, *inputs: Any) -> None:
+        import warp as wp
+
+        from recorder.simulators.newton import kernels
+
+        wp.launch(getattr(kernels, kernel), dim=dim, inputs=list(inputs))
+
+    def rewind(self) -> None:
+        """Begin with the first row."""
+        self._row.zero_()
+
+    def store(self) -> None:
+        """Store what the last step showed, and go on to the next row; nothing waits for the device."""
+        data, n_env, row = self._solver.mjw_data, self._n_env, self._row
+        bits, contacts, rows, iterations = self._stored
+        self._launch("clear_counts", n_env, row, contacts)
+        self._launch("count_worlds", data.naconmax, row, data.nacon, data.contact.worldid, contacts)
+        self._launch("store_counts", n_env, row, data.nefc, rows)
+        self._launch("store_counts", n_env, row, data.solver_niter, iterations)
+        self._launch("store_bits", n_env, row, self._bits, bits)
+        self._launch("next_row", 1, row)
+
+    def evidence(self, rows: int) -> Evidence:
+        """What the first rows hold."""
+        bits, *counts = (array[:rows].numpy().copy() for array in self._stored)
+        named = {counter.name: array for counter, array in zip(self.counters, counts, strict=True)}
+        return Evidence(named, bits.astype(np.uint32))
+
+    def in_force(self) -> dict[str, Any]:
+        """The options that Newton has, as the solver has them."""
+        import mujoco
+
+        opt, model = self._solver.mj_model.opt, self._solver.mj_model
+        return {
+            "solver": "mujoco_warp",
+            "iterations": int(opt.iterations),
+            "ls_iterations": int(opt.ls_iterations),
+            "tolerance": float(opt.tolerance),
+            "cone": mujoco.mjtCone(opt.cone).name.removeprefix("mjCONE_").lower(),
+            "integrator": mujoco.mjtIntegrator(opt.integrator).name.removeprefix("mjINT_").lower(),
+            "mujoco_solver": mujoco.mjtSolver(opt.solver).name.removeprefix("mjSOL_").lower(),
+            "impratio": float(opt.impratio),
+            "solref": [float(number) for number in model.geom_solref[0]],
+            "solimp": [float(number) for number in model.geom_solimp[0]],
+            "condim": int(model.geom_condim[0]),
+            "substeps": int(self.cfg.num_substeps),
+        }
+
+    def switches(self) -> dict[str, Any]:
+        """What decides which bits come out."""
+        import mujoco_warp
+        import newton
+        import warp as wp
+
+        return {
+            "newton": newton.__version__,
+            "mujoco_warp": mujoco_warp.__version__,
+            "warp": wp.config.version,
+            "deterministic_mode": self._mode,
+            "contacts": "MuJoCo Warp",
+        }
+
+    def gates(self) -> list[str]:
+        """What is dropped shows as bits."""
+        return []
+
+    def close(self) -> None:
+        """Let go of the device's arrays."""
+        for name in ("_solver", "_bits", "_row", "_stored"):
+            vars(self).pop(name, None)
+
+
+def _buffer(name: str, given: int, counter: Counter, wanted: int, by: str) -> Buffer:
+    if given != wanted:
+        by = f"{wanted} wanted ({by}), which Newton has changed"  # it gives more where the first state needs more
+    return Buffer(name, given, "env", counter.name, by)
+
+
+def _measure(scene: Scene, *, dt: float, seed: int, options: IsaacLabOptions) -> Need:
+    from recorder.simulators.buffer_sizes import measure
+    from recorder.simulators.mujoco.model import compile_scene
+    from recorder.simulators.mujoco.options import MjcfOptions
+
+    compiled = compile_scene(scene, dt=dt, options=MjcfOptions(cone=options.cone))
+    compiled.model.geom_gap[:] = options.contact_offset - options.rest_offset  # as Newton reads them
+    return replace(measure(compiled, dt=dt, seed=seed), margin=_MARGIN)

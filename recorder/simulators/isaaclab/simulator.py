@@ -1,0 +1,268 @@
+"""Isaac Lab: its InteractiveScene and SimulationContext, without a window, on PhysX or on Newton.
+
+Environments are clones that lie beside each other in one world, on a grid about its origin; states are recorded in that
+world's frame, and the environments' origins with them. For a capture, the state of each step is kept on the device, and
+read once a block is full.
+"""
+
+from __future__ import annotations
+
+from importlib import metadata
+from importlib.util import find_spec
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from recorder.failure import Refused, cause_of
+from recorder.simulators.base import Description, Simulator, States
+from recorder.simulators.evidence import Evidence
+from recorder.simulators.isaaclab.options import IsaacLabOptions
+from recorder.simulators.warp import runtime as warp_runtime
+from schemas.errors import UsageError
+from schemas.fields import BODY_FIELDS, StateField, body_field
+
+_OLDEST = 3  # before it, quaternions were wxyz, and nothing ran without Isaac Sim
+_ROWS = 50
+_ROW_BYTES = 512 << 20  # of all rows
+_BODY = 4 * (7 + 6)  # bytes of a body's pose and speeds
+
+_LEVELS = {
+    "ovphysx": ("default", "enhanced"),
+    "physx": ("default", "enhanced"),
+    "newton": ("default", "run-to-run", "gpu-to-gpu"),
+}
+
+
+class IsaacLab(Simulator):
+    """N environments of an InteractiveScene."""
+
+    Options = IsaacLabOptions
+    timing_interval = 10  # Newton's steps are queued; synchronising after each would be charged to it
+    determinism_levels = {
+        "default": "as it ships, on any backend",
+        "enhanced": "backends ovphysx and physx: PhysX's enhanced determinism, with which what happens in one place "
+        "does not depend on what else is in the scene",
+        "run-to-run": "backend newton: the solver orders its atomic operations: the same bits again on the same kind "
+        "of GPU, with the same driver and Warp",
+        "gpu-to-gpu": "backend newton: as run-to-run, with Warp's stricter order of atomic operations, meant to hold "
+        "for every GPU",
+    }
+
+    def build(self) -> Description:
+        """See Simulator.build."""
+        options: IsaacLabOptions = self.options
+        if self.determinism not in _LEVELS[options.backend]:
+            raise UsageError(
+                f"backend '{options.backend}' of simulator 'isaaclab' has no determinism '{self.determinism}'; "
+                f"it has: {', '.join(_LEVELS[options.backend])}"
+            )
+        version = metadata.version("isaaclab")
+        if int(version.partition(".")[0]) < _OLDEST:
+            raise UsageError(f"simulator 'isaaclab' is for Isaac Lab {_OLDEST} and later; installed is {version}")
+        if options.backend == "ovphysx" and find_spec("ovphysx") is None:
+            raise UsageError("backend 'ovphysx' of simulator 'isaaclab' needs ovphysx, which is not installed")
+        if options.backend == "physx":
+            from recorder.simulators.isaaclab import kit
+
+            kit.start()
+        self._device = warp_runtime.start(options.device)
+        _without_pinned_memory()
+        from recorder.simulators.isaaclab.deviations import deviations
+
+        self._stepped = True  # what the last step showed has still to be asked for
+        self._counted: Evidence | None = None
+        self._ring: tuple[Any, Any] | None = None
+        self._compiled = False
+        self._physics = self._make_physics()
+        self._world = self._make_world()
+        self._physics.attach(self._world.sim, self._rows())
+        places = {body.name: index for index, body in enumerate(self.scene.moving())}
+        self._groups = [np.array([places[name] for name in names]) for names in self.scene.groups().values()]
+        origins = tuple((float(x), float(y), float(z)) for x, y, z in self._world.origins.tolist())
+        return Description(
+            version=version,
+            device=warp_runtime.name_of(self._device),
+            options={**dict.fromkeys(self._option_names()), **self._common(), **self._physics.in_force()},
+            switches={
+                "precision": "float32",
+                "backend": options.backend,
+                "determinism": self.determinism,
+                "spacing": options.spacing,
+                **self._physics.switches(),
+                "warnings": list(self._world.warnings),
+            },
+            deviations=deviations(self.scene, options),
+            fields=self._fields(),
+            timing_covers=self._covers(),
+            attachments={"scene.usda": ("model/vnd.usda", self._world.usda())},
+            env_origins=origins if any(any(origin) for origin in origins) else (),
+            buffers=self._physics.buffers,
+            counters=self._physics.counters,
+            overflow_bits=self._physics.overflow_bits,
+        )
+
+    def _option_names(self) -> tuple[str, ...]:
+        sizes = ("max_contacts", "max_rows")  # said with the buffers
+        return tuple(name for name in IsaacLabOptions.__dataclass_fields__ if name not in sizes)
+
+    def _common(self) -> dict[str, Any]:
+        options: IsaacLabOptions = self.options
+        names = ("backend", "spacing", "contact_offset", "rest_offset")
+        return {**{name: getattr(options, name) for name in names}, "device": str(self._device)}
+
+    def _make_physics(self) -> Any:
+        common: dict[str, Any] = {
+            "n_env": self.n_env, "dt": self.dt, "seed": self.seed, "options": self.options, "level": self.determinism
+        }  # fmt: skip
+        if self.options.backend == "newton":
+            from recorder.simulators.isaaclab.newton import Newton
+
+            return Newton(self.scene, **common)
+        from recorder.simulators.isaaclab.physx import Physx
+
+        return Physx(self.scene, gpu=self._device.is_cuda, **common)
+
+    def _make_world(self) -> Any:
+        from recorder.simulators.isaaclab.world import World
+
+        try:
+            return World(
+                self.scene, self._physics, n_env=self.n_env, dt=self.dt, options=self.options, device=str(self._device)
+            )
+        except (RuntimeError, ValueError, NotImplementedError) as error:
+            raise self._refused(error) from None
+
+    def _refused(self, error: Exception) -> Exception:
+        """What the engine does not do under a level of determinism is an outcome, not a crash."""
+        if self.determinism == "default" or cause_of(error) == "DEVICE_MEMORY":
+            return error
+        text = " ".join(str(error).split())
+        return Refused(f"Isaac Lab's backend '{self.options.backend}' refuses '{self.determinism}': {text}")
+
+    def _rows(self) -> int:
+        return max(1, min(_ROWS, _ROW_BYTES // (_BODY * self.n_env * len(self.scene.moving()))))
+
+    def _fields(self) -> tuple[StateField, ...]:
+        notes = {"orientation": "reordered by the recorder from Isaac Lab's xyzw"}
+        return tuple(
+            body_field(group, field, "float32", names, note=notes.get(field, ""))
+            for group, names in self.scene.groups().items()
+            for field in BODY_FIELDS
+        )
+
+    def _covers(self) -> str:
+        loop = "SimulationContext.step(render=False) and RigidObjectCollection.update, step by step"
+        end = "one synchronisation at the end; " if self._device.is_cuda else ""
+        return f"{loop}; the latter derives accelerations, on the device; {end}no state is copied to the host"
+
+    def compile(self, phase: str) -> None:
+        """See Simulator.compile: Newton builds its kernels in its first step, which is then taken back."""
+        if self.options.backend == "newton" and not self._compiled:
+            try:
+                self._world.step()
+            except (RuntimeError, ValueError, NotImplementedError) as error:
+                raise self._refused(error) from None
+            self._world.restore()
+            self._physics.rewind()
+            self._physics.store()  # which forgets what that step has shown
+        self._compiled = True
+        self._world.state()
+        if phase == "capture" and self._ring is None:
+            import torch
+
+            rows = self._rows()
+            self._ring = (
+                torch.empty((rows, *self._world.state()[0].shape), device=str(self._device)),
+                torch.empty((rows, *self._world.state()[1].shape), device=str(self._device)),
+            )
+
+    def step(self, n_step: int) -> None:
+        """See Simulator.step."""
+        if not self._compiled:
+            self.compile("timed")
+        self._stepped = True
+        for _ in range(n_step):
+            self._world.step()
+        self._wait()
+
+    def _wait(self) -> None:
+        if self._device.is_cuda:
+            import warp as wp
+
+            wp.synchronize_device(self._device)
+
+    def state(self) -> States:
+        """See Simulator.state."""
+        poses, speeds = self._world.state()
+        return tuple(array[0] for array in self._split(poses[None].cpu().numpy(), speeds[None].cpu().numpy()))
+
+    def states(self, n_step: int) -> States:
+        """See Simulator.states."""
+        self.compile("capture")
+        assert self._ring is not None
+        poses, speeds = self._ring
+        states, evidence = [], []
+        for first in range(0, n_step, len(poses)):
+            rows = min(len(poses), n_step - first)
+            self._physics.rewind()
+            for row in range(rows):
+                self._world.step()
+                pose, speed = self._world.state()
+                poses[row].copy_(pose)
+                speeds[row].copy_(speed)
+                self._physics.store()
+            states.append(self._split(poses[:rows].cpu().numpy(), speeds[:rows].cpu().numpy()))
+            evidence.append(self._physics.evidence(rows))
+        self._counted = _joined(evidence)
+        self._stepped = False
+        return states[0] if len(states) == 1 else tuple(map(np.concatenate, zip(*states, strict=True)))
+
+    def _split(self, poses: NDArray[np.float32], speeds: NDArray[np.float32]) -> States:
+        """Poses [step, env, body, 7] and speeds [step, env, body, 6] as copies, the arrays of the fields."""
+        arrays: list[NDArray[np.float32]] = []
+        for group in self._groups:
+            pose, speed = poses[:, :, group], speeds[:, :, group]
+            arrays += [pose[..., :3], pose[..., [6, 3, 4, 5]], speed[..., :3], speed[..., 3:]]
+        return tuple(arrays)
+
+    def evidence(self) -> Evidence | None:
+        """See Simulator.evidence."""
+        if self._stepped:
+            self._physics.rewind()
+            self._physics.store()
+            self._counted, self._stepped = self._physics.evidence(1), False
+        return self._counted
+
+    def gates(self) -> list[str]:
+        """See Simulator.gates."""
+        gates: list[str] = self._physics.gates()
+        return gates
+
+    def allocator_bytes(self) -> tuple[int, int] | None:
+        """See Simulator.allocator_bytes; PhysX has an allocator of its own, which does not tell."""
+        return warp_runtime.allocator_bytes(self._device) if self.options.backend == "newton" else None
+
+    def close(self) -> None:
+        """See Simulator.close."""
+        for name in ("_ring", "_world", "_physics"):
+            held = vars(self).pop(name, None)
+            if name != "_ring" and held is not None:
+                held.close()
+
+
+def _joined(parts: list[Evidence | None]) -> Evidence | None:
+    found = [part for part in parts if part is not None]
+    if not found:
+        return None
+    counts = {name: np.concatenate([part.counts[name] for part in found]) for name in found[0].counts}
+    return Evidence(counts, np.concatenate([part.overflow for part in found if part.overflow is not None]))
+
+
+def _without_pinned_memory() -> None:
+    """Isaac Lab keeps host arrays in pinned memory on the CPU as well, which takes a CUDA driver."""
+    import warp as wp
+
+    if not wp.is_cuda_available():
+        host = wp.get_device("cpu")
+        host.pinned_allocator = host.default_allocator
