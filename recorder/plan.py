@@ -73,7 +73,7 @@ def utc_now() -> str:
 
 
 def reserve(folder: Path, configuration: RunConfiguration, created: str) -> Path:
-    """<sim>[-<impl, backend or solver>][-<determinism>]-<scene>-n<N>-r<run>-<UTC>.mcap, and a number where that is taken.
+    """<sim>[-<impl, backend, solver>][-<determinism>]-<scene>-n<N>-r<run>-<UTC>.mcap, and a number where that is taken.
 
     The name is taken by making its .partial file, empty, so that no other recorder gets it. GsbError where the folder
     does not take files.

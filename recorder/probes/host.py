@@ -11,6 +11,7 @@ NUMERIC_ENVIRONMENT = (
     "CUDA_",
     "CUBLAS_",
     "GLIBC_TUNABLES",
+    "GS_",
     "JAX_",
     "LD_PRELOAD",
     "MKL_",

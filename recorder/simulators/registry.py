@@ -148,13 +148,13 @@ BUILT_IN = (
     ),
     Entry(
         "genesis",
-        "Genesis: rigid bodies in Quadrants kernels",
+        "Genesis: its rigid solver in Quadrants kernels",
         "recorder.simulators.genesis.simulator:Genesis",
         requires=("genesis", "torch", "psutil"),
         install=_set_up("genesis"),
         devices=("cuda", "cpu"),
-        precision=("float32",),
-        scenes=("inclined-collision", "free-fall"),
+        precision=("float32", "float64"),
+        scenes=("inclined-collision", "free-fall", "franka"),
     ),
     Entry(
         "physx",

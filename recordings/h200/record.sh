@@ -4,7 +4,7 @@
 #   recordings/h200/record.sh OUT [JOB...]      JOB: numbers from the list below (default: all)
 #
 # Jobs are shared out to all GPUs that CUDA shows, one job on a GPU at a time. A second call continues where the first
-# stopped. RUNS (default 10), SWEEP (default 1..131072:8) and SWEEP_RUNS (default 1) shorten it; RECORD is the command
+# stopped. GPUS ("0 1") chooses among them. RUNS (default 10), SWEEP (default 1..131072:8) and SWEEP_RUNS (default 1) shorten it; RECORD is the command
 # (default gsb-record). What an engine refuses or cannot do is recorded as such, so the script goes on.
 set -uo pipefail
 cd "$(dirname "$0")/../.."
@@ -79,6 +79,6 @@ work() { # on one GPU
     echo "job $job ended with exit code $?"
   done
 }
-for gpu in $(seq 0 $(($(nvidia-smi -L | wc -l) - 1))); do work "$gpu" & done
+for gpu in ${GPUS:-$(seq 0 $(($(nvidia-smi -L | wc -l) - 1)))}; do work "$gpu" & done
 wait
 rm -f "$queue" "$queue.lock"

@@ -97,7 +97,7 @@ VARIANTS = (
         skipped=_NO_FRANKA,
     ),
     Variant("newton", ("solver=steel",), skipped=_NO_FRANKA),
-    Variant("genesis", skipped=_NO_FRANKA),
+    Variant("genesis"),
     Variant("physx", skipped={**_NO_COUNTS, **_NO_BUFFERS}),
     Variant("isaaclab", ("backend=ovphysx",), skipped={**_NO_FRANKA, **_NO_COUNTS, **_NO_BUFFERS}),
     Variant("isaaclab", ("backend=newton",), skipped=_NO_FRANKA),

@@ -24,17 +24,24 @@ clones: "the clone will collide with all environments".
 """
 
 
+_NUMBER = re.compile(r"\d+")
+
+
 def is_fatal(level: int, text: str) -> bool:
     """Whether a line makes a run worthless: an error of the engine's, or a sign of dropped contacts at any level."""
     return level >= logging.ERROR or bool(_DROPPED.search(text))
 
 
 class NativeLog(logging.Handler):
-    """Keeps the fatal lines, each once, with how often it came. To be opened when an instance is there."""
+    """Keeps the fatal lines, each once, with how often it came. To be opened when an instance is there.
+
+    Lines that differ in their numbers alone, such as sizes that a buffer would need, are one; the first is kept.
+    """
 
     def __init__(self) -> None:
         super().__init__(logging.WARNING)
         self._fatal: Counter[str] = Counter()
+        self._first: dict[str, str] = {}  # line without its numbers -> line
         self._logger = logging.getLogger(_LOGGER)
 
     def open(self) -> None:
@@ -51,14 +58,14 @@ class NativeLog(logging.Handler):
         """Take a line; called from the engine's threads, one at a time."""
         text = " ".join(record.getMessage().split())
         if is_fatal(record.levelno, text):
-            self._fatal[text] += 1
+            self._fatal[self._first.setdefault(_NUMBER.sub("#", text), text)] += 1
 
     def take(self) -> list[str]:
         """The fatal lines since the last call, one sentence each, once all that were said have arrived."""
         import ovphysx
 
         ovphysx.flush_log()
-        found, self._fatal = self._fatal, Counter()
+        found, self._fatal, self._first = self._fatal, Counter(), {}
         return [f"PhysX says, {count} times: {text}" for text, count in found.items()]
 
     def close(self) -> None:

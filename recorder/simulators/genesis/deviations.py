@@ -1,0 +1,60 @@
+"""What Genesis' rigid solver does with the contact parameters of a scene."""
+
+from __future__ import annotations
+
+from recorder.scenes.base import Scene
+from recorder.simulators.genesis.options import GenesisOptions
+from schemas.provenance import Deviation
+
+
+def deviations(scene: Scene, options: GenesisOptions) -> tuple[Deviation, ...]:
+    """The parameters that Genesis honours otherwise than the scene gives them, or not at all."""
+    materials = {body.material.name: body.material for body in scene.bodies}
+    if scene.robot is not None:
+        materials[scene.robot.material.name] = scene.robot.material
+    found = [
+        Deviation(
+            "contact.friction_combination",
+            "not given",
+            "the larger coefficient of the two",
+            "Genesis' rule for a pair of geoms",
+        )
+    ]
+    for name, material in materials.items():
+        found.append(
+            Deviation(
+                f"{name}.static_friction",
+                str(material.static_friction),
+                str(material.kinetic_friction),
+                "Genesis has one friction coefficient a geom; the kinetic one is used",
+            )
+        )
+        found.append(
+            Deviation(
+                f"{name}.restitution",
+                str(material.restitution),
+                "0 (critically damped contacts)",
+                "Genesis' rigid contacts have no coefficient of restitution: they are damped springs of the time "
+                "constant constraint_timeconst",
+            )
+        )
+    if scene.robot is not None:
+        found.append(
+            Deviation(
+                "joint.max_velocity",
+                " ".join(str(joint.max_velocity) for joint in scene.robot.joints()),
+                "not enforced",
+                "Genesis' joints have no velocity limit",
+            )
+        )
+        if options.integrator != "Euler":
+            found.append(
+                Deviation(
+                    "joint.max_torque",
+                    " ".join(str(joint.max_torque) for joint in scene.robot.joints()),
+                    "the same, less the servo's damping",
+                    "Genesis' implicit integrators count a servo's damping as part of the inertia, also while its "
+                    "torque is at the limit: such a joint accelerates less (--option integrator=Euler does not)",
+                )
+            )
+    return tuple(found)

@@ -1,0 +1,157 @@
+"""A scene as Genesis' own: an entity for each body, and the robot from MJCF."""
+
+from __future__ import annotations
+
+import math
+import xml.etree.ElementTree as ET
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from recorder.scenes.base import Body, Box, Capsule, Plane, Scene, Shape, Sphere
+from recorder.scenes.emit.mjcf import emit_mjcf
+from recorder.simulators.genesis.options import GenesisOptions
+from recorder.simulators.genesis.sizes import Sizes
+from recorder.simulators.mujoco.model import rotate_to_body
+from schemas.errors import UsageError
+
+
+@dataclass(frozen=True)
+class Model:
+    """N environments of a scene, built.
+
+    scene   genesis.Scene
+    solver  its rigid solver
+    links   index in the solver of each moving body, in the order of Scene.moving
+    joints  index in the solver of each joint's degree of freedom, in the robot's order
+    xml     MJCF of the robot, empty where there is none
+    """
+
+    scene: Any
+    solver: Any
+    links: NDArray[np.int64]
+    joints: NDArray[np.int64]
+    xml: str
+    _described: Scene
+    _entities: dict[str, Any]
+    _robot: Any
+
+    def reset(self) -> None:
+        """Bring all environments to the scene's initial state."""
+        self.scene.reset()
+        self.place()
+
+    def place(self) -> None:
+        """Give the bodies their speeds and the robot its angles, which entities are not described with."""
+        speeds = np.zeros((self.scene.n_envs, self.solver.n_dofs))
+        for body in self._described.moving():
+            link = self._entities[body.name].base_link
+            # of a free joint: linear in the world frame, angular in the body's
+            speeds[:, link.dof_start : link.dof_start + 3] = body.linear_velocity
+            speeds[:, link.dof_start + 3 : link.dof_end] = rotate_to_body(
+                np.array(body.orientation), np.array(body.angular_velocity)
+            )
+        if self._robot is not None and self._described.robot is not None:
+            start = np.array(self._described.robot.start)
+            self._robot.set_qpos(np.repeat(start[None], self.scene.n_envs, axis=0))
+        self.solver.set_dofs_velocity(speeds)
+
+
+def build_model(genesis: Any, scene: Scene, *, n_env: int, dt: float, options: GenesisOptions, sizes: Sizes) -> Model:
+    """Build n_env environments of a scene in its initial state on the initialised engine.
+
+    UsageError for a shape that Genesis does not have; genesis.GenesisException for what it does not accept.
+    """
+    made = genesis.Scene(
+        sim_options=genesis.options.SimOptions(dt=dt, substeps=options.substeps, gravity=scene.gravity),
+        rigid_options=genesis.options.RigidOptions(**_rigid_options(genesis, options, sizes)),
+        profiling_options=genesis.options.ProfilingOptions(show_FPS=False),
+        show_viewer=False,
+    )
+    entities = {body.name: _add(genesis, made, body) for body in scene.bodies}
+    robot: Any = None
+    xml, joints = "", []
+    if scene.robot is not None:
+        xml = emit_mjcf(replace(scene, bodies=()), dt=dt, option={}, geom={})
+        robot = made.add_entity(
+            genesis.morphs.MJCF(file=ET.fromstring(xml), default_armature=None, visualization=False)
+        )
+    made.build(n_envs=n_env)
+    if scene.robot is not None:
+        joints = [robot.get_joint(joint.name).dof_start for joint in scene.robot.joints()]
+    model = Model(
+        scene=made,
+        solver=made.rigid_solver,
+        links=np.array([entities[body.name].base_link.idx for body in scene.moving()], dtype=np.int64),
+        joints=np.array(joints, dtype=np.int64),
+        xml=xml,
+        _described=scene,
+        _entities=entities,
+        _robot=robot,
+    )
+    model.place()
+    return model
+
+
+def _rigid_options(genesis: Any, options: GenesisOptions, sizes: Sizes) -> dict[str, Any]:
+    chosen: dict[str, Any] = {
+        "integrator": genesis.integrator[options.integrator],
+        "constraint_solver": genesis.constraint_solver[options.solver],
+        "iterations": options.iterations,
+        "ls_iterations": options.ls_iterations,
+        "noslip_iterations": options.noslip_iterations,
+        "friction_cone": genesis.friction_cone[options.cone],
+        "constraint_timeconst": options.constraint_timeconst,
+        "use_gjk_collision": options.use_gjk_collision,
+        "box_box_detection": options.box_box_detection,
+        "enable_mujoco_compatibility": options.mujoco_compatibility,
+        "enable_neutral_collision": True,  # the scene says which links never collide
+        "max_collision_pairs": sizes.pairs,
+        "max_contacts": sizes.contacts,
+        "multiplier_collision_broad_phase": options.broad_phase_multiplier,
+    }
+    if options.tolerance:
+        chosen["tolerance"] = options.tolerance
+    if options.impratio:
+        chosen["impratio"] = options.impratio
+    if options.contact_resolution != "auto":
+        chosen["contact_resolution"] = genesis.contact_resolution[options.contact_resolution]
+    if options.broadphase != "auto":
+        chosen["broadphase_traversal"] = genesis.broadphase_traversal[options.broadphase]
+    return chosen
+
+
+def _add(genesis: Any, made: Any, body: Body) -> Any:
+    material = genesis.materials.Rigid(
+        rho=None if body.mass is None else body.mass / _volume(body), friction=body.material.kinetic_friction
+    )
+    return made.add_entity(_morph(genesis, body), material=material)
+
+
+def _morph(genesis: Any, body: Body) -> Any:
+    common = {"pos": body.position, "quat": body.orientation, "fixed": body.fixed, "visualization": False}
+    match body.shape:
+        case Box(size):
+            return genesis.morphs.Box(size=size, **common)
+        case Sphere(radius):
+            return genesis.morphs.Sphere(radius=radius, **common)
+        case Plane():
+            return genesis.morphs.Plane(**common)
+    raise _no_shape(body.shape, body.name)
+
+
+def _volume(body: Body) -> float:
+    """[m3]; Genesis makes mass and inertia of a uniform density."""
+    match body.shape:
+        case Box((x, y, z)):
+            return x * y * z
+        case Sphere(radius):
+            return 4.0 / 3.0 * math.pi * radius**3
+    raise _no_shape(body.shape, body.name)
+
+
+def _no_shape(shape: Shape, name: str) -> UsageError:
+    kind = "capsules outside a robot" if isinstance(shape, Capsule) else f"moving {type(shape).__name__.lower()}s"
+    return UsageError(f"simulator 'genesis' has no {kind}: '{name}'")

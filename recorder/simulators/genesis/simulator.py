@@ -1,0 +1,247 @@
+"""Genesis: its rigid solver, in kernels that Quadrants compiles, on a GPU or, on one thread, on the CPU.
+
+Environments are the batch of one genesis.Scene, all at the same place. A process has one Genesis at a time: build
+initialises it, close destroys it. For a capture, states and counts of each step are copied into a ring of tensors on
+the device, which is read once it is full.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from recorder.failure import Refused
+from recorder.simulators.base import Description, Simulator, States
+from recorder.simulators.evidence import Evidence
+from recorder.simulators.genesis import runtime
+from recorder.simulators.genesis.deviations import deviations
+from recorder.simulators.genesis.options import GenesisOptions
+from schemas.fields import BODY_FIELDS, StateField, body_field, joint_field
+
+_RING_ROWS = 50
+_RING_BYTES = 512 << 20
+
+_LEVELS = {"default": None, "off": False, "run-to-run": True}  # use_deterministic_algorithms
+
+_SOLVER_OPTIONS = (
+    "integrator", "constraint_solver", "iterations", "ls_iterations", "ls_tolerance", "tolerance", "noslip_iterations",
+    "friction_cone", "impratio", "contact_resolution", "constraint_timeconst", "contact_pruning_tolerance",
+    "enable_multi_contact", "enable_neutral_collision", "use_gjk_collision", "box_box_detection",
+    "enable_mujoco_compatibility", "use_hibernation", "max_collision_pairs", "max_contacts",
+    "multiplier_collision_broad_phase",
+)  # fmt: skip
+
+
+class Genesis(Simulator):
+    """N environments on Genesis."""
+
+    Options = GenesisOptions
+    timing_interval = 10  # Genesis itself waits for the device at every tenth substep, to look at its error codes
+    determinism_levels = {
+        "default": "as it ships: use_deterministic_algorithms is left to the engine, which sets it unless "
+        "performance_mode is on",
+        "off": "use_deterministic_algorithms off: on a GPU the solver's implementation may be chosen by timing, while "
+        "it runs",
+        "run-to-run": "use_deterministic_algorithms on: implementations are chosen at build, for the same bits on the "
+        "same hardware",
+    }
+
+    def build(self) -> Description:
+        """See Simulator.build."""
+        options: GenesisOptions = self.options
+        genesis = self._genesis = runtime.start(options, deterministic=_LEVELS[self.determinism], seed=self.seed)
+        from recorder.simulators.genesis.model import build_model
+        from recorder.simulators.genesis.ring import Ring
+        from recorder.simulators.genesis.sizes import choose_sizes
+        from recorder.simulators.genesis.watch import COUNTERS, Watch, buffers
+
+        sizes = choose_sizes(self.scene, dt=self.dt, seed=self.seed, options=options)
+        with self._refusals():
+            self._model = build_model(genesis, self.scene, n_env=self.n_env, dt=self.dt, options=options, sizes=sizes)
+        self._watch = Watch(self._model.solver)
+        self._last = Ring(self._model, self._watch, 1)
+        self._ring: Ring | None = None
+        self._counted: Evidence | None = None
+        self._targets: Any = None
+        self._next_target = 0
+        places = {body.name: index for index, body in enumerate(self.scene.moving())}
+        self._groups = [[places[name] for name in names] for names in self.scene.groups().values()]
+        return Description(
+            version=genesis.__version__,
+            device=runtime.device_name(genesis),
+            options=self._in_force(),
+            switches=self._switches(),
+            deviations=deviations(self.scene, options),
+            fields=self._fields(),
+            timing_covers=self._covers(),
+            attachments={"robot.xml": ("application/xml", self._model.xml.encode())} if self._model.xml else {},
+            buffers=buffers(self._model.solver, sizes),
+            counters=COUNTERS,
+            overflow_bits=self._watch.overflow_bits,
+        )
+
+    @contextmanager
+    def _refusals(self) -> Iterator[None]:
+        # ValueError is what its options raise, GenesisException what its solver does
+        try:
+            yield
+        except (self._genesis.GenesisException, ValueError) as error:
+            text = " ".join(str(error).split())
+            raise Refused(f"Genesis does not accept this scene with these options: {text}") from None
+
+    def _in_force(self) -> dict[str, Any]:
+        options: GenesisOptions = self.options
+        of_solver = self._model.scene.options.rigid
+        return {
+            "substeps": options.substeps,
+            "performance_mode": options.performance_mode,
+            **{name: _plain(getattr(of_solver, name)) for name in _SOLVER_OPTIONS},
+        }
+
+    def _switches(self) -> dict[str, Any]:
+        chosen = self._model.solver.rigid_config
+        return {
+            **runtime.switches(self._genesis),
+            "determinism": self.determinism,
+            **{
+                name: _plain(getattr(chosen, name))
+                for name in ("prefer_decomposed_solver", "sparse_solve", "broadphase_traversal", "para_level")
+            },
+        }
+
+    def _fields(self) -> tuple[StateField, ...]:
+        dtype = f"float{self.options.precision}"
+        bodies = [
+            body_field(group, field, dtype, names)
+            for group, names in self.scene.groups().items()
+            for field in BODY_FIELDS
+        ]
+        if self.scene.robot is None:
+            return tuple(bodies)
+        joints = tuple(joint.name for joint in self.scene.robot.joints())
+        return (*bodies, joint_field("robot", "qpos", dtype, joints), joint_field("robot", "qvel", dtype, joints))
+
+    def _covers(self) -> str:
+        what = "Scene.step of all environments, with the engine's look at its error codes at every tenth substep"
+        if self.scene.actions is not None:
+            what += "; control_dofs_position before each, of targets that lie on the device"
+        return f"{what}; one synchronisation with the device; no state is copied, nothing is drawn"
+
+    def compile(self, phase: str) -> None:
+        """See Simulator.compile: some kernels are loaded at the first step only; the state is brought back."""
+        self._model.scene.step(update_visualizer=False)
+        if phase == "capture":
+            self._make_ring().store()
+        self._model.reset()
+        runtime.synchronise(self._genesis)
+
+    def _make_ring(self) -> Any:
+        from recorder.simulators.genesis.ring import Ring
+
+        if self._ring is None:
+            rows = max(1, min(_RING_ROWS, _RING_BYTES // Ring.row_bytes(self._model)))
+            self._ring = Ring(self._model, self._watch, rows)
+        self._ring.rewind()
+        return self._ring
+
+    def prepare(self, actions: NDArray[np.float32] | None) -> None:
+        """See Simulator.prepare."""
+        if actions is None:
+            self._targets = None
+            return
+        import torch
+
+        self._targets = torch.as_tensor(actions, dtype=self._genesis.tc_float, device=self._genesis.device)
+        self._next_target = 0
+
+    def applied(self) -> NDArray[np.float32] | None:
+        """See Simulator.applied."""
+        if self.scene.actions is None:
+            return None
+        held = self._model.solver.dyn_state.dofs.ctrl_pos.to_numpy()  # [degree of freedom, env]
+        return np.ascontiguousarray(held[self._model.joints].T, dtype=np.float32)
+
+    def step(self, n_step: int) -> None:
+        """See Simulator.step."""
+        self._counted = None
+        for _ in range(n_step):
+            self._advance()
+        runtime.synchronise(self._genesis)
+
+    def _advance(self) -> None:
+        if self._targets is not None:
+            self._model.solver.control_dofs_position(self._targets[self._next_target], self._model.joints)
+            self._next_target += 1
+        try:
+            self._model.scene.step(update_visualizer=False)
+        except self._genesis.GenesisException:
+            # raised before the step, for what an earlier one left in the engine's error codes
+            if not self._watch.take():
+                raise
+            self._model.scene.step(update_visualizer=False)
+
+    def state(self) -> States:
+        """See Simulator.state."""
+        self._last.rewind()
+        self._last.store()
+        return tuple(array[0] for array in self._split(self._last))
+
+    def states(self, n_step: int) -> States:
+        """See Simulator.states."""
+        states, evidence = [], []
+        ring = self._make_ring()
+        for first in range(0, n_step, ring.rows):
+            ring.rewind()
+            for _ in range(min(ring.rows, n_step - first)):
+                self._advance()
+                ring.store()
+            states.append(self._split(ring))
+            evidence.append(ring.evidence())
+        self._counted = _joined(evidence)
+        return states[0] if len(states) == 1 else tuple(map(np.concatenate, zip(*states, strict=True)))
+
+    def _split(self, ring: Any) -> States:
+        """The rows of a ring as the arrays of the fields, [row, env, item, width]."""
+        links, joints = ring.links(), ring.joints()
+        arrays: list[NDArray[np.floating]] = []
+        for group in self._groups:
+            of_group = links[:, :, group]
+            arrays += [of_group[..., 0:3], of_group[..., 3:7], of_group[..., 7:10], of_group[..., 10:13]]
+        if self.scene.robot is not None:
+            arrays += [joints[..., 0:1], joints[..., 1:2]]
+        return tuple(arrays)
+
+    def evidence(self) -> Evidence:
+        """See Simulator.evidence."""
+        if self._counted is None:
+            self._last.rewind()
+            self._last.store()
+            return self._last.evidence()
+        return self._counted
+
+    def gates(self) -> list[str]:
+        """See Simulator.gates: the engine's own words for whatever it would have stopped at."""
+        return self._watch.gates()
+
+    def close(self) -> None:
+        """See Simulator.close."""
+        # tensors that share the engine's memory go before it does
+        for name in ("_targets", "_ring", "_last", "_watch", "_model", "_counted"):
+            vars(self).pop(name, None)
+        runtime.stop()
+
+
+def _plain(value: Any) -> Any:
+    return getattr(value, "name", value)  # of enumerations the name
+
+
+def _joined(parts: list[Evidence]) -> Evidence:
+    if len(parts) == 1:
+        return parts[0]
+    counts = {name: np.concatenate([part.counts[name] for part in parts]) for name in parts[0].counts}
+    overflow = [part.overflow for part in parts if part.overflow is not None]
+    return Evidence(counts, np.concatenate(overflow))
