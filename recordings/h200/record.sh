@@ -3,9 +3,9 @@
 #
 #   recordings/h200/record.sh OUT [JOB...]      JOB: numbers from the list below (default: all)
 #
-# Jobs are shared out to all GPUs that CUDA shows, one job on a GPU at a time. A second call continues where the first
-# stopped. GPUS ("0 1") chooses among them. RUNS (default 10), SWEEP (default 1..131072:8) and SWEEP_RUNS (default 1) shorten it; RECORD is the command
-# (default gsb-record). What an engine refuses or cannot do is recorded as such, so the script goes on.
+# Jobs are shared out to all GPUs that nvidia-smi shows, or to those of GPUS ("0 1"), one job on a GPU at a time. A second
+# call continues where the first stopped. RUNS (default 10), PART_RUNS (5), SWEEP (1..131072:8) and SWEEP_RUNS (1) shorten
+# it; RECORD is the command (gsb-record). What an engine refuses or cannot do is recorded as such, so the script goes on.
 set -uo pipefail
 cd "$(dirname "$0")/../.."
 OUT=$1; shift
