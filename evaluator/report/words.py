@@ -33,14 +33,20 @@ def counted(found: Counted | None) -> str:
     return f"{count(found.mean)} / {count(found.max)}" if found else NONE
 
 
+_NOT_TOLD = "not told"
+
+
 def share(use: BufferUse) -> str:
     """How much of a buffer was needed."""
-    return f"{use.share:.0%}" if use.share is not None else "not told"
+    return f"{use.share:.0%}" if use.share is not None else _NOT_TOLD
 
 
 def buffers(validity: Validity) -> str:
-    """The buffers by name, each with the share that was needed."""
-    return ", ".join(f"{use.buffer.name} {share(use)}" for use in validity.buffers) or NONE
+    """The buffers by name, each with the share that was needed; the number of those of which nothing shows that."""
+    shown = [f"{use.buffer.name} {share(use)}" for use in validity.buffers if use.share is not None]
+    if untold := len(validity.buffers) - len(shown):
+        shown.append(f"{untold} {_NOT_TOLD}")
+    return ", ".join(shown) or NONE
 
 
 def overflow(validity: Validity) -> str:

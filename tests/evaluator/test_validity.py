@@ -12,6 +12,7 @@ import pytest
 
 from evaluator import open_recording
 from evaluator.evaluate import evaluate
+from evaluator.report import words
 from evaluator.report.html import render_html
 from evaluator.report.json import to_json
 from evaluator.report.tables import print_tables
@@ -118,6 +119,7 @@ def test_buffers_that_nothing_counts(tmp_path: Path) -> None:
     shown = Shown(buffers=(Buffer("pairs", 0, "all"), Buffer("arena", 20, "env", "cells")))
     found = only(write_recording(tmp_path, grid(2), shown=shown)).validity.buffers
     assert [(use.needed, use.share) for use in found] == [(None, None), (None, None)]
+    assert words.buffers(only(write_recording(tmp_path, grid(2), run=1, shown=shown)).validity) == "2 not told"
 
 
 def test_failed_runs_show_what_they_needed(tmp_path: Path) -> None:

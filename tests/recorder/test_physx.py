@@ -172,6 +172,7 @@ def test_sizes_of_buffers(monkeypatch: pytest.MonkeyPatch) -> None:
     assert all(a.asked <= b.asked and a.per == "all" and a.sized_by for a, b in zip(few, many, strict=True))
     asked = sizes.choose_buffers(scene, n_env=3, dt=DT, seed=0, options=PhysxOptions(max_contacts=5, collision_stack=9))
     assert (asked[0].asked, asked[-1].asked) == (15, 9)
+    assert sizes.choose_buffers(scene, n_env=1 << 17, dt=DT, seed=0, options=PhysxOptions())[-1].asked == sizes.LARGEST
     with pytest.raises(Refused, match="is at most 4294967295"):
         sizes.choose_buffers(scene, n_env=10**8, dt=DT, seed=0, options=PhysxOptions())
     monkeypatch.setattr(sizes, "find_spec", lambda name: None)

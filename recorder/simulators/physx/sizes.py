@@ -46,8 +46,9 @@ def choose_buffers(scene: Scene, *, n_env: int, dt: float, seed: int, options: P
     for name in ("gpuFoundLostAggregatePairsCapacity", "gpuTotalAggregatePairsCapacity"):
         needed = need.pairs if scene.robot is not None else 0
         buffers.append(_chosen(name, options.max_aggregate_pairs, needed, n_env, need.found_by))
-    stack = max(_STACK_LEAST, _STACK_OF_PAIR * pairs * n_env)
-    how = f"the larger of PhysX's default and {_STACK_OF_PAIR} bytes for each of {pairs} pairs in {n_env} envs"
+    # An estimate must not end a sweep: the most there is gets its chance, and an overflow shows in the log.
+    stack = min(LARGEST, max(_STACK_LEAST, _STACK_OF_PAIR * pairs * n_env))
+    how = f"{_STACK_OF_PAIR} bytes for each of {pairs} pairs in {n_env} envs, from PhysX's default to the most it takes"
     asked_for = options.collision_stack
     buffers.append(
         Buffer("gpuCollisionStackSize", asked_for or stack, "all", sized_by="asked for" if asked_for else how)
