@@ -57,9 +57,7 @@ def _copy(source: StreamReader, target: Writer) -> None:
                     channels[record.channel_id], record.log_time, record.data, record.publish_time, record.sequence
                 )
             case Attachment():
-                target.add_attachment(
-                    record.create_time, record.log_time, record.name, record.media_type, record.data
-                )
+                target.add_attachment(record.create_time, record.log_time, record.name, record.media_type, record.data)
             case Metadata():
                 target.add_metadata(record.name, record.metadata)
     target.finish()
