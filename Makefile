@@ -56,9 +56,10 @@ environments: $(VENV)/.installed-test
 # Tests that load an engine run in its environment, with the tools of testing lent to it.
 test-engines: environments
 	for engine in $(ENGINES); do \
-	  python=$(GSB_ENVIRONMENTS)/$$engine/bin/python; tools=$(abspath $(VENV))/lent/$$engine; \
-	  test -d $$tools || $$python -m pip install --quiet --disable-pip-version-check --target $$tools -c constraints.txt pytest hypothesis || exit; \
-	  PYTHONPATH=$(CURDIR):$$tools $$python -P -m pytest tests/recorder/test_$$engine.py || exit; \
+	  python="$(GSB_ENVIRONMENTS)/$$engine/bin/python"; tools="$(abspath $(VENV))/lent/$$engine"; \
+	  test "$$tools/.whole" -nt "$$python" || { rm -rf "$$tools" && "$$python" -m pip install --quiet \
+	    --disable-pip-version-check --target "$$tools" -c constraints.txt pytest hypothesis && touch "$$tools/.whole"; } || exit; \
+	  PYTHONPATH="$(CURDIR):$$tools" "$$python" -P -m pytest tests/recorder/test_$$engine.py || exit; \
 	done
 
 fast: lint

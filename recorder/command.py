@@ -182,7 +182,7 @@ def configure(arguments: argparse.Namespace) -> RunConfiguration:
 def record(arguments: argparse.Namespace, argv: tuple[str, ...]) -> int:
     """Make all runs; returns the exit code."""
     with shielded():
-        from recorder.environments.choice import interpreter_for
+        from recorder.environments.choice import check_known, interpreter_for
         from recorder.plan import check_runs
         from recorder.series import Request, record_set, record_sweep
         from recorder.simulators.registry import find_simulator
@@ -193,7 +193,9 @@ def record(arguments: argparse.Namespace, argv: tuple[str, ...]) -> int:
     if points:
         arguments.n_env = points[0]
     interpreter = interpreter_for(find_simulator(arguments.sim), arguments.python)
-    request = Request(configure(arguments), arguments.out, argv, quiet=arguments.json, interpreter=interpreter)
+    configuration = configure(arguments)
+    check_known(interpreter, configuration.simulator, configuration.scene)
+    request = Request(configuration, arguments.out, argv, quiet=arguments.json, interpreter=interpreter)
     if points:
         code, results = record_sweep(request, Sweep(points, arguments.runs))
     else:
@@ -237,9 +239,13 @@ def run(given: list[str]) -> int:
     except SystemExit:
         flush()  # --help and --version only write to a buffer, and an error there would come too late
         raise
+    if sum((arguments.list, arguments.setup is not None, arguments.sim is not None)) > 1:
+        raise UsageError("--list, --setup and --sim are three commands; give one of them")
+    if arguments.python is not None and (arguments.list or arguments.sim == REAL):
+        raise UsageError("--python is for the runs of a simulator, and for --setup")
     if arguments.list:
         return _list(arguments.json)
-    if arguments.setup:
+    if arguments.setup is not None:
         return _set_up(arguments)
     if not arguments.sim:
         raise UsageError("say which simulator with --sim NAME; gsb-record --list shows them")

@@ -15,6 +15,8 @@ from mcap.stream_reader import StreamReader
 from recorder.capture.sink import Sink
 from recorder.environments.interpreter import Interpreter
 from recorder.plan import release, reserve
+from recorder.probes.gpu import Gpus
+from recorder.probes.host import describe_host
 from schemas.configuration import RunConfiguration
 from schemas.provenance import PACKAGES, PROVENANCE, SCENE, SIMULATION, Provenance
 
@@ -42,7 +44,11 @@ def record_killed(
         sink = Sink(path, compression=configuration.compression, reserved=True)
         try:
             if PROVENANCE not in said:
-                provenance = Provenance(run_id, created, argv, configuration, software=interpreter.software())
+                with Gpus() as gpus:  # so that a sweep finds it again as made here
+                    provenance = Provenance(
+                        run_id, created, argv, configuration, host=describe_host(), gpus=gpus.describe(),
+                        software=interpreter.software(),
+                    )  # fmt: skip
                 sink.attach(PROVENANCE, "application/json", provenance.to_json().encode())
             for name, attachment in said.items():
                 sink.attach(name, attachment.media_type, attachment.data)

@@ -112,9 +112,6 @@ def _determinism(entry: Entry) -> tuple[dict[str, str], str]:
         return {str(level): str(meaning) for level, meaning in adapter.determinism_levels.items()}, ""
     except UsageError as error:
         return {}, str(error)
-    except Exception as error:  # whatever a third party's module raises; the others are still listed
-        text = " ".join(f"{type(error).__name__}: {error}".split())
-        return {}, f"simulator '{entry.name}' cannot be loaded: {text}"
 
 
 def _abilities(about: Json) -> list[str]:

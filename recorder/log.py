@@ -150,6 +150,20 @@ class RecordingWriter:
             raise UsageError(f"compression is one of {', '.join(COMPRESSIONS)}, not '{c.compression}'")
         if not s.fields:
             raise UsageError("a recording of states has at least one field")
+        if len({field.name for field in s.fields}) < len(s.fields):
+            raise UsageError("two fields have the same group and name")
+        for field in s.fields:
+            if len(set(field.items)) < len(field.items):
+                raise UsageError(f"two items of {field.name} have the same name")
+        if c.run_index < 0:
+            raise UsageError(f"run_index is at least 0, not {c.run_index}")
+        if taken := sorted({PROVENANCE, PACKAGES, SIMULATION, SCENE} & set(self._attachments)):
+            raise UsageError(f"attachments named {', '.join(taken)} are the recording's own")
+        try:
+            c.to_json()
+            s.to_json()
+        except TypeError as error:  # such as numbers of numpy
+            raise UsageError(f"options, switches and counts are plain values: {error}") from None
         if s.env_origins and len(s.env_origins) != c.n_env:
             raise UsageError(f"there are {len(s.env_origins)} env origins, and {c.n_env} environments")
 
@@ -222,7 +236,10 @@ class RecordingWriter:
         The last interval may have fewer steps. UsageError where they are not those of `timed_steps`.
         """
         c = self._configuration
-        start, end = np.asarray(start_ns, dtype=np.int64), np.asarray(end_ns, dtype=np.int64)
+        given = np.asarray(start_ns), np.asarray(end_ns)
+        if any(array.dtype.kind not in "iu" for array in given):
+            raise UsageError("clocks are whole nanoseconds, such as time.perf_counter_ns() gives")
+        start, end = (array.astype(np.int64) for array in given)
         if self._clocked or not c.timed_steps:
             raise UsageError("clocks are given once, and only where timed_steps says of how many steps")
         expected = -(-c.timed_steps // steps_per_interval) if steps_per_interval > 0 else 0
@@ -231,9 +248,9 @@ class RecordingWriter:
                 f"{c.timed_steps} steps in intervals of {steps_per_interval} have {expected} begins and ends, "
                 f"not {start.shape} and {end.shape}"
             )
-        if (end < start).any() or (start[1:] < end[:-1]).any():
+        if (end <= start).any() or (start[1:] < end[:-1]).any():
             raise UsageError(
-                "clocks run backwards: an interval ends before it begins, or begins before the last one ends"
+                "clocks run backwards or stand still: an interval ends after it begins, and before the next one begins"
             )
         topic = topics.timing("timed")
         covers = {"clock": "monotonic [ns]", "covers": self._simulation.timing_covers}

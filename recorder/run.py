@@ -155,9 +155,10 @@ class Run:
         with interruption.shielded():  # a recording that has an end says what it is of
             interruption.install(also_ignored=True)
             interruption.expire_after(configuration.timeout)
-            scene = make_scene(configuration.scene)
             trouble: GsbError | None = None
+            scene: Scene | None = None
             try:
+                scene = make_scene(configuration.scene)
                 adapter = find_simulator(configuration.simulator).load()
                 options = parse_options(configuration.simulator, adapter.Options, configuration.options)
                 apply_environment(adapter.environment(options, configuration.determinism))
@@ -173,7 +174,8 @@ class Run:
             sink.metadata("gsb", _summary(provenance))
             sink.attach(PROVENANCE, "application/json", provenance.to_json().encode())
             sink.attach(PACKAGES, "text/plain", package_list().encode())
-            sink.attach(SCENE, "application/json", scene.to_json().encode())
+            if scene is not None:
+                sink.attach(SCENE, "application/json", scene.to_json().encode())
             sink.channel(topics.RUN_EVENT, "gsb.v1.Event")
 
         memory = MemoryWriter(sink, MemorySampler(gpus), len(gpus))
@@ -184,9 +186,13 @@ class Run:
                 memory.checkpoint("baseline")
                 memory.start()
 
+            if trouble or scene is None:
+                raise trouble or GsbError("no scene")
+            built = scene
+
             def new_simulator() -> Simulator:
                 return adapter(
-                    scene,
+                    built,
                     n_env=configuration.n_env,
                     dt=configuration.dt,
                     seed=configuration.seed,
@@ -194,13 +200,11 @@ class Run:
                     determinism=configuration.determinism,
                 )
 
-            if trouble:
-                raise trouble
             with Engine(new_simulator) as engine:
                 with _Phase(self, sink, memory, "init", phase):
                     self._progress("init", 0, 1)
                     description = self._clocked(sink, "build", engine.start)
-                    self._write_description(sink, scene, description)
+                    self._write_description(sink, built, description)
                     memory.use_allocator(engine.simulator.allocator_bytes)
                     self._compile(
                         sink, engine.simulator, configuration.phases[0] if len(configuration.phases) == 1 else "timed"

@@ -32,6 +32,8 @@ examples:
   python -m recorder.conformance --sim mujoco --option cone=pyramidal --json
 """
 
+_INSIDE = "GSB_CONFORMANCE_INSIDE"  # set where another Python was chosen already
+
 OK, FAILED, SKIPPED = "ok", "failed", "skipped"
 
 
@@ -93,9 +95,10 @@ def parser() -> argparse.ArgumentParser:
 def run(given: list[str]) -> int:
     """Do what the arguments say; returns the exit code. Errors as of schemas.errors."""
     arguments = parser().parse_args(given)
-    interpreter = interpreter_for(find_simulator(arguments.sim), arguments.python)
-    if not interpreter.own:
-        return _elsewhere(interpreter, given)
+    if _INSIDE not in os.environ:
+        interpreter = interpreter_for(find_simulator(arguments.sim), arguments.python)
+        if not interpreter.own:
+            return _elsewhere(interpreter, given)
     subject = Subject.named(arguments.sim, split_options(arguments.option), arguments.determinism)
     verdicts = []
     for check in CHECKS:
@@ -115,7 +118,9 @@ def run(given: list[str]) -> int:
 def _elsewhere(interpreter: Interpreter, given: list[str]) -> int:
     with tempfile.TemporaryDirectory(prefix="gsb-code-") as folder:
         command = interpreter.command("-m", "recorder.conformance", *given)
-        return subprocess.run(command, stdout=sys.stdout, env=interpreter.environment(Path(folder))).returncode
+        environment = {**interpreter.environment(Path(folder)), _INSIDE: "1"}
+        code = subprocess.run(command, stdout=sys.stdout, env=environment).returncode
+    return code if code >= 0 else int(ExitCode.FAILURE)
 
 
 def _take_standard_output() -> None:

@@ -2,13 +2,42 @@
 
 from __future__ import annotations
 
+import subprocess
+import tempfile
 from pathlib import Path
 
 from recorder.environments.interpreter import RECORDING, Interpreter, at, own
 from recorder.environments.store import find
 from recorder.progress import say
-from recorder.simulators.registry import Entry
+from recorder.scenes.registry import SCENES
+from recorder.simulators.registry import BUILT_IN, Entry
 from schemas.errors import UsageError
+
+_KNOWS = """
+import sys
+from recorder.scenes.registry import make_scene
+from recorder.simulators.registry import find_simulator
+from schemas.errors import UsageError
+try:
+    make_scene(sys.argv[2])
+    find_simulator(sys.argv[1]).load()
+except UsageError as error:
+    sys.exit(str(error))
+"""
+
+
+def check_known(interpreter: Interpreter, simulator: str, scene: str) -> None:
+    """UsageError where another Python lacks a third party's simulator or scene that this one has."""
+    if interpreter.own or (simulator in {entry.name for entry in BUILT_IN} and scene in SCENES):
+        return
+    with tempfile.TemporaryDirectory(prefix="gsb-code-") as folder:
+        done = subprocess.run(
+            interpreter.command("-c", _KNOWS, simulator, scene),
+            env=interpreter.environment(Path(folder)), capture_output=True, text=True,
+        )  # fmt: skip
+    if done.returncode:
+        said = (done.stderr.strip().splitlines() or ["it said nothing"])[-1]
+        raise UsageError(f"{interpreter.python} cannot record this; install the package there too: {said}")
 
 
 def interpreter_for(entry: Entry, given: Path | None = None) -> Interpreter:
@@ -16,9 +45,10 @@ def interpreter_for(entry: Entry, given: Path | None = None) -> Interpreter:
 
     UsageError where none of them has what the simulator needs, and how to get it.
     """
+    wanted = tuple(dict.fromkeys((*RECORDING, *entry.requires)))
     if given is not None:
         chosen = at(given)
-        if missing := chosen.missing((*RECORDING, *entry.requires)):
+        if missing := chosen.missing(wanted):
             raise UsageError(f"{given} cannot record '{entry.name}': it has no {', '.join(missing)}")
         return chosen
     missing = entry.missing()
@@ -29,7 +59,7 @@ def interpreter_for(entry: Entry, given: Path | None = None) -> Interpreter:
         raise UsageError(entry.not_installed(missing))
     again = f"gsb-record --setup {entry.name} makes it anew"
     chosen = Interpreter(prepared.interpreter)
-    if lost := chosen.missing((*RECORDING, *entry.requires)):
+    if lost := chosen.missing(wanted):
         raise UsageError(f"the environment in {prepared.folder} has no {', '.join(lost)} any more; {again}")
     if not prepared.current:
         say(f"the environment in {prepared.folder} was made from other requirements than this version's; {again}")

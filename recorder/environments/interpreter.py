@@ -29,9 +29,11 @@ import json, sys
 from importlib.util import find_spec
 def missing(name):
     try:
-        return find_spec(name) is None
-    except ModuleNotFoundError:
+        found = find_spec(name)
+    except Exception:  # of a package whose parent is missing, or cannot be imported
         return True
+    return found is None or found.origin is None  # a folder of that name is no package
+print()
 print(json.dumps({"version": list(sys.version_info[:3]), "missing": [n for n in sys.argv[1:] if missing(n)]}))
 """
 
@@ -61,7 +63,10 @@ class Interpreter:
         return _probe(self.python, ())[0]
 
     def missing(self, names: Iterable[str]) -> tuple[str, ...]:
-        """Those import names that it does not have; none is imported. UsageError where it does not run."""
+        """Those import names that it does not have; but for parents of dotted ones, none is imported.
+
+        UsageError where it does not run.
+        """
         return _probe(self.python, tuple(names))[1]
 
     def command(self, *arguments: str) -> list[str]:
@@ -78,7 +83,8 @@ class Interpreter:
         if not self.own:
             root = _only_our_packages(folder)
         paths = [str(root), *map(os.path.abspath, given)]  # a run works in a folder of its own
-        return {**os.environ, "PYTHONPATH": os.pathsep.join(dict.fromkeys(paths))}
+        theirs = {k: v for k, v in os.environ.items() if self.own or k != "PYTHONHOME"}
+        return {**theirs, "PYTHONPATH": os.pathsep.join(dict.fromkeys(paths))}
 
     def software(self) -> dict[str, Any]:
         """What recorder.probes.software says there."""
@@ -110,6 +116,11 @@ def at(path: Path) -> Interpreter:
     return interpreter
 
 
+def forget() -> None:
+    """Look anew at what Pythons have: something was installed."""
+    _probe.cache_clear()
+
+
 def _only_our_packages(folder: Path) -> Path:
     # Installed, the parent of a package is all of site-packages: links to the two packages leave the rest behind.
     code = folder / "code"
@@ -123,12 +134,18 @@ def _only_our_packages(folder: Path) -> Path:
 
 @cache
 def _probe(python: Path, names: tuple[str, ...]) -> tuple[tuple[int, int, int], tuple[str, ...]]:
-    said = json.loads(_run([str(python), "-c", _PROBE, *names], None))
-    major, minor, micro = said["version"]
+    # by variable and not by -P, so that Pythons that are too old to know it still tell their version
+    environment = {k: v for k, v in os.environ.items() if k != "PYTHONHOME"} | {"PYTHONSAFEPATH": "1"}
+    answer = _run([str(python), "-c", _PROBE, *names], environment)
+    try:
+        said = json.loads(answer.splitlines()[-1])
+        major, minor, micro = said["version"]
+    except (ValueError, LookupError, TypeError):
+        raise UsageError(f"{python} is no Python that runs: it did not answer") from None
     return (major, minor, micro), tuple(said["missing"])
 
 
-def _run(command: list[str], environment: Mapping[str, str] | None) -> str:
+def _run(command: list[str], environment: Mapping[str, str]) -> str:
     try:
         done = subprocess.run(command, capture_output=True, text=True, env=environment, timeout=_PROBE_TIMEOUT_S)
     except OSError as error:

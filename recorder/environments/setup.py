@@ -6,21 +6,24 @@ import fcntl
 import json
 import os
 import shutil
+import signal
 import subprocess
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any
 
-from recorder.environments.interpreter import RECORDING, Interpreter, at
+from recorder.environments.interpreter import RECORDING, Interpreter, at, forget
 from recorder.environments.specification import Specification, specification_of
-from recorder.environments.store import Prepared, find, folder_of, store
+from recorder.environments.store import FOLDER_VARIABLE, MANIFEST, Prepared, find, folder_of, store
 from recorder.plan import utc_now
 from recorder.probes.software import NUMERIC_PACKAGES
 from recorder.progress import say
 from recorder.simulators.registry import find_simulator
 from schemas.errors import GsbError, UsageError
+
+_ELSEWHERE = ("PYTHONPATH", "PYTHONHOME", "VIRTUAL_ENV", "PIP_USER", "PIP_TARGET", "PIP_PREFIX", "PIP_ROOT")
+"""Variables that would lead Python or pip into another environment."""
 
 _VERSIONS = """
 import json, sys
@@ -40,24 +43,59 @@ def set_up(simulator: str, python: Path | None = None) -> Prepared:
 
     python  to make it with; None: this one or another on PATH, of a version that the requirements are for
 
-    UsageError where there is nothing to make it from or no such Python; GsbError where an installation fails. What was
-    made by then is removed.
+    UsageError where there is nothing to make it from or no such Python, or where its folder holds something else;
+    GsbError where an installation fails. What was made by then is removed, and an older environment is back.
     """
     specification = specification_of(simulator)
     with _alone(simulator):
         there = find(simulator)
-        if there and there.current and python is None:
+        if there and there.current and python is None and _whole(there):
             return there
         base = _base(specification, python)
         folder = folder_of(simulator)
-        if folder.exists():
-            say(f"removing {folder}, which was not finished or is of other requirements")
-            shutil.rmtree(folder)
-        try:
-            return _make(specification, base, folder)
-        except BaseException:
-            shutil.rmtree(folder, ignore_errors=True)
-            raise
+        with _replaced(folder):
+            made = _make(specification, base, folder)
+    return made
+
+
+def _whole(there: Prepared) -> bool:
+    # an upgrade of the Python that it is of, or a hand, may have taken something away
+    try:
+        return not Interpreter(there.interpreter).missing((*RECORDING, *find_simulator(there.simulator).requires))
+    except UsageError:
+        return False
+
+
+@contextmanager
+def _replaced(folder: Path) -> Iterator[None]:
+    # what lies there is kept until the new one is whole
+    if folder.is_symlink() or (folder.exists() and not _is_ours(folder)):
+        raise UsageError(
+            f"{folder} is no environment that gsb-record made; move it away, or name a folder with {FOLDER_VARIABLE}"
+        )
+    aside = folder.with_name(f".{folder.name}.old")
+    shutil.rmtree(aside, ignore_errors=True)
+    if folder.exists():
+        say(f"replacing {folder}")
+        folder.rename(aside)
+    forget()
+    try:
+        yield
+    except BaseException:
+        shutil.rmtree(folder, ignore_errors=True)
+        if aside.exists():
+            aside.rename(folder)
+        raise
+    finally:
+        forget()
+    shutil.rmtree(aside, ignore_errors=True)
+
+
+def _is_ours(folder: Path) -> bool:
+    if not folder.is_dir():
+        return False
+    marks = (MANIFEST, "pyvenv.cfg")  # the second is what a setup that was killed leaves at least
+    return any((folder / mark).exists() for mark in marks) or not any(folder.iterdir())
 
 
 def size_of(folder: Path) -> int:
@@ -139,16 +177,24 @@ def _versions(python: Path) -> dict[str, str]:
 
 
 def _call(command: list[str]) -> str:
-    # without the variables that would lead pip into another environment
-    environment: dict[str, Any] = {k: v for k, v in os.environ.items() if k not in ("PYTHONPATH", "VIRTUAL_ENV")}
+    environment = {k: v for k, v in os.environ.items() if k not in _ELSEWHERE} | {"PYTHONSAFEPATH": "1"}
     try:
-        done = subprocess.run(command, capture_output=True, text=True, env=environment)
+        child = subprocess.Popen(
+            command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment, start_new_session=True
+        )
     except OSError as error:
         raise GsbError(f"cannot run {command[0]}: {error.strerror}") from None
-    if done.returncode:
-        said = [line for line in done.stderr.splitlines() if line.strip()] or ["it said nothing"]
+    try:
+        out, complaints = child.communicate()
+    except BaseException:
+        with suppress(ProcessLookupError):
+            os.killpg(child.pid, signal.SIGKILL)  # with what it started, or that would go on installing
+        child.wait()
+        raise
+    if child.returncode:
+        said = [line for line in complaints.splitlines() if line.strip()] or ["it said nothing"]
         raise GsbError(f"'{' '.join(command[:4])} ...' failed: " + " ".join(said[-6:]))
-    return done.stdout
+    return out
 
 
 @contextmanager

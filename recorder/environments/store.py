@@ -9,11 +9,12 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from recorder.environments.specification import SPECIFICATIONS
+from schemas.errors import UsageError
 
 FOLDER_VARIABLE = "GSB_ENVIRONMENTS"
 """Environment variable that says where they lie."""
 
-_MANIFEST = "gsb-environment.json"  # written last: an environment without it was never finished
+MANIFEST = "gsb-environment.json"  # written last: an environment without it was never finished
 
 
 @dataclass(frozen=True)
@@ -51,14 +52,20 @@ class Prepared:
 
     def write(self) -> None:
         """Say that it is finished."""
-        (self.folder / _MANIFEST).write_text(json.dumps(asdict(self), indent=1) + "\n")
+        (self.folder / MANIFEST).write_text(json.dumps(asdict(self), indent=1) + "\n")
 
 
 def store() -> Path:
-    """$GSB_ENVIRONMENTS, else gpusimbench/environments in the user's folder for data."""
+    """$GSB_ENVIRONMENTS, else gpusimbench/environments in the user's folder for data.
+
+    UsageError where there is neither.
+    """
     if given := os.environ.get(FOLDER_VARIABLE):
         return Path(given).absolute()
-    data = os.environ.get("XDG_DATA_HOME") or Path.home() / ".local" / "share"
+    try:
+        data = os.environ.get("XDG_DATA_HOME") or Path.home() / ".local" / "share"
+    except RuntimeError:
+        raise UsageError(f"there is no home folder for environments; name a folder with {FOLDER_VARIABLE}") from None
     return Path(data).absolute() / "gpusimbench" / "environments"
 
 
@@ -72,8 +79,8 @@ def find(simulator: str) -> Prepared | None:
     if simulator not in SPECIFICATIONS:
         return None
     try:
-        prepared = Prepared(**json.loads((folder_of(simulator) / _MANIFEST).read_text()))
-    except (OSError, ValueError, TypeError):
+        prepared = Prepared(**json.loads((folder_of(simulator) / MANIFEST).read_text()))
+    except (OSError, ValueError, TypeError, UsageError):
         return None
     return prepared if prepared.simulator == simulator and prepared.interpreter.exists() else None
 

@@ -65,16 +65,20 @@ class Entry:
             # An import that is interrupted shows as one that is broken, and some engines start processes in theirs.
             with blocked():
                 adapter: type[Simulator] = getattr(import_module(module), name)
-        except (ImportError, AttributeError) as error:
-            raise UsageError(f"simulator '{self.name}' cannot be loaded: {error}") from None
+        except Exception as error:  # whatever a third party's module raises
+            text = " ".join(f"{type(error).__name__}: {error}".split())
+            raise UsageError(f"simulator '{self.name}' cannot be loaded: {text}") from None
+        if not (isinstance(adapter, type) and issubclass(adapter, Simulator) and hasattr(adapter, "Options")):
+            raise UsageError(f"simulator '{self.name}' cannot be loaded: {self.target} is no Simulator with Options")
         return adapter
 
 
 def _is_there(name: str) -> bool:
     try:
-        return find_spec(name) is not None
-    except ModuleNotFoundError:  # of a package whose parent is missing
+        found = find_spec(name)
+    except Exception:  # of a package whose parent is missing, or cannot be imported
         return False
+    return found is not None and found.origin is not None  # a folder of that name is no package
 
 
 def _set_up(name: str) -> str:

@@ -12,13 +12,13 @@ from pathlib import Path
 import pytest
 from packaging.requirements import Requirement
 
-from recorder.environments.choice import interpreter_for
+from recorder.environments.choice import check_known, interpreter_for
 from recorder.environments.interpreter import Interpreter, at, own
 from recorder.environments.setup import set_up, size_of
 from recorder.environments.specification import SPECIFICATIONS, Specification
 from recorder.environments.store import FOLDER_VARIABLE, Prepared, find, folder_of, prepared
 from recorder.simulators.registry import BUILT_IN, Entry
-from schemas.errors import UsageError
+from schemas.errors import GsbError, UsageError
 from tests.conftest import SMALL, Command
 
 specifications = pytest.mark.parametrize("specification", SPECIFICATIONS.values(), ids=lambda s: s.simulator)
@@ -108,16 +108,83 @@ def test_an_engine_of_this_python_needs_no_other(folder: Path) -> None:
     assert interpreter_for(Entry("here", "", "x:Y", requires=("json",))) == own()
 
 
-def test_a_prepared_environment_is_found(folder: Path) -> None:
-    """Take a simulator's environment where this Python lacks its engine."""
-    made = _make("genesis", Path(sys.executable))
-    entry = Entry("genesis", "", "x:Y", requires=("json",))
-    away = Entry("genesis", "", "x:Y", requires=("an_engine_that_is_not_there",))
-    assert interpreter_for(entry) == own()
+def test_a_prepared_environment_is_found(
+    folder: Path, borrowing: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Take a simulator's environment where this Python lacks its engine, and say nothing of it."""
+    made = _make("genesis", borrowing / "bin" / "python")
     assert find("genesis") == made
     assert [p.simulator for p in prepared()] == ["genesis"]
-    with pytest.raises(UsageError, match="any more.*--setup genesis"):
+    monkeypatch.setattr(Entry, "missing", lambda self: ("json",))
+    assert interpreter_for(Entry("genesis", "", "x:Y", requires=("json",))).python == made.interpreter
+    assert capsys.readouterr().err == ""
+
+
+def test_an_environment_that_lost_something_is_made_anew(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Name what an environment lacks and how to mend it, and mend it so."""
+    made = _make("sapien", Path(sys.executable))
+    away = Entry("sapien", "", "x:Y", requires=("an_engine_that_is_not_there",))
+    with pytest.raises(UsageError, match="any more; gsb-record --setup sapien"):
         interpreter_for(away)
+    monkeypatch.setattr("recorder.environments.setup._make", lambda *_: _make("sapien", Path(sys.executable)))
+    monkeypatch.setattr("recorder.environments.setup.find_simulator", lambda name: away)
+    (made.folder / "old").touch()
+    set_up("sapien")
+    assert not (made.folder / "old").exists()
+
+
+@pytest.mark.parametrize("kind", ["folder", "link", "file"])
+def test_what_is_no_environment_stays(folder: Path, tmp_path: Path, kind: str) -> None:
+    """Refuse to make an environment where something else lies, and leave that alone."""
+    folder.mkdir()
+    (tmp_path / "precious").mkdir()
+    (tmp_path / "precious" / "notes").write_text("mine")
+    match kind:
+        case "folder":
+            (tmp_path / "precious").rename(folder / "sapien")
+        case "link":
+            (folder / "sapien").symlink_to(tmp_path / "precious")
+        case "file":
+            (folder / "sapien").write_text("mine")
+    with pytest.raises(UsageError, match="no environment that gsb-record made"):
+        set_up("sapien", Path(sys.executable))
+    kept = folder / "sapien" if kind == "file" else folder / "sapien" / "notes"
+    assert kept.read_text() == "mine"
+
+
+def test_a_failed_installation_brings_the_old_one_back(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Keep an environment of other requirements where the new one cannot be made."""
+    made = _make("sapien", Path(sys.executable), requirements="0" * 64)
+
+    def fail(*_: object) -> None:
+        made.folder.mkdir()
+        raise GsbError("no network")
+
+    monkeypatch.setattr("recorder.environments.setup._make", fail)
+    with pytest.raises(GsbError, match="no network"):
+        set_up("sapien")
+    assert find("sapien") == made
+    assert [path.name for path in folder.iterdir() if path.is_dir()] == ["sapien"]
+
+
+def test_a_folder_of_an_engine_s_name_is_no_engine(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Look for engines neither in the present folder nor in folders without a package."""
+    (tmp_path / "an_engine").mkdir()
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    entry = Entry("x", "", "x:Y", requires=("an_engine",), install="somehow")
+    assert entry.missing() == ("an_engine",)
+    assert own().missing(("an_engine",)) == ("an_engine",)
+
+
+def test_another_python_has_to_know_what_is_added(borrowing: Path) -> None:
+    """Refuse a Python that lacks a third party's scene or simulator before any run is made of it."""
+    other = at(borrowing)
+    check_known(other, "mujoco", "free-fall")
+    with pytest.raises(UsageError, match="install the package there too: there is no scene 'theirs'"):
+        check_known(other, "mujoco", "theirs")
+    with pytest.raises(UsageError, match="there is no simulator 'theirs'"):
+        check_known(other, "theirs", "free-fall")
 
 
 def test_an_engine_that_is_nowhere_says_how_to_get_it(folder: Path) -> None:
@@ -161,7 +228,7 @@ def test_a_python_without_the_engine_is_refused(borrowing: Path) -> None:
         interpreter_for(entry, borrowing)
 
 
-@pytest.mark.parametrize("path", ["/nowhere/python", "/dev/null", "/bin/false", "no-such-python"])
+@pytest.mark.parametrize("path", ["/nowhere/python", "/dev/null", "/bin/false", "/bin/true", "no-such-python"])
 def test_what_is_no_python_is_refused(path: str) -> None:
     """Refuse a --python that does not run, in one sentence."""
     with pytest.raises(UsageError, match="no Python that runs"):
@@ -209,6 +276,30 @@ def test_conformance_runs_in_another_python(borrowing: Path, tmp_path: Path) -> 
     assert {check["outcome"] for check in json.loads(done.stdout)["checks"]} <= {"ok", "skipped"}
 
 
+def test_conformance_asks_once(borrowing: Path, tmp_path: Path) -> None:
+    """Check in the Python that was named, though it goes by another name in there."""
+    wrapper = tmp_path / "python"
+    wrapper.write_text(f'#!/bin/sh\nexec {borrowing}/bin/python "$@"\n')
+    wrapper.chmod(0o755)
+    command = [sys.executable, "-m", "recorder.conformance", "--sim", "mujoco", "--option", "no=1"]
+    done = subprocess.run([*command, "--python", str(wrapper)], capture_output=True, text=True, timeout=100)
+    assert done.returncode == 2
+    assert "has no option 'no'" in done.stderr
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [("--setup", "sapien", "--sim", "mujoco"), ("--list", "--setup", "sapien"), ("--list", "--python", "x"),
+     ("--sim", "real", "--python", "x")],
+)  # fmt: skip
+def test_one_command_at_a_time(folder: Path, gsb_record: Command, arguments: tuple[str, ...]) -> None:
+    """Refuse what would be ignored."""
+    done = gsb_record(*arguments)
+    assert done.returncode == 2
+    assert not done.stdout
+    assert not folder.exists()
+
+
 def test_list_shows_environments(folder: Path, gsb_record: Command) -> None:
     """Show where an environment lies, its versions and its size."""
     _make("genesis", Path(sys.executable))
@@ -228,12 +319,14 @@ def test_there_is_nothing_to_set_up_for_others(folder: Path, gsb_record: Command
     assert not folder.exists()
 
 
-def test_set_up_wants_a_python_that_fits(folder: Path) -> None:
+def test_set_up_wants_a_python_that_fits(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Refuse a Python for which the requirements were not made."""
-    away = next(s.simulator for s in SPECIFICATIONS.values() if sys.version_info.minor not in s.pythons)
-    with pytest.raises(UsageError, match=rf"'{away}' wants 3\."):
-        set_up(away, Path(sys.executable))
-    assert find(away) is None
+    monkeypatch.setitem(SPECIFICATIONS, "sapien", Specification("sapien", pythons=(99,)))
+    with pytest.raises(UsageError, match=r"'sapien' wants 3\.99"):
+        set_up("sapien", Path(sys.executable))
+    with pytest.raises(UsageError, match=r"is of Python 3\.99, and none is on PATH"):
+        set_up("sapien")
+    assert find("sapien") is None
 
 
 def test_a_failed_installation_leaves_nothing(folder: Path, gsb_record: Command, tmp_path: Path) -> None:

@@ -203,3 +203,30 @@ def test_no_file_is_overwritten(tmp_path: Path) -> None:
     with pytest.raises(DataLost), writer(tmp_path / "b.mcap"):
         raise DataLost("full")
     assert [path.name for path in tmp_path.glob("b*")] == ["b.mcap.partial"]
+
+
+@pytest.mark.parametrize(
+    ("others", "says"),
+    [
+        ({"attachments": {"provenance.json": ("application/json", b"{}")}}, "provenance.json are the recording's own"),
+        ({"run_index": -1}, "run_index is at least 0"),
+        ({"fields": (FIELDS[0], FIELDS[0])}, "two fields have the same group and name"),
+        ({"fields": (body_field("cubes", "position", "float32", ("a", "a")),)}, "two items of .* have the same name"),
+        ({"options": {"drag": np.float32(1)}}, "plain values"),
+    ],
+)
+def test_what_no_evaluator_would_read(tmp_path: Path, others: dict[str, Any], says: str) -> None:
+    """Refuse at the beginning what would make a recording that is whole and yet refused."""
+    with pytest.raises(UsageError, match=says):
+        writer(tmp_path / "a.mcap", **others)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("start", "end", "says"),
+    [([0.0, 1.0], [1.0, 2.0], "whole nanoseconds"), ([0, 5], [0, 9], "stand still"), ([0, 3], [4, 9], "backwards")],
+)
+def test_clocks_that_cannot_be(tmp_path: Path, start: list[float], end: list[float], says: str) -> None:
+    """Refuse clocks in seconds, clocks that stand still, and intervals that overlap."""
+    with writer(tmp_path / "a.mcap", timed_steps=2) as log, pytest.raises(UsageError, match=says):
+        log.clocks(start, end)
