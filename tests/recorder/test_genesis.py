@@ -257,3 +257,23 @@ def test_import_is_light() -> None:
     engines = {"genesis", "torch", "mujoco"}
     code = f"import sys, recorder.simulators.genesis.simulator; sys.exit(bool({engines} & set(sys.modules)))"
     assert subprocess.run([sys.executable, "-c", code]).returncode == 0
+
+
+def test_an_overflow_is_told_once() -> None:
+    """Show an overflow at the step that had it, and neither at later steps nor in later calls."""
+    options = parse_options("genesis", Genesis.Options, {"device": "cpu", "max_contacts": "330"})
+    simulator = Genesis(make_scene("inclined-collision"), n_env=1, dt=0.01, seed=0, options=options)
+    simulator.build()
+    try:
+        simulator.states(10)
+        found = simulator.evidence()
+        assert found.overflow is not None
+        assert np.flatnonzero(found.overflow[:, 0]).tolist() == [int(found.counts["contacts"][:, 0].argmax())]
+        assert len(simulator.gates()) == 1
+        simulator.states(3)
+        later = simulator.evidence()
+        assert later.overflow is not None
+        assert not later.overflow.any()
+        assert simulator.gates() == []
+    finally:
+        simulator.close()

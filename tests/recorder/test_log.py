@@ -226,7 +226,7 @@ def test_what_no_evaluator_would_read(tmp_path: Path, others: dict[str, Any], sa
     ("start", "end", "says"),
     [([0.0, 1.0], [1.0, 2.0], "whole nanoseconds"), ([0, 5], [0, 9], "stand still"), ([0, 3], [4, 9], "backwards")],
 )
-def test_clocks_that_cannot_be(tmp_path: Path, start: list[float], end: list[float], says: str) -> None:
+def test_clocks_of_no_nanoseconds(tmp_path: Path, start: list[float], end: list[float], says: str) -> None:
     """Refuse clocks in seconds, clocks that stand still, and intervals that overlap."""
     with writer(tmp_path / "a.mcap", timed_steps=2) as log, pytest.raises(UsageError, match=says):
         log.clocks(start, end)

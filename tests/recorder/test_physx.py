@@ -30,6 +30,9 @@ G = 9.81
 DT = 0.01
 
 OVERFLOWS = (
+    "Reached limit set by PxSceneDesc::maxNbContactDataBlocks - ran out of buffer space for narrow phase. Either "
+    "accept dropped contacts or increase the limit",
+    "Not enough GPU memory available to create a PhysicsScene, falling back to CPU simulation.",
     "PhysX error: Contact buffer overflow detected, please increase its size to at least 9000 in the scene desc!, FILE",
     "Patch buffer overflow detected, please increase its size to at least 300 in the scene desc!",
     "Friction patch buffer overflow detected, please increase its size in the scene desc!",
@@ -388,7 +391,7 @@ def test_drives_are_as_described() -> None:
     assert np.allclose(held("STIFFNESS"), [j.stiffness for j in joints])
     assert np.allclose(held("DAMPING"), [j.damping for j in joints])
     assert np.allclose(held("MAX_FORCE"), [j.max_torque for j in joints])
-    assert np.allclose(held("MAX_VELOCITY"), [j.max_velocity for j in joints])
+    assert (held("MAX_VELOCITY") > 1000).all()  # as in all other engines
     assert np.allclose(held("ARMATURE"), [j.armature for j in joints])
     assert np.allclose(held("LIMIT"), [(j.lower, j.upper) for j in joints])
     assert np.allclose(held("FRICTION_PROPERTIES"), [(0.0, 0.0, j.friction) for j in joints])

@@ -299,7 +299,6 @@ def _joint(link: Link, path: str, words: Mapping[str, str], angles: Mapping[str,
         prim.properties += [
             f"float physxJointAxis:angular:armature = {_literal(joint.armature)}",
             f"float physxJointAxis:angular:viscousFrictionCoefficient = {_literal(math.radians(joint.friction))}",
-            f"float physxJointAxis:angular:maxJointVelocity = {_literal(math.degrees(joint.max_velocity))}",
         ]
         prim.properties += [f"{key} = {_literal(value)}" for key, value in apis.get(axis, {}).items()]
     if link.parent:

@@ -63,7 +63,7 @@ class Ring:
             joints[..., 1] = solver.get_dofs_velocity(self._model.joints)
         for place, counted in enumerate(self._watch.counts()):
             self._counts[row, place] = counted
-        self._errors[row] = self._watch.errors()
+        self._errors[row] = self._watch.tell()
         self._next += 1
 
     def links(self) -> NDArray[np.floating]:

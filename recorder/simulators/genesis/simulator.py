@@ -100,6 +100,8 @@ class Genesis(Simulator):
             "substeps": options.substeps,
             "performance_mode": options.performance_mode,
             **{name: _plain(getattr(of_solver, name)) for name in _SOLVER_OPTIONS},
+            # Genesis takes two substeps at least
+            "constraint_timeconst": float(self._model.solver._sol_default_timeconst),
         }
 
     def _switches(self) -> dict[str, Any]:

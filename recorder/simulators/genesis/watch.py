@@ -16,7 +16,7 @@ _DROPPED = "OVERFLOW_"  # beginning of the names of codes that mean lost contact
 
 
 class Watch:
-    """The error codes of all steps so far, kept on the device, and the counts of the last one.
+    """The error codes of the steps since they were last told, kept on the device, and the counts of the last step.
 
     Genesis looks at its codes at every tenth substep and raises for the whole batch if it finds any. Here they are
     taken out of its hands, kept, and stepping goes on, so that a recording shows what happened.
@@ -30,8 +30,8 @@ class Watch:
         self._solver = solver
         self._codes = {int(code): code.name for code in ErrorCode if code}
         self._as_tensor = qd_to_torch
-        self._kept = torch.zeros_like(self._raised())
-        self._said: list[str] = []
+        self._kept = torch.zeros_like(self._raised())  # taken from the engine, and not told as bits yet
+        self._unsaid = torch.zeros_like(self._kept)  # not said as a gate yet
 
     @property
     def overflow_bits(self) -> tuple[OverflowBit, ...]:
@@ -41,9 +41,12 @@ class Watch:
             for code, name in self._codes.items()
         )
 
-    def errors(self) -> Any:
-        """Codes of all steps so far: an integer tensor [env] on the device."""
-        return self._kept | self._raised()
+    def tell(self) -> Any:
+        """Codes since the last call: an integer tensor [env] on the device. Nothing waits for the device."""
+        self._keep()
+        told = self._kept.clone()
+        self._kept.zero_()
+        return told
 
     def counts(self) -> tuple[Any, ...]:
         """Counts of the last step in the order of COUNTERS: integer tensors [env] on the device."""
@@ -55,18 +58,27 @@ class Watch:
 
     def take(self) -> bool:
         """Keep the codes that are raised and take them from the engine; False where there are none."""
-        raised = self._raised().clone()
-        if not bool(raised.any()):
+        if not bool(self._raised().any()):
             return False
-        self._said += self._sentences()
-        self._kept |= raised
-        self._solver.data_manager.errno.fill(0)
+        self._keep()
         return True
+
+    def _keep(self) -> None:
+        raised = self._raised()
+        self._kept |= raised
+        self._unsaid |= raised
+        self._solver.data_manager.errno.fill(0)
 
     def gates(self) -> list[str]:
         """The engine's words for the codes that were raised since the last call."""
-        self.take()
-        said, self._said = list(dict.fromkeys(self._said)), []
+        self._keep()
+        if not bool(self._unsaid.any()):
+            return []
+        errno = self._solver.data_manager.errno
+        errno.from_numpy(self._unsaid.cpu().numpy())  # the engine finds words for its own codes alone
+        said = self._sentences()
+        errno.fill(0)
+        self._unsaid.zero_()
         return said
 
     def _raised(self) -> Any:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from recorder.scenes.base import Scene
 from recorder.simulators.isaaclab.options import IsaacLabOptions
 from recorder.simulators.isaaclab.scene import BODY_LIMITS
+from recorder.simulators.physx.deviations import patch_friction
 from schemas.provenance import Deviation
 
 
@@ -23,6 +24,13 @@ def _physx(options: IsaacLabOptions) -> tuple[Deviation, ...]:
         )
         for name, how in (("friction", options.friction_combine), ("restitution", options.restitution_combine))
     ]
+    found.append(patch_friction("its distances are PhysX's defaults"))
+    if options.rest_offset:
+        found.append(
+            Deviation(
+                "bodies.shape", "as given", f"a pair rests {2 * options.rest_offset:g} m apart", "option 'rest_offset'"
+            )
+        )
     found.append(
         Deviation(
             "angular_velocity.limit",

@@ -70,9 +70,9 @@ class IsaacLabOptions:
             raise ValueError(
                 f"contact_offset is larger than rest_offset, which is {self.rest_offset}, not {self.contact_offset}"
             )
-        for name in ("position_iterations", "velocity_iterations"):
-            if not 0 <= getattr(self, name) <= 255:
-                raise ValueError(f"{name} is a number from 0 to 255, not {getattr(self, name)}")
+        for name, least in (("position_iterations", 1), ("velocity_iterations", 0)):
+            if not least <= getattr(self, name) <= 255:
+                raise ValueError(f"{name} is a number from {least} to 255, not {getattr(self, name)}")
         for name in ("iterations", "ls_iterations"):
             if getattr(self, name) < 1:
                 raise ValueError(f"{name} is at least 1, not {getattr(self, name)}")

@@ -16,7 +16,10 @@ from schemas.provenance import Buffer, Counter, OverflowBit
 if TYPE_CHECKING:
     from recorder.simulators.buffer_sizes import Need
 
-_LOST = (r"buffer overflow detected", r"will miss interactions", r"Contacts have been dropped")
+_LOST = (
+    r"buffer overflow detected", r"will miss interactions", r"[Cc]ontacts have been dropped",
+    r"accept dropped contacts", r"ran out of buffer space", r"falling back to default parameters",
+)  # fmt: skip
 _ERRORS = (r"\[Error\].*physx", r"PhysX error", r"PhysX Internal CUDA error")
 _NOT_ON_THE_GPU = r"falling back"  # to the CPU, step after step
 
@@ -128,7 +131,9 @@ def _measure(scene: Scene, *, dt: float, seed: int, options: IsaacLabOptions) ->
     from recorder.simulators.mujoco.options import MjcfOptions
 
     compiled = compile_scene(scene, dt=dt, options=MjcfOptions())
-    compiled.model.geom_gap[:] = 2 * options.contact_offset  # as far as a pair of PhysX's shapes sees
+    compiled.model.geom_gap[:] = options.contact_offset  # of each shape of a pair
+    bounded = compiled.model.geom_rbound > 0  # planes are not
+    compiled.model.geom_rbound[bounded] += options.contact_offset
     return replace(measure(compiled, dt=dt, seed=seed), margin=_PAIRS_MARGIN)
 
 

@@ -14,6 +14,16 @@ _RULES = {
 }
 
 
+def patch_friction(where: str) -> Deviation:
+    """PhysX's friction model, the same in all that stands on it."""
+    return Deviation(
+        "contact.friction",
+        "at each point of contact",
+        "at two points of each patch of contact",
+        f"PhysX's friction model; {where}",
+    )
+
+
 def deviations(scene: Scene, options: PhysxOptions) -> tuple[Deviation, ...]:
     """The three numbers of each material are honoured; how they meet, and where they begin to count, is the engine's.
 
@@ -42,12 +52,24 @@ def deviations(scene: Scene, options: PhysxOptions) -> tuple[Deviation, ...]:
                 "option 'bounce_threshold'",
             )
         )
-    found.append(
-        Deviation(
-            "contact.friction",
-            "at each point of contact",
-            "at two points of each patch of contact",
-            "PhysX's friction model; option 'friction_correlation_distance' says what makes a patch",
+    found.append(patch_friction("option 'friction_correlation_distance' says what makes a patch"))
+    if options.max_angular_velocity:
+        found.append(
+            Deviation(
+                "bodies.angular_velocity",
+                "not limited",
+                f"at most {options.max_angular_velocity:g} rad/s",
+                "option 'max_angular_velocity'",
+            )
         )
-    )
+    if options.rest_offset:
+        found.append(
+            Deviation(
+                "bodies.shape", "as given", f"a pair rests {2 * options.rest_offset:g} m apart", "option 'rest_offset'"
+            )
+        )
+    if scene.robot is not None:
+        found.append(
+            Deviation("joint.max_velocity", "as published", "not enforced", "no simulator does, so that all compare")
+        )
     return tuple(found)

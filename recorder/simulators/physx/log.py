@@ -13,14 +13,18 @@ from collections import Counter
 _LOGGER = "recorder.simulators.physx"
 
 _DROPPED = re.compile(
-    r"buffer overflow detected|have been dropped|will miss interactions|collide with all environments", re.IGNORECASE
+    r"buffer overflow detected|have been dropped|will miss interactions|collide with all environments"
+    r"|accept dropped contacts|ran out of buffer space|falling back to (CPU|default parameters)",
+    re.IGNORECASE,
 )
 """Lines of PhysX's GPU library that mean that steps did not do all of their work, whatever their level.
 
 "Contact buffer overflow detected, ...", "Patch buffer overflow detected, ...", "PxGpuDynamicsMemoryConfig::
 collisionStackSize buffer overflow detected, ... Contacts have been dropped.", "The application needs to increase
 PxGpuDynamicsMemoryConfig::foundLostPairsCapacity to ..., otherwise, the simulation will miss interactions"; and of its
-clones: "the clone will collide with all environments".
+clones: "the clone will collide with all environments". On the CPU: "ran out of buffer space for narrow phase", "Either
+accept dropped contacts". And what is not simulated as asked for: "falling back to CPU simulation", "to default
+parameters".
 """
 
 
@@ -67,6 +71,13 @@ class NativeLog(logging.Handler):
         ovphysx.flush_log()
         found, self._fatal, self._first = self._fatal, Counter(), {}
         return [f"PhysX says, {count} times: {text}" for text, count in found.items()]
+
+    def peek(self) -> list[str]:
+        """The same, left for the next call of `take`."""
+        import ovphysx
+
+        ovphysx.flush_log()
+        return list(self._fatal)
 
     def close(self) -> None:
         """Stop listening."""

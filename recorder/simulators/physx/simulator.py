@@ -72,6 +72,8 @@ class Physx(Simulator):
         session = self._session = Session(gpu=gpu, threads=threads)
         session.open(usd)
         session.clone(self.n_env, origins)
+        if gpu and (said := [line for line in session.log.peek() if "falling back to CPU" in line]):
+            raise GsbError(f"out of memory: {said[0]}")
         self._start: States | None = None  # until the engine tells its state
         self._arms: Any = None
         if robot is not None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from recorder.scenes.base import Scene
+from recorder.simulators.physx.deviations import patch_friction
 from recorder.simulators.sapien.arm import arm_deviations
 from recorder.simulators.sapien.options import SapienOptions
 from schemas.provenance import Deviation
@@ -32,6 +33,7 @@ def deviations(scene: Scene, options: SapienOptions) -> tuple[Deviation, ...]:
     if not scene.bodies:
         return tuple(found)
     found += [
+        patch_friction("its distances are PhysX's defaults, which SAPIEN does not show"),
         Deviation(
             "contact.restitution",
             "at every speed",
