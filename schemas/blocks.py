@@ -127,8 +127,11 @@ def _read_varint(data: memoryview, position: int) -> tuple[int, int]:
             raise IndexError
 
 
-def _scan(name: str, data: memoryview) -> tuple[BlockHeader, str, memoryview]:
-    """Header, name of the array field and the array's bytes, in place; nothing is copied."""
+def _scan(name: str, data: memoryview, *, again: bool = False) -> tuple[BlockHeader, str, memoryview]:
+    """Header, name of the array field and the array's bytes, in place; nothing is copied.
+
+    again  the message was repacked already: what is still not one packed array is no array of this field at all
+    """
     by_number = message_class(name).DESCRIPTOR.fields_by_number
     values: dict[str, int] = {}
     array, payload = "", memoryview(b"")
@@ -148,11 +151,11 @@ def _scan(name: str, data: memoryview) -> tuple[BlockHeader, str, memoryview]:
                     raise IndexError
                 if field is not None and field.name in ARRAY_FIELDS:
                     if array:
-                        return _scan(name, _repacked(name, data))
+                        return _scan(name, _repacked(name, data, again), again=True)
                     array, payload = field.name, data[position : position + size]
                 position += size
             elif kind in _FIXED and field is not None and field.name in ARRAY_FIELDS:
-                return _scan(name, _repacked(name, data))
+                return _scan(name, _repacked(name, data, again), again=True)
             elif kind in _FIXED:
                 position += _FIXED[kind]
             else:
@@ -163,7 +166,9 @@ def _scan(name: str, data: memoryview) -> tuple[BlockHeader, str, memoryview]:
     return BlockHeader(**{k: v for k, v in values.items() if k in known}), array, payload
 
 
-def _repacked(name: str, data: memoryview) -> memoryview:
+def _repacked(name: str, data: memoryview, again: bool) -> memoryview:
+    if again:
+        raise DamagedRecording(f"a {name} message has two arrays, or an array of another type than its field")
     # Another writer may have split the array or left it unpacked, as protobuf allows; the library merges both.
     try:
         message = message_class(name).FromString(bytes(data))

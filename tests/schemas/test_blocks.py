@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
@@ -97,6 +97,7 @@ def test_a_changed_byte_is_noticed(position: int) -> None:
 
 
 @given(st.binary(max_size=200))
+@example(b"m\x00\x00\x00\x00\xb8\x00\x00")  # a field of doubles with four bytes
 def test_garbage_is_refused(data: bytes) -> None:
     """Raise DamagedRecording, never anything else, on bytes that are no block."""
     for decode in (decode_state, decode_action, decode_fingerprints):
