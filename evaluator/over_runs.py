@@ -23,16 +23,17 @@ def mean_over_runs(
     name: str, unit: str, direction: str, values: list[float], *, method: str, extra: dict[str, Any]
 ) -> Metric:
     """A metric that is a mean of one value per run."""
-    runs = len(values)
+    runs, spread = len(values), len(set(values)) > 1
     interval = jackknife_mean(np.array(values), nonnegative=True) if runs >= _MIN_RUNS else None
-    bounds, no_interval = ends_of(interval, runs, spread=len(set(values)) > 1)
+    bounds, no_interval = ends_of(interval, runs, spread=spread)
+    # equal values have their very value for a mean, and no deviation: sums of them round
     return Metric(
         name,
-        float(np.mean(values)),
+        float(np.mean(values)) if spread else values[0],
         unit,
         direction,
         n=runs,
-        sd=float(np.std(values, ddof=1)) if runs > 1 else None,
+        sd=(float(np.std(values, ddof=1)) if spread else 0.0) if runs > 1 else None,
         ci95=bounds,
         method=method + (f"; interval: {interval.method}" if bounds and interval else ""),
         extra={"per_run": values, "interval_why_not": no_interval, **extra},
