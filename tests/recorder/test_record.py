@@ -275,7 +275,7 @@ def test_list(gsb_record: Command) -> None:
     ("source", "problem"),
     [
         ("raise RuntimeError('no licence\\nfound')", "RuntimeError: no licence found"),
-        ("class Odd: pass", "AttributeError"),
+        ("class Odd: pass", "odd:Odd is no Simulator with Options"),
         ("import surely_not_installed", "No module named 'surely_not_installed'"),
     ],
 )
