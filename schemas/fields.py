@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -107,6 +108,21 @@ def body_field(group: str, field: str, dtype: str, items: tuple[str, ...], *, no
     """A pose or velocity field of a group of bodies, with the unit and frame that the format gives it."""
     kind = FIELD_KINDS[field]
     return StateField(group, field, dtype, items, kind.components, kind.unit, kind.frame, note)
+
+
+def body_fields(
+    groups: Mapping[str, tuple[str, ...]], dtype: str, notes: Mapping[str, str] | None = None
+) -> tuple[StateField, ...]:
+    """All fields of BODY_FIELDS for each group of bodies, groups outermost.
+
+    notes  by the name of a field
+    """
+    noted = notes or {}
+    return tuple(
+        body_field(group, field, dtype, names, note=noted.get(field, ""))
+        for group, names in groups.items()
+        for field in BODY_FIELDS
+    )
 
 
 def joint_field(group: str, field: str, dtype: str, joints: tuple[str, ...]) -> StateField:

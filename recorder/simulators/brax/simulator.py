@@ -18,7 +18,7 @@ from recorder.simulators.jax import runtime as jax_runtime
 from recorder.simulators.jax.simulator import OVERFLOW, JaxSimulator, Physics
 from recorder.simulators.mujoco.options import MjcfOptions
 from schemas.errors import UsageError
-from schemas.fields import BODY_FIELDS, StateField, body_field
+from schemas.fields import BODY_FIELDS, StateField, body_fields
 
 
 class Brax(JaxSimulator):
@@ -131,11 +131,7 @@ class Brax(JaxSimulator):
             return super()._program(name)
 
     def _fields(self) -> tuple[StateField, ...]:
-        return tuple(
-            body_field(group, field, "float32", names)
-            for group, names in self.scene.groups().items()
-            for field in BODY_FIELDS
-        )
+        return body_fields(self.scene.groups(), "float32")
 
     def _split(self, seen: dict[str, NDArray[Any]]) -> States:
         return tuple(seen[field][..., links, :] for links in self._links for field in BODY_FIELDS)

@@ -20,7 +20,7 @@ from recorder.simulators.evidence import Evidence
 from recorder.simulators.genesis import runtime
 from recorder.simulators.genesis.deviations import deviations
 from recorder.simulators.genesis.options import GenesisOptions
-from schemas.fields import BODY_FIELDS, StateField, body_field, joint_field
+from schemas.fields import StateField, body_fields, joint_field
 
 _RING_ROWS = 50
 _RING_BYTES = 512 << 20
@@ -117,11 +117,7 @@ class Genesis(Simulator):
 
     def _fields(self) -> tuple[StateField, ...]:
         dtype = f"float{self.options.precision}"
-        bodies = [
-            body_field(group, field, dtype, names)
-            for group, names in self.scene.groups().items()
-            for field in BODY_FIELDS
-        ]
+        bodies = body_fields(self.scene.groups(), dtype)
         if self.scene.robot is None:
             return tuple(bodies)
         joints = tuple(joint.name for joint in self.scene.robot.joints())

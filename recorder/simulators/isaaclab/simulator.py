@@ -20,7 +20,7 @@ from recorder.simulators.evidence import Evidence
 from recorder.simulators.isaaclab.options import IsaacLabOptions
 from recorder.simulators.warp import runtime as warp_runtime
 from schemas.errors import UsageError
-from schemas.fields import BODY_FIELDS, StateField, body_field
+from schemas.fields import StateField, body_fields
 
 _OLDEST = 3  # before it, quaternions were wxyz, and nothing ran without Isaac Sim
 _ROWS = 50
@@ -145,11 +145,7 @@ class IsaacLab(Simulator):
 
     def _fields(self) -> tuple[StateField, ...]:
         notes = {"orientation": "reordered by the recorder from Isaac Lab's xyzw"}
-        return tuple(
-            body_field(group, field, "float32", names, note=notes.get(field, ""))
-            for group, names in self.scene.groups().items()
-            for field in BODY_FIELDS
-        )
+        return body_fields(self.scene.groups(), "float32", notes)
 
     def _covers(self) -> str:
         loop = "SimulationContext.step(render=False) and RigidObjectCollection.update, step by step"

@@ -16,7 +16,7 @@ from recorder.simulators.evidence import Evidence
 from recorder.simulators.madrona.columns import HostColumns, TorchColumns
 from recorder.simulators.madrona.module import SimulatorModule, breach
 from recorder.simulators.madrona.options import MadronaOptions
-from schemas.fields import BODY_FIELDS, StateField, body_field
+from schemas.fields import StateField, body_fields
 
 _WIDTHS = {"position_tensor": 3, "rotation_tensor": 4, "velocity_tensor": 6}
 _COUNTS = "contact_count_tensor"
@@ -75,11 +75,7 @@ class Madrona(Simulator):
         )
 
     def _fields(self) -> tuple[StateField, ...]:
-        return tuple(
-            body_field(group, field, "float32", names)
-            for group, names in self.scene.groups().items()
-            for field in BODY_FIELDS
-        )
+        return body_fields(self.scene.groups(), "float32")
 
     def _check_layout(self) -> None:
         bodies = len(self.scene.moving())

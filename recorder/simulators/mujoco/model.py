@@ -15,7 +15,7 @@ from recorder.scenes.emit.mjcf import emit_mjcf
 from recorder.simulators.base import States
 from recorder.simulators.mujoco.options import GEOM_ATTRIBUTES, OPTION_ATTRIBUTES, MjcfOptions
 from schemas.errors import UsageError
-from schemas.fields import BODY_FIELDS, StateField, body_field, joint_field
+from schemas.fields import StateField, body_fields, joint_field
 
 _QPOS = 7  # of a free joint: position 3, orientation wxyz 4
 _QVEL = 6  # of a free joint: linear velocity in the world frame 3, angular velocity in the body's frame 3
@@ -64,11 +64,7 @@ class MjcfModel:
     def fields(self, dtype: str) -> tuple[StateField, ...]:
         """Layout of the state."""
         note = "rotated by the recorder from the body's frame, in which MuJoCo holds it"
-        bodies = [
-            body_field(group, field, dtype, names, note=note if field == "angular_velocity" else "")
-            for group, names in self.scene.groups().items()
-            for field in BODY_FIELDS
-        ]
+        bodies = body_fields(self.scene.groups(), dtype, {"angular_velocity": note})
         if self.scene.robot is None:
             return tuple(bodies)
         joints = tuple(joint.name for joint in self.scene.robot.joints())

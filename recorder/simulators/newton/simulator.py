@@ -21,7 +21,7 @@ from recorder.simulators.evidence import Evidence
 from recorder.simulators.newton.options import NewtonOptions
 from recorder.simulators.warp import runtime as warp_runtime
 from schemas.errors import UsageError
-from schemas.fields import BODY_FIELDS, StateField, body_field
+from schemas.fields import StateField, body_fields
 
 _BLOCK = 10  # steps in a graph; even, so that it ends with the state that it began with
 _RING_ROWS = 50
@@ -120,11 +120,7 @@ class Newton(Simulator):
 
     def _fields(self) -> tuple[StateField, ...]:
         notes = {"orientation": "reordered by the recorder from Newton's xyzw"}
-        return tuple(
-            body_field(group, field, "float32", names, note=notes.get(field, ""))
-            for group, names in self.scene.groups().items()
-            for field in BODY_FIELDS
-        )
+        return body_fields(self.scene.groups(), "float32", notes)
 
     def _covers(self) -> str:
         if self._device.is_cuda:

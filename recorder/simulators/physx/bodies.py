@@ -12,7 +12,7 @@ from recorder.scenes.base import Scene, Vector
 from recorder.scenes.emit.usd import env_path, prim_names
 from recorder.simulators.base import States
 from recorder.simulators.physx.session import Session
-from schemas.fields import BODY_FIELDS, StateField, body_field
+from schemas.fields import BODY_FIELDS, StateField, body_fields
 
 _COLUMNS = ("position", "orientation", "linearVelocity", "angularVelocity")
 _WIDTH = 13  # numbers of a body: position, quaternion wxyz, linear and angular velocity
@@ -79,11 +79,7 @@ class Bodies:
 def fields(scene: Scene) -> tuple[StateField, ...]:
     """Layout of the state."""
     notes = {"orientation": "reordered by the recorder from PhysX's xyzw"}
-    return tuple(
-        body_field(group, field, "float32", names, note=notes.get(field, ""))
-        for group, names in scene.groups().items()
-        for field in BODY_FIELDS
-    )
+    return body_fields(scene.groups(), "float32", notes)
 
 
 def described(scene: Scene, origins: tuple[Vector, ...], n_env: int) -> NDArray[np.float32]:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from recorder.scenes.base import Scene
 from recorder.simulators.base import States
 from recorder.simulators.evidence import Evidence
-from schemas.fields import BODY_FIELDS, StateField, body_field, joint_field
+from schemas.fields import StateField, body_fields, joint_field
 from schemas.provenance import Buffer, Counter, OverflowBit
 
 
@@ -55,9 +55,7 @@ class Worlds(Protocol):
 
 def fields_of(scene: Scene) -> tuple[StateField, ...]:
     """The layout of a scene's state, as SAPIEN gives it."""
-    bodies = tuple(
-        body_field(group, field, "float32", names) for group, names in scene.groups().items() for field in BODY_FIELDS
-    )
+    bodies = body_fields(scene.groups(), "float32")
     if scene.robot is None:
         return bodies
     joints = tuple(joint.name for joint in scene.robot.joints())
