@@ -7,6 +7,7 @@ from collections.abc import Iterable, Mapping
 
 from recorder.scenes.articulation import Robot
 from recorder.scenes.base import IDENTITY, Body, Box, Capsule, Plane, Scene, Shape, Sphere
+from recorder.scenes.emit.deviations import unlimited_speed
 from schemas.provenance import Deviation
 
 _TORSIONAL = 0.005  # [m], MuJoCo's default; without effect at condim 3
@@ -173,12 +174,5 @@ def deviations(scene: Scene) -> tuple[Deviation, ...]:
             )
         )
     if scene.robot is not None:
-        found.append(
-            Deviation(
-                "joint.max_velocity",
-                " ".join(str(j.max_velocity) for j in scene.robot.joints()),
-                "not enforced",
-                "MuJoCo's joints have no velocity limit",
-            )
-        )
+        found.append(unlimited_speed(scene.robot, "MuJoCo's joints have no velocity limit"))
     return tuple(found)

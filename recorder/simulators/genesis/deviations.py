@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from recorder.scenes.base import Scene
+from recorder.scenes.emit.deviations import unlimited_speed
 from recorder.simulators.genesis.options import GenesisOptions
 from schemas.provenance import Deviation
 
@@ -39,14 +40,7 @@ def deviations(scene: Scene, options: GenesisOptions) -> tuple[Deviation, ...]:
             )
         )
     if scene.robot is not None:
-        found.append(
-            Deviation(
-                "joint.max_velocity",
-                " ".join(str(joint.max_velocity) for joint in scene.robot.joints()),
-                "not enforced",
-                "Genesis' joints have no velocity limit",
-            )
-        )
+        found.append(unlimited_speed(scene.robot, "Genesis' joints have no velocity limit"))
         if options.integrator != "Euler":
             found.append(
                 Deviation(

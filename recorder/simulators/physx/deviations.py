@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from recorder.scenes.base import Scene
+from recorder.scenes.emit.deviations import unlimited_speed
 from recorder.simulators.physx.options import NO_THRESHOLD, PhysxOptions
 from schemas.provenance import Deviation
 
@@ -69,7 +70,5 @@ def deviations(scene: Scene, options: PhysxOptions) -> tuple[Deviation, ...]:
             )
         )
     if scene.robot is not None:
-        found.append(
-            Deviation("joint.max_velocity", "as published", "not enforced", "no simulator does, so that all compare")
-        )
+        found.append(unlimited_speed(scene.robot, "no simulator does, so that all compare"))
     return tuple(found)

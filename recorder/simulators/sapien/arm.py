@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from recorder.scenes.articulation import Hinge, Inertial, Link, Robot
 from recorder.scenes.base import Quaternion, Vector
+from recorder.scenes.emit.deviations import unlimited_speed
 from recorder.simulators.sapien.bodies import X_TO_Z, limit, make_material, make_shape
 from recorder.simulators.sapien.options import SapienOptions
 from schemas.provenance import Deviation
@@ -63,12 +64,7 @@ def arm_deviations(robot: Robot) -> tuple[Deviation, ...]:
             "added to the servo's damping, and so within its torque limit",
             "PhysX's joints have dry friction, but no viscous friction of their own",
         ),
-        Deviation(
-            "joint.max_velocity",
-            " ".join(str(joint.max_velocity) for joint in joints),
-            "not enforced",
-            "the description's limits are not enforced by any simulator, so that they can be compared",
-        ),
+        unlimited_speed(robot, "no simulator enforces the limits of the description, so that all compare"),
     )
 
 
