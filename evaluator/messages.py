@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from evaluator.container import Container
+from schemas.container import Container
 from schemas.errors import DamagedRecording
 from schemas.messages import message_class
 

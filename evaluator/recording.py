@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from evaluator.container import Container
 from evaluator.messages import Messages
 from evaluator.state_array import StateArray
 from evaluator.step_evidence import (
@@ -37,6 +36,7 @@ from evaluator.streams import (
 from schemas import checks, topics
 from schemas.blocks import decode_action
 from schemas.configuration import RunConfiguration
+from schemas.container import Container
 from schemas.digest import ContentDigest, content_hash
 from schemas.errors import DamagedRecording, GsbError
 from schemas.fields import StateField

@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from evaluator.container import Container, Message
 from schemas import topics
 from schemas.blocks import decode_state, state_header
 from schemas.configuration import EPOCH_NS, RunConfiguration, sim_time_ns
+from schemas.container import Container, Message
 from schemas.errors import DamagedRecording
 from schemas.fields import StateField
 

@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 import argparse
-import io
-import os
-import shlex
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import schemas
+from evaluator.cli.entry import complain, enter, new_parser, write
 from schemas import PARTIAL
 from schemas.errors import ExitCode, GsbError, NothingComparable, UsageError
 
@@ -34,12 +31,11 @@ examples:
 
 def parser() -> argparse.ArgumentParser:
     """The command's arguments."""
-    p = argparse.ArgumentParser(
-        prog="gsb-eval",
-        description="Compute throughput, memory, variability and alignment from recordings. Files are grouped by what "
-        "they hold: simulator, version, switches, scene, environments, step, device.",
-        epilog=_EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
+    p = new_parser(
+        "gsb-eval",
+        "Compute throughput, memory, variability and alignment from recordings. Files are grouped by what they hold: "
+        "simulator, version, switches, scene, environments, step, device.",
+        _EPILOG,
     )
     p.add_argument("files", nargs="+", type=Path, metavar="FILE", help="recordings (.mcap)")
     p.add_argument("--reference", type=Path, metavar="FILE", help="recording to compare positions with")
@@ -48,7 +44,6 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument("--html", type=Path, metavar="DIR", help="write a report to DIR/index.html")
     p.add_argument("--published", action="store_true", help="show the paper's figures beside, marked as such")
     p.add_argument("--no-verify", action="store_true", help="skip the digests; CRCs of what is read are still checked")
-    p.add_argument("--version", action="version", version=f"gpusimbench {schemas.__version__}")
     return p
 
 
@@ -67,7 +62,7 @@ def run(arguments: argparse.Namespace, command: str) -> int:
         recordings, reference=reference, sample_time=arguments.sample_time, unreadable=tuple(unreadable)
     )
     for failure in evaluation.unreadable:
-        _complain(str(failure.error))
+        complain("gsb-eval", str(failure.error))
     if not evaluation.results:
         if len(evaluation.unreadable) == 1:
             return int(evaluation.unreadable[0].error.exit_code)
@@ -75,12 +70,6 @@ def run(arguments: argparse.Namespace, command: str) -> int:
         raise NothingComparable(f"nothing to evaluate: there is {what} among the files")
     _present(evaluation, arguments, command)
     return _exit_code(evaluation, recordings)
-
-
-def _complain(message: str) -> None:
-    from evaluator.report.text import printable
-
-    print(f"gsb-eval: {printable(message)}", file=sys.stderr)
 
 
 def _open(files: list[Path], *, verify: bool) -> tuple[list[Recording], list[Unreadable]]:
@@ -113,7 +102,7 @@ def _present(evaluation: Evaluation, arguments: argparse.Namespace, command: str
         if arguments.published:
             print_published(sys.stdout)
         if arguments.json:
-            _write(Path(arguments.json), dump_json(evaluation))
+            write(Path(arguments.json), dump_json(evaluation))
     if arguments.html:
         from evaluator.report.html import write_html
 
@@ -122,13 +111,6 @@ def _present(evaluation: Evaluation, arguments: argparse.Namespace, command: str
         except OSError as error:
             raise GsbError(f"cannot write the report to {arguments.html}: {error.strerror}") from None
         print(f"report: {page}", file=sys.stderr if arguments.json == "-" else sys.stdout)
-
-
-def _write(path: Path, text: str) -> None:
-    try:
-        path.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise GsbError(f"cannot write {path}: {error.strerror}") from None
 
 
 def _exit_code(evaluation: Evaluation, recordings: list[Recording]) -> int:
@@ -142,27 +124,7 @@ def _exit_code(evaluation: Evaluation, recordings: list[Recording]) -> int:
 
 def main(argv: list[str] | None = None) -> int:
     """Entry point of gsb-eval."""
-    given = sys.argv[1:] if argv is None else argv
-    arguments = parser().parse_args(given)
-    for stream in (sys.stdout, sys.stderr):
-        if isinstance(stream, io.TextIOWrapper):
-            stream.reconfigure(errors="replace")  # a terminal without ± still gets its table
-    try:
-        code = run(arguments, shlex.join(["gsb-eval", *given]))
-        sys.stdout.flush()
-    except GsbError as error:
-        _complain(str(error))
-        return int(error.exit_code)
-    except KeyboardInterrupt:
-        _complain("interrupted")
-        return int(ExitCode.FAILURE)
-    except OSError as error:
-        # the reader of our output has gone, or its disk is full; what is left in the buffer must not complain again
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        if not isinstance(error, BrokenPipeError):
-            _complain(f"cannot write the results: {error.strerror}")
-        return int(ExitCode.FAILURE)
-    return code
+    return enter(parser(), run, argv)
 
 
 if __name__ == "__main__":

@@ -12,7 +12,7 @@ from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 
 from evaluator import open_recording
-from evaluator.container import Container
+from schemas.container import Container
 from schemas.errors import DamagedRecording, NotARecording, RecordingError
 from tests.synthetic import grid, write_recording
 

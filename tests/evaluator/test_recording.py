@@ -12,8 +12,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from evaluator import open_recording
-from evaluator.container import Container
 from evaluator.recording import Recording
+from schemas.container import Container
 from schemas.errors import DamagedRecording
 from schemas.provenance import Provenance
 from tests.synthetic import grid, write_recording

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from evaluator import open_recording
@@ -55,6 +55,7 @@ def test_paths(path: list[tuple[float, float, float]], support: Support, expecte
 
 
 @given(st.lists(st.tuples(*[st.floats(-2, 2)] * 3), min_size=2, max_size=12))
+@example([(0.0, 0.0, 0.0), (0.0, 0.0, -5e-324)])
 def test_only_what_is_below_can_have_sunk(path: list[tuple[float, float, float]]) -> None:
     """Agree with the shortcut that looks at the last row alone."""
     for support in (GROUND, BOARD):

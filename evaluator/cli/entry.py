@@ -1,0 +1,68 @@
+"""What every command of the evaluator does around its work: output that may end early, errors, exit codes."""
+
+from __future__ import annotations
+
+import argparse
+import io
+import os
+import shlex
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import schemas
+from schemas.errors import ExitCode, GsbError
+
+
+def new_parser(command: str, description: str, epilog: str) -> argparse.ArgumentParser:
+    """A parser of a command's arguments, with what all commands have."""
+    p = argparse.ArgumentParser(
+        prog=command, description=description, epilog=epilog, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    p.add_argument("--version", action="version", version=f"gpusimbench {schemas.__version__}")
+    return p
+
+
+def enter(
+    parser: argparse.ArgumentParser, run: Callable[[argparse.Namespace, str], int], argv: list[str] | None = None
+) -> int:
+    """Parse the arguments, do the work and return the exit code; every error is one line on standard error.
+
+    run  takes the arguments and the whole command as a shell would
+    """
+    given = sys.argv[1:] if argv is None else argv
+    arguments = parser.parse_args(given)
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="replace")  # a terminal without ± still gets its table
+    try:
+        code = run(arguments, shlex.join([parser.prog, *given]))
+        sys.stdout.flush()
+    except GsbError as error:
+        complain(parser.prog, str(error))
+        return int(error.exit_code)
+    except KeyboardInterrupt:
+        complain(parser.prog, "interrupted")
+        return int(ExitCode.FAILURE)
+    except OSError as error:
+        # the reader of our output has gone, or its disk is full; what is left in the buffer must not complain again
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        if not isinstance(error, BrokenPipeError):
+            complain(parser.prog, f"cannot write the results: {error.strerror}")
+        return int(ExitCode.FAILURE)
+    return code
+
+
+def complain(command: str, message: str) -> None:
+    """One line on standard error; what a terminal would obey in it is shown, not done."""
+    from evaluator.report.text import printable
+
+    print(f"{command}: {printable(message)}", file=sys.stderr)
+
+
+def write(path: Path, text: str) -> None:
+    """Write a result's text; GsbError where the file cannot be written."""
+    try:
+        path.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise GsbError(f"cannot write {path}: {error.strerror}") from None
