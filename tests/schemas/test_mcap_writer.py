@@ -1,0 +1,138 @@
+"""Files that the writer makes, read by others: the library of MCAP, and this project's own reader."""
+
+from __future__ import annotations
+
+import os
+import resource
+import zlib
+from collections.abc import Sequence
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from mcap.reader import NonSeekingReader, make_reader
+
+from schemas import FORMAT
+from schemas.container import Container
+from schemas.crc import combine
+from schemas.mcap_writer import COMPRESSIONS, McapWriter, Part
+
+Sent = list[tuple[str, int, bytes]]
+
+
+@given(st.binary(max_size=300), st.binary(max_size=300))
+def test_crc_of_two_parts(first: bytes, second: bytes) -> None:
+    """Get the CRC of a whole from those of its parts."""
+    assert combine(zlib.crc32(first), zlib.crc32(second), len(second)) == zlib.crc32(first + second)
+
+
+def test_crc_of_large_parts() -> None:
+    """Do so for lengths of many bits as well."""
+    for size in (0, 1, 255, 256, 65537, (1 << 20) + 3):
+        first, second = os.urandom(99), os.urandom(size)
+        assert combine(zlib.crc32(first), zlib.crc32(second), size) == zlib.crc32(first + second)
+
+
+def write(path: Path, sizes: Sequence[int], compression: str, *, finish: bool = True) -> Sent:
+    """A file with messages of these sizes, on two channels in turn, an attachment and a metadata record."""
+    sent: Sent = []
+    with path.open("wb", buffering=0) as stream:
+        writer = McapWriter(stream, profile=FORMAT, library="test", compression=compression)
+        schema = writer.schema("a.B", "protobuf", b"schema")
+        channels = {topic: writer.channel(topic, schema, {"unit": "m"}) for topic in ("/one", "/two")}
+        writer.attachment("note.txt", "text/plain", b"a note", log_time=1, create_time=2)
+        for number, size in enumerate(sizes):
+            topic, data = ("/one", "/two")[number % 2], os.urandom(size)
+            half = size // 2
+            parts = [Part(data[:half]), Part(memoryview(data)[half:], zlib.crc32(data[half:]))]
+            times = {"log_time": 100 - number, "publish_time": 7, "sequence": number // 2}
+            writer.message(channels[topic], parts if number % 3 else data, **times)
+            sent.append((topic, 100 - number, data))
+        writer.metadata("facts", {"key": "value"})
+        if finish:
+            writer.finish()
+        else:
+            writer.flush()
+    return sent
+
+
+SIZES = (0, 5, 70_000, 200_000, 3, 300_001, 131_072, 40_000, 40_000, 60_000, 1)
+
+
+@pytest.mark.parametrize("compression", COMPRESSIONS)
+def test_the_library_reads_it(tmp_path: Path, compression: str) -> None:
+    """Give every byte back through the reader of the format's makers, with all its checks, by index and in order."""
+    sent = write(tmp_path / "a.mcap", SIZES, compression)
+    for make in (make_reader, NonSeekingReader):
+        with (tmp_path / "a.mcap").open("rb") as stream:
+            reader = make(stream, validate_crcs=True)
+            found = [(c.topic, m.log_time, m.data) for _, c, m in reader.iter_messages(log_time_order=False)]
+            assert sorted(found) == sorted(sent)
+    with (tmp_path / "a.mcap").open("rb") as stream:
+        reader = make_reader(stream, validate_crcs=True)
+        assert [(a.name, a.data) for a in reader.iter_attachments()] == [("note.txt", b"a note")]
+        assert [(m.name, m.metadata) for m in reader.iter_metadata()] == [("facts", {"key": "value"})]
+        summary = reader.get_summary()
+        assert summary is not None
+        assert summary.statistics is not None
+        assert summary.statistics.message_count == len(sent)
+        assert (summary.statistics.message_start_time, summary.statistics.message_end_time) == (90, 100)
+        assert summary.statistics.channel_message_counts == {1: 6, 2: 5}
+        assert summary.statistics.chunk_count == len(summary.chunk_indexes)
+        assert {c.topic: c.metadata for c in summary.channels.values()} == {
+            "/one": {"unit": "m"},
+            "/two": {"unit": "m"},
+        }
+
+
+@pytest.mark.parametrize("compression", COMPRESSIONS)
+def test_our_reader_reads_it(tmp_path: Path, compression: str) -> None:
+    """Give every byte back through this project's reader, whose CRC of the data section agrees."""
+    sent = write(tmp_path / "a.mcap", SIZES, compression)
+    container = Container(tmp_path / "a.mcap")
+    container.verify()
+    assert container.finished
+    for topic in ("/one", "/two"):
+        found = {(m.log_time, bytes(container.read(m)[1])) for m in container.messages(topic)}
+        assert found == {(time, data) for name, time, data in sent if name == topic}
+
+
+@pytest.mark.parametrize("cut", (1, 40_000, 140_000))
+def test_a_file_cut_short(tmp_path: Path, cut: int) -> None:
+    """Read all whole chunks of a file without its end."""
+    path = tmp_path / "a.mcap"
+    sent = write(path, SIZES, "none", finish=False)
+    os.truncate(path, path.stat().st_size - cut)
+    container = Container(path)
+    assert not container.finished
+    found = [(c, m.log_time, bytes(container.read(m)[1])) for c in ("/one", "/two") for m in container.messages(c)]
+    assert set(found) <= set(sent)
+    assert len(found) >= 3
+
+
+def test_every_large_message_has_left_the_process(tmp_path: Path) -> None:
+    """Have a large message, and what came before it, in the file when the call returns."""
+    path = tmp_path / "a.mcap"
+    with path.open("wb", buffering=0) as stream:
+        writer = McapWriter(stream, profile=FORMAT, library="test")
+        channel = writer.channel("/one", writer.schema("a.B", "protobuf", b""), {})
+        writer.message(channel, b"small", log_time=1, publish_time=1, sequence=0)
+        writer.message(channel, bytes(200_000), log_time=2, publish_time=1, sequence=1)
+        assert [m.log_time for m in Container(path).messages("/one")] == [1, 2]
+
+
+def test_a_full_disk(tmp_path: Path) -> None:
+    """Raise where the disk takes a part of a chunk only."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    with (tmp_path / "a.mcap").open("wb", buffering=0) as stream:
+        writer = McapWriter(stream, profile=FORMAT, library="test")
+        channel = writer.channel("/one", writer.schema("a.B", "protobuf", b""), {})
+        resource.setrlimit(resource.RLIMIT_FSIZE, (250_000, before[1]))  # Python ignores the signal
+        try:
+            writer.message(channel, bytes(200_000), log_time=1, publish_time=1, sequence=0)
+            with pytest.raises(OSError, match="File too large"):
+                writer.message(channel, bytes(200_000), log_time=2, publish_time=1, sequence=1)
+        finally:
+            resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    assert [m.log_time for m in Container(tmp_path / "a.mcap").messages("/one")] == [1]
