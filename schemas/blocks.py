@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.errors import DamagedRecording
+from schemas.mcap_writer import Part
 from schemas.messages import message_class
 
 _STATE = "gsb.v1.StateBlock"
@@ -50,10 +51,14 @@ def _varint(value: int) -> bytes:
     return bytes(out)
 
 
-def _with_array(header: Any, field: str, payload: memoryview) -> bytes:
+def _before_array(header: Any, field: str, payload: memoryview) -> bytes:
     number = header.DESCRIPTOR.fields_by_name[field].number
     tag = _varint(number << 3 | _LENGTH_DELIMITED)
-    return b"".join((header.SerializeToString(), tag, _varint(len(payload)), payload))
+    return b"".join((header.SerializeToString(), tag, _varint(len(payload))))
+
+
+def _with_array(header: Any, field: str, payload: memoryview) -> bytes:
+    return _before_array(header, field, payload) + payload
 
 
 def _data_field(array: NDArray[Any]) -> str:
@@ -64,16 +69,28 @@ def _data_field(array: NDArray[Any]) -> str:
         raise ValueError(f"states and actions are float32 or float64, not {array.dtype}") from None
 
 
-def encode_state(array: NDArray[Any], *, first_step: int, stride: int, env_start: int, sim_time_ns: int) -> bytes:
-    """A serialised StateBlock from an array [step, env, item, width]."""
+def state_parts(
+    array: NDArray[Any], *, first_step: int, stride: int, env_start: int, sim_time_ns: int
+) -> tuple[Part, ...]:
+    """A StateBlock from an array [step, env, item, width]: its small fields, and the array's own bytes with their CRC.
+
+    The array is not copied where it is contiguous and little-endian, and is not to change before it is written.
+    """
     array = little_endian(array)
     payload = raw_bytes(array)
     steps, envs, items, width = array.shape
+    crc = zlib.crc32(payload)
     header = message_class(_STATE)(
         first_step=first_step, steps=steps, stride=stride, env_start=env_start, envs=envs, items=items,
-        width=width, sim_time_ns=sim_time_ns, crc32=zlib.crc32(payload),
+        width=width, sim_time_ns=sim_time_ns, crc32=crc,
     )  # fmt: skip
-    return _with_array(header, _data_field(array), payload)
+    return Part(_before_array(header, _data_field(array), payload)), Part(payload, crc)
+
+
+def encode_state(array: NDArray[Any], *, first_step: int, stride: int, env_start: int, sim_time_ns: int) -> bytes:
+    """A serialised StateBlock from an array [step, env, item, width]."""
+    parts = state_parts(array, first_step=first_step, stride=stride, env_start=env_start, sim_time_ns=sim_time_ns)
+    return b"".join(part.data for part in parts)
 
 
 def encode_action(array: NDArray[Any], *, first_step: int, stride: int, env_start: int, sim_time_ns: int) -> bytes:
