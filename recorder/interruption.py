@@ -11,6 +11,7 @@ Exception in many places; timed_out tells the two apart.
 from __future__ import annotations
 
 import signal
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 
@@ -53,8 +54,14 @@ def timed_out() -> bool:
 
 @contextmanager
 def shielded() -> Iterator[None]:
-    """Hold interruptions back until the block is left; an error that leaves it goes first."""
+    """Hold interruptions back until the block is left; an error that leaves it goes first.
+
+    Python handles signals in the main thread alone: in another one there is nothing to hold back.
+    """
     global _depth
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
     _depth += 1
     try:
         yield

@@ -25,7 +25,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from recorder.capture.sink import COMPRESSIONS, Sink
+from recorder.capture.sink import Sink
 from recorder.capture.states import StateWriter
 from recorder.failure import cause_of
 from recorder.plan import check, utc_now
@@ -37,6 +37,7 @@ from schemas import topics
 from schemas.configuration import RunConfiguration
 from schemas.errors import DataLost, UsageError
 from schemas.fields import StateField
+from schemas.mcap_writer import COMPRESSIONS
 from schemas.messages import message_class
 from schemas.provenance import PACKAGES, PROVENANCE, REAL, SCENE, SIMULATION, Deviation, Provenance, Simulation
 

@@ -9,7 +9,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from schemas import PARTIAL
-from schemas.configuration import MAX_ENVS, OPTIONAL_PHASES, RunConfiguration
+from schemas.configuration import CAPTURE_MODES, MAX_ENVS, OPTIONAL_PHASES, RunConfiguration
 from schemas.errors import GsbError, UsageError
 
 MIN_DT = 1e-6
@@ -48,6 +48,8 @@ def check(configuration: RunConfiguration) -> None:
         raise UsageError(
             f"--stride {c.stride} does not divide --steps {c.steps}, so the last state would not be recorded"
         )
+    if c.capture not in CAPTURE_MODES:
+        raise UsageError(f"--capture is {' or '.join(CAPTURE_MODES)}, not '{c.capture}'")
     unknown = set(c.phases) - set(OPTIONAL_PHASES)
     if unknown or not c.phases or len(set(c.phases)) < len(c.phases):
         raise UsageError(

@@ -19,7 +19,7 @@ from recorder.probes.software import describe_software
 from recorder.scenes.registry import make_scene
 from recorder.trials import UNITS, Trials, parse_trials
 from schemas import topics
-from schemas.blocks import encode_state
+from schemas.blocks import state_parts
 from schemas.configuration import RunConfiguration, sim_time_ns
 from schemas.errors import DataLost, UsageError
 from schemas.fields import FIELD_KINDS, StateField
@@ -112,7 +112,5 @@ def _write(
     array = trials.positions[np.newaxis]
     time = sim_time_ns(1, configuration.dt)
     sink.digest.state(field, configuration.n_env, array)
-    sink.write(
-        topic, encode_state(array, first_step=1, stride=1, env_start=0, sim_time_ns=time), sim_ns=time, digest=False
-    )
+    sink.write_parts(topic, state_parts(array, first_step=1, stride=1, env_start=0, sim_time_ns=time), sim_ns=time)
     sink.finish("COMPLETE", "", last_step=1, peak_rss_bytes=0)

@@ -31,11 +31,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recorder import interruption
-from recorder.capture.actions import declare_actions, write_action_stream, write_actions
+from recorder.capture.actions import Actions, declare_actions, write_action_stream, write_actions
 from recorder.capture.evidence import EvidenceWriter
+from recorder.capture.kept import KeptStates
 from recorder.capture.memory import MemoryWriter
 from recorder.capture.sink import Sink
-from recorder.capture.states import StateWriter, declare_fingerprints, write_fingerprints
+from recorder.capture.states import StateWriter, declare_fingerprints, row_bytes, write_fingerprints
+from recorder.capture.stepping import RING_BLOCKS, CaptureClock, step_and_capture
+from recorder.capture.writing import Block, Writing
 from recorder.engine import Engine
 from recorder.environment import apply_environment
 from recorder.failure import TimedOut, cause_of
@@ -47,6 +50,7 @@ from recorder.probes.software import describe_software, package_list
 from recorder.scenes.base import Scene
 from recorder.scenes.registry import make_scene
 from recorder.simulators.base import Description, Simulator
+from recorder.simulators.evidence import Evidence
 from recorder.simulators.registry import find_simulator
 from schemas import FORMAT, topics
 from schemas.configuration import RunConfiguration
@@ -333,44 +337,95 @@ class Run:
         sink.write(topic, message.SerializeToString())
 
     def _capture(self, sink: Sink, simulator: Simulator, description: Description) -> None:
-        configuration = self._configuration
-        writer = self._writer = StateWriter(
-            sink, description.fields, n_env=configuration.n_env, dt=configuration.dt, stride=configuration.stride
-        )
+        c = self._configuration
+        writer = self._writer = StateWriter(sink, description.fields, n_env=c.n_env, dt=c.dt, stride=c.stride)
         if simulator.scene.actions is not None:
-            declare_actions(sink, simulator.scene.actions, n_env=configuration.n_env)
-        counted = EvidenceWriter(sink, description, "capture", dt=configuration.dt, stride=1)
+            declare_actions(sink, simulator.scene.actions, n_env=c.n_env)
+        counted = EvidenceWriter(sink, description, "capture", dt=c.dt, stride=1)
+        kept = (
+            KeptStates(description.fields, n_env=c.n_env, rows=c.steps + 1, workers=writer.workers)
+            if c.capture == "memory"
+            else None
+        )
+        problems: list[str] = []
+
+        def write(block: Block) -> None:
+            if problems:
+                return  # nothing of use follows a state that is not finite
+            if block.actions is not None and simulator.scene.actions is not None:
+                name, first = simulator.scene.actions.name, block.first_step - 1
+                write_actions(sink, writer.workers, name, block.actions, n_env=c.n_env, first_step=first, dt=c.dt)
+            problem = writer.take(block.captured)
+            if block.first_step:
+                self._gate_counts(sink, "capture", block.captured.evidence(), counted, block.first_step)
+            if problem:
+                problems.append(problem)
+
+        # until it has finished, the sink is its thread's
+        writing = Writing(kept.keep if kept else write)
+        clock = CaptureClock()
         try:
-            problem = self._feed(sink, simulator, writer, counted)
+            try:
+                step_and_capture(
+                    simulator,
+                    writing,
+                    clock,
+                    steps=c.steps,
+                    block_steps=writer.steps_per_block,
+                    prepare=lambda first, count: self._prepare(simulator, first, count),
+                    progress=lambda done: self._progress("capture", done, c.steps),
+                    stopped=lambda: bool(problems),
+                )
+            finally:
+                writing.finish()
+                if kept:
+                    kept.write(write)
         except DataLost:
             raise
         except BaseException:
             writer.flush()  # whatever ended the run, the states so far are good
             raise
         writer.flush()
-        if problem:
-            self._gate(sink, "capture", problem, "NOT_FINITE")
+        self._write_capture_clock(sink, clock, writer, simulator)
+        if problems:
+            self._gate(sink, "capture", problems[0], "NOT_FINITE")
         self._ask_gates(sink, "capture", simulator)
-        if not problem:
-            self._write_action_stream(sink, "capture", simulator, 0, configuration.steps)
+        if not problems:
+            self._write_action_stream(sink, "capture", simulator, 0, c.steps)
 
-    def _feed(self, sink: Sink, simulator: Simulator, writer: StateWriter, counted: EvidenceWriter) -> str | None:
-        configuration = self._configuration
-        problem = writer.feed([array[np.newaxis] for array in simulator.state()])
-        while writer.last_step < configuration.steps and not problem:
-            self._progress("capture", writer.last_step, configuration.steps)
-            first = writer.last_step
-            count = min(writer.steps_per_block, configuration.steps - first)
-            actions = self._actions(simulator.scene, first, count)
-            if actions is not None and simulator.scene.actions is not None:
-                write_actions(sink, simulator.scene.actions.name, actions, first_step=first, dt=configuration.dt)
-            simulator.prepare(None if simulator.draws_actions else actions)
-            problem = writer.feed(simulator.states(count))
-            self._count(sink, "capture", simulator, counted, first + 1)
-        return problem
+    def _prepare(self, simulator: Simulator, first_step: int, n_step: int) -> Actions | None:
+        scene, c = simulator.scene, self._configuration
+        if not simulator.draws_actions:
+            given = self._actions(scene, first_step, n_step)
+            simulator.prepare(given)
+            return None if given is None else lambda envs: given[:, envs.start : envs.stop]
+        simulator.prepare(None)
+        drawn = scene.actions
+        if drawn is None:
+            return None
+        return lambda envs: drawn.draw(
+            c.seed, n_env=len(envs), first_env=envs.start, first_step=first_step, n_step=n_step
+        )
+
+    def _write_capture_clock(self, sink: Sink, clock: CaptureClock, writer: StateWriter, simulator: Simulator) -> None:
+        c = self._configuration
+        block = writer.steps_per_block * row_bytes(c.n_env, writer.fields)
+        how = {
+            "lossless": f"another thread writes them meanwhile; {RING_BLOCKS} blocks of at most {block} bytes are held",
+            "memory": "they are kept in memory, and written after the last step",
+        }
+        covers = f"from block to block: steps, and their states, counts and hashes on the host; {how[c.capture]}"
+        self._write_timing(sink, "capture", clock.blocks, 0, writer.steps_per_block, covers)
+        self._write_timing(
+            sink, "stall", clock.stalls, 0, writer.steps_per_block, "the engine stands still until a block was written"
+        )
 
     def _count(self, sink: Sink, phase: str, simulator: Simulator, counted: EvidenceWriter, first_step: int) -> None:
-        found = simulator.evidence()
+        self._gate_counts(sink, phase, simulator.evidence(), counted, first_step)
+
+    def _gate_counts(
+        self, sink: Sink, phase: str, found: Evidence | None, counted: EvidenceWriter, first_step: int
+    ) -> None:
         if found is not None:
             for fired in counted.feed(found, first_step=first_step):
                 self._gate(sink, phase, fired, "BUFFER")
@@ -425,7 +480,8 @@ def _reason(error: BaseException, phase: str) -> str:
         case KeyboardInterrupt():
             return f"interrupted in phase {phase}"
         case MemoryError():
-            return f"out of host memory in phase {phase}"
+            said = str(error)
+            return f"out of host memory in phase {phase}" + (f": {said}" if said else "")
         case GsbError():
             return str(error)
     text = " ".join(str(error).split()) or "no message"

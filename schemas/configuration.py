@@ -11,6 +11,8 @@ from schemas.errors import DamagedRecording
 OPTIONAL_PHASES = ("timed", "capture")
 """Phases that a run can leave out; "warmup" belongs to "timed"."""
 
+CAPTURE_MODES = ("lossless", "memory")
+"""When captured states are written: while stepping, which waits where the disk is slower, or all of them afterwards."""
 
 MAX_ENVS = 1 << 24
 
@@ -37,6 +39,7 @@ class RunConfiguration:
     options      options of the simulator, by name, as text
     determinism  level that the simulator was asked for; "default" leaves the engine as it ships
     timeout      the run is ended after so many seconds; 0: never
+    capture      one of CAPTURE_MODES
     """
 
     simulator: str
@@ -54,6 +57,7 @@ class RunConfiguration:
     options: dict[str, str] = field(default_factory=dict)
     determinism: str = "default"
     timeout: float = 0.0
+    capture: str = CAPTURE_MODES[0]
 
     def to_json(self) -> dict[str, Any]:
         """As plain JSON values."""
@@ -85,6 +89,7 @@ class RunConfiguration:
             options=checks.text_map(record, "options"),
             determinism=checks.text(record, "determinism", default="default"),
             timeout=checks.number(record, "timeout", 0, 1e9) if "timeout" in record else 0.0,
+            capture=checks.text(record, "capture", default=CAPTURE_MODES[0]),
         )
 
 

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import hashlib
 import struct
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from numpy.typing import NDArray
@@ -46,11 +46,25 @@ class ContentDigest:
 
     def state(self, field: StateField, n_env: int, array: NDArray[Any]) -> None:
         """Add the next rows [step, env, item, width] of a field, all environments."""
+        self.state_columns(field, n_env, [array])
+
+    def state_columns(self, field: StateField, n_env: int, columns: Sequence[NDArray[Any]]) -> None:
+        """The same, of rows that are cut into ranges of environments, in their order.
+
+        Different fields may be fed by different threads.
+        """
         name = state_name(field)
         if name not in self._hashes:
             line = f"{field.dtype} {n_env} {len(field.items)} {field.width}\n"
             self._hashes[name] = hashlib.sha256(line.encode())
-        self._hashes[name].update(raw_bytes(little_endian(array)))
+        digest = self._hashes[name]
+        arrays = [little_endian(column) for column in columns]
+        if len(arrays) == 1:
+            digest.update(raw_bytes(arrays[0]))
+            return
+        for row in zip(*arrays, strict=True):
+            for part in row:
+                digest.update(raw_bytes(part))
 
     def message(self, topic: str, data: bytes | memoryview) -> None:
         """Add the next message of any other topic."""

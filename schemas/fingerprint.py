@@ -18,11 +18,13 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from schemas.splitmix import GOLDEN, mix
+from schemas.splitmix import GOLDEN, mix_in_place
 
 ALGORITHM = "sum-splitmix64-v1"
 
 _WORD = {4: "<u4", 8: "<u8"}
+
+_CACHED_WORDS = 1 << 15  # at a time: two buffers of these stay in a core's cache
 
 
 def fingerprint(arrays: Sequence[NDArray[np.floating]]) -> NDArray[np.uint64]:
@@ -32,15 +34,21 @@ def fingerprint(arrays: Sequence[NDArray[np.floating]]) -> NDArray[np.uint64]:
     """
     lead = arrays[0].shape[:-2]
     total = np.zeros(lead, dtype=np.uint64)
+    flat = total.reshape(-1)
     position = 0
     for array in arrays:
         if array.shape[:-2] != lead:
             raise ValueError(f"leading shapes differ: {array.shape[:-2]} and {lead}")
-        words = np.ascontiguousarray(array).view(_WORD[array.dtype.itemsize])
-        words = words.reshape(*lead, -1).astype(np.uint64)
-        count = words.shape[-1]
+        count = array.shape[-2] * array.shape[-1]
+        words = np.ascontiguousarray(array).view(_WORD[array.dtype.itemsize]).reshape(len(flat), count)
         key = np.arange(position + 1, position + count + 1, dtype=np.uint64) * np.uint64(GOLDEN)
-        words += key
-        total += mix(words).sum(axis=-1, dtype=np.uint64)
+        rows = max(1, _CACHED_WORDS // max(1, count))
+        mixed, spare = np.empty((2, min(rows, len(flat)), count), dtype=np.uint64)
+        for begin in range(0, len(flat), rows):
+            part = words[begin : begin + rows]
+            some = mixed[: len(part)]
+            np.add(part, key, out=some)
+            mix_in_place(some, spare[: len(part)])
+            flat[begin : begin + rows] += some.sum(axis=1, dtype=np.uint64)
         position += count
     return total

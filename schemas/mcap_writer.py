@@ -15,6 +15,7 @@ import os
 import struct
 import zlib
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from io import FileIO
 from typing import NamedTuple
 
@@ -264,13 +265,19 @@ class McapWriter:
 
     def _write(self, parts: Sequence[Part]) -> None:
         left = [memoryview(part.data) for part in parts if len(part.data)]
-        while left:
-            written = os.writev(self._descriptor, left)
-            self._offset += written
-            while left and written >= len(left[0]):
-                written -= len(left.pop(0))
-            if written:  # the disk took a part of one: the rest follows, or an error says why not
-                left[0] = left[0][written:]
+        size = sum(map(len, left))
+        try:
+            while left:
+                written = os.writev(self._descriptor, left)
+                while left and written >= len(left[0]):
+                    written -= len(left.pop(0))
+                if written:  # the disk took a part of one: the rest follows, or an error says why not
+                    left[0] = left[0][written:]
+        except OSError:
+            with suppress(OSError):
+                os.ftruncate(self._descriptor, self._offset)  # a file that ends with a whole record is read by all
+            raise
+        self._offset += size
 
 
 def _following(crc: int, part: Part) -> int:

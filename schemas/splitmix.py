@@ -15,11 +15,16 @@ GOLDEN = 0x9E3779B97F4A7C15
 
 def mix(word: NDArray[np.uint64]) -> NDArray[np.uint64]:
     """Mixed words, shape and order as given; arithmetic wraps."""
-    # in place, over two buffers: this runs over every number that is recorded
     word = word.copy()
-    shifted = np.empty_like(word)
-    for shift, factor in ((30, 0xBF58476D1CE4E5B9), (27, 0x94D049BB133111EB)):
-        word ^= np.right_shift(word, np.uint64(shift), out=shifted)
-        word *= np.uint64(factor)
-    word ^= np.right_shift(word, np.uint64(31), out=shifted)
+    mix_in_place(word, np.empty_like(word))
     return word
+
+
+def mix_in_place(word: NDArray[np.uint64], spare: NDArray[np.uint64]) -> None:
+    """The same, without memory of its own: `spare` has the shape of `word` and is overwritten."""
+    for shift, factor in ((30, 0xBF58476D1CE4E5B9), (27, 0x94D049BB133111EB)):
+        np.right_shift(word, np.uint64(shift), out=spare)
+        np.bitwise_xor(word, spare, out=word)
+        np.multiply(word, np.uint64(factor), out=word)
+    np.right_shift(word, np.uint64(31), out=spare)
+    np.bitwise_xor(word, spare, out=word)

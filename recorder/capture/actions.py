@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
 
 from recorder.capture.sink import Sink
 from recorder.capture.states import env_block
+from recorder.capture.workers import Workers
 from recorder.scenes.actions import JointTargets
 from schemas import topics
 from schemas.blocks import encode_action
@@ -29,14 +31,25 @@ def declare_actions(sink: Sink, actions: JointTargets, *, n_env: int) -> None:
         sink.channel(topics.action(actions.name, start), "gsb.v1.ActionBlock", metadata)
 
 
-def write_actions(sink: Sink, name: str, actions: NDArray[np.float32], *, first_step: int, dt: float) -> None:
-    """Actions [step, env, action] of consecutive steps."""
-    n_env = actions.shape[1]
+Actions = Callable[[range], NDArray[np.float32]]
+"""What is applied in consecutive steps to the environments of a range, [step, env, action]."""
+
+
+def write_actions(
+    sink: Sink, workers: Workers, name: str, actions: Actions, *, n_env: int, first_step: int, dt: float
+) -> None:
+    """Actions of consecutive steps, the first of them leading on from the state of `first_step`."""
     time = sim_time_ns(first_step, dt)
-    for start in range(0, n_env, env_block(n_env)):
-        part = actions[:, start : start + env_block(n_env)]
-        data = encode_action(part, first_step=first_step, stride=1, env_start=start, sim_time_ns=time)
-        sink.write(topics.action(name, start), data, sim_ns=time)
+
+    def encoded(envs: range) -> bytes:
+        return encode_action(
+            actions(envs), first_step=first_step, stride=1, env_start=envs.start, sim_time_ns=time
+        )  # fmt: skip
+
+    size = env_block(n_env)
+    blocks = [range(start, min(start + size, n_env)) for start in range(0, n_env, size)]
+    for envs, data in zip(blocks, workers.start(encoded, blocks), strict=True):
+        sink.write(topics.action(name, envs.start), data, sim_ns=time)
 
 
 def write_action_stream(

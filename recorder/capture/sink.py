@@ -10,12 +10,10 @@ from __future__ import annotations
 import errno
 import os
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any, BinaryIO
-
-from mcap.writer import CompressionType, Writer
+from typing import Any
 
 from recorder.interruption import shielded
 from recorder.plan import partial_of
@@ -23,15 +21,11 @@ from schemas import FORMAT, __version__, topics
 from schemas.configuration import EPOCH_NS
 from schemas.digest import ContentDigest, content_hash
 from schemas.errors import DataLost, UsageError
+from schemas.mcap_writer import McapWriter, Part
 from schemas.messages import embedded_schema, enum_values, message_class
-
-# A state block of this size or more closes its chunk at once, so a crash loses no block that was written.
-_CHUNK_BYTES = 128 * 1024
 
 _NO_LINKS = {errno.EPERM, errno.EOPNOTSUPP, errno.ENOTSUP, errno.ENOSYS, errno.EMLINK, errno.EXDEV}
 """What os.link fails with on a file system without hard links."""
-
-COMPRESSIONS = {"none": CompressionType.NONE, "lz4": CompressionType.LZ4, "zstd": CompressionType.ZSTD}
 
 
 class Sink:
@@ -49,7 +43,7 @@ class Sink:
             raise UsageError(f"{path} exists already; recordings are never overwritten")
         try:
             # closed by finish or abandon
-            self._stream: BinaryIO = self.partial.open("r+b" if reserved else "xb")  # noqa: SIM115
+            self._stream = self.partial.open("r+b" if reserved else "xb", buffering=0)  # noqa: SIM115
         except FileExistsError:
             raise UsageError(f"{self.partial} exists already; another recorder may be writing it") from None
         except OSError as error:
@@ -62,59 +56,61 @@ class Sink:
         self._channels: dict[str, int] = {}
         self._sequence: dict[str, int] = {}
         self._began_ns = time.perf_counter_ns()
-        self._writer = Writer(
-            self._stream,
-            chunk_size=_CHUNK_BYTES,
-            compression=COMPRESSIONS[compression],
-            enable_crcs=True,
-            enable_data_crcs=True,
-        )
         with self._disk():
-            self._writer.start(profile=FORMAT, library=f"gpusimbench {__version__}")
+            self._writer = McapWriter(
+                self._stream, profile=FORMAT, library=f"gpusimbench {__version__}", compression=compression
+            )
 
     def metadata(self, name: str, values: dict[str, str]) -> None:
         """A short list of texts for tools that show no more; never read back by the evaluator."""
         with self._disk():
-            self._writer.add_metadata(name, values)
+            self._writer.metadata(name, values)
 
     def attach(self, name: str, media_type: str, data: bytes) -> None:
         """An attachment, part of the recording's identity."""
         now = time.time_ns()
         with self._disk():
             self._digest.attachment(name, data)
-            self._writer.add_attachment(now, now, name, media_type, data)
-            self._stream.flush()
+            self._writer.attachment(name, media_type, data, log_time=now, create_time=now)
 
     def channel(self, topic: str, message: str, metadata: dict[str, str] | None = None) -> None:
         """Declare a topic and the message type that it carries."""
         with self._disk():
             if message not in self._schemas:
-                self._schemas[message] = self._writer.register_schema(message, "protobuf", embedded_schema(message))
-            schema = self._schemas[message]
-            self._channels[topic] = self._writer.register_channel(topic, "protobuf", schema, metadata or {})
+                self._schemas[message] = self._writer.schema(message, "protobuf", embedded_schema(message))
+            self._channels[topic] = self._writer.channel(topic, self._schemas[message], metadata or {})
 
-    def write(self, topic: str, data: bytes, *, sim_ns: int | None = None, digest: bool = True) -> None:
+    def write(self, topic: str, data: bytes, *, sim_ns: int | None = None) -> None:
         """A serialised message on a declared topic.
 
         sim_ns  simulated time [ns]; None for messages about the run itself, which are placed by the time since its
                 beginning
-        digest  False where the content is digested otherwise (states)
         """
         elapsed = time.perf_counter_ns() - self._began_ns if sim_ns is None else sim_ns
         # Digest, sequence and bytes go together: an interruption between them would make a good file look damaged.
         with self._disk():
-            if digest:
+            if topic != topics.RUN_END:
                 self._digest.message(topic, data)
-            sequence = self._sequence.get(topic, 0)
-            self._sequence[topic] = sequence + 1
-            self._writer.add_message(
-                self._channels[topic],
-                log_time=EPOCH_NS + elapsed,
-                data=data,
-                publish_time=time.time_ns(),
-                sequence=sequence,
-            )
-            self._stream.flush()
+            self._message(topic, data, EPOCH_NS + elapsed)
+
+    def write_parts(self, topic: str, parts: Sequence[Part], *, sim_ns: int) -> None:
+        """A serialised message in parts, whose content is digested otherwise (`digest`): states.
+
+        The parts must not change before `flush`.
+        """
+        with self._disk():
+            self._message(topic, parts, EPOCH_NS + sim_ns)
+
+    def flush(self) -> None:
+        """Hand all that was written to the operating system: only a crash of the machine can lose it now."""
+        with self._disk():
+            self._writer.flush()
+
+    def _message(self, topic: str, data: bytes | Sequence[Part], log_time: int) -> None:
+        sequence = self._sequence.get(topic, 0)
+        self._sequence[topic] = sequence + 1
+        channel = self._channels[topic]
+        self._writer.message(channel, data, log_time=log_time, publish_time=time.time_ns(), sequence=sequence)
 
     @property
     def digest(self) -> ContentDigest:
@@ -138,10 +134,9 @@ class Sink:
             cause=enum_values("gsb.v1.Cause")[f"CAUSE_{cause or 'UNSPECIFIED'}"],
         )
         self.channel(topics.RUN_END, "gsb.v1.RunEnd")
-        self.write(topics.RUN_END, end.SerializeToString(deterministic=True), digest=False)
+        self.write(topics.RUN_END, end.SerializeToString(deterministic=True))
         with self._disk():
             self._writer.finish()
-            self._stream.flush()
             os.fsync(self._stream.fileno())
             self._stream.close()
             self._rename()

@@ -3,22 +3,29 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from recorder.capture.sink import Sink
+from recorder.capture.workers import Workers
 from recorder.interruption import shielded
+from recorder.simulators.captured import Captured, Held, States
 from schemas import topics
-from schemas.blocks import encode_fingerprints, encode_state
+from schemas.blocks import encode_fingerprints, little_endian, state_parts
 from schemas.configuration import sim_time_ns
 from schemas.fields import StateField
 from schemas.fingerprint import ALGORITHM, fingerprint
+from schemas.mcap_writer import Part
 
 STEPS_PER_BLOCK = 50
 _ENV_BLOCK_MIN = 64
 _ENV_BLOCKS = 64
 _BLOCK_BYTES = 4 << 20
+_RING_BYTES = 128 << 20
+_ALONE_BYTES = 1 << 20  # blocks up to this size are not worth other threads
+_PIECES = 8  # of a block, at least, to be shared among threads
 
 
 def env_block(n_env: int) -> int:
@@ -26,10 +33,15 @@ def env_block(n_env: int) -> int:
     return max(_ENV_BLOCK_MIN, -(-n_env // _ENV_BLOCKS))
 
 
+def row_bytes(n_env: int, fields: Sequence[StateField]) -> int:
+    """Bytes of the states of all environments after one step."""
+    return n_env * sum(len(f.items) * f.width * np.dtype(f.dtype).itemsize for f in fields)
+
+
 def steps_per_block(n_env: int, fields: Sequence[StateField]) -> int:
-    """Rows per block, so that the largest message stays at about 4 MB."""
+    """Rows per block, so that the largest message stays at about 4 MB, and a block of all environments at 128 MiB."""
     row = max(len(f.items) * f.width * np.dtype(f.dtype).itemsize for f in fields) * min(n_env, env_block(n_env))
-    return max(1, min(STEPS_PER_BLOCK, _BLOCK_BYTES // row))
+    return max(1, min(STEPS_PER_BLOCK, _BLOCK_BYTES // row, _RING_BYTES // row_bytes(n_env, fields)))
 
 
 def declare_fingerprints(sink: Sink, phase: str) -> None:
@@ -49,30 +61,42 @@ def write_fingerprints(
     sink.write(topics.fingerprint(phase), data, sim_ns=sim_time_ns(first_step, dt))
 
 
+class _Piece(NamedTuple):
+    """A part of a block that one thread looks at: some steps of one range of environments."""
+
+    states: States
+    first_row: int
+    first_env: int
+
+
 class StateWriter:
     """Writes the states of the capture phase.
 
-    Rows are fed at full rate; every `stride`-th is stored, and every one is hashed.
+    Rows are fed at full rate; every `stride`-th is stored, and every one is hashed. Ranges of environments, and fields,
+    are worked on by several threads, so that the file keeps pace with a device.
 
     last_step           last step that was fed; -1 before the first
     last_recorded_step  last step whose state is in the file; rows held back for a full block are not yet
+    fields              what is written
+    workers             the threads
     """
 
     def __init__(self, sink: Sink, fields: Sequence[StateField], *, n_env: int, dt: float, stride: int) -> None:
         self._sink = sink
-        self._fields = tuple(fields)
+        self.fields = tuple(fields)
         self._n_env = n_env
         self._dt = dt
         self._stride = stride
-        self._envs = env_block(n_env)
         self._rows = steps_per_block(n_env, fields)
-        self._held: list[list[NDArray[np.floating]]] = [[] for _ in fields]
+        self._starts = range(0, n_env, env_block(n_env))
+        self._held: list[list[States]] = []  # by block that was fed, then by range of environments
         self._held_rows = 0
         self._held_first = 0
+        self.workers = Workers(alone=row_bytes(n_env, fields) * self._rows < _ALONE_BYTES)
         self.last_step = -1
         self.last_recorded_step = -1
-        for field in self._fields:
-            for start in range(0, n_env, self._envs):
+        for field in self.fields:
+            for start in self._starts:
                 metadata = {**field.to_metadata(), "stride": str(stride), "dt": repr(dt), "n_env": str(n_env)}
                 sink.channel(topics.state(field.group, field.field, start), "gsb.v1.StateBlock", metadata)
         declare_fingerprints(sink, "capture")
@@ -84,56 +108,97 @@ class StateWriter:
 
     def feed(self, arrays: Sequence[NDArray[np.floating]]) -> str | None:
         """The states after the next steps, arrays [step, env, item, width]; returns what is not finite, if anything."""
+        return self.take(Held(tuple(arrays)))
+
+    def take(self, block: Captured) -> str | None:
+        """The same of a block that an engine made; its arrays are not needed when this returns."""
         first = self.last_step + 1
-        count = arrays[0].shape[0]
-        hashes = fingerprint(arrays)
         keep = slice(-first % self._stride, None, self._stride)
-        kept = [array[keep] for array in arrays]
+        columns = list(self.workers.start(lambda start: self._read(block, start), self._starts))
+        pieces = self._pieces(columns)
+        looked_at = self.workers.start(self._look, pieces)
         with shielded():  # hashes and rows stay in step, so that what was fed can be written after an interruption
-            write_fingerprints(self._sink, "capture", hashes, first_step=first, stride=1, dt=self._dt)
-            if len(kept[0]):
+            kept = [tuple(array[keep] for array in states) for states in columns]
+            stored = len(kept[0][0])
+            if stored:
                 if not self._held_rows:
                     self._held_first = first + keep.start
-                for held, rows in zip(self._held, kept, strict=True):
-                    held.append(rows)
-                self._held_rows += len(kept[0])
+                self._held.append(kept)
+                self._held_rows += stored
+            count = len(columns[0][0])
             self.last_step += count
             if self._held_rows >= self._rows or first == 0:
                 self.flush()
-        return self._not_finite(arrays, first)
+            elif stored:  # until the block is full, in memory of their own
+                self._held[-1] = [tuple(array.copy() for array in states) for states in kept]
+            hashes = np.empty((count, self._n_env), dtype=np.uint64)
+            found = []
+            for piece, (some, not_finite) in zip(pieces, looked_at, strict=True):
+                rows, envs = piece.first_row + some.shape[0], piece.first_env + some.shape[1]
+                hashes[piece.first_row : rows, piece.first_env : envs] = some
+                found += not_finite
+            write_fingerprints(self._sink, "capture", hashes, first_step=first, stride=1, dt=self._dt)
+            self._sink.flush()
+        if not found:
+            return None
+        row, env, what = min(found)
+        return f"a state is not finite: step {first + row}, env {env}, {what}"
 
     def flush(self) -> None:
         """Write the rows that are held back for a full block."""
         if not self._held_rows:
             return
         with shielded():
-            held, self._held = self._held, [[] for _ in self._fields]
+            held, self._held = self._held, []
             rows, self._held_rows = self._held_rows, 0
-            for field, pieces in zip(self._fields, held, strict=True):
-                self._write(field, np.concatenate(pieces))
+            columns = held[0] if len(held) == 1 else [_joined(parts) for parts in zip(*held, strict=True)]
+            time = sim_time_ns(self._held_first, self._dt)
+            places = [(column, field) for column in range(len(self._starts)) for field in range(len(self.fields))]
+            digesting = self.workers.start(lambda field: self._digest(field, columns), range(len(self.fields)))
+            blocks = self.workers.start(lambda place: self._block(columns, *place, time), places)
+            for (column, index), parts in zip(places, blocks, strict=True):
+                field = self.fields[index]
+                self._sink.write_parts(topics.state(field.group, field.field, self._starts[column]), parts, sim_ns=time)
+            for _ in digesting:  # the arrays are needed until then
+                pass
+            self._sink.flush()
             self.last_recorded_step = self._held_first + (rows - 1) * self._stride
 
-    def _write(self, field: StateField, array: NDArray[np.floating]) -> None:
-        self._sink.digest.state(field, self._n_env, array)
-        time = sim_time_ns(self._held_first, self._dt)
-        for start in range(0, self._n_env, self._envs):
-            data = encode_state(
-                array[:, start : start + self._envs],
-                first_step=self._held_first,
-                stride=self._stride,
-                env_start=start,
-                sim_time_ns=time,
-            )
-            self._sink.write(topics.state(field.group, field.field, start), data, sim_ns=time, digest=False)
+    def _read(self, block: Captured, start: int) -> States:
+        envs = slice(start, min(start + env_block(self._n_env), self._n_env))
+        return tuple(little_endian(array) for array in block.states(envs))
 
-    def _not_finite(self, arrays: Sequence[NDArray[np.floating]], first: int) -> str | None:
+    def _pieces(self, columns: Sequence[States]) -> list[_Piece]:
+        # where there are few ranges of environments, steps are shared out as well
+        rows = len(columns[0][0])
+        size = max(1, -(-rows * len(columns) // _PIECES))
+        return [
+            _Piece(tuple(array[row : row + size] for array in states), row, start)
+            for start, states in zip(self._starts, columns, strict=True)
+            for row in range(0, rows, size)
+        ]
+
+    def _look(self, piece: _Piece) -> tuple[NDArray[np.uint64], list[tuple[int, int, str]]]:
+        # hashes [step, env], and for each field the first number that is not finite: its step, environment and place
         found = []
-        for field, array in zip(self._fields, arrays, strict=True):
-            bad = ~np.isfinite(array)
-            if bad.any():
-                row, env, item, _ = (int(i) for i in np.argwhere(bad)[0])
-                found.append((first + row, env, f"{field.name} of {field.items[item]}"))
-        if not found:
-            return None
-        step, env, what = min(found)
-        return f"a state is not finite: step {step}, env {env}, {what}"
+        for field, array in zip(self.fields, piece.states, strict=True):
+            if not np.isfinite(array).all():
+                row, env, item, _ = (int(i) for i in np.argwhere(~np.isfinite(array))[0])
+                found.append((piece.first_row + row, piece.first_env + env, f"{field.name} of {field.items[item]}"))
+        return fingerprint(piece.states), found
+
+    def _digest(self, index: int, columns: Sequence[States]) -> None:
+        self._sink.digest.state_columns(self.fields[index], self._n_env, [states[index] for states in columns])
+
+    def _block(self, columns: Sequence[States], column: int, index: int, time: int) -> tuple[Part, ...]:
+        return state_parts(
+            columns[column][index],
+            first_step=self._held_first,
+            stride=self._stride,
+            env_start=self._starts[column],
+            sim_time_ns=time,
+        )
+
+
+def _joined(parts: Sequence[States]) -> States:
+    return tuple(np.concatenate(pieces) for pieces in zip(*parts, strict=True))

@@ -55,10 +55,11 @@ class JointTargets:
         word = mix32(np.array([low], dtype=np.uint32) + golden)
         return int(mix32(word + np.uint32(high) + golden)[0])
 
-    def draw(self, seed: int, *, n_env: int, first_step: int, n_step: int) -> NDArray[np.float32]:
-        """Targets [rad], shape [step, env, joint]; row i leads from the state of step first_step + i to the next."""
+    def draw(self, seed: int, *, n_env: int, first_step: int, n_step: int, first_env: int = 0) -> NDArray[np.float32]:
+        """Targets [rad], shape [step, env, joint], of n_env environments from first_env on; row i leads from the state
+        of step first_step + i to the next."""
         counters = (
-            np.arange(n_env)[None, :, None],
+            first_env + np.arange(n_env)[None, :, None],
             first_step + np.arange(n_step)[:, None, None],
             np.arange(len(self.joints))[None, None, :],
         )

@@ -18,12 +18,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recorder.scenes.base import Scene
+from recorder.simulators.captured import Captured, Held, States
 from recorder.simulators.evidence import Evidence
 from schemas.fields import StateField
 from schemas.provenance import Buffer, Counter, Deviation, OverflowBit
 
-States = tuple[NDArray[np.floating], ...]
-"""One array per state field, in the order of Description.fields."""
+__all__ = ["Captured", "Description", "Evidence", "Held", "Simulator", "States"]
 
 
 @dataclass(frozen=True)
@@ -66,12 +66,14 @@ class Simulator(ABC):
     determinism      levels that can be asked for, and what each sets, in words; "default" is the engine as it ships
     draws_actions    True where the adapter makes the scene's actions on its device, step by step, instead of taking
                      them from ``prepare``
+    blocks_ahead     blocks of captured steps that may be begun before the first of them is waited for
     """
 
     Options: ClassVar[type]
     timing_interval: ClassVar[int] = 1
     determinism_levels: ClassVar[dict[str, str]] = {"default": "the engine as it ships"}
     draws_actions: ClassVar[bool] = False
+    blocks_ahead: ClassVar[int] = 1
 
     def __init__(
         self, scene: Scene, *, n_env: int, dt: float, seed: int, options: Any, determinism: str = "default"
@@ -143,6 +145,14 @@ class Simulator(ABC):
             self.step(1)
             rows.append(tuple(array.copy() for array in self.state()))
         return tuple(np.stack(column) for column in zip(*rows, strict=True))
+
+    def begin_states(self, n_step: int) -> Captured:
+        """Begin what ``states`` does, with the evidence of these steps; return before the device is done, if it can.
+
+        The recorder writes one block while the next ones are being made. At most `blocks_ahead` blocks are not waited
+        for yet, and at most three are not released. Engines that do not wait for their device override this.
+        """
+        return Held(self.states(n_step), self.evidence())
 
     def evidence(self) -> Evidence | None:
         """Counts of the steps of the last call of ``states``, or of the last step, one row, after ``step``.

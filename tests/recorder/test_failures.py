@@ -228,13 +228,13 @@ def test_a_simulator_is_closed_once(
 def test_a_process_that_cannot_start_says_why(gsb_record: Command, tmp_path: Path) -> None:
     """Report in one line what kept the run's process from recording, end with 1, leave no file."""
     (tmp_path / "path").mkdir()
-    (tmp_path / "path" / "mcap.py").write_text("raise RuntimeError('this mcap is broken')\n")
+    (tmp_path / "path" / "psutil.py").write_text("raise RuntimeError('this psutil is broken')\n")
     done = gsb_record(
         "--sim", "mujoco", "--runs", 1, "--out", tmp_path / "out",
         env={**os.environ, "PYTHONPATH": str(tmp_path / "path")},
     )  # fmt: skip
     assert done.returncode == 1
-    assert "RuntimeError: this mcap is broken" in done.stderr
+    assert "RuntimeError: this psutil is broken" in done.stderr
     assert "Traceback" not in done.stderr
     assert not list((tmp_path / "out").iterdir())
 

@@ -1,0 +1,59 @@
+"""Captured states that are kept in the host's memory, to be written once the engine has made its last step."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+import psutil
+
+from recorder.capture.states import env_block, row_bytes
+from recorder.capture.workers import Workers
+from recorder.capture.writing import Block
+from recorder.simulators.captured import Held
+from schemas.fields import StateField
+
+_USABLE = 0.8  # of what the system says is available
+
+
+class KeptStates:
+    """Memory for the states of `rows` steps, all of it touched before the first one is made.
+
+    Raises MemoryError where the machine has not that much to spare.
+    """
+
+    def __init__(self, fields: Sequence[StateField], *, n_env: int, rows: int, workers: Workers) -> None:
+        need = rows * row_bytes(n_env, fields)
+        available = int(psutil.virtual_memory().available * _USABLE)
+        if need > available:
+            raise MemoryError(
+                f"--capture memory keeps {need / 1e9:.1f} GB of states, and {available / 1e9:.1f} GB may be used: "
+                "capture fewer steps, or lossless"
+            )
+        shapes = [(rows, n_env, len(field.items), field.width) for field in fields]
+        # zeros alone would give no memory yet
+        self._arrays = [np.full(shape, 0, dtype=f.dtype) for shape, f in zip(shapes, fields, strict=True)]
+        size = env_block(n_env)
+        self._ranges = [slice(start, min(start + size, n_env)) for start in range(0, n_env, size)]
+        self._workers = workers
+        self._blocks: list[Block] = []
+        self._filled = 0
+
+    def keep(self, block: Block) -> None:
+        """Copy a block."""
+        first = self._filled
+
+        def copy(envs: slice) -> int:
+            states = block.captured.states(envs)
+            for kept, array in zip(self._arrays, states, strict=True):
+                kept[first : first + len(array), envs] = array
+            return len(states[0])
+
+        self._filled += next(iter(set(self._workers.start(copy, self._ranges))))
+        states = tuple(array[first : self._filled] for array in self._arrays)
+        self._blocks.append(Block(block.first_step, Held(states, block.captured.evidence()), block.actions))
+
+    def write(self, write: Callable[[Block], None]) -> None:
+        """Have everything that was kept written, in order."""
+        for block in self._blocks:
+            write(block)

@@ -1,0 +1,94 @@
+"""The capture phase's loop: an engine steps, its states go to whoever writes them, and the clock says what that cost.
+
+Blocks of steps go round in a ring of RING_BLOCKS: some are being made, one is on its way to the host, some are being
+written. Nothing is ever dropped. Where writing is slower than the engine, the engine stands still until a block of the
+ring is free again, and for how long is recorded.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from recorder.capture.actions import Actions
+from recorder.capture.writing import Block, Writing
+from recorder.simulators.base import Simulator
+from recorder.simulators.captured import Held
+
+RING_BLOCKS = 3
+
+
+class CaptureClock:
+    """When blocks had arrived at the host, and how long the engine stood still before each was begun.
+
+    All readings are of the host's monotonic clock [ns], arrays [2, block]: begins and ends.
+
+    blocks  each begins where the one before it ends; the last may have fewer steps
+    stalls  waits for the writer with nothing left for the engine to do
+    """
+
+    def __init__(self) -> None:
+        self._arrived = [time.perf_counter_ns()]
+        self._stalls: list[tuple[int, int]] = []
+
+    def arrive(self) -> None:
+        """A block has arrived."""
+        self._arrived.append(time.perf_counter_ns())
+
+    def stall(self, wait: Callable[[], None]) -> None:
+        """Wait, and keep how long."""
+        begin = time.perf_counter_ns()
+        wait()
+        self._stalls.append((begin, time.perf_counter_ns()))
+
+    @property
+    def blocks(self) -> NDArray[np.int64]:
+        """See the class."""
+        return np.array([self._arrived[:-1], self._arrived[1:]], dtype=np.int64)
+
+    @property
+    def stalls(self) -> NDArray[np.int64]:
+        """See the class."""
+        return np.array(self._stalls, dtype=np.int64).reshape(-1, 2).T
+
+
+def step_and_capture(
+    simulator: Simulator,
+    writing: Writing,
+    clock: CaptureClock,
+    *,
+    steps: int,
+    block_steps: int,
+    prepare: Callable[[int, int], Actions | None],
+    progress: Callable[[int], None],
+    stopped: Callable[[], bool],
+) -> None:
+    """Put the initial state and the states of `steps` steps, `block_steps` of them a block.
+
+    prepare   hands the engine the actions of the next steps, by the first of them and their number, and returns them
+    progress  called with the steps begun so far
+    stopped   True once a state was not finite: nothing of use follows
+    """
+    writing.put(Block(0, Held(tuple(array[np.newaxis].copy() for array in simulator.state())), None))
+    ahead: deque[Block] = deque()
+    begun = 0
+    while (begun < steps and not stopped()) or ahead:
+        room = len(ahead) < simulator.blocks_ahead and len(ahead) + writing.unwritten < RING_BLOCKS
+        if begun < steps and not stopped() and (room or not ahead):
+            if not room:
+                clock.stall(lambda: writing.wait(RING_BLOCKS - 1))
+            progress(begun)
+            count = min(block_steps, steps - begun)
+            actions = prepare(begun, count)
+            ahead.append(Block(begun + 1, simulator.begin_states(count), actions))
+            begun += count
+        else:
+            block = ahead.popleft()
+            block.captured.wait()
+            clock.arrive()
+            writing.put(block)
+            writing.wait(RING_BLOCKS)  # never waits; an error of the writer is to end the stepping at once

@@ -1,0 +1,88 @@
+"""Blocks of captured steps, written by a thread of their own while the engine steps on."""
+
+from __future__ import annotations
+
+import threading
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from recorder.capture.actions import Actions
+from recorder.simulators.captured import Captured
+
+
+@dataclass(frozen=True)
+class Block:
+    """Consecutive steps.
+
+    first_step  the step whose state is the first row
+    actions     that led to these states; None where the scene has none, and for the initial state
+    """
+
+    first_step: int
+    captured: Captured
+    actions: Actions | None
+
+
+class Writing:
+    """Writes blocks in the order in which they are put; each is released once it is written.
+
+    write  writes one block, in another thread; an error of it is raised by the next call of ``wait`` or by ``finish``,
+           and the blocks behind it are released and not written
+    """
+
+    def __init__(self, write: Callable[[Block], None]) -> None:
+        self._write = write
+        self._blocks: deque[Block] = deque()
+        self._unwritten = 0
+        self._ended = False
+        self._error: BaseException | None = None
+        self._changed = threading.Condition()
+        self._thread = threading.Thread(target=self._work, name="writing", daemon=True)
+        self._thread.start()
+
+    @property
+    def unwritten(self) -> int:
+        """Blocks that were put and are not released yet."""
+        return self._unwritten
+
+    def put(self, block: Block) -> None:
+        """Have a block written; returns at once."""
+        with self._changed:
+            self._blocks.append(block)
+            self._unwritten += 1
+            self._changed.notify_all()
+
+    def wait(self, most: int) -> None:
+        """Return once at most so many blocks are unwritten."""
+        with self._changed:
+            self._changed.wait_for(lambda: self._unwritten <= most or self._error is not None)
+        if self._error is not None:
+            raise self._error
+
+    def finish(self) -> None:
+        """Return once all that was put is written, and end the thread."""
+        with self._changed:
+            self._ended = True
+            self._changed.notify_all()
+        self._thread.join()
+        if self._error is not None:
+            raise self._error
+
+    def _work(self) -> None:
+        while (block := self._next()) is not None:
+            try:
+                if self._error is None:
+                    self._write(block)
+            except BaseException as error:  # whatever it is, the thread that steps is to know it
+                self._error = error
+            finally:
+                block.captured.release()
+                with self._changed:
+                    self._unwritten -= 1
+                    self._changed.notify_all()
+
+    def _next(self) -> Block | None:
+        with self._changed:
+            self._changed.wait_for(lambda: self._blocks or self._ended)
+            return self._blocks.popleft() if self._blocks else None

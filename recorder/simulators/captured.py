@@ -1,0 +1,53 @@
+"""States of consecutive steps on their way from an engine to a recording."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+
+import numpy as np
+from numpy.typing import NDArray
+
+from recorder.simulators.evidence import Evidence
+
+States = tuple[NDArray[np.floating], ...]
+"""One array per state field, in the order of Description.fields."""
+
+
+class Captured(ABC):
+    """A block of steps that an adapter was asked for. The recorder calls ``wait`` in the thread that steps, then, in
+    other threads, ``states`` for ranges of environments, several at a time, and ``evidence``; at last ``release``."""
+
+    @abstractmethod
+    def wait(self) -> None:
+        """Return when the device has made these steps and the host has their states."""
+
+    @abstractmethod
+    def states(self, envs: slice) -> States:
+        """Arrays [step, env of the range, item, width], unchanged until ``release``."""
+
+    @abstractmethod
+    def evidence(self) -> Evidence | None:
+        """What the engine shows of each of these steps; None where it tells nothing."""
+
+    def release(self) -> None:  # noqa: B027 - what owns its arrays has nothing to give back
+        """The arrays are not needed any longer: their memory may be used again."""
+
+
+class Held(Captured):
+    """States that are on the host already, in arrays of their own."""
+
+    def __init__(self, states: States, evidence: Evidence | None = None) -> None:
+        """states  [step, env, item, width], one array a field."""
+        self._states = states
+        self._evidence = evidence
+
+    def wait(self) -> None:
+        """See Captured.wait."""
+
+    def states(self, envs: slice) -> States:
+        """See Captured.states."""
+        return tuple(array[:, envs] for array in self._states)
+
+    def evidence(self) -> Evidence | None:
+        """See Captured.evidence."""
+        return self._evidence
