@@ -361,6 +361,7 @@ class Run:
             if problem:
                 problems.append(problem)
 
+        simulator.reserve(min(c.steps, writer.steps_per_block))
         # until it has finished, the sink is its thread's
         writing = Writing(kept.keep if kept else write)
         clock = CaptureClock()

@@ -146,6 +146,9 @@ class Simulator(ABC):
             rows.append(tuple(array.copy() for array in self.state()))
         return tuple(np.stack(column) for column in zip(*rows, strict=True))
 
+    def reserve(self, n_step: int) -> None:  # noqa: B027 - most engines have nothing to reserve
+        """Make room for the blocks of a capture, which have at most n_step steps; called before the first of them."""
+
     def begin_states(self, n_step: int) -> Captured:
         """Begin what ``states`` does, with the evidence of these steps; return before the device is done, if it can.
 

@@ -15,7 +15,8 @@ from recorder.simulators.base import Description, States
 from recorder.simulators.brax.options import BraxOptions, deviations
 from recorder.simulators.counters import CANDIDATE_PAIRS, CONTACTS
 from recorder.simulators.jax import runtime as jax_runtime
-from recorder.simulators.jax.simulator import OVERFLOW, JaxSimulator, Physics
+from recorder.simulators.jax.block import OVERFLOW
+from recorder.simulators.jax.simulator import JaxSimulator, Physics
 from recorder.simulators.mujoco.options import MjcfOptions
 from schemas.errors import UsageError
 from schemas.fields import BODY_FIELDS, StateField, body_fields

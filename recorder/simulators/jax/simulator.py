@@ -14,15 +14,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from recorder.simulators.base import Description, Simulator, States
+from recorder.simulators.base import Captured, Description, Simulator, States
 from recorder.simulators.evidence import Evidence
 from recorder.simulators.jax import runtime as jax_runtime
 from recorder.simulators.jax.actions import device_draw
+from recorder.simulators.jax.block import OVERFLOW, JaxBlock, evidence_of
 
 _RING_BYTES = 256 << 20
 _RING_STEPS = 50
-
-OVERFLOW = "overflow"
 
 
 @dataclass(frozen=True)
@@ -58,6 +57,7 @@ class JaxSimulator(Simulator):
     timing_interval = 100
     determinism_levels = jax_runtime.LEVELS
     draws_actions = True
+    blocks_ahead = 2
 
     @classmethod
     def environment(cls, options: Any, determinism: str) -> dict[str, str]:
@@ -79,7 +79,7 @@ class JaxSimulator(Simulator):
         actions = self.scene.actions
         self._draw = None if actions is None else device_draw(actions, seed=self.seed, n_env=self.n_env)
         self._programs: dict[str, Any] = {}
-        self._rows: dict[str, NDArray[Any]] | None = None  # counts of the last states; None: to be counted when asked
+        self._counted: Evidence | None = None  # of the last states; None: to be counted when asked
         self._restart()
         row = sum(array.nbytes for array in self._seen().values())
         fits = max(1, min(_RING_STEPS, _RING_BYTES // max(1, row)))
@@ -172,43 +172,44 @@ class JaxSimulator(Simulator):
             self._program("advance")(self._state, self._bits, self._step, np.int32(n_step))
         )
         self._step = np.uint32(self._step + n_step)
-        self._rows = None
+        self._counted = None
 
     def state(self) -> States:
         """See Simulator.state."""
         return self._split(self._seen())
 
-    def states(self, n_step: int) -> States:
-        """See Simulator.states."""
-        import jax
-
-        seen: list[dict[str, NDArray[Any]]] = []
-        counts: list[dict[str, NDArray[Any]]] = []
+    def begin_states(self, n_step: int) -> Captured:
+        """See Simulator.begin_states: JAX returns before its device is done."""
         program = self._program("record")
+        parts = []
         for first in range(0, n_step, self._ring):
             rows = min(self._ring, n_step - first)
             self._state, rings = program(self._state, self._step, np.int32(rows))
             self._step = np.uint32(self._step + rows)
-            host = jax.device_get(rings)
-            for kept, part in ((seen, "seen"), (counts, "counts")):
-                kept.append({name: ring[:rows] for name, ring in host[part].items()})
-        self._rows = _concatenated(counts)
-        return self._split(_concatenated(seen))
+            parts.append((rows, rings))
+        return JaxBlock(parts, self._split)
+
+    def states(self, n_step: int) -> States:
+        """See Simulator.states."""
+        block = self.begin_states(n_step)
+        block.wait()
+        self._counted = block.evidence()
+        return block.states(slice(None))
 
     def evidence(self) -> Evidence:
         """See Simulator.evidence. After ``step``, counts are made from the last step's state, outside the timed loop,
         which gathers overflow bits alone."""
         import jax
 
-        rows = self._rows
-        if rows is None:
-            counted = jax.device_get(self._program("count")(self._state))
-            rows = {name: array[None] for name, array in counted.items()}
-            if OVERFLOW in rows:
-                rows[OVERFLOW] = rows[OVERFLOW] | np.asarray(self._bits)
-            self._state = self._physics.forget(self._state)
-            self._bits = np.zeros(self.n_env, np.uint32)
-        return Evidence({name: array for name, array in rows.items() if name != OVERFLOW}, rows.get(OVERFLOW))
+        if self._counted is not None:
+            return self._counted
+        counted = jax.device_get(self._program("count")(self._state))
+        rows = {name: array[None] for name, array in counted.items()}
+        if OVERFLOW in rows:
+            rows[OVERFLOW] = rows[OVERFLOW] | np.asarray(self._bits)
+        self._state = self._physics.forget(self._state)
+        self._bits = np.zeros(self.n_env, np.uint32)
+        return evidence_of(rows)
 
     def applied(self) -> NDArray[np.float32] | None:
         """See Simulator.applied."""
@@ -224,9 +225,3 @@ class JaxSimulator(Simulator):
         """See Simulator.close."""
         self._state = None
         self._programs = {}
-
-
-def _concatenated(parts: list[dict[str, NDArray[Any]]]) -> dict[str, NDArray[Any]]:
-    if len(parts) == 1:
-        return parts[0]
-    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}

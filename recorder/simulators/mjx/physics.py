@@ -13,8 +13,8 @@ import numpy as np
 from recorder.failure import Refused
 from recorder.scenes.base import Scene
 from recorder.simulators.counters import CANDIDATE_PAIRS, CONSTRAINT_ROWS, CONTACTS, SOLVER_ITERATIONS
+from recorder.simulators.jax.block import OVERFLOW
 from recorder.simulators.jax.runtime import JaxOptions
-from recorder.simulators.jax.simulator import OVERFLOW
 from recorder.simulators.mujoco.options import CONES, MjcfOptions, one_of
 from schemas.provenance import Buffer, Counter, OverflowBit
 

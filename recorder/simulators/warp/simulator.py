@@ -1,8 +1,8 @@
 """MuJoCo Warp: MuJoCo's physics in Warp kernels, on a GPU or, slowly, on the CPU.
 
 On a GPU one step is captured as a CUDA graph and replayed. Actions are drawn on the device as part of it. For a
-capture, a second graph copies the state and what the engine counts into a ring on the device after each step; the ring
-is read once it is full.
+capture, further graphs copy the state and what the engine counts into one of a few rings on the device after each step;
+while one ring is filled, the one before it is copied to the host.
 """
 
 from __future__ import annotations
@@ -19,11 +19,13 @@ from numpy.typing import NDArray
 from recorder.failure import Refused, cause_of
 from recorder.scenes.actions import GRID
 from recorder.scenes.emit.mjcf import deviations
-from recorder.simulators.base import Description, Simulator, States
+from recorder.simulators.base import Captured, Description, Simulator, States
 from recorder.simulators.counters import CONSTRAINT_ROWS, CONTACTS, SOLVER_ITERATIONS
 from recorder.simulators.evidence import Evidence
 from recorder.simulators.mujoco.options import MjcfOptions
 from recorder.simulators.warp import runtime as warp_runtime
+from recorder.simulators.warp.block import WarpBlock, evidence_of
+from recorder.simulators.warp.transfer import Slot, Slots
 from schemas.errors import GsbError
 from schemas.provenance import Buffer, OverflowBit
 
@@ -69,6 +71,7 @@ class MujocoWarp(Simulator):
     Options = WarpOptions
     timing_interval = 10
     draws_actions = True
+    blocks_ahead = 2
     determinism_levels = {
         "default": "the engine as it ships: opt.deterministic is NONE",
         "off": "opt.deterministic NONE, whatever the engine's default",
@@ -109,12 +112,12 @@ class MujocoWarp(Simulator):
         self._data = self._try(lambda: self._new_data(self.n_env))
         self._step_number = wp.zeros(1, dtype=wp.int32)
         self._row = wp.zeros(1, dtype=wp.int32)
-        self._rows = 0
+        self._slots: Slots | None = None
         if self.scene.actions is not None:
             first, count = self.scene.actions.grid()
             self._first, self._count = wp.array(first, dtype=wp.int32), wp.array(count, dtype=wp.uint32)
         self._graphs: dict[str, Any] = {}
-        self._counts: NDArray[np.int32] | None = None
+        self._counted: Evidence | None = None  # of the last states; None: to be counted when asked
         return Description(
             version=mjw.__version__,
             device=warp_runtime.name_of(self._device),
@@ -187,10 +190,31 @@ class MujocoWarp(Simulator):
         if phase == "timed":
             self._graphs[phase] = self._captured(self._one_step)
         elif phase == "capture":
-            self._make_ring(1)
-            self._one_snapshot()  # builds its kernels
+            spare = self._new_slots(1).take()
+            self._snapshot(spare)  # builds its kernels
+            self._row.zero_()
             self._data.overflow.zero_()
-            self._graphs[phase] = None  # captured with the ring, whose size is known when states are asked for
+            self._graphs[phase] = None  # captured with the slots, whose size is known when states are asked for
+
+    def reserve(self, n_step: int) -> None:
+        """See Simulator.reserve."""
+        self.compile("capture")
+        if self._slots is not None and self._slots.rows >= n_step:
+            return
+        self._slots = self._new_slots(n_step)
+        self._recording = {
+            id(slot): self._captured(lambda slot=slot: self._step_and_snapshot(slot))  # type: ignore[misc]
+            for slot in self._slots.all
+        }
+
+    def _new_slots(self, rows: int) -> Slots:
+        data = self._data
+        shapes: dict[str, tuple[tuple[int, ...], Any]] = {
+            "qpos": ((rows, *data.qpos.shape), float),
+            "qvel": ((rows, *data.qvel.shape), float),
+            "counts": ((rows, 4, self.n_env), int),
+        }
+        return Slots(self._device, shapes)
 
     def _captured(self, work: Callable[[], None]) -> Any:
         if not self._device.is_cuda:
@@ -222,47 +246,46 @@ class MujocoWarp(Simulator):
             wp.launch(kernels.advance, dim=1, inputs=[self._step_number])
         mjw.step(self._model, self._data)
 
-    def _make_ring(self, rows: int) -> None:
+    def _snapshot(self, slot: Slot) -> None:
         import warp as wp
 
-        data = self._data
-        self._rows = rows
-        self._ring_qpos = wp.empty((rows, *data.qpos.shape), dtype=float)
-        self._ring_qvel = wp.empty((rows, *data.qvel.shape), dtype=float)
-        self._ring_counts = wp.empty((rows, 4, self.n_env), dtype=int)
+        from recorder.simulators.warp import kernels
 
-    def _one_snapshot(self) -> None:
+        for name in ("qpos", "qvel"):
+            values = getattr(self._data, name)
+            wp.launch(kernels.snapshot, dim=values.shape, inputs=[self._row, values], outputs=[slot.arrays[name]])
+        self._snapshot_counts(slot.arrays["counts"])
+        wp.launch(kernels.advance, dim=1, inputs=[self._row])
+
+    def _snapshot_counts(self, counts: Any) -> None:
         import warp as wp
 
         from recorder.simulators.warp import kernels
 
         data = self._data
-        wp.launch(kernels.snapshot, dim=data.qpos.shape, inputs=[self._row, data.qpos], outputs=[self._ring_qpos])
-        wp.launch(kernels.snapshot, dim=data.qvel.shape, inputs=[self._row, data.qvel], outputs=[self._ring_qvel])
         wp.launch(
             kernels.snapshot_counts,
             dim=self.n_env,
             inputs=[self._row, data.nefc, data.solver_niter, data.overflow],
-            outputs=[self._ring_counts],
+            outputs=[counts],
         )
         wp.launch(
             kernels.count_contacts,
             dim=data.contact.worldid.shape[0],
             inputs=[self._row, data.nacon, data.contact.worldid],
-            outputs=[self._ring_counts],
+            outputs=[counts],
         )
-        wp.launch(kernels.advance, dim=1, inputs=[self._row])
 
-    def _step_and_snapshot(self) -> None:
+    def _step_and_snapshot(self, slot: Slot) -> None:
         self._one_step()
-        self._one_snapshot()
+        self._snapshot(slot)
 
     def step(self, n_step: int) -> None:
         """See Simulator.step."""
         import warp as wp
 
         self.compile("timed")
-        self._counts = None
+        self._counted = None
         one = self._graphs["timed"]
         for _ in range(n_step):
             one()
@@ -279,35 +302,37 @@ class MujocoWarp(Simulator):
         """See Simulator.state."""
         return self._compiled.split(self._data.qpos.numpy(), self._data.qvel.numpy())
 
-    def states(self, n_step: int) -> States:
-        """See Simulator.states."""
-        self.compile("capture")
-        if self._graphs["capture"] is None or n_step > self._rows:
-            self._make_ring(n_step)
-            self._graphs["capture"] = self._captured(self._step_and_snapshot)
-        one = self._graphs["capture"]
+    def begin_states(self, n_step: int) -> Captured:
+        """See Simulator.begin_states."""
+        self.reserve(n_step)
+        assert self._slots is not None
+        slot = self._slots.take()
+        one = self._recording[id(slot)]
         self._row.zero_()
         for _ in range(n_step):
             one()
-        qpos, qvel = self._ring_qpos.numpy()[:n_step], self._ring_qvel.numpy()[:n_step]
-        self._counts = self._ring_counts.numpy()[:n_step]
-        return self._compiled.split(qpos, qvel)
+        slot.begin_copy(n_step)
+        return WarpBlock(self._slots, slot, n_step, self._compiled)
+
+    def states(self, n_step: int) -> States:
+        """See Simulator.states."""
+        block = self.begin_states(n_step)
+        block.wait()
+        states = tuple(array.copy() for array in block.states(slice(None)))
+        self._counted = block.evidence()
+        block.release()
+        return states
 
     def evidence(self) -> Evidence:
         """See Simulator.evidence; MuJoCo Warp itself gathers overflow bits over steps."""
-        counts = self._counts
-        if counts is None:
-            self._make_ring(1)
-            self._graphs.pop("capture", None)
+        if self._counted is None:
+            import warp as wp
+
+            counts = wp.empty((1, 4, self.n_env), dtype=int)
             self._row.zero_()
-            self._one_snapshot()
-            counts = self._ring_counts.numpy()
-            self._rows = 0
-            del self._ring_qpos, self._ring_qvel
-        return Evidence(
-            {CONTACTS.name: counts[:, 0], CONSTRAINT_ROWS.name: counts[:, 1], SOLVER_ITERATIONS.name: counts[:, 2]},
-            overflow=counts[:, 3].astype(np.uint32),
-        )
+            self._snapshot_counts(counts)
+            return evidence_of(counts.numpy())
+        return self._counted
 
     def allocator_bytes(self) -> tuple[int, int] | None:
         """See Simulator.allocator_bytes."""
@@ -316,5 +341,5 @@ class MujocoWarp(Simulator):
     def close(self) -> None:
         """See Simulator.close."""
         for name in list(vars(self)):
-            if name.startswith(("_data", "_model", "_ring", "_graphs")):
+            if name.startswith(("_data", "_model", "_slots", "_recording", "_graphs")):
                 delattr(self, name)

@@ -1,0 +1,83 @@
+"""Rows of arrays on a Warp device, copied to the host while the device goes on.
+
+A slot has arrays on the device and, for a GPU, their copies in pinned host memory. Copies run on a stream of their own
+as soon as the work before them is done. On the CPU the device's arrays are the host's.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from queue import SimpleQueue
+from typing import Any
+
+from numpy.typing import NDArray
+
+SLOTS = 3
+"""As many blocks as the recorder holds at once."""
+
+
+class Slot:
+    """Arrays [row, ...] by name, on the device and on the host."""
+
+    def __init__(self, device: Any, copying: Any, shapes: Mapping[str, tuple[tuple[int, ...], Any]]) -> None:
+        """shapes   shape and Warp's dtype by name; the first dimension is the row
+        copying  the stream that copies; None on the CPU
+        """
+        import warp as wp
+
+        self.arrays = {name: wp.empty(shape, dtype=dtype, device=device) for name, (shape, dtype) in shapes.items()}
+        self._device = device
+        self._copying = copying
+        self._copied: Any = None
+        if copying is None:
+            self._host = self.arrays
+        else:
+            self._host = {
+                name: wp.empty(shape, dtype=dtype, device="cpu", pinned=True) for name, (shape, dtype) in shapes.items()
+            }
+
+    def begin_copy(self, rows: int) -> None:
+        """Enqueue the copy of the first rows behind what the device has been given to do."""
+        if self._copying is None:
+            return
+        import warp as wp
+
+        self._copying.wait_event(self._device.stream.record_event())
+        for name, array in self.arrays.items():
+            wp.copy(self._host[name], array, count=rows * (array.size // array.shape[0]), stream=self._copying)
+        self._copied = self._copying.record_event(self._copied)
+
+    def wait(self) -> None:
+        """Return when the copy is there."""
+        if self._copied is not None:
+            import warp as wp
+
+            wp.synchronize_event(self._copied)
+
+    def host(self, name: str, rows: int) -> NDArray[Any]:
+        """The first rows of an array on the host: not a copy."""
+        array: NDArray[Any] = self._host[name].numpy()[:rows]
+        return array
+
+
+class Slots:
+    """A few slots alike. The thread that steps takes one; any thread gives it back."""
+
+    def __init__(self, device: Any, shapes: Mapping[str, tuple[tuple[int, ...], Any]]) -> None:
+        """shapes  as of Slot"""
+        import warp as wp
+
+        self.rows = next(iter(shapes.values()))[0][0]
+        copying = wp.Stream(device) if device.is_cuda else None
+        self.all = tuple(Slot(device, copying, shapes) for _ in range(SLOTS))
+        self._free: SimpleQueue[Slot] = SimpleQueue()
+        for slot in self.all:
+            self._free.put(slot)
+
+    def take(self) -> Slot:
+        """A slot that nobody uses; at most SLOTS may be taken."""
+        return self._free.get_nowait()
+
+    def give_back(self, slot: Slot) -> None:
+        """The slot may be taken again."""
+        self._free.put(slot)
