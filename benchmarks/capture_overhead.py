@@ -1,83 +1,116 @@
-"""Full capture against stepping alone, and the file's bytes against plain writes of the same bytes, in turn.
+"""What capturing every state costs beside stepping alone, for each mode in turn, from real recordings.
 
-usage: python -m benchmarks.capture_overhead [--repeats 5] [--n-env 64] [--steps 300]
+usage: python -m benchmarks.capture_overhead [--sim mujoco] [--scene inclined-collision] [--n-env 64] [--steps 300]
+           [--rounds 3] [--modes lossless,memory,stride] [--option NAME=VALUE ...] [--out DIR]
+
+Each recording steps twice from the same initial state: timed, with nothing captured, and captured. The ratio is that of
+the two. "stand still" is the part of the capture in which the engine waited for the writer, "then writing" what was
+left to write after the last step, as a part of the capture. "memory" is by how much the process grew while capturing.
 """
 
 from __future__ import annotations
 
 import argparse
-import os
 import subprocess
 import sys
 import tempfile
-import time
-import zlib
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from benchmarks.machine import machine, spread
 from evaluator import open_recording
-from recorder.capture.sink import Sink
-from recorder.capture.states import StateWriter
-from schemas.fields import BODY_FIELDS, body_field
+from recorder.capture.states import row_bytes
 
-_STEPS = 200
-
-
-def capture_ratio(folder: Path, n_env: int, steps: int) -> float:
-    """Wall time of the capture phase over that of the same number of timed steps from the same state."""
-    done = subprocess.run(
-        [sys.executable, "-m", "recorder.cli", "--sim", "mujoco", "--n-env", str(n_env), "--runs", "1", "--warmup", "0",
-         "--timed-steps", str(steps), "--steps", str(steps), "--out", str(folder)],
-        check=True, capture_output=True, text=True,
-    )  # fmt: skip
-    recording = open_recording(Path(done.stdout.strip()))
-    times = {(e.kind, e.phase): e.monotonic_ns for e in recording.events}
-    captured = (times["PHASE_END", "capture"] - times["PHASE_BEGIN", "capture"]) * 1e-9
-    return captured / recording.timing["timed"].elapsed_s
+MODES = {
+    "lossless": ("--capture", "lossless"),
+    "memory": ("--capture", "memory"),
+    "stride": ("--capture", "lossless", "--stride", "10"),
+}
 
 
-def write_ratio(folder: Path, n_env: int) -> tuple[float, float]:
-    """Rate of the host's write path (hashes, digests, CRCs, file) [MB/s], and its ratio to os.write plus CRC-32."""
-    fields = [body_field("cubes", name, "float64", tuple(map(str, range(28)))) for name in BODY_FIELDS]
-    rng = np.random.default_rng(0)
-    states = [rng.standard_normal((50, n_env, 28, f.width)) for f in fields]
-    size = sum(s.nbytes for s in states) * (_STEPS // 50)
-    sink = Sink(folder / f"{time.time_ns()}.mcap", compression="none")
-    writer = StateWriter(sink, fields, n_env=n_env, dt=0.01, stride=1)
-    began = time.perf_counter()
-    for _ in range(_STEPS // 50):
-        writer.feed(states)
-    writer.flush()
-    ours = time.perf_counter() - began
-    sink.abandon()
-    descriptor = os.open(folder / f"{time.time_ns()}.raw", os.O_WRONLY | os.O_CREAT)
-    began = time.perf_counter()
-    for _ in range(_STEPS // 50):
-        for state in states:
-            zlib.crc32(state)
-            os.write(descriptor, state)
-    floor = time.perf_counter() - began
-    os.close(descriptor)
-    return size / ours / 1e6, floor / ours
+@dataclass(frozen=True)
+class Cost:
+    """Of one recording.
+
+    ratio   capture / timed, time of the same steps
+    still   share of the capture in which the engine stood still
+    writing time after the last step, over that of the capture
+    rate    states [MB/s]
+    grown   resident set, largest of the capture phase minus that at its begin [MB]
+    same    whether the states after the last step are those of the timed phase, bit for bit; None: not deterministic
+    """
+
+    ratio: float
+    still: float
+    writing: float
+    rate: float
+    grown: float
+    same: bool
+
+
+def cost_of(path: Path) -> Cost:
+    """Read from a recording with both phases, of equally many steps."""
+    recording = open_recording(path)
+    c, timing, host = recording.configuration, recording.timing, recording.memory["host"]
+    stall = timing.get("stall")
+    captured = timing["capture"].elapsed_s
+    used = [int(u) for u, p in zip(host.used_bytes, host.phase, strict=True) if p == "capture"]
+    timed_hashes, hashes = recording.fingerprints("timed"), recording.fingerprints("capture")
+    assert timed_hashes is not None
+    assert hashes is not None
+    return Cost(
+        ratio=captured / timing["timed"].elapsed_s,
+        still=float((stall.end_ns - stall.start_ns).sum()) * 1e-9 / captured if stall else 0.0,
+        writing=timing["drain"].elapsed_s / captured,
+        rate=c.steps // c.stride * row_bytes(c.n_env, recording.fields) / captured / 1e6,
+        grown=(max(used) - used[0]) / 1e6,
+        same=bool(np.array_equal(timed_hashes.hashes[-1], hashes.hashes[-1])),
+    )
 
 
 def main() -> None:
     """Measure and print."""
-    p = argparse.ArgumentParser(description=__doc__)
-    p.add_argument("--repeats", type=int, default=5)
+    p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    p.add_argument("--sim", default="mujoco")
+    p.add_argument("--scene", default="inclined-collision")
     p.add_argument("--n-env", type=int, default=64)
     p.add_argument("--steps", type=int, default=300)
+    p.add_argument("--rounds", type=int, default=3)
+    p.add_argument("--modes", default=",".join(MODES))
+    p.add_argument("--option", action="append", default=[])
+    p.add_argument("--out", type=Path, help="keep the recordings here")
     a = p.parse_args()
+    options = [word for option in a.option for word in ("--option", option)]
+    found: dict[str, list[Cost]] = {mode: [] for mode in a.modes.split(",")}
     with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        captures = [capture_ratio(folder, a.n_env, a.steps) for _ in range(a.repeats)]
-        rates, ratios = zip(*(write_ratio(folder, a.n_env) for _ in range(a.repeats)), strict=True)
-    print(f"machine                                    {machine()}")
-    print(f"capture phase / timed phase, {a.n_env} envs       {spread(captures)}")
-    print(f"host write path [MB/s]                     {spread(rates, 0)}")
-    print(f"rate of the write path / (os.write + CRC)  {spread(ratios)}")
+        for _ in range(a.rounds):
+            for mode, costs in found.items():
+                done = subprocess.run(
+                    [sys.executable, "-m", "recorder.cli", "--sim", a.sim, "--scene", a.scene, "--n-env", str(a.n_env),
+                     "--runs", "1", "--warmup", "0", "--timed-steps", str(a.steps), "--steps", str(a.steps),
+                     *MODES[mode], *options, "--out", str(a.out or name)],
+                    stdout=subprocess.PIPE, text=True,
+                )  # fmt: skip
+                path = Path(done.stdout.strip())
+                if done.returncode:
+                    sys.exit(f"{mode}: the run did not complete")
+                costs.append(cost_of(path))
+                device = open_recording(path).simulation
+                if a.out is None:
+                    path.unlink()
+    print(f"machine           {machine()}, {device.device if device else ''}")
+    print(
+        f"recordings        {a.sim} {' '.join(a.option)}, {a.scene}, {a.n_env} envs, {a.steps} steps, {a.rounds} rounds"
+    )
+    for mode, costs in found.items():
+        print(f"{mode:9} capture / timed         {spread([c.ratio for c in costs])}")
+        print(f"{'':9} stand still, of capture {spread([c.still for c in costs])}")
+        print(f"{'':9} then writing            {spread([c.writing for c in costs])}")
+        print(f"{'':9} states [MB/s]           {spread([c.rate for c in costs], 0)}")
+        print(f"{'':9} memory [MB]             {spread([c.grown for c in costs], 0)}")
+        print(f"{'':9} same last state         {sum(c.same for c in costs)} of {len(costs)}")
 
 
 if __name__ == "__main__":

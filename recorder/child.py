@@ -48,7 +48,9 @@ def main() -> int:
 
 def _record(task: dict[str, Any], report: Callable[[dict[str, Any]], None], log: Callable[[], bytes]) -> dict[str, Any]:
     from recorder.run import Run
+    from schemas.provenance import ReplayOf
 
+    of = task["replay_of"]
     run = Run(
         RunConfiguration.from_json(task["configuration"]),
         Path(task["path"]),
@@ -58,6 +60,7 @@ def _record(task: dict[str, Any], report: Callable[[dict[str, Any]], None], log:
         progress=lambda phase, done, of: report({"phase": phase, "done": done, "of": of}),
         log=log,
         reserved=True,
+        replay_of=ReplayOf.from_json(of) if of else None,
     )
     outcome = run.record()
     return {"status": outcome.status.lower(), "reason": outcome.reason, "cause": outcome.cause}

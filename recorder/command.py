@@ -10,7 +10,7 @@ from typing import Any
 import schemas
 from recorder.interruption import shielded
 from recorder.output import flush, show
-from schemas.configuration import OPTIONAL_PHASES, RunConfiguration
+from schemas.configuration import CAPTURE_MODES, OPTIONAL_PHASES, RunConfiguration
 from schemas.errors import ExitCode, UsageError
 from schemas.provenance import REAL
 
@@ -27,6 +27,12 @@ sweeps:
   the first run is out of memory or of a buffer, is refused or times out, the other runs of its point are not made.
   The same command with the same --out goes on where it stopped: runs whose recordings lie there are not made again.
 
+replays:
+  --replay FILE makes the run of a recording again, here: its configuration, which passes the same checks as arguments,
+  and nothing else. What it asks for is printed first. The scene has to be the same; --option (and --impl, --device...)
+  replaces what was recorded, and the new recording says so; --runs, --phases, --timeout, --python and --out are yours.
+  gsb-audit FILE does this, and says whether the same came out.
+
 environments:
   Engines whose packages cannot live together get an environment each: --setup NAME makes it, in $GSB_ENVIRONMENTS or
   the user's folder for data, from pinned requirements whose hashes are checked. Later runs of that simulator find it.
@@ -38,11 +44,13 @@ examples:
   gsb-record --sim mujoco --option cone=pyramidal --option integrator=Euler
   gsb-record --sim mujoco --scene free-fall --sweep 1..131072:4 --runs 3 --phases timed --timeout 600
   gsb-record --setup genesis && gsb-record --sim genesis
+  gsb-record --replay theirs.mcap --runs 3
   gsb-record --sim real --trials trials.csv --unit cm
 """
 
 
 _SIMULATED: dict[str, Any] = {
+    "scene": "inclined-collision",
     "sweep": None,
     "n_env": 16,
     "runs": 10,
@@ -58,13 +66,19 @@ _SIMULATED: dict[str, Any] = {
     "phases": ",".join(OPTIONAL_PHASES),
     "steps": None,
     "stride": 1,
+    "capture": CAPTURE_MODES[0],
     "warmup": 100,
     "timed_steps": 1000,
 }
 """Arguments that make sense for a simulator only, and what each is where it is not given."""
 
-_MEASURED: dict[str, Any] = {"trials": None, "unit": None, "sample_time": 5.0}
+_MEASURED: dict[str, Any] = {"scene": "inclined-collision", "trials": None, "unit": None, "sample_time": 5.0}
 """The same for real trials."""
+
+_REPLAYED: dict[str, Any] = {"runs": 1, "option": (), "timeout": 0.0, "phases": None}
+"""The same for replays; and so are the options that are short for --option."""
+
+_OUT, _OUT_OF_REPLAYS = Path("recordings"), Path("replays")  # replays are no further runs of a set
 
 _SHORTHANDS = {
     "impl": "implementation, of simulators that have several",
@@ -97,14 +111,17 @@ def parser() -> argparse.ArgumentParser:
 
     what = p.add_argument_group("what is run")
     what.add_argument("--sim", metavar="NAME", help="simulator (see --list), or 'real' for measured trials")
-    what.add_argument("--scene", default="inclined-collision", metavar="NAME", help="default: %(default)s")
+    what.add_argument("--replay", type=Path, metavar="FILE", help="run what a recording says that it ran; see below")
+    what.add_argument("--scene", metavar="NAME", help=f"default: {_SIMULATED['scene']}")
     what.add_argument("--n-env", type=int, metavar="N", help=f"environments (default: {_SIMULATED['n_env']})")
     what.add_argument(
         "--sweep",
         metavar="A..B[:F]",
         help="instead of --n-env: A, A*F, A*F*F... and B environments, powers of two (F: 2); see below",
     )
-    what.add_argument("--runs", type=int, metavar="R", help=f"independent runs (default: {_SIMULATED['runs']})")
+    what.add_argument(
+        "--runs", type=int, metavar="R", help=f"independent runs (default: {_SIMULATED['runs']}; of --replay: 1)"
+    )
     what.add_argument("--dt", type=float, metavar="S", help="step in seconds (default: the scene's, such as 0.01)")
     what.add_argument("--seed", type=int, help=f"default: {_SIMULATED['seed']}; the same in every run")
     what.add_argument("--option", action="append", metavar="NAME=VALUE", help="an option of the simulator; repeatable")
@@ -117,18 +134,24 @@ def parser() -> argparse.ArgumentParser:
     how.add_argument(
         "--phases",
         metavar="LIST",
-        help=f"timed (throughput), capture (states) or both (default: {_SIMULATED['phases']})",
+        help=f"timed (throughput), capture (states) or both (default: {_SIMULATED['phases']}; of --replay: as there)",
     )
     how.add_argument("--steps", type=int, metavar="N", help="captured steps (default: 5 s of simulated time)")
     how.add_argument(
         "--stride", type=int, metavar="K", help=f"record every K-th state (default: {_SIMULATED['stride']})"
+    )
+    how.add_argument(
+        "--capture",
+        choices=CAPTURE_MODES,
+        help="lossless: write while stepping, and wait where the disk is slower; memory: write after the last step "
+        f"(default: {_SIMULATED['capture']})",
     )
     how.add_argument("--warmup", type=int, metavar="N", help=f"untimed steps first (default: {_SIMULATED['warmup']})")
     how.add_argument("--timed-steps", type=int, metavar="N", help=f"default: {_SIMULATED['timed_steps']}")
     how.add_argument(
         "--compression", choices=("none", "lz4", "zstd"), default="none", help="of the file's chunks (default: none)"
     )
-    how.add_argument("--out", type=Path, default=Path("recordings"), metavar="DIR", help="default: %(default)s/")
+    how.add_argument("--out", type=Path, metavar="DIR", help=f"default: {_OUT}/; of --replay: {_OUT_OF_REPLAYS}/")
 
     real = p.add_argument_group("real trials (--sim real)")
     real.add_argument("--trials", type=Path, metavar="CSV", help="positions of the cubes: trial,cube,x,y[,z]")
@@ -142,15 +165,12 @@ def parser() -> argparse.ArgumentParser:
 def configure(arguments: argparse.Namespace) -> RunConfiguration:
     """The configuration that the arguments ask for; UsageError where it cannot be."""
     with shielded():  # an import that is interrupted shows as one that is broken
-        from recorder.options import parse_options, split_options
-        from recorder.plan import check, check_dt
+        from recorder.plan import check_dt
         from recorder.scenes.registry import make_scene
-        from recorder.simulators.registry import find_simulator
 
     scene = make_scene(arguments.scene)
     dt = scene.dt if arguments.dt is None else arguments.dt
     check_dt(dt)
-    shorthands = [f"{name}={value}" for name in _SHORTHANDS for value in getattr(arguments, name)]
     configuration = RunConfiguration(
         simulator=arguments.sim,
         scene=arguments.scene,
@@ -160,23 +180,46 @@ def configure(arguments: argparse.Namespace) -> RunConfiguration:
         stride=arguments.stride,
         warmup=arguments.warmup,
         timed_steps=arguments.timed_steps,
-        phases=tuple(name.strip() for name in arguments.phases.split(",") if name.strip()),
+        phases=_phases(arguments.phases),
         seed=arguments.seed,
         compression=arguments.compression,
-        options=split_options([*arguments.option, *shorthands]),
+        options=_options(arguments),
         determinism=arguments.determinism,
         timeout=arguments.timeout,
+        capture=arguments.capture,
     )
+    check_configuration(configuration)
+    return configuration
+
+
+def check_configuration(configuration: RunConfiguration) -> None:
+    """UsageError where no run can be made of it, whoever asks: a number, an option or a determinism level."""
+    with shielded():
+        from recorder.options import parse_options
+        from recorder.plan import check
+        from recorder.simulators.registry import find_simulator
+
     check(configuration)
-    adapter = find_simulator(arguments.sim).adapter()
-    parse_options(arguments.sim, adapter.Options, configuration.options)
+    simulator = configuration.simulator
+    adapter = find_simulator(simulator).adapter()
+    parse_options(simulator, adapter.Options, configuration.options)
     levels = adapter.determinism_levels
     if configuration.determinism not in levels:
         has = "; ".join(f"{level} ({meaning})" for level, meaning in levels.items())
         raise UsageError(
-            f"simulator '{arguments.sim}' has no determinism level '{configuration.determinism}'; it has: {has}"
+            f"simulator '{simulator}' has no determinism level '{configuration.determinism}'; it has: {has}"
         )
-    return configuration
+
+
+def _options(arguments: argparse.Namespace) -> dict[str, str]:
+    with shielded():
+        from recorder.options import split_options
+    shorthands = [f"{name}={value}" for name in _SHORTHANDS for value in getattr(arguments, name)]
+    return split_options([*arguments.option, *shorthands])
+
+
+def _phases(text: str) -> tuple[str, ...]:
+    return tuple(name.strip() for name in text.split(",") if name.strip())
 
 
 def record(arguments: argparse.Namespace, argv: tuple[str, ...]) -> int:
@@ -195,11 +238,52 @@ def record(arguments: argparse.Namespace, argv: tuple[str, ...]) -> int:
     interpreter = interpreter_for(find_simulator(arguments.sim), arguments.python)
     configuration = configure(arguments)
     check_known(interpreter, configuration.simulator, configuration.scene)
-    request = Request(configuration, arguments.out, argv, quiet=arguments.json, interpreter=interpreter)
+    request = Request(configuration, arguments.out or _OUT, argv, quiet=arguments.json, interpreter=interpreter)
     if points:
         code, results = record_sweep(request, Sweep(points, arguments.runs))
     else:
         code, results = record_set(request, arguments.runs)
+    if arguments.json:
+        _print_json(results)
+    return code
+
+
+def replay(arguments: argparse.Namespace, argv: tuple[str, ...]) -> int:
+    """Make the run of a recording again; returns the exit code."""
+    with shielded():
+        from recorder.environments.choice import check_known, interpreter_for
+        from recorder.plan import check_runs
+        from recorder.progress import say
+        from recorder.replay import announcement, check_scene, origin, read_source, replayed, shown
+        from recorder.scenes.registry import make_scene
+        from recorder.series import Request, record_set
+        from recorder.simulators.registry import find_simulator
+
+    check_runs(arguments.runs)
+    source = read_source(arguments.replay)
+    configuration = replayed(
+        source,
+        options=_options(arguments),
+        phases=None if arguments.phases is None else _phases(arguments.phases),
+        timeout=arguments.timeout,
+        compression=arguments.compression,
+    )
+    try:
+        check_scene(source, make_scene(configuration.scene))
+        check_configuration(configuration)
+        interpreter = interpreter_for(find_simulator(configuration.simulator), arguments.python)
+        check_known(interpreter, configuration.simulator, configuration.scene)
+    except UsageError as error:
+        said = shown(str(error))
+        whole = said if str(arguments.replay) in said else f"{arguments.replay} cannot be replayed here: {said}"
+        raise UsageError(whole) from None
+    say(announcement(source, configuration))
+    of = origin(source, configuration)
+    out = arguments.out or _OUT_OF_REPLAYS
+    request = Request(configuration, out, argv, quiet=arguments.json, interpreter=interpreter, replay_of=of)
+    code, results = record_set(request, arguments.runs)
+    if code and configuration.options.get("device", "cpu") not in ("cpu", "auto"):
+        say("where that device is not there, --option device=cpu replays on the CPU; the recording will say so")
     if arguments.json:
         _print_json(results)
     return code
@@ -239,34 +323,44 @@ def run(given: list[str]) -> int:
     except SystemExit:
         flush()  # --help and --version only write to a buffer, and an error there would come too late
         raise
-    if sum((arguments.list, arguments.setup is not None, arguments.sim is not None)) > 1:
-        raise UsageError("--list, --setup and --sim are three commands; give one of them")
+    commands = (arguments.list, arguments.setup is not None, arguments.sim is not None, arguments.replay is not None)
+    if sum(commands) > 1:
+        raise UsageError("--list, --setup, --sim and --replay are four commands; give one of them")
     if arguments.python is not None and (arguments.list or arguments.sim == REAL):
         raise UsageError("--python is for the runs of a simulator, and for --setup")
     if arguments.list:
         return _list(arguments.json)
     if arguments.setup is not None:
         return _set_up(arguments)
-    if not arguments.sim:
+    if not arguments.sim and arguments.replay is None:
         raise UsageError("say which simulator with --sim NAME; gsb-record --list shows them")
     _fill(arguments)
     # Text that is no Unicode (a path in another encoding) cannot be stored as it is.
     command = ("gsb-record", *(text.encode("utf-8", "backslashreplace").decode() for text in given))
+    if arguments.replay is not None:
+        return replay(arguments, command)
     if arguments.sim == REAL:
         with shielded():
             from recorder.real import record_trials
 
+        arguments.out = arguments.out or _OUT
         return record_trials(arguments, command)
     return record(arguments, command)
 
 
 def _fill(arguments: argparse.Namespace) -> None:
     # what was not given gets its default; what was given and would be ignored is refused
-    own, others = (_MEASURED, _SIMULATED) if arguments.sim == REAL else (_SIMULATED, _MEASURED)
-    for name in others:
-        if getattr(arguments, name) is not None:
-            kind = "a simulator" if arguments.sim == REAL else f"--sim {REAL}"
-            raise UsageError(f"--{name.replace('_', '-')} is for {kind}; --sim {arguments.sim} has no use for it")
+    if arguments.replay is not None:
+        own = {**_REPLAYED, **dict.fromkeys(_SHORTHANDS, ())}
+        foreign, whose, doing = {**_SIMULATED, **_MEASURED}, "--sim", "--replay takes it from the recording"
+    elif arguments.sim == REAL:
+        own, foreign, whose, doing = _MEASURED, _SIMULATED, "a simulator", f"--sim {REAL} has no use for it"
+    else:
+        own, foreign, whose = _SIMULATED, _MEASURED, f"--sim {REAL}"
+        doing = f"--sim {arguments.sim} has no use for it"
+    for name in foreign:
+        if name not in own and getattr(arguments, name) is not None:
+            raise UsageError(f"--{name.replace('_', '-')} is for {whose}; {doing}")
     if arguments.sweep is not None and arguments.n_env is not None:
         raise UsageError("--sweep says how many environments there are; leave --n-env out")
     for name, default in own.items():

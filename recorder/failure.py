@@ -27,6 +27,10 @@ class TimedOut(GsbError):
     """The run took longer than it may."""
 
 
+class NoHostMemory(GsbError):
+    """The machine has not the memory that something asks for."""
+
+
 def cause_of(error: BaseException) -> str:
     """One of CAUSES for what ended a run."""
     match error:
@@ -36,7 +40,7 @@ def cause_of(error: BaseException) -> str:
             return "TIMEOUT"
         case Refused() | UsageError():
             return "REFUSED"
-        case MemoryError():
+        case MemoryError() | NoHostMemory():
             return "HOST_MEMORY"
     text = f"{type(error).__name__} {error}".lower()
     if any(words in text for words in _DEVICE_MEMORY):

@@ -8,13 +8,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from mcap.reader import make_reader
-
 from recorder.environments.interpreter import Interpreter
 from recorder.sweep import Outcome, Place
-from schemas import FORMAT, PARTIAL, topics
+from schemas import PARTIAL, topics
 from schemas.configuration import RunConfiguration
-from schemas.errors import DamagedRecording, NotARecording, RecordingError
+from schemas.container import Container
+from schemas.errors import DamagedRecording, RecordingError
 from schemas.messages import enum_values, message_class
 from schemas.provenance import PROVENANCE, Provenance
 
@@ -50,20 +49,40 @@ def read_folder(folder: Path) -> tuple[list[Finished], dict[Path, str]]:
 def read_end(path: Path) -> Finished:
     """What a recording says of itself, without its data. RecordingError where it is none, or has no end."""
     try:
-        with path.open("rb") as stream:
-            reader = make_reader(stream, validate_crcs=True)
-            if reader.get_header().profile != FORMAT:
-                raise NotARecording(f"not a recording of {FORMAT}")
-            provenance = [a.data for a in reader.iter_attachments() if a.name == PROVENANCE]
-            ends = [message.data for _, _, message in reader.iter_messages(topics.RUN_END)]
-            if len(provenance) != 1 or len(ends) != 1:
-                raise DamagedRecording("incomplete" if len(ends) < 2 else "it has two ends")
-            made = Provenance.from_json(provenance[0])
-            return Finished(path, made.configuration, _outcome(ends[0]), _where(made.host, made.gpus, made.software))
-    except RecordingError:
-        raise
-    except Exception as error:  # whatever the library raises for bytes that are no MCAP file
-        raise DamagedRecording("unreadable: " + " ".join(f"{type(error).__name__}: {error}".split())) from None
+        container = Container(path)
+        end = run_end(container)
+        if end is None:
+            raise DamagedRecording("incomplete")
+        text = container.attachment(PROVENANCE)
+        if text is None:
+            raise DamagedRecording("it says nothing of where it comes from")
+        made = Provenance.from_json(text)
+        return Finished(path, made.configuration, outcome_of(end), _where(made.host, made.gpus, made.software))
+    except RecordingError as error:
+        said = str(error)
+        why = said.removeprefix(f"{path}: ").removeprefix(f"{path} ")
+        raise DamagedRecording(why if why == "incomplete" else f"unreadable: {why}") from None
+
+
+def run_end(container: Container) -> Any:
+    """The end record; None where the run or its file was cut short. DamagedRecording where it cannot be read."""
+    if not container.finished or topics.RUN_END not in container.channels:
+        return None
+    ends = list(container.in_sequence(topics.RUN_END))
+    if len(ends) > 1:
+        raise DamagedRecording("it has two ends")
+    try:
+        return message_class("gsb.v1.RunEnd").FromString(bytes(ends[0])) if ends else None
+    except Exception as error:  # protobuf's DecodeError differs between its backends
+        raise DamagedRecording(f"its end cannot be parsed: {error}") from None
+
+
+def outcome_of(end: Any) -> Outcome:
+    """How an end record says that the run ended. DamagedRecording where it has no status."""
+    status = _name("gsb.v1.RunStatus", "RUN_STATUS_", end.status)
+    if not status:
+        raise DamagedRecording("its end has no status")
+    return Outcome(status.lower(), _name("gsb.v1.Cause", "CAUSE_", end.cause), end.reason)
 
 
 def where_am_i(interpreter: Interpreter) -> str:
@@ -99,7 +118,9 @@ def matching(found: Iterable[Finished], wanted: RunConfiguration, where: str = "
 
 
 def _alike(one: RunConfiguration, other: RunConfiguration) -> bool:
-    indifferent: dict[str, Any] = {"n_env": 1, "run_index": 0, "compression": "none", "timeout": 0.0}
+    indifferent: dict[str, Any] = {
+        "n_env": 1, "run_index": 0, "compression": "none", "timeout": 0.0, "capture": "lossless",
+    }  # fmt: skip
     return replace(one, **indifferent) == replace(other, **indifferent)
 
 
@@ -109,14 +130,6 @@ def _settled(run: Finished, wanted: RunConfiguration) -> bool:
     if run.outcome.cause == "TIMEOUT":
         return 0 < wanted.timeout <= run.configuration.timeout
     return run.outcome.cause not in ("", "INTERRUPTED")
-
-
-def _outcome(data: bytes) -> Outcome:
-    end = message_class("gsb.v1.RunEnd").FromString(data)
-    status = _name("gsb.v1.RunStatus", "RUN_STATUS_", end.status)
-    if not status:
-        raise DamagedRecording("its end has no status")
-    return Outcome(status.lower(), _name("gsb.v1.Cause", "CAUSE_", end.cause), end.reason)
 
 
 def _name(enum: str, prefix: str, number: int) -> str:

@@ -7,10 +7,8 @@ for the same run a second time.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
-
-from mcap.records import Attachment
-from mcap.stream_reader import StreamReader
 
 from recorder.capture.sink import Sink
 from recorder.environments.interpreter import Interpreter
@@ -18,9 +16,12 @@ from recorder.plan import release, reserve
 from recorder.probes.gpu import Gpus
 from recorder.probes.host import describe_host
 from schemas.configuration import RunConfiguration
+from schemas.container import Container
+from schemas.errors import RecordingError
 from schemas.provenance import PACKAGES, PROVENANCE, SCENE, SIMULATION, Provenance
 
-_SAID = (PROVENANCE, PACKAGES, SCENE, SIMULATION)
+_JSON = "application/json"
+_SAID = {PROVENANCE: _JSON, PACKAGES: "text/plain", SCENE: _JSON, SIMULATION: _JSON}
 
 
 def record_killed(
@@ -38,7 +39,7 @@ def record_killed(
 
     left  what the run itself left behind: its .partial file, which stays as it is
     """
-    said = {a.name: a for a in _attachments(left)} if left else {}
+    said = dict(_attachments(left)) if left else {}
     path = reserve(folder, configuration, created)
     try:
         sink = Sink(path, compression=configuration.compression, reserved=True)
@@ -49,9 +50,9 @@ def record_killed(
                         run_id, created, argv, configuration, host=describe_host(), gpus=gpus.describe(),
                         software=interpreter.software(),
                     )  # fmt: skip
-                sink.attach(PROVENANCE, "application/json", provenance.to_json().encode())
-            for name, attachment in said.items():
-                sink.attach(name, attachment.media_type, attachment.data)
+                sink.attach(PROVENANCE, _JSON, provenance.to_json().encode())
+            for name, data in said.items():
+                sink.attach(name, _SAID[name], data)
             return sink.finish("FAILED", reason, cause="TIMEOUT", last_step=0, peak_rss_bytes=0)
         except BaseException:
             sink.abandon()
@@ -60,16 +61,14 @@ def record_killed(
         release(path)
 
 
-def _attachments(path: Path) -> Iterator[Attachment]:
+def _attachments(path: Path) -> Iterator[tuple[str, bytes]]:
     # as far as the file goes: a killed process may have left half a record behind
-    wanted = set(_SAID)
     try:
-        with path.open("rb") as stream:
-            for record in StreamReader(stream, emit_chunks=True, validate_crcs=True).records:
-                if isinstance(record, Attachment) and record.name in wanted:
-                    wanted.remove(record.name)
-                    yield record
-                if not wanted:
-                    return
-    except Exception:  # whatever the library raises at the cut
+        container = Container(path)
+    except RecordingError:
         return
+    for name in _SAID:
+        with suppress(RecordingError):
+            data = container.attachment(name)
+            if data is not None:
+                yield name, data

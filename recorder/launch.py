@@ -11,7 +11,7 @@ import tempfile
 import threading
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -21,6 +21,7 @@ from recorder.interruption import ENDING, SIGNALS, blocked
 from recorder.plan import release
 from schemas.configuration import RunConfiguration
 from schemas.errors import ExitCode, GsbError
+from schemas.provenance import ReplayOf
 
 Progress = Callable[[str, int, int], None]
 
@@ -109,10 +110,12 @@ def launch(
     interpreter: Interpreter,
     progress: Progress,
     interruptions: Interruptions,
+    replay_of: ReplayOf | None = None,
 ) -> Result:
     """Record one run in a fresh process, into `path`, whose name is reserved (recorder.plan.reserve).
 
     interpreter  that the process is of
+    replay_of    the recording that the run is a replay of
 
     A run with a time limit that neither ends nor begins to end its recording within GRACE_S more is killed.
 
@@ -126,6 +129,7 @@ def launch(
         "created": created,
         "argv": list(argv),
         "scratch": str(scratch),
+        "replay_of": asdict(replay_of) if replay_of else None,
     }
     try:
         end = _follow(task, scratch, interpreter, configuration.timeout, progress, interruptions)

@@ -39,7 +39,7 @@ from schemas.errors import DataLost, UsageError
 from schemas.fields import StateField
 from schemas.mcap_writer import COMPRESSIONS
 from schemas.messages import message_class
-from schemas.provenance import PACKAGES, PROVENANCE, REAL, SCENE, SIMULATION, Deviation, Provenance, Simulation
+from schemas.provenance import LOGGED, PACKAGES, PROVENANCE, REAL, SCENE, SIMULATION, Deviation, Provenance, Simulation
 
 
 class RecordingWriter:
@@ -128,7 +128,7 @@ class RecordingWriter:
             },
             env_origins=tuple(env_origins),
             timing_covers=timing_covers,
-            fresh_start="as the program that logged it says",
+            fresh_start=LOGGED,
         )
         self._check()
         self._problems: list[tuple[str, str]] = []  # cause and sentence

@@ -57,7 +57,7 @@ from schemas.configuration import RunConfiguration
 from schemas.errors import DataLost, GsbError
 from schemas.fingerprint import fingerprint
 from schemas.messages import enum_values, message_class
-from schemas.provenance import ENGINE_LOG, PACKAGES, PROVENANCE, SCENE, SIMULATION, Provenance, Simulation
+from schemas.provenance import ENGINE_LOG, PACKAGES, PROVENANCE, SCENE, SIMULATION, Provenance, ReplayOf, Simulation
 
 Progress = Callable[[str, int, int], None]
 """Called with a phase, the steps done in it, and the steps that it has; with interruption.ENDING at the end."""
@@ -91,6 +91,7 @@ class Run:
     created    UTC, ISO 8601
     log        returns what the engine printed so far
     reserved   the .partial file of `path` is there already, empty, made for this run
+    replay_of  the recording whose configuration it is
     """
 
     def __init__(
@@ -104,12 +105,13 @@ class Run:
         progress: Progress,
         log: Callable[[], bytes],
         reserved: bool = False,
+        replay_of: ReplayOf | None = None,
     ) -> None:
         self._configuration = configuration
         self._path = path
         self._progress = progress
         self._log = log
-        self._provenance = Provenance(run_id, created, argv, configuration)
+        self._provenance = Provenance(run_id, created, argv, configuration, replay_of=replay_of)
         self._reserved = reserved
         self._problems: list[tuple[str, str]] = []  # cause and sentence of each gate that fired
         self._writer: StateWriter | None = None
@@ -352,9 +354,16 @@ class Run:
         def write(block: Block) -> None:
             if problems:
                 return  # nothing of use follows a state that is not finite
-            if block.actions is not None and simulator.scene.actions is not None:
+            drawn = block.actions
+            if drawn is not None and simulator.scene.actions is not None:
+                held = block.captured.actions
+
+                def applied(envs: range) -> NDArray[np.float32]:
+                    found = held(slice(envs.start, envs.stop))
+                    return drawn(envs) if found is None else found
+
                 name, first = simulator.scene.actions.name, block.first_step - 1
-                write_actions(sink, writer.workers, name, block.actions, n_env=c.n_env, first_step=first, dt=c.dt)
+                write_actions(sink, writer.workers, name, applied, n_env=c.n_env, first_step=first, dt=c.dt)
             problem = writer.take(block.captured)
             if block.first_step:
                 self._gate_counts(sink, "capture", block.captured.evidence(), counted, block.first_step)
@@ -387,7 +396,8 @@ class Run:
             writer.flush()  # whatever ended the run, the states so far are good
             raise
         writer.flush()
-        self._write_capture_clock(sink, clock, writer, simulator)
+        clock.written()
+        self._write_capture_clock(sink, clock, writer)
         if problems:
             self._gate(sink, "capture", problems[0], "NOT_FINITE")
         self._ask_gates(sink, "capture", simulator)
@@ -408,7 +418,7 @@ class Run:
             c.seed, n_env=len(envs), first_env=envs.start, first_step=first_step, n_step=n_step
         )
 
-    def _write_capture_clock(self, sink: Sink, clock: CaptureClock, writer: StateWriter, simulator: Simulator) -> None:
+    def _write_capture_clock(self, sink: Sink, clock: CaptureClock, writer: StateWriter) -> None:
         c = self._configuration
         block = writer.steps_per_block * row_bytes(c.n_env, writer.fields)
         how = {
@@ -416,9 +426,11 @@ class Run:
             "memory": "they are kept in memory, and written after the last step",
         }
         covers = f"from block to block: steps, and their states, counts and hashes on the host; {how[c.capture]}"
-        self._write_timing(sink, "capture", clock.blocks, 0, writer.steps_per_block, covers)
+        rows = writer.steps_per_block
+        self._write_timing(sink, "capture", clock.blocks, 0, rows, covers)
+        self._write_timing(sink, "stall", clock.stalls, 0, rows, "the engine stands still until a block was written")
         self._write_timing(
-            sink, "stall", clock.stalls, 0, writer.steps_per_block, "the engine stands still until a block was written"
+            sink, "drain", clock.drain, c.steps, 1, "from the last state on the host to that in the file"
         )
 
     def _count(self, sink: Sink, phase: str, simulator: Simulator, counted: EvidenceWriter, first_step: int) -> None:
@@ -481,8 +493,7 @@ def _reason(error: BaseException, phase: str) -> str:
         case KeyboardInterrupt():
             return f"interrupted in phase {phase}"
         case MemoryError():
-            said = str(error)
-            return f"out of host memory in phase {phase}" + (f": {said}" if said else "")
+            return f"out of host memory in phase {phase}"
         case GsbError():
             return str(error)
     text = " ".join(str(error).split()) or "no message"

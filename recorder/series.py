@@ -15,6 +15,7 @@ from recorder.progress import Progress, make_progress, say
 from recorder.sweep import Outcome, Outcomes, Place, Sweep
 from schemas.configuration import RunConfiguration
 from schemas.errors import ExitCode
+from schemas.provenance import ReplayOf
 
 Json = dict[str, Any]
 
@@ -30,6 +31,7 @@ class Request:
     argv           the user's command
     quiet          print no paths and no summary: the caller prints the results itself
     interpreter    that the runs' processes are of
+    replay_of      the recording that the runs are replays of
     """
 
     configuration: RunConfiguration
@@ -37,6 +39,7 @@ class Request:
     argv: tuple[str, ...]
     quiet: bool
     interpreter: Interpreter
+    replay_of: ReplayOf | None = None
 
 
 def record_set(request: Request, count: int) -> tuple[int, Json]:
@@ -117,6 +120,7 @@ def _make(
         interpreter=request.interpreter,
         progress=lambda phase, done, of: progress.update(run.run_index, phase, done, of),
         interruptions=interruptions,
+        replay_of=request.replay_of,
     )
     if end_killed and result.died and result.cause == "TIMEOUT" and not interruptions.count:
         from recorder.killed import record_killed

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from schemas.blocks import little_endian, raw_bytes
 from schemas.fields import StateField
+from schemas.mcap_writer import Buffer
 
 
 def attachment_name(name: str) -> str:
@@ -66,11 +67,15 @@ class ContentDigest:
             for part in row:
                 digest.update(raw_bytes(part))
 
-    def message(self, topic: str, data: bytes | memoryview) -> None:
-        """Add the next message of any other topic."""
+    def message(self, topic: str, *parts: Buffer) -> None:
+        """Add the next message of any other topic: its bytes, or the parts that they consist of.
+
+        Different topics may be fed by different threads.
+        """
         digest = self._hashes.setdefault(topic, hashlib.sha256())
-        digest.update(struct.pack("<Q", len(data)))
-        digest.update(data)
+        digest.update(struct.pack("<Q", sum(map(len, parts))))
+        for part in parts:
+            digest.update(part)
 
     def digests(self) -> dict[str, str]:
         """Hexadecimal digests by stream."""

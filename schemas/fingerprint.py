@@ -13,7 +13,9 @@ digests of the end record are for.
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Sequence
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +26,10 @@ ALGORITHM = "sum-splitmix64-v1"
 
 _WORD = {4: "<u4", 8: "<u8"}
 
-_CACHED_WORDS = 1 << 15  # at a time: two buffers of these stay in a core's cache
+_WORDS = 1 << 16  # at a time: few enough for a core's cache, many enough for several threads to share an interpreter
+_FEW_WORDS = 24
+
+_of_thread = threading.local()
 
 
 def fingerprint(arrays: Sequence[NDArray[np.floating]]) -> NDArray[np.uint64]:
@@ -41,14 +46,38 @@ def fingerprint(arrays: Sequence[NDArray[np.floating]]) -> NDArray[np.uint64]:
             raise ValueError(f"leading shapes differ: {array.shape[:-2]} and {lead}")
         count = array.shape[-2] * array.shape[-1]
         words = np.ascontiguousarray(array).view(_WORD[array.dtype.itemsize]).reshape(len(flat), count)
-        key = np.arange(position + 1, position + count + 1, dtype=np.uint64) * np.uint64(GOLDEN)
-        rows = max(1, _CACHED_WORDS // max(1, count))
-        mixed, spare = np.empty((2, min(rows, len(flat)), count), dtype=np.uint64)
+        rows = max(1, _WORDS // max(1, count))
+        keys = _keys(position, count, rows)
+        mixed, spare = _scratch(rows, count)
         for begin in range(0, len(flat), rows):
             part = words[begin : begin + rows]
             some = mixed[: len(part)]
-            np.add(part, key, out=some)
+            np.add(part, keys[: len(part)], out=some)
             mix_in_place(some, spare[: len(part)])
-            flat[begin : begin + rows] += some.sum(axis=1, dtype=np.uint64)
+            _add_rows(flat[begin : begin + rows], some)
         position += count
     return total
+
+
+@lru_cache(maxsize=64)
+def _keys(position: int, count: int, rows: int) -> NDArray[np.uint64]:
+    # what is added to the words, [row, word]: rows of a few words are added much faster as one long one
+    key = np.arange(position + 1, position + count + 1, dtype=np.uint64) * np.uint64(GOLDEN)
+    return np.tile(key, (rows, 1))
+
+
+def _scratch(rows: int, count: int) -> NDArray[np.uint64]:
+    # two buffers [row, word] of the thread's own; memory that is new each time costs more than all arithmetic
+    size = 2 * rows * count
+    if getattr(_of_thread, "words", np.empty(0)).size < size:
+        _of_thread.words = np.empty(size, dtype=np.uint64)
+    words: NDArray[np.uint64] = _of_thread.words[:size].reshape(2, rows, count)
+    return words
+
+
+def _add_rows(total: NDArray[np.uint64], words: NDArray[np.uint64]) -> None:
+    if words.shape[1] > _FEW_WORDS:
+        total += words.sum(axis=1, dtype=np.uint64)
+        return
+    for column in range(words.shape[1]):
+        total += words[:, column]

@@ -26,8 +26,36 @@ SCENE = "scene.json"
 ENGINE_LOG = "engine-log.txt"
 TRIALS = "trials.csv"
 
+MAX_FIELDS = 256
+"""State fields of a recording."""
+
 REAL = "real"
 """Simulator name of a recording of real trials."""
+
+LOGGED = "as the program that logged it says"
+"""How a program that is no adapter came to its initial state."""
+
+
+@dataclass(frozen=True)
+class ReplayOf:
+    """The recording whose configuration a run executed again.
+
+    run_id        of that recording
+    content_hash  of that recording
+    changed       what the user had otherwise than it was recorded there: dotted name -> recorded value, empty where
+                  nothing was recorded under that name
+    """
+
+    run_id: str
+    content_hash: str
+    changed: dict[str, str] = field(default_factory=dict)
+
+    @classmethod
+    def from_json(cls, record: dict[str, Any]) -> ReplayOf:
+        """From JSON; DamagedRecording where it cannot be read."""
+        return cls(
+            checks.text(record, "run_id"), checks.text(record, "content_hash"), checks.text_map(record, "changed")
+        )
 
 
 @dataclass(frozen=True)
@@ -42,6 +70,7 @@ class Provenance:
     gpus           one record per GPU that NVML shows: name, driver, memory, clocks, ECC and MIG mode; empty without any
     software       versions of Python, the recorder (with its git commit) and the packages that can change numbers
     environment    environment variables that can change numbers, such as XLA_FLAGS
+    replay_of      the recording that this run is a replay of; None where it is none
     """
 
     run_id: str
@@ -52,10 +81,13 @@ class Provenance:
     gpus: tuple[dict[str, Any], ...] = ()
     software: dict[str, Any] = field(default_factory=dict)
     environment: dict[str, str] = field(default_factory=dict)
+    replay_of: ReplayOf | None = None
 
     def to_json(self) -> str:
         """As the text of the attachment."""
         record = {**asdict(self), "configuration": self.configuration.to_json(), "format": FORMAT}
+        if self.replay_of is None:
+            del record["replay_of"]
         return _dump(record)
 
     @classmethod
@@ -72,6 +104,7 @@ class Provenance:
                 gpus=tuple(checks.objects(record, "gpus")),
                 software=checks.mapping(record, "software"),
                 environment=checks.text_map(record, "environment"),
+                replay_of=ReplayOf.from_json(checks.mapping(record, "replay_of")) if "replay_of" in record else None,
             )
         except DamagedRecording as error:
             raise DamagedRecording(f"{PROVENANCE}: {error}") from None
@@ -188,7 +221,7 @@ class Simulation:
                     Deviation(*(checks.text(d, key) for key in ("parameter", "wanted", "used", "reason")))
                     for d in checks.objects(record, "deviations")
                 ),
-                fields=tuple(StateField.from_json(f) for f in checks.objects(record, "fields")),
+                fields=_fields(checks.objects(record, "fields")),
                 scene=checks.mapping(record, "scene"),
                 env_origins=tuple(_point(o) for o in checks.items(record, "env_origins")),
                 timing_covers=checks.text(record, "timing_covers", default=""),
@@ -199,12 +232,24 @@ class Simulation:
                     for c in checks.objects(record, "counters")
                 ),
                 overflow_bits=tuple(
-                    OverflowBit(checks.whole(b, "bit", 0, 31), checks.text(b, "name"), bool(b.get("fatal")))
+                    OverflowBit(checks.whole(b, "bit", 0, 31), checks.text(b, "name"), checks.flag(b, "fatal"))
                     for b in checks.objects(record, "overflow_bits")
                 ),
             )
         except DamagedRecording as error:
             raise DamagedRecording(f"{SIMULATION}: {error}") from None
+
+
+def _fields(records: list[dict[str, Any]]) -> tuple[StateField, ...]:
+    if len(records) > MAX_FIELDS:
+        raise DamagedRecording(f"{len(records)} state fields are more than the {MAX_FIELDS} that are read")
+    fields = tuple(StateField.from_json(f) for f in records)
+    for field_ in fields:
+        if not field_.items or not field_.components:
+            raise DamagedRecording(f"the state field {field_.name} has no items or no components")
+    if len({f.name for f in fields}) < len(fields):
+        raise DamagedRecording("a state field is there twice")
+    return fields
 
 
 def _buffer(record: dict[str, Any]) -> Buffer:

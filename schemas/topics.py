@@ -10,9 +10,9 @@ RUN_END = "/run/end"
 RUN_DROPOUT = "/run/dropout"
 MEMORY_HOST = "/memory/host"
 
-_ACTION = re.compile(r"/action/([a-z0-9_]+)/(\d+)")
+_ACTION = re.compile(r"/action/([a-z0-9_]+)/([0-9]{1,9})")
 _COUNT = re.compile(r"/count/([a-z0-9_]+)/([a-z0-9_]+)")
-_STATE = re.compile(r"/state/([a-z0-9_]+)/([a-z0-9_]+)/(\d+)")
+_STATE = re.compile(r"/state/([a-z0-9_]+)/([a-z0-9_]+)/([0-9]{1,9})")
 _ENV_DIGITS = 6
 
 

@@ -13,8 +13,9 @@ from recorder.capture.states import env_block
 from recorder.capture.workers import Workers
 from recorder.scenes.actions import JointTargets
 from schemas import topics
-from schemas.blocks import encode_action
+from schemas.blocks import action_parts
 from schemas.configuration import sim_time_ns
+from schemas.mcap_writer import Part
 from schemas.messages import message_class
 
 
@@ -41,15 +42,16 @@ def write_actions(
     """Actions of consecutive steps, the first of them leading on from the state of `first_step`."""
     time = sim_time_ns(first_step, dt)
 
-    def encoded(envs: range) -> bytes:
-        return encode_action(
-            actions(envs), first_step=first_step, stride=1, env_start=envs.start, sim_time_ns=time
-        )  # fmt: skip
+    def encoded(envs: range) -> tuple[Part, ...]:
+        parts = action_parts(actions(envs), first_step=first_step, stride=1, env_start=envs.start, sim_time_ns=time)
+        sink.digest.message(topics.action(name, envs.start), *(part.data for part in parts))
+        return parts
 
     size = env_block(n_env)
     blocks = [range(start, min(start + size, n_env)) for start in range(0, n_env, size)]
-    for envs, data in zip(blocks, workers.start(encoded, blocks), strict=True):
-        sink.write(topics.action(name, envs.start), data, sim_ns=time)
+    for envs, parts in zip(blocks, workers.start(encoded, blocks), strict=True):
+        sink.write_parts(topics.action(name, envs.start), parts, sim_ns=time)
+    sink.flush()
 
 
 def write_action_stream(

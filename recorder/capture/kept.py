@@ -10,6 +10,7 @@ import psutil
 from recorder.capture.states import env_block, row_bytes
 from recorder.capture.workers import Workers
 from recorder.capture.writing import Block
+from recorder.failure import NoHostMemory
 from recorder.simulators.captured import Held
 from schemas.fields import StateField
 
@@ -19,14 +20,14 @@ _USABLE = 0.8  # of what the system says is available
 class KeptStates:
     """Memory for the states of `rows` steps, all of it touched before the first one is made.
 
-    Raises MemoryError where the machine has not that much to spare.
+    Raises NoHostMemory where the machine has not that much to spare.
     """
 
     def __init__(self, fields: Sequence[StateField], *, n_env: int, rows: int, workers: Workers) -> None:
         need = rows * row_bytes(n_env, fields)
         available = int(psutil.virtual_memory().available * _USABLE)
         if need > available:
-            raise MemoryError(
+            raise NoHostMemory(
                 f"--capture memory keeps {need / 1e9:.1f} GB of states, and {available / 1e9:.1f} GB may be used: "
                 "capture fewer steps, or lossless"
             )

@@ -94,7 +94,7 @@ class Sink:
             self._message(topic, data, EPOCH_NS + elapsed)
 
     def write_parts(self, topic: str, parts: Sequence[Part], *, sim_ns: int) -> None:
-        """A serialised message in parts, whose content is digested otherwise (`digest`): states.
+        """A serialised message in parts, whose content is digested by the caller (`digest`): states and actions.
 
         The parts must not change before `flush`.
         """

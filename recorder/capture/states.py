@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -69,6 +69,23 @@ class _Piece(NamedTuple):
     first_env: int
 
 
+class _Writing(NamedTuple):
+    """Rows that other threads make messages of.
+
+    last_step  the last of them
+    time       simulated time of the first [ns]
+    places     number of the range of environments, and of the field, of each message
+    blocks     the messages, in that order
+    digesting  one for each field; the arrays are needed until all have come
+    """
+
+    last_step: int
+    time: int
+    places: list[tuple[int, int]]
+    blocks: Iterable[tuple[Part, ...]]
+    digesting: Iterable[None]
+
+
 class StateWriter:
     """Writes the states of the capture phase.
 
@@ -92,6 +109,7 @@ class StateWriter:
         self._held: list[list[States]] = []  # by block that was fed, then by range of environments
         self._held_rows = 0
         self._held_first = 0
+        self._buffers: dict[int, States] = {}  # by first environment
         self.workers = Workers(alone=row_bytes(n_env, fields) * self._rows < _ALONE_BYTES)
         self.last_step = -1
         self.last_recorded_step = -1
@@ -115,8 +133,6 @@ class StateWriter:
         first = self.last_step + 1
         keep = slice(-first % self._stride, None, self._stride)
         columns = list(self.workers.start(lambda start: self._read(block, start), self._starts))
-        pieces = self._pieces(columns)
-        looked_at = self.workers.start(self._look, pieces)
         with shielded():  # hashes and rows stay in step, so that what was fed can be written after an interruption
             kept = [tuple(array[keep] for array in states) for states in columns]
             stored = len(kept[0][0])
@@ -125,13 +141,17 @@ class StateWriter:
                     self._held_first = first + keep.start
                 self._held.append(kept)
                 self._held_rows += stored
-            count = len(columns[0][0])
-            self.last_step += count
-            if self._held_rows >= self._rows or first == 0:
-                self.flush()
-            elif stored:  # until the block is full, in memory of their own
+            self.last_step += len(columns[0][0])
+            whole = self._held_rows >= self._rows or first == 0
+            if stored and not whole:  # until the block is full, in memory of their own
                 self._held[-1] = [tuple(array.copy() for array in states) for states in kept]
-            hashes = np.empty((count, self._n_env), dtype=np.uint64)
+            # in this order: a file is written by one thread, which must not wait for hashes that others make meanwhile
+            writing = self._begin_writing() if whole else None
+            pieces = self._pieces(columns)
+            looked_at = self.workers.start(self._look, pieces)
+            if writing:
+                self._end_writing(writing)
+            hashes = np.empty((len(columns[0][0]), self._n_env), dtype=np.uint64)
             found = []
             for piece, (some, not_finite) in zip(pieces, looked_at, strict=True):
                 rows, envs = piece.first_row + some.shape[0], piece.first_env + some.shape[1]
@@ -146,27 +166,50 @@ class StateWriter:
 
     def flush(self) -> None:
         """Write the rows that are held back for a full block."""
-        if not self._held_rows:
-            return
         with shielded():
-            held, self._held = self._held, []
-            rows, self._held_rows = self._held_rows, 0
-            columns = held[0] if len(held) == 1 else [_joined(parts) for parts in zip(*held, strict=True)]
-            time = sim_time_ns(self._held_first, self._dt)
-            places = [(column, field) for column in range(len(self._starts)) for field in range(len(self.fields))]
-            digesting = self.workers.start(lambda field: self._digest(field, columns), range(len(self.fields)))
-            blocks = self.workers.start(lambda place: self._block(columns, *place, time), places)
-            for (column, index), parts in zip(places, blocks, strict=True):
-                field = self.fields[index]
-                self._sink.write_parts(topics.state(field.group, field.field, self._starts[column]), parts, sim_ns=time)
-            for _ in digesting:  # the arrays are needed until then
-                pass
-            self._sink.flush()
-            self.last_recorded_step = self._held_first + (rows - 1) * self._stride
+            if self._held_rows:
+                self._end_writing(self._begin_writing())
+                self._sink.flush()
+
+    def _begin_writing(self) -> _Writing:
+        # of all rows that are held back
+        held, self._held = self._held, []
+        rows, self._held_rows = self._held_rows, 0
+        columns = held[0] if len(held) == 1 else [_joined(parts) for parts in zip(*held, strict=True)]
+        places = [(column, field) for column in range(len(self._starts)) for field in range(len(self.fields))]
+        return _Writing(
+            last_step=self._held_first + (rows - 1) * self._stride,
+            time=sim_time_ns(self._held_first, self._dt),
+            places=places,
+            blocks=self.workers.start(lambda place: self._block(columns, *place), places),
+            digesting=self.workers.start(lambda field: self._digest(field, columns), range(len(self.fields))),
+        )
+
+    def _end_writing(self, writing: _Writing) -> None:
+        for (column, index), parts in zip(writing.places, writing.blocks, strict=True):
+            field = self.fields[index]
+            topic = topics.state(field.group, field.field, self._starts[column])
+            self._sink.write_parts(topic, parts, sim_ns=writing.time)
+        self._sink.flush()  # small ones wait for others, and their arrays are not theirs for much longer
+        for _ in writing.digesting:
+            pass
+        self.last_recorded_step = writing.last_step
 
     def _read(self, block: Captured, start: int) -> States:
         envs = slice(start, min(start + env_block(self._n_env), self._n_env))
-        return tuple(little_endian(array) for array in block.states(envs))
+        arrays = block.states(envs)
+        if len(arrays[0]) > self._rows or all(array.flags.c_contiguous for array in arrays):
+            return tuple(little_endian(array) for array in arrays)
+        if start not in self._buffers:  # memory that is new to the process costs more than copying into it
+            shape = (self._rows, envs.stop - envs.start)
+            self._buffers[start] = tuple(
+                np.empty((*shape, len(f.items), f.width), dtype=np.dtype(f.dtype).newbyteorder("<"))
+                for f in self.fields
+            )
+        filled = tuple(buffer[: len(array)] for buffer, array in zip(self._buffers[start], arrays, strict=True))
+        for buffer, array in zip(filled, arrays, strict=True):
+            np.copyto(buffer, array)
+        return filled
 
     def _pieces(self, columns: Sequence[States]) -> list[_Piece]:
         # where there are few ranges of environments, steps are shared out as well
@@ -190,13 +233,13 @@ class StateWriter:
     def _digest(self, index: int, columns: Sequence[States]) -> None:
         self._sink.digest.state_columns(self.fields[index], self._n_env, [states[index] for states in columns])
 
-    def _block(self, columns: Sequence[States], column: int, index: int, time: int) -> tuple[Part, ...]:
+    def _block(self, columns: Sequence[States], column: int, index: int) -> tuple[Part, ...]:
         return state_parts(
             columns[column][index],
             first_step=self._held_first,
             stride=self._stride,
             env_start=self._starts[column],
-            sim_time_ns=time,
+            sim_time_ns=sim_time_ns(self._held_first, self._dt),
         )
 
 

@@ -29,11 +29,13 @@ class CaptureClock:
 
     blocks  each begins where the one before it ends; the last may have fewer steps
     stalls  waits for the writer with nothing left for the engine to do
+    drain   from the last block's arrival until all was written
     """
 
     def __init__(self) -> None:
         self._arrived = [time.perf_counter_ns()]
         self._stalls: list[tuple[int, int]] = []
+        self._written = self._arrived[0]
 
     def arrive(self) -> None:
         """A block has arrived."""
@@ -44,6 +46,15 @@ class CaptureClock:
         begin = time.perf_counter_ns()
         wait()
         self._stalls.append((begin, time.perf_counter_ns()))
+
+    def written(self) -> None:
+        """Everything has been written."""
+        self._written = time.perf_counter_ns()
+
+    @property
+    def drain(self) -> NDArray[np.int64]:
+        """See the class."""
+        return np.array([[self._arrived[-1]], [self._written]], dtype=np.int64)
 
     @property
     def blocks(self) -> NDArray[np.int64]:

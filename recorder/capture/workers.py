@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import TypeVar
 
-_MOST = 8
+_MOST = 6  # more of them wait for the interpreter rather than work
 
 _S = TypeVar("_S")
 _T = TypeVar("_T")

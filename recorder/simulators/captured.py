@@ -25,6 +25,13 @@ class Captured(ABC):
     def states(self, envs: slice) -> States:
         """Arrays [step, env of the range, item, width], unchanged until ``release``."""
 
+    def actions(self, envs: slice) -> NDArray[np.float32] | None:
+        """What the engine held in each step, [step, env of the range, action]; None where it does not keep that.
+
+        For adapters that make the actions themselves: the recorder writes what was applied instead of what should be.
+        """
+        return None
+
     @abstractmethod
     def evidence(self) -> Evidence | None:
         """What the engine shows of each of these steps; None where it tells nothing."""

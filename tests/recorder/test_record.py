@@ -123,7 +123,7 @@ def test_stride_keeps_all_fingerprints(gsb_record: Command, tmp_path: Path, smal
     assert a is not None
     assert b is not None
     assert np.array_equal(a.hashes, b.hashes)
-    assert set(strided.timing) - {"stall"} == {"build", "compile_capture", "capture"}
+    assert set(strided.timing) - {"stall"} == {"build", "compile_capture", "capture", "drain"}
 
 
 @pytest.mark.parametrize("stride", [1, 3, 7, 50, 120, 840])

@@ -75,10 +75,10 @@ class MjcfModel:
         )
 
     def split(self, qpos: NDArray[np.floating], qvel: NDArray[np.floating]) -> States:
-        """qpos [..., nq] and qvel [..., nv] as the arrays of `fields`, in their own precision."""
+        """qpos [..., nq] and qvel [..., nv] as the arrays of `fields`, in their own precision; views where possible."""
         arrays: list[NDArray[np.floating]] = []
         for at_qpos, at_qvel in self._groups:
-            pose, velocity = qpos[..., at_qpos], qvel[..., at_qvel]
+            pose, velocity = _picked(qpos, at_qpos), _picked(qvel, at_qvel)
             arrays += [
                 pose[..., :3],
                 pose[..., 3:],
@@ -86,7 +86,7 @@ class MjcfModel:
                 rotate_to_world(pose[..., 3:], velocity[..., 3:]),
             ]
         if self._joints is not None:
-            arrays += [qpos[..., self._joints[:, 0], None], qvel[..., self._joints[:, 1], None]]
+            arrays += [_picked(qpos, self._joints[:, :1]), _picked(qvel, self._joints[:, 1:])]
         return tuple(arrays)
 
     def data(self) -> Any:
@@ -170,6 +170,14 @@ def compile_scene(
 
 def _text(values: Iterable[float]) -> str:
     return " ".join(np.format_float_positional(value, trim="-") for value in values)
+
+
+def _picked(array: NDArray[np.floating], index: NDArray[np.int64]) -> NDArray[np.floating]:
+    # array[..., index]; numbers that lie side by side, as those of one kind of bodies do, are not copied
+    first = int(index.flat[0])
+    if np.array_equal(index.ravel(), np.arange(first, first + index.size)):
+        return array[..., first : first + index.size].reshape(*array.shape[:-1], *index.shape)
+    return np.asarray(array[..., index])
 
 
 def rotate_to_world(quaternion: NDArray[np.floating], vector: NDArray[np.floating]) -> NDArray[np.floating]:

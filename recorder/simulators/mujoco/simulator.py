@@ -97,7 +97,7 @@ class MujocoC(Simulator):
 
     def state(self) -> States:
         """See Simulator.state."""
-        return self._compiled.split(self._qpos, self._qvel)
+        return self._compiled.split(self._qpos.copy(), self._qvel.copy())
 
     def states(self, n_step: int) -> States:
         """See Simulator.states."""

@@ -33,6 +33,10 @@ class WarpBlock(Captured):
         states: States = self._compiled.split(qpos, qvel)
         return states
 
+    def actions(self, envs: slice) -> NDArray[np.float32] | None:
+        """See Captured.actions."""
+        return self._slot.host("ctrl", self._rows)[:, envs] if "ctrl" in self._slot.arrays else None
+
     def evidence(self) -> Evidence:
         """See Captured.evidence."""
         return evidence_of(self._slot.host("counts", self._rows).copy())

@@ -214,6 +214,8 @@ class MujocoWarp(Simulator):
             "qvel": ((rows, *data.qvel.shape), float),
             "counts": ((rows, 4, self.n_env), int),
         }
+        if self.scene.actions is not None:
+            shapes["ctrl"] = ((rows, *data.ctrl.shape), float)
         return Slots(self._device, shapes)
 
     def _captured(self, work: Callable[[], None]) -> Any:
@@ -251,7 +253,7 @@ class MujocoWarp(Simulator):
 
         from recorder.simulators.warp import kernels
 
-        for name in ("qpos", "qvel"):
+        for name in (name for name in slot.arrays if name != "counts"):
             values = getattr(self._data, name)
             wp.launch(kernels.snapshot, dim=values.shape, inputs=[self._row, values], outputs=[slot.arrays[name]])
         self._snapshot_counts(slot.arrays["counts"])
@@ -300,7 +302,7 @@ class MujocoWarp(Simulator):
 
     def state(self) -> States:
         """See Simulator.state."""
-        return self._compiled.split(self._data.qpos.numpy(), self._data.qvel.numpy())
+        return self._compiled.split(self._data.qpos.numpy().copy(), self._data.qvel.numpy().copy())
 
     def begin_states(self, n_step: int) -> Captured:
         """See Simulator.begin_states."""

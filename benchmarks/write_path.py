@@ -1,0 +1,102 @@
+"""The host's write path (hashes, digests, CRCs, file) against os.write and CRC-32 of the same bytes, in turn.
+
+usage: python -m benchmarks.write_path [--repeats 7] [--n-env 64]
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import tempfile
+import time
+import zlib
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.machine import machine, spread
+from recorder.capture.sink import Sink
+from recorder.capture.states import StateWriter
+from schemas.fields import BODY_FIELDS, StateField, body_field
+from schemas.fingerprint import fingerprint
+
+_STEPS = 200
+_BLOCK = 50
+
+Blocks = list[list[NDArray[np.float32]]]
+
+
+def ours(path: Path, blocks: Blocks, fields: list[StateField], n_env: int) -> float:
+    """Seconds for all blocks, as a recording is written."""
+    sink = Sink(path, compression="none")
+    writer = StateWriter(sink, fields, n_env=n_env, dt=0.01, stride=1)
+    began = time.perf_counter()
+    for states in blocks:
+        writer.feed(states)
+    writer.flush()
+    took = time.perf_counter() - began
+    sink.abandon()
+    return took
+
+
+def floor(path: Path, blocks: Blocks) -> float:
+    """Seconds for the same bytes, with one CRC and nothing else."""
+    descriptor = os.open(path, os.O_WRONLY | os.O_CREAT)
+    began = time.perf_counter()
+    for states in blocks:
+        for state in states:
+            zlib.crc32(state)
+            os.write(descriptor, state)
+    took = time.perf_counter() - began
+    os.close(descriptor)
+    return took
+
+
+def hashed(blocks: Blocks) -> float:
+    """Seconds for the state hashes alone, in one thread."""
+    began = time.perf_counter()
+    for states in blocks:
+        fingerprint(states)
+    return time.perf_counter() - began
+
+
+def main() -> None:
+    """Measure and print."""
+    p = argparse.ArgumentParser(description=__doc__)
+    p.add_argument("--repeats", type=int, default=7)
+    p.add_argument("--n-env", type=int, default=64)
+    a = p.parse_args()
+    fields = [body_field("cubes", name, "float32", tuple(map(str, range(28)))) for name in BODY_FIELDS]
+    rng = np.random.default_rng(0)
+    blocks = [
+        [rng.standard_normal((_BLOCK, a.n_env, 28, f.width), dtype=np.float32) for f in fields]
+        for _ in range(_STEPS // _BLOCK)
+    ]
+    size = sum(state.nbytes for states in blocks for state in states)
+    times: dict[str, list[float]] = {"ours": [], "floor": [], "hashed": []}
+    with tempfile.TemporaryDirectory() as name:
+        path = Path(name) / "file.mcap"
+        partial = path.with_name(path.name + ".partial")
+        work: dict[str, Callable[[], float]] = {
+            "ours": lambda: ours(path, blocks, fields, a.n_env),
+            "floor": lambda: floor(path, blocks),
+            "hashed": lambda: hashed(blocks),
+        }
+        for _ in range(a.repeats):
+            for what, run in work.items():
+                times[what].append(run())
+                for written in (path, partial):
+                    written.unlink(missing_ok=True)
+    print(f"machine                                     {machine()}")
+    print(f"states                                      {a.n_env} envs, {_STEPS} steps, {size / 1e6:.0f} MB")
+    print(f"write path [MB/s]                           {spread([size / t / 1e6 for t in times['ours']], 0)}")
+    print(f"os.write + CRC-32 [MB/s]                    {spread([size / t / 1e6 for t in times['floor']], 0)}")
+    ratios = [f / o for f, o in zip(times["floor"], times["ours"], strict=True)]
+    print(f"rate of the write path / (os.write + CRC)   {spread(ratios)}   claim: at least 0.5")
+    print(f"state hashes alone, one thread [MB/s]       {spread([size / t / 1e6 for t in times['hashed']], 0)}")
+
+
+if __name__ == "__main__":
+    main()

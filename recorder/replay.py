@@ -1,0 +1,217 @@
+"""A recording's own configuration, to be run again here.
+
+Of a recording its configuration is taken and nothing else: names and numbers, which pass the same checks as a user's
+arguments. No code, model or path of it is used. What it asks for must be what it shows to have been done, so that a
+few bytes cannot ask for more work than the file has traces of.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from recorder.finished import outcome_of, run_end
+from recorder.scenes.base import Scene
+from schemas import topics
+from schemas.blocks import decode_fingerprints
+from schemas.configuration import RunConfiguration
+from schemas.container import Container
+from schemas.digest import attachment_name, content_hash
+from schemas.errors import DamagedRecording, RecordingError, UsageError
+from schemas.messages import message_class
+from schemas.provenance import LOGGED, PROVENANCE, REAL, SCENE, SIMULATION, Provenance, ReplayOf, Simulation
+
+"""What recordings of programs that are no adapter (recorder.log) say of their fresh start."""
+
+CODE_OPTIONS = ("module",)
+"""Options that name code to be loaded: never taken from a file."""
+
+_MOST_PER_INTERVAL = 1000
+"""Steps between two clock readings, of which one trace is left; no adapter takes more than a hundred."""
+
+_SHOWN_CHARACTERS = 600
+
+
+@dataclass(frozen=True)
+class Source:
+    """A recording that can be replayed.
+
+    path           of the file
+    run_id         of its run
+    content_hash   of the recording
+    configuration  as recorded
+    scene_sha256   identity of its scene
+    ran_s          how long the run took where it was made [s]; None where it does not say
+    """
+
+    path: Path
+    run_id: str
+    content_hash: str
+    configuration: RunConfiguration
+    scene_sha256: str
+    ran_s: float | None
+
+
+def read_source(path: Path) -> Source:
+    """What a recording says of itself.
+
+    RecordingError where the file is damaged, UsageError where what it holds is nothing that can be replayed.
+    """
+    try:
+        return _read(Container(path), path)
+    except RecordingError as error:
+        said = shown(str(error))
+        raise type(error)(said if str(path) in said else f"{path}: {said}") from None
+
+
+def _read(container: Container, path: Path) -> Source:
+    end = run_end(container)
+    if end is None:
+        raise DamagedRecording("incomplete: a run that has no end cannot be replayed")
+    status = outcome_of(end).status
+    text, scene = container.attachment(PROVENANCE), container.attachment(SCENE)
+    if text is None:
+        raise DamagedRecording("it says nothing of where it comes from")
+    provenance = Provenance.from_json(text)
+    c = provenance.configuration
+    if c.simulator == REAL:
+        raise UsageError(f"{path} holds measured trials: no simulator can replay them")
+    if status not in ("complete", "invalid"):
+        why = shown(end.reason) or "it does not say why"
+        raise UsageError(f"{path} cannot be replayed: its run {status}, so that it shows no whole run: {why}")
+    described = container.attachment(SIMULATION)
+    if described is None:
+        raise DamagedRecording("it does not say what its simulator was")
+    simulation = Simulation.from_json(described)
+    if simulation.fresh_start == LOGGED:
+        raise UsageError(f"{path} cannot be replayed: a program logged it that no simulator of gsb-record stands for")
+    if scene is None:
+        raise DamagedRecording("it does not say what its scene was")
+    scene_hash = hashlib.sha256(scene).hexdigest()
+    if simulation.scene.get("sha256") != scene_hash:
+        raise DamagedRecording("its scene is not the one that its simulator was given")
+    for name, attached in ((PROVENANCE, text), (SCENE, scene), (SIMULATION, described)):
+        if end.digests.get(attachment_name(name)) != hashlib.sha256(attached).hexdigest():
+            raise DamagedRecording(f"{name} was changed since the recording was made")
+    if content_hash(dict(end.digests), status, end.reason) != end.content_hash:
+        raise DamagedRecording("the end record was changed since the recording was made")
+    _check_shown(container, c)
+    return Source(path, provenance.run_id, end.content_hash, c, scene_hash, _ran(container))
+
+
+def _check_shown(container: Container, c: RunConfiguration) -> None:
+    # every step leaves a trace: a hash of each environment in the capture, a share of a clock reading before it
+    asked = []
+    if "capture" in c.phases:
+        asked.append(("captured steps", c.steps, _hashes(container, "capture") // c.n_env - 1))
+    if "timed" in c.phases:
+        asked += [(f"{phase} steps", n, _clocked(container, phase)) for phase, n in _timed(c)]
+        asked.append(("timed environments", c.n_env, _hashes(container, "timed") // 2))
+    for what, wanted, there in asked:
+        if there < wanted:
+            raise UsageError(
+                f"{container.path} cannot be replayed: it asks for {c.n_env} environments and {wanted} {what}, and has "
+                f"traces of {max(there, 0)} {what}"
+            )
+
+
+def _timed(c: RunConfiguration) -> tuple[tuple[str, int], ...]:
+    return ("warmup", c.warmup), ("timed", c.timed_steps)
+
+
+def _hashes(container: Container, phase: str) -> int:
+    contents = container.in_sequence(topics.fingerprint(phase))
+    return sum(decode_fingerprints(content)[1].size for content in contents)
+
+
+def _clocked(container: Container, phase: str) -> int:
+    found = [_parsed("gsb.v1.StepTiming", content) for content in container.in_sequence(topics.timing(phase))]
+    return sum(len(timing.end_ns) * min(timing.steps_per_interval, _MOST_PER_INTERVAL) for timing in found)
+
+
+def _ran(container: Container) -> float | None:
+    events = [_parsed("gsb.v1.Event", content).monotonic_ns for content in container.in_sequence(topics.RUN_EVENT)]
+    return (max(events) - min(events)) / 1e9 if events else None
+
+
+def _parsed(message: str, content: memoryview) -> Any:
+    try:
+        return message_class(message).FromString(bytes(content))
+    except Exception as error:  # protobuf's DecodeError differs between its backends
+        raise DamagedRecording(f"a {message} message cannot be parsed: {error}") from None
+
+
+def replayed(
+    source: Source, *, options: Mapping[str, str], phases: tuple[str, ...] | None, timeout: float, compression: str
+) -> RunConfiguration:
+    """What is to be run: as recorded, but for these.
+
+    options  that the user has otherwise; others stay as recorded
+    phases   None: as recorded
+
+    The time limit and the compression are no part of what a run computes, and are the user's. UsageError where the
+    recording names code to be loaded and the user does not, and for a phase that it has not.
+    """
+    c = source.configuration
+    for name in CODE_OPTIONS:
+        if c.options.get(name) and name not in options:
+            named = shown(c.options[name])
+            raise UsageError(
+                f"{source.path} has --option {name}={named}, which names code to be loaded; that is never taken from a "
+                f"file: say --option {name}={named} yourself if it is yours"
+            )
+    if phases is not None and not set(phases) <= set(c.phases):
+        raise UsageError(f"--phases {','.join(phases)}: {source.path} has only {','.join(c.phases)}")
+    return replace(
+        c, run_index=0, options={**c.options, **options}, phases=c.phases if phases is None else phases,
+        timeout=timeout, compression=compression,
+    )  # fmt: skip
+
+
+def origin(source: Source, configuration: RunConfiguration) -> ReplayOf:
+    """What a replay's recording says of the one that it is a replay of."""
+    was = source.configuration
+    changed = {
+        f"options.{name}": was.options.get(name, "")
+        for name, value in configuration.options.items()
+        if was.options.get(name) != value
+    }
+    if configuration.phases != was.phases:
+        changed["phases"] = ",".join(was.phases)
+    return ReplayOf(source.run_id, source.content_hash, changed)
+
+
+def check_scene(source: Source, scene: Scene) -> None:
+    """UsageError where the scene of that name is another one here."""
+    if scene.sha256() != source.scene_sha256:
+        raise UsageError(
+            f"{source.path} cannot be replayed: scene '{scene.name}' is another one here, with SHA-256 "
+            f"{scene.sha256()[:12]}; the recording's has {source.scene_sha256[:12]}"
+        )
+
+
+def announcement(source: Source, configuration: RunConfiguration) -> str:
+    """One line: what is going to be run, and how long it took where it was recorded."""
+    c = configuration
+    steps = []
+    if "timed" in c.phases:
+        steps.append(f"{c.warmup} + {c.timed_steps} timed steps")
+    if "capture" in c.phases:
+        steps.append(f"{c.steps} captured steps")
+    given = "".join(f", {name}={value}" for name, value in c.options.items())
+    level = "" if c.determinism == "default" else f", determinism {c.determinism}"
+    took = "" if source.ran_s is None or source.ran_s > 1e9 else f"; a run took {source.ran_s:.1f} s there"
+    line = (
+        f"replay of run {source.run_id[:8]}, content {source.content_hash[:12]}: {c.simulator}{given}{level}, "
+        f"{c.scene}, {c.n_env} envs, dt {c.dt:g} s, seed {c.seed}, {' and '.join(steps)}{took}"
+    )
+    return shown(line)
+
+
+def shown(text: str) -> str:
+    """A file's text for a terminal: no control characters, and not for ever."""
+    short = text if len(text) <= _SHOWN_CHARACTERS else text[: _SHOWN_CHARACTERS - 3] + "..."
+    return "".join(c if c.isprintable() else f"\\x{ord(c):02x}" for c in short)
