@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from bisect import bisect_right
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
@@ -11,11 +12,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas import topics
-from schemas.blocks import decode_state, state_header
+from schemas.blocks import decode_state, state_bytes, state_header
+from schemas.checks import MAX_COUNT
 from schemas.configuration import EPOCH_NS, RunConfiguration, sim_time_ns
 from schemas.container import Container, Message
 from schemas.errors import DamagedRecording
 from schemas.fields import StateField
+
+_BLOCK_ROWS = 50  # at most, by the format
+_GAP_ROWS = 1 << 22  # that may be missing before nothing else can be read
 
 
 @dataclass(frozen=True)
@@ -54,6 +59,7 @@ class StateArray:
             raise DamagedRecording(f"{container.path}: environment blocks of {field.name} are missing")
         # A run that was cut short may have a block more of its first environments than of its last.
         rows = min((c.end_row for c in self._columns), default=0) - self._first_row
+        self._check_rows(rows)
         self.steps = (self._first_row + np.arange(rows, dtype=np.int64)) * self._stride
         self.shape = (rows, self._n_env, len(field.items), field.width)
         self.dtype = np.dtype(field.dtype)
@@ -100,7 +106,8 @@ class StateArray:
         first, stop, _ = steps.indices(self.shape[0])
         env_first, env_stop, _ = envs.indices(self.shape[1])
         shape = (max(0, stop - first), max(0, env_stop - env_first), *self.shape[2:])
-        if math.prod(shape) * self.dtype.itemsize > self._container.content_bytes:
+        size = math.prod(shape) * self.dtype.itemsize
+        if size > self._container.content_bytes and size > self._held(first, stop, env_first, env_stop):
             raise DamagedRecording(
                 f"{self._container.path}: {self.field.name} announces {shape}, more numbers than the file holds"
             )
@@ -110,11 +117,9 @@ class StateArray:
             env_begin, env_end = max(env_first, column.env_start), min(env_stop, next_start)
             if env_begin >= env_end:
                 continue
-            for block in column.blocks:
+            for block in self._touched(column, first, stop):
                 at = block.first_row - self._first_row
                 begin, end = max(first, at), min(stop, at + block.rows)
-                if begin >= end:
-                    continue
                 array = self._decode(block, column.env_start, next_start - column.env_start)
                 part = array[begin - at : end - at, env_begin - column.env_start : env_end - column.env_start]
                 out[begin - first : end - first, env_begin - env_first : env_end - env_first] = part
@@ -125,6 +130,34 @@ class StateArray:
                 f"{filled} of {out.size} numbers are there"
             )
         return out
+
+    def _held(self, first: int, stop: int, env_first: int, env_stop: int) -> int:
+        # bytes of the arrays that the blocks of a range hold; packed, they are fewer in the file
+        return sum(
+            state_bytes(self._container.read(block.message)[1])
+            for column, next_start in self._env_ranges()
+            if max(env_first, column.env_start) < min(env_stop, next_start)
+            for block in self._touched(column, first, stop)
+        )
+
+    def _touched(self, column: _Column, first: int, stop: int) -> list[_Block]:
+        # the blocks of a range of rows
+        if first >= stop:
+            return []
+        begin, end = (
+            bisect_right(column.blocks, row + self._first_row, key=lambda block: block.first_row)
+            for row in (first, stop - 1)
+        )
+        return column.blocks[begin - 1 : end]
+
+    def _check_rows(self, rows: int) -> None:
+        # before an array of that length is made
+        most = _GAP_ROWS + _BLOCK_ROWS * sum(len(c.blocks) for c in self._columns)
+        if self._first_row < 0 or rows > most or (self._first_row + rows) * self._stride > MAX_COUNT:
+            raise DamagedRecording(
+                f"{self._container.path}: {self.field.name} announces {rows} rows from row {self._first_row} on, which "
+                "cannot be"
+            )
 
     def _env_ranges(self) -> Iterator[tuple[_Column, int]]:
         # each column with the end of its environments: where the next one begins
@@ -161,14 +194,17 @@ class StateArray:
     def _index(self, dt: float) -> list[_Column]:
         # A block's place follows from its topic and time, so that nothing has to be decompressed to find a step.
         columns = []
+        prefix = f"/state/{self.field.name}/"
         for topic in self._container.channels:
-            parts = topics.parse_state(topic)
+            parts = topics.parse_state(topic) if topic.startswith(prefix) else None
             if parts is None or (parts.group, parts.field) != (self.field.group, self.field.field):
                 continue
             if topic != topics.state(*parts):
                 raise DamagedRecording(f"{self._container.path}: {topic} is no name that the format gives")
             messages = self._container.messages(topic)
             if not messages:
+                if topics.RUN_END not in self._container.channels:
+                    return []  # cut short before the first row of all environments was there
                 continue
             rows = [self._row(m, dt) for m in messages]
             last = state_header(self._container.read(messages[-1])[1])

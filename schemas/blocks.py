@@ -2,6 +2,7 @@
 
 A packed repeated number is tag, length, little-endian bytes; protobuf lets fields follow each other in any order. So a
 block is its small fields, serialised as usual, followed by the array's own bytes: no Python number is ever made.
+Blocks of states may hold their array packed instead (schemas.packing).
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from schemas import packing, wire
 from schemas.errors import DamagedRecording
 from schemas.mcap_writer import Part
 from schemas.messages import message_class
@@ -26,10 +28,9 @@ _FINGERPRINT = "gsb.v1.FingerprintBlock"
 ARRAY_FIELDS = {"data": "<f4", "data64": "<f8", "hashes": "<u8"}
 """Fields that hold whole arrays, packed, and their dtypes."""
 
-# wire types of protobuf
-_VARINT = 0
-_LENGTH_DELIMITED = 2
-_FIXED = {1: 8, 5: 4}
+_RAW, _PACKED = 0, 1  # of gsb.v1.Encoding
+_WORDS: dict[int, np.dtype[Any]] = {4: np.dtype("<f4"), 8: np.dtype("<f8")}
+_STORAGE = ("encoding", "packed", "data", "data64", "word_bytes")  # the fields that say how an array is stored
 
 
 def little_endian(array: NDArray[Any]) -> NDArray[Any]:
@@ -42,19 +43,9 @@ def raw_bytes(array: NDArray[Any]) -> memoryview:
     return array.reshape(-1).view(np.uint8).data
 
 
-def _varint(value: int) -> bytes:
-    out = bytearray()
-    while value > 0x7F:
-        out.append(value & 0x7F | 0x80)
-        value >>= 7
-    out.append(value)
-    return bytes(out)
-
-
 def _before_array(header: Any, field: str, payload: memoryview) -> bytes:
     number = header.DESCRIPTOR.fields_by_name[field].number
-    tag = _varint(number << 3 | _LENGTH_DELIMITED)
-    return b"".join((header.SerializeToString(), tag, _varint(len(payload))))
+    return bytes(header.SerializeToString()) + wire.delimited_head(number, len(payload))
 
 
 def _with_array(header: Any, field: str, payload: memoryview) -> bytes:
@@ -93,16 +84,25 @@ def encode_state(array: NDArray[Any], *, first_step: int, stride: int, env_start
     return b"".join(part.data for part in parts)
 
 
-def encode_action(array: NDArray[Any], *, first_step: int, stride: int, env_start: int, sim_time_ns: int) -> bytes:
-    """A serialised ActionBlock from an array [step, env, width]."""
+def action_parts(
+    array: NDArray[Any], *, first_step: int, stride: int, env_start: int, sim_time_ns: int
+) -> tuple[Part, ...]:
+    """An ActionBlock from an array [step, env, width], as of `state_parts`."""
     array = little_endian(array)
     payload = raw_bytes(array)
     steps, envs, width = array.shape
+    crc = zlib.crc32(payload)
     header = message_class(_ACTION)(
         first_step=first_step, steps=steps, stride=stride, env_start=env_start, envs=envs,
-        width=width, sim_time_ns=sim_time_ns, crc32=zlib.crc32(payload),
+        width=width, sim_time_ns=sim_time_ns, crc32=crc,
     )  # fmt: skip
-    return _with_array(header, _data_field(array), payload)
+    return Part(_before_array(header, _data_field(array), payload)), Part(payload, crc)
+
+
+def encode_action(array: NDArray[Any], *, first_step: int, stride: int, env_start: int, sim_time_ns: int) -> bytes:
+    """A serialised ActionBlock from an array [step, env, width]."""
+    parts = action_parts(array, first_step=first_step, stride=stride, env_start=env_start, sim_time_ns=sim_time_ns)
+    return b"".join(part.data for part in parts)
 
 
 def encode_fingerprints(hashes: NDArray[np.uint64], *, first_step: int, stride: int, env_start: int = 0) -> bytes:
@@ -128,59 +128,51 @@ class BlockHeader:
     width: int = 0
     sim_time_ns: int = 0
     encoding: int = 0
+    word_bytes: int = 0
     crc32: int | None = None
 
 
-def _read_varint(data: memoryview, position: int) -> tuple[int, int]:
-    value = shift = 0
-    while True:
-        byte = data[position]
-        position += 1
-        value |= (byte & 0x7F) << shift
-        if byte < 0x80:
-            return value, position
-        shift += 7
-        if shift > 63:
-            raise IndexError
+@dataclass(frozen=True)
+class _Scanned:
+    """A message's small fields, and its array where it is; nothing is copied.
+
+    field    name of the field that holds the array, empty without one
+    array    its bytes
+    packed   bytes of the array in another encoding
+    """
+
+    header: BlockHeader
+    field: str
+    array: memoryview
+    packed: memoryview
 
 
-def _scan(name: str, data: memoryview, *, again: bool = False) -> tuple[BlockHeader, str, memoryview]:
-    """Header, name of the array field and the array's bytes, in place; nothing is copied.
+def _scan(name: str, data: memoryview, *, again: bool = False) -> _Scanned:
+    """Find a message's parts.
 
     again  the message was repacked already: what is still not one packed array is no array of this field at all
     """
     by_number = message_class(name).DESCRIPTOR.fields_by_number
     values: dict[str, int] = {}
-    array, payload = "", memoryview(b"")
-    position = 0
+    array, payload, packed = "", memoryview(b""), memoryview(b"")
     try:
-        while position < len(data):
-            tag, position = _read_varint(data, position)
-            field = by_number.get(tag >> 3)
-            kind = tag & 7
-            if kind == _VARINT:
-                value, position = _read_varint(data, position)
-                if field is not None:
-                    values[field.name] = value
-            elif kind == _LENGTH_DELIMITED:
-                size, position = _read_varint(data, position)
-                if size > len(data) - position:
-                    raise IndexError
-                if field is not None and field.name in ARRAY_FIELDS:
-                    if array:
-                        return _scan(name, _repacked(name, data, again), again=True)
-                    array, payload = field.name, data[position : position + size]
-                position += size
-            elif kind in _FIXED and field is not None and field.name in ARRAY_FIELDS:
-                return _scan(name, _repacked(name, data, again), again=True)
-            elif kind in _FIXED:
-                position += _FIXED[kind]
-            else:
-                raise IndexError
-    except IndexError:
+        for found in wire.fields(data):
+            field = by_number.get(found.number)
+            if field is None:
+                continue
+            if found.kind == wire.VARINT:
+                values[field.name] = found.value
+            elif field.name in ARRAY_FIELDS:
+                if array or found.kind != wire.LENGTH_DELIMITED:
+                    return _scan(name, _repacked(name, data, again), again=True)
+                array, payload = field.name, found.payload
+            elif field.name == "packed":
+                packed = found.payload
+    except ValueError:
         raise DamagedRecording(f"a {name} message is cut short or no protobuf") from None
     known = {f.name for f in fields(BlockHeader)}
-    return BlockHeader(**{k: v for k, v in values.items() if k in known}), array, payload
+    header = BlockHeader(**{k: v for k, v in values.items() if k in known})
+    return _Scanned(header, array, payload, packed)
 
 
 def _repacked(name: str, data: memoryview, again: bool) -> memoryview:
@@ -195,35 +187,99 @@ def _repacked(name: str, data: memoryview, again: bool) -> memoryview:
 
 
 def _decode(name: str, data: bytes | memoryview, shape: Callable[[BlockHeader], tuple[int, ...]]) -> Any:
-    header, field, payload = _scan(name, memoryview(data))
-    if header.encoding != 0:
-        raise DamagedRecording(
-            f"a block uses encoding {header.encoding}, which this version does not read; update gpusimbench"
-        )
-    dtype = np.dtype(ARRAY_FIELDS.get(field, "<f4"))
-    sizes = shape(header)
-    expected = math.prod(sizes) * dtype.itemsize
-    if expected != len(payload):
-        raise DamagedRecording(
-            f"a {name} message announces an array of shape {sizes}, {expected} bytes, and holds {len(payload)}"
-        )
-    if header.crc32 is not None and zlib.crc32(payload) != header.crc32:
+    scanned = _scan(name, memoryview(data))
+    header = scanned.header
+    _check_size(name, scanned, shape(header))
+    try:
+        if header.encoding == _PACKED:
+            array = packing.unpack(scanned.packed, shape(header), _dtype(scanned))
+        else:
+            array = np.frombuffer(scanned.array, dtype=_dtype(scanned)).reshape(shape(header))
+    except ValueError as error:  # also numpy's, of an array without numbers whose other sides are too many
+        raise DamagedRecording(f"the {name} at step {header.first_step} cannot be read: {error}") from None
+    array.flags.writeable = False
+    if header.crc32 is not None and zlib.crc32(raw_bytes(array)) != header.crc32:
         raise DamagedRecording(f"the {name} at step {header.first_step} fails its CRC")
-    return header, np.frombuffer(payload, dtype=dtype).reshape(sizes)
+    return header, array
+
+
+def _dtype(scanned: _Scanned) -> np.dtype[Any]:
+    if scanned.header.encoding == _RAW:
+        return np.dtype(ARRAY_FIELDS.get(scanned.field, "<f4"))
+    if scanned.header.word_bytes not in _WORDS:
+        raise DamagedRecording(f"a packed block has numbers of {scanned.header.word_bytes} bytes, neither 4 nor 8")
+    return _WORDS[scanned.header.word_bytes]
+
+
+def _check_size(name: str, scanned: _Scanned, shape: tuple[int, ...]) -> int:
+    # bytes of the array, borne out by what the message holds
+    encoding = scanned.header.encoding
+    if encoding not in (_RAW, _PACKED):
+        raise DamagedRecording(
+            f"a block uses encoding {encoding}, which this version does not read; update gpusimbench"
+        )
+    size = math.prod(shape) * _dtype(scanned).itemsize
+    if encoding == _PACKED:
+        try:
+            packing.check_frame(scanned.packed, size)
+        except ValueError as error:
+            raise DamagedRecording(f"a packed {name} message of shape {shape} is damaged: {error}") from None
+    elif size != len(scanned.array):
+        raise DamagedRecording(
+            f"a {name} message announces an array of shape {shape}, {size} bytes, and holds {len(scanned.array)}"
+        )
+    return size
 
 
 def decode_state(data: bytes | memoryview) -> tuple[BlockHeader, NDArray[Any]]:
-    """Header and read-only array [step, env, item, width] of a StateBlock, a view of `data`; its CRC is verified.
+    """Header and read-only array [step, env, item, width] of a StateBlock; its CRC is verified.
 
-    Raises DamagedRecording where sizes disagree, the CRC does not match, or the encoding is not known.
+    The array is a view of `data` where it is not packed. Raises DamagedRecording where sizes disagree, the CRC does not
+    match, or the encoding is not known.
     """
-    result: tuple[BlockHeader, NDArray[Any]] = _decode(_STATE, data, lambda h: (h.steps, h.envs, h.items, h.width))
+    result: tuple[BlockHeader, NDArray[Any]] = _decode(_STATE, data, _state_shape)
     return result
 
 
 def state_header(data: bytes | memoryview) -> BlockHeader:
     """The small fields of a StateBlock; its array is not looked at."""
-    return _scan(_STATE, memoryview(data))[0]
+    return _scan(_STATE, memoryview(data)).header
+
+
+def state_bytes(data: bytes | memoryview) -> int:
+    """Bytes of a StateBlock's array, which is not unpacked; DamagedRecording where the message cannot hold them."""
+    scanned = _scan(_STATE, memoryview(data))
+    return _check_size(_STATE, scanned, _state_shape(scanned.header))
+
+
+def pack_state(data: bytes | memoryview, *, level: int = packing.DEFAULT_LEVEL) -> bytes:
+    """The same StateBlock with its array packed; with the array as it is where packing would not make it smaller.
+
+    Whatever else the message holds stays as it is. The array's CRC is verified. level: see schemas.packing.pack.
+    """
+    _, array = decode_state(data)
+    frame = packing.pack(array, level=level)
+    stored = message_class(_STATE)(encoding=_PACKED, word_bytes=array.dtype.itemsize, packed=frame)
+    packed, unpacked = _without_array(data) + bytes(stored.SerializeToString()), unpack_state(data)
+    return packed if len(packed) < len(unpacked) else unpacked
+
+
+def unpack_state(data: bytes | memoryview) -> bytes:
+    """The same StateBlock with its array as it is; the inverse of pack_state."""
+    _, array = decode_state(data)
+    payload = raw_bytes(array)
+    number = message_class(_STATE).DESCRIPTOR.fields_by_name[_data_field(array)].number
+    return b"".join((_without_array(data), wire.delimited_head(number, len(payload)), payload))
+
+
+def _without_array(data: bytes | memoryview) -> bytes:
+    by_name = message_class(_STATE).DESCRIPTOR.fields_by_name
+    storage = {by_name[name].number for name in _STORAGE}
+    return b"".join(field.whole for field in wire.fields(memoryview(data)) if field.number not in storage)
+
+
+def _state_shape(header: BlockHeader) -> tuple[int, ...]:
+    return header.steps, header.envs, header.items, header.width
 
 
 def decode_action(data: bytes | memoryview) -> tuple[BlockHeader, NDArray[Any]]:

@@ -28,7 +28,7 @@ _FIELDS = tuple(body_field("cubes", name, "float64", ("a", "b")) for name in BOD
 _WIRE = {
     "StateBlock": {
         "first_step": 1, "steps": 2, "stride": 3, "env_start": 4, "envs": 5, "items": 6, "width": 7,
-        "sim_time_ns": 8, "encoding": 9, "crc32": 10, "packed": 11, "data": 12, "data64": 13,
+        "sim_time_ns": 8, "encoding": 9, "crc32": 10, "packed": 11, "data": 12, "data64": 13, "word_bytes": 14,
     },
     "ActionBlock": {
         "first_step": 1, "steps": 2, "stride": 3, "env_start": 4, "envs": 5, "width": 6, "sim_time_ns": 7,

@@ -1,0 +1,175 @@
+"""gsb-share: recordings made smaller, whole again, or ready for a viewer."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from evaluator.cli.entry import complain, enter, new_parser
+from schemas import PARTIAL
+from schemas.errors import ExitCode, GsbError, UsageError
+
+if TYPE_CHECKING:
+    from evaluator.sharing.pack import Copied
+    from evaluator.sharing.recover import Recovered
+
+_EPILOG = """\
+exit codes:
+  0  every file was written
+  1  a file could not be written
+  2  the command asks for something that cannot be
+  3  a file is damaged, cut short or no recording; what could be written was
+
+examples:
+  gsb-share pack recordings/*.mcap --out packed
+  gsb-share unpack packed/*.mcap --out unpacked
+  gsb-share recover runs/mujoco-r3.mcap.partial
+  gsb-share viewer recordings/mujoco-amd-r0.mcap --env 0 --env 3 --spread 1 --out view.mcap
+"""
+
+
+def parser() -> argparse.ArgumentParser:
+    """The command's arguments."""
+    p = new_parser(
+        "gsb-share",
+        "Make recordings smaller without changing what they hold, make whole files of what a crash left, and files for "
+        "Foxglove and other viewers. No file is changed or overwritten.",
+        _EPILOG,
+    )
+    verbs = p.add_subparsers(dest="verb", required=True, metavar="VERB")
+    for verb, what in (("pack", "copies with packed states"), ("unpack", "copies with states as they are")):
+        v = verbs.add_parser(verb, help=what, description=f"Write {what}; every copy is checked against its source.")
+        v.add_argument("files", nargs="+", type=Path, metavar="FILE", help="recordings, or folders of them")
+        v.add_argument("--out", type=Path, default=Path(f"{verb}ed"), metavar="DIR", help=f"default: {verb}ed")
+        if verb == "pack":
+            v.add_argument("--level", type=int, default=1, metavar="N", help="of Zstandard, 1 to 22 (default: 1)")
+    v = verbs.add_parser("recover", help="a whole file of one that was cut short", description=_RECOVER)
+    v.add_argument("file", type=Path, metavar="FILE", help="what a crash left, NAME.mcap.partial or another")
+    v.add_argument("--out", type=Path, metavar="FILE", help="default: NAME.recovered.mcap, beside it")
+    v = verbs.add_parser("viewer", help="a file for viewers", description=_VIEWER)
+    v.add_argument("file", type=Path, metavar="FILE", help="a recording")
+    v.add_argument("--env", type=int, action="append", metavar="E", help="environment to show; repeatable (default: 0)")
+    v.add_argument("--rate", type=float, default=30.0, metavar="HZ", help="most poses a simulated second (default: 30)")
+    v.add_argument(
+        "--spread", type=float, default=0.0, metavar="M", help="move environments at one place this far apart"
+    )
+    v.add_argument("--out", type=Path, required=True, metavar="FILE", help="the file to write")
+    v.add_argument("--layout", type=Path, metavar="FILE", help="write the attached Foxglove layout to a file, too")
+    return p
+
+
+_RECOVER = (
+    "Write everything up to the last whole record as a finished MCAP file. A recording without its end record stays "
+    "incomplete."
+)
+_VIEWER = (
+    "Write some environments as messages that Foxglove and rerun draw: shapes once, poses over simulated time, events. "
+    "Needs the package foxglove-schemas-protobuf."
+)
+
+
+def run(arguments: argparse.Namespace, command: str) -> int:
+    """Do what the verb says; returns the exit code."""
+    verbs: dict[str, Callable[[argparse.Namespace], int]] = {
+        "pack": _pack,
+        "unpack": _pack,
+        "recover": _recover,
+        "viewer": _viewer,
+    }
+    return verbs[arguments.verb](arguments)
+
+
+def _pack(arguments: argparse.Namespace) -> int:
+    from evaluator.report.text import printable
+    from evaluator.sharing.pack import pack, unpack
+    from schemas.packing import LEVELS
+
+    packing = arguments.verb == "pack"
+    if packing and arguments.level not in LEVELS:
+        raise UsageError(f"--level is a whole number from {LEVELS[0]} to {LEVELS[-1]}, not {arguments.level}")
+    code = ExitCode.OK
+    for file in _recordings(arguments.files):
+        path = arguments.out / file.name
+        try:
+            copied = pack(file, path, level=arguments.level) if packing else unpack(file, path)
+        except GsbError as error:
+            complain("gsb-share", str(error))
+            code = max(code, error.exit_code)
+        else:
+            print(printable(_line(copied)), flush=True)
+    return int(code)
+
+
+def _recordings(paths: list[Path]) -> Iterator[Path]:
+    for path in paths:
+        if not path.is_dir():
+            yield path
+            continue
+        inside = sorted(path.glob("*.mcap"))
+        if not inside:
+            raise UsageError(f"{path} has no recordings (*.mcap)")
+        yield from inside
+
+
+def _line(copied: Copied) -> str:
+    before, after = copied.bytes_before, copied.bytes_after
+    return (
+        f"{copied.path}  {before / 1e6:.2f} MB to {after / 1e6:.2f} MB, {after / before:.3f} of it; "
+        f"content hash {copied.content_hash[:12]} kept"
+    )
+
+
+def _recover(arguments: argparse.Namespace) -> int:
+    from evaluator.report.text import printable
+    from evaluator.sharing.recover import recover
+
+    source: Path = arguments.file
+    name = source.name.removesuffix(PARTIAL).removesuffix(".mcap")
+    done = recover(source, arguments.out or source.with_name(f"{name}.recovered.mcap"))
+    for line in _told(done):
+        print(printable(line))
+    return int(ExitCode.DATA_LOST if done.damage else ExitCode.OK)
+
+
+def _told(done: Recovered) -> Iterator[str]:
+    yield f"{done.path}  {done.status}{': ' if done.reason else ''}{done.reason}"
+    for stream in done.streams:
+        steps = "" if stream.last_step is None else f"  whole up to step {stream.last_step}"
+        yield f"  {stream.messages:>8} messages  {stream.name}{steps}"
+    yield f"  {len(done.attachments):>8} attachments  {', '.join(done.attachments)}"
+    if done.damage:
+        yield f"  {done.lost_bytes} bytes behind damage are left out: {done.damage}"
+    elif done.lost_bytes:
+        yield f"  {done.lost_bytes} bytes at the end are left out: they are no whole record"
+    else:
+        yield "  nothing is left out"
+
+
+def _viewer(arguments: argparse.Namespace) -> int:
+    from evaluator.report.text import printable
+    from evaluator.sharing.target import new_file
+    from evaluator.sharing.viewer import write_view
+
+    done = write_view(
+        arguments.file, arguments.out, envs=tuple(arguments.env or (0,)), rate=arguments.rate, spread=arguments.spread
+    )
+    if arguments.layout:
+        with new_file(arguments.layout) as target:
+            target.stream.write(done.layout.encode())
+    for note in done.notes:
+        complain("gsb-share", note)
+    shown = f"{done.shapes} shapes, {done.frames} moving frames at {done.times} times in {done.seconds:g} s"
+    print(printable(f"{done.path}  {shown}"))
+    return int(ExitCode.OK)
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Entry point of gsb-share."""
+    return enter(parser(), run, argv)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

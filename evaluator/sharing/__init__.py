@@ -1,0 +1,1 @@
+"""Recordings in other shapes, for archives and viewers: what gsb-share does."""

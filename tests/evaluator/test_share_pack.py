@@ -1,0 +1,240 @@
+"""Packing and unpacking: smaller files of the same content, checked on the way, and nothing overwritten."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import tracemalloc
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+
+from evaluator import open_recording
+from evaluator.sharing.copying import Copier
+from evaluator.sharing.pack import pack, unpack
+from evaluator.sharing.target import new_file
+from schemas.blocks import pack_state
+from schemas.errors import DamagedRecording, DataLost, UsageError
+from schemas.records import read_records
+from tests.synthetic import grid, write_recording
+from tests.test_docs import ROOT, commands
+
+SHIPPED = ROOT / "recordings" / "mujoco-pyramidal-r0.mcap"
+FLOAT32 = ROOT / "recordings" / "h200" / "physx-inclined-collision-n16-r0.mcap"
+
+
+def share(*arguments: object, folder: Path | None = None) -> subprocess.CompletedProcess[str]:
+    """Call gsb-share as a user does."""
+    return subprocess.run(
+        [sys.executable, "-m", "evaluator.cli.share", *map(str, arguments)],
+        cwd=folder, capture_output=True, text=True, timeout=120,
+    )  # fmt: skip
+
+
+def contents(path: Path) -> tuple[list[Any], list[Any], list[Any]]:
+    """Messages, attachments and metadata, as the mcap library reads them."""
+    with path.open("rb") as stream:
+        reader = make_reader(stream, validate_crcs=True)
+        messages = [
+            (schema.name, schema.data, c.topic, c.metadata, c.message_encoding, m.log_time, m.publish_time, m.sequence,
+             m.data)
+            for schema, c, m in reader.iter_messages(log_time_order=False)
+            if schema is not None
+        ]  # fmt: skip
+        attachments = [(a.name, a.media_type, a.log_time, a.create_time, a.data) for a in reader.iter_attachments()]
+        metadata = [(m.name, m.metadata) for m in reader.iter_metadata()]
+    return messages, attachments, metadata
+
+
+@pytest.fixture(scope="module")
+def moving(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A recording of 70 environments, so two columns of blocks, that all move differently."""
+    final = grid(70, "float32")
+    moved = np.random.default_rng(0).normal(0, 1e-3, final.shape).astype(np.float32)
+    return write_recording(
+        tmp_path_factory.mktemp("moving"), final, steps=60, dt=0.01, name="moving.mcap",
+        path_of=lambda start, step: (start + moved * np.float32(step * 0.01)).astype(np.float32),
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("source", [SHIPPED, FLOAT32], ids=lambda p: p.stem)
+def test_real_recordings_keep_their_identity(source: Path, tmp_path: Path) -> None:
+    """Pack a shipped recording: the same hash and digests, the same states."""
+    packed = pack(source, tmp_path / "packed" / source.name, level=1)
+    before, after = open_recording(source), open_recording(packed.path)
+    after.verify()
+    assert before.content_hash == after.content_hash == packed.content_hash
+    assert (packed.bytes_before, packed.bytes_after) == (source.stat().st_size, packed.path.stat().st_size)
+    for field in before.fields:
+        assert np.array_equal(
+            np.asarray(before.state(field.group, field.field)).view(np.uint8),
+            np.asarray(after.state(field.group, field.field)).view(np.uint8),
+        )
+
+
+def test_everything_else_is_copied(moving: Path, tmp_path: Path) -> None:
+    """Give back, unpacked, every message and attachment with its times and number; packed, change states alone."""
+    packed = pack(moving, tmp_path / "packed.mcap", level=3)
+    unpacked = unpack(packed.path, tmp_path / "unpacked.mcap")
+    assert contents(unpacked.path) == contents(moving)
+    assert packed.bytes_after < 0.5 * packed.bytes_before
+    before, after = contents(moving), contents(packed.path)
+    assert after[1:] == before[1:]
+    for was, became in zip(before[0], after[0], strict=True):
+        assert became[:-1] == was[:-1]
+        assert (became[-1] == was[-1]) != was[2].startswith("/state/")
+
+
+def test_packed_and_raw_blocks_in_one_file(moving: Path, tmp_path: Path) -> None:
+    """Read packed blocks and raw ones beside each other: a short block of noise is not worth packing."""
+    noise = np.random.default_rng(2).normal(size=(1, 27, 3))
+    source = write_recording(tmp_path, noise, steps=1, dt=0.01, name="noise.mcap")
+    packed = pack(source, tmp_path / "packed.mcap", level=1)
+    assert np.array_equal(open_recording(packed.path).state("cubes", "position")[-1], noise)
+
+
+def test_reading_more_than_the_file_takes(moving: Path, tmp_path: Path) -> None:
+    """Read arrays that are larger than the packed file, whole and in part."""
+    still = write_recording(tmp_path, grid(70), steps=100, dt=0.01, name="still.mcap")
+    packed = pack(still, tmp_path / "packed.mcap", level=1)
+    states = open_recording(packed.path).state("cubes", "position")
+    assert np.asarray(states).nbytes > 20 * packed.bytes_after
+    assert np.array_equal(np.asarray(states), np.asarray(open_recording(still).state("cubes", "position")))
+    assert np.array_equal(states[3:60, 66:], np.asarray(states)[3:60, 66:])
+
+
+def test_a_packed_file_cannot_announce_more_than_it_holds(tmp_path: Path) -> None:
+    """Refuse to allocate for environments that no block holds, though packed blocks may hold more than the file."""
+
+    def change(name: str, record: dict[str, Any]) -> None:
+        if name == "provenance.json":
+            record["configuration"]["n_env"] = 1 << 22
+
+    source = write_recording(tmp_path, grid(4), steps=50, dt=0.01, change=change)
+    with new_file(tmp_path / "packed.mcap") as target:
+        copier = Copier(target, source, compression="zstd", change=pack_state)
+        for record in read_records(source):
+            copier.add(record)
+        copier.finish()
+    states = open_recording(tmp_path / "packed.mcap").state("cubes", "position")
+    tracemalloc.start()
+    try:
+        with pytest.raises(DamagedRecording, match="more numbers than the file holds"):
+            states[0]
+        assert tracemalloc.get_traced_memory()[1] < 1 << 20
+    finally:
+        tracemalloc.stop()
+
+
+def test_metrics_are_the_same(moving: Path, tmp_path: Path) -> None:
+    """Evaluate a packed recording to the same metrics."""
+    pack(moving, tmp_path / "moving.mcap", level=1)
+    found = []
+    for path in (moving, tmp_path / "moving.mcap"):
+        done = subprocess.run(
+            [sys.executable, "-m", "evaluator.cli.eval", str(path), "--sample-time", "0.6", "--json", "-"],
+            capture_output=True, text=True, timeout=120,
+        )  # fmt: skip
+        assert done.returncode == 0, done.stderr
+        found.append(json.loads(done.stdout)["groups"])
+    assert json.dumps(found[0]).replace(str(moving), "") == (
+        json.dumps(found[1]).replace(str(tmp_path / "moving.mcap"), "")
+    )
+
+
+def test_a_damaged_source_is_not_packed(moving: Path, tmp_path: Path) -> None:
+    """Refuse what was changed, and leave nothing behind."""
+    data = bytearray(moving.read_bytes())
+    data[len(data) // 2] ^= 1
+    (tmp_path / "bad.mcap").write_bytes(data)
+    with pytest.raises(DamagedRecording):
+        pack(tmp_path / "bad.mcap", tmp_path / "out" / "bad.mcap", level=1)
+    assert not (tmp_path / "out").exists()
+
+
+def test_what_has_no_end_is_not_packed(tmp_path: Path) -> None:
+    """Point to recover where a file was cut short, and refuse where nothing says what it should hold."""
+    partial = write_recording(tmp_path, grid(2), steps=3, end=False, name="cut.mcap")
+    with pytest.raises(DataLost, match="gsb-share recover"):
+        pack(partial, tmp_path / "packed.mcap", level=1)
+
+
+def test_nothing_is_overwritten(moving: Path, tmp_path: Path) -> None:
+    """Refuse a name that is taken, its own included, and leave no other file behind."""
+    own = tmp_path / "own.mcap"
+    own.write_bytes(moving.read_bytes())
+    (tmp_path / "a.mcap").write_text("mine")
+    for name in ("a.mcap", "own.mcap"):
+        with pytest.raises(UsageError, match="exists already"):
+            pack(own, tmp_path / name, level=1)
+    assert (tmp_path / "a.mcap").read_text() == "mine"
+    assert own.read_bytes() == moving.read_bytes()
+    assert len(list(tmp_path.iterdir())) == 2
+
+
+def test_the_command_packs_a_folder(moving: Path, tmp_path: Path) -> None:
+    """Pack a folder and what is named, one line each; what cannot be is named, and the rest is written."""
+    folder = tmp_path / "in"
+    folder.mkdir()
+    (folder / "one.mcap").write_bytes(moving.read_bytes())
+    (folder / "two.mcap").write_text("no recording")
+    done = share("pack", folder, "--out", tmp_path / "out")
+    assert done.returncode == 3
+    assert done.stdout.count("\n") == 1
+    assert "content hash" in done.stdout
+    assert "two.mcap is not an MCAP file" in done.stderr
+    assert [p.name for p in (tmp_path / "out").iterdir()] == ["one.mcap"]
+    back = share("unpack", tmp_path / "out" / "one.mcap", "--out", tmp_path / "back")
+    assert back.returncode == 0, back.stderr
+    assert contents(tmp_path / "back" / "one.mcap") == contents(moving)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("pack", SHIPPED, "--level", "0"), "--level is a whole number from 1 to 22"),
+        (("pack", ROOT / "docs"), "has no recordings"),
+        (("pack", "missing.mcap"), "cannot read missing.mcap"),
+        ((), "VERB"),
+    ],
+)
+def test_what_cannot_be_asked(arguments: tuple[object, ...], message: str, tmp_path: Path) -> None:
+    """Say in one line what is wrong with a command, and write nothing."""
+    done = share(*arguments, folder=tmp_path)
+    assert done.returncode in (2, 3)
+    assert message in done.stderr
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_help_is_light_and_complete() -> None:
+    """Show exit codes and examples without loading a numerical library or a file format."""
+    code = (
+        "import sys\nfrom evaluator.cli.share import main\n"
+        "try:\n    main(['--help'])\nexcept SystemExit as end:\n    assert not end.code\n"
+        "print([m for m in ('numpy', 'google.protobuf', 'mcap', 'zstandard') if m in sys.modules], file=sys.stderr)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
+    assert done.stderr.strip() == "[]"
+    assert "exit codes:" in done.stdout
+    assert all(line.split()[0] == "gsb-share" for line in done.stdout.split("examples:")[1].strip().splitlines())
+
+
+def test_the_commands_of_the_page(tmp_path: Path) -> None:
+    """Run every command that docs/share.md shows, in a folder that has the sample recordings."""
+    (tmp_path / "recordings").mkdir()
+    for path in (ROOT / "recordings").glob("mujoco-*-r0.mcap"):
+        (tmp_path / "recordings" / path.name).write_bytes(path.read_bytes())
+    lines = commands(ROOT / "docs" / "share.md")
+    assert len(lines) >= 4
+    for line in lines:
+        name, *arguments = line.split()
+        assert name == "gsb-share"
+        files = [str(p.relative_to(tmp_path)) for p in sorted(tmp_path.glob("recordings/*.mcap"))]
+        expanded = [file for a in arguments for file in (files if a == "recordings/*.mcap" else [a])]
+        done = share(*expanded, folder=tmp_path)
+        assert done.returncode == 0, f"{line}\n{done.stderr}"
+        assert done.stdout
