@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from evaluator.cli.entry import complain, enter, new_parser, write
-from schemas import PARTIAL
+from evaluator.cli.json_target import check_target
 from schemas.errors import ExitCode, GsbError, NothingComparable, UsageError
 
 if TYPE_CHECKING:
@@ -53,9 +53,7 @@ def run(arguments: argparse.Namespace, command: str) -> int:
 
     if not 0 < arguments.sample_time < float("inf"):
         raise UsageError(f"--sample-time is a time in seconds above 0, not {arguments.sample_time}")
-    if arguments.json not in (None, "-") and Path(arguments.json).suffix in (".mcap", PARTIAL):
-        # "--json *.mcap" would otherwise overwrite the first recording with the results
-        raise UsageError(f"--json takes the file to write, or -; {arguments.json} is named like a recording")
+    check_target(arguments.json)
     recordings, unreadable = _open(arguments.files, verify=not arguments.no_verify)
     reference = _open_reference(arguments.reference, verify=not arguments.no_verify) if arguments.reference else None
     evaluation = evaluate(

@@ -1,0 +1,117 @@
+"""gsb-diff: where two recordings, or environments of one, part first."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from evaluator.cli.entry import complain, enter, new_parser, write
+from evaluator.cli.json_target import check_target
+from schemas.errors import ExitCode, UsageError
+
+if TYPE_CHECKING:
+    from evaluator.diff.result import Difference
+
+_EPILOG = """\
+exit codes:
+  0  nothing differs: all that was compared is bit-identical, or, where bits cannot be compared, within the resolution
+  2  the command asks for something that cannot be
+  3  a file is damaged or no recording; or nothing differs in what is there, but a recording is cut short or lost data
+  4  they differ
+  5  they have nothing in common that could be compared
+
+examples:
+  gsb-diff before.mcap after.mcap
+  gsb-diff run.mcap
+  gsb-diff run.mcap --env 0 --env 5
+  gsb-diff before.mcap after.mcap --json - | jq .first
+"""
+
+
+def parser() -> argparse.ArgumentParser:
+    """The command's arguments."""
+    p = new_parser(
+        "gsb-diff",
+        "Find the first step, environment, body and number in which two recordings, or the environments of one, "
+        "differ, and how fast the difference grows.",
+        _EPILOG,
+    )
+    p.add_argument("files", nargs="+", type=Path, metavar="FILE", help="one or two recordings (.mcap)")
+    p.add_argument(
+        "--env", type=int, action="append", default=[], metavar="E",
+        help="with one recording, twice: these two; with two, once: this one of both, or twice: E of the first "
+        "and E of the second (default: all environments)",
+    )  # fmt: skip
+    p.add_argument("--json", metavar="FILE", help="write the result as JSON; - for standard output, alone")
+    p.add_argument("--plot", type=Path, metavar="FILE.svg", help="draw how the difference grows")
+    p.add_argument("--no-verify", action="store_true", help="skip the digests; CRCs of what is read are still checked")
+    return p
+
+
+def run(arguments: argparse.Namespace, command: str) -> int:
+    """Compare and print; returns the exit code."""
+    _check(arguments)
+    found = _compare(arguments)
+    if arguments.plot:
+        from evaluator.diff.figure import figure_of
+
+        drawn = figure_of(found)
+        if drawn:
+            write(arguments.plot, drawn)
+        else:
+            complain("gsb-diff", f"no difference to draw; {arguments.plot} was not written")
+    if arguments.json == "-":
+        from evaluator.diff.json import dump_json
+
+        sys.stdout.write(dump_json(found))
+        return _exit_code(found)
+    from evaluator.diff.text import print_difference
+
+    print_difference(found, sys.stdout)
+    if arguments.json:
+        from evaluator.diff.json import dump_json
+
+        write(Path(arguments.json), dump_json(found))
+    return _exit_code(found)
+
+
+def _check(arguments: argparse.Namespace) -> None:
+    files, envs = len(arguments.files), len(arguments.env)
+    if files > 2:
+        raise UsageError(f"gsb-diff compares two recordings, or one with itself; {files} files were given")
+    if envs > 2 or (files == 1 and envs == 1):
+        raise UsageError(f"{envs} environments were given: one recording needs two of them, two take one or two")
+    if arguments.plot and arguments.plot.suffix != ".svg":
+        raise UsageError(f"--plot draws SVG; name the file .svg instead of {arguments.plot.name}")
+    check_target(arguments.json)
+
+
+def _compare(arguments: argparse.Namespace) -> Difference:
+    from evaluator.diff.compare import compare, compare_all_envs, compare_envs
+    from evaluator.recording import Recording
+
+    recordings = [Recording(path) for path in arguments.files]
+    if not arguments.no_verify:
+        for recording in recordings:
+            recording.verify()
+    envs = arguments.env
+    if len(recordings) == 1:
+        return compare_envs(recordings[0], *envs) if envs else compare_all_envs(recordings[0])
+    return compare(*recordings, envs=(envs[0], envs[-1]) if envs else None)
+
+
+def _exit_code(found: Difference) -> int:
+    if found.first is not None:
+        return int(ExitCode.GATE_FAILED)
+    return int(ExitCode.DATA_LOST if found.lost else ExitCode.OK)
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Entry point of gsb-diff."""
+    return enter(parser(), run, argv)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,137 @@
+"""What two selections have in common: fields, items and components by name, steps by simulated time."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+
+import numpy as np
+from numpy.typing import NDArray
+
+from evaluator.diff.result import Basis
+from evaluator.diff.selection import Selection
+from schemas.checks import MAX_COUNT
+from schemas.fields import StateField
+
+_LARGEST_RATIO = 1000  # of two time steps, and of its parts as a fraction
+_TOLERANCE = 1e-9
+
+
+@dataclass(frozen=True)
+class CommonField:
+    """A field that both sides have.
+
+    a, b                    as each describes it
+    items, components       names of what both have, in the order of a
+    items_a, components_a   where they are in a; of b likewise
+    basis                   what counts as different
+    """
+
+    a: StateField
+    b: StateField
+    items: tuple[str, ...]
+    components: tuple[str, ...]
+    items_a: NDArray[np.int64]
+    items_b: NDArray[np.int64]
+    components_a: NDArray[np.int64]
+    components_b: NDArray[np.int64]
+    basis: Basis
+
+    @property
+    def name(self) -> str:
+        """ "group/field"."""
+        return self.a.name
+
+    @property
+    def whole(self) -> bool:
+        """Whether nothing of either side's field is left out or in another order."""
+        return self.a.items == self.b.items == self.items and self.a.components == self.b.components == self.components
+
+    @property
+    def is_position(self) -> bool:
+        """Whether it tells where bodies are [m]."""
+        return self.a.field == "position" and self.a.unit == "m" and {"x", "y"} <= set(self.components)
+
+
+def common_fields(a: Selection, b: Selection) -> tuple[tuple[CommonField, ...], list[str]]:
+    """Fields that both sides have, and in sentences what is left out."""
+    theirs = {f.name: f for f in b.recording.fields}
+    found, left_out = [], []
+    for field in a.recording.fields:
+        other = theirs.pop(field.name, None)
+        if other is None:
+            left_out.append(f"{field.name}: only in a")
+            continue
+        why_not = _why_not(field, other)
+        if why_not:
+            left_out.append(f"{field.name}: {why_not}")
+            continue
+        shared = _common(field, other, a, b)
+        for what, of_a, of_b, of_both in (
+            ("items", field.items, other.items, shared.items),
+            ("components", field.components, other.components, shared.components),
+        ):
+            if not len(of_a) == len(of_b) == len(of_both):
+                left_out.append(f"{field.name}: {len(of_both)} {what} in common, of {len(of_a)} in a, {len(of_b)} in b")
+        if shared.items and shared.components:
+            found.append(shared)
+    left_out += [f"{name}: only in b" for name in theirs]
+    return tuple(found), left_out
+
+
+def _why_not(a: StateField, b: StateField) -> str:
+    if a.unit != b.unit:
+        return f"in {a.unit} in a, in {b.unit} in b"
+    if a.frame != b.frame and {a.frame, b.frame} != {"world", "env"}:
+        return f"in frame {a.frame} in a, {b.frame} in b"
+    for field in (a, b):
+        if len(set(field.items)) < len(field.items) or len(set(field.components)) < len(field.components):
+            return "two items or components have the same name"
+    return ""
+
+
+def _common(a: StateField, b: StateField, left: Selection, right: Selection) -> CommonField:
+    items_a, items_b = _matched(a.items, b.items)
+    components_a, components_b = _matched(a.components, b.components)
+    if (left.offsets(a) != right.offsets(b)).any():
+        basis = Basis.LOCAL
+    else:
+        basis = Basis.BITS if a.dtype == b.dtype else Basis.FLOAT32
+    return CommonField(
+        a, b, tuple(a.items[i] for i in items_a), tuple(a.components[i] for i in components_a),
+        items_a, items_b, components_a, components_b, basis,
+    )  # fmt: skip
+
+
+def _matched(a: Sequence[str], b: Sequence[str]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    at = {name: index for index, name in enumerate(b)}
+    pairs = [(index, at[name]) for index, name in enumerate(a) if name in at]
+    both = np.array(pairs, dtype=np.int64).reshape(-1, 2)
+    return both[:, 0], both[:, 1]
+
+
+def step_ratio(dt_a: float, dt_b: float) -> Fraction | None:
+    """Steps of b for a step of a, where both are at the same simulated time again and again; None where they are not.
+
+    dt_a, dt_b  time steps [s]
+    """
+    ratio = dt_a / dt_b
+    if not 1 / _LARGEST_RATIO <= ratio <= _LARGEST_RATIO:
+        return None
+    fraction = Fraction(ratio).limit_denominator(_LARGEST_RATIO)
+    return fraction if abs(float(fraction) - ratio) <= _TOLERANCE * ratio else None
+
+
+def common_steps(
+    a: NDArray[np.int64], b: NDArray[np.int64], ratio: Fraction
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Steps of a and of b at the same simulated time, both increasing.
+
+    ratio  steps of b for a step of a
+    """
+    a = a[(a >= 0) & (a <= MAX_COUNT)]
+    scaled = a * ratio.numerator
+    whole = scaled % ratio.denominator == 0
+    there, at, _ = np.intersect1d(scaled[whole] // ratio.denominator, b, return_indices=True)
+    return a[whole][at], there

@@ -1,0 +1,104 @@
+"""Two recordings, or environments of one: what is common is read once, step by step, and held against each other."""
+
+from __future__ import annotations
+
+from evaluator.diff import remarks
+from evaluator.diff.common import common_fields, step_ratio
+from evaluator.diff.first import first_divergence
+from evaluator.diff.hashes import CommonHashes, common_hashes
+from evaluator.diff.numbers import pairing
+from evaluator.diff.result import Basis, Compared, Difference, Splits
+from evaluator.diff.selection import Selection, one
+from evaluator.diff.settings import differing_settings
+from evaluator.diff.splits import Agreement, Classes, step_range, without_classes
+from evaluator.diff.states import CommonStates
+from evaluator.diff.walk import walk_hashes, walk_states
+from evaluator.recording import Recording
+from schemas.errors import NothingComparable, UsageError
+
+
+def compare(a: Recording, b: Recording, *, envs: tuple[int, int] | None = None) -> Difference:
+    """The same environments of two recordings.
+
+    envs  one environment of a and one of b; None: every environment that both have, by its number
+
+    Raises NothingComparable where they have nothing in common, UsageError for an environment that is not there,
+    DamagedRecording where a file is not what it says.
+    """
+    if envs is not None:
+        return _compare(one(a, envs[0]), one(b, envs[1]))
+    both = range(min(a.configuration.n_env, b.configuration.n_env))
+    return _compare(Selection(a, both), Selection(b, both))
+
+
+def compare_envs(recording: Recording, first: int, second: int) -> Difference:
+    """Two environments of one recording; raises as `compare` does."""
+    if first == second:
+        raise UsageError(f"an environment is compared with another one, not {first} with itself")
+    return _compare(one(recording, first), one(recording, second))
+
+
+def compare_all_envs(recording: Recording) -> Difference:
+    """Environment 0 of a recording with all of its others, and all with each other; raises as `compare` does."""
+    n_env = recording.configuration.n_env
+    if n_env < 2:
+        raise NothingComparable(f"{recording.path} has one environment, and nothing to compare it with")
+    return _compare(one(recording, 0), Selection(recording, range(1, n_env)))
+
+
+def _compare(a: Selection, b: Selection) -> Difference:
+    ratio = step_ratio(a.recording.configuration.dt, b.recording.configuration.dt)
+    if ratio is None:
+        raise NothingComparable(remarks.no_times(a, b))
+    fields, left_out = common_fields(a, b)
+    states = CommonStates(a, b, [pairing(field, a, b) for field in fields], ratio)
+    found = common_hashes(a, b, fields, ratio, states=bool(len(states)))
+    hashes, no_hashes = (found, "") if isinstance(found, CommonHashes) else (None, found)
+    if hashes is None and not len(states):
+        raise NothingComparable(remarks.nothing(a, b, fields, no_hashes))
+    no_classes = remarks.no_classes(a, b, fields)
+    walked = walk_states(states, a, b, hashes=hashes, classes=hashes is None and not no_classes)
+    agreement, classes = walked.agreement, walked.classes
+    if hashes is not None:
+        agreement, classes = walk_hashes(hashes, classes=not no_classes)
+    first = first_divergence(
+        a, b, ratio, (states, walked.agreement), (hashes, agreement) if hashes is not None else None
+    )
+    bitwise = all(field.basis is Basis.BITS for field in fields)
+    one_recording = a.recording is b.recording
+    return Difference(
+        a=a.side(),
+        b=b.side(),
+        one_recording=one_recording,
+        compared=Compared(
+            fields=walked.fields,
+            n_env=agreement.pairs,
+            state_steps=step_range(states.steps_a.tolist()) if len(states) else None,
+            hash_steps=step_range(hashes.steps_a.tolist()) if hashes else None,
+            no_hashes=no_hashes,
+            left_out=(*left_out, *remarks.uncommon(a, b, states)),
+        ),
+        bitwise=bitwise,
+        bit_identical=bitwise and first is None,
+        same_up_to_env_order=_same_up_to_order(a, b, classes),
+        first=first,
+        max_ulp=max((f.max_ulp for f in walked.fields if f.max_ulp is not None), default=None),
+        growth=walked.growth,
+        no_growth="" if walked.growth else remarks.no_growth(fields),
+        splits=_splits(agreement, classes, no_classes, by_hashes=hashes is not None),
+        settings=() if one_recording else differing_settings(a.recording, b.recording),
+        copies=not one_recording and a.recording.provenance.run_id == b.recording.provenance.run_id,
+        notes=remarks.notes(a, b, fields, hashes),
+    )
+
+
+def _splits(agreement: Agreement, classes: Classes | None, no_classes: str, *, by_hashes: bool) -> Splits:
+    if classes is None:
+        return without_classes(agreement, no_classes, by_hashes=by_hashes)
+    return classes.result(agreement, by_hashes=by_hashes)
+
+
+def _same_up_to_order(a: Selection, b: Selection, classes: Classes | None) -> bool | None:
+    # an order is between two whole sets of environments
+    whole = all(len(side.envs) == side.recording.configuration.n_env for side in (a, b))
+    return classes.same_up_to_order() if whole and classes is not None else None

@@ -1,0 +1,131 @@
+"""One field's numbers, pair by pair: which differ, and how far apart they are."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from evaluator.diff.common import CommonField
+from evaluator.diff.result import Basis, FieldDifference, Number
+from evaluator.diff.selection import Selection
+from evaluator.metrics.divergence import as_words, differs, resolution, ulp_distance
+
+
+@dataclass(frozen=True)
+class Pairing:
+    """How the numbers of a common field are compared; arrays are [step, env, item, component].
+
+    field               what is common
+    origin_a, origin_b  what the environments' origins add, shape [env, 1, component]
+    """
+
+    field: CommonField
+    origin_a: NDArray[np.float64]
+    origin_b: NDArray[np.float64]
+
+    def differs(self, a: NDArray[Any], b: NDArray[Any]) -> NDArray[np.bool_]:
+        """Where the numbers differ, by the field's basis."""
+        if self.field.basis is Basis.BITS:
+            return differs(a, b)
+        apart = self.apart(a, b)
+        beyond = ~(np.abs(apart) <= self.resolution(a, b))
+        special = (a == b) | (np.isnan(a) & np.isnan(b))
+        return np.asarray(np.where(np.isfinite(apart), beyond, ~special))
+
+    def apart(self, a: NDArray[Any], b: NDArray[Any]) -> NDArray[np.float64]:
+        """a - b in float64 [unit of the field], without the environments' origins; not finite where either is not."""
+        with np.errstate(invalid="ignore", over="ignore"):
+            if self.field.basis is Basis.LOCAL:
+                return np.asarray((a.astype(np.float64) - self.origin_a) - (b.astype(np.float64) - self.origin_b))
+            return np.asarray(a.astype(np.float64) - b.astype(np.float64))
+
+    def resolution(self, a: NDArray[Any], b: NDArray[Any]) -> NDArray[np.float64]:
+        """Spacing of numbers of the coarser dtype at the recorded magnitude [unit of the field]."""
+        return resolution(*one_dtype(a, b))
+
+
+def pairing(field: CommonField, a: Selection, b: Selection) -> Pairing:
+    """How the numbers of a field are compared between two selections."""
+    columns = ["xyz".index(name) if name in ("x", "y", "z") else 0 for name in field.components]
+    return Pairing(
+        field, a.offsets(field.a)[:, np.newaxis, :][..., columns], b.offsets(field.b)[:, np.newaxis, :][..., columns]
+    )
+
+
+def one_dtype(a: NDArray[Any], b: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
+    """Both as they are where they have one dtype, rounded to float32 where they have not."""
+    if a.dtype == b.dtype:
+        return a, b
+    with np.errstate(over="ignore"):  # beyond float32 is infinite there
+        return a.astype(np.float32), b.astype(np.float32)
+
+
+class Tally:
+    """Counts what differs in one field, chunk by chunk."""
+
+    def __init__(self, how: Pairing) -> None:
+        self._how = how
+        self._numbers = self._different = self._zeros = self._payloads = 0
+        self._first_step: int | None = None
+        self._first_ulp: int | None = None
+        self._max_ulp: int | None = None
+        self._max_distance: float | None = None
+
+    def add(self, steps: NDArray[np.int64], a: NDArray[Any], b: NDArray[Any], mask: NDArray[np.bool_]) -> None:
+        """Numbers [step, env, item, component] of both sides, and which of them differ."""
+        self._numbers += mask.size
+        if self._max_ulp is None and self._how.field.basis is not Basis.LOCAL:
+            self._max_ulp = 0
+        if self._max_distance is None and np.isfinite(a).any() and np.isfinite(b).any():
+            self._max_distance = 0.0
+        rows = np.flatnonzero(mask.any(axis=(1, 2, 3)))
+        if not rows.size:
+            return
+        self._different += int(np.count_nonzero(mask))
+        apart = np.abs(self._how.apart(a, b)[mask])
+        finite = apart[np.isfinite(apart)]
+        if finite.size:
+            self._max_distance = max(self._max_distance or 0.0, float(finite.max()))
+        of_a, of_b = (np.broadcast_to(side, mask.shape)[mask] for side in one_dtype(a, b))
+        self._zeros += int(np.count_nonzero((of_a == 0) & (of_b == 0)))
+        self._payloads += int(np.count_nonzero(np.isnan(of_a) & np.isnan(of_b)))
+        if self._max_ulp is not None:
+            ulps = ulp_distance(of_a, of_b)
+            self._max_ulp = max(self._max_ulp, int(ulps.max()))
+            if self._first_step is None:
+                # masked numbers are in order of steps
+                self._first_ulp = int(ulps[: np.count_nonzero(mask[rows[0]])].max())
+        if self._first_step is None:
+            self._first_step = int(steps[rows[0]])
+
+    def result(self) -> FieldDifference:
+        """What was counted."""
+        field = self._how.field
+        return FieldDifference(
+            field.name, field.a.unit, field.basis, self._numbers, self._different, self._zeros, self._payloads,
+            self._first_step, self._first_ulp, self._max_ulp, self._max_distance,
+        )  # fmt: skip
+
+
+def number(how: Pairing, a: NDArray[Any], b: NDArray[Any], at: tuple[int, ...]) -> Number:
+    """A pair of numbers that differ, at an index (step, env, item, component)."""
+    field = how.field
+    apart = float(how.apart(a, b)[at])
+    limit = None if field.basis is Basis.BITS else float(how.resolution(a, b)[at])
+    one, other = (np.broadcast_to(side, np.broadcast_shapes(a.shape, b.shape))[at] for side in (a, b))
+    ulp = None
+    if field.basis is not Basis.LOCAL:
+        ulp = int(ulp_distance(*one_dtype(np.array([one]), np.array([other])))[0])
+    return Number(
+        field.name, field.items[at[-2]], field.components[at[-1]], field.a.unit, field.basis,
+        str(one), str(other), _hex(one), _hex(other), ulp,
+        abs(apart) if np.isfinite(apart) else None, limit if limit is None or np.isfinite(limit) else None,
+    )  # fmt: skip
+
+
+def _hex(value: Any) -> str:
+    word = as_words(np.array([value]))[0]
+    return f"0x{int(word):0{2 * word.dtype.itemsize}x}"

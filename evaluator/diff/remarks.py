@@ -1,0 +1,85 @@
+"""Sentences on what could not be compared, and on what a reader must know beside."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from evaluator.diff.common import CommonField
+from evaluator.diff.hashes import CommonHashes
+from evaluator.diff.result import Basis
+from evaluator.diff.selection import Selection
+from evaluator.diff.states import CommonStates
+
+Fields = tuple[CommonField, ...]
+
+
+def no_times(a: Selection, b: Selection) -> str:
+    """Why there is nothing to compare where time steps have no common multiple."""
+    dt_a, dt_b = (side.recording.configuration.dt for side in (a, b))
+    return f"steps of {dt_a:g} s and {dt_b:g} s have no simulated times in common"
+
+
+def no_classes(a: Selection, b: Selection, fields: Fields) -> str:
+    """Why an environment can be held against its own counterpart alone; empty where it can be against any."""
+    if any(field.basis is Basis.FLOAT32 for field in fields):
+        return "one recording is float32, the other float64"
+    for field in fields:
+        origins = np.concatenate([a.offsets(field.a), b.offsets(field.b)])
+        if (origins != origins[0]).any():
+            return "the environments have different origins, which are part of their positions"
+    return ""
+
+
+def nothing(a: Selection, b: Selection, fields: Fields, no_hashes: str) -> str:
+    """Why there is nothing to compare where neither states nor hashes are common."""
+    if not fields:
+        return f"{a.recording.path} and {b.recording.path} have no state field in common"
+    return (
+        f"{a.recording.path} and {b.recording.path} have no recorded state of a common step, and their hashes cannot "
+        f"be compared: {no_hashes}"
+    )
+
+
+def no_growth(fields: Fields) -> str:
+    """Why distances cannot be told."""
+    if not any(field.is_position for field in fields):
+        return "no positions of bodies were recorded by both"
+    return "no states of a common step were recorded"
+
+
+def uncommon(a: Selection, b: Selection, states: CommonStates) -> list[str]:
+    """Environments and steps that one side has alone."""
+    found = []
+    n_a, n_b = (side.recording.configuration.n_env for side in (a, b))
+    if n_a != n_b and len(a.envs) == len(b.envs) > 1:
+        found.append(f"environments from {min(n_a, n_b)} on: a has {n_a}, b has {n_b}")
+    last_a, last_b = states.last_a(), states.last_b()
+    if not len(states) or last_a is None or last_b is None:
+        return found
+    for name, last, common in (("a", last_a, states.steps_a[-1]), ("b", last_b, states.steps_b[-1])):
+        if last > common:
+            found.append(f"states of {name} after its step {common}, up to {last}")
+    return found
+
+
+def notes(a: Selection, b: Selection, fields: Fields, hashes: CommonHashes | None) -> tuple[str, ...]:
+    """What a reader must know."""
+    found = []
+    for side in dict.fromkeys((a.recording, b.recording)):
+        if side.status in ("failed", "invalid"):
+            found.append(f"{side.path} is {side.status}: {side.reason}")
+    if a.recording is b.recording and (a.recording.action_streams or a.recording.action_names):
+        found.append("actions were applied; environments that are given other actions differ by design")
+    if hashes is not None and hashes.phase != "capture":
+        found.append(f"the hashes are those of the {hashes.phase} phase: of the steps that it began and ended with")
+    if any(field.basis is Basis.LOCAL for field in fields):
+        found.append(
+            "origins differ, so positions cannot be compared by bits: origins are subtracted in float64, and what the "
+            "recorded precision cannot tell at that distance from the world's origin counts as equal"
+        )
+    if any(field.basis is Basis.FLOAT32 for field in fields):
+        found.append(
+            "one recording is float32, the other float64: not comparable by bits; what float32 cannot tell counts as "
+            "equal, and distances in ULPs are those of float32"
+        )
+    return tuple(found)

@@ -1,0 +1,333 @@
+"""What comparing recordings found. A value that could not be computed is None, and a sentence beside it says why."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+from pathlib import Path
+
+from evaluator.metrics.divergence import GrowthFit
+
+SCHEMA_VERSION = 1
+
+
+class Basis(Enum):
+    """What makes two numbers of a field different.
+
+    BITS     any other bit: -0.0 is not 0.0, and NaNs are equal only with the same payload
+    FLOAT32  one side is float64: they are further apart than float32 can tell there
+    LOCAL    the environments have different origins: without them, they are further apart than the recorded precision
+             can tell at that distance from the world's origin
+    """
+
+    BITS = "bits"
+    FLOAT32 = "float32"
+    LOCAL = "local"
+
+
+class Verdict(Enum):
+    """What the comparison comes to, over what was compared."""
+
+    IDENTICAL = "bit-identical"
+    WITHIN_RESOLUTION = "equal within the resolution"
+    DIFFERENT = "different"
+
+
+@dataclass(frozen=True)
+class Side:
+    """One of the two that are compared.
+
+    path    of the recording
+    run_id  of its run
+    label   simulator and version
+    dt      its time step [s]
+    envs    its environments: the i-th is compared with the other side's i-th; a single one with all of the other's
+    status  of the recording
+    lost    one sentence for each thing that the recording should hold and does not
+    """
+
+    path: Path
+    run_id: str
+    label: str
+    dt: float
+    envs: range
+    status: str
+    lost: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Setting:
+    """Something that the two recordings say of themselves and differ in: dotted name, and both values as text."""
+
+    name: str
+    a: str
+    b: str
+
+
+@dataclass(frozen=True)
+class FieldDifference:
+    """A field that both sides have, over all common recorded steps, environments, items and components.
+
+    field             "group/field"
+    unit              of its numbers
+    basis             what counts as different
+    numbers           how many pairs of numbers were compared
+    different         how many of them differ
+    signed_zeros      of those, pairs of -0.0 and 0.0
+    nan_payloads      of those, pairs of NaNs with other bits
+    first_step        first recorded step with a difference, of side a; None where there is none
+    first_ulp         largest distance at that step in units in the last place, in order of the bits (see
+                      `ulp_distance`); of float32 where the basis is FLOAT32; None where the basis is LOCAL, and where
+                      nothing differs
+    max_ulp           the same over all steps, zero where nothing differs; None where the basis is LOCAL, and without a
+                      common state
+    max_distance      largest |a - b| [unit] where both are finite; None where that is nowhere
+    """
+
+    field: str
+    unit: str
+    basis: Basis
+    numbers: int
+    different: int
+    signed_zeros: int
+    nan_payloads: int
+    first_step: int | None
+    first_ulp: int | None
+    max_ulp: int | None
+    max_distance: float | None
+
+
+@dataclass(frozen=True)
+class Compared:
+    """Over what the comparison is.
+
+    fields          by name, with what became of each
+    n_env           pairs of environments
+    state_steps     common recorded steps of the states, as steps of side a: count, first and last; None without any
+    hash_steps      the same of the state hashes; None where they cannot be used, and `no_hashes` says why
+    left_out        what either side has and the comparison has not, a sentence each
+    """
+
+    fields: tuple[FieldDifference, ...]
+    n_env: int
+    state_steps: StepRange | None
+    hash_steps: StepRange | None
+    no_hashes: str
+    left_out: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class StepRange:
+    """How many steps, and which are the first and the last."""
+
+    count: int
+    first: int
+    last: int
+
+
+@dataclass(frozen=True)
+class Number:
+    """A pair of numbers that differ.
+
+    field, item, component  where
+    unit                    of the values
+    basis                   see Basis
+    a, b                    as recorded: the shortest decimal text that gives the same number again
+    hex_a, hex_b            their bits
+    ulp                     distance in units in the last place; None where the basis is LOCAL
+    distance                |a - b| [unit], without the environments' origins; None where one is not finite
+    resolution              what `distance` had to exceed [unit]; None where the basis is BITS
+    """
+
+    field: str
+    item: str
+    component: str
+    unit: str
+    basis: Basis
+    a: str
+    b: str
+    hex_a: str
+    hex_b: str
+    ulp: int | None
+    distance: float | None
+    resolution: float | None
+
+
+@dataclass(frozen=True)
+class StateDifference:
+    """The first recorded states that differ.
+
+    step, time     of side a; simulated time [s]
+    env_a, env_b   first environments that differ
+    envs           how many pairs of environments differ at this step
+    fields         names of the fields that differ in any of them
+    items          names of the bodies or joints that differ in the first
+    number         the first pair of numbers that differ: lowest environment, then field, item and component
+    """
+
+    step: int
+    time: float
+    env_a: int
+    env_b: int
+    envs: int
+    fields: tuple[str, ...]
+    items: tuple[str, ...]
+    number: Number
+
+
+@dataclass(frozen=True)
+class Contacts:
+    """The counter of contacts at a step: mean over all environments, and the largest."""
+
+    mean: float
+    max: float
+
+
+@dataclass(frozen=True)
+class Divergence:
+    """Where the two part first.
+
+    step_a, step_b  first step at which any environment differs; the two are unequal where dt is
+    time            simulated time [s]
+    after_step      last common step before it, of side a: up to there all are equal; None where there is none. Where it
+                    is not step_a - 1, the first difference lies somewhere in between
+    env_a, env_b    first environments that differ at this step
+    envs            how many pairs of environments differ at this step
+    by_hashes       the step was found by the recorded state hashes
+    state           first recorded states that differ; at a later step where none was recorded at this one; None where
+                    recorded states are equal again, or there are none
+    contacts_a, contacts_b  at that step; None where they were not counted
+    """
+
+    step_a: int
+    step_b: int
+    time: float
+    after_step: int | None
+    env_a: int
+    env_b: int
+    envs: int
+    by_hashes: bool
+    state: StateDifference | None
+    contacts_a: Contacts | None
+    contacts_b: Contacts | None
+
+    @property
+    def located(self) -> bool:
+        """Whether the states of this very step were recorded, so that body, field and component are known."""
+        return self.state is not None and self.state.step == self.step_a
+
+
+@dataclass(frozen=True)
+class Growth:
+    """How far bodies lie apart at each common recorded step, over the bodies of all environments. Lists are [step].
+
+    group                          whose positions; all common groups together
+    steps                          of side a
+    times                          simulated time [s]
+    median_planar, max_planar      distance in x and y [m]; None where no pair is finite
+    median_spatial, max_spatial    in x, y and z [m]; None likewise, or where heights were not recorded
+    not_finite_from                first step with a position that is not finite; None without any
+    to_1mm, to_1cm                 first recorded time at which the largest distance has that size [s]; None: never
+    fit                            exponential growth; None, and `no_fit` says why
+    """
+
+    groups: tuple[str, ...]
+    steps: tuple[int, ...]
+    times: tuple[float, ...]
+    median_planar: tuple[float | None, ...]
+    max_planar: tuple[float | None, ...]
+    median_spatial: tuple[float | None, ...]
+    max_spatial: tuple[float | None, ...]
+    not_finite_from: int | None
+    to_1mm: float | None
+    to_1cm: float | None
+    fit: GrowthFit | None
+    no_fit: str
+
+
+@dataclass(frozen=True)
+class Change:
+    """From this step of side a on, so many."""
+
+    step: int
+    count: int
+
+
+@dataclass(frozen=True)
+class Splits:
+    """Which states are the same, by 64-bit hashes of every number that is compared.
+
+    by_hashes      the recorded hashes were used, otherwise those of the recorded states
+    steps          at which this is known
+    agreeing       pairs of environments that are equal at a step, where that changes
+    distinct_a     distinct states among the environments of side a, where that changes
+    distinct_b     the same of side b
+    distinct_both  the same of both together
+    classes_a      by environment of side a: class of its trajectory; those of one class are equal at every common step
+    classes_b      the same of side b, with the same classes
+    last_a, last_b classes at the last common step likewise
+    no_classes     why environments cannot be held against others than their own counterpart, and all of these are None;
+                   empty where they can
+    """
+
+    by_hashes: bool
+    steps: StepRange
+    agreeing: tuple[Change, ...]
+    distinct_a: tuple[Change, ...] | None
+    distinct_b: tuple[Change, ...] | None
+    distinct_both: tuple[Change, ...] | None
+    classes_a: tuple[int, ...] | None
+    classes_b: tuple[int, ...] | None
+    last_a: tuple[int, ...] | None
+    last_b: tuple[int, ...] | None
+    no_classes: str
+
+
+@dataclass(frozen=True)
+class Difference:
+    """Two sides and what tells them apart.
+
+    a, b                   the sides
+    one_recording          both are of one recording
+    compared               over what
+    bitwise                whether every field could be compared bit by bit
+    bit_identical          all that was compared is, bit for bit; False where bits could not be compared
+    same_up_to_env_order   the environments of b have the trajectories of those of a, in any order; None where that
+                           cannot be told
+    first                  where they part; None where they do not
+    max_ulp                largest of any field at any common recorded step; None where no field could be compared in
+                           units in the last place, or no state was recorded by both
+    growth                 None, and `no_growth` says why
+    splits                 which states are the same, and when they part
+    settings               what configurations, provenance, options, versions and attachments differ in
+    copies                 both are recordings of the same run, so that being equal says nothing
+    notes                  what a reader must know beside, a sentence each
+    """
+
+    a: Side
+    b: Side
+    one_recording: bool
+    compared: Compared
+    bitwise: bool
+    bit_identical: bool
+    same_up_to_env_order: bool | None
+    first: Divergence | None
+    max_ulp: int | None
+    growth: Growth | None
+    no_growth: str
+    splits: Splits
+    settings: tuple[Setting, ...]
+    copies: bool
+    notes: tuple[str, ...]
+
+    @property
+    def verdict(self) -> Verdict:
+        """What it comes to."""
+        if self.first is not None:
+            return Verdict.DIFFERENT
+        return Verdict.IDENTICAL if self.bit_identical else Verdict.WITHIN_RESOLUTION
+
+    @property
+    def lost(self) -> tuple[str, ...]:
+        """What the recordings should hold and do not."""
+        return tuple(dict.fromkeys((*self.a.lost, *self.b.lost)))

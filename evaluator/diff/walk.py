@@ -1,0 +1,100 @@
+"""Reads the common states once, step by step, and counts what differs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from evaluator.diff.growth import Distances
+from evaluator.diff.hashes import CommonHashes
+from evaluator.diff.numbers import Tally
+from evaluator.diff.result import FieldDifference, Growth
+from evaluator.diff.selection import Selection
+from evaluator.diff.splits import Agreement, Classes
+from evaluator.diff.states import CommonStates
+from schemas.fingerprint import fingerprint
+from schemas.splitmix import GOLDEN, mix
+
+_HASH_ROWS = 512
+
+
+@dataclass(frozen=True)
+class Walked:
+    """What reading all common states gave.
+
+    fields     one per common field
+    agreement  of the states
+    classes    by hashes of the compared numbers; None where not asked for
+    growth     None where no field tells positions
+    """
+
+    fields: tuple[FieldDifference, ...]
+    agreement: Agreement
+    classes: Classes | None
+    growth: Growth | None
+
+
+def walk_states(
+    states: CommonStates, a: Selection, b: Selection, *, hashes: CommonHashes | None, classes: bool
+) -> Walked:
+    """Read everything once.
+
+    hashes   recorded ones, to be held against the states
+    classes  whether to find which environments are equal, for want of recorded hashes
+    """
+    tallies = [Tally(how) for how in states.fields]
+    positions = [how for how in states.fields if how.field.is_position]
+    distances = Distances(positions) if positions else None
+    agreement = Agreement(max(len(a.envs), len(b.envs)))
+    found = Classes(len(a.envs), len(b.envs)) if classes else None
+    for rows in states.ranges():
+        steps = states.steps_a[rows]
+        differ = np.zeros((len(steps), agreement.pairs), dtype=bool)
+        placed: list[Any] = []
+        hash_a, hash_b = (np.zeros((len(steps), len(side.envs)), dtype=np.uint64) for side in (a, b))
+        for index, (how, tally) in enumerate(zip(states.fields, tallies, strict=True)):
+            of_a, of_b = states.read(index, rows)
+            mask = how.differs(of_a, of_b)
+            tally.add(steps, of_a, of_b, mask)
+            differ |= mask.any(axis=(2, 3))
+            if how.field.is_position:
+                placed.append((how, of_a, of_b))
+            if found is not None:
+                hash_a += _hash(of_a, index)
+                hash_b += _hash(of_b, index)
+        agreement.add(steps, differ)
+        if hashes is not None:
+            hashes.check(steps, differ, a, b)
+        if found is not None:
+            found.add(steps, hash_a, hash_b)
+        if distances is not None:
+            distances.add(steps, placed)
+    return Walked(
+        tuple(tally.result() for tally in tallies),
+        agreement,
+        found,
+        distances.result(a.recording.configuration.dt) if distances is not None and len(states) else None,
+    )
+
+
+def walk_hashes(hashes: CommonHashes, *, classes: bool) -> tuple[Agreement, Classes | None]:
+    """The same of recorded hashes."""
+    n_a, n_b = hashes.a.shape[1], hashes.b.shape[1]
+    agreement = Agreement(max(n_a, n_b))
+    found = Classes(n_a, n_b) if classes else None
+    for begin in range(0, len(hashes.steps_a), _HASH_ROWS):
+        rows = slice(begin, begin + _HASH_ROWS)
+        steps, of_a, of_b = hashes.steps_a[rows], hashes.a[rows], hashes.b[rows]
+        agreement.add(steps, np.asarray(of_a != of_b))
+        if found is not None:
+            found.add(steps, of_a, of_b)
+    return agreement, found
+
+
+def _hash(array: NDArray[Any], index: int) -> NDArray[np.uint64]:
+    # fields are hashed one by one, since all of them may not fit into memory
+    key = np.uint64((index + 1) * GOLDEN & 0xFFFFFFFFFFFFFFFF)
+    return mix(fingerprint([array]) + key)

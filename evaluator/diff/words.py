@@ -1,0 +1,82 @@
+"""Numbers of a comparison as people read them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import groupby
+
+from evaluator.diff.result import Change
+
+NONE = "-"
+_BARS = "▁▂▃▄▅▆▇█"
+
+
+def length(metres: float | None) -> str:
+    """A distance in the unit that suits its size; a dash where there is none."""
+    if metres is None:
+        return NONE
+    if metres == 0:
+        return "0"
+    for unit, size in (("m", 1.0), ("cm", 1e-2), ("mm", 1e-3), ("µm", 1e-6), ("nm", 1e-9)):
+        if metres >= size:
+            return f"{metres / size:.3g} {unit}" if metres < 1e4 else f"{metres:.3g} m"
+    return f"{metres:.2g} m"
+
+
+def amount(value: float | None, unit: str) -> str:
+    """A difference with its unit; lengths in the unit that suits them."""
+    if value is None or unit == "m":
+        return length(value)
+    return "0" if value == 0 else f"{value:.3g} {'' if unit == 'unit quaternion' else unit}".rstrip()
+
+
+def ulps(count: int | None) -> str:
+    """A distance in units in the last place."""
+    if count is None:
+        return NONE
+    return f"{count:,}" if count < 10**7 else f"{count:.2e}"
+
+
+def counted(count: int, what: str) -> str:
+    """A number of things: "1 env", "2 envs"."""
+    return f"{count:,} {what}{'' if count == 1 else 's'}"
+
+
+def ranges(numbers: Sequence[int]) -> str:
+    """Increasing whole numbers, shortened: "0-3, 7"."""
+    parts = []
+    for _, run in groupby(enumerate(numbers), key=lambda pair: pair[1] - pair[0]):
+        found = [number for _, number in run]
+        parts.append(str(found[0]) if len(found) == 1 else f"{found[0]}-{found[-1]}")
+    return ", ".join(parts)
+
+
+def short(text: str, most: int = 60) -> str:
+    """Text of a recording, cut where it is longer than a line has room for."""
+    return text if len(text) <= most else f"{text[: most - 3]}..."
+
+
+def shortened(parts: Sequence[str], most: int) -> str:
+    """The first of some names, and how many more there are."""
+    more = len(parts) - most
+    return ", ".join(short(part) for part in parts[:most]) + (f" and {more:,} more" if more > 0 else "")
+
+
+def changes(found: Sequence[Change], most: int) -> str:
+    """A number over the steps: "1 from step 0, 26 from step 2"; the first changes, and the last."""
+    told = [f"{change.count:,} from step {change.step}" for change in found]
+    if len(told) > most:
+        left_out = len(told) - most
+        told = [*told[: most - 1], f"({left_out:,} changes)", told[-1]]
+    return ", ".join(told)
+
+
+def sparkline(levels: Sequence[float | None], width: int) -> str:
+    """Values from 0 to 1 as bars, the largest of those that share a column; a space where there is none."""
+    columns = min(width, len(levels))
+    drawn = []
+    for column in range(columns):
+        begin, end = column * len(levels) // columns, (column + 1) * len(levels) // columns
+        known = [level for level in levels[begin:end] if level is not None]
+        drawn.append(_BARS[min(len(_BARS) - 1, int(max(known) * len(_BARS)))] if known else " ")
+    return "".join(drawn)

@@ -1,0 +1,160 @@
+"""Divergence: which bits differ, by how much, and how the difference grows."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+_WORDS = {2: np.uint16, 4: np.uint32, 8: np.uint64}
+
+MIN_FIT_POINTS = 5
+"""A line through fewer points says nothing of whether it is one."""
+
+
+def as_words(values: npt.NDArray[np.floating]) -> npt.NDArray[np.unsignedinteger]:
+    """The bits of floating-point numbers as unsigned integers of their size, shape as given.
+
+    Raises:
+        ValueError: the numbers are not of 2, 4 or 8 bytes.
+    """
+    word = _WORDS.get(values.dtype.itemsize)
+    if values.dtype.kind != "f" or word is None:
+        raise ValueError(f"numbers must be floating-point, of 2, 4 or 8 bytes, not {values.dtype}")
+    return np.ascontiguousarray(values).view(word).reshape(values.shape)
+
+
+def differs(a: npt.NDArray[np.floating], b: npt.NDArray[np.floating]) -> npt.NDArray[np.bool_]:
+    """Where two arrays of one dtype have other bits, shape as broadcast.
+
+    Bits, not values: -0.0 differs from 0.0, and NaNs are equal only with the same payload.
+
+    Raises:
+        ValueError: the dtypes are not the same.
+    """
+    _same_dtype(a, b)
+    return np.asarray(as_words(a) != as_words(b))
+
+
+def ulp_distance(a: npt.NDArray[np.floating], b: npt.NDArray[np.floating]) -> npt.NDArray[np.uint64]:
+    """How many representable numbers two numbers are apart, shape as broadcast.
+
+    Bit patterns are counted in the order that IEEE 754-2019 (5.10, totalOrder) gives them:
+
+        -NaN < -inf < ... < -0.0 < 0.0 < ... < inf < NaN,  NaNs by payload
+
+    So it is zero for equal bits alone, one between -0.0 and 0.0, defined between any two patterns, and a metric. Where
+    neither number is NaN and both have the same sign, it is the usual distance in units in the last place.
+
+    Raises:
+        ValueError: the dtypes are not the same, or not floating-point.
+    """
+    _same_dtype(a, b)
+    first, second = _ordered(a), _ordered(b)
+    return np.asarray(np.maximum(first, second) - np.minimum(first, second), dtype=np.uint64)
+
+
+def resolution(a: npt.NDArray[np.floating], b: npt.NDArray[np.floating]) -> npt.NDArray[np.float64]:
+    """The spacing of representable numbers at the larger magnitude of two of one dtype, shape as broadcast.
+
+    Two numbers that are rounded from equal ones to that precision lie no further apart: each is off by half the
+    spacing at most. NaN where either is not finite.
+    """
+    _same_dtype(a, b)
+    with np.errstate(invalid="ignore"):
+        return np.asarray(np.spacing(np.maximum(np.abs(a), np.abs(b))), dtype=np.float64)
+
+
+def first_true(mask: npt.NDArray[np.bool_]) -> tuple[int, ...] | None:
+    """Index of the first true element in C order; None where there is none."""
+    flat = mask.reshape(-1)
+    at = int(np.argmax(flat)) if flat.size else 0
+    if not flat.size or not flat[at]:
+        return None
+    return tuple(int(i) for i in np.unravel_index(at, mask.shape))
+
+
+def by_first_appearance(keys: npt.NDArray[np.uint64]) -> npt.NDArray[np.int64]:
+    """Class of every key, numbered 0, 1, ... in order of first appearance, shape [n]."""
+    _, first, inverse = np.unique(keys, return_index=True, return_inverse=True)
+    rank = np.empty(len(first), dtype=np.int64)
+    rank[np.argsort(first)] = np.arange(len(first))
+    return np.asarray(rank[inverse.reshape(-1)])
+
+
+@dataclass(frozen=True)
+class GrowthFit:
+    """An exponential, log(distance) = rate * t + constant, by least squares.
+
+    rate          [1/s]
+    r_squared     share of the variance of log(distance) that the line explains
+    points        that the line goes through
+    begin, end    times of the first and the last of them [s]
+    """
+
+    rate: float
+    r_squared: float
+    points: int
+    begin: float
+    end: float
+
+    @property
+    def doubling_time(self) -> float | None:
+        """Time in which the distance doubles [s]; None where it does not grow."""
+        return math.log(2) / self.rate if self.rate > 0 else None
+
+
+def fit_growth(times: npt.NDArray[np.float64], distances: npt.NDArray[np.float64], *, limit: float) -> GrowthFit | str:
+    """The exponential through distances from the first that is not zero up to the last before `limit` is passed.
+
+    The window is fixed by that rule and is not searched for: below it nothing differs, above it bodies have met other
+    bodies and the distance is no longer small against the scene. Zeros within the window have no logarithm and are left
+    out.
+
+    Args:
+        times: [s], shape [step], increasing.
+        distances: [m], shape [step]; NaN is not finite and ends the window.
+        limit: distance [m] at which the window ends.
+
+    Returns:
+        the fit, or in a sentence why there is none.
+    """
+    begins = np.flatnonzero(distances > 0)
+    if not begins.size:
+        return "nothing moved apart"
+    ends = np.flatnonzero(~(distances < limit))
+    stop = int(ends[0]) if ends.size else len(distances)
+    window = np.flatnonzero(distances[:stop] > 0)
+    if len(window) < MIN_FIT_POINTS:
+        return (
+            f"{len(window)} recorded steps with a distance above zero before it passes {limit * 1000:g} mm; "
+            f"a rate needs {MIN_FIT_POINTS}"
+        )
+    t, y = times[window], np.log(distances[window])
+    t0, y0 = t - t.mean(), y - y.mean()
+    rate = float(t0 @ y0 / (t0 @ t0))
+    total = float(y0 @ y0)
+    left = float(((y0 - rate * t0) ** 2).sum())
+    if total == 0:
+        return f"the distance is the same at all {len(window)} steps of the window: it does not grow"
+    return GrowthFit(rate, 1 - left / total, len(window), float(t[0]), float(t[-1]))
+
+
+def first_reaching(times: npt.NDArray[np.float64], distances: npt.NDArray[np.float64], size: float) -> float | None:
+    """The first time [s] at which a distance [m] is at least `size`; None where it never is."""
+    at = np.flatnonzero(distances >= size)
+    return float(times[at[0]]) if at.size else None
+
+
+def _ordered(values: npt.NDArray[np.floating]) -> npt.NDArray[np.unsignedinteger]:
+    # monotone in totalOrder: negative numbers in reverse below, the others above
+    words = as_words(values)
+    sign = words.dtype.type(1) << words.dtype.type(8 * words.dtype.itemsize - 1)
+    return np.asarray(np.where(words & sign, ~words, words | sign))
+
+
+def _same_dtype(a: npt.NDArray[np.floating], b: npt.NDArray[np.floating]) -> None:
+    if a.dtype != b.dtype:
+        raise ValueError(f"numbers must be of one dtype, not {a.dtype} and {b.dtype}")

@@ -1,0 +1,430 @@
+"""Recordings held against each other: a difference is found where it was put, and nowhere else."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from evaluator.diff.compare import compare, compare_all_envs, compare_envs
+from evaluator.diff.result import Basis, Change, Difference, StepRange, Verdict
+from evaluator.recording import Recording
+from recorder.capture import states as capture
+from recorder.capture.states import StateWriter
+from schemas.errors import DamagedRecording, NothingComparable, UsageError
+from tests import synthetic
+from tests.synthetic import Shown, cubes_field, grid, write_recording
+
+ROOT = Path(__file__).resolve().parents[2]
+H200 = ROOT / "recordings" / "h200"
+STEPS = 8
+
+Path3 = Callable[[int], NDArray[Any]]
+
+
+def record(folder: Path, at: Path3, *, steps: int = STEPS, dt: float = 0.01, **keywords: Any) -> Recording:
+    """A recording whose cubes are at `at(step)` [m], [env, 27, 3], from step 1 on."""
+    return Recording(
+        write_recording(folder, at(steps), steps=steps, dt=dt, path_of=lambda _, step: at(step), **keywords)
+    )
+
+
+def still(n_env: int = 3, dtype: str = "float32") -> Path3:
+    """Cubes that move by the same centimetre in every environment at every step."""
+    return lambda step: (grid(n_env, dtype) + np.array(step * 0.01, dtype)).astype(dtype)
+
+
+def changed(base: Path3, since: int, change: Callable[[NDArray[Any]], None]) -> Path3:
+    """The same with a change in place from a step on."""
+
+    def at(step: int) -> NDArray[Any]:
+        positions = base(step).copy()
+        if step >= since:
+            change(positions)
+        return positions
+
+    return at
+
+
+def by_ulps(count: int, *where: int) -> Callable[[NDArray[Any]], None]:
+    """Move a number by so many units in the last place."""
+
+    def change(positions: NDArray[Any]) -> None:
+        word = positions.view(f"<i{positions.dtype.itemsize}")
+        word[where] += count
+
+    return change
+
+
+@settings(max_examples=25)
+@given(
+    since=st.integers(1, STEPS),
+    where=st.tuples(st.integers(0, 2), st.integers(0, 26), st.integers(0, 2)),
+    count=st.integers(-3, 3).filter(bool),
+    dtype=st.sampled_from(["float32", "float64"]),
+    stride=st.sampled_from([1, 4]),
+)
+def test_a_difference_is_found_where_it_was_put(
+    since: int, where: tuple[int, int, int], count: int, dtype: str, stride: int
+) -> None:
+    """Find step, environment, body, component and ULPs of one changed number, also between recorded states."""
+    env, item, component = where
+    with tempfile.TemporaryDirectory() as folder:
+        a = record(Path(folder), still(dtype=dtype), stride=stride)
+        b = record(Path(folder), changed(still(dtype=dtype), since, by_ulps(count, *where)), stride=stride)
+        found = compare(a, b)
+        expected = a.state("cubes", "position").at_step(-(-since // stride) * stride)[where]
+    first = found.first
+    assert first is not None
+    assert (first.step_a, first.step_b, first.after_step, first.envs) == (since, since, since - 1, 1)
+    assert (first.env_a, first.env_b, first.time) == (env, env, pytest.approx(since * 0.01))
+    assert first.state is not None
+    assert first.state.step == -(-since // stride) * stride
+    assert first.located == (since % stride == 0)
+    number = first.state.number
+    assert (number.item, number.component) == (cubes_field(dtype).items[item], "xyz"[component])
+    assert (number.ulp, number.a) == (abs(count), str(expected))
+    assert number.hex_a == f"0x{int(expected.view(f'u{expected.itemsize}')):0{2 * expected.itemsize}x}"
+    assert first.state.items == (number.item,)
+    assert (found.max_ulp, found.bit_identical, found.verdict) == (abs(count), False, Verdict.DIFFERENT)
+    assert found.splits.agreeing == (Change(0, 3), Change(since, 2))
+    assert found.splits.classes_b == tuple(1 if e == env else 0 for e in range(3))
+
+
+def test_equal_recordings_are_equal(tmp_path: Path) -> None:
+    """Find nothing between two runs of the same numbers, and say over what."""
+    found = compare(record(tmp_path, still()), record(tmp_path, still(), run=1))
+    assert found.verdict is Verdict.IDENTICAL
+    assert (found.bit_identical, found.bitwise, found.same_up_to_env_order) == (True, True, True)
+    assert (found.first, found.max_ulp, found.settings, found.copies) == (None, 0, (), False)
+    compared = found.compared
+    assert compared.state_steps == compared.hash_steps == StepRange(STEPS + 1, 0, STEPS)
+    assert (compared.n_env, compared.left_out, compared.fields[0].numbers) == (3, (), 9 * 3 * 27 * 3)
+    assert found.growth is not None
+    assert set(found.growth.max_spatial) == {0.0}
+    assert (found.growth.to_1mm, found.growth.fit, found.growth.no_fit) == (None, None, "nothing moved apart")
+
+
+def test_a_copy_is_called_a_copy(tmp_path: Path) -> None:
+    """Say that both are recordings of one run."""
+    a = record(tmp_path, still(), run_id="one")
+    assert compare(a, record(tmp_path, still(), run_id="one")).copies
+
+
+def test_zeros_and_payloads_are_bits(tmp_path: Path) -> None:
+    """Tell -0.0 from 0.0 and NaN from NaN, and count both apart from other differences."""
+
+    def with_numbers(zero: float, nan: int) -> Path3:
+        def change(positions: NDArray[Any]) -> None:
+            positions[0, 0, 0] = zero
+            positions.view("<u4")[1, 1, 1] = nan
+
+        return changed(still(), 2, change)
+
+    a = record(tmp_path, with_numbers(0.0, 0x7FC00000), status="INVALID", reason="a state is not finite")
+    found = compare(a, record(tmp_path, with_numbers(-0.0, 0x7FC00005)))
+    (field,) = found.compared.fields
+    assert (field.different, field.signed_zeros, field.nan_payloads) == (14, 7, 7)
+    assert found.first is not None
+    assert found.first.state is not None
+    assert (found.first.step_a, found.first.state.number.distance, found.max_ulp) == (2, 0.0, 5)
+    assert found.growth is not None
+    assert found.growth.not_finite_from == 2
+    assert "invalid" in found.notes[0]
+    assert compare(a, a).bit_identical  # the same payload
+
+
+def test_environments_in_another_order(tmp_path: Path) -> None:
+    """See the same trajectories in other environments, and which; no order makes up for another trajectory."""
+
+    def base(step: int) -> NDArray[Any]:
+        return (grid(4, "float32") + step * np.array([0, 1, 1, 2], "float32")[:, None, None]).astype("float32")
+
+    a = record(tmp_path, base)
+    found = compare(a, record(tmp_path, lambda step: base(step)[[3, 1, 0, 2]]))
+    assert (found.bit_identical, found.same_up_to_env_order) == (False, True)
+    assert found.splits.classes_a == (0, 1, 1, 2)
+    assert found.splits.classes_b == (2, 1, 0, 1)
+    assert found.splits.distinct_both == (Change(0, 1), Change(1, 3))
+    other = compare(a, record(tmp_path, lambda step: base(step)[[3, 0, 0, 1]]))
+    assert other.same_up_to_env_order is False
+
+
+def test_trajectories_that_meet_again(tmp_path: Path) -> None:
+    """Keep apart what was once different, although the last states are equal."""
+
+    def base(step: int) -> NDArray[Any]:
+        positions = still(2)(step)
+        positions[1, 5, 2] += step == 3
+        return positions
+
+    found = compare_all_envs(record(tmp_path, base, stride=4))
+    splits = found.splits
+    assert splits.distinct_both == (Change(0, 1), Change(3, 2), Change(4, 1))
+    assert ((splits.classes_a, splits.classes_b), (splits.last_a, splits.last_b)) == (((0,), (1,)), ((0,), (0,)))
+    assert found.first is not None
+    assert (found.first.step_a, found.first.state, found.max_ulp) == (3, None, 0)
+
+
+def test_two_environments_and_all(tmp_path: Path) -> None:
+    """Compare two chosen environments, one of each file, and all with the first."""
+    a = record(tmp_path, changed(still(4), 5, by_ulps(2, 3, 1, 0)))
+    assert compare_envs(a, 0, 2).bit_identical
+    pair = compare_envs(a, 1, 3)
+    assert pair.first is not None
+    assert (pair.first.env_a, pair.first.env_b, pair.max_ulp) == (1, 3, 2)
+    everything = compare_all_envs(a)
+    assert everything.first is not None
+    assert (everything.first.step_a, everything.first.env_a, everything.first.env_b) == (5, 0, 3)
+    assert (everything.compared.n_env, everything.first.envs) == (3, 1)
+    b = record(tmp_path, still(4))
+    assert compare(a, b, envs=(2, 1)).bit_identical
+    assert compare(a, b, envs=(3, 3)).max_ulp == 2
+
+
+def test_origins_are_no_difference(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Compare environments at other origins without them, beyond what float32 can tell there."""
+    origins = ((0.0, 0.0, 0.0), (60.0, -8.0, 0.0), (0.1, 900.0, 0.0))
+
+    def nowhere(step: int) -> NDArray[Any]:
+        return (grid(3) + step * 0.0123).astype("float32")
+
+    def base(step: int) -> NDArray[Any]:
+        return (grid(3) + step * 0.0123 + np.array(origins)[:, None, :]).astype("float32")
+
+    initial = [base(0)]
+
+    class Placed(StateWriter):
+        """Writes an initial state that has the origins in it, which the synthetic one has not."""
+
+        def feed(self, arrays: Any) -> str | None:
+            return super().feed(arrays if self.last_step >= 0 else [initial[-1][np.newaxis]])
+
+    monkeypatch.setattr(synthetic, "StateWriter", Placed)
+    a = record(tmp_path, base, origins=origins)
+    found = compare_all_envs(a)
+    assert (found.verdict, found.bitwise, found.bit_identical) == (Verdict.WITHIN_RESOLUTION, False, False)
+    assert (found.max_ulp, found.same_up_to_env_order, found.compared.hash_steps) == (None, None, None)
+    assert "origins" in found.splits.no_classes
+    assert found.growth is not None
+    assert set(found.growth.max_spatial) == {0.0}
+
+    b = record(tmp_path, changed(base, 2, lambda p: p[2, 7, 1:2].__iadd__(0.002)), origins=origins)
+    first = compare_all_envs(b).first
+    assert first is not None
+    assert first.state is not None
+    assert (first.step_a, first.env_b, first.state.items) == (2, 2, (cubes_field("float32").items[7],))
+    assert first.state.number.distance == pytest.approx(0.002, abs=1e-4)
+    assert first.state.number.resolution == pytest.approx(float(np.spacing(np.float32(900))))
+    assert first.state.number.ulp is None
+    # the same origins on both sides: bits count, but an environment cannot be held against another
+    between = compare(a, b)
+    assert between.bitwise
+    assert between.splits.agreeing == (Change(0, 3), Change(2, 2))
+    assert between.splits.classes_a is between.same_up_to_env_order is None
+    # other origins in the other recording
+    initial.append(nowhere(0))
+    c = record(tmp_path, nowhere)
+    assert compare(c, a).verdict is compare(a, c).verdict is Verdict.WITHIN_RESOLUTION
+    assert compare(c, b).first is not None
+    assert compare_all_envs(c).bit_identical
+
+
+def test_float32_and_float64(tmp_path: Path) -> None:
+    """Compare two precisions by what float32 can tell, never by bits."""
+    a, b = record(tmp_path, still()), record(tmp_path, lambda step: still()(step).astype("float64"))
+    found = compare(a, b)
+    assert (found.verdict, found.max_ulp, found.bit_identical) == (Verdict.WITHIN_RESOLUTION, 0, False)
+    assert found.compared.fields[0].basis is Basis.FLOAT32
+    assert "float32" in found.notes[0]
+    assert {"state.cubes/position"} <= {s.name for s in found.settings}
+
+    def moved(step: int) -> NDArray[Any]:
+        return changed(lambda s: still()(s).astype("float64"), 6, lambda p: p[1, 2].__iadd__(1e-3))(step)
+
+    first = compare(a, record(tmp_path, moved)).first
+    assert first is not None
+    assert first.state is not None
+    assert (first.step_a, first.env_a, first.state.number.component) == (6, 1, "x")
+    assert first.state.number.distance == pytest.approx(1e-3, rel=1e-3)
+
+
+def test_time_steps_of_a_ratio(tmp_path: Path) -> None:
+    """Compare states of the same simulated time where the steps are of another length."""
+    a = record(tmp_path, still(), dt=0.02)
+    b = record(tmp_path, lambda step: still()(step // 2), dt=0.01, steps=2 * STEPS)
+    found = compare(a, b)
+    assert found.bit_identical
+    assert found.compared.state_steps == StepRange(STEPS + 1, 0, STEPS)
+    assert "dt" in {s.name for s in found.settings}
+    late = compare(a, record(tmp_path, changed(lambda s: still()(s // 2), 10, by_ulps(1, 0, 0, 0)), dt=0.01, steps=16))
+    assert late.first is not None
+    assert (late.first.step_a, late.first.step_b, late.first.time) == (5, 10, 0.1)
+    with pytest.raises(NothingComparable, match="simulated times"):
+        compare(a, record(tmp_path, still(), dt=0.02 * np.pi))
+
+
+def test_what_is_common_is_compared(tmp_path: Path) -> None:
+    """Compare common environments, steps and bodies, by name, and say what is left out."""
+    a = record(tmp_path, still(2), stride=2, steps=12)
+    b = record(tmp_path, still(5), stride=4)
+    found = compare(a, b)
+    assert found.bit_identical
+    assert found.compared.state_steps == StepRange(3, 0, 8)
+    assert found.compared.hash_steps == StepRange(9, 0, 8)
+    assert found.compared.left_out == (
+        "environments from 2 on: a has 2, b has 5",
+        "states of a after its step 8, up to 12",
+    )
+    assert found.same_up_to_env_order is None
+    field = cubes_field("float32")
+    names = (*field.items[1:], "another")
+    other = record(tmp_path, lambda step: np.roll(still(2)(step), -1, axis=1), field=replace(field, items=names))
+    found = compare(a, other)
+    assert found.compared.left_out[0] == "cubes/position: 26 items in common, of 27 in a, 27 in b"
+    assert "different items" in found.compared.no_hashes
+    assert "state.cubes/position.items" in {s.name for s in found.settings}
+    # the scene's initial state is in the order of its own names
+    assert found.first is not None
+    assert (found.first.step_a, found.compared.fields[0].numbers) == (0, 2 * 26 * 3 * 5)
+    assert [f.first_step for f in compare(a, record(tmp_path, still(2))).compared.fields] == [None]
+
+
+def test_an_exponential_is_measured(tmp_path: Path) -> None:
+    """Return rate, window and times of a planted exponential growth."""
+
+    def grown(step: int) -> NDArray[Any]:
+        positions = grid(2)
+        if step >= 10:
+            positions[1, 4, 0] += 1e-8 * np.exp(9.0 * (step - 10) * 0.02)
+        return positions
+
+    a, b = record(tmp_path, lambda _: grid(2), steps=100, dt=0.02), record(tmp_path, grown, steps=100, dt=0.02)
+    growth = compare(a, b).growth
+    assert growth is not None
+    assert growth.fit is not None
+    assert growth.fit.rate == pytest.approx(9.0, rel=1e-4)
+    assert growth.fit.r_squared == pytest.approx(1, abs=1e-6)
+    assert (growth.fit.begin, growth.fit.points) == (pytest.approx(0.2), 64)
+    assert growth.to_1mm == pytest.approx(0.2 + 0.02 * np.ceil(np.log(1e5) / 9 / 0.02))
+    assert growth.to_1cm == pytest.approx(0.2 + 0.02 * np.ceil(np.log(1e6) / 9 / 0.02))
+    assert growth.median_spatial[50] == 0
+    assert growth.max_planar[50] == pytest.approx(1e-8 * np.exp(9 * 0.8), rel=1e-4)
+
+
+def test_contacts_at_the_divergence(tmp_path: Path) -> None:
+    """Show the counters of both at the first differing step."""
+    counts = [Shown({"capture": {"contacts": np.arange(STEPS * 3).reshape(STEPS, 3) + more}}) for more in (0, 6)]
+    a = record(tmp_path, still(), shown=counts[0])
+    first = compare(a, record(tmp_path, changed(still(), 4, by_ulps(1, 0, 0, 0)), shown=counts[1])).first
+    assert first is not None
+    assert first.contacts_a is not None
+    assert first.contacts_b is not None
+    assert (first.contacts_a.mean, first.contacts_a.max) == (10, 11)
+    assert (first.contacts_b.mean, first.contacts_b.max) == (16, 17)
+
+
+def test_settings_that_differ_are_listed(tmp_path: Path) -> None:
+    """Name options, switches and versions that the two do not share, and nothing that belongs to a run."""
+    a = record(tmp_path, still(), options={"iterations": 10, "cone": "elliptic"}, run=0)
+    b = record(tmp_path, still(), options={"iterations": 20}, environment={"XLA_FLAGS": "x" * 1000}, run=1)
+    found = {s.name: (s.a, s.b) for s in compare(a, b).settings}
+    assert found["engine.iterations"] == ("10", "20")
+    assert found["engine.cone"] == ("elliptic", "(unset)")
+    assert found.keys() == {
+        "engine.iterations", "engine.cone", "options.iterations", "options.cone", "environment.XLA_FLAGS",
+    }  # fmt: skip
+    assert len(found["environment.XLA_FLAGS"][1]) < 250
+
+
+def test_what_was_lost_is_said(tmp_path: Path) -> None:
+    """Compare what a cut-short recording has, and say that it is."""
+    cut = record(tmp_path, still(), end=False)
+    found = compare(record(tmp_path, still()), cut)
+    assert found.bit_identical
+    assert len(found.lost) == 1
+    assert "no end record" in found.lost[0]
+    assert "lost data" in compare(cut, record(tmp_path, still(), dropout="disk full")).lost[1]
+
+
+def test_nothing_in_common(tmp_path: Path) -> None:
+    """Refuse what cannot be compared: no states, no fields, no other environment, none of that number."""
+    a = record(tmp_path, still(2))
+    with pytest.raises(NothingComparable, match="no recorded state"):
+        compare(a, Recording(write_recording(tmp_path, None, n_env=2)))
+    with pytest.raises(NothingComparable, match="no state field in common"):
+        compare(a, record(tmp_path, still(2), field=replace(cubes_field("float32"), unit="cm")))
+    with pytest.raises(NothingComparable, match="one environment"):
+        compare_all_envs(record(tmp_path, still(1)))
+    with pytest.raises(UsageError, match="no environment 2: it has 0 to 1"):
+        compare_envs(a, 0, 2)
+    with pytest.raises(UsageError, match="itself"):
+        compare_envs(a, 1, 1)
+
+
+def test_hashes_that_are_wrong_are_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Refuse hashes that call states different which are not."""
+    a = record(tmp_path, still())
+    right = capture.fingerprint
+    monkeypatch.setattr(capture, "fingerprint", lambda arrays: right(arrays) ^ np.uint64(1))
+    with pytest.raises(DamagedRecording, match="state hashes at step 0 are not those of the states"):
+        compare(a, record(tmp_path, still()))
+
+
+def test_blocks_of_many_environments(tmp_path: Path) -> None:
+    """Find one number among environments and steps that need several reads and several blocks."""
+    since, env = 120, 150
+    a = record(tmp_path, still(160), steps=130, compression="zstd")
+    b = record(tmp_path, changed(still(160), since, by_ulps(-1, env, 26, 2)), steps=130, compression="zstd")
+    found = compare(a, b)
+    assert found.first is not None
+    assert (found.first.step_a, found.first.env_a, found.max_ulp) == (since, env, 1)
+    assert found.compared.fields[0].different == 11
+    assert found.splits.distinct_both == (Change(0, 1), Change(since, 2))
+
+
+def h200(name: str) -> Recording:
+    """A shipped recording."""
+    return Recording(H200 / f"{name}.mcap")
+
+
+@pytest.mark.parametrize(
+    ("name", "step", "classes"),
+    [
+        ("genesis-inclined-collision-n16-r0", None, 1),
+        ("calibration-identical-inclined-collision-n16-r0", None, 1),
+        ("calibration-atomics-inclined-collision-n16-r0", 5, 16),
+        ("isaaclab-ovphysx-spacing-0-inclined-collision-n16-r0", 1, 4),
+    ],
+)
+def test_environments_of_shipped_recordings(name: str, step: int | None, classes: int) -> None:
+    """Find the classes of environments of engines whose regimes are known."""
+    found: Difference = compare_all_envs(h200(name))
+    assert (found.first.step_a if found.first else None) == step
+    assert found.splits.distinct_both is not None
+    assert found.splits.distinct_both[-1].count == classes
+
+
+def test_shipped_runs_by_hashes() -> None:
+    """Date the first difference of two runs to a step whose state was not recorded, from their hashes."""
+    found = compare(h200("warp-inclined-collision-n16-r0"), h200("warp-inclined-collision-n16-r1"))
+    assert found.first is not None
+    assert (found.first.step_a, found.first.by_hashes, found.first.located) == (2, True, False)
+    assert found.first.state is not None
+    assert found.first.state.step == 250
+
+
+def test_runs_without_states() -> None:
+    """Compare the hashes of the timed phase where no states were captured."""
+    found = compare(h200("warp-franka-n64-r0"), h200("warp-franka-n512-r0"))
+    assert (found.bit_identical, found.max_ulp, found.growth) == (True, None, None)
+    assert (found.compared.state_steps, found.compared.hash_steps) == (None, StepRange(2, 100, 300))
+    assert "timed phase" in found.notes[0]

@@ -1,0 +1,198 @@
+"""gsb-diff as a user calls it: what it prints, writes and exits with."""
+
+from __future__ import annotations
+
+import json
+import re
+import shlex
+import xml.etree.ElementTree as ET
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from evaluator.cli.diff import main
+from evaluator.diff.result import Change
+from evaluator.diff.words import amount, changes, length, ranges, sparkline
+from tests import test_start_up as start_up
+from tests.synthetic import cubes_field, grid, write_recording
+
+ROOT = Path(__file__).resolve().parents[2]
+DOCUMENT = ROOT / "docs" / "diff.md"
+HOSTILE = "\x1b[31m<b>[bold]&\"'\u202e"
+
+
+def moved(since: int, env: int = 1) -> Any:
+    """Positions of which one environment is elsewhere, growing since a step."""
+
+    def at(_: Any, step: int) -> Any:
+        positions = grid(3)
+        positions[env, 4, 0] += 1e-9 * np.exp(step - since) if step >= since else 0
+        return positions
+
+    return at
+
+
+@pytest.fixture
+def pair(tmp_path: Path) -> tuple[str, str]:
+    """Two recordings that part at step 5."""
+    a = write_recording(tmp_path, grid(3), steps=30, path_of=moved(99), name="a.mcap")
+    b = write_recording(tmp_path, moved(5)(None, 30), steps=30, path_of=moved(5), name="b.mcap")
+    return str(a), str(b)
+
+
+def test_a_difference_in_words(pair: tuple[str, str], capsys: pytest.CaptureFixture[str]) -> None:
+    """Exit 4, and name step, time, environment, body, component and both numbers."""
+    assert main([*pair]) == 4
+    shown = " ".join(capsys.readouterr().out.split())  # however lines are broken
+    assert "DIFFERENT from step 5 (5 s) on" in shown
+    assert "1 of 3 pairs; the first is env 1" in shown
+    number = re.search(r"cubes/position of cube_0_1_1, x: (\S+) and (\S+) m \((\S+), (\S+)\): (\S+) ULP", shown)
+    assert number is not None
+    a, b = float(number[1]), float(number[2])
+    assert (b - a, number[3]) == (pytest.approx(1e-9, rel=1e-6), f"0x{np.float64(a).view(np.uint64):016x}")
+    assert float(number[5]) == pytest.approx((b - a) / np.spacing(a), rel=0.01)
+    assert "growth rate: 1 /s" in shown
+    assert "1 mm: first recorded at 19 s" in shown
+    assert "distinct states: 1 from step 0, 2 from step 5" in shown
+    assert "a 0-2; b 0, 2" in shown
+    assert "the recordings say the same of themselves" in shown
+
+
+def test_no_difference_in_words(pair: tuple[str, str], capsys: pytest.CaptureFixture[str]) -> None:
+    """Exit 0, over a stated extent; environments that do not differ are equal in both files."""
+    assert main([*pair, "--env", "2"]) == 0
+    shown = capsys.readouterr().out
+    assert "BIT-IDENTICAL" in shown
+    assert "31 recorded states from step 0 to 30" in shown
+    assert main([pair[1], "--env", "0", "--env", "2"]) == 0
+    assert main([pair[1], "--env", "0", "--env", "1"]) == 4
+    assert main([pair[1]]) == 4
+
+
+def test_json_and_picture(pair: tuple[str, str], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Write the whole result as JSON, and a picture that is well-formed and fetches nothing."""
+    assert main([*pair, "--json", "-", "--plot", str(tmp_path / "growth.svg")]) == 4
+    found = json.loads(capsys.readouterr().out)
+    assert (found["schema_version"], found["verdict"], found["bit_identical"]) == (1, "different", False)
+    assert (found["first"]["step_a"], found["first"]["env_b"]) == (5, 1)
+    assert found["first"]["state"]["number"]["item"] == "cube_0_1_1"
+    assert found["splits"]["agreeing"] == [{"step": 0, "count": 3}, {"step": 5, "count": 2}]
+    assert len(found["growth"]["max_spatial"]) == 31
+    picture = (tmp_path / "growth.svg").read_text(encoding="utf-8")
+    root = ET.fromstring(picture)
+    assert root.tag == "{http://www.w3.org/2000/svg}svg"
+    assert "first difference: step 5, 5 s" in picture
+    assert not re.search(r"href|@import|url\(", picture)
+    assert main([*pair, "--json", str(tmp_path / "found.json")]) == 4
+    assert json.loads((tmp_path / "found.json").read_text()) == found
+
+
+def test_nothing_to_draw(pair: tuple[str, str], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Write no picture where nothing differs, and say so without failing."""
+    assert main([*pair, "--env", "0", "--plot", str(tmp_path / "none.svg")]) == 0
+    assert "no difference to draw" in capsys.readouterr().err
+    assert not (tmp_path / "none.svg").exists()
+
+
+def test_a_picture_of_hashes_alone(tmp_path: Path) -> None:
+    """Draw which environments are equal where there are no distances."""
+    runs = [ROOT / "recordings" / "h200" / f"{name}-franka-n64-r0.mcap" for name in ("warp", "mjx-jax")]
+    assert main([*map(str, runs), "--plot", str(tmp_path / "hashes.svg")]) == 4
+    assert "no distances: no positions of bodies" in (tmp_path / "hashes.svg").read_text()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["a", "b", "c"], "3 files were given"),
+        (["a", "--env", "1"], "1 environments were given"),
+        (["a", "b", "--env", "1", "--env", "2", "--env", "3"], "3 environments were given"),
+        (["a", "b", "--plot", "growth.png"], "--plot draws SVG"),
+        (["a", "--json", "b.mcap"], "named like a recording"),
+    ],
+)
+def test_what_cannot_be_asked(arguments: list[str], said: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """Exit 2 before any file is opened, in one line."""
+    assert main(arguments) == 2
+    assert said in capsys.readouterr().err
+
+
+def test_damaged_and_incomplete_files(pair: tuple[str, str], tmp_path: Path) -> None:
+    """Exit 3 for a changed byte, for what is no recording, and for equal states of a file that was cut short."""
+    data = bytearray(Path(pair[0]).read_bytes())
+    data[len(data) // 2] ^= 1
+    broken = tmp_path / "broken.mcap"
+    broken.write_bytes(data)
+    assert main([str(broken), pair[1]]) == 3
+    assert main([str(DOCUMENT), pair[1]]) == 3
+    cut = write_recording(tmp_path, grid(3), steps=30, path_of=moved(99), end=False)
+    assert main([str(cut), pair[0]]) == 3
+    assert main([str(cut), pair[1]]) == 4
+    assert main([pair[0], str(write_recording(tmp_path, None, n_env=3))]) == 5
+
+
+def test_names_of_strangers(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Print and draw hostile names as text: no escape sequence, no markup."""
+    field = replace(cubes_field("float64"), items=tuple(f"{HOSTILE}{i}" for i in range(27)))
+    runs = [
+        write_recording(tmp_path, at(None, 5), path_of=at, field=field, simulator=HOSTILE, name=name, options=options)
+        for at, name, options in ((moved(99), "a.mcap", {HOSTILE: "1"}), (moved(2), "b.mcap", {HOSTILE: HOSTILE}))
+    ]
+    assert main([*map(str, runs), "--plot", str(tmp_path / "x.svg")]) == 4
+    shown = capsys.readouterr().out
+    assert "\x1b" not in shown
+    assert "\\x1b[31m<b>[bold]" in shown
+    picture = (tmp_path / "x.svg").read_text(encoding="utf-8")
+    ET.fromstring(picture)
+    assert "\x1b" not in picture
+    assert "<b>" not in picture
+
+
+@pytest.mark.parametrize("argument", ["--help", "--version"])
+def test_starts_fast(argument: str) -> None:
+    """Print help and version without a numerical library or a file format."""
+    start_up.test_help_imports_nothing_heavy("evaluator.cli.diff", argument)
+
+
+def test_help_lists_exit_codes(capsys: pytest.CaptureFixture[str]) -> None:
+    """Show exit codes and examples."""
+    with pytest.raises(SystemExit):
+        main(["--help"])
+    shown = capsys.readouterr().out
+    assert [int(n) for n in re.findall(r"^  (\d)  ", shown, re.MULTILINE)] == [0, 2, 3, 4, 5]
+    assert "gsb-diff before.mcap after.mcap" in shown
+
+
+def test_the_document_shows_what_is_printed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Run every command of docs/diff.md; where it shows an output, that is the output."""
+    page = DOCUMENT.read_text(encoding="utf-8")
+    found = re.findall(r"^```console\n(.*?)\n```\n(?:\n```text\n(.*?)\n```)?", page, re.DOTALL | re.MULTILINE)
+    assert len(found) >= 4
+    (tmp_path / "recordings").symlink_to(ROOT / "recordings")
+    monkeypatch.chdir(tmp_path)
+    for line, expected in found:
+        name, *arguments = shlex.split(line)
+        assert name == "gsb-diff"
+        assert main(arguments) in (0, 4)
+        shown = capsys.readouterr().out
+        assert shown
+        if expected:
+            assert "\n".join(text.rstrip() for text in shown.splitlines()).strip() == expected
+
+
+def test_words() -> None:
+    """Write lengths, runs of numbers, changes and bars as a reader expects them."""
+    assert [length(d) for d in (None, 0.0, 5e-10, 2e-9, 3.5e-6, 0.00123, 0.0123, 1.5, 74.37, 2e6)] == [
+        "-", "0", "5e-10 m", "2 nm", "3.5 µm", "1.23 mm", "1.23 cm", "1.5 m", "74.4 m", "2e+06 m",
+    ]  # fmt: skip
+    assert [amount(0.5, "rad/s"), amount(0.5, "unit quaternion"), amount(0.5, "m")] == ["0.5 rad/s", "0.5", "50 cm"]
+    assert ranges([0, 1, 2, 5, 7, 8]) == "0-2, 5, 7-8"
+    many = [Change(step, step + 1) for step in range(6)]
+    assert changes(many, 3) == "1 from step 0, 2 from step 1, (3 changes), 6 from step 5"
+    assert sparkline([None, 0.0, 0.5, 1.0], 4) == " ▁▅█"
+    assert sparkline([0.0, 1.0, None, None], 2) == "█ "
