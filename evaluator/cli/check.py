@@ -1,0 +1,82 @@
+"""gsb-check: whether recordings are whole, and whether they follow the benchmark's protocol."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+from evaluator.cli.entry import enter, new_parser
+from evaluator.cli.json_target import check_target, write_json
+from schemas.errors import ExitCode, UsageError
+
+_EPILOG = """\
+exit codes:
+  0  every rule holds; warnings do not count
+  2  the command asks for something that cannot be
+  3  a file is damaged, cut short, no recording, or has lost data; the others were checked
+  4  a rule is broken
+
+rules:
+  integrity-1, the default, is for any recording. --protocol adds protocol-1, for runs of the benchmark: warm-up, timed
+  steps, number of runs, one machine and one version a point. --rules takes a shipped set by its name, or a file.
+
+examples:
+  gsb-check recordings/*.mcap
+  gsb-check --protocol submission/*.mcap --json findings.json
+  gsb-check --list-rules
+"""
+
+
+def parser() -> argparse.ArgumentParser:
+    """The command's arguments."""
+    p = new_parser(
+        "gsb-check",
+        "Check recordings against rules. All findings of a file are reported, not the first alone; several files are "
+        "checked as a set, too.",
+        _EPILOG,
+    )
+    p.add_argument("files", nargs="*", type=Path, metavar="FILE", help="recordings (.mcap)")
+    p.add_argument("--protocol", action="store_true", help="check the benchmark's protocol as well as integrity")
+    p.add_argument("--rules", action="append", metavar="NAME|FILE", help="rule set instead of integrity-1; repeatable")
+    p.add_argument("--list-rules", action="store_true", help="show the rules, and what a file of rules can use")
+    p.add_argument("--json", metavar="FILE", help="write the findings as JSON; - for standard output, alone")
+    return p
+
+
+def run(arguments: argparse.Namespace, command: str) -> int:
+    """Check and print; returns the exit code."""
+    from evaluator.report.check_json import dump_check, dump_rules
+    from evaluator.report.check_text import check_text, rules_text, vocabulary_text
+    from evaluator.rules.findings import check
+    from evaluator.rules.rule import SHIPPED, load_rules
+
+    check_target(arguments.json)
+    names = arguments.rules or (SHIPPED if arguments.list_rules else ["integrity-1"])
+    names = list(dict.fromkeys([*names, *(["protocol-1"] if arguments.protocol else [])]))
+    rule_sets = [load_rules(name) for name in names]
+    if arguments.list_rules:
+        if arguments.json:
+            write_json(arguments.json, dump_rules(rule_sets))
+        if arguments.json != "-":
+            sys.stdout.write(rules_text(rule_sets) + vocabulary_text())
+        return int(ExitCode.OK)
+    if not arguments.files:
+        raise UsageError("name the recordings to check, or --list-rules")
+    from evaluator.integrity import examine
+
+    report = check([examine(path) for path in dict.fromkeys(arguments.files)], rule_sets)
+    if arguments.json:
+        write_json(arguments.json, dump_check(report))
+    if arguments.json != "-":
+        sys.stdout.write(check_text(report))
+    return int(report.exit_code)
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Entry point of gsb-check."""
+    return enter(parser(), run, argv)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,73 @@
+"""gsb-info: what a recording is, on one screen."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+from evaluator.cli.entry import complain, enter, new_parser
+from evaluator.cli.json_target import check_target, write_json
+from schemas.errors import ExitCode, GsbError
+
+_EPILOG = """\
+exit codes:
+  0  every file is a recording and whole
+  2  the command asks for something that cannot be
+  3  a file is damaged, cut short or no recording; what can be said of it is said
+
+examples:
+  gsb-info recordings/mujoco-amd-r0.mcap
+  gsb-info --no-verify big.mcap
+  gsb-info recordings/*.mcap --json -
+"""
+
+
+def parser() -> argparse.ArgumentParser:
+    """The command's arguments."""
+    p = new_parser(
+        "gsb-info",
+        "Say who made a recording, of what, where, how long it took, and what is in it. The whole file is verified.",
+        _EPILOG,
+    )
+    p.add_argument("files", nargs="+", type=Path, metavar="FILE", help="recordings (.mcap)")
+    p.add_argument("--json", metavar="FILE", help="write it as JSON; - for standard output, alone")
+    p.add_argument("--no-verify", action="store_true", help="skip digests and comparisons; CRCs are still checked")
+    return p
+
+
+def run(arguments: argparse.Namespace, command: str) -> int:
+    """Print a block for each file; returns the exit code."""
+    from evaluator.inspection import Inspection, inspect
+    from evaluator.integrity import examine
+    from evaluator.integrity.problem import DAMAGE
+    from evaluator.report.info_json import dump_info
+    from evaluator.report.info_text import info_text
+
+    check_target(arguments.json)
+    found: list[Inspection] = []
+    unreadable: list[tuple[Path, GsbError]] = []
+    damaged = False
+    for path in dict.fromkeys(arguments.files):
+        examined = examine(path, verify=not arguments.no_verify)
+        damaged |= examined.recording is None or bool(DAMAGE.intersection(examined.problems.kinds()))
+        try:
+            found.append(inspect(examined))
+        except GsbError as error:
+            complain("gsb-info", str(error))
+            unreadable.append((path, error))
+            continue
+        if arguments.json != "-":
+            sys.stdout.write(("\n" if len(found) > 1 else "") + info_text(found[-1]))
+    if arguments.json:
+        write_json(arguments.json, dump_info(found, unreadable))
+    return int(ExitCode.DATA_LOST if damaged else ExitCode.OK)
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Entry point of gsb-info."""
+    return enter(parser(), run, argv)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

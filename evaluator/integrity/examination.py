@@ -1,0 +1,116 @@
+"""One file, examined: every check in turn, each as far as the file lets it come."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from evaluator.integrity.content import check_content, read_end
+from evaluator.integrity.library import check_library
+from evaluator.integrity.problem import OF_STREAMS, WHOLE_CONTENT, Kind, Problems, without_path
+from evaluator.integrity.scan import Scan, scan
+from evaluator.integrity.streams import check_streams
+from evaluator.integrity.summary import check_summary
+from evaluator.recording import Recording
+from schemas.errors import NotARecording, RecordingError
+from schemas.provenance import PROVENANCE, SIMULATION, Provenance, Simulation
+
+
+@dataclass(frozen=True)
+class Integrity:
+    """One file, examined.
+
+    path        of the file
+    problems    that were found
+    recording   None where it cannot be opened, and `not_opened` says why
+    scan        what a walk over the file's records found; None where it is no MCAP file
+    provenance  None where it cannot be read; also of a file that cannot be opened otherwise
+    simulation  the same
+    end         the end record, None without exactly one
+    complete    whether the digests and all that needs the whole content were looked at
+    """
+
+    path: Path
+    problems: Problems
+    recording: Recording | None
+    not_opened: str
+    scan: Scan | None
+    provenance: Provenance | None
+    simulation: Simulation | None
+    end: Any
+    complete: bool
+
+    def of(self, kind: Kind) -> tuple[str, ...]:
+        """Problems of one kind, one sentence each."""
+        return self.problems.of(kind)
+
+    def doubtful(self, name: str) -> bool:
+        """Whether an attachment is not what was recorded."""
+        return self.scan is not None and name in self.scan.doubtful
+
+
+def examine(path: str | Path, *, verify: bool = True) -> Integrity:
+    """Look at a whole file and note everything that is wrong with it; nothing is raised for what a file holds.
+
+    verify  False leaves out the digests, the library and the comparison of streams
+    """
+    path = Path(path)
+    problems = Problems()
+    recording, not_opened = None, ""
+    try:
+        recording = Recording(path)
+    except NotARecording as error:
+        return _nothing(path, error)
+    except RecordingError as error:
+        not_opened = without_path(error, path)
+    try:
+        found = scan(path, problems)
+    except NotARecording as error:  # it was one a moment ago
+        return _nothing(path, error)
+    end = read_end(found, problems)
+    provenance = _attached(Provenance, found, PROVENANCE, problems)
+    if provenance is None:
+        problems.add(
+            Kind.not_a_recording, f"{PROVENANCE} is not there or cannot be read: nothing can be said of the run"
+        )
+    simulation = _attached(Simulation, found, SIMULATION, problems)
+    if not found.finished:
+        problems.skip("the file does not end as it should", Kind.data_crc, Kind.summary, Kind.summary_crc, Kind.library)
+    if end is None:
+        problems.skip("there is no end record", Kind.digest, Kind.content_hash)
+    if not verify:
+        problems.skip("nothing was verified", *WHOLE_CONTENT)
+    else:
+        check_summary(found, problems)
+        structural = {Kind.record, Kind.cut_short, Kind.chunk_crc, Kind.index}
+        if structural.intersection(problems.kinds()):
+            problems.skip("the library takes a file at its word, and this one is not sound", Kind.library)
+        else:
+            check_library(path, found, problems)
+        if recording is not None:
+            check_streams(recording, problems)
+        else:
+            problems.skip(not_opened, *OF_STREAMS)
+        if end is not None:
+            with problems.noting(Kind.stream, path=path):
+                check_content(path, provenance, simulation, found, end, problems)
+    if recording is None and not problems.kinds():
+        problems.add(Kind.stream, not_opened)
+    found.close()  # many files are examined before any of them is reported
+    return Integrity(path, problems, recording, not_opened, found, provenance, simulation, end, complete=verify)
+
+
+def _nothing(path: Path, error: NotARecording) -> Integrity:
+    problems = Problems()
+    problems.add(Kind.not_a_recording, str(error))
+    problems.skip(str(error), *Kind)
+    return Integrity(path, problems, None, str(error), None, None, None, None, complete=False)
+
+
+def _attached(kind: Any, found: Scan, name: str, problems: Problems) -> Any:
+    parsed = None
+    if name in found.attachments:
+        with problems.noting(Kind.stream):
+            parsed = kind.from_json(bytes(found.attachments[name]))
+    return parsed

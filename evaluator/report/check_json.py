@@ -1,0 +1,70 @@
+"""What gsb-check found, for programs."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from typing import Any
+
+from evaluator.plain import plain
+from evaluator.rules.findings import Report
+from evaluator.rules.rule import Rule, RuleSet
+from schemas import __version__
+
+SCHEMA_VERSION = 1
+
+
+def dump_check(report: Report) -> str:
+    """A JSON document: files, findings, what could not be checked, the exit code."""
+    return _dump({
+        "rule_sets": list(report.rule_sets),
+        "exit_code": int(report.exit_code),
+        "files": [
+            {"path": str(f.path), "what": f.what, "status": f.status, "reason": f.reason, "rules_held": f.held}
+            for f in report.files
+        ],
+        "findings": [
+            {
+                "rule": finding.rule.id,
+                "level": finding.rule.level.name,
+                "damage": finding.rule.damage,
+                "files": [str(path) for path in finding.files],
+                "of": finding.of,
+                "found": finding.found,
+                "requires": finding.rule.requires,
+                "do": finding.rule.do,
+            }
+            for finding in report.findings
+        ],
+        "unchecked": [{"rule": u.rule.id, "file": str(u.file), "reason": u.reason} for u in report.unchecked],
+    })  # fmt: skip
+
+
+def dump_rules(rule_sets: Sequence[RuleSet]) -> str:
+    """A JSON document of rules."""
+    return _dump({
+        "rule_sets": [
+            {"name": s.name, "title": s.title, "rules": [_rule(rule) for rule in s.rules]} for s in rule_sets
+        ]
+    })  # fmt: skip
+
+
+def _rule(rule: Rule) -> dict[str, Any]:
+    return {
+        "id": rule.id,
+        "level": rule.level.name,
+        "of": rule.of.name,
+        "fact": rule.fact,
+        "must": {rule.predicate: plain(rule.argument)},
+        "when": list(rule.when),
+        "scenes": list(rule.scenes),
+        "damage": rule.damage,
+        "requires": rule.requires,
+        "why": rule.why,
+        "do": rule.do,
+    }
+
+
+def _dump(record: dict[str, Any]) -> str:
+    document = {"schema_version": SCHEMA_VERSION, "gpusimbench": __version__, **record}
+    return json.dumps(document, indent=1, allow_nan=False) + "\n"

@@ -1,0 +1,35 @@
+"""What gsb-info says, for programs."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import fields, is_dataclass
+from pathlib import Path
+from typing import Any
+
+from evaluator.inspection import Inspection
+from evaluator.plain import plain
+from schemas import __version__
+from schemas.errors import GsbError
+
+SCHEMA_VERSION = 1
+
+
+def dump_info(found: Sequence[Inspection], unreadable: Sequence[tuple[Path, GsbError]]) -> str:
+    """A JSON document with an object for each file, those that are no recordings with their error."""
+    files: list[Any] = [_file(one) for one in found]
+    files += [{"path": str(path), "status": "unreadable", "reason": str(error)} for path, error in unreadable]
+    document = {"schema_version": SCHEMA_VERSION, "gpusimbench": __version__, "files": files}
+    return json.dumps(document, indent=1, allow_nan=False) + "\n"
+
+
+def _file(value: Any) -> Any:
+    # not dataclasses.asdict, which follows a stranger's JSON to any depth
+    if is_dataclass(value):
+        return {f.name: _file(getattr(value, f.name)) for f in fields(value)}
+    if isinstance(value, tuple):
+        return [_file(item) for item in value]
+    if isinstance(value, dict) and any(map(is_dataclass, value.values())):
+        return {name: _file(item) for name, item in value.items()}
+    return plain(value)

@@ -1,0 +1,219 @@
+"""What gsb-info prints: one screen a file, readable in 80 columns."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Iterator
+from typing import Any
+
+from evaluator.inspection import Array, Inspection, Memory, Rate
+from evaluator.integrity.problem import REMARKS, Kind
+from evaluator.plain import brief, plain
+from evaluator.report.text import printable
+from schemas.configuration import RunConfiguration
+from schemas.provenance import REAL, Provenance, Simulation
+
+_WIDTH = 80
+_LABEL = 12
+_LONGEST = 600
+"""Characters of one entry; a stranger's file may have more to say."""
+
+
+def info_text(found: Inspection) -> str:
+    """The block of one file, with a line break at its end."""
+    lines = [_clean(found.path)]
+    for label, text in _entries(found):
+        if isinstance(text, tuple):  # a row of a table, which keeps its blanks
+            lines.append(label.ljust(_LABEL) + "  ".join(map(_clean_cell, text)).rstrip())
+            continue
+        lines += textwrap.wrap(
+            _clean(text), _WIDTH, initial_indent=label.ljust(_LABEL), subsequent_indent=" " * _LABEL,
+            break_on_hyphens=False,
+        )  # fmt: skip
+    return "".join(f"{line}\n" for line in lines)
+
+
+def _clean_cell(text: str) -> str:
+    return printable(text)[:_WIDTH].replace("\n", " ")
+
+
+def _clean(text: str) -> str:
+    one_line = " ".join(printable(text).split())
+    return one_line if len(one_line) <= _LONGEST else f"{one_line[: _LONGEST - 3]}..."
+
+
+def _entries(found: Inspection) -> Iterator[tuple[str, str | tuple[str, ...]]]:
+    cause = f" ({found.cause})" if found.cause else ""
+    yield "status", f"{found.status}{cause}{': ' if found.reason else ''}{found.reason}"
+    yield "integrity", _integrity(found)
+    for problems in found.integrity.values():
+        for problem in problems[:2]:
+            yield "", f"! {problem}"
+        if len(problems) > 2:
+            yield "", f"! and {len(problems) - 2} more like it"
+    if found.doubtful:
+        yield "CAUTION", f"{', '.join(found.doubtful)} is not what was recorded; what follows from it may be wrong"
+    yield "sha256", found.content_hash or "of the content: none, there is no end record"
+    if found.provenance:
+        yield from _who(found.provenance)
+        yield from _what(found.provenance, found.simulation)
+        yield from _where(found.provenance, found.simulation)
+    yield from _how_long(found)
+    yield from _inside(found)
+    for reason in found.unread:
+        yield "not read", reason
+
+
+def _integrity(found: Inspection) -> str:
+    count = sum(len(problems) for kind, problems in found.integrity.items() if Kind[kind] not in REMARKS)
+    if count:
+        return f"{count} problem{'s' if count > 1 else ''}; gsb-check says what they mean"
+    if not found.verified:
+        return "not verified (--no-verify); records and CRCs that were read are whole"
+    return "whole and unchanged: records, CRCs, digests, content hash, state hashes"
+
+
+def _who(p: Provenance) -> Iterator[tuple[str, str]]:
+    recorder = plain(p.software.get("recorder"))
+    recorder = recorder if isinstance(recorder, dict) else {}
+    commit = str(recorder.get("commit") or "")
+    modified = ", modified" if recorder.get("modified") else ""
+    by = f"gpusimbench {recorder.get('version', '(version not told)')}, "
+    yield "recorded", f"{p.created_utc} by {by}{f'commit {commit[:12]}{modified}' if commit else 'commit not told'}"
+    yield "command", " ".join(p.argv) or "not told"
+    yield "run", f"{p.run_id}, number {p.configuration.run_index} of its set"
+
+
+def _what(p: Provenance, s: Simulation | None) -> Iterator[tuple[str, str]]:
+    c = p.configuration
+    yield "simulator", f"{c.simulator} {s.version} on {s.device}" if s else f"{c.simulator}, which was never built"
+    digest = str(brief(s.scene.get("sha256", "")))[:12] if s else ""
+    yield "scene", f"{c.scene} ({f'sha256 {digest}' if digest else 'without a description'})"
+    if c.simulator == REAL:
+        yield "size", f"{_counted(c.n_env, 'trial')}, measured at {c.dt:g} s"
+    else:
+        yield "size", f"{_counted(c.n_env, 'environment')}, dt {c.dt:g} s, seed {c.seed}"
+        yield "protocol", "; ".join(_asked(c))
+        yield "determinism", c.determinism + (" (the engine as it ships)" if c.determinism == "default" else "")
+    given = c.options
+    if s:
+        yield "options", _pairs(s.options, given) or "none"
+        yield "switches", _pairs(s.switches, {}) or "none"
+        if s.deviations:
+            yield "deviations", ", ".join(d.parameter for d in s.deviations) + " (why: --json)"
+    elif given:
+        yield "options", _pairs(given, given)
+
+
+def _asked(c: RunConfiguration) -> Iterator[str]:
+    if "timed" in c.phases:
+        yield f"{c.warmup} warm-up and {c.timed_steps} timed steps"
+    if "capture" in c.phases:
+        kept = f"every {c.stride}th" if c.stride > 1 else "each"
+        yield f"{_counted(c.steps, 'captured step')}, {kept} kept"
+
+
+def _counted(count: int, what: str) -> str:
+    return f"{count} {what}{'' if count == 1 else 's'}"
+
+
+def _pairs(values: dict[str, Any], given: dict[str, str]) -> str:
+    return ", ".join(f"{name}={brief(value)}{' (given)' if name in given else ''}" for name, value in values.items())
+
+
+def _where(p: Provenance, s: Simulation | None) -> Iterator[tuple[str, str]]:
+    host = {name: brief(value) for name, value in p.host.items()}
+    if host:
+        threads = f"{host.get('usable_threads', '?')} of {host.get('threads', '?')} threads"
+        memory = f", {_bytes(host['memory_bytes'])}" if isinstance(host.get("memory_bytes"), int) else ""
+        yield "machine", f"{host.get('cpu', 'processor not told')}, {threads}{memory}"
+        yield "system", f"{host.get('system', '?')} {host.get('kernel', '')}, {host.get('libc', '')}"
+    for number, told in enumerate(p.gpus):
+        gpu = {name: brief(value) for name, value in told.items()}
+        used = "" if s is None or s.device == gpu.get("name") else ", which the simulator does not step on"
+        memory = f", {_bytes(gpu['memory_bytes'])}" if isinstance(gpu.get("memory_bytes"), int) else ""
+        yield f"gpu {number}", f"{gpu.get('name', 'name not told')}{memory}, driver {gpu.get('driver', '?')}{used}"
+    packages = p.software.get("packages")
+    versions = {"Python": p.software.get("python", "?"), **(packages if isinstance(packages, dict) else {})}
+    yield "software", ", ".join(f"{name} {brief(version)}" for name, version in versions.items())
+    if p.environment:
+        yield "variables", ", ".join(f"{name}={value}" for name, value in p.environment.items())
+
+
+def _how_long(found: Inspection) -> Iterator[tuple[str, str]]:
+    if found.phases:
+        yield "phases", ", ".join(f"{name} {seconds:.3g} s" for name, seconds in found.phases.items())
+    if found.timed or found.not_timed:
+        yield "throughput", _rate(found.timed) if found.timed else f"none: {found.not_timed}"
+    if found.captured or found.not_captured:
+        yield "capture", _rate(found.captured) if found.captured else f"no rate: {found.not_captured}"
+    if found.clocks:
+        yield (
+            "clocks",
+            "intervals x steps: " + ", ".join(f"{name} {n}x{steps}" for name, (n, steps) in found.clocks.items()),
+        )
+    label = "memory"
+    for source, memory in found.memory.items():
+        yield label, _memory(source, memory)
+        label = ""
+
+
+def _rate(rate: Rate) -> str:
+    return f"{rate.env_steps_per_s:,.0f} env-steps/s: {rate.n_env} x {rate.steps} steps in {rate.seconds:.4g} s"
+
+
+def _memory(source: str, memory: Memory) -> str:
+    baseline = "no baseline" if memory.baseline is None else f"baseline {_bytes(memory.baseline)}"
+    total = f" of {_bytes(memory.total)}" if memory.total else ""
+    return f"{source}: {baseline}, peak {_bytes(memory.peak)}{total}"
+
+
+def _inside(found: Inspection) -> Iterator[tuple[str, str | tuple[str, ...]]]:
+    recorded = [array for array in found.arrays if array.shape[0]]
+    if recorded:
+        yield (
+            "states",
+            f"{' and '.join(dict.fromkeys(array.dtype for array in recorded))}, step x env x item x component:",
+        )
+    elif found.arrays:
+        yield "states", f"none; {', '.join(array.name for array in found.arrays)} could be captured"
+    widths = [max(map(len, columns)) for columns in zip(*map(_columns, recorded), strict=True)]
+    for array in recorded:
+        yield "", tuple(column.ljust(width) for column, width in zip(_columns(array), widths, strict=True))
+    for array in found.actions:
+        yield "actions", f"{array.name}: {_bytes(array.stored_bytes)}"
+    for phase, names in found.counters.items():
+        yield "counted", f"{phase}: {', '.join(names)}"
+    if found.hashes:
+        yield "hashes", ", ".join(f"{phase} at {count} steps" for phase, count in found.hashes.items())
+    for gate in found.gates:
+        yield "gate", gate
+    if found.overflowed is not None:
+        yield "overflow", "; ".join(found.overflowed) or "no buffer was run into, by the engine's word"
+    for lost in found.dropouts:
+        yield "LOST", lost
+    yield "attached", ", ".join(found.attachments) or "nothing"
+    if found.container:
+        chunks = ", ".join(f"{count} {name}" for name, count in found.container.chunks.items()) or "none"
+        yield (
+            "file",
+            (
+                f"{_bytes(found.container.bytes)}; chunks: {chunks}, {_bytes(found.container.unpacked_bytes)} in "
+                f"{_bytes(found.container.stored_bytes)}; by {found.container.library or 'a tool without a name'}"
+            ),
+        )
+
+
+def _columns(array: Array) -> tuple[str, ...]:
+    packed = f" in {_bytes(array.stored_bytes)}" if any(array.encodings) else ""
+    shape = "x".join(map(str, array.shape))
+    return array.name, shape, array.unit, array.frame, f"{_bytes(array.bytes)}{packed}"
+
+
+def _bytes(count: int) -> str:
+    value = float(count)
+    for unit in ("B", "kB", "MB", "GB"):
+        if value < 1000 or unit == "GB":
+            break
+        value /= 1000
+    return f"{count} B" if unit == "B" else f"{value:.3g} {unit}" if value < 1000 else f"{value:,.0f} {unit}"

@@ -1,0 +1,485 @@
+"""gsb-check as a user calls it, the rule sets that ship, and rule sets of one's own."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from evaluator.cli.check import main
+from evaluator.integrity import examine
+from evaluator.rules.facts import CONDITIONS, FACTS, Unknown, applies, fact_of
+from evaluator.rules.findings import check
+from evaluator.rules.predicates import FILE_PREDICATES, SET_PREDICATES
+from evaluator.rules.rule import SHIPPED, Level, Scope, load_rules, parse_rules
+from recorder.scenes.registry import make_scene
+from schemas.errors import ExitCode, UsageError
+from schemas.messages import message_class
+from schemas.provenance import PROVENANCE, SCENE, SIMULATION
+from tests.conftest import Command
+from tests.evaluator.damaged import BYTES, whole
+from tests.synthetic import Shown, write_recording
+from tests.test_docs import blocks, commands, shell
+from tests.test_start_up import HEAVY
+
+ROOT = Path(__file__).resolve().parents[2]
+H200 = ROOT / "recordings" / "h200"
+PROTOCOL = load_rules("protocol-1")
+
+
+def broken(*paths: Path) -> set[str]:
+    """Rules of protocol-1 that files break."""
+    return {finding.rule.id for finding in check([examine(path) for path in paths], [PROTOCOL]).findings}
+
+
+def test_a_whole_file(gsb_check: Command, small: Path) -> None:
+    """Say on standard output alone that every rule holds, and end with 0."""
+    done = gsb_check(small)
+    assert done.returncode == 0, done.stdout
+    assert not done.stderr
+    assert "complete" in done.stdout
+    assert "1 file, rules integrity-1: 0 errors, 0 warnings" in done.stdout
+
+
+@pytest.fixture(scope="module")
+def gsb_check() -> Command:
+    """Call gsb-check with the given arguments."""
+    from tests.conftest import call
+
+    return lambda *arguments, **keywords: call("gsb-check", *arguments, **keywords)
+
+
+def test_a_set_that_follows_the_protocol() -> None:
+    """Find no error in ten runs of a simulator on a GPU that were made as the protocol asks."""
+    files = [examine(path) for path in sorted(H200.glob("genesis-inclined-collision-n16-r*.mcap"))]
+    report = check(files, [load_rules(name) for name in SHIPPED])
+    assert len(files) == 10
+    assert report.exit_code == ExitCode.OK
+    assert report.count(Level.error) == 0
+    assert report.unchecked == ()
+    fewer = check(files[:9], [PROTOCOL])
+    assert [(f.rule.id, f.found) for f in fewer.findings if f.rule.level is Level.error] == [
+        ("runs", "it is so in 9 of 9, not in 10")
+    ]
+    assert fewer.exit_code == ExitCode.GATE_FAILED
+
+
+def test_copies_are_found(tmp_path: Path) -> None:
+    """Find a run that is there twice, under another name, by its run id and by its content."""
+    runs = sorted(H200.glob("genesis-inclined-collision-n16-r*.mcap"))[:2]
+    copy = tmp_path / "another-run.mcap"
+    shutil.copy(runs[0], copy)
+    found = {f.rule.id: f for f in check([examine(path) for path in (*runs, copy)], [PROTOCOL]).findings}
+    assert {"distinct-runs", "distinct-content", "distinct-numbers"} <= set(found)
+    assert set(found["distinct-content"].files) == {runs[0], copy}
+
+
+def test_one_run_id_and_two_contents(tmp_path: Path) -> None:
+    """Call two contents under one run id damage: one of them is not what was recorded."""
+    paths = [whole(tmp_path, run_id="the same", name=f"{name}.mcap", reason=name, status="INVALID") for name in "ab"]
+    report = check([examine(path) for path in paths], [load_rules("integrity-1")])
+    assert [finding.rule.id for finding in report.findings] == ["one-content-a-run"]
+    assert report.exit_code == ExitCode.DATA_LOST
+    for path in paths:  # whose run id is not known any more
+        path.write_bytes(BYTES["an attachment"][1](path.read_bytes()))
+    report = check([examine(path) for path in paths], [load_rules("integrity-1")])
+    assert "one-content-a-run" not in {finding.rule.id for finding in report.findings}
+
+
+def _configured(**changed: Any) -> Callable[[str, dict[str, Any]], None]:
+    def change(name: str, record: dict[str, Any]) -> None:
+        if name == PROVENANCE:
+            record["configuration"] |= changed
+
+    return change
+
+
+def _described(name: str, record: dict[str, Any]) -> None:
+    if name == SIMULATION:
+        record["scene"]["sha256"] = "0" * 64
+
+
+def _recorder(**changed: Any) -> Callable[[str, dict[str, Any]], None]:
+    def change(name: str, record: dict[str, Any]) -> None:
+        if name == PROVENANCE:
+            record["software"]["recorder"] |= changed
+
+    return change
+
+
+def _slow_scene(name: str, record: dict[str, Any]) -> None:
+    if name == SCENE:
+        record["dt"] = 0.02
+
+
+_ALL_PHASES = {"phases": ["timed", "capture"]}
+_BROKEN: dict[str, dict[str, Any]] = {
+    "scene": {"change": _configured(scene="mine")},
+    "scene-unchanged": {"change": _described},
+    "environments": {},  # two
+    "power-of-two": {"change": _configured(scene="franka", n_env=12)},
+    "trials": {"simulator": "real"},
+    "dt": {},  # one second
+    "dt-of-scene": {"change": _slow_scene},
+    "throughput-timed": {"change": _configured(scene="free-fall", phases=["capture"])},
+    "outcome-captured": {"change": _configured(phases=["timed"])},
+    "sample-step": {"change": _configured(steps=400, dt=0.01)},
+    "warm-up": {"change": _configured(warmup=99)},
+    "timed-steps": {"change": _configured(timed_steps=999)},
+    "timed-phases": {},  # no events
+    "captured-phases": {},
+    "host-memory": {},
+    "gpu-memory": {"gpu_bytes": (1, 2)},
+    "peak-sampled": {},
+    "complete": {"status": "FAILED", "reason": "gone"},
+    "recorder-known": {"change": _recorder(commit="")},
+    "recorder-unmodified": {"change": _recorder(modified=True)},
+    "runs": {},
+}
+
+
+@pytest.mark.parametrize("rule", _BROKEN)
+def test_each_rule_of_the_protocol_can_be_broken(rule: str, tmp_path: Path) -> None:
+    """Name the rule that a recording breaks."""
+    assert rule in broken(whole(tmp_path, **_BROKEN[rule]))
+
+
+_DIFFER: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
+    "same-configuration": ({"run": 0}, {"run": 1, "change": _configured(seed=1)}),
+    "same-engine": ({"run": 0}, {"run": 1, "switches": {"precision": "float32"}}),
+    "same-environment": ({"run": 0}, {"run": 1, "environment": {"XLA_FLAGS": "--fast"}}),
+    "same-gpus": ({"run": 0}, {"run": 1, "gpu_bytes": (1, 2)}),
+    "same-software": ({"run": 0}, {"run": 1, "change": _recorder(version="2")}),
+    "distinct-numbers": ({"run": 3}, {"run": 3}),
+}
+
+
+@pytest.mark.parametrize("rule", _DIFFER)
+def test_runs_that_do_not_belong_together(rule: str, tmp_path: Path) -> None:
+    """Name what differs between two runs of a point."""
+    assert rule in broken(*(whole(tmp_path, **keywords) for keywords in _DIFFER[rule]))
+
+
+def test_another_machine(tmp_path: Path) -> None:
+    """Name what differs between the machines of two runs, and the run that stands out."""
+
+    def other(name: str, record: dict[str, Any]) -> None:
+        if name == PROVENANCE:
+            record["host"]["cpu"] = "another"
+
+    paths = [whole(tmp_path, run=0), whole(tmp_path, run=1), whole(tmp_path, run=2, change=other)]
+    (found,) = (f for f in check([examine(p) for p in paths], [PROTOCOL]).findings if f.rule.id == "same-machine")
+    assert found.found == "cpu is test in 2 files, another in 1 file"
+    assert found.files == (paths[2],)
+
+
+def test_no_rule_is_without_a_test() -> None:
+    """Break every rule of the protocol somewhere in this file."""
+    elsewhere = {"same-machine", "distinct-runs", "distinct-content"}
+    assert {rule.id for rule in PROTOCOL.rules} == set(_BROKEN) | set(_DIFFER) | elsewhere
+
+
+def test_the_end_of_a_sweep_needs_no_complete_runs(tmp_path: Path) -> None:
+    """Ask the point at which a sweep ended for no runs; the points below it for ten."""
+    below = [write_recording(tmp_path, None, n_env=2, run=run) for run in range(10)]
+    limit = write_recording(
+        tmp_path, None, n_env=4, built=False, status="FAILED", reason="memory", cause="DEVICE_MEMORY"
+    )
+    assert "runs" not in broken(*below, limit)
+    assert "runs" in broken(*below[:9], limit)
+    assert "runs" in broken(limit)
+
+
+def test_the_protocol_knows_the_scenes() -> None:
+    """Hold the scenes' hashes of protocol-1 to the scenes that the recorder has."""
+    (rule,) = (rule for rule in PROTOCOL.rules if rule.id == "scene-unchanged")
+    for name in rule.scenes:
+        assert make_scene(name).sha256() in rule.argument, f"{name} changed: recordings of it need another rule set"
+        assert make_scene(name).dt == 0.01
+
+
+def test_damage_and_broken_rules_together(gsb_check: Command, tmp_path: Path) -> None:
+    """Report a damaged file, one that breaks a rule and one that is no recording; damage decides the exit code."""
+    good = whole(tmp_path, name="good.mcap")
+    damaged = tmp_path / "damaged.mcap"
+    damaged.write_bytes(BYTES["an attachment"][1](good.read_bytes()))
+    (tmp_path / "text.mcap").write_text("no recording at all, and long enough")
+    done = gsb_check("--protocol", good, damaged, tmp_path / "text.mcap", tmp_path / "missing.mcap")
+    assert done.returncode == ExitCode.DATA_LOST
+    for text in ("error attachment-crc", "error recording", "error warm-up", "not checked: ", "No such file"):
+        assert text in done.stdout, text
+    assert "Traceback" not in done.stderr
+    assert all(len(line) <= 80 or str(tmp_path) in line for line in done.stdout.splitlines())
+    assert gsb_check("--protocol", good).returncode == ExitCode.GATE_FAILED
+    assert gsb_check(good).returncode == ExitCode.OK
+
+
+def test_warnings_do_not_count(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Tell a warning and end with 0."""
+    path = whole(tmp_path)
+    path.write_bytes(BYTES["no CRC"][1](path.read_bytes()))
+    assert main([str(path)]) == 0
+    assert "warning crc-present: the data section has no CRC" in capsys.readouterr().out
+
+
+def test_json(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Write findings with rule, files, what was found and what to do, under a version."""
+    path = whole(tmp_path, dropout="the disk was full")
+    assert main([str(path), "--json", "-"]) == ExitCode.DATA_LOST
+    document = json.loads(capsys.readouterr().out)
+    assert (document["schema_version"], document["exit_code"]) == (1, 3)
+    assert document["rule_sets"] == ["integrity-1"]
+    (finding,) = document["findings"]
+    assert finding["rule"] == "no-dropouts"
+    assert finding["files"] == [str(path)]
+    assert "the disk was full" in finding["found"]
+    assert main([str(path), "--json", str(tmp_path / "out.json")]) == ExitCode.DATA_LOST
+    assert json.loads((tmp_path / "out.json").read_text()) == document
+
+
+def test_json_never_replaces_a_recording(gsb_check: Command, tmp_path: Path) -> None:
+    """Refuse "--json *.mcap", which would overwrite the first recording."""
+    path = whole(tmp_path)
+    before = path.read_bytes()
+    done = gsb_check("--json", path, path)
+    assert done.returncode == ExitCode.USAGE
+    assert path.read_bytes() == before
+
+
+def test_terminal_sequences_are_made_visible(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Print a stranger's escape sequences as text, on the line that they belong to."""
+    path = whole(tmp_path, status="FAILED", reason="\x1b[2Jgone\nerror: none", dropout="\x1b]0;owned\x07")
+    main([str(path)])
+    shown = capsys.readouterr().out
+    assert "\x1b" not in shown
+    assert "\\x1b[2Jgone error: none" in shown
+
+
+def test_rules_are_listed(gsb_check: Command) -> None:
+    """List every rule with what it requires, why and what to do, and the vocabulary; as JSON too."""
+    done = gsb_check("--list-rules")
+    assert done.returncode == 0
+    rules = [rule for name in SHIPPED for rule in load_rules(name).rules]
+    assert all(rule.id in done.stdout for rule in rules)
+    assert all(name in done.stdout for name in (*FACTS, *FILE_PREDICATES, *SET_PREDICATES, *CONDITIONS))
+    assert all(len(line) <= 80 for line in done.stdout.splitlines())
+    document = json.loads(gsb_check("--list-rules", "--rules", "protocol-1", "--json", "-").stdout)
+    assert [rule["id"] for s in document["rule_sets"] for rule in s["rules"]] == [rule.id for rule in PROTOCOL.rules]
+
+
+_MINE = """
+name = "mine-1"
+title = "what our laboratory asks for"
+
+[[rules]]
+id = "our-engine"
+level = "error"
+fact = "simulator"
+must = { equals = "synthetic" }
+requires = "The simulator is ours."
+why = "We compare versions of it."
+do = "Record with it."
+"""
+
+
+def test_rules_of_ones_own(gsb_check: Command, tmp_path: Path) -> None:
+    """Check against a set of rules from a file, alone or beside a shipped one."""
+    rules = tmp_path / "mine.toml"
+    rules.write_text(_MINE)
+    path = whole(tmp_path)
+    assert gsb_check(path, "--rules", rules).returncode == 0
+    other = whole(tmp_path, simulator="other")
+    done = gsb_check(path, other, "--rules", rules, "--rules", "integrity-1")
+    assert done.returncode == ExitCode.GATE_FAILED
+    assert "error our-engine: it is other" in done.stdout
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (("name =", "name ="[:-1]), "is not TOML"),
+        (('fact = "simulator"', 'fact = "os.system"'), "fact is one of"),
+        (('must = { equals = "synthetic" }', 'must = { eval = "1" }'), "'eval' is nothing that can be required"),
+        (('{ equals = "synthetic" }', "{ at_least = 3 }"), "cannot be required of simulator, which is a text"),
+        (('{ equals = "synthetic" }', "{ equals = [1] }"), "equals does not take"),
+        (('{ equals = "synthetic" }', '{ equals = "a", one_of = ["b"] }'), "exactly one requirement"),
+        (('level = "error"', 'level = "fatal"'), "level is one of error, warning"),
+        (('id = "our-engine"', 'id = ""'), "id is a text"),
+        (('level = "error"', 'level = "error"\ncode = "import os"'), "a rule has no code"),
+        (('level = "error"', 'level = "error"\nwhen = ["raining"]'), "when is one of"),
+        (('level = "error"', 'level = "error"\nof = "world"'), "of is one of file, point, set"),
+        (("[[rules]]", "[rules]"), "rules is a list"),
+        (('title = "what our laboratory asks for"', "title = 3"), "title is a text"),
+        ((_MINE[_MINE.index("[[rules]]") :], 2 * _MINE[_MINE.index("[[rules]]") :]), "two rules have the same id"),
+    ],
+)
+def test_a_bad_file_of_rules(change: tuple[str, str], message: str, tmp_path: Path) -> None:
+    """Say which rule is wrong, and what would be right."""
+    path = tmp_path / "mine.toml"
+    path.write_text(_MINE.replace(*change, 1))
+    with pytest.raises(UsageError, match=message):
+        load_rules(str(path))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ((), "name the recordings"),
+        (("a.mcap", "--rules", "integrity-9"), "is no rule set (integrity-1, protocol-1), and no file of rules"),
+        (("a.mcap", "--rules", "."), "is no rule set"),
+        (("a.mcap", "--rules", "/dev/zero"), "larger than a file of rules can be|not a text"),
+        (("a.mcap", "--polite"), "unrecognized arguments"),
+    ],
+)
+def test_bad_arguments(gsb_check: Command, arguments: tuple[str, ...], message: str, tmp_path: Path) -> None:
+    """End with 2 and one message."""
+    import re
+
+    done = gsb_check(*arguments, cwd=tmp_path)
+    assert done.returncode == ExitCode.USAGE
+    assert any(part in done.stderr for part in message.split("|")) or re.search(message, done.stderr)
+    assert "Traceback" not in done.stderr
+
+
+def test_every_fact_of_a_whole_run_is_known(small: Path) -> None:
+    """Give every fact and every condition of a complete run, of the type that it is said to be."""
+    file = examine(small)
+    for name, fact in FACTS.items():
+        value = fact_of(name, file)
+        assert not isinstance(value, Unknown), name
+        assert isinstance(value, (int, float) if fact.type.name == "number" else fact.type.value), name
+        assert fact.meaning
+    assert all(isinstance(applies(name, file), bool) for name in CONDITIONS)
+
+
+def test_facts_of_a_file_that_cannot_be_read(tmp_path: Path) -> None:
+    """Give a reason instead of a fact; hold no rule for broken or kept."""
+    path = tmp_path / "text.mcap"
+    path.write_text("no recording at all, and long enough")
+    file = examine(path)
+    facts = {name: fact_of(name, file) for name in FACTS if not name.startswith("problems.")}
+    assert all(isinstance(value, Unknown) and value.reason for value in facts.values())
+    report = check([file], [PROTOCOL])
+    assert report.findings == ()
+    assert len(report.unchecked) == sum(rule.of is Scope.file for rule in PROTOCOL.rules)
+    assert report.exit_code == ExitCode.DATA_LOST
+
+
+@given(values=st.lists(st.integers(0, 3), min_size=1, max_size=8))
+def test_set_predicates_agree_with_python(values: list[int]) -> None:
+    """Find files that differ, and files that are alike, where Python's sets do; name none that is as most are."""
+    named = {str(index): value for index, value in enumerate(values)}
+    same = SET_PREDICATES["all_same"].found(named, True, lambda *_: None)
+    assert bool(same) == (len(set(values)) > 1)
+    if same:
+        odd = {named[key] for key in same[0][1]}
+        usual = set(values) - odd
+        assert len(usual) == 1
+        assert all(values.count(usual_value) >= values.count(v) for usual_value in usual for v in values)
+    alike = SET_PREDICATES["all_distinct"].found(named, True, lambda *_: None)
+    assert {key for _, keys in alike for key in keys} == {k for k, v in named.items() if values.count(v) > 1}
+    for least in range(1, 9):
+        found = SET_PREDICATES["true_in"].found(named, least, lambda *_: None)
+        assert bool(found) == (sum(map(bool, values)) < least)
+    parity = SET_PREDICATES["determined_by"].found(named, "n_env", lambda key, _: named[key] % 2)
+    assert bool(parity) == ({0, 2} <= set(values) or {1, 3} <= set(values))
+
+
+@given(value=st.integers(1, 1 << 30))
+def test_file_predicates_agree_with_python(value: int) -> None:
+    """Hold numbers to bounds and powers of two."""
+    ask: Callable[[str, Any], tuple[str, ...]] = lambda name, argument: FILE_PREDICATES[name].found(  # noqa: E731
+        value, argument, lambda _: value
+    )
+    assert bool(ask("power_of_two", True)) == (bin(value).count("1") != 1)
+    assert FILE_PREDICATES["power_of_two"].found(value + 0.5, True, lambda _: None)
+    assert (ask("at_least", value), ask("at_most", value), ask("equals", value)) == ((), (), ())
+    assert ask("at_least", value + 1)
+    assert ask("at_most", value - 1)
+    assert ask("one_of", [value + 1])
+    assert ask("same_as", "n_env") == ()
+
+
+def test_nested_values_are_shown_in_brief(tmp_path: Path) -> None:
+    """Compare options and packages that a stranger nested deeply, without following them all the way down."""
+
+    def nested(name: str, record: dict[str, Any]) -> None:
+        deep: Any = 1
+        for _ in range(40):
+            deep = [deep]
+        if name == PROVENANCE:
+            record["software"]["packages"] = {"deep": deep}
+
+    assert "same-software" in broken(whole(tmp_path, run=0), whole(tmp_path, run=1, change=nested))
+
+
+def test_a_gate_makes_a_run_contradict_itself(tmp_path: Path) -> None:
+    """Break a rule, not the file, where a gate fired in a run that says it is complete."""
+    event = message_class("gsb.v1.Event")(kind=4, phase="timed", text="dropped")
+    path = whole(tmp_path, shown=Shown(raw=(("/run/event", "gsb.v1.Event", event),)))
+    report = check([examine(path)], [load_rules("integrity-1")])
+    assert report.exit_code == ExitCode.GATE_FAILED
+    assert "a gate fired in phase timed: dropped" in report.findings[0].found
+
+
+@pytest.mark.parametrize("module", ["evaluator.cli.check", "evaluator.cli.info"])
+def test_help_imports_nothing_heavy(module: str) -> None:
+    """Print help with its exit codes and examples without loading a numerical library or a file format."""
+    code = (
+        f"import sys\nfrom {module} import main\ntry:\n    main(['--help'])\nexcept SystemExit:\n    pass\n"
+        f"print([m for m in {HEAVY!r} if m in sys.modules], file=sys.stderr)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
+    assert done.stderr.strip() == "[]"
+    assert "exit codes:" in done.stdout
+    name = f"gsb-{module.rpartition('.')[2]}"
+    assert all(line.split()[0] == name for line in done.stdout.split("examples:")[1].strip().splitlines())
+
+
+def test_rule_sets_say_what_they_are() -> None:
+    """Name and title each shipped set; give every rule a requirement, a reason and a remedy that are sentences."""
+    for name in SHIPPED:
+        rules = load_rules(name)
+        assert rules.name == name
+        assert rules.title
+        for rule in rules.rules:
+            assert all(text[0].isupper() and text.endswith(".") for text in (rule.requires, rule.why, rule.do)), rule.id
+
+
+def test_rules_need_no_recording() -> None:
+    """Parse rules without opening any file of recordings."""
+    assert parse_rules(_MINE, "mine").rules[0].argument == "synthetic"
+
+
+def test_document_commands(tmp_path: Path) -> None:
+    """Run every command of the page on gsb-check and gsb-info with the exit code that it says."""
+    shutil.copytree(ROOT / "recordings", tmp_path / "recordings", ignore=shutil.ignore_patterns("[i-z]*-n*.mcap", "b*"))
+    lines = commands(ROOT / "docs" / "check.md")
+    assert len(lines) >= 4
+    for line in lines:
+        line, _, expected = line.partition("  # exit code ")
+        done = shell(line, tmp_path)
+        assert done.returncode == int(expected or 0), f"{line}\n{done.stdout}\n{done.stderr}"
+        assert done.stdout
+
+
+def test_document_python() -> None:
+    """Run the page's Python from the repository's root."""
+    (block,) = blocks(ROOT / "docs" / "check.md", "python")
+    done = subprocess.run([sys.executable, "-c", block], cwd=ROOT, capture_output=True, text=True, timeout=60)
+    assert done.returncode == 0, done.stderr
+
+
+def test_document_rules(tmp_path: Path) -> None:
+    """Load the page's own rules."""
+    (block,) = blocks(ROOT / "docs" / "check.md", "toml")
+    (rule,) = parse_rules(block, "docs/check.md").rules
+    assert (rule.id, rule.argument) == ("long-enough", 5000)

@@ -1,0 +1,279 @@
+"""Everything that is wrong with a file is found and named, and nothing is found in one that is whole."""
+
+from __future__ import annotations
+
+import random
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from evaluator.integrity import examine
+from evaluator.integrity.problem import DAMAGE, MAX_KEPT, REMARKS, Kind, Problems
+from evaluator.integrity.unpack import unpack
+from evaluator.rules.findings import check
+from evaluator.rules.rule import Level, load_rules
+from recorder.capture.sink import Sink
+from schemas.errors import DamagedRecording, ExitCode
+from tests.evaluator.damaged import BYTES, REWRITTEN, SCENE_CHANGED, WRITTEN, hashes_of_others, rewritten, whole
+from tests.evaluator.test_strangers import FORGERIES
+from tests.synthetic import grid, write_recording
+
+ROOT = Path(__file__).resolve().parents[2]
+INTEGRITY = load_rules("integrity-1")
+
+
+def broken(path: Path) -> set[str]:
+    """Rules of integrity-1 that a file breaks."""
+    return {finding.rule.id for finding in check([examine(path)], [INTEGRITY]).findings}
+
+
+def kinds(path: Path) -> set[Kind]:
+    """Kinds of what is wrong with a file."""
+    return set(examine(path).problems.kinds())
+
+
+@pytest.mark.parametrize("compression", ["none", "lz4", "zstd"])
+def test_nothing_is_wrong_with_a_whole_file(tmp_path: Path, compression: str) -> None:
+    """Find nothing in a recording of the recorder's own writers, however its chunks are compressed."""
+    assert kinds(whole(tmp_path, compression=compression)) == set()
+
+
+def test_nothing_is_wrong_with_a_real_run(small_set: list[Path]) -> None:
+    """Find nothing in runs of a simulator, and ask every rule of integrity-1 that applies."""
+    report = check([examine(path) for path in small_set], [INTEGRITY])
+    assert report.findings == ()
+    assert report.unchecked == ()
+    assert report.exit_code == ExitCode.OK
+    assert {file.held for file in report.files} == {sum(rule.of.name == "file" for rule in INTEGRITY.rules)}
+
+
+def test_the_shipped_recordings_are_whole() -> None:
+    """Find no damage in a recording of each kind that ships, with indexes of messages and without."""
+    shipped = [*(ROOT / "recordings").glob("*-r0.mcap"), *(ROOT / "recordings" / "h200").glob("*-n64-r0.mcap")]
+    assert len(shipped) > 8
+    for path in shipped:
+        assert kinds(path) <= REMARKS, path.name
+
+
+@pytest.mark.parametrize("damage", BYTES)
+def test_changed_bytes_are_named(damage: str, tmp_path: Path) -> None:
+    """Name the rule that a change of bytes breaks."""
+    rule, change = BYTES[damage]
+    path = whole(tmp_path)
+    path.write_bytes(change(path.read_bytes()))
+    assert rule in broken(path)
+
+
+@pytest.mark.parametrize("damage", REWRITTEN)
+def test_changed_messages_are_named(damage: str, tmp_path: Path) -> None:
+    """Name the rule that a change of messages breaks whose CRCs were all made right again."""
+    rule, change = REWRITTEN[damage]
+    source = whole(tmp_path, status="INVALID", reason="an engineer was here", steps=120)
+    found = broken(rewritten(source, tmp_path / "again.mcap", change))
+    assert rule in found
+    assert not {"chunk-crc", "attachment-crc", "data-crc", "summary-crc"} & found
+
+
+def test_a_copy_by_another_tool_is_whole(tmp_path: Path) -> None:
+    """Find nothing in a file that the official library wrote again without a change."""
+    assert kinds(rewritten(whole(tmp_path), tmp_path / "again.mcap", list)) == set()
+
+
+@pytest.mark.parametrize("rule", WRITTEN)
+def test_what_a_run_says_of_itself_is_compared(rule: str, tmp_path: Path) -> None:
+    """Name the rule that is broken by a file whose bytes are all as its writer meant them."""
+    assert broken(whole(tmp_path, **WRITTEN[rule])) == {rule} | ({"whole"} if rule == "end" else set())
+
+
+def test_another_scene_is_noticed(tmp_path: Path) -> None:
+    """Notice a scene that is not the one whose hash the simulator was built with."""
+    assert Kind.contradiction in kinds(whole(tmp_path, **SCENE_CHANGED))
+
+
+def test_hashes_that_are_not_of_the_states(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Name each step whose state hashes are others."""
+    hashes_of_others(monkeypatch)
+    found = examine(whole(tmp_path))
+    assert set(found.problems.kinds()) == {Kind.state_hash}
+    assert found.of(Kind.state_hash) == tuple(f"at step {step}" for step in range(6))
+
+
+def test_steps_without_hashes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Count the steps that have no hashes, and name the first."""
+    write = Sink.write
+
+    def without(self: Sink, topic: str, *arguments: object, **keywords: object) -> None:
+        if topic != "/fingerprint/capture" or keywords.get("sim_ns") == 0:
+            write(self, topic, *arguments, **keywords)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(Sink, "write", without)
+    assert examine(whole(tmp_path)).of(Kind.fingerprint) == ("5 of 6 captured steps have none, the first is step 1",)
+
+
+def test_all_of_several_problems_are_found(tmp_path: Path) -> None:
+    """Report an attachment's CRC, a chunk's, a dropout and an unknown record of one file together."""
+    path = whole(tmp_path, dropout="the disk was full")
+    data = path.read_bytes()
+    for damage in ("a record that nobody knows", "an attachment", "a chunk"):
+        data = BYTES[damage][1](data)
+    path.write_bytes(data)
+    found = broken(path)
+    assert {"attachment-crc", "chunk-crc", "data-crc", "known-records", "digests"} <= found
+    digests = examine(path).of(Kind.digest)
+    assert any("attachment provenance.json was changed" in problem for problem in digests)
+
+
+@given(seed=st.integers(0, 2**32))
+def test_no_flipped_bit_passes(tmp_path_factory: pytest.TempPathFactory, seed: int) -> None:
+    """Find something wrong wherever one bit of a file is changed, in the summary too."""
+    folder = tmp_path_factory.getbasetemp()
+    source = folder / "flip-source.mcap"
+    if not source.exists():
+        whole(folder, name=source.name)
+    data = bytearray(source.read_bytes())
+    generator = random.Random(seed)
+    data[generator.randrange(len(data))] ^= 1 << generator.randrange(8)
+    (folder / "flipped.mcap").write_bytes(data)
+    assert kinds(folder / "flipped.mcap")
+
+
+@given(share=st.floats(0, 1, exclude_max=True))
+def test_no_cut_passes(tmp_path_factory: pytest.TempPathFactory, share: float) -> None:
+    """Find that a file was cut short, wherever it was; raise nothing."""
+    folder = tmp_path_factory.getbasetemp()
+    source = folder / "cut-source.mcap"
+    if not source.exists():
+        whole(folder, name=source.name)
+    data = source.read_bytes()
+    (folder / "cut.mcap").write_bytes(data[: int(share * len(data))])
+    assert kinds(folder / "cut.mcap") & {Kind.cut_short, Kind.not_a_recording}
+
+
+@pytest.mark.parametrize("forgery", FORGERIES)
+def test_forged_files_raise_nothing(forgery: str, tmp_path: Path) -> None:
+    """Name what is wrong with each of the forged files that strangers may send."""
+    path = write_recording(tmp_path, grid(2), **FORGERIES[forgery])
+    assert check([examine(path)], [INTEGRITY]).exit_code != ExitCode.OK
+
+
+def test_any_mutation_is_survived(tmp_path: Path) -> None:
+    """Raise nothing for overwritten lengths, spliced parts and doubled parts, and find something wrong."""
+    data = whole(tmp_path, name="source.mcap").read_bytes()
+    generator = random.Random(3)
+    mutated = tmp_path / "mutated.mcap"
+    for number in range(150):
+        changed = bytearray(data)
+        a, b = sorted(generator.sample(range(len(data)), 2))
+        match number % 3:
+            case 0:
+                changed[a : a + 8] = generator.choice([b"\xff" * 8, b"\0\1" * 4, (2**40).to_bytes(8, "little")])
+            case 1:
+                del changed[a:b]
+            case 2:
+                changed[b:b] = data[a:b]
+        mutated.write_bytes(changed)
+        assert bytes(changed) == data or kinds(mutated)
+
+
+def test_chunks_take_no_more_memory_than_they_hold() -> None:
+    """Refuse a chunk that holds more than it announces, in zstd and lz4, without unpacking all of it."""
+    import lz4.frame
+    import zstandard
+
+    zeros = bytes(1 << 25)
+    for compression, packed in (("zstd", zstandard.compress(zeros)), ("lz4", lz4.frame.compress(zeros))):
+        assert len(unpack(compression, memoryview(packed), len(zeros))) == len(zeros)
+        with pytest.raises(DamagedRecording, match="holds more"):
+            unpack(compression, memoryview(packed), 1000)
+        with pytest.raises(DamagedRecording):
+            unpack(compression, memoryview(packed[: len(packed) // 2]), len(zeros))
+        with pytest.raises(DamagedRecording, match="announces"):
+            unpack(compression, memoryview(packed), 1 << 40)
+    with pytest.raises(DamagedRecording, match="not known"):
+        unpack("rot13", memoryview(b""), 0)
+
+
+def test_what_was_not_looked_at_is_not_called_kept(tmp_path: Path) -> None:
+    """Hold no rule for kept whose streams could not be read, or whose digests nobody claims; say why."""
+    path = whole(tmp_path)
+    path.write_bytes(BYTES["an attachment"][1](path.read_bytes()))
+    report = check([examine(path)], [INTEGRITY])
+    assert {"clocks", "consistent", "no-dropouts", "observer"} <= {one.rule.id for one in report.unchecked}
+    assert all(one.reason for one in report.unchecked)
+    cut = check([examine(whole(tmp_path, end=False))], [INTEGRITY])
+    assert {"digests", "content-hash", "summary", "data-crc"} <= {one.rule.id for one in cut.unchecked}
+    assert cut.files[0].held + len(cut.unchecked) + 2 == sum(rule.of.name == "file" for rule in INTEGRITY.rules)
+
+
+def test_the_streams_of_a_damaged_chunk_are_named(tmp_path: Path) -> None:
+    """Say what the chunk is of whose CRC fails, and check the digests of all that lies elsewhere."""
+    path = whole(tmp_path, compression="none")
+    path.write_bytes(BYTES["a chunk"][1](path.read_bytes()))
+    found = examine(path)
+    assert "it is of /state/cubes/position/000000" in found.of(Kind.chunk_crc)[0]
+    assert found.of(Kind.digest) and all("cubes/position" in problem for problem in found.of(Kind.digest))
+
+
+def test_many_files_are_not_held_open(tmp_path: Path) -> None:
+    """Hold no more than one file descriptor for a file that was examined."""
+    import os
+
+    path = whole(tmp_path)
+    before = len(os.listdir("/proc/self/fd"))
+    held = [examine(path) for _ in range(8)]
+    assert len(os.listdir("/proc/self/fd")) - before <= len(held)
+
+
+def test_problems_are_counted_not_kept() -> None:
+    """Keep a bounded number of problems of a kind, and say how many there are."""
+    problems = Problems()
+    for number in range(1000):
+        problems.add(Kind.record, f"record {number}")
+    found = problems.of(Kind.record)
+    assert len(found) == MAX_KEPT + 1
+    assert found[-1] == f"and {1000 - MAX_KEPT} more of this kind"
+
+
+def test_rules_agree_with_kinds() -> None:
+    """Ask of every kind of problem in integrity-1, as damage where it is, as a warning where it is a remark."""
+    asked = {rule.fact.removeprefix("problems."): rule for rule in INTEGRITY.rules if rule.fact.startswith("problems.")}
+    assert set(asked) == {kind.name for kind in Kind}
+    for kind in Kind:
+        assert asked[kind.name].damage == (kind in DAMAGE), kind
+        assert (asked[kind.name].level is Level.warning) == (kind in REMARKS), kind
+
+
+def test_every_rule_of_integrity_can_be_broken() -> None:
+    """Have a way to break each rule among these tests, but for the one that no file of ours can."""
+    ways = {rule for rule, _ in (*BYTES.values(), *REWRITTEN.values())} | set(WRITTEN)
+    elsewhere = {"state-hashes", "hashes-at-every-step", "one-content-a-run"}
+    # the two readers disagree only where one of them is wrong
+    assert {rule.id for rule in INTEGRITY.rules} - ways - elsewhere == {"other-reader"}
+
+
+def test_a_reader_that_disagrees_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Say what the mcap library makes of a file, where it reads it in another way."""
+    from evaluator.integrity import library
+
+    class Deaf(library.StreamReader):  # type: ignore[misc]
+        @property
+        def records(self):  # type: ignore[no-untyped-def]
+            return iter(())
+
+    path = whole(tmp_path)
+    monkeypatch.setattr(library, "StreamReader", Deaf)
+    assert "it finds 0 messages" in examine(path).of(Kind.library)[0]
+
+
+def test_numbers_of_environments_beyond_reason(tmp_path: Path) -> None:
+    """Allocate nothing for a file that announces what it cannot hold."""
+    from schemas.provenance import PROVENANCE
+
+    def many(name: str, record: dict[str, object]) -> None:
+        if name == PROVENANCE:
+            record["configuration"]["n_env"] = 1 << 24  # type: ignore[index]
+
+    assert kinds(write_recording(tmp_path, np.asarray(grid(2)), change=many))
