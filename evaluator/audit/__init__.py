@@ -1,0 +1,1 @@
+"""Recordings checked, run again here, and held against what came out."""

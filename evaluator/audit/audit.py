@@ -1,0 +1,182 @@
+"""An audit of recordings that were asked for the same: run again here, and held against each other."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from evaluator.audit.distribution import LawTest, same_law
+from evaluator.audit.replaying import Replay, ReplayPlan, Replays, make_replays
+from evaluator.audit.settings import Settings, sorted_out
+from evaluator.audit.verdict import Level, Match, Verdict, ladder
+from evaluator.diff.compare import compare
+from evaluator.diff.result import Difference
+from evaluator.groups import Group
+from evaluator.metrics.variability import sampling_step
+from evaluator.positions import sample_positions
+from evaluator.recording import Recording
+from schemas.errors import DamagedRecording, NothingComparable
+from schemas.provenance import REAL
+
+
+@dataclass(frozen=True)
+class Audit:
+    """What became of one set of recordings.
+
+    originals    the recordings, of one key; the first is the one that was replayed
+    replays      None where there is nothing to replay
+    recordings   of the replays that are complete
+    difference   the first original beside the first of these, or beside the one that it was found to be closest to
+    settings     what those two say of themselves and disagree on
+    distinct     how many are distinct bit for bit, by their state hashes: of the originals, the replays, and of both
+    verdict      None, and `why_not` says why
+    """
+
+    originals: tuple[Recording, ...]
+    replays: Replays | None = None
+    recordings: tuple[Recording, ...] = ()
+    difference: Difference | None = None
+    settings: Settings = Settings()
+    distinct: tuple[int, int, int] = (0, 0, 0)
+    verdict: Verdict | None = None
+    why_not: str = ""
+
+    @property
+    def failed(self) -> tuple[Replay, ...]:
+        """Replays that ended otherwise than complete."""
+        return tuple(r for r in self.replays.made if r.status != "complete") if self.replays else ()
+
+    @property
+    def level(self) -> Level | None:
+        """The verdict's level; a replay that is invalid where the original is not makes it `different`."""
+        if self.invalid:
+            return Level.DIFFERENT
+        return self.verdict.level if self.verdict else None
+
+    @property
+    def invalid(self) -> bool:
+        """Whether a replay tripped a validity gate that the original did not."""
+        return any(replay.status == "invalid" for replay in self.failed)
+
+    def meets(self, required: Level) -> bool | None:
+        """Whether the required level holds, or a stronger one; None where that could not be decided."""
+        if self.invalid:
+            return False
+        return self.verdict.meets(required) if self.verdict else None
+
+
+def audit(group: Group, plan: ReplayPlan, *, max_ulps: int, say: Callable[[str], None]) -> Audit:
+    """Replay the first complete recording of a group, and hold what came out against all complete ones.
+
+    max_ulps  largest distance in units in the last place that counts as "within"
+    say       takes what the replays say on the way
+
+    GsbError where the replays cannot be started or what they wrote cannot be read.
+    """
+    originals = group.complete
+    if group.key.simulator == REAL:
+        return Audit(group.recordings, why_not="measured trials: no simulator can replay them")
+    if not originals:
+        ended = " ".join(f"{count} {status}" for status, count in group.outcomes.items() if count)
+        return Audit(
+            group.recordings, why_not=f"no run is complete ({ended}): there is nothing to hold a replay against"
+        )
+    replays = make_replays(originals[0].path, plan, say)
+    done = Audit(originals, replays)
+    if replays.refused:
+        return Audit(originals, replays, why_not=replays.refused)
+    found = tuple(_open(replay) for replay in replays.made if replay.status == "complete")
+    if not found:
+        reasons = dict.fromkeys(f"{replay.status}: {replay.reason}" for replay in done.failed)
+        return Audit(originals, replays, why_not="; ".join(reasons) or "no replay was made")
+    try:
+        pairs = [(closest(replay, originals), replay) for replay in found]
+        differences = [compare(original, replay) for original, replay in pairs]
+    except NothingComparable as error:
+        return Audit(originals, replays, found, why_not=str(error))
+    verdict = ladder(
+        [Match(d.bit_identical, d.same_up_to_env_order, d.max_ulp) for d in differences],
+        lambda: law_of(originals, found),
+        max_ulps=max_ulps,
+        originals=len(originals),
+        compared="every bit" if differences[0].compared.state_steps else "every state hash (no states were recorded)",
+    )
+    shown = next((i for i, d in enumerate(differences) if not d.bit_identical), 0)
+    return Audit(
+        originals=originals,
+        replays=replays,
+        recordings=found,
+        difference=differences[shown],
+        settings=sorted_out(differences[shown].settings, *pairs[shown]),
+        distinct=_distinct(originals, found),
+        verdict=verdict,
+    )
+
+
+def _distinct(originals: Sequence[Recording], replays: Sequence[Recording]) -> tuple[int, int, int]:
+    there, here = ({b"".join(_trajectories(r)) for r in side} for side in (originals, replays))
+    return len(there), len(here), len(there | here)
+
+
+def _open(replay: Replay) -> Recording:
+    if replay.path is None:
+        raise DamagedRecording("a replay that is complete has left no file")
+    recording = Recording(replay.path)
+    recording.verify()
+    return recording
+
+
+def closest(replay: Recording, originals: Sequence[Recording]) -> Recording:
+    """The original with the replay's state hashes; else with those of its environments in any order; else the first."""
+    of_replay = _trajectories(replay)
+    others = [(original, _trajectories(original)) for original in originals]
+    for original, theirs in others:
+        if theirs == of_replay:
+            return original
+    for original, theirs in others:
+        if sorted(theirs) == sorted(of_replay):
+            return original
+    return originals[0]
+
+
+def _trajectories(recording: Recording) -> list[bytes]:
+    # hashes of every captured step, by environment; of the timed phase, where nothing was captured
+    hashes = recording.fingerprints("capture") or recording.fingerprints("timed")
+    return [] if hashes is None else [column.tobytes() for column in np.ascontiguousarray(hashes.hashes.T)]
+
+
+def law_of(originals: Sequence[Recording], replays: Sequence[Recording]) -> LawTest | str:
+    """The test of one law over planar positions of the cubes at the sample time, or why there is none."""
+    time = _sample_time(originals[0])
+    if time is None:
+        return "no positions of cubes were captured, and the test is about those"
+    sides: list[list[npt.NDArray[np.float64]]] = []
+    for side in (originals, replays):
+        sides.append([])
+        for recording in side:
+            positions, why_not = sample_positions(recording, time)
+            if positions is None:
+                return f"{recording.path.name}: {why_not}"
+            sides[-1].append(positions.planar)
+    if len({run.shape for side in sides for run in side}) > 1:
+        return "the replays have other numbers of environments or cubes"
+    try:
+        return same_law(*sides, time=time)
+    except ValueError as error:
+        return str(error)
+
+
+def _sample_time(recording: Recording) -> float | None:
+    # the scene's own, where it was recorded; else the last recorded step's
+    if not any(field.name == "cubes/position" for field in recording.fields):
+        return None
+    steps, dt = recording.state("cubes", "position").steps, recording.configuration.dt
+    if not len(steps):
+        return None
+    wanted = recording.scene.get("sample_time")
+    if isinstance(wanted, (int, float)) and 0 < wanted < 1e9 and sampling_step(wanted, dt) in steps:
+        return float(wanted)
+    return float(steps[-1] * dt)

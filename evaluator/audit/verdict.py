@@ -1,0 +1,142 @@
+"""From what was found to a verdict: the strongest statement that holds."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from enum import Enum
+
+from evaluator.audit.distribution import ALPHA, LawTest, runs_needed
+
+
+class Level(Enum):
+    """What a replay came to, strongest first. What holds implies all that stand below it, but for `different`."""
+
+    BIT_IDENTICAL = "bit-identical"
+    SAME_UP_TO_ENV_ORDER = "same-up-to-env-order"
+    WITHIN_ULPS = "within-ulps"
+    SAME_DISTRIBUTION = "same-distribution"
+    DIFFERENT = "different"
+
+    def reaches(self, required: Level) -> bool:
+        """Whether this is what is required, or more."""
+        order = list(Level)
+        return order.index(self) <= order.index(required)
+
+
+@dataclass(frozen=True)
+class Match:
+    """A replay beside the original that it is closest to.
+
+    bit_identical         every number of it is the same, bit for bit
+    same_up_to_env_order  its environments are the same in another order; None where that cannot be told
+    max_ulp               largest distance of two numbers in units in the last place; None where that cannot be told
+    """
+
+    bit_identical: bool
+    same_up_to_env_order: bool | None
+    max_ulp: int | None
+
+
+@dataclass(frozen=True)
+class Rung:
+    """A level, whether it holds (None: it could not be decided), and why, in a sentence."""
+
+    level: Level
+    holds: bool | None
+    said: str
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """The ladder.
+
+    rungs  strongest level first
+    level  the strongest that holds; None where none does and the last is not refuted
+    law    the test of one law, or why there is none; None where a stronger level holds
+    """
+
+    rungs: tuple[Rung, ...]
+    level: Level | None
+    law: LawTest | str | None
+
+    def meets(self, required: Level) -> bool | None:
+        """Whether the required level holds, or a stronger one; None where that could not be decided."""
+        held = [rung.holds for rung in self.rungs if rung.level.reaches(required)]
+        if True in held:
+            return True
+        return None if None in held else False
+
+
+def ladder(
+    matches: Sequence[Match],
+    test: Callable[[], LawTest | str],
+    *,
+    max_ulps: int,
+    originals: int,
+    compared: str = "every bit",
+) -> Verdict:
+    """The verdict over all replays: a level holds where it holds for each of them.
+
+    test       makes the test of one law, or says why there is none; asked where no stronger level holds
+    max_ulps   largest distance in units in the last place that counts as "within"
+    originals  how many there are
+    compared   what is the same where a replay is bit-identical
+    """
+    rungs = [_bits(matches, compared), _order(matches), _ulps(matches, max_ulps)]
+    reached = next((rung.level for rung in rungs if rung.holds), None)
+    if reached is not None:
+        follows = f"follows from {reached.value}"
+        below = [level for level in list(Level)[:-1] if reached.reaches(level) and level is not reached]
+        kept = [rung for rung in rungs if rung.level not in below]
+        return Verdict((*kept, *(Rung(level, True, follows) for level in below)), reached, None)
+    law = test()
+    rungs.append(_law(law, originals))
+    by_law = {True: Level.SAME_DISTRIBUTION, False: Level.DIFFERENT, None: None}
+    return Verdict(tuple(rungs), by_law[rungs[-1].holds], law)
+
+
+def _all(held: Sequence[bool | None]) -> bool | None:
+    if False in held:
+        return False
+    return None if None in held else True
+
+
+def _bits(matches: Sequence[Match], compared: str) -> Rung:
+    same = sum(m.bit_identical for m in matches)
+    said = f"{same} of {len(matches)} replays: {compared} of an original"
+    return Rung(Level.BIT_IDENTICAL, same == len(matches), said)
+
+
+def _order(matches: Sequence[Match]) -> Rung:
+    held = [m.bit_identical or m.same_up_to_env_order for m in matches]
+    if (holds := _all(held)) is None:
+        return Rung(Level.SAME_UP_TO_ENV_ORDER, None, "environments cannot be held against others")
+    same = sum(h is True for h in held)
+    return Rung(Level.SAME_UP_TO_ENV_ORDER, holds, f"{same} of {len(matches)} replays: an original's envs in any order")
+
+
+def _ulps(matches: Sequence[Match], most: int) -> Rung:
+    found = [0 if m.bit_identical or m.same_up_to_env_order else m.max_ulp for m in matches]
+    known = [k for k in found if k is not None]
+    if len(known) < len(found):
+        return Rung(Level.WITHIN_ULPS, None, "numbers cannot be compared in units in the last place")
+    largest = max(known)
+    return Rung(Level.WITHIN_ULPS, largest <= most, f"largest distance {largest:,} ULP; {most} are allowed")
+
+
+def _law(law: LawTest | str, originals: int) -> Rung:
+    if isinstance(law, str):
+        return Rung(Level.SAME_DISTRIBUTION, None, law)
+    far = f"W1 at {law.time:g} s {law.observed_cm:.3g} cm, up to {law.floor_q95_cm:.3g} cm under one law (95 %)"
+    said = (
+        f"{far}, p = {law.p_value:.2g}: {law.originals} original and {law.replays} replayed {law.unit.value} exchanged"
+    )
+    if law.envs_per_run < law.envs:
+        said += f", {law.envs_per_run} of {law.envs} envs each"
+    if law.rejects:
+        return Rung(Level.SAME_DISTRIBUTION, False, said)
+    if not law.can_reject:
+        few = f"so few cannot show a difference (p is at least {law.least_p:.2g}): give --runs {runs_needed(originals)}"
+        return Rung(Level.SAME_DISTRIBUTION, None, f"{said}; {few}")
+    return Rung(Level.SAME_DISTRIBUTION, True, f"{said}; not refuted at {ALPHA:g}")

@@ -1,0 +1,142 @@
+"""gsb-audit: is a recording whole, and does the same come out when its run is made again, here?"""
+
+from __future__ import annotations
+
+import argparse
+import signal
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from evaluator.cli.entry import complain, enter, new_parser
+from evaluator.cli.json_target import check_target, write_json
+from schemas.errors import ExitCode, UsageError
+
+if TYPE_CHECKING:
+    from evaluator.audit.audit import Audit
+    from evaluator.audit.verdict import Level
+
+_LEVELS = ("bit-identical", "same-up-to-env-order", "within-ulps", "same-distribution")
+
+_MOST_RUNS = 1000
+
+_EPILOG = """\
+A replay takes from a file its configuration and nothing else: no code, no model, no path. It asks for no more steps and
+environments than the file has traces of, and what is run is printed first; it may take as long as it took there.
+
+levels, strongest first:
+  bit-identical         every recorded number of every replay, at every step, is that of an original
+  same-up-to-env-order  the same, but environments have other numbers
+  within-ulps           no two numbers are further apart than --ulps units in the last place
+  same-distribution     a permutation test on the cubes' planar positions does not tell originals and replays apart, and
+                        they are enough for it to do so
+  different             none of these
+
+exit codes:
+  0  every verdict is at least the level of --require
+  1  a replay failed while others did not
+  2  the command asks for something that cannot be
+  3  a file is damaged, cut short or no recording; the others were audited
+  4  a verdict is below the level of --require, or a rule of integrity-1 (see gsb-check) is broken
+  5  something cannot be replayed here (the message says what is missing), or the replays are too few to decide
+
+examples:
+  gsb-audit theirs.mcap
+  gsb-audit theirs/*.mcap --runs 6 --require bit-identical --json audit.json
+  gsb-audit theirs.mcap --option device=cpu
+"""
+
+
+def parser() -> argparse.ArgumentParser:
+    """The command's arguments."""
+    p = new_parser(
+        "gsb-audit",
+        "Check recordings, run their own configurations again on this machine, and say how closely what comes out "
+        "agrees. Recordings that were made alike are originals of one audit.",
+        _EPILOG,
+    )
+    p.add_argument("files", nargs="+", type=Path, metavar="FILE", help="recordings (.mcap)")
+    p.add_argument("--runs", type=int, default=1, metavar="R", help="replays of each (default: 1; statistics want 6)")
+    p.add_argument("--out", type=Path, default=Path("audit"), metavar="DIR", help="of the replays (default: audit/)")
+    p.add_argument(
+        "--require", choices=_LEVELS, default=_LEVELS[-1], metavar="LEVEL", help="see below (default: %(default)s)"
+    )
+    p.add_argument("--ulps", type=int, default=4, metavar="K", help="of the level within-ulps (default: %(default)s)")
+    p.add_argument("--json", metavar="FILE", help="write the results as JSON; - for standard output, alone")
+    p.add_argument("--python", type=Path, metavar="PATH", help="interpreter that makes the replays")
+    p.add_argument("--timeout", type=float, default=0.0, metavar="S", help="of each replay (default: none)")
+    p.add_argument("--phases", metavar="LIST", help="timed, capture or both (default: those that were recorded)")
+    p.add_argument(
+        "--option", action="append", default=[], metavar="NAME=VALUE", help="instead of what was recorded; repeatable"
+    )
+    return p
+
+
+def run(arguments: argparse.Namespace, command: str) -> int:
+    """Audit and print; returns the exit code."""
+    from evaluator.audit.audit import audit
+    from evaluator.audit.checking import check_files
+    from evaluator.audit.document import dump_json
+    from evaluator.audit.replaying import ReplayPlan
+    from evaluator.audit.text import text_of
+    from evaluator.audit.verdict import Level
+    from evaluator.groups import group
+
+    _check(arguments)
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # no replay goes on that nobody waits for
+    plan = ReplayPlan(
+        arguments.out,
+        arguments.runs,
+        arguments.python,
+        arguments.timeout,
+        tuple(arguments.option),
+        arguments.phases,
+    )
+    required = Level(arguments.require)
+    checked = check_files(arguments.files)
+    for path, findings in checked.damaged.items():
+        complain("gsb-audit", f"{path} is not audited: {'; '.join(findings)}")
+    audits = []
+    for alike in group(checked.recordings):
+        audits.append(audit(alike, plan, max_ulps=arguments.ulps, say=_say))
+        if arguments.json != "-":
+            print(text_of(audits[-1], checked), flush=True)
+    if arguments.json:
+        write_json(arguments.json, dump_json(audits, checked, required))
+    if checked.damaged:
+        return int(ExitCode.DATA_LOST)
+    return int(ExitCode.GATE_FAILED if checked.broken else _exit_code(audits, required))
+
+
+def _check(arguments: argparse.Namespace) -> None:
+    if not 1 <= arguments.runs <= _MOST_RUNS:
+        raise UsageError(f"--runs is from 1 to {_MOST_RUNS}, not {arguments.runs}")
+    if arguments.ulps < 0:
+        raise UsageError(f"--ulps is at least 0, not {arguments.ulps}")
+    if not 0 <= arguments.timeout < float("inf"):
+        raise UsageError(f"--timeout is a number of seconds, 0 for never, not {arguments.timeout}")
+    check_target(arguments.json)
+
+
+def _exit_code(audits: list[Audit], required: Level) -> ExitCode:
+    met = [audit.meets(required) for audit in audits]
+    if False in met:
+        return ExitCode.GATE_FAILED
+    if any(audit.failed and audit.recordings for audit in audits):
+        return ExitCode.FAILURE
+    return ExitCode.NOTHING_COMPARABLE if None in met else ExitCode.OK
+
+
+def _say(line: str) -> None:
+    from evaluator.report.text import printable
+
+    print(printable(line), file=sys.stderr, flush=True)
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Entry point of gsb-audit."""
+    return enter(parser(), run, argv)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
