@@ -10,6 +10,12 @@ from schemas.container import Container
 from schemas.errors import DamagedRecording
 from schemas.messages import message_class
 
+_FREE_BYTES = 64 << 20
+_MOST_PER_BYTE = 64
+_MESSAGE_BYTES = 64
+"""Messages of one topic that are parsed may hold _FREE_BYTES, and _MOST_PER_BYTE for each byte of the file, an empty
+one counting as _MESSAGE_BYTES: as objects they take several times as much memory."""
+
 
 class Messages:
     """Reads topics of one container.
@@ -35,7 +41,14 @@ class Messages:
 
     def read(self, topic: str, message: str) -> list[Any]:
         """Messages of a topic, parsed; empty where it is not declared."""
-        return [self.parse(message, content) for content in self.contents(topic)] if self.has(topic) else []
+        found: list[Any] = []
+        room = _FREE_BYTES + _MOST_PER_BYTE * self._container.size
+        for content in self.contents(topic) if self.has(topic) else ():
+            room -= len(content) + _MESSAGE_BYTES
+            if room < 0:
+                raise self.damaged(f"{topic} unpacks into more than is read of a file of this size")
+            found.append(self.parse(message, content))
+        return found
 
     def parse(self, message: str, content: memoryview) -> Any:
         """One message; DamagedRecording where it is none of that type."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -12,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from evaluator.actions import action_names, read_actions
 from evaluator.messages import Messages
 from evaluator.state_array import StateArray
 from evaluator.step_evidence import (
@@ -34,9 +36,8 @@ from evaluator.streams import (
     read_timing,
 )
 from schemas import checks, topics
-from schemas.blocks import decode_action
 from schemas.configuration import RunConfiguration
-from schemas.container import Container
+from schemas.container import Channel, Container
 from schemas.digest import ContentDigest, content_hash
 from schemas.errors import DamagedRecording, GsbError
 from schemas.fields import StateField
@@ -44,6 +45,7 @@ from schemas.fingerprint import fingerprint
 from schemas.messages import enum_values
 from schemas.provenance import PROVENANCE, SCENE, SIMULATION, Provenance, Simulation
 
+_OTHER_FILES = 256  # that a process has open besides recordings
 _VERIFY_BYTES = 64 << 20
 _VERIFY_ROWS = 50  # a block's rows, so that none is decoded twice
 
@@ -118,29 +120,15 @@ class Recording:
     @property
     def action_names(self) -> tuple[str, ...]:
         """Names of the recorded action streams."""
-        parsed = (topics.parse_action(topic) for topic in self._container.channels)
-        return tuple(dict.fromkeys(p.name for p in parsed if p))
+        return action_names(self._messages)
 
-    def actions(self, name: str) -> NDArray[Any]:
-        """An action stream, shape [step, env, action]; row i leads from the state of step i to the next."""
-        columns = []
-        for topic in sorted(self._container.channels):
-            parts = topics.parse_action(topic)
-            if parts is None or parts.name != name:
-                continue
-            rows, expected = [], 0
-            for content in self._container.in_sequence(topic):
-                header, block = decode_action(content)
-                if (header.first_step, header.env_start) != (expected, parts.env_start):
-                    raise DamagedRecording(f"{self.path}: actions from step {expected} on are missing in {topic}")
-                rows.append(block)
-                expected += header.steps
-            columns.append(np.concatenate(rows) if rows else np.empty((0, 0, 0)))
-        if not columns:
-            raise KeyError(f"{self.path} has no actions {name}; it has: {', '.join(self.action_names) or 'none'}")
-        if len({len(column) for column in columns}) != 1:
-            raise DamagedRecording(f"{self.path}: the environments have actions for different numbers of steps")
-        return np.concatenate(columns, axis=1)
+    def actions(self, name: str) -> NDArray[np.floating]:
+        """An action stream, shape [step, env, action]; row i leads from the state of step i to the next.
+
+        KeyError names the recorded ones.
+        """
+        cut_short = self.status == "incomplete"
+        return read_actions(self._messages, name, n_env=self.configuration.n_env, cut_short=cut_short)
 
     @cached_property
     def timing(self) -> dict[str, StepTiming]:
@@ -232,11 +220,21 @@ class Recording:
                 digest.state(array.field, self.configuration.n_env, block)
             if hashes is not None:
                 self._check_hashes(hashes, arrays[0].steps[rows], fingerprint(blocks))
-        for topic in self._container.channels:
-            if topic != topics.RUN_END and topics.parse_state(topic) is None:
+        for topic, channel in self._container.channels.items():
+            if parts := topics.parse_state(topic):
+                self._check_metadata(parts, channel)
+            elif topic != topics.RUN_END:
                 for content in self._container.in_sequence(topic):
                     digest.message(topic, content)
         return digest
+
+    def _check_metadata(self, topic: topics.StateTopic, channel: Channel) -> None:
+        # what other programs take units and frames from says the same as what this one does
+        for field in self.fields:
+            if (field.group, field.field) == (topic.group, topic.field):
+                told = {key: value for key, value in field.to_metadata().items() if key in channel.metadata}
+                if wrong := [key for key, value in told.items() if channel.metadata[key] != value]:
+                    raise DamagedRecording(f"{self.path}: {channel.topic} and {SIMULATION} disagree on {wrong[0]}")
 
     def _check_origins(self) -> None:
         origins = self.simulation.env_origins if self.simulation else ()
@@ -292,6 +290,20 @@ def _row_ranges(arrays: Sequence[StateArray]) -> Iterator[slice]:
         yield slice(begin, begin + count)
 
 
+def _allow_open_files(files: int) -> None:
+    # Each recording keeps its file open, and many a shell allows 1024 where the system allows far more.
+    try:
+        import resource
+    except ImportError:  # Windows has no such limit
+        return
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    wanted = files + _OTHER_FILES
+    if soft not in (resource.RLIM_INFINITY, hard) and soft < wanted:
+        limit = wanted if hard == resource.RLIM_INFINITY else min(wanted, hard)
+        with suppress(OSError, ValueError):  # then the file that is one too many says so
+            resource.setrlimit(resource.RLIMIT_NOFILE, (limit, hard))
+
+
 @dataclass(frozen=True)
 class Unreadable:
     """A file that could not be opened or failed its checks, and why."""
@@ -302,6 +314,7 @@ class Unreadable:
 
 def open_all(paths: list[Path], *, verify: bool) -> Iterator[Recording | Unreadable]:
     """Open each file; one that cannot be read is an item too, so that the others are not lost with it."""
+    _allow_open_files(len(paths))
     for path in paths:
         try:
             recording = Recording(path)

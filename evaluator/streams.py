@@ -10,9 +10,11 @@ from numpy.typing import NDArray
 from evaluator.messages import Messages
 from schemas import topics
 from schemas.blocks import decode_fingerprints
+from schemas.checks import MAX_COUNT
 from schemas.messages import enum_values
 
 _MAX_BYTES = 1 << 62
+_MAX_NS = 1 << 62  # differences of clocks stay within an int64
 _PEAK = "peak until "
 
 
@@ -120,6 +122,10 @@ def read_timing(messages: Messages) -> dict[str, StepTiming]:
             raise messages.damaged(f"{topic} has {len(start)} begins and {len(end)} ends")
         if not len(start):
             continue  # a phase of no steps
+        if min(start.min(), end.min()) < -_MAX_NS or max(start.max(), end.max()) > _MAX_NS:
+            raise messages.damaged(f"{topic} has a time that no clock shows")
+        if len({p.steps_per_interval for p in parts}) > 1 or parts[0].first_step > MAX_COUNT:
+            raise messages.damaged(f"{topic} has intervals of different or impossible numbers of steps")
         # what takes less than a tick of the clock, such as compiling nothing, ends when it begins
         if (
             (end < start).any()
@@ -155,26 +161,32 @@ def read_fingerprints(messages: Messages, phase: str, *, n_env: int, cut_short: 
     topic = topics.fingerprint(phase)
     if not messages.has(topic):
         return None
-    if n_env * np.dtype(np.uint64).itemsize > messages.content_bytes:
-        raise messages.damaged(f"{n_env} environments are more than the file can hold hashes of")
+    most = messages.content_bytes // (n_env * np.dtype(np.uint64).itemsize)
     rows: dict[int, NDArray[np.uint64]] = {}
     filled: dict[int, int] = {}
     for content in messages.contents(topic):
         header, block = decode_fingerprints(content)
         stop = header.env_start + header.envs
-        if not block.size or stop > n_env or (header.steps > 1 and header.stride < 1):
+        last = header.first_step + header.steps * header.stride
+        if not block.size or stop > n_env or last > MAX_COUNT or (header.steps > 1 and header.stride < 1):
             raise messages.damaged(f"a block of {topic} has environments or steps that cannot be")
         for row, hashes in enumerate(block):
             step = header.first_step + row * header.stride
+            if step not in rows and len(rows) == most:
+                raise messages.damaged(
+                    f"{topic} has more steps of {n_env} environments than the file can hold hashes of"
+                )
             whole = rows.setdefault(step, np.zeros(n_env, dtype=np.uint64))
             whole[header.env_start : stop] = hashes
             filled[step] = filled.get(step, 0) + header.envs
     if not rows:
         return None
     if set(filled.values()) != {n_env}:
-        if not cut_short:
+        if not cut_short or max(filled.values()) > n_env:
             raise messages.damaged(f"{topic} does not cover every environment once at every step")
         rows = {step: hashes for step, hashes in rows.items() if filled[step] == n_env}
+        if not rows:
+            return None
     steps = sorted(rows)
     return Fingerprints(np.array(steps, dtype=np.int64), np.stack([rows[step] for step in steps]))
 

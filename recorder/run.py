@@ -37,7 +37,7 @@ from recorder.capture.kept import KeptStates
 from recorder.capture.memory import MemoryWriter
 from recorder.capture.sink import Sink
 from recorder.capture.states import StateWriter, declare_fingerprints, row_bytes, write_fingerprints
-from recorder.capture.stepping import RING_BLOCKS, CaptureClock, step_and_capture
+from recorder.capture.stepping import CaptureClock, step_and_capture
 from recorder.capture.writing import Block, Writing
 from recorder.engine import Engine
 from recorder.environment import apply_environment
@@ -50,6 +50,7 @@ from recorder.probes.software import describe_software, package_list
 from recorder.scenes.base import Scene
 from recorder.scenes.registry import make_scene
 from recorder.simulators.base import Description, Simulator
+from recorder.simulators.captured import RING_BLOCKS
 from recorder.simulators.evidence import Evidence
 from recorder.simulators.registry import find_simulator
 from schemas import FORMAT, topics

@@ -138,7 +138,7 @@ def test_make_demo(tmp_path: Path) -> None:
 
 def test_the_help_shows_its_exit_codes() -> None:
     """Document exit codes and examples in every command's help, and run the examples that need no file."""
-    for name in ("gsb-record", "gsb-eval"):
+    for name in ("gsb-record", "gsb-eval", "gsb-audit", "gsb-check", "gsb-diff", "gsb-info", "gsb-share"):
         done = subprocess.run([*command(name), "--help"], capture_output=True, text=True, timeout=60)
         assert "exit codes:" in done.stdout
         for line in done.stdout.split("examples:")[1].strip().splitlines():

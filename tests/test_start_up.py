@@ -23,7 +23,10 @@ HEAVY = (
 )
 
 
-@pytest.mark.parametrize("module", ["recorder.cli", "evaluator.cli.eval"])
+@pytest.mark.parametrize(
+    "module",
+    ["recorder.cli", *(f"evaluator.cli.{name}" for name in ("audit", "check", "diff", "eval", "info", "share"))],
+)
 @pytest.mark.parametrize("argument", ["--help", "--version"])
 def test_help_imports_nothing_heavy(module: str, argument: str) -> None:
     """Print help and version without loading a numerical library, a simulator or a file format."""

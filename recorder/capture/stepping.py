@@ -17,9 +17,7 @@ from numpy.typing import NDArray
 from recorder.capture.actions import Actions
 from recorder.capture.writing import Block, Writing
 from recorder.simulators.base import Simulator
-from recorder.simulators.captured import Held
-
-RING_BLOCKS = 3
+from recorder.simulators.captured import RING_BLOCKS, Held
 
 
 class CaptureClock:

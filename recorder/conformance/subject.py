@@ -5,6 +5,7 @@ from __future__ import annotations
 import shutil
 import tempfile
 import uuid
+from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -20,7 +21,8 @@ from recorder.environment import apply_environment
 from recorder.options import parse_options
 from recorder.scenes.base import Scene
 from recorder.scenes.registry import SCENES, make_scene
-from recorder.simulators.base import Description, Simulator, States
+from recorder.simulators.base import Captured, Description, Simulator, States
+from recorder.simulators.captured import RING_BLOCKS
 from recorder.simulators.evidence import Evidence
 from recorder.simulators.registry import Entry, find_simulator
 from schemas.configuration import RunConfiguration
@@ -30,6 +32,7 @@ SEED = (3 << 32) + 7
 """Of every build: both of its 32-bit words count."""
 
 _BLOCKS = (30, N_STEP - 30)  # of states: of different sizes, as a recording's last block is
+_AHEAD = (8, 8, 8, 8, 8, N_STEP - 40)  # of begin_states: more of them than are held at once
 _STEPS = (*(1 for _ in range(LANDING + 5)), N_STEP - LANDING - 5)  # of step: one by one until the counts have changed
 
 _T = TypeVar("_T")
@@ -128,6 +131,12 @@ class Subject:
         return self._once("stepped", self._step)
 
     @property
+    def ahead(self) -> tuple[States, tuple[Evidence | None, ...]]:
+        """The conformance scene in another build, captured in blocks that are begun before earlier ones are read:
+        states without the initial one, and what each block shows."""
+        return self._once("ahead", self._capture_ahead)
+
+    @property
     def recording(self) -> RecordedRun:
         """A short run of the first of `scenes`, recorded by a process of its own and read back."""
         return self._once("recording", self._record)
@@ -172,6 +181,28 @@ class Subject:
                 tuple(simulator.gates()),
                 simulator.allocator_bytes(),
             )
+
+    def _capture_ahead(self) -> tuple[States, tuple[Evidence | None, ...]]:
+        rows: list[States] = []
+        evidence = []
+        with self.built(conformance_scene()) as (simulator, _):
+            simulator.compile("capture")
+            simulator.reserve(max(_AHEAD))
+            left, begun, arrived = list(_AHEAD), deque[Captured](), deque[Captured]()
+            while left or begun or arrived:
+                while left and len(begun) < simulator.blocks_ahead and len(begun) + len(arrived) < RING_BLOCKS:
+                    simulator.prepare(None)
+                    begun.append(simulator.begin_states(left.pop(0)))
+                if begun:
+                    begun[0].wait()
+                    arrived.append(begun.popleft())
+                if len(arrived) + len(begun) == RING_BLOCKS or not begun:  # read as late as the recorder may
+                    block = arrived.popleft()
+                    parts = [_copy(block.states(envs)) for envs in (slice(0, 1), slice(1, N_ENV))]
+                    rows.append(tuple(np.concatenate(pair, axis=1) for pair in zip(*parts, strict=True)))
+                    evidence.append(_copy_evidence(block.evidence()))
+                    block.release()
+        return tuple(np.concatenate(field) for field in zip(*rows, strict=True)), tuple(evidence)
 
     def _step(self) -> Stepped:
         with self.built(conformance_scene()) as (simulator, _):

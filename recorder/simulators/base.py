@@ -153,7 +153,8 @@ class Simulator(ABC):
         """Begin what ``states`` does, with the evidence of these steps; return before the device is done, if it can.
 
         The recorder writes one block while the next ones are being made. At most `blocks_ahead` blocks are not waited
-        for yet, and at most three are not released. Engines that do not wait for their device override this.
+        for yet, and at most RING_BLOCKS (captured.py) are not released. Engines that can go on without waiting for
+        their device override this.
         """
         return Held(self.states(n_step), self.evidence())
 

@@ -9,6 +9,9 @@ from numpy.typing import NDArray
 
 from recorder.simulators.evidence import Evidence
 
+RING_BLOCKS = 3
+"""Blocks of captured steps that the recorder holds at once: being made, on their way to the host, being written."""
+
 States = tuple[NDArray[np.floating], ...]
 """One array per state field, in the order of Description.fields."""
 

@@ -13,7 +13,7 @@ from mcap.writer import CompressionType, Writer
 
 from evaluator import open_recording
 from schemas.container import Container
-from schemas.errors import DamagedRecording, NotARecording, RecordingError
+from schemas.errors import NotARecording, RecordingError
 from tests.synthetic import grid, write_recording
 
 compressions = pytest.mark.parametrize("compression", ["none", "lz4", "zstd"])
@@ -138,9 +138,7 @@ def test_no_flipped_bit_passes(tmp_path: Path, compression: str) -> None:
         if recording.status == "incomplete":
             continue
         passed.append(position)
-    # The summary behind the data section repeats what the data section says, and is not read.
-    summary = data.index(bytes([15]) + (4).to_bytes(8, "little"))
-    assert all(position > summary for position in passed), [p for p in passed if p <= summary]
+    assert not passed
 
 
 def test_any_mutation_is_an_error_of_ours(tiny: Path, tmp_path: Path) -> None:
@@ -169,22 +167,6 @@ def test_any_mutation_is_an_error_of_ours(tiny: Path, tmp_path: Path) -> None:
             _ = recording.timing, recording.memory, recording.events, recording.dropouts, recording.scene
         except (RecordingError, KeyError):
             continue
-
-
-def test_a_decompression_bomb_is_refused(tmp_path: Path) -> None:
-    """Refuse a chunk that would unpack into more than it announces, or announces too much."""
-    import zstandard
-
-    bomb = zstandard.ZstdCompressor().compress(b"\0" * (1 << 26))
-    data = bytearray(write_recording(tmp_path, grid(1), compression="zstd").read_bytes())
-    at = data.index(b"zstd", 100) - 4
-    head = at - 4 - 8 - 16 - 9
-    length = int.from_bytes(data[head + 1 : head + 9], "little")
-    body = data[head + 9 : at + 8] + len(bomb).to_bytes(8, "little") + bomb
-    forged = data[: head + 1] + len(body).to_bytes(8, "little") + body + data[head + 9 + length :]
-    (tmp_path / "bomb.mcap").write_bytes(forged)
-    with pytest.raises(DamagedRecording, match="more than it announces"):
-        open_recording(tmp_path / "bomb.mcap").verify()
 
 
 def test_something_else_is_named(tmp_path: Path) -> None:

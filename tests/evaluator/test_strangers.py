@@ -221,7 +221,7 @@ def test_two_ends(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def twice(self: Sink, status: str, reason: str, **keywords: Any) -> Path:
         end = message_class("gsb.v1.RunEnd")(status=2, reason="the first end")
         self.channel("/run/end", "gsb.v1.RunEnd")
-        self.write("/run/end", end.SerializeToString(), digest=False)
+        self.write("/run/end", end.SerializeToString())
         return finish(self, status, reason, **keywords)
 
     monkeypatch.setattr(Sink, "finish", twice)

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from recorder.conformance.rotation import turn_between
+from recorder.simulators.captured import Held
 from recorder.simulators.counters import CONTACTS
 from recorder.simulators.evidence import Evidence
 from recorder.simulators.mujoco.simulator import MujocoC
@@ -336,3 +337,18 @@ class Choosy(MujocoC):
         if self.scene.name == "free-fall":
             raise UsageError("no planes")
         return super().build()
+
+
+class OneSlot(MujocoC):
+    """Gives every block of captured steps in the same memory."""
+
+    blocks_ahead = 2
+
+    def begin_states(self, n_step):
+        block = super().begin_states(n_step)
+        arrays = block.states(slice(None))
+        if not hasattr(self, "slot"):
+            self.slot = tuple(array.copy() for array in arrays)
+        for slot, array in zip(self.slot, arrays, strict=True):
+            slot[:n_step] = array[: len(slot)]
+        return Held(tuple(slot[:n_step] for slot in self.slot), block.evidence())

@@ -5,7 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from recorder.conformance.checks.actions import actions_are_those_drawn
-from recorder.conformance.checks.agreement import captured_states_stay, step_and_states_agree
+from recorder.conformance.checks.agreement import (
+    blocks_ahead_are_the_same,
+    captured_states_stay,
+    step_and_states_agree,
+)
 from recorder.conformance.checks.description import (
     buffers_are_measured,
     class_keeps_the_contract,
@@ -71,6 +75,7 @@ CHECKS: tuple[Check, ...] = (
     buffers_are_measured,
     buffers_are_larger_than_what_they_held,
     captured_states_stay,
+    blocks_ahead_are_the_same,
     step_and_states_agree,
     counts_agree_step_by_step,
     actions_are_those_drawn,

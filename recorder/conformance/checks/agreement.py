@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
 from recorder.conformance.scene import N_STEP
 from recorder.conformance.subject import Subject
 from recorder.conformance.verdict import NotApplicable, fail
-from recorder.simulators.base import Description, States
+from recorder.simulators.base import Description, Evidence, Simulator, States
 
 
 def step_and_states_agree(subject: Subject) -> None:
@@ -22,6 +27,32 @@ def captured_states_stay(subject: Subject) -> None:
     changed = differences(trajectory.description, first, trajectory.kept)
     if changed:
         fail(f"states() gave arrays whose numbers its next call changed: {', '.join(changed)}; return copies")
+
+
+def blocks_ahead_are_the_same(subject: Subject) -> None:
+    """Give the same numbers and counts where blocks are begun before the ones ahead of them are read."""
+    if subject.adapter.begin_states is Simulator.begin_states:
+        raise NotApplicable("begin_states is not overridden: each block is made before the next is begun")
+    trajectory = subject.trajectory
+    states, evidence = subject.ahead
+    captured = tuple(array[1:] for array in trajectory.states)
+    if differ := differences(trajectory.description, captured, states):
+        expect_repeatable(subject)
+        fail(f"blocks begun ahead give other states than one after another, in {', '.join(differ)}")
+    for name in counted(trajectory.evidence):
+        one, other = (joined(found, name) for found in (trajectory.evidence, evidence))
+        if not np.array_equal(one, other):
+            fail(f"blocks begun ahead give other counts of {name} than one after another")
+
+
+def counted(evidence: Sequence[Evidence | None]) -> list[str]:
+    """Names of what was counted."""
+    return list(next((found.counts for found in evidence if found is not None), {}))
+
+
+def joined(evidence: Sequence[Evidence | None], name: str) -> NDArray[np.integer]:
+    """The rows of one counter over all blocks, [row, env]."""
+    return np.concatenate([found.counts[name] for found in evidence if found is not None])
 
 
 def stepped_differently(subject: Subject) -> list[str]:

@@ -12,8 +12,7 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-SLOTS = 3
-"""As many blocks as the recorder holds at once."""
+from recorder.simulators.captured import RING_BLOCKS
 
 
 class Slot:
@@ -69,13 +68,13 @@ class Slots:
 
         self.rows = next(iter(shapes.values()))[0][0]
         copying = wp.Stream(device) if device.is_cuda else None
-        self.all = tuple(Slot(device, copying, shapes) for _ in range(SLOTS))
+        self.all = tuple(Slot(device, copying, shapes) for _ in range(RING_BLOCKS))
         self._free: SimpleQueue[Slot] = SimpleQueue()
         for slot in self.all:
             self._free.put(slot)
 
     def take(self) -> Slot:
-        """A slot that nobody uses; at most SLOTS may be taken."""
+        """A slot that nobody uses; at most RING_BLOCKS may be taken."""
         return self._free.get_nowait()
 
     def give_back(self, slot: Slot) -> None:

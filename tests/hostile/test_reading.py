@@ -1,0 +1,79 @@
+"""Thousands of spoiled recordings: each is refused, reads as incomplete, or says exactly what the original said."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from schemas import checks, configuration, container, decompression, provenance
+from tests.hostile.mutate import MUTATORS, Promise
+from tests.hostile.soak import MEMORY_BYTES
+from tests.test_docs import ROOT, commands, shell
+
+COUNT = 100
+"""Of each mutator. A soak of hours (python -m tests.hostile.soak) has other seeds."""
+
+_ALWAYS_SAME = {"other_layout"}
+
+
+def test_there_are_enough() -> None:
+    """Spoil 2000 files or more."""
+    assert COUNT * len(MUTATORS) >= 2000
+
+
+@pytest.mark.parametrize("mutator", MUTATORS)
+def test_spoiled_recordings(mutator: str, corpus: list[Path], tmp_path: Path) -> None:
+    """Keep every promise on a hundred spoiled files, in a process of 2 GiB of address space."""
+    done = subprocess.run(
+        [sys.executable, "-m", "tests.hostile.soak", *map(str, corpus), "--mutator", mutator, "--seed", "0",
+         "--count", str(COUNT), "--keep", str(tmp_path), "--memory", str(MEMORY_BYTES)],
+        capture_output=True, text=True, timeout=600,
+    )  # fmt: skip
+    assert done.stdout, f"it died of {done.returncode}: {done.stderr[-2000:]}"
+    found = json.loads(done.stdout)
+    assert not found["broken"]
+    assert done.returncode == 0
+    outcomes = found["outcomes"][mutator]
+    assert sum(outcomes.values()) == COUNT
+    if mutator in _ALWAYS_SAME:
+        assert set(outcomes) == {"the same"}
+    else:
+        assert outcomes.keys() & {"refused", "incomplete"}, "nothing was noticed: was anything spoiled?"
+
+
+def test_the_judge_can_fail(corpus: list[Path], tmp_path: Path) -> None:
+    """Call it broken where another recording stands for the original, or a good one is said to be no change."""
+    from tests.hostile.mutate import Mutant
+    from tests.hostile.verdict import Broken, Judge
+
+    judge = Judge(corpus[:2], tmp_path / "x.mcap")
+    stranger = corpus[-1].read_bytes()
+    with pytest.raises(Broken, match="not the original's"):
+        judge.read(Mutant(stranger, 0), 0)
+    with pytest.raises(Broken, match="accepted, and not the original's: content_hash, reason, status"):
+        judge.read(Mutant(corpus[0].read_bytes()[:-1], 0, Promise.SAME), 0)
+
+
+def test_the_commands_of_the_page() -> None:
+    """Run what docs/strangers.md shows."""
+    lines = commands(ROOT / "docs" / "strangers.md")
+    assert lines
+    for line in lines:
+        done = shell(line, ROOT)
+        assert done.returncode == 0, done.stderr
+        assert not json.loads(done.stdout)["broken"]
+
+
+def test_the_page_tells_the_bounds() -> None:
+    """Let docs/strangers.md and the code have the same numbers."""
+    page = (ROOT / "docs" / "strangers.md").read_text(encoding="utf-8")
+    assert f"in {len(MUTATORS)} ways" in page
+    assert f"CI tries {COUNT * len(MUTATORS)} files" in page
+    assert MEMORY_BYTES == 2 << 30
+    assert decompression.MAX_BYTES == container.MAX_ATTACHMENT_BYTES == 1 << 30
+    assert (checks.MAX_JSON_BYTES, checks.MAX_DEPTH) == (64 << 20, 64)
+    assert (provenance.MAX_FIELDS, configuration.MAX_ENVS, checks.MAX_COUNT) == (256, 1 << 24, 1 << 40)
