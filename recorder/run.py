@@ -344,7 +344,7 @@ class Run:
         writer = self._writer = StateWriter(sink, description.fields, n_env=c.n_env, dt=c.dt, stride=c.stride)
         if simulator.scene.actions is not None:
             declare_actions(sink, simulator.scene.actions, n_env=c.n_env)
-        counted = EvidenceWriter(sink, description, "capture", dt=c.dt, stride=1)
+        counted = EvidenceWriter(sink, description, "capture", dt=c.dt, stride=1, workers=writer.workers)
         kept = (
             KeptStates(description.fields, n_env=c.n_env, rows=c.steps + 1, workers=writer.workers)
             if c.capture == "memory"

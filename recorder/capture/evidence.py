@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recorder.capture.sink import Sink
+from recorder.capture.workers import Workers
 from recorder.simulators.base import Description
 from recorder.simulators.evidence import Evidence
 from schemas import topics
@@ -18,11 +19,22 @@ _QUANTILE = 0.95
 class EvidenceWriter:
     """Writes what one phase counted.
 
-    stride  steps between two rows; with more than 1, overflow bits are those of all steps since the row before
+    stride   steps between two rows; with more than 1, overflow bits are those of all steps since the row before
+    workers  threads that share the counters
     """
 
-    def __init__(self, sink: Sink, description: Description, phase: str, *, dt: float, stride: int) -> None:
+    def __init__(
+        self,
+        sink: Sink,
+        description: Description,
+        phase: str,
+        *,
+        dt: float,
+        stride: int,
+        workers: Workers | None = None,
+    ) -> None:
         self._sink = sink
+        self._workers = workers or Workers(alone=True)
         self._phase = phase
         self._dt = dt
         self._stride = stride
@@ -40,9 +52,10 @@ class EvidenceWriter:
     def feed(self, evidence: Evidence, *, first_step: int) -> list[str]:
         """Write rows, the first of them of `first_step`; returns the gates that fired, one sentence each."""
         time = sim_time_ns(first_step, self._dt)
-        for name, counts in evidence.counts.items():
-            if name not in self._counters:
-                raise ValueError(f"evidence counts '{name}', which the simulator's description does not name")
+        if unknown := evidence.counts.keys() - self._counters.keys():
+            raise ValueError(f"evidence counts '{min(unknown)}', which the simulator's description does not name")
+
+        def summary(counts: NDArray[np.integer]) -> bytes:
             message = message_class("gsb.v1.StepCounts")(
                 first_step=first_step,
                 stride=self._stride,
@@ -50,10 +63,14 @@ class EvidenceWriter:
                 p95=nearest_rank(counts, _QUANTILE).tolist(),
                 max=counts.max(axis=1).tolist(),
             )
-            self._sink.write(topics.count(self._phase, name), message.SerializeToString(), sim_ns=time)
+            return bytes(message.SerializeToString())
+
+        summaries = self._workers.start(summary, list(evidence.counts.values()))
+        for name, data in zip(evidence.counts, summaries, strict=True):
+            self._sink.write(topics.count(self._phase, name), data, sim_ns=time)
         if evidence.overflow is None or not self._has_overflow:
             return []
-        bits = evidence.overflow.astype(np.uint32)
+        bits = evidence.overflow.astype(np.uint32, copy=False)
         message = message_class("gsb.v1.Overflow")(
             first_step=first_step,
             stride=self._stride,
@@ -61,6 +78,8 @@ class EvidenceWriter:
             envs=np.count_nonzero(bits, axis=1).tolist(),
         )
         self._sink.write(topics.overflow(self._phase), message.SerializeToString(), sim_ns=time)
+        if not bits.any():
+            return []
         return [
             gate
             for bit, name in self._fatal.items()

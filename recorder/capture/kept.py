@@ -52,7 +52,9 @@ class KeptStates:
 
         self._filled += next(iter(set(self._workers.start(copy, self._ranges))))
         states = tuple(array[first : self._filled] for array in self._arrays)
-        self._blocks.append(Block(block.first_step, Held(states, block.captured.evidence()), block.actions))
+        shown = block.captured.evidence()
+        captured = Held(states, None if shown is None else shown.copy())
+        self._blocks.append(Block(block.first_step, captured, block.actions))
 
     def write(self, write: Callable[[Block], None]) -> None:
         """Have everything that was kept written, in order."""

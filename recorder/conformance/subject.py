@@ -256,8 +256,4 @@ def _copy(state: States) -> States:
 
 
 def _copy_evidence(evidence: Evidence | None) -> Evidence | None:
-    # it is written as soon as it is given, so an engine may use the same memory again
-    if evidence is None:
-        return None
-    counts = {name: np.array(rows) for name, rows in evidence.counts.items()}
-    return Evidence(counts, None if evidence.overflow is None else np.array(evidence.overflow))
+    return None if evidence is None else evidence.copy()

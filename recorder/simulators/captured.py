@@ -37,7 +37,7 @@ class Captured(ABC):
 
     @abstractmethod
     def evidence(self) -> Evidence | None:
-        """What the engine shows of each of these steps; None where it tells nothing."""
+        """What the engine shows of each of these steps, unchanged until ``release``; None where it tells nothing."""
 
     def release(self) -> None:  # noqa: B027 - what owns its arrays has nothing to give back
         """The arrays are not needed any longer: their memory may be used again."""

@@ -18,3 +18,8 @@ class Evidence:
 
     counts: dict[str, NDArray[np.integer]] = field(default_factory=dict)
     overflow: NDArray[np.uint32] | None = None
+
+    def copy(self) -> Evidence:
+        """The same in memory of its own: an engine may use what it gave again."""
+        counts = {name: np.array(rows) for name, rows in self.counts.items()}
+        return Evidence(counts, None if self.overflow is None else np.array(self.overflow))

@@ -39,7 +39,7 @@ class WarpBlock(Captured):
 
     def evidence(self) -> Evidence:
         """See Captured.evidence."""
-        return evidence_of(self._slot.host("counts", self._rows).copy())
+        return evidence_of(self._slot.host("counts", self._rows))
 
     def release(self) -> None:
         """See Captured.release."""

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from recorder.failure import Refused, cause_of
 from recorder.scenes.actions import GRID
 from recorder.scenes.emit.mjcf import deviations
-from recorder.simulators.base import Captured, Description, Simulator, States
+from recorder.simulators.base import Description, Simulator, States
 from recorder.simulators.counters import CONSTRAINT_ROWS, CONTACTS, SOLVER_ITERATIONS
 from recorder.simulators.evidence import Evidence
 from recorder.simulators.mujoco.options import MjcfOptions
@@ -304,7 +304,7 @@ class MujocoWarp(Simulator):
         """See Simulator.state."""
         return self._compiled.split(self._data.qpos.numpy().copy(), self._data.qvel.numpy().copy())
 
-    def begin_states(self, n_step: int) -> Captured:
+    def begin_states(self, n_step: int) -> WarpBlock:
         """See Simulator.begin_states."""
         self.reserve(n_step)
         assert self._slots is not None
@@ -321,7 +321,7 @@ class MujocoWarp(Simulator):
         block = self.begin_states(n_step)
         block.wait()
         states = tuple(array.copy() for array in block.states(slice(None)))
-        self._counted = block.evidence()
+        self._counted = block.evidence().copy()
         block.release()
         return states
 
