@@ -62,7 +62,7 @@ def cost_of(path: Path) -> Cost:
     assert hashes is not None
     return Cost(
         ratio=captured / timing["timed"].elapsed_s,
-        still=float((stall.end_ns - stall.start_ns).sum()) * 1e-9 / captured if stall else 0.0,
+        still=stall.total_s / captured if stall else 0.0,
         writing=timing["drain"].elapsed_s / captured,
         rate=c.steps // c.stride * row_bytes(c.n_env, recording.fields) / captured / 1e6,
         grown=(max(used) - used[0]) / 1e6,

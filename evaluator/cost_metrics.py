@@ -80,6 +80,22 @@ def compile_time(runs: Runs) -> Metric:
     return _median_time("compile_time", values, f"compilation of what the {phase} phase runs", why_not)
 
 
+def capture_slowdown(runs: Runs) -> Metric:
+    """Time of a step of the capture phase over that of the timed phase, and how much of it was waiting for the disk."""
+    name = "capture_slowdown"
+    ratios, stalled = [], []
+    for run in runs:
+        c = run.recording.configuration
+        if run.capture_s and run.elapsed_s:
+            ratios.append(run.capture_s / c.steps / (run.elapsed_s / c.timed_steps))
+            stalled.append(run.stalled_s / run.capture_s)
+    if not ratios:
+        why_not = "timed and captured steps were not both clocked" if runs else NO_RUN
+        return not_computed(name, "", "lower", why_not)
+    method = "time of a captured step / of a timed step, mean over runs; the phases make other steps of the scene"
+    return mean_over_runs(name, "", "lower", ratios, method=method, extra={"stalled_share": float(np.mean(stalled))})
+
+
 def _median_time(name: str, values: list[float], what: str, why_not: str) -> Metric:
     if not values:
         return not_computed(name, "s", "lower", why_not)

@@ -163,6 +163,7 @@ def _evaluate_group(
         costs.host_memory_peak_increment(runs),
         costs.build_time(runs),
         costs.compile_time(runs),
+        costs.capture_slowdown(runs),
         parallel,
         between,
         gm.real(planar, why_not, reference, no_reference, group.key.scene),

@@ -218,7 +218,8 @@ def _timed(recording: Recording) -> tuple[Rate | None, str]:
 
 
 def _captured(recording: Recording, phases: dict[str, float]) -> tuple[Rate | None, str]:
-    c, seconds = recording.configuration, phases.get("capture", 0.0)
+    c, clock = recording.configuration, recording.timing.get("capture")
+    seconds = clock.elapsed_s if clock else phases.get("capture", 0.0)  # older files have no clock of their own
     if "capture" not in c.phases:
         return None, "no capture phase was asked for"
     if seconds <= 0 or recording.status != "complete":

@@ -28,6 +28,8 @@ class RunData:
     allocator   peak of the engine's own device allocator up to the end of the timed phase [byte]; None where not told
     build_s     import of the engine, loading, allocation [s]; None where it was not clocked
     compile_s   compilation of what the timed phase runs, and of what the capture phase runs [s], by phase
+    capture_s   from the first step of the capture to the last one's state on the host [s]; None where not clocked
+    stalled_s   part of that in which the engine stood still until states were written [s]
     captured    state hashes of the capture phase, or None
     timed       state hashes at the begin and end of the timed phase, or None
     positions   at the sample step; None where there are none, and `no_positions` says why
@@ -42,6 +44,8 @@ class RunData:
     allocator: int | None
     build_s: float | None
     compile_s: dict[str, float]
+    capture_s: float | None
+    stalled_s: float
     captured: Fingerprints | None
     timed: Fingerprints | None
     positions: Positions | None
@@ -70,6 +74,8 @@ def read_run(recording: Recording, sample_time: float) -> RunData:
             allocator=allocator.own_peak() if allocator else None,
             build_s=timing["build"].elapsed_s if "build" in timing else None,
             compile_s={p: timing[f"compile_{p}"].elapsed_s for p in ("timed", "capture") if f"compile_{p}" in timing},
+            capture_s=timing["capture"].elapsed_s if "capture" in timing else None,
+            stalled_s=timing["stall"].total_s if "stall" in timing else 0.0,
             captured=recording.fingerprints("capture"),
             timed=recording.fingerprints("timed"),
             positions=positions,

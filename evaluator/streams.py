@@ -37,6 +37,11 @@ class StepTiming:
         """From the first begin to the last end [s]."""
         return float(self.end_ns[-1] - self.start_ns[0]) * 1e-9
 
+    @property
+    def total_s(self) -> float:
+        """Of all intervals, without what lies between them [s]."""
+        return float((self.end_ns - self.start_ns).sum()) * 1e-9
+
 
 @dataclass(frozen=True)
 class MemoryTrace:

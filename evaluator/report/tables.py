@@ -18,7 +18,7 @@ from evaluator.results import Evaluation, GroupResult, Metric
 from evaluator.sweeps import swept_only
 
 _COLUMNS = 4
-_UNSHOWN = ("allocator_peak", "build_time", "compile_time")  # no row of dashes, so no reason
+_UNSHOWN = ("allocator_peak", "build_time", "compile_time", "capture_slowdown")  # no row of dashes, so no reason
 
 
 def print_tables(evaluation: Evaluation, stream: IO[str]) -> None:
@@ -76,6 +76,7 @@ def _print_scene(console: Console, evaluation: Evaluation, scene: str, results: 
     both("cubes sunk per env", "sank")
     row("published type", [_regime(r.metrics["regime_published"]) for r in results])
     row("capture changed the states", [_capture(r.metrics["capture_changes_states"]) for r in results])
+    told("captured / timed step; standing still", [words.capturing(r.metrics) for r in results])
     told("contacts per env: mean / max", [words.counted(r.validity.of("contacts")) for r in results])
     told("buffers used", [words.buffers(r.validity) for r in results])
     told("overflow", [words.overflow(r.validity) for r in results])

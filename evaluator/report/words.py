@@ -70,6 +70,12 @@ def preparation(metrics: Mapping[str, Metric]) -> str:
     return NONE if values == [None, None] else "; ".join(NONE if v is None else seconds(v) for v in values)
 
 
+def capturing(metrics: Mapping[str, Metric]) -> str:
+    """What capturing costs a step, and the share of it in which the engine waited for the disk."""
+    found = metrics["capture_slowdown"]
+    return NONE if found.value is None else f"{found.value:.3g}; {found.extra['stalled_share']:.1%}"
+
+
 def seconds(value: float) -> str:
     """A time in as many digits as matter."""
     return f"{value:.0f}" if value >= 100 else f"{value:.2g}" if value >= 0.01 else "0"

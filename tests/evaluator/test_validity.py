@@ -235,6 +235,22 @@ def test_build_and_compilation(tmp_path: Path) -> None:
     assert captured["build_time"].why_not == "building was not clocked"
 
 
+def test_what_capturing_costs(tmp_path: Path) -> None:
+    """Compare a captured step with a timed one, and say how much of it was waiting for the disk."""
+    files = [
+        write_recording(tmp_path, grid(2), run=r, elapsed_s=1.0, timed_steps=100, clocks={"capture": 6.0, "stall": 1.5})
+        for r in range(2)
+    ]
+    steps = open_recording(files[0]).configuration.steps
+    found = only(*files)
+    slowdown = found.metrics["capture_slowdown"]
+    assert slowdown.value == pytest.approx(6.0 / steps / (1.0 / 100))
+    assert slowdown.extra["stalled_share"] == pytest.approx(0.25)
+    assert words.capturing(found.metrics).endswith("; 25.0%")
+    without = only(write_recording(tmp_path, grid(2), elapsed_s=None, clocks={"capture": 6.0})).metrics
+    assert without["capture_slowdown"].why_not == "timed and captured steps were not both clocked"
+
+
 def test_a_cause_of_a_later_version(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Read a cause that this version does not know, and show its number."""
     from recorder.capture import sink
