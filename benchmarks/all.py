@@ -12,7 +12,9 @@ SCRIPTS = (
     ("record_throughput",),
     ("evaluate_set",),
     ("start_up",),
+    ("write_path", "--n-env", "256"),
     ("capture_overhead",),
+    ("archive",),
     ("engine_best", "--sim", "warp", "--n-env", "64", "--steps", "50"),
 )
 
