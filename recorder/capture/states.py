@@ -126,16 +126,23 @@ class StateWriter:
 
     def feed(self, arrays: Sequence[NDArray[np.floating]]) -> str | None:
         """The states after the next steps, arrays [step, env, item, width]; returns what is not finite, if anything."""
-        return self.take(Held(tuple(arrays)))
+        found = None
+        for row in range(0, len(arrays[0]), self._rows):
+            problem = self.take(Held(tuple(array[row : row + self._rows] for array in arrays)))
+            found = found or problem
+        return found
 
     def take(self, block: Captured) -> str | None:
-        """The same of a block that an engine made; its arrays are not needed when this returns."""
+        """The same of a block that an engine made, of at most `steps_per_block` steps; its arrays are not needed when
+        this returns."""
         first = self.last_step + 1
         keep = slice(-first % self._stride, None, self._stride)
         columns = list(self.workers.start(lambda start: self._read(block, start), self._starts))
         with shielded():  # hashes and rows stay in step, so that what was fed can be written after an interruption
             kept = [tuple(array[keep] for array in states) for states in columns]
             stored = len(kept[0][0])
+            if self._held_rows + stored > self._rows:
+                self.flush()  # no message has more rows than that
             if stored:
                 if not self._held_rows:
                     self._held_first = first + keep.start
@@ -198,7 +205,7 @@ class StateWriter:
     def _read(self, block: Captured, start: int) -> States:
         envs = slice(start, min(start + env_block(self._n_env), self._n_env))
         arrays = block.states(envs)
-        if len(arrays[0]) > self._rows or all(array.flags.c_contiguous for array in arrays):
+        if all(array.flags.c_contiguous for array in arrays):
             return tuple(little_endian(array) for array in arrays)
         if start not in self._buffers:  # memory that is new to the process costs more than copying into it
             shape = (self._rows, envs.stop - envs.start)
