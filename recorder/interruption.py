@@ -14,6 +14,7 @@ import signal
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
+from types import FrameType
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
@@ -69,6 +70,29 @@ def shielded() -> Iterator[None]:
         _depth -= 1
     if _pending and not _depth:
         _raise(_pending)
+
+
+@contextmanager
+def postponed() -> Iterator[None]:
+    """As shielded, in a program that has handlers of its own: they are called when the block is left."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    waiting: list[tuple[int, FrameType | None]] = []
+    before = {number: signal.getsignal(number) for number in SIGNALS}
+    for number, handler in before.items():
+        if callable(handler):
+            signal.signal(number, lambda caught, frame: waiting.append((caught, frame)))
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            if callable(handler):
+                signal.signal(number, handler)
+    for caught, frame in waiting:
+        handler = before[signal.Signals(caught)]
+        if callable(handler):
+            handler(caught, frame)
 
 
 @contextmanager

@@ -28,6 +28,7 @@ from numpy.typing import ArrayLike, NDArray
 from recorder.capture.sink import Sink
 from recorder.capture.states import StateWriter
 from recorder.failure import cause_of
+from recorder.interruption import postponed
 from recorder.plan import check, utc_now
 from recorder.probes.gpu import Gpus
 from recorder.probes.host import describe_host, numeric_environment, peak_rss_bytes
@@ -212,12 +213,17 @@ class RecordingWriter:
         counts = {len(array) for array in rows}
         if len(counts) != 1:
             raise UsageError(f"the arrays have different numbers of steps: {sorted(counts)}")
-        last = self._states.last_step + counts.pop()
+        given = counts.pop()
+        if not given:
+            raise UsageError("the arrays have no step")
+        last = self._states.last_step + given
         if last > self._configuration.steps:
             raise UsageError(
                 f"step {last} is given, and the recording was announced to end at step {self._configuration.steps}"
             )
-        if problem := self._states.feed(rows):
+        with postponed():
+            problem = self._states.feed(rows)
+        if problem:
             self._problems.append(("NOT_FINITE", problem))
 
     def _rows(self, field: StateField, given: ArrayLike) -> NDArray[np.floating]:
@@ -259,8 +265,9 @@ class RecordingWriter:
         message = message_class("gsb.v1.StepTiming")(
             first_step=c.warmup, steps_per_interval=steps_per_interval, start_ns=start.tolist(), end_ns=end.tolist()
         )
-        self._sink.write(topic, message.SerializeToString())
-        self._clocked = True
+        with postponed():
+            self._sink.write(topic, message.SerializeToString())
+            self._clocked = True
 
     def invalid(self, reason: str) -> None:
         """Declare that the states mean nothing, in one sentence: contacts were dropped, a solver gave up."""
@@ -270,17 +277,18 @@ class RecordingWriter:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         """End the recording. DataLost where the file cannot be written."""
-        try:
-            if isinstance(error, DataLost):
+        with postponed():
+            try:
+                if isinstance(error, DataLost):
+                    self._sink.abandon()
+                    return
+                self._states.flush()
+                status, reason, cause = self._outcome(error)
+                last = max(0, self._states.last_recorded_step)
+                self._sink.finish(status, reason, cause=cause, last_step=last, peak_rss_bytes=peak_rss_bytes())
+            except BaseException:
                 self._sink.abandon()
-                return
-            self._states.flush()
-            status, reason, cause = self._outcome(error)
-            last = max(0, self._states.last_recorded_step)
-            self._sink.finish(status, reason, cause=cause, last_step=last, peak_rss_bytes=peak_rss_bytes())
-        except BaseException:
-            self._sink.abandon()
-            raise
+                raise
 
     def _outcome(self, error: BaseException | None) -> tuple[str, str, str]:
         if error is not None:

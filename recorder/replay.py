@@ -1,8 +1,9 @@
 """A recording's own configuration, to be run again here.
 
 Of a recording its configuration is taken and nothing else: names and numbers, which pass the same checks as a user's
-arguments. No code, model or path of it is used. What it asks for must be what it shows to have been done, so that a
-few bytes cannot ask for more work than the file has traces of.
+arguments. No code, model or path of it is used. The steps and environments that it asks for must be those that it shows
+to have been done, so that a few bytes cannot ask for more than the file has traces of. Options leave no traces, and may
+ask for any amount of work in a step: only a time limit bounds that.
 """
 
 from __future__ import annotations
@@ -31,6 +32,11 @@ CODE_OPTIONS = ("module",)
 
 _MOST_PER_INTERVAL = 1000
 """Steps between two clock readings, of which one trace is left; no adapter takes more than a hundred."""
+
+# Compressed, traces of the same value are next to nothing. Of each byte of a file, no more than this is believed; no
+# recording that was made has had more than 2 environments and 1 step for a byte.
+_ENVS_PER_BYTE = 16
+_STEPS_PER_BYTE = 64
 
 _SHOWN_CHARACTERS = 600
 
@@ -99,6 +105,7 @@ def _read(container: Container, path: Path) -> Source:
     if content_hash(dict(end.digests), status, end.reason) != end.content_hash:
         raise DamagedRecording("the end record was changed since the recording was made")
     _check_shown(container, c)
+    _check_size(container, c)
     return Source(path, provenance.run_id, end.content_hash, c, scene_hash, _ran(container))
 
 
@@ -118,6 +125,17 @@ def _check_shown(container: Container, c: RunConfiguration) -> None:
             )
 
 
+def _check_size(container: Container, c: RunConfiguration) -> None:
+    size = container.path.stat().st_size
+    steps = (c.steps if "capture" in c.phases else 0) + (c.warmup + c.timed_steps if "timed" in c.phases else 0)
+    for what, asked, most in (("environments", c.n_env, _ENVS_PER_BYTE), ("steps", steps, _STEPS_PER_BYTE)):
+        if asked > most * size:
+            raise UsageError(
+                f"{container.path} cannot be replayed: it asks for {asked} {what}, and its {size} bytes can hold "
+                f"traces of {most * size} at most"
+            )
+
+
 def _timed(c: RunConfiguration) -> tuple[tuple[str, int], ...]:
     return ("warmup", c.warmup), ("timed", c.timed_steps)
 
@@ -129,7 +147,12 @@ def _hashes(container: Container, phase: str) -> int:
 
 def _clocked(container: Container, phase: str) -> int:
     found = [_parsed("gsb.v1.StepTiming", content) for content in container.in_sequence(topics.timing(phase))]
-    return sum(len(timing.end_ns) * min(timing.steps_per_interval, _MOST_PER_INTERVAL) for timing in found)
+    return sum(_intervals(timing) * min(timing.steps_per_interval, _MOST_PER_INTERVAL) for timing in found)
+
+
+def _intervals(timing: Any) -> int:
+    # a step takes time: only intervals that do are traces
+    return sum(end > start for start, end in zip(timing.start_ns, timing.end_ns, strict=False))
 
 
 def _ran(container: Container) -> float | None:

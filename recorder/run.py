@@ -346,7 +346,13 @@ class Run:
             declare_actions(sink, simulator.scene.actions, n_env=c.n_env)
         counted = EvidenceWriter(sink, description, "capture", dt=c.dt, stride=1, workers=writer.workers)
         kept = (
-            KeptStates(description.fields, n_env=c.n_env, rows=c.steps + 1, workers=writer.workers)
+            KeptStates(
+                description.fields,
+                n_env=c.n_env,
+                rows=c.steps + 1,
+                n_action=len(simulator.scene.actions.joints) if simulator.scene.actions else 0,
+                workers=writer.workers,
+            )
             if c.capture == "memory"
             else None
         )
@@ -355,6 +361,10 @@ class Run:
         def write(block: Block) -> None:
             if problems:
                 return  # nothing of use follows a state that is not finite
+            if block.first_step != writer.last_step + 1:
+                raise ValueError(
+                    f"the simulator gave states up to step {writer.last_step}, then from {block.first_step} on"
+                )
             drawn = block.actions
             if drawn is not None and simulator.scene.actions is not None:
                 held = block.captured.actions
@@ -388,15 +398,21 @@ class Run:
                     stopped=lambda: bool(problems),
                 )
             finally:
-                writing.finish()
-                if kept:
-                    kept.write(write)
+                try:
+                    writing.finish()
+                finally:
+                    if kept:
+                        self._progress(interruption.ENDING, 0, 1)  # however long the disk takes
+                        with interruption.shielded():
+                            kept.write(write)
         except DataLost:
             raise
         except BaseException:
             writer.flush()  # whatever ended the run, the states so far are good
             raise
         writer.flush()
+        if writer.last_step != c.steps and not problems:
+            raise ValueError(f"the simulator gave states up to step {writer.last_step}, not of all {c.steps} steps")
         clock.written()
         self._write_capture_clock(sink, clock, writer)
         if problems:

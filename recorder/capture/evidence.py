@@ -44,13 +44,14 @@ class EvidenceWriter:
         for counter in description.counters:
             metadata = {"meaning": counter.meaning, "over": "environments"}
             sink.channel(topics.count(phase, counter.name), "gsb.v1.StepCounts", metadata)
+        self._fired: set[int] = set()
         self._has_overflow = bool(description.overflow_bits)
         if self._has_overflow:
             bits = ",".join(f"{bit.bit}={bit.name}" for bit in description.overflow_bits)
             sink.channel(topics.overflow(phase), "gsb.v1.Overflow", {"bits": bits})
 
     def feed(self, evidence: Evidence, *, first_step: int) -> list[str]:
-        """Write rows, the first of them of `first_step`; returns the gates that fired, one sentence each."""
+        """Write rows, the first of them of `first_step`; returns the gates that fired anew, one sentence each."""
         time = sim_time_ns(first_step, self._dt)
         if unknown := evidence.counts.keys() - self._counters.keys():
             raise ValueError(f"evidence counts '{min(unknown)}', which the simulator's description does not name")
@@ -80,11 +81,13 @@ class EvidenceWriter:
         self._sink.write(topics.overflow(self._phase), message.SerializeToString(), sim_ns=time)
         if not bits.any():
             return []
-        return [
-            gate
+        found = {
+            bit: gate
             for bit, name in self._fatal.items()
-            if (gate := self._gate(bits & np.uint32(1 << bit), name, first_step))
-        ]
+            if bit not in self._fired and (gate := self._gate(bits & np.uint32(1 << bit), name, first_step))
+        }
+        self._fired |= found.keys()
+        return list(found.values())
 
     def _gate(self, hit: NDArray[np.uint32], name: str, first_step: int) -> str:
         rows, envs = np.nonzero(hit)

@@ -20,11 +20,13 @@ _USABLE = 0.8  # of what the system says is available
 class KeptStates:
     """Memory for the states of `rows` steps, all of it touched before the first one is made.
 
+    n_action  numbers that an environment is given in a step
+
     Raises NoHostMemory where the machine has not that much to spare.
     """
 
-    def __init__(self, fields: Sequence[StateField], *, n_env: int, rows: int, workers: Workers) -> None:
-        need = rows * row_bytes(n_env, fields)
+    def __init__(self, fields: Sequence[StateField], *, n_env: int, rows: int, n_action: int, workers: Workers) -> None:
+        need = rows * (row_bytes(n_env, fields) + n_env * n_action * np.dtype(np.float32).itemsize)
         available = int(psutil.virtual_memory().available * _USABLE)
         if need > available:
             raise NoHostMemory(
@@ -34,6 +36,7 @@ class KeptStates:
         shapes = [(rows, n_env, len(field.items), field.width) for field in fields]
         # zeros alone would give no memory yet
         self._arrays = [np.full(shape, 0, dtype=f.dtype) for shape, f in zip(shapes, fields, strict=True)]
+        self._actions = np.full((rows, n_env, n_action), 0, dtype=np.float32)
         size = env_block(n_env)
         self._ranges = [slice(start, min(start + size, n_env)) for start in range(0, n_env, size)]
         self._workers = workers
@@ -44,16 +47,23 @@ class KeptStates:
         """Copy a block."""
         first = self._filled
 
-        def copy(envs: slice) -> int:
-            states = block.captured.states(envs)
+        def copy(envs: slice) -> tuple[int, bool]:
+            states, actions = block.captured.states(envs), block.captured.actions(envs)
             for kept, array in zip(self._arrays, states, strict=True):
                 kept[first : first + len(array), envs] = array
-            return len(states[0])
+            if actions is not None:
+                self._actions[first : first + len(actions), envs] = actions
+            return len(states[0]), actions is not None
 
-        self._filled += next(iter(set(self._workers.start(copy, self._ranges))))
-        states = tuple(array[first : self._filled] for array in self._arrays)
+        (count, acted) = next(iter(set(self._workers.start(copy, self._ranges))))
+        rows = slice(first, first + count)
+        self._filled += count
         shown = block.captured.evidence()
-        captured = Held(states, None if shown is None else shown.copy())
+        captured = Held(
+            tuple(array[rows] for array in self._arrays),
+            None if shown is None else shown.copy(),
+            self._actions[rows] if acted else None,
+        )
         self._blocks.append(Block(block.first_step, captured, block.actions))
 
     def write(self, write: Callable[[Block], None]) -> None:

@@ -15,6 +15,7 @@ from recorder.simulators.captured import Captured, Held, States
 from schemas import topics
 from schemas.blocks import encode_fingerprints, little_endian, state_parts
 from schemas.configuration import sim_time_ns
+from schemas.errors import DataLost
 from schemas.fields import StateField
 from schemas.fingerprint import ALGORITHM, fingerprint
 from schemas.mcap_writer import Part
@@ -193,6 +194,15 @@ class StateWriter:
         )
 
     def _end_writing(self, writing: _Writing) -> None:
+        try:
+            self._write_blocks(writing)
+        except DataLost:
+            raise
+        except Exception as error:  # digests and bytes have parted: this file cannot get a good end any more
+            what = str(error) or type(error).__name__
+            raise DataLost(f"writing stopped: {what}; what was written is in {self._sink.partial}") from error
+
+    def _write_blocks(self, writing: _Writing) -> None:
         for (column, index), parts in zip(writing.places, writing.blocks, strict=True):
             field = self.fields[index]
             topic = topics.state(field.group, field.field, self._starts[column])
@@ -205,6 +215,7 @@ class StateWriter:
     def _read(self, block: Captured, start: int) -> States:
         envs = slice(start, min(start + env_block(self._n_env), self._n_env))
         arrays = block.states(envs)
+        self._check(arrays, envs.stop - envs.start)
         if all(array.flags.c_contiguous for array in arrays):
             return tuple(little_endian(array) for array in arrays)
         if start not in self._buffers:  # memory that is new to the process costs more than copying into it
@@ -217,6 +228,16 @@ class StateWriter:
         for buffer, array in zip(filled, arrays, strict=True):
             np.copyto(buffer, array)
         return filled
+
+    def _check(self, arrays: States, n_env: int) -> None:
+        # an adapter's mistake must not be copied, cast or broadcast into something that looks right
+        expected = [((n_env, len(f.items), f.width), np.dtype(f.dtype)) for f in self.fields]
+        for field, array, (shape, dtype) in zip(self.fields, arrays, expected, strict=True):
+            if array.shape[1:] != shape or array.dtype != dtype or len(array) != len(arrays[0]):
+                raise ValueError(
+                    f"the simulator gives {field.name} of {n_env} environments as {array.dtype} {array.shape}, "
+                    f"not {dtype} ({len(arrays[0])}, {', '.join(map(str, shape))})"
+                )
 
     def _pieces(self, columns: Sequence[States]) -> list[_Piece]:
         # where there are few ranges of environments, steps are shared out as well

@@ -8,6 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from recorder.capture.actions import Actions
+from recorder.interruption import shielded
 from recorder.simulators.captured import Captured
 
 
@@ -48,36 +49,39 @@ class Writing:
 
     def put(self, block: Block) -> None:
         """Have a block written; returns at once."""
-        with self._changed:
+        with shielded(), self._changed:  # a lock that an interruption leaves held is never given up
             self._blocks.append(block)
             self._unwritten += 1
             self._changed.notify_all()
 
     def wait(self, most: int) -> None:
         """Return once at most so many blocks are unwritten."""
-        with self._changed:
+        with shielded(), self._changed:
             self._changed.wait_for(lambda: self._unwritten <= most or self._error is not None)
         if self._error is not None:
             raise self._error
 
     def finish(self) -> None:
-        """Return once all that was put is written, and end the thread."""
-        with self._changed:
-            self._ended = True
-            self._changed.notify_all()
-        self._thread.join()
+        """Return once all that was put is written, and end the thread; an interruption waits until then."""
+        with shielded():  # two threads must not write one file
+            with self._changed:
+                self._ended = True
+                self._changed.notify_all()
+            self._thread.join()
         if self._error is not None:
             raise self._error
 
     def _work(self) -> None:
         while (block := self._next()) is not None:
             try:
-                if self._error is None:
-                    self._write(block)
+                try:
+                    if self._error is None:
+                        self._write(block)
+                finally:
+                    block.captured.release()
             except BaseException as error:  # whatever it is, the thread that steps is to know it
-                self._error = error
+                self._error = self._error or error
             finally:
-                block.captured.release()
                 with self._changed:
                     self._unwritten -= 1
                     self._changed.notify_all()

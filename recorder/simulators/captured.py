@@ -46,10 +46,15 @@ class Captured(ABC):
 class Held(Captured):
     """States that are on the host already, in arrays of their own."""
 
-    def __init__(self, states: States, evidence: Evidence | None = None) -> None:
-        """states  [step, env, item, width], one array a field."""
+    def __init__(
+        self, states: States, evidence: Evidence | None = None, actions: NDArray[np.float32] | None = None
+    ) -> None:
+        """states   [step, env, item, width], one array a field
+        actions  [step, env, action], where the engine told what it held
+        """
         self._states = states
         self._evidence = evidence
+        self._actions = actions
 
     def wait(self) -> None:
         """See Captured.wait."""
@@ -57,6 +62,10 @@ class Held(Captured):
     def states(self, envs: slice) -> States:
         """See Captured.states."""
         return tuple(array[:, envs] for array in self._states)
+
+    def actions(self, envs: slice) -> NDArray[np.float32] | None:
+        """See Captured.actions."""
+        return None if self._actions is None else self._actions[:, envs]
 
     def evidence(self) -> Evidence | None:
         """See Captured.evidence."""

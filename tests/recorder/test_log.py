@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -126,6 +128,7 @@ def test_what_cannot_be_recorded(tmp_path: Path, others: dict[str, Any], message
         ((states()[0][:, :3], states()[1]), r"cubes/position has shape \(11, 3, 2, 3\), not"),
         ((states()[0][None], states()[1]), r"cubes/position has shape \(1, 11, 4, 2, 3\), not"),
         ((states(3)[0], states(4)[1]), r"different numbers of steps: \[3, 4\]"),
+        ((states()[0][:0], states()[1][:0]), "the arrays have no step"),
         (states(12), "step 11 is given, and the recording was announced to end at step 10"),
     ],
 )
@@ -230,3 +233,36 @@ def test_clocks_of_no_nanoseconds(tmp_path: Path, start: list[float], end: list[
     """Refuse clocks in seconds, clocks that stand still, and intervals that overlap."""
     with writer(tmp_path / "a.mcap", timed_steps=2) as log, pytest.raises(UsageError, match=says):
         log.clocks(start, end)
+
+
+_INTERRUPTED = """
+import os, signal, sys, threading
+import numpy as np
+from recorder.log import RecordingWriter
+from schemas.fields import body_field
+
+signal.signal(signal.SIGINT, signal.default_int_handler)
+field = body_field("cubes", "position", "float32", tuple(map(str, range(20))))
+threading.Timer(float(sys.argv[2]), lambda: os.kill(os.getpid(), signal.SIGINT)).start()
+try:
+    with RecordingWriter(sys.argv[1], simulator="mine", version="1", scene="toss", n_env=500, dt=0.01, steps=100000,
+                         fields=(field,)) as log:
+        while True:
+            log.append(np.zeros((500, 20, 3), np.float32))
+except KeyboardInterrupt:
+    print("interrupted")
+"""
+
+
+@pytest.mark.parametrize("seconds", [0.3, 0.35, 0.41, 0.48])
+def test_an_interruption_leaves_a_good_file(tmp_path: Path, seconds: float) -> None:
+    """End the recording as failed at any moment of a program's Ctrl-C, with all that it holds intact."""
+    path = tmp_path / "x.mcap"
+    done = subprocess.run(
+        [sys.executable, "-c", _INTERRUPTED, str(path), str(seconds)], capture_output=True, text=True, timeout=60
+    )
+    assert done.stdout == "interrupted\n", done.stderr
+    if path.exists():  # it may have come before the file was begun
+        recording = open_recording(path)
+        recording.verify()
+        assert recording.status == "failed"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -16,11 +17,14 @@ from evaluator import open_recording
 from recorder.log import RecordingWriter
 from recorder.replay import read_source, replayed
 from recorder.scenes.registry import make_scene
+from schemas import topics
 from schemas.errors import DamagedRecording, UsageError
 from schemas.fields import body_field
-from schemas.provenance import SCENE, SIMULATION
+from schemas.messages import message_class
+from schemas.provenance import PROVENANCE, SCENE, SIMULATION
 from tests.conftest import Command, call
 from tests.forging import forge
+from tests.synthetic import Shown, write_recording
 
 _SHORT = ("--n-env", "2", "--runs", "1", "--steps", "6", "--warmup", "3", "--timed-steps", "4")
 
@@ -230,6 +234,49 @@ def test_limits_of_the_recorded_run_are_not_taken_over(original: Path) -> None:
     assert (made.timeout, made.compression, made.phases) == (3.0, "lz4", ("capture",))
     with pytest.raises(UsageError, match="has only timed,capture"):
         replayed(source, options={}, phases=("warmup",), timeout=0, compression="none")
+
+
+def _bomb(folder: Path, *, n_env: int, intervals: int, length: int, hash_of: int) -> Path:
+    """A recording of a timed phase whose traces compress to next to nothing: a million environments, 1e8 steps."""
+    hashes = message_class("gsb.v1.FingerprintBlock")(first_step=0, stride=10**8, steps=2, env_start=0, envs=n_env)
+    hashes.hashes.extend([hash_of] * (2 * n_env))
+    begin = [i * length for i in range(intervals)]
+    clocks = message_class("gsb.v1.StepTiming")(
+        first_step=0, steps_per_interval=1000, start_ns=begin, end_ns=[at + length for at in begin]
+    )
+
+    def timed(name: str, document: dict[str, Any]) -> str | None:
+        if name == PROVENANCE:
+            document["configuration"]["phases"] = ["timed"]
+        return make_scene("inclined-collision").to_json() if name == SCENE else None
+
+    return write_recording(
+        folder, None, n_env=n_env, simulator="mujoco", timed_steps=1000 * intervals, elapsed_s=None,
+        compression="zstd", change=timed,
+        shown=Shown(raw=(
+            (topics.timing("timed"), "gsb.v1.StepTiming", clocks),
+            (topics.fingerprint("timed"), "gsb.v1.FingerprintBlock", hashes),
+        )),
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("n_env", "intervals", "length", "said"),
+    [
+        (2, 1000, 0, "asks for 2 environments and 1000000 timed steps, and has traces of 0 timed steps"),
+        (1 << 20, 2, 1000, "asks for 1048576 environments, and its "),
+        (2, 100_000, 1, "asks for 100000000 steps, and its "),
+    ],
+    ids=["no-time", "environments", "steps"],
+)
+def test_compressed_nothing_asks_for_no_work(
+    tmp_path: Path, n_env: int, intervals: int, length: int, said: str
+) -> None:
+    """Refuse traces that take no time, and more of them than the bytes of the file can be believed to hold."""
+    bomb = _bomb(tmp_path, n_env=n_env, intervals=intervals, length=length, hash_of=0)
+    assert bomb.stat().st_size < 1_000_000
+    with pytest.raises(UsageError, match=re.escape(said)):
+        read_source(bomb)
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="the system has no named pipes")

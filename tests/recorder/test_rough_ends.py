@@ -309,5 +309,13 @@ def _metrics(recording: Recording) -> dict[str, object]:
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     (group,) = json.loads(done.stdout)["groups"]
-    costs = ("fps", "build", "compile", "memory", "host", "allocator")  # clocks and bytes of this very run
+    costs = (
+        "fps",
+        "build",
+        "compile",
+        "capture_slowdown",
+        "memory",
+        "host",
+        "allocator",
+    )  # clocks and bytes of this very run
     return {n: m["value"] for n, m in group["metrics"].items() if not n.startswith(costs)}

@@ -1,0 +1,255 @@
+"""Blocks of captured steps on their way to a file: in order, whole, and never lost in silence."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import time
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import psutil
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from evaluator import open_recording
+from recorder.capture.kept import KeptStates
+from recorder.capture.sink import Sink
+from recorder.capture.states import StateWriter, env_block
+from recorder.capture.stepping import CaptureClock, step_and_capture
+from recorder.capture.workers import Workers
+from recorder.capture.writing import Block, Writing
+from recorder.failure import NoHostMemory, cause_of
+from recorder.scenes.registry import make_scene
+from recorder.simulators.captured import RING_BLOCKS, Held
+from recorder.simulators.evidence import Evidence
+from recorder.simulators.mujoco.simulator import MujocoC
+from schemas.errors import DataLost
+from schemas.fields import BODY_FIELDS, body_field
+from schemas.fingerprint import fingerprint
+from tests.conftest import SMALL, Command
+
+FIELDS = [body_field("cubes", name, "float32", ("a", "b")) for name in BODY_FIELDS]
+
+
+def states(steps: int, n_env: int, seed: int = 0) -> tuple[NDArray[np.float32], ...]:
+    """Random states [step, env, item, width] of FIELDS."""
+    rng = np.random.default_rng(seed)
+    return tuple(rng.standard_normal((steps, n_env, 2, f.width), dtype=np.float32) for f in FIELDS)
+
+
+class Released(Held):
+    """A block that counts how often it was given back, and may fail at that."""
+
+    def __init__(self, error: Exception | None = None) -> None:
+        super().__init__(states(1, 1))
+        self.count = 0
+        self._error = error
+
+    def release(self) -> None:
+        self.count += 1
+        if self._error:
+            raise self._error
+
+
+def test_blocks_are_written_in_order_and_released_once() -> None:
+    """Write what was put in the order in which it was put, and give each block back once."""
+    written: list[int] = []
+    writing = Writing(lambda block: written.append(block.first_step))
+    blocks = [Released() for _ in range(20)]
+    for number, block in enumerate(blocks):
+        writing.put(Block(number, block, None))
+    writing.finish()
+    assert written == list(range(20))
+    assert [block.count for block in blocks] == [1] * 20
+    assert writing.unwritten == 0
+
+
+def test_an_error_of_the_writer_ends_the_stepping() -> None:
+    """Raise it where the engine steps, write nothing behind it, and still release all blocks."""
+
+    def write(block: Block) -> None:
+        if block.first_step == 1:
+            raise DataLost("the disk is full")
+        assert block.first_step == 0
+
+    writing = Writing(write)
+    blocks = [Released() for _ in range(5)]
+    for number, block in enumerate(blocks):
+        writing.put(Block(number, block, None))
+    with pytest.raises(DataLost, match="the disk is full"):
+        writing.wait(0)
+    with pytest.raises(DataLost, match="the disk is full"):
+        writing.finish()
+    assert [block.count for block in blocks] == [1] * 5
+
+
+def test_an_engine_that_cannot_take_a_block_back() -> None:
+    """Raise its error instead of waiting for ever."""
+    writing = Writing(lambda block: None)
+    writing.put(Block(0, Released(RuntimeError("it is gone")), None))
+    with pytest.raises(RuntimeError, match="it is gone"):
+        writing.wait(0)
+    with pytest.raises(RuntimeError, match="it is gone"):
+        writing.finish()
+
+
+_INTERRUPTED = """
+import os, signal, threading, time
+from recorder import interruption
+from recorder.capture.writing import Block, Writing
+from recorder.simulators.captured import Held
+
+interruption.install()
+written = []
+def write(block):
+    time.sleep(0.3)
+    written.append(block)
+writing = Writing(write)
+for number in range(3):
+    writing.put(Block(number, Held(()), None))
+threading.Timer(0.1, lambda: os.kill(os.getpid(), signal.SIGINT)).start()
+try:
+    writing.finish()
+except KeyboardInterrupt:
+    print(len(written), [t.name for t in threading.enumerate() if t.name == "writing"])
+"""
+
+
+def test_an_interruption_waits_for_the_writer() -> None:
+    """Be interrupted only once the thread that writes is gone: two must not write one file."""
+    done = subprocess.run([sys.executable, "-c", _INTERRUPTED], capture_output=True, text=True, timeout=60)
+    assert done.stdout == "3 []\n", done.stderr
+
+
+@pytest.mark.parametrize(
+    "spoil",
+    [
+        lambda arrays: (arrays[0][:, :1], *arrays[1:]),  # an environment is missing
+        lambda arrays: (arrays[0].astype(np.float64), *arrays[1:]),
+        lambda arrays: (arrays[0][:-1], *arrays[1:]),  # a step
+        lambda arrays: (arrays[0][..., :2], *arrays[1:]),  # a component
+    ],
+)
+def test_arrays_are_what_was_declared(tmp_path: Path, spoil: object) -> None:
+    """Refuse an adapter's arrays of another shape or type; nothing is cast or broadcast."""
+    sink = Sink(tmp_path / "x.mcap", compression="none")
+    writer = StateWriter(sink, FIELDS, n_env=2, dt=0.01, stride=1)
+    with pytest.raises(ValueError, match="the simulator gives cubes/"):
+        writer.take(Held(spoil(states(4, 2))))  # type: ignore[operator]
+    sink.abandon()
+
+
+@given(
+    n_env=st.sampled_from([1, 3, 64, 65, 130]),
+    sizes=st.lists(st.integers(1, 60), min_size=1, max_size=5),
+    stride=st.integers(1, 7),
+    alone=st.booleans(),
+)
+def test_however_states_are_fed(
+    tmp_path_factory: pytest.TempPathFactory, n_env: int, sizes: list[int], stride: int, alone: bool
+) -> None:
+    """Write the same numbers, hashes and digests for any blocks, strides, environments and threads."""
+    folder = tmp_path_factory.mktemp("fed")
+    whole = states(1 + sum(sizes), n_env)
+    sink = Sink(folder / "x.mcap", compression="none")
+    writer = StateWriter(sink, FIELDS, n_env=n_env, dt=0.01, stride=stride)
+    writer.workers = Workers(alone=alone)
+    first = 0
+    for size in (1, *sizes):
+        part = tuple(array[first : first + size].copy() for array in whole)
+        writer.feed(part)
+        for array in part:
+            array[:] = np.nan  # an engine uses its memory again
+        first += size
+    writer.flush()
+    found = sink.digest.digests()
+    for field, array in zip(FIELDS, whole, strict=True):
+        other = Sink(folder / f"{field.field}.mcap", compression="none")
+        other.digest.state(field, n_env, array[::stride])
+        assert other.digest.digests()[f"state {field.name}"] == found[f"state {field.name}"]
+        other.abandon()
+    assert writer.last_recorded_step == (len(whole[0]) - 1) // stride * stride
+    sink.abandon()
+    assert fingerprint(whole).shape == (first, n_env)
+
+
+def test_modes_give_the_same_recording(gsb_record: Command, tmp_path: Path) -> None:
+    """Record the same states, hashes and actions whether they are written meanwhile or afterwards."""
+    found = []
+    for mode in ("lossless", "memory"):
+        done = gsb_record(
+            "--sim", "mujoco", "--scene", "franka", "--n-env", 70, "--runs", 1, *SMALL, "--phases", "capture",
+            "--capture", mode, "--out", tmp_path,
+        )  # fmt: skip
+        assert done.returncode == 0, done.stderr
+        recording = open_recording(done.stdout.strip())
+        recording.verify()
+        assert recording.configuration.capture == mode
+        hashes = recording.fingerprints("capture")
+        assert hashes is not None
+        assert {"capture", "drain"} <= set(recording.timing)
+        (name,) = recording.action_names
+        found.append((np.asarray(recording.state("robot", "qpos")), hashes.hashes, recording.actions(name)))
+    for one, other in zip(*found, strict=True):
+        assert np.array_equal(one, other)
+
+
+def test_kept_blocks_have_all_that_was_shown() -> None:
+    """Keep states, counts and the engine's own actions, in memory of their own."""
+    n_env, given = 130, states(5, 130)
+    counts, actions = np.arange(5 * n_env).reshape(5, n_env), np.ones((5, n_env, 3), dtype=np.float32)
+    kept = KeptStates(FIELDS, n_env=n_env, rows=5, n_action=3, workers=Workers(alone=False))
+    expected = [array.copy() for array in given]
+    kept.keep(Block(0, Held(given, Evidence({"contacts": counts}), actions), None))
+    for array in (*given, counts, actions):
+        array[:] = 0
+    written: list[Block] = []
+    kept.write(written.append)
+    (block,) = written
+    for array, before in zip(block.captured.states(slice(None)), expected, strict=True):
+        assert np.array_equal(array, before)
+    shown, held = block.captured.evidence(), block.captured.actions(slice(env_block(n_env), None))
+    assert shown is not None
+    assert shown.counts["contacts"][-1, -1] == 5 * n_env - 1
+    assert held is not None
+    assert held.shape == (5, n_env - env_block(n_env), 3)
+    assert (held == 1).all()
+
+
+def test_memory_that_is_not_there(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Refuse to keep states that the machine has no memory for, before the first step."""
+    monkeypatch.setattr(psutil, "virtual_memory", lambda: SimpleNamespace(available=1000))
+    with pytest.raises(NoHostMemory, match="capture fewer steps, or lossless") as raised:
+        KeptStates(FIELDS, n_env=10, rows=100, n_action=0, workers=Workers(alone=True))
+    assert cause_of(raised.value) == "HOST_MEMORY"
+
+
+def test_a_slow_disk_stops_the_engine_and_is_told() -> None:
+    """Hold no more blocks than the ring has, lose none, and keep how long the engine stood still."""
+    scene = make_scene("free-fall")
+    simulator = MujocoC(scene, n_env=2, dt=scene.dt, seed=0, options=MujocoC.Options())
+    simulator.build()
+    most, written = [], []
+
+    def write(block: Block) -> None:
+        most.append(writing.unwritten)
+        written.append(block.first_step)
+        time.sleep(0.05)
+
+    writing, clock = Writing(write), CaptureClock()
+    step_and_capture(
+        simulator, writing, clock, steps=45, block_steps=5, prepare=lambda first, count: None,
+        progress=lambda done: None, stopped=lambda: False,
+    )  # fmt: skip
+    writing.finish()
+    simulator.close()
+    assert written == [0, *range(1, 46, 5)]
+    assert max(most) <= RING_BLOCKS
+    assert clock.blocks.shape == (2, 9)
+    assert (clock.blocks[0, 1:] == clock.blocks[1, :-1]).all()
+    assert clock.stalls.shape[1] >= 3
+    assert (clock.stalls[1] >= clock.stalls[0]).all()
