@@ -9,9 +9,10 @@ import numpy as np
 import numpy.typing as npt
 
 from evaluator.audit.distribution import LawTest, same_law
+from evaluator.audit.matching import closest, compared, distinct, match_of
 from evaluator.audit.replaying import Replay, ReplayPlan, Replays, make_replays
 from evaluator.audit.settings import Settings, sorted_out
-from evaluator.audit.verdict import Level, Match, Verdict, ladder
+from evaluator.audit.verdict import Level, Verdict, ladder
 from evaluator.diff.compare import compare
 from evaluator.diff.result import Difference
 from evaluator.groups import Group
@@ -84,7 +85,7 @@ def audit(group: Group, plan: ReplayPlan, *, max_ulps: int, say: Callable[[str],
         return Audit(
             group.recordings, why_not=f"no run is complete ({ended}): there is nothing to hold a replay against"
         )
-    replays = make_replays(originals[0].path, plan, say)
+    replays = make_replays(originals[0].path, plan.within(_ran(originals[0])), say)
     done = Audit(originals, replays)
     if replays.refused:
         return Audit(originals, replays, why_not=replays.refused)
@@ -98,11 +99,11 @@ def audit(group: Group, plan: ReplayPlan, *, max_ulps: int, say: Callable[[str],
     except NothingComparable as error:
         return Audit(originals, replays, found, why_not=str(error))
     verdict = ladder(
-        [Match(d.bit_identical, d.same_up_to_env_order, d.max_ulp) for d in differences],
+        [match_of(d, *pair) for d, pair in zip(differences, pairs, strict=True)],
         lambda: law_of(originals, found),
         max_ulps=max_ulps,
         originals=len(originals),
-        compared="every bit" if differences[0].compared.state_steps else "every state hash (no states were recorded)",
+        compared=compared(differences[0]),
     )
     shown = next((i for i, d in enumerate(differences) if not d.bit_identical), 0)
     return Audit(
@@ -111,14 +112,15 @@ def audit(group: Group, plan: ReplayPlan, *, max_ulps: int, say: Callable[[str],
         recordings=found,
         difference=differences[shown],
         settings=sorted_out(differences[shown].settings, *pairs[shown]),
-        distinct=_distinct(originals, found),
+        distinct=distinct(originals, found),
         verdict=verdict,
     )
 
 
-def _distinct(originals: Sequence[Recording], replays: Sequence[Recording]) -> tuple[int, int, int]:
-    there, here = ({b"".join(_trajectories(r)) for r in side} for side in (originals, replays))
-    return len(there), len(here), len(there | here)
+def _ran(recording: Recording) -> float:
+    # from its first event to its last [s]
+    clocks = [event.monotonic_ns for event in recording.events]
+    return (max(clocks) - min(clocks)) / 1e9 if clocks else 0.0
 
 
 def _open(replay: Replay) -> Recording:
@@ -127,25 +129,6 @@ def _open(replay: Replay) -> Recording:
     recording = Recording(replay.path)
     recording.verify()
     return recording
-
-
-def closest(replay: Recording, originals: Sequence[Recording]) -> Recording:
-    """The original with the replay's state hashes; else with those of its environments in any order; else the first."""
-    of_replay = _trajectories(replay)
-    others = [(original, _trajectories(original)) for original in originals]
-    for original, theirs in others:
-        if theirs == of_replay:
-            return original
-    for original, theirs in others:
-        if sorted(theirs) == sorted(of_replay):
-            return original
-    return originals[0]
-
-
-def _trajectories(recording: Recording) -> list[bytes]:
-    # hashes of every captured step, by environment; of the timed phase, where nothing was captured
-    hashes = recording.fingerprints("capture") or recording.fingerprints("timed")
-    return [] if hashes is None else [column.tobytes() for column in np.ascontiguousarray(hashes.hashes.T)]
 
 
 def law_of(originals: Sequence[Recording], replays: Sequence[Recording]) -> LawTest | str:

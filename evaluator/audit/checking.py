@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Sequence, Set
 from dataclasses import dataclass
 from pathlib import Path
 
 from evaluator.integrity import examine
 from evaluator.recording import Recording
-from evaluator.rules.findings import check
+from evaluator.rules.findings import Unchecked, check
 from evaluator.rules.rule import Level, load_rules
 
 RULES = "integrity-1"
@@ -18,8 +18,8 @@ RULES = "integrity-1"
 class Check:
     """What became of checking files: findings by file, one sentence each.
 
-    recordings  those that can be audited
-    damaged     of each of the others
+    recordings  those that can be audited, each run once
+    damaged     of each of the others; copies are named among the warnings of the file that is kept
     broken      broken rules of those that can be audited
     warnings    of those likewise
     """
@@ -31,20 +31,42 @@ class Check:
 
 
 def check_files(paths: Sequence[Path]) -> Check:
-    """Hold files against the rules of RULES; those that are damaged or have lost data are set aside."""
+    """Hold files against the rules of RULES; those that are damaged or have lost data are set aside, and copies."""
     files = [examine(path) for path in dict.fromkeys(paths)]
     report = check(files, [load_rules(RULES)])
     errors = [finding for finding in report.findings if finding.rule.level is Level.error]
     found = [(path, f"{f.rule.id}: {f.found}") for f in errors if f.rule.damage for path in f.files]
-    unasked = [u for u in report.unchecked if u.rule.level is Level.error]
-    found += [(u.file, f"{u.rule.id} cannot be checked: {u.reason}") for u in unasked]
-    found += [(f.path, f.not_opened) for f in files if f.recording is None]
+    said = {path for path, _ in found}
+    found += [(f.path, f.not_opened) for f in files if f.recording is None and f.path not in said]
+    found += _unasked(report.unchecked, {path for path, _ in found})
     damaged = _by_file(found)
-    good = tuple(f.recording for f in files if f.recording is not None and f.path not in damaged)
-    broken = [(path, f"{f.rule.id}: {f.found}") for f in errors for path in f.files if path not in damaged]
+    whole = [f.recording for f in files if f.recording is not None and f.path not in damaged]
+    good, copies = _without_copies(whole)
+    kept = {recording.path for recording in good}
+    broken = [(path, f"{f.rule.id}: {f.found}") for f in errors for path in f.files if path in kept]
     warned = [f for f in report.findings if f.rule.level is Level.warning]
-    warnings = [(path, f"{f.rule.id}: {f.found}") for f in warned for path in f.files if path not in damaged]
-    return Check(good, damaged, _by_file(broken), _by_file(warnings))
+    warnings = [(path, f"{f.rule.id}: {f.found}") for f in warned for path in f.files if path in kept]
+    return Check(good, damaged, _by_file(broken), _by_file([*copies, *warnings]))
+
+
+def _unasked(unchecked: Sequence[Unchecked], damaged: Set[Path]) -> list[tuple[Path, str]]:
+    # of files that nothing else is known of, rules by what keeps them from being asked
+    rules: dict[tuple[Path, str], list[str]] = {}
+    for u in unchecked:
+        if u.rule.level is Level.error and u.file not in damaged:
+            rules.setdefault((u.file, u.reason), []).append(u.rule.id)
+    return [(path, f"{', '.join(ids)} cannot be checked: {reason}") for (path, reason), ids in rules.items()]
+
+
+def _without_copies(recordings: Sequence[Recording]) -> tuple[tuple[Recording, ...], list[tuple[Path, str]]]:
+    # files of one run with different contents are damaged by RULES; of the others, all but the first are copies
+    kept: dict[str, Recording] = {}
+    copies = []
+    for recording in recordings:
+        first = kept.setdefault(recording.provenance.run_id or recording.content_hash, recording)
+        if first is not recording:
+            copies.append((first.path, f"{recording.path} is a copy of {first.path.name}; it counts once"))
+    return tuple(kept.values()), copies
 
 
 def _by_file(findings: Sequence[tuple[Path, str]]) -> dict[Path, tuple[str, ...]]:

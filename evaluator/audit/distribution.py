@@ -9,7 +9,6 @@ draw of its own as far as the positions can show; and where that is not so, noth
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
@@ -19,12 +18,16 @@ import numpy.typing as npt
 
 from evaluator.metrics.identity import bitwise_classes
 from evaluator.metrics.variability import CM_PER_M
-from evaluator.statistics.permutation import permutation_floor
+from evaluator.statistics.permutation import arrangements, exhaustive_floor, permutation_floor
 
 ALPHA = 0.05
 """A p-value up to this rejects one law."""
 
 PERMUTATIONS = 199
+"""Exchanges that are drawn where there are more than MOST_ARRANGEMENTS."""
+
+MOST_ARRANGEMENTS = 400
+"""Up to so many are all looked at: of few, a draw meets the observed one so often that nothing can be rejected."""
 
 _MOST_RUNS = 1000
 
@@ -56,8 +59,9 @@ class LawTest:
     floor_q95_cm     95 % quantile of W1 after exchange [cm]
     p_value          chance of a W1 this large under one law
     least_p          smallest p-value that so many can give
-    n_permutation    exchanges drawn
-    seed             that they were drawn with
+    n_permutation    exchanges that were looked at
+    exhaustive       whether these are all that there are; otherwise they were drawn
+    seed             of what was drawn
     """
 
     time: float
@@ -71,6 +75,7 @@ class LawTest:
     p_value: float
     least_p: float
     n_permutation: int
+    exhaustive: bool
     seed: int
 
     @property
@@ -90,7 +95,7 @@ def same_law(originals: Runs, replays: Runs, *, time: float, seed: int = 0) -> L
     originals, replays  planar positions of each run [m], shape [env, item, 2], the same for all runs; at least one each
     time                simulated time that they are of [s]
 
-    ValueError as of evaluator.statistics.permutation.permutation_floor.
+    ValueError as of evaluator.statistics.permutation.
     """
     unit = exchangeable(originals, replays)
     envs = originals[0].shape[0]
@@ -98,7 +103,8 @@ def same_law(originals: Runs, replays: Runs, *, time: float, seed: int = 0) -> L
     a, b = (np.stack([run[used] for run in side]) * CM_PER_M for side in (originals, replays))
     points = a.shape[2] if unit is Unit.ENVIRONMENTS else len(used) * a.shape[2]
     a, b = a.reshape(-1, points, 2), b.reshape(-1, points, 2)
-    found = permutation_floor(a, b, n_permutation=PERMUTATIONS, seed=seed)
+    exhaustive = arrangements(len(a), len(b)) <= MOST_ARRANGEMENTS
+    found = exhaustive_floor(a, b) if exhaustive else permutation_floor(a, b, n_permutation=PERMUTATIONS, seed=seed)
     return LawTest(
         time=time,
         unit=unit,
@@ -110,7 +116,8 @@ def same_law(originals: Runs, replays: Runs, *, time: float, seed: int = 0) -> L
         floor_q95_cm=found.floor_q95,
         p_value=found.p_value,
         least_p=least_p(len(a), len(b)),
-        n_permutation=PERMUTATIONS,
+        n_permutation=found.n_permutation,
+        exhaustive=exhaustive,
         seed=seed,
     )
 
@@ -132,8 +139,8 @@ def exchangeable(originals: Runs, replays: Runs) -> Unit:
 
 def least_p(a: int, b: int) -> float:
     """Smallest p-value of a permutation test of a against b units: W1 is the same with the sides exchanged."""
-    arrangements = math.comb(a + b, a) // (2 if a == b else 1)
-    return max(1 / arrangements, 1 / (1 + PERMUTATIONS))
+    count = arrangements(a, b)
+    return 1 / (count if count <= MOST_ARRANGEMENTS else 1 + PERMUTATIONS)
 
 
 def runs_needed(originals: int) -> int:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import shlex
 import signal
 import subprocess
@@ -11,7 +12,7 @@ import tempfile
 from collections import deque
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import IO, Any
 
@@ -21,6 +22,9 @@ _COMMAND = "gsb-record"
 _KEPT_LINES = 50
 _MOST_BYTES = 16 << 20  # of what it prints on standard output
 
+# A file says how long its run took, and its options may ask for any amount of work: neither is to be trusted.
+_LEAST_S, _MOST_S, _LONGER = 600, 86_400, 20
+
 
 @dataclass(frozen=True)
 class ReplayPlan:
@@ -29,7 +33,7 @@ class ReplayPlan:
     out      folder of their recordings
     runs     how many
     python   interpreter that makes them; None: whichever gsb-record chooses
-    timeout  of each [s]; 0: none
+    timeout  of each [s]; 0: none; None: by what the original took, see `within`
     options  NAME=VALUE, instead of what was recorded
     phases   comma separated; None: those that were recorded
     """
@@ -37,9 +41,15 @@ class ReplayPlan:
     out: Path
     runs: int = 1
     python: Path | None = None
-    timeout: float = 0.0
+    timeout: float | None = None
     options: tuple[str, ...] = ()
     phases: str | None = None
+
+    def within(self, ran: float) -> ReplayPlan:
+        """The same with a time limit: 20 times what the original took [s], at least ten minutes, at most a day."""
+        if self.timeout is not None:
+            return self
+        return replace(self, timeout=float(min(max(_LEAST_S, math.ceil(_LONGER * ran)), _MOST_S)))
 
     def arguments(self, recording: Path) -> list[str]:
         """Of gsb-record, for a recording."""

@@ -90,7 +90,9 @@ def _rung(rung: Rung, width: int) -> str:
 
 
 def _first(first: Divergence) -> Iterator[str]:
-    yield f"  differs   from step {first.step_a} ({first.time:g} s), env {first.env_a}; {first.envs} envs at that step"
+    of = " of the timed phase" if first.phase == "timed" else ""
+    envs = f"env {first.env_a}; {first.envs} envs at that step"
+    yield f"  differs   from step {first.step_a} ({first.time:g} s){of}, {envs}"
     if first.state is None:
         return
     n, at = first.state.number, first.state

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import Enum
 
-from evaluator.audit.distribution import ALPHA, LawTest, runs_needed
+from evaluator.audit.distribution import ALPHA, LawTest, Unit, runs_needed
 
 
 class Level(Enum):
@@ -30,12 +30,18 @@ class Match:
 
     bit_identical         every number of it is the same, bit for bit
     same_up_to_env_order  its environments are the same in another order; None where that cannot be told
-    max_ulp               largest distance of two numbers in units in the last place; None where that cannot be told
+    max_ulp               largest known distance of two numbers in units in the last place; None where none is known
+    steps                 recorded steps that this is over
+    left_out              what of the original was not compared; empty where everything was
+    no_ulps               why other numbers may be further apart; empty where all are known
     """
 
     bit_identical: bool
     same_up_to_env_order: bool | None
     max_ulp: int | None
+    steps: int = 0
+    left_out: str = ""
+    no_ulps: str = ""
 
 
 @dataclass(frozen=True)
@@ -105,24 +111,42 @@ def _all(held: Sequence[bool | None]) -> bool | None:
 def _bits(matches: Sequence[Match], compared: str) -> Rung:
     same = sum(m.bit_identical for m in matches)
     said = f"{same} of {len(matches)} replays: {compared} of an original"
-    return Rung(Level.BIT_IDENTICAL, same == len(matches), said)
+    return _whole(Rung(Level.BIT_IDENTICAL, same == len(matches), said), matches)
 
 
 def _order(matches: Sequence[Match]) -> Rung:
     held = [m.bit_identical or m.same_up_to_env_order for m in matches]
     if (holds := _all(held)) is None:
         return Rung(Level.SAME_UP_TO_ENV_ORDER, None, "environments cannot be held against others")
-    same = sum(h is True for h in held)
-    return Rung(Level.SAME_UP_TO_ENV_ORDER, holds, f"{same} of {len(matches)} replays: an original's envs in any order")
+    said = f"{sum(h is True for h in held)} of {len(matches)} replays: an original's envs in any order"
+    return _whole(Rung(Level.SAME_UP_TO_ENV_ORDER, holds, said), matches)
 
 
 def _ulps(matches: Sequence[Match], most: int) -> Rung:
-    found = [0 if m.bit_identical or m.same_up_to_env_order else m.max_ulp for m in matches]
+    same = [m.bit_identical or m.same_up_to_env_order is True for m in matches]
+    found = [0 if equal else m.max_ulp for m, equal in zip(matches, same, strict=True)]
     known = [k for k in found if k is not None]
+    over = f" over {min(m.steps for m in matches)} recorded steps" if any(m.steps for m in matches) else ""
+    said = f"largest distance {max(known, default=0):,} ULP{over}; {most} are allowed"
+    if known and max(known) > most:
+        return Rung(Level.WITHIN_ULPS, False, said)
+    unknown = dict.fromkeys(m.no_ulps for m, equal in zip(matches, same, strict=True) if m.no_ulps and not equal)
+    if unknown:
+        return Rung(Level.WITHIN_ULPS, None, f"{said}, but others are not known: {'; '.join(unknown)}")
     if len(known) < len(found):
         return Rung(Level.WITHIN_ULPS, None, "numbers cannot be compared in units in the last place")
-    largest = max(known)
-    return Rung(Level.WITHIN_ULPS, largest <= most, f"largest distance {largest:,} ULP; {most} are allowed")
+    return _whole(Rung(Level.WITHIN_ULPS, True, said), matches)
+
+
+def _whole(rung: Rung, matches: Sequence[Match]) -> Rung:
+    """The same, undecided where it holds for less than the original."""
+    left_out = dict.fromkeys(m.left_out for m in matches if m.left_out)
+    if not rung.holds or not left_out:
+        return rung
+    said = f"{rung.said}; not everything of the original was compared"
+    if rung.level is Level.BIT_IDENTICAL or not all(m.bit_identical for m in matches):
+        said += f": {'; '.join(left_out)}"  # once: other rungs stand below that one
+    return Rung(rung.level, None, said)
 
 
 def _law(law: LawTest | str, originals: int) -> Rung:
@@ -134,6 +158,9 @@ def _law(law: LawTest | str, originals: int) -> Rung:
     )
     if law.envs_per_run < law.envs:
         said += f", {law.envs_per_run} of {law.envs} envs each"
+    if law.unit is Unit.ENVIRONMENTS:
+        said += "; it has no power where an environment's number decides, --runs "
+        said += f"{runs_needed(originals)} would exchange runs"
     if law.rejects:
         return Rung(Level.SAME_DISTRIBUTION, False, said)
     if not law.can_reject:

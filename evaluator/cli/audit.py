@@ -22,7 +22,8 @@ _MOST_RUNS = 1000
 
 _EPILOG = """\
 A replay takes from a file its configuration and nothing else: no code, no model, no path. It asks for no more steps and
-environments than the file has traces of, and what is run is printed first; it may take as long as it took there.
+environments than the file has traces of, and what is run is printed first. Options may ask for any amount of work: a
+replay ends after 20 times what the original took, at least ten minutes and at most a day, or after --timeout.
 
 levels, strongest first:
   bit-identical         every recorded number of every replay, at every step, is that of an original
@@ -64,7 +65,7 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument("--ulps", type=int, default=4, metavar="K", help="of the level within-ulps (default: %(default)s)")
     p.add_argument("--json", metavar="FILE", help="write the results as JSON; - for standard output, alone")
     p.add_argument("--python", type=Path, metavar="PATH", help="interpreter that makes the replays")
-    p.add_argument("--timeout", type=float, default=0.0, metavar="S", help="of each replay (default: none)")
+    p.add_argument("--timeout", type=float, metavar="S", help="of each replay; 0: none (default: as below)")
     p.add_argument("--phases", metavar="LIST", help="timed, capture or both (default: those that were recorded)")
     p.add_argument(
         "--option", action="append", default=[], metavar="NAME=VALUE", help="instead of what was recorded; repeatable"
@@ -113,7 +114,7 @@ def _check(arguments: argparse.Namespace) -> None:
         raise UsageError(f"--runs is from 1 to {_MOST_RUNS}, not {arguments.runs}")
     if arguments.ulps < 0:
         raise UsageError(f"--ulps is at least 0, not {arguments.ulps}")
-    if not 0 <= arguments.timeout < float("inf"):
+    if arguments.timeout is not None and not 0 <= arguments.timeout < float("inf"):
         raise UsageError(f"--timeout is a number of seconds, 0 for never, not {arguments.timeout}")
     check_target(arguments.json)
 

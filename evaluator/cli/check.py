@@ -13,6 +13,7 @@ from schemas.errors import ExitCode, UsageError
 _EPILOG = """\
 exit codes:
   0  every rule holds; warnings do not count
+  1  the results cannot be written
   2  the command asks for something that cannot be
   3  a file is damaged, cut short, no recording, or has lost data; the others were checked
   4  a rule is broken

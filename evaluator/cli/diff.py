@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 _EPILOG = """\
 exit codes:
   0  nothing differs: all that was compared is bit-identical, or, where bits cannot be compared, within the resolution
+  1  the results cannot be written
   2  the command asks for something that cannot be
   3  a file is damaged or no recording; or nothing differs in what is there, but a recording is cut short or lost data
   4  they differ

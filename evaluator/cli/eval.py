@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 _EPILOG = """\
 exit codes:
   0  every file was read and every recording is complete, failed or invalid by its own word
+  1  the results cannot be written
   2  the command asks for something that cannot be
   3  the rest was evaluated, but a file is damaged, cut short or no recording, or a recording lost data
   5  no recording could be evaluated

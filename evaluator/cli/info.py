@@ -13,6 +13,7 @@ from schemas.errors import ExitCode, GsbError
 _EPILOG = """\
 exit codes:
   0  every file is a recording and whole
+  1  the results cannot be written
   2  the command asks for something that cannot be
   3  a file is damaged, cut short or no recording; what can be said of it is said
 

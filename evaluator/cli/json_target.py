@@ -11,9 +11,15 @@ from schemas.errors import UsageError
 
 
 def check_target(target: str | None) -> None:
-    """UsageError where "--json *.mcap" would overwrite a recording with results."""
-    if target not in (None, "-") and Path(target).suffix in (".mcap", PARTIAL):
+    """UsageError where "--json *.mcap" would overwrite a recording, or where no file can be; before any work."""
+    if target is None or target == "-":
+        return
+    path = Path(target)
+    if path.suffix in (".mcap", PARTIAL):
         raise UsageError(f"--json takes the file to write, or -; {target} is named like a recording")
+    if path.is_dir() or not path.parent.is_dir():
+        what = "a folder" if path.is_dir() else f"in no folder that exists ({path.parent})"
+        raise UsageError(f"--json takes the file to write, or -; {target} is {what}")
 
 
 def write_json(target: str, text: str) -> None:

@@ -21,7 +21,7 @@ exit codes:
   0  every file was written
   1  a file could not be written
   2  the command asks for something that cannot be
-  3  a file is damaged, cut short or no recording; what could be written was
+  3  a file is damaged or no recording, or cut short (which recover is for, and ends with 0); what could be written was
 
 examples:
   gsb-share pack recordings/*.mcap --out packed
@@ -150,9 +150,13 @@ def _told(done: Recovered) -> Iterator[str]:
 
 def _viewer(arguments: argparse.Namespace) -> int:
     from evaluator.report.text import printable
-    from evaluator.sharing.target import new_file
+    from evaluator.sharing.target import check_free, new_file
     from evaluator.sharing.viewer import write_view
 
+    if arguments.layout:
+        if arguments.layout.resolve() == arguments.out.resolve():
+            raise UsageError("--out and --layout are two files; they have the same name")
+        check_free(arguments.layout)
     done = write_view(
         arguments.file, arguments.out, envs=tuple(arguments.env or (0,)), rate=arguments.rate, spread=arguments.spread
     )
@@ -163,7 +167,9 @@ def _viewer(arguments: argparse.Namespace) -> int:
         complain("gsb-share", note)
     shown = f"{done.shapes} shapes, {done.frames} moving frames at {done.times} times in {done.seconds:g} s"
     print(printable(f"{done.path}  {shown}"))
-    return int(ExitCode.OK)
+    if done.incomplete:
+        complain("gsb-share", f"{arguments.file} is cut short: its view ends where its states do")
+    return int(ExitCode.DATA_LOST if done.incomplete else ExitCode.OK)
 
 
 def main(argv: list[str] | None = None) -> int:

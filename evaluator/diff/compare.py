@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from evaluator.diff import remarks
 from evaluator.diff.common import common_fields, step_ratio
-from evaluator.diff.first import first_divergence
-from evaluator.diff.hashes import CommonHashes, common_hashes
+from evaluator.diff.first import first_divergence, first_of_timed
+from evaluator.diff.hashes import CommonHashes, common_hashes, timed_hashes
 from evaluator.diff.numbers import pairing
 from evaluator.diff.result import Basis, Compared, Difference, Splits
 from evaluator.diff.selection import Selection, one
@@ -61,9 +61,13 @@ def _compare(a: Selection, b: Selection) -> Difference:
     agreement, classes = walked.agreement, walked.classes
     if hashes is not None:
         agreement, classes = walk_hashes(hashes, classes=not no_classes)
+    timed = timed_hashes(a, b, fields, ratio, hashes)
+    timed_agreement, timed_classes = walk_hashes(timed, classes=not no_classes) if timed else (None, None)
     first = first_divergence(
         a, b, ratio, (states, walked.agreement), (hashes, agreement) if hashes is not None else None
     )
+    if first is None and timed_agreement is not None:
+        first = first_of_timed(a, b, ratio, timed_agreement)
     bitwise = all(field.basis is Basis.BITS for field in fields)
     one_recording = a.recording is b.recording
     return Difference(
@@ -75,12 +79,15 @@ def _compare(a: Selection, b: Selection) -> Difference:
             n_env=agreement.pairs,
             state_steps=step_range(states.steps_a.tolist()) if len(states) else None,
             hash_steps=step_range(hashes.steps_a.tolist()) if hashes else None,
+            hash_phase=hashes.phase if hashes else "",
+            timed_steps=step_range(timed.steps_a.tolist()) if timed else None,
+            unseen_steps=sum(found.unseen(states.steps_a) for found in (hashes, timed) if found),
             no_hashes=no_hashes,
             left_out=(*left_out, *remarks.uncommon(a, b, states)),
         ),
         bitwise=bitwise,
         bit_identical=bitwise and first is None,
-        same_up_to_env_order=_same_up_to_order(a, b, classes),
+        same_up_to_env_order=_same_up_to_order(a, b, classes, timed_classes),
         first=first,
         max_ulp=max((f.max_ulp for f in walked.fields if f.max_ulp is not None), default=None),
         growth=walked.growth,
@@ -88,7 +95,7 @@ def _compare(a: Selection, b: Selection) -> Difference:
         splits=_splits(agreement, classes, no_classes, by_hashes=hashes is not None),
         settings=() if one_recording else differing_settings(a.recording, b.recording),
         copies=not one_recording and a.recording.provenance.run_id == b.recording.provenance.run_id,
-        notes=remarks.notes(a, b, fields, hashes),
+        notes=(*remarks.notes(a, b, fields, hashes), *remarks.timed(timed_agreement)),
     )
 
 
@@ -98,7 +105,7 @@ def _splits(agreement: Agreement, classes: Classes | None, no_classes: str, *, b
     return classes.result(agreement, by_hashes=by_hashes)
 
 
-def _same_up_to_order(a: Selection, b: Selection, classes: Classes | None) -> bool | None:
+def _same_up_to_order(a: Selection, b: Selection, classes: Classes | None, timed: Classes | None) -> bool | None:
     # an order is between two whole sets of environments
     whole = all(len(side.envs) == side.recording.configuration.n_env for side in (a, b))
-    return classes.same_up_to_order() if whole and classes is not None else None
+    return classes.same_up_to_order(timed) if whole and classes is not None else None

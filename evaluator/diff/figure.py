@@ -112,13 +112,21 @@ def _equal(found: Difference, divergence: Divergence, times: tuple[float, float]
     parts += [axis.left(_LEFT, bottom - _LOWER * share, f"{pairs * share:.0f}") for share in (0.0, 1.0)]
     parts.append(lines.path(0, _stairs(found.splits.agreeing, found.a.dt, times, pairs, bottom)))
     first = _x(divergence.time, times)
+    if divergence.phase == "timed" and found.compared.hash_phase != "timed":  # the axis is that of the capture
+        label = f"first difference: step {divergence.step_a} of the {divergence.phase} phase"
+        return [*parts, text(label, _LEFT + 5, top + 14, class_="small"), *_titles(top, bottom)]
     parts.append(element("line", x1=first, x2=first, y1=_TOP, y2=bottom, class_="first"))
     before = first > _LEFT + _SIDE / 2
     label = f"first difference: step {divergence.step_a}, {divergence.time:g} s"
     parts.append(text(label, first + (-5 if before else 5), top + 14, class_="small end" if before else "small"))
-    parts.append(text("equal pairs", 14, top + _LOWER / 2, class_="mid", rotate=-90))
-    parts.append(text("simulated time [s]", _LEFT + _SIDE / 2, bottom + 36, class_="mid"))
-    return parts
+    return [*parts, *_titles(top, bottom)]
+
+
+def _titles(top: float, bottom: float) -> list[str]:
+    return [
+        text("equal pairs", 14, top + _LOWER / 2, class_="mid", rotate=-90),
+        text("simulated time [s]", _LEFT + _SIDE / 2, bottom + 36, class_="mid"),
+    ]
 
 
 def _stairs(changes: Sequence[Change], dt: float, times: tuple[float, float], pairs: int, bottom: float) -> str:

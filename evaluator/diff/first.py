@@ -38,6 +38,7 @@ def first_divergence(
     known = [*seen.steps, *(hashes[1].steps if hashes else [])]
     env_a, env_b = envs_of(found.first.pair, a, b)
     return Divergence(
+        phase=phase,
         step_a=step,
         step_b=step_b,
         time=step * a.recording.configuration.dt,
@@ -49,4 +50,31 @@ def first_divergence(
         state=state_difference(common, seen.first.row, a, b) if seen.first else None,
         contacts_a=a.contacts(phase, step),
         contacts_b=b.contacts(phase, step_b),
+    )
+
+
+def first_of_timed(a: Selection, b: Selection, ratio: Fraction, seen: Agreement) -> Divergence | None:
+    """The first common step of the timed phase at which hashes differ; None where none do.
+
+    ratio  steps of b for a step of a
+    seen   what reading these hashes found
+    """
+    if seen.first is None:
+        return None
+    step = seen.first_step()
+    step_b = int(step * ratio)
+    env_a, env_b = envs_of(seen.first.pair, a, b)
+    return Divergence(
+        phase="timed",
+        step_a=step,
+        step_b=step_b,
+        time=step * a.recording.configuration.dt,
+        after_step=max((s for s in seen.steps if s < step), default=None),
+        env_a=env_a,
+        env_b=env_b,
+        envs=seen.first.count,
+        by_hashes=True,
+        state=None,
+        contacts_a=a.contacts("timed", step),
+        contacts_b=b.contacts("timed", step_b),
     )

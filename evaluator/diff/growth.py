@@ -52,6 +52,9 @@ class Distances:
             self._not_finite = int(steps[np.argmin(finite)])
         self._steps += [int(step) for step in steps]
 
+    def __len__(self) -> int:
+        return len(self._steps)
+
     def result(self, dt: float) -> Growth:
         """The growth.
 
@@ -61,6 +64,8 @@ class Distances:
         largest = self._rows["max_spatial" if self._spatial else "max_planar"]
         distances = np.array([np.nan if d is None else d for d in largest])
         fit = fit_growth(times, distances, limit=FIT_LIMIT_M)
+        if self._not_finite is not None and not (distances > 0).any():
+            fit = "nothing moved apart of what is finite" if np.isfinite(distances).any() else "no distance is finite"
         return Growth(
             groups=self._groups,
             steps=tuple(self._steps),

@@ -31,6 +31,12 @@ class CommonHashes:
     a: NDArray[np.uint64]
     b: NDArray[np.uint64]
 
+    def unseen(self, steps_a: NDArray[np.int64]) -> int:
+        """At how many steps hashes differ of which no state is known; states are of these captured steps."""
+        captured = self.phase == "capture"
+        unseen = ~np.isin(self.steps_a, steps_a) if captured else np.ones(len(self.steps_a), dtype=bool)
+        return int(np.count_nonzero((self.a[unseen] != self.b[unseen]).any(axis=1)))
+
     def check(self, steps_a: NDArray[np.int64], differ: NDArray[np.bool_], a: Selection, b: Selection) -> None:
         """Hold the hashes against states, [step, pair]; DamagedRecording where they say otherwise."""
         if self.phase != "capture":
@@ -55,18 +61,37 @@ def common_hashes(
     if why_not:
         return why_not
     for phase in PHASES[:1] if states else PHASES:
-        of_a = a.recording.fingerprints(phase)
-        of_b = of_a if b.recording is a.recording else b.recording.fingerprints(phase)
-        if of_a is None or of_b is None:
-            continue
-        steps_a, steps_b = common_steps(of_a.steps, of_b.steps, ratio)
-        if len(steps_a):
-            return CommonHashes(
-                phase, steps_a, steps_b,
-                of_a.hashes[np.searchsorted(of_a.steps, steps_a), a.slice],
-                of_b.hashes[np.searchsorted(of_b.steps, steps_b), b.slice],
-            )  # fmt: skip
+        found = _of_phase(phase, a, b, ratio)
+        if found is not None:
+            return found
     return "not both recordings have state hashes of a common step"
+
+
+def timed_hashes(
+    a: Selection, b: Selection, fields: tuple[CommonField, ...], ratio: Fraction, hashes: CommonHashes | None
+) -> CommonHashes | None:
+    """Hashes of the timed phase beside those of the capture; None where there are none that can be compared.
+
+    hashes  those that are compared already
+    """
+    if _why_not(a, b, fields) or (hashes is not None and hashes.phase == PHASES[1]):
+        return None
+    return _of_phase(PHASES[1], a, b, ratio)
+
+
+def _of_phase(phase: str, a: Selection, b: Selection, ratio: Fraction) -> CommonHashes | None:
+    of_a = a.recording.fingerprints(phase)
+    of_b = of_a if b.recording is a.recording else b.recording.fingerprints(phase)
+    if of_a is None or of_b is None:
+        return None
+    steps_a, steps_b = common_steps(of_a.steps, of_b.steps, ratio)
+    if not len(steps_a):
+        return None
+    return CommonHashes(
+        phase, steps_a, steps_b,
+        of_a.hashes[np.searchsorted(of_a.steps, steps_a), a.slice],
+        of_b.hashes[np.searchsorted(of_b.steps, steps_b), b.slice],
+    )  # fmt: skip
 
 
 def _why_not(a: Selection, b: Selection, fields: tuple[CommonField, ...]) -> str:

@@ -12,10 +12,11 @@ from evaluator.diff.result import SCHEMA_VERSION, Difference
 
 
 def to_json(found: Difference) -> dict[str, Any]:
-    """The document that ``gsb-diff --json`` prints: the result's own names, and the verdict."""
+    """The document that ``gsb-diff --json`` prints: the result's own names, the verdict, and whether it is over all."""
     return {
         "schema_version": SCHEMA_VERSION,
         "verdict": found.verdict.value,
+        "all_compared": not (found.compared.left_out or found.lost),
         "lost": list(found.lost),
         **_plain(found),
     }

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from evaluator.diff.numbers import number
 from evaluator.diff.result import StateDifference
@@ -15,14 +14,13 @@ from evaluator.metrics.divergence import first_true
 def state_difference(states: CommonStates, row: int, a: Selection, b: Selection) -> StateDifference:
     """What differs at a common step, of which something does; `row` counts the common steps from 0."""
     rows = slice(row, row + 1)
-    masks: list[NDArray[np.bool_]] = []
-    for index, how in enumerate(states.fields):
-        masks.append(how.differs(*states.read(index, rows)))
+    there = [index for index in range(len(states.fields)) if states.has(index, rows).all()]
+    fields = [states.fields[index] for index in there]
+    masks = [how.differs(*states.read(index, rows)) for index, how in zip(there, fields, strict=True)]
     pairs = np.stack([mask[0].any(axis=(1, 2)) for mask in masks])
     pair = int(np.argmax(pairs.any(axis=0)))
-    fields = [how.field.name for how, mask in zip(states.fields, masks, strict=True) if mask.any()]
     items: dict[str, None] = {}
-    for how, mask in zip(states.fields, masks, strict=True):
+    for how, mask in zip(fields, masks, strict=True):
         items |= dict.fromkeys(how.field.items[i] for i in np.flatnonzero(mask[0, pair].any(axis=-1)))
     index = int(np.argmax(pairs[:, pair]))
     at = first_true(masks[index][0, pair])
@@ -35,9 +33,9 @@ def state_difference(states: CommonStates, row: int, a: Selection, b: Selection)
         env_a=env_a,
         env_b=env_b,
         envs=int(np.count_nonzero(pairs.any(axis=0))),
-        fields=tuple(fields),
+        fields=tuple(how.field.name for how, mask in zip(fields, masks, strict=True) if mask.any()),
         items=tuple(items),
-        number=number(states.fields[index], *states.read(index, rows), (0, pair, *at)),
+        number=number(fields[index], *states.read(there[index], rows), (0, pair, *at)),
     )
 
 

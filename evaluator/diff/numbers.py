@@ -69,6 +69,7 @@ class Tally:
     def __init__(self, how: Pairing) -> None:
         self._how = how
         self._numbers = self._different = self._zeros = self._payloads = 0
+        self._finite = False
         self._first_step: int | None = None
         self._first_ulp: int | None = None
         self._max_ulp: int | None = None
@@ -79,8 +80,7 @@ class Tally:
         self._numbers += mask.size
         if self._max_ulp is None and self._how.field.basis is not Basis.LOCAL:
             self._max_ulp = 0
-        if self._max_distance is None and np.isfinite(a).any() and np.isfinite(b).any():
-            self._max_distance = 0.0
+        self._finite = self._finite or bool((np.isfinite(a) & np.isfinite(b)).any())
         rows = np.flatnonzero(mask.any(axis=(1, 2, 3)))
         if not rows.size:
             return
@@ -104,9 +104,12 @@ class Tally:
     def result(self) -> FieldDifference:
         """What was counted."""
         field = self._how.field
+        # zero where nothing differs, and no distance where what differs is not finite
+        nothing = 0.0 if self._finite and not self._different else None
         return FieldDifference(
             field.name, field.a.unit, field.basis, self._numbers, self._different, self._zeros, self._payloads,
-            self._first_step, self._first_ulp, self._max_ulp, self._max_distance,
+            self._first_step, self._first_ulp, self._max_ulp,
+            nothing if self._max_distance is None else self._max_distance,
         )  # fmt: skip
 
 

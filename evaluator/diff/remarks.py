@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import numpy as np
 
+from evaluator.diff import words
 from evaluator.diff.common import CommonField
 from evaluator.diff.hashes import CommonHashes
 from evaluator.diff.result import Basis
 from evaluator.diff.selection import Selection
-from evaluator.diff.states import CommonStates
+from evaluator.diff.splits import Agreement
+from evaluator.diff.states import CommonStates, Ends
 
 Fields = tuple[CommonField, ...]
+
+_FIELDS = 8  # named; of the others, how many
 
 
 def no_times(a: Selection, b: Selection) -> str:
@@ -53,12 +57,16 @@ def uncommon(a: Selection, b: Selection, states: CommonStates) -> list[str]:
     n_a, n_b = (side.recording.configuration.n_env for side in (a, b))
     if n_a != n_b and len(a.envs) == len(b.envs) > 1:
         found.append(f"environments from {min(n_a, n_b)} on: a has {n_a}, b has {n_b}")
-    last_a, last_b = states.last_a(), states.last_b()
-    if not len(states) or last_a is None or last_b is None:
-        return found
-    for name, last, common in (("a", last_a, states.steps_a[-1]), ("b", last_b, states.steps_b[-1])):
-        if last > common:
-            found.append(f"states of {name} after its step {common}, up to {last}")
+    for number, name in enumerate("ab"):
+        fields: dict[Ends, list[str]] = {}
+        for index, how in enumerate(states.fields):
+            fields.setdefault(states.ends(index)[number], []).append(how.field.name)
+        for ends, names in fields.items():
+            if ends.own is None or ends.own == ends.common:
+                continue
+            of_which = "" if len(names) == len(states.fields) else f" of {words.shortened(names, _FIELDS)}"
+            since = "" if ends.common is None else f" after its step {ends.common}"
+            found.append(f"states of {name}{of_which}{since}, up to {ends.own}")
     return found
 
 
@@ -83,3 +91,13 @@ def notes(a: Selection, b: Selection, fields: Fields, hashes: CommonHashes | Non
             "equal, and distances in ULPs are those of float32"
         )
     return tuple(found)
+
+
+def timed(agreement: Agreement | None) -> tuple[str, ...]:
+    """What the hashes of the timed phase say, which are compared beside those of the capture, where they differ."""
+    if agreement is None or agreement.first is None:
+        return ()
+    first, of = agreement.first, f"{agreement.pairs} pair{'s' if agreement.pairs > 1 else ''} of envs"
+    return (
+        f"state hashes of the timed phase differ: first at its step {agreement.first_step()}, {first.count} of {of}",
+    )

@@ -105,6 +105,9 @@ class Compared:
     n_env           pairs of environments
     state_steps     common recorded steps of the states, as steps of side a: count, first and last; None without any
     hash_steps      the same of the state hashes; None where they cannot be used, and `no_hashes` says why
+    hash_phase      the phase that these hashes are of: "capture", or "timed" where nothing was captured; empty without
+    timed_steps     the same of the timed phase's hashes beside those of the capture; None where none can be used
+    unseen_steps    steps of either phase at which hashes differ and no state is common: no number of them is known
     left_out        what either side has and the comparison has not, a sentence each
     """
 
@@ -112,6 +115,9 @@ class Compared:
     n_env: int
     state_steps: StepRange | None
     hash_steps: StepRange | None
+    hash_phase: str
+    timed_steps: StepRange | None
+    unseen_steps: int
     no_hashes: str
     left_out: tuple[str, ...]
 
@@ -187,6 +193,7 @@ class Contacts:
 class Divergence:
     """Where the two part first.
 
+    phase           "capture", or "timed" where nothing of the capture differs
     step_a, step_b  first step at which any environment differs; the two are unequal where dt is
     time            simulated time [s]
     after_step      last common step before it, of side a: up to there all are equal; None where there is none. Where it
@@ -199,6 +206,7 @@ class Divergence:
     contacts_a, contacts_b  at that step; None where they were not counted
     """
 
+    phase: str
     step_a: int
     step_b: int
     time: float
@@ -214,7 +222,7 @@ class Divergence:
     @property
     def located(self) -> bool:
         """Whether the states of this very step were recorded, so that body, field and component are known."""
-        return self.state is not None and self.state.step == self.step_a
+        return self.state is not None and self.state.step == self.step_a and self.phase == "capture"
 
 
 @dataclass(frozen=True)
@@ -291,12 +299,13 @@ class Difference:
     one_recording          both are of one recording
     compared               over what
     bitwise                whether every field could be compared bit by bit
-    bit_identical          all that was compared is, bit for bit; False where bits could not be compared
+    bit_identical          all that was compared is, bit for bit, hashes of the timed phase included; False where bits
+                           could not be compared
     same_up_to_env_order   the environments of b have the trajectories of those of a, in any order; None where that
                            cannot be told
     first                  where they part; None where they do not
-    max_ulp                largest of any field at any common recorded step; None where no field could be compared in
-                           units in the last place, or no state was recorded by both
+    max_ulp                largest of any field that can be compared in units in the last place, at any common recorded
+                           step; None where there is none. Other fields, and `unseen_steps`, may be further apart
     growth                 None, and `no_growth` says why
     splits                 which states are the same, and when they part
     settings               what configurations, provenance, options, versions and attachments differ in

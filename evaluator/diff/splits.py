@@ -92,9 +92,15 @@ class Classes:
             self._trajectory = mix((self._trajectory + np.uint64(GOLDEN)) ^ both)
             self._last = both
 
-    def same_up_to_order(self) -> bool:
-        """Whether both sides have the same trajectories, each as often."""
-        a, b = self._trajectory[: self._n_a], self._trajectory[self._n_a :]
+    def same_up_to_order(self, other: Classes | None = None) -> bool:
+        """Whether both sides have the same trajectories, each as often.
+
+        other  of another phase of the same environments: then those of both phases together
+        """
+        trajectory = self._trajectory
+        if other is not None:
+            trajectory = mix((trajectory + np.uint64(GOLDEN)) ^ other._trajectory)
+        a, b = trajectory[: self._n_a], trajectory[self._n_a :]
         return np.array_equal(np.sort(a), np.sort(b))
 
     def result(self, agreement: Agreement, *, by_hashes: bool) -> Splits:

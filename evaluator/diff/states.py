@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any
 
@@ -17,13 +18,24 @@ from evaluator.state_array import StateArray
 
 _ROWS = 50  # a block's rows, so that few are decoded twice
 _BYTES = 16 << 20  # of one field on one side; never less than a row
+_NONE: tuple[NDArray[np.int64], NDArray[np.int64]] = (np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64))
+
+
+@dataclass(frozen=True)
+class Ends:
+    """Last steps of one side's field: of those that both sides recorded, and of its own; None without any."""
+
+    common: int | None
+    own: int | None
 
 
 class CommonStates:
     """States at the steps that both sides recorded, of the fields that both have.
 
+    A file that was cut short has more rows of its first field than of its last: each field has common steps of its own.
+
     fields   and how they are compared
-    steps_a  common steps, of side a, shape [step]
+    steps_a  steps at which any field is common, of side a, shape [step]
     steps_b  the same of side b
     """
 
@@ -32,25 +44,32 @@ class CommonStates:
         self._a, self._b = a, b
         self._of_a = [a.recording.state(p.field.a.group, p.field.a.field) for p in self.fields]
         self._of_b = [b.recording.state(p.field.b.group, p.field.b.field) for p in self.fields]
-        # a file that was cut short may have a row more of its first field than of its last
-        self.steps_a, self.steps_b = common_steps(_all_have(self._of_a), _all_have(self._of_b), ratio)
+        common = [
+            common_steps(of_a.steps, of_b.steps, ratio) for of_a, of_b in zip(self._of_a, self._of_b, strict=True)
+        ]
+        self.steps_a, self.steps_b = (_any_has(steps) for steps in zip(*common, strict=True)) if common else _NONE
+        self._has = [np.isin(self.steps_a, of_a, assume_unique=True) for of_a, _ in common]
 
     def __len__(self) -> int:
         return len(self.steps_a)
 
-    def last_a(self) -> int | None:
-        """Last recorded step of side a, common or not."""
-        return _last(self._of_a)
+    def ends(self, number: int) -> tuple[Ends, Ends]:
+        """Where a field ends, on side a and on side b."""
+        has = self._has[number]
+        return (
+            Ends(_last(self.steps_a[has]), _last(self._of_a[number].steps)),
+            Ends(_last(self.steps_b[has]), _last(self._of_b[number].steps)),
+        )
 
-    def last_b(self) -> int | None:
-        """Last recorded step of side b, common or not."""
-        return _last(self._of_b)
+    def has(self, number: int, rows: slice) -> NDArray[np.bool_]:
+        """At which of a range of common steps both sides have a field, shape [step]."""
+        return self._has[number][rows]
 
     def read(self, number: int, rows: slice) -> tuple[NDArray[Any], NDArray[Any]]:
-        """A field of both sides at a range of common steps, each [step, env, item, component]."""
-        field = self.fields[number].field
-        a = _rows(self._of_a[number], self.steps_a[rows], self._a.slice)
-        b = _rows(self._of_b[number], self.steps_b[rows], self._b.slice)
+        """A field of both sides at those common steps of a range that have it, each [step, env, item, component]."""
+        field, has = self.fields[number].field, self.has(number, rows)
+        a = _rows(self._of_a[number], self.steps_a[rows][has], self._a.slice)
+        b = _rows(self._of_b[number], self.steps_b[rows][has], self._b.slice)
         return picked(a, field.items_a, field.components_a), picked(b, field.items_b, field.components_b)
 
     def ranges(self) -> Iterator[slice]:
@@ -78,18 +97,17 @@ class CommonStates:
         return int(max(spans))
 
 
-def _all_have(arrays: Sequence[StateArray]) -> NDArray[np.int64]:
-    common: NDArray[np.int64] = arrays[0].steps if arrays else np.empty(0, dtype=np.int64)
-    for array in arrays[1:]:
-        common = np.intersect1d(common, array.steps)
-    return np.asarray(common)
+def _any_has(steps: Sequence[NDArray[np.int64]]) -> NDArray[np.int64]:
+    return np.unique(np.concatenate(steps))
 
 
-def _last(arrays: Sequence[StateArray]) -> int | None:
-    return max((int(array.steps[-1]) for array in arrays if len(array)), default=None)
+def _last(steps: NDArray[np.int64]) -> int | None:
+    return int(steps[-1]) if len(steps) else None
 
 
 def _rows(array: StateArray, steps: NDArray[np.int64], envs: slice) -> NDArray[Any]:
+    if not len(steps):
+        return array.read(slice(0), envs)
     at = np.searchsorted(array.steps, steps)
     read: NDArray[Any] = array.read(slice(int(at[0]), int(at[-1]) + 1), envs)
     return read if len(read) == len(at) else read[at - at[0]]

@@ -11,6 +11,7 @@ from rich.text import Text
 from evaluator.diff import words
 from evaluator.diff.result import Basis, Difference, Divergence, Number, Verdict
 from evaluator.diff.text_growth import print_growth
+from evaluator.diff.text_numbers import print_numbers
 from evaluator.diff.text_splits import print_splits
 from evaluator.report.console import make_console, plain_table
 from evaluator.report.text import printable
@@ -47,15 +48,34 @@ def _line(console: Console, text: str) -> None:
 
 
 def _verdict(found: Difference) -> str:
+    part = bool(found.compared.left_out or found.lost)
     if found.verdict is Verdict.IDENTICAL:
-        return "BIT-IDENTICAL"
+        return "EQUAL AS FAR AS COMPARED, bit for bit; not all was compared" if part else "BIT-IDENTICAL"
     if found.verdict is Verdict.WITHIN_RESOLUTION:
-        return "EQUAL WITHIN THE RESOLUTION; bits cannot be compared"
+        far = " AS FAR AS COMPARED" if part else ""
+        return f"EQUAL WITHIN THE RESOLUTION{far}; bits cannot be compared"
     assert found.first is not None
-    where = f"from step {found.first.step_a} ({found.first.time:g} s) on"
+    step = f"step {found.first.step_a} ({found.first.time:g} s){_of_timed(found, found.first)}"
+    where = f"from {step} on" if _stays(found, found.first) else f"first at {step}"
     if found.same_up_to_env_order:
         return f"DIFFERENT {where}: the same trajectories, but of other environments"
     return f"DIFFERENT {where}"
+
+
+def _stays(found: Difference, first: Divergence) -> bool:
+    """Whether no pair is known to become equal again, so that the sides differ at every known step from here on."""
+    if _of_timed(found, first):
+        return False  # it is not known pair by pair
+    agreeing = found.splits.agreeing
+    then = [change.count for change in agreeing if change.step <= first.step_a][-1:]
+    later = [change.count for change in agreeing if change.step > first.step_a]
+    counts = [*then, *later]
+    return bool(then) and then[0] < found.compared.n_env and counts == sorted(counts, reverse=True)
+
+
+def _of_timed(found: Difference, first: Divergence) -> str:
+    # where there is a capture beside it, which is the same
+    return " of the timed phase" if first.phase == "timed" and found.compared.hash_phase != "timed" else ""
 
 
 def _over(found: Difference) -> str:
@@ -65,6 +85,8 @@ def _over(found: Difference) -> str:
         if steps:
             hashes = " by 64-bit hashes" if what == "step" else ""
             parts.append(f"{words.counted(steps.count, what)} from step {steps.first} to {steps.last}{hashes}")
+    if compared.timed_steps:
+        parts.append(f"{words.counted(compared.timed_steps.count, 'step')} of the timed phase by 64-bit hashes")
     return ", ".join(parts)
 
 
@@ -92,6 +114,8 @@ def _print_first(console: Console, found: Difference, first: Divergence) -> None
 
 def _where(found: Difference, first: Divergence) -> list[tuple[str, str]]:
     state = first.state
+    if first.phase == "timed":
+        return [("field and body", "not known: of the timed phase hashes are kept, and no states")]
     if state is None and found.compared.state_steps is None:
         return [("field and body", "not known: the recordings have no states of a common step, only hashes")]
     if state is None:
@@ -132,14 +156,16 @@ def _print_fields(console: Console, found: Difference) -> None:
         return
     by = " or ".join(dict.fromkeys(_BASIS[f.basis] for f in found.compared.fields))
     console.print(printable(f"recorded states at all common steps; numbers that differ {by}"), style="bold")
-    table = plain_table("", "differ", "of", "from step", "ULP then", "max ULP", "max |a - b|")
+    titles = ("", "differ", "of", "from step", "ULP then", "max ULP", "max |a - b|")
+    rows = []
     for field in found.compared.fields:
         first = words.NONE if field.first_step is None else str(field.first_step)
         ulps = (words.ulps(field.first_ulp), words.ulps(field.max_ulp))
         cells = (f"{field.different:,}", f"{field.numbers:,}", first, *ulps)
-        distance = words.amount(field.max_distance, field.unit)
-        table.add_row(Text(printable(field.field)), *(Text(printable(cell)) for cell in (*cells, distance)))
-    console.print(table)
+        nowhere = field.different and field.max_distance is None
+        distance = "not finite" if nowhere else words.amount(field.max_distance, field.unit)
+        rows.append((field.field, *cells, distance))
+    print_numbers(console, titles, rows)
     for field in differing:
         for count, what in ((field.signed_zeros, "0.0 against -0.0"), (field.nan_payloads, "NaN of another payload")):
             if count:

@@ -5,11 +5,10 @@ from __future__ import annotations
 import math
 
 from rich.console import Console
-from rich.text import Text
 
 from evaluator.diff import words
 from evaluator.diff.result import Difference, Growth
-from evaluator.report.console import plain_table
+from evaluator.diff.text_numbers import print_numbers
 from evaluator.report.text import printable
 
 _ROWS, _WIDTH = 6, 60
@@ -24,11 +23,11 @@ def print_growth(console: Console, found: Difference) -> None:
         console.print()
         return
     console.print(printable(f"distances of bodies ({', '.join(growth.groups)})"), style="bold")
-    table = plain_table("t [s]", "median, planar", "max, planar", "median, 3D", "max, 3D")
+    rows = []
     for row in _chosen(growth):
         columns = (growth.median_planar, growth.max_planar, growth.median_spatial, growth.max_spatial)
-        table.add_row(*(Text(cell) for cell in (f"{growth.times[row]:g}", *(words.length(c[row]) for c in columns))))
-    console.print(table)
+        rows.append((f"{growth.times[row]:g}", *(words.length(c[row]) for c in columns)))
+    print_numbers(console, ("t [s]", "median, planar", "max, planar", "median, 3D", "max, 3D"), rows)
     for line in _lines(growth):
         console.print(printable(f"  {line}"))
     console.print()
@@ -67,5 +66,5 @@ def _lines(growth: Growth) -> list[str]:
             f"{fit.begin:g} to {fit.end:g} s (first difference to 1 mm), R2 {fit.r_squared:.3f}"
         )
     if growth.not_finite_from is not None:
-        lines.append(f"positions are not finite from step {growth.not_finite_from} on; those are left out")
+        lines.append(f"positions that are not finite, first at step {growth.not_finite_from}, are left out")
     return lines

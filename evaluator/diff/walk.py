@@ -53,30 +53,38 @@ def walk_states(
     for rows in states.ranges():
         steps = states.steps_a[rows]
         differ = np.zeros((len(steps), agreement.pairs), dtype=bool)
+        whole, all_placed = np.ones(len(steps), dtype=bool), np.ones(len(steps), dtype=bool)
         placed: list[Any] = []
         hash_a, hash_b = (np.zeros((len(steps), len(side.envs)), dtype=np.uint64) for side in (a, b))
         for index, (how, tally) in enumerate(zip(states.fields, tallies, strict=True)):
+            has = states.has(index, rows)
+            whole &= has
+            if how.field.is_position:
+                all_placed &= has
+            if not has.any():
+                continue
             of_a, of_b = states.read(index, rows)
             mask = how.differs(of_a, of_b)
-            tally.add(steps, of_a, of_b, mask)
-            differ |= mask.any(axis=(2, 3))
+            tally.add(steps[has], of_a, of_b, mask)
+            differ[has] |= mask.any(axis=(2, 3))
             if how.field.is_position:
-                placed.append((how, of_a, of_b))
+                placed.append((how, has, of_a, of_b))
             if found is not None:
-                hash_a += _hash(of_a, index)
-                hash_b += _hash(of_b, index)
+                hash_a[has] += _hash(of_a, index)
+                hash_b[has] += _hash(of_b, index)
         agreement.add(steps, differ)
         if hashes is not None:
-            hashes.check(steps, differ, a, b)
+            hashes.check(steps[whole], differ[whole], a, b)  # which are over all fields
         if found is not None:
             found.add(steps, hash_a, hash_b)
-        if distances is not None:
-            distances.add(steps, placed)
+        if distances is not None and all_placed.any():
+            bodies = [(how, of_a[all_placed[has]], of_b[all_placed[has]]) for how, has, of_a, of_b in placed]
+            distances.add(steps[all_placed], bodies)
     return Walked(
         tuple(tally.result() for tally in tallies),
         agreement,
         found,
-        distances.result(a.recording.configuration.dt) if distances is not None and len(states) else None,
+        distances.result(a.recording.configuration.dt) if distances else None,
     )
 
 

@@ -49,7 +49,11 @@ def check_content(
     """Recompute every digest that can be; hold state hashes against the states.
 
     provenance, simulation  None where they cannot be read; what the states are is then not known
+    end                     None where nothing claims a digest; the states that are there still have hashes
     """
+    if end is None:
+        _check_states_alone(path, provenance, simulation, problems)
+        return
     claimed = dict(end.digests)
     found = {attachment_name(name): hashlib.sha256(data).hexdigest() for name, data in scan.attachments.items()}
     scan.doubtful.update(
@@ -68,9 +72,11 @@ def check_content(
     else:
         found |= _reordered(container, scan, lost)
         if provenance is not None and simulation is not None:
-            found |= _states(container, provenance.configuration, simulation.fields, lost, problems)
+            found |= _states(container, provenance.configuration, simulation.fields, lost, problems, ended=True)
         else:
             lost |= {name: "nothing says what they are" for name in claimed if name.startswith(_STATE)}
+            if topics.fingerprint("capture") in scan.streams:
+                problems.skip("nothing says what the states are that the hashes are of", Kind.state_hash)
     if named := sorted(lost):
         more = f" and {len(named) - _SHOWN} more" if len(named) > _SHOWN else ""
         told = ", ".join(named[:_SHOWN])
@@ -84,6 +90,20 @@ def check_content(
     status = names.get(end.status, "").removeprefix("RUN_STATUS_").lower()
     if content_hash(claimed, status, end.reason) != end.content_hash:
         problems.add(Kind.content_hash, "the end record was changed since the recording was made")
+
+
+def _check_states_alone(
+    path: Path, provenance: Provenance | None, simulation: Simulation | None, problems: Problems
+) -> None:
+    if provenance is None:
+        problems.skip("nothing says what the states are", Kind.state_hash)
+        return
+    container = Container(path)
+    lost: dict[str, str] = {}
+    _states(container, provenance.configuration, simulation.fields if simulation else (), lost, problems, ended=False)
+    for name, reason in lost.items():
+        problems.add(Kind.stream, f"{name} cannot be read: {reason}")
+        problems.skip(reason, Kind.state_hash)
 
 
 def _reordered(container: Container, scan: Scan, lost: dict[str, str]) -> dict[str, str]:
@@ -105,8 +125,9 @@ def _reordered(container: Container, scan: Scan, lost: dict[str, str]) -> dict[s
 
 def _states(
     container: Container, configuration: RunConfiguration, fields: Sequence[StateField], lost: dict[str, str],
-    problems: Problems,
+    problems: Problems, *, ended: bool,
 ) -> dict[str, str]:  # fmt: skip
+    # digests by name; what cannot be read is added to `lost`. `ended`: nothing was cut off
     stated = {(p.group, p.field) for p in map(topics.parse_state, container.channels) if p}
     arrays: dict[str, StateArray] = {}
     for field in fields:
@@ -115,12 +136,20 @@ def _states(
                 arrays[state_name(field)] = StateArray(container, configuration, field)
             except RecordingError as error:
                 lost[state_name(field)] = without_path(error, container.path)
-    if len({len(array) for array in arrays.values()}) > 1:
+    if ended and len({len(array) for array in arrays.values()}) > 1:
         problems.add(Kind.stream, "the state fields have different numbers of rows")
-    hashes = _hashes(container, configuration, problems) if len(arrays) == len(fields) else None
+        problems.skip("the state fields have different numbers of rows", Kind.state_hash)
+    hashes = _hashes(container, configuration, problems)
+    missing = [f.name for f in fields if state_name(f) not in lost and not len(arrays.get(state_name(f), ()))]
+    if hashes is not None and missing:
+        more = f" and {len(missing) - _SHOWN} more" if len(missing) > _SHOWN else ""
+        told = ", ".join(missing[:_SHOWN]) + more
+        problems.skip(f"hashes are of all fields, and states of {told} are not there", Kind.state_hash)
+    elif hashes is not None and not fields:
+        problems.skip("nothing says what the states are that the hashes are of", Kind.state_hash)
     digests = {name: ContentDigest() for name in arrays}
     for rows in _ranges(list(arrays.values())):
-        blocks = []
+        blocks, steps = [], []
         for name, array in arrays.items():
             if name in lost:
                 continue
@@ -131,25 +160,32 @@ def _states(
                 continue
             digests[name].state(array.field, configuration.n_env, block)
             blocks.append(block)
-        same_rows = len({len(block) for block in blocks}) == 1
-        if hashes is not None and len(blocks) == len(fields) and same_rows:
-            _compare(hashes, next(iter(arrays.values())).steps[rows], fingerprint(blocks), problems)
+            steps.append(array.steps[rows])
+        if hashes is not None and len(blocks) == len(fields):
+            _compare(hashes, blocks, steps, problems)
     return {name: digest for name, d in digests.items() if name not in lost for digest in d.digests().values()}
 
 
 def _hashes(container: Container, configuration: RunConfiguration, problems: Problems) -> Fingerprints | None:
     try:
         return read_fingerprints(Messages(container), "capture", n_env=configuration.n_env, cut_short=True)
-    except RecordingError:
-        return None  # told as a stream that cannot be read
+    except RecordingError as error:  # told as a stream that cannot be read
+        problems.skip(without_path(error, container.path), Kind.state_hash)
+        return None
 
 
-def _compare(hashes: Fingerprints, steps: Any, computed: Any, problems: Problems) -> None:
+def _compare(hashes: Fingerprints, blocks: Sequence[Any], steps: Sequence[Any], problems: Problems) -> None:
     import numpy as np
 
-    _, at_recorded, at_computed = np.intersect1d(hashes.steps, steps, return_indices=True)
+    rows = min(map(len, steps))  # a run that was cut short may have a row more of some fields than of others
+    common = steps[0][:rows]
+    if any((other[:rows] != common).any() for other in steps):
+        problems.skip("the state fields are of different steps", Kind.state_hash)
+        return
+    computed = fingerprint([block[:rows] for block in blocks])
+    _, at_recorded, at_computed = np.intersect1d(hashes.steps, common, return_indices=True)
     wrong = (hashes.hashes[at_recorded] != computed[at_computed]).any(axis=1)
-    for step in steps[at_computed[wrong]]:
+    for step in common[at_computed[wrong]]:
         problems.add(Kind.state_hash, f"at step {step}")
 
 

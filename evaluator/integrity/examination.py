@@ -69,12 +69,12 @@ def examine(path: str | Path, *, verify: bool = True) -> Integrity:
     except NotARecording as error:  # it was one a moment ago
         return _nothing(path, error)
     end = read_end(found, problems)
-    provenance = _attached(Provenance, found, PROVENANCE, problems)
+    provenance = _attached(Provenance, recording and recording.provenance, found, PROVENANCE, problems)
     if provenance is None:
         problems.add(
             Kind.not_a_recording, f"{PROVENANCE} is not there or cannot be read: nothing can be said of the run"
         )
-    simulation = _attached(Simulation, found, SIMULATION, problems)
+    simulation = _attached(Simulation, recording and recording.simulation, found, SIMULATION, problems)
     if not found.finished:
         problems.skip("the file does not end as it should", Kind.data_crc, Kind.summary, Kind.summary_crc, Kind.library)
     if end is None:
@@ -92,9 +92,8 @@ def examine(path: str | Path, *, verify: bool = True) -> Integrity:
             check_streams(recording, problems)
         else:
             problems.skip(not_opened, *OF_STREAMS)
-        if end is not None:
-            with problems.noting(Kind.stream, path=path):
-                check_content(path, provenance, simulation, found, end, problems)
+        with problems.noting(Kind.stream, Kind.digest, Kind.content_hash, Kind.state_hash, path=path):
+            check_content(path, provenance, simulation, found, end, problems)
     if recording is None and not problems.kinds():
         problems.add(Kind.stream, not_opened)
     found.close()  # many files are examined before any of them is reported
@@ -108,9 +107,9 @@ def _nothing(path: Path, error: NotARecording) -> Integrity:
     return Integrity(path, problems, None, str(error), None, None, None, None, complete=False)
 
 
-def _attached(kind: Any, found: Scan, name: str, problems: Problems) -> Any:
-    parsed = None
-    if name in found.attachments:
+def _attached(kind: Any, parsed: Any, found: Scan, name: str, problems: Problems) -> Any:
+    # what the recording could parse is not parsed again: it may be large
+    if parsed is None and name in found.attachments:
         with problems.noting(Kind.stream):
             parsed = kind.from_json(bytes(found.attachments[name]))
     return parsed

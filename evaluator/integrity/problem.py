@@ -99,18 +99,36 @@ class Problems:
         return tuple(self._found)
 
     @contextmanager
-    def noting(self, kind: Kind, *, path: object = "") -> Iterator[None]:
+    def noting(self, kind: Kind, *unknown: Kind, path: object = "") -> Iterator[None]:
         """Damage that is met inside is a problem of this kind; whatever else is raised goes on.
 
-        path  of the file, which messages of errors begin with and a problem does not repeat
+        unknown  kinds that are then not looked for
+        path     of the file, which messages of errors begin with and a problem does not repeat
         """
-        try:
+        with self._caught(path) as reasons:
             yield
+        for reason in reasons:
+            self.add(kind, reason)
+            self.skip(reason, *unknown)
+
+    @contextmanager
+    def skipping(self, *kinds: Kind, path: object = "") -> Iterator[None]:
+        """Damage that is met inside ends the search for these kinds, and is told as a problem elsewhere."""
+        with self._caught(path) as reasons:
+            yield
+        for reason in reasons:
+            self.skip(reason, *kinds)
+
+    @contextmanager
+    def _caught(self, path: object) -> Iterator[list[str]]:
+        reasons: list[str] = []
+        try:
+            yield reasons
         except GsbError as error:
-            self.add(kind, without_path(error, path))
+            reasons.append(without_path(error, path))
         except (ValueError, OverflowError, KeyError, IndexError, MemoryError) as error:
             # numbers of a stranger that numpy cannot take; evaluator.run_data reads them the same way
-            self.add(kind, str(error) or type(error).__name__)
+            reasons.append(str(error) or type(error).__name__)
 
 
 def without_path(error: GsbError, path: object) -> str:

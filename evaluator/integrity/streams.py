@@ -9,10 +9,10 @@ import numpy as np
 
 from evaluator.integrity.problem import Kind, Problems
 from evaluator.recording import Recording
-from schemas.provenance import REAL, SCENE
+from schemas.provenance import LOGGED, REAL, SCENE
 
-_MAX_STEPS = 1 << 24
-"""State hashes are expected for no more captured steps than that: no recording holds so many."""
+_PHASE_OF = {"stall": "capture", "drain": "capture"}
+"""Clocks whose phase has another name."""
 
 
 def check_streams(recording: Recording, problems: Problems) -> None:
@@ -34,19 +34,26 @@ def check_streams(recording: Recording, problems: Problems) -> None:
     for read in reads:
         with problems.noting(Kind.stream, path=recording.path):
             read()
-    for check in (_clocks, _fingerprints, _observer, _contradictions, _dropouts):
-        # what cannot be read is told above
-        with Problems().noting(Kind.stream):
-            check(recording, problems)
+    for kind, checks in _CHECKS.items():
+        for check in checks:
+            # what cannot be read is told above
+            with problems.skipping(kind, path=recording.path):
+                check(recording, problems)
 
 
-def _clocks(recording: Recording, problems: Problems) -> None:
+def _event_clock(recording: Recording, problems: Problems) -> None:
     times = [event.monotonic_ns for event in recording.events]
     if any(later < earlier for earlier, later in zip(times, times[1:], strict=False)):
         problems.add(Kind.clock, "the clock of /run/event runs backwards")
+
+
+def _memory_clocks(recording: Recording, problems: Problems) -> None:
     for source, trace in recording.memory.items():
         if (np.diff(trace.time_ns) < 0).any():
             problems.add(Kind.clock, f"the clock of /memory/{source} runs backwards")
+
+
+def _phases(recording: Recording, problems: Problems) -> None:
     spans: dict[str, list[int]] = {}
     for event in recording.events:
         if event.kind in ("PHASE_BEGIN", "PHASE_END"):
@@ -54,25 +61,25 @@ def _clocks(recording: Recording, problems: Problems) -> None:
     for phase, span in spans.items():
         if len(span) != 2 and recording.status == "complete":
             problems.add(Kind.clock, f"phase {phase} has {len(span)} begins and ends, not one of each")
-        timing = recording.timing.get(phase)
-        if timing is not None and len(span) == 2 and not span[0] <= timing.start_ns[0] <= timing.end_ns[-1] <= span[1]:
-            problems.add(Kind.clock, f"the steps of phase {phase} are clocked outside of the phase")
+    for name, timing in recording.timing.items():
+        span = spans.get(_PHASE_OF.get(name, name), [])
+        if len(span) == 2 and not span[0] <= timing.start_ns[0] <= timing.end_ns[-1] <= span[1]:
+            problems.add(Kind.clock, f"/timing/{name} is clocked outside of the phase {_PHASE_OF.get(name, name)}")
 
 
 def _fingerprints(recording: Recording, problems: Problems) -> None:
     c = recording.configuration
     if recording.status != "complete" or c.simulator == REAL:
         return
-    if "capture" in c.phases and c.steps < _MAX_STEPS:
+    if "capture" in c.phases:
         found = recording.fingerprints("capture")
-        there = np.zeros(c.steps + 1, dtype=bool)
-        if found is not None:
-            there[found.steps[found.steps <= c.steps]] = True
-        if not there.all():
-            missing = np.flatnonzero(~there)
+        # sorted, each once; how many steps were asked for is a stranger's number, and nothing of its size is made
+        there = np.empty(0, dtype=np.int64) if found is None else found.steps[found.steps <= c.steps]
+        if missing := c.steps + 1 - len(there):
+            gaps = np.flatnonzero(there != np.arange(len(there)))
+            first = gaps[0] if len(gaps) else len(there)
             problems.add(
-                Kind.fingerprint,
-                f"{len(missing)} of {c.steps + 1} captured steps have none, the first is step {missing[0]}",
+                Kind.fingerprint, f"{missing} of {c.steps + 1} captured steps have none, the first is step {first}"
             )
 
 
@@ -87,37 +94,53 @@ def _observer(recording: Recording, problems: Problems) -> None:
             problems.add(Kind.observer, f"at step {step}, in {int(row.sum())} of {len(row)} environments")
 
 
-def _contradictions(recording: Recording, problems: Problems) -> None:
-    add = problems.add
-    gates = [event for event in recording.events if event.kind == "GATE"]
+def _status(recording: Recording, problems: Problems) -> None:
     if recording.status == "complete":
         if recording.reason:
-            add(Kind.contradiction, f"the run is complete, and has a reason not to be: {recording.reason}")
-        for gate in gates:
-            add(Kind.contradiction, f"the run is complete, and a gate fired in phase {gate.phase}: {gate.text}")
-        described = recording.simulation.overflow_bits if recording.simulation else ()
-        for phase, overflows in recording.overflows.items():
-            if fatal := overflows.fatal(described):
-                add(Kind.contradiction, f"the run is complete, and {fatal[0]} overflowed by step {fatal[1]} of {phase}")
-        _complete(recording, problems)
+            problems.add(Kind.contradiction, f"the run is complete, and has a reason not to be: {recording.reason}")
+        if recording.simulation is None:
+            problems.add(Kind.contradiction, "the run is complete, and its simulator was never built")
     elif recording.status in ("failed", "invalid") and not recording.reason:
-        add(Kind.contradiction, f"the run is {recording.status}, and no reason is given")
-    _scene(recording, problems)
+        problems.add(Kind.contradiction, f"the run is {recording.status}, and no reason is given")
 
 
-def _complete(recording: Recording, problems: Problems) -> None:
+def _gates(recording: Recording, problems: Problems) -> None:
+    for event in recording.events if recording.status == "complete" else ():
+        if event.kind == "GATE":
+            what = f"the run is complete, and a gate fired in phase {event.phase}: {event.text}"
+            problems.add(Kind.contradiction, what)
+
+
+def _overflows(recording: Recording, problems: Problems) -> None:
+    described = recording.simulation.overflow_bits if recording.simulation else ()
+    for phase, overflows in recording.overflows.items() if recording.status == "complete" else ():
+        if fatal := overflows.fatal(described):
+            what = f"the run is complete, and {fatal[0]} overflowed by step {fatal[1]} of {phase}"
+            problems.add(Kind.contradiction, what)
+
+
+def _intervals(recording: Recording, problems: Problems) -> None:
     c = recording.configuration
-    if recording.simulation is None:
-        problems.add(Kind.contradiction, "the run is complete, and its simulator was never built")
-    timing = recording.timing.get("timed")
-    if "timed" in c.phases:
-        intervals = -(-c.timed_steps // max(timing.steps_per_interval, 1)) if timing else 0
+    if recording.status != "complete":
+        return
+    asked = {"warmup": c.warmup, "timed": c.timed_steps} if "timed" in c.phases else {}
+    if recording.simulation is not None and recording.simulation.fresh_start == LOGGED:
+        asked.pop("warmup", None)  # a program that is no adapter clocks the timed steps alone
+    if "capture" in c.phases and "capture" in recording.timing:  # older files have none
+        asked["capture"] = c.steps
+    for phase, steps in asked.items():
+        timing = recording.timing.get(phase)
+        intervals = -(-steps // max(timing.steps_per_interval, 1)) if timing else 0
         found = len(timing.start_ns) if timing else 0
-        if timing is None or found != intervals:
-            problems.add(
-                Kind.contradiction, f"{c.timed_steps} steps were to be timed; there are clocks of {found} intervals"
-            )
-    if "capture" in c.phases:
+        if found != intervals or (steps and timing is None):
+            verb = {"warmup": "come first", "timed": "be timed", "capture": "be captured"}[phase]
+            what = f"{steps} steps were to {verb}; there are clocks of {found} intervals"
+            problems.add(Kind.contradiction, what)
+
+
+def _states(recording: Recording, problems: Problems) -> None:
+    c = recording.configuration
+    if recording.status == "complete" and "capture" in c.phases:
         last = 1 if c.simulator == REAL else c.steps
         for field in recording.fields:
             steps = recording.state(field.group, field.field).steps
@@ -140,3 +163,13 @@ def _scene(recording: Recording, problems: Problems) -> None:
 def _dropouts(recording: Recording, problems: Problems) -> None:
     for lost in recording.dropouts:
         problems.add(Kind.dropout, lost)
+
+
+_CHECKS: dict[Kind, tuple[Callable[[Recording, Problems], None], ...]] = {
+    Kind.clock: (_event_clock, _memory_clocks, _phases),
+    Kind.fingerprint: (_fingerprints,),
+    Kind.observer: (_observer,),
+    Kind.contradiction: (_status, _gates, _overflows, _intervals, _states, _scene),
+    Kind.dropout: (_dropouts,),
+}
+"""Comparisons by the kind that each finds; one that cannot be read to its end leaves the others as they are."""

@@ -97,13 +97,24 @@ def _scene(file: Integrity) -> dict[str, Any]:
         raise _NotThere(f"there is no {SCENE}")
     if file.doubtful(SCENE):
         raise _NotThere(f"{SCENE} is not what was recorded")
+    if file.recording is not None:
+        return file.recording.scene
     return checks.load(SCENE, bytes(file.scan.attachments[SCENE]))
 
 
 def _sample_step_recorded(file: Integrity) -> bool:
-    c = _configuration(file)
-    step = round(checks.number(_scene(file), "sample_time", 0, 1e9) / c.dt)
-    return "capture" in c.phases and step <= c.steps and step % c.stride == 0
+    recording = _recording(file)
+    step = round(checks.number(_scene(file), "sample_time", 0, 1e9) / _configuration(file).dt)
+    arrays = [recording.state(field.group, field.field) for field in recording.fields]
+    return bool(arrays) and all(step in array.steps for array in arrays)
+
+
+def _steps_made(file: Integrity, phase: str, asked: int) -> int:
+    recording = _recording(file)
+    if recording.status != "complete":
+        return asked
+    timing = recording.timing.get(phase)
+    return min(asked, len(timing.start_ns) * timing.steps_per_interval) if timing else 0
 
 
 def _checkpoints(file: Integrity, source: str) -> tuple[str, ...]:
@@ -233,6 +244,16 @@ def _field(name: str) -> Callable[[Integrity], Any]:
 FACTS: dict[str, Fact] = {
     **{f"problems.{kind.name}": _problems(kind) for kind in Kind},
     **{name: Fact(type_, meaning, _field(name)) for name, (type_, meaning) in _ASKED.items()},
+    "warmup_made": Fact(
+        FactType.number,
+        "steps of the warm-up that have clocks; of a run that is not complete, those that were asked for",
+        lambda f: _steps_made(f, "warmup", _configuration(f).warmup),
+    ),
+    "timed_steps_made": Fact(
+        FactType.number,
+        "steps of the timed phase that have clocks; of a run that is not complete, those that were asked for",
+        lambda f: _steps_made(f, "timed", _configuration(f).timed_steps),
+    ),
     "asked_phases": Fact(
         FactType.list, "phases that were asked for: timed, capture", lambda f: tuple(_configuration(f).phases)
     ),

@@ -24,21 +24,26 @@ class Target(NamedTuple):
     path: Path
 
 
+def check_free(path: Path) -> None:
+    """UsageError where the name is taken."""
+    if path.exists():
+        raise UsageError(f"{path} exists already; nothing is overwritten: name another")
+
+
 @contextmanager
 def new_file(path: Path) -> Iterator[Target]:
     """A new file, which gets its name when the block ends, and is removed where an error ends it.
 
-    UsageError where the name is taken, GsbError where the disk takes no more.
+    UsageError where the name is taken, GsbError where it cannot be written.
     """
     # of this process alone: NAME.partial may be the very file that is recovered to NAME
     partial = path.with_name(f"{path.name}.{os.getpid()}{PARTIAL}")
-    if path.exists():
-        raise UsageError(f"{path} exists already; nothing is overwritten: name another with --out")
+    check_free(path)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         stream = FileIO(partial, "xb")
     except OSError as error:
-        raise UsageError(f"cannot write to {path.parent}: {error.strerror}") from None
+        raise GsbError(f"cannot write to {path.parent}: {error.strerror}") from None
     try:
         with stream:
             yield Target(stream, partial)

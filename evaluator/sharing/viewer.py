@@ -22,12 +22,13 @@ from schemas.mcap_writer import McapWriter
 class View:
     """A file that was written.
 
-    shapes   bodies and links that are drawn
-    frames   that move
-    times    points of simulated time
-    seconds  of simulated time, from the first to the last
-    notes    what is not drawn, and why
-    layout   for Foxglove, JSON
+    shapes      bodies and links that are drawn
+    frames      that move
+    times       points of simulated time
+    seconds     of simulated time, from the first to the last
+    notes       what is not drawn, and why
+    layout      for Foxglove, JSON
+    incomplete  the recording was cut short
     """
 
     path: Path
@@ -37,6 +38,7 @@ class View:
     seconds: float
     notes: tuple[str, ...]
     layout: str
+    incomplete: bool
 
 
 def write_view(source: Path, path: Path, *, envs: Sequence[int], rate: float, spread: float) -> View:
@@ -76,6 +78,7 @@ def write_view(source: Path, path: Path, *, envs: Sequence[int], rate: float, sp
     return View(
         path, len(shown) * sum(bool(solid.shapes) for solid in solids), sum(len(env.frames) for env in shown),
         len(rows.times), _seconds(rows), tuple(_notes(recording, shown, solids)), text,
+        recording.status == "incomplete",
     )  # fmt: skip
 
 

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 import numpy.typing as npt
@@ -22,8 +25,8 @@ class PermutationFloor:
     floor_mean      mean W1 over the permutations
     floor_q95       95 % quantile over the permutations
     p_value         chance of a W1 this large if the sides were exchangeable
-    n_permutation   permutations drawn
-    seed            seed they were drawn with
+    n_permutation   permutations drawn, or arrangements where all were looked at
+    seed            seed they were drawn with; without a meaning where all were looked at
     extension       what goes beyond the published definition of W1; None where nothing does
     """
 
@@ -55,44 +58,95 @@ def permutation_floor(a: npt.ArrayLike, b: npt.ArrayLike, *, n_permutation: int,
     Raises:
         ValueError: no permutations; shapes of items differ; positions empty or not finite.
     """
+    if n_permutation < 1:
+        raise ValueError(f"n_permutation must be at least 1, got {n_permutation}")
+    a, b = _sides(a, b)
+    rng = np.random.default_rng(seed)
+    order = np.arange(len(a) + len(b))
+    observed, extension, between = _exchange(a, b)
+    floor = np.empty(n_permutation)
+    for i in range(n_permutation):
+        floor[i] = between(rng.permutation(order))
+    return PermutationFloor(
+        observed=observed,
+        floor_mean=float(floor.mean()),
+        floor_q95=float(np.quantile(floor, 0.95)),
+        p_value=(1 + _reached(floor, observed)) / (1 + n_permutation),
+        n_permutation=n_permutation,
+        seed=seed,
+        extension=extension,
+    )
+
+
+def arrangements(a: int, b: int) -> int:
+    """Ways to deal a + b envs to two sides of a and b that W1 tells apart: it is the same with the sides exchanged."""
+    return math.comb(a + b, a) // (2 if a == b else 1)
+
+
+def exhaustive_floor(a: npt.ArrayLike, b: npt.ArrayLike) -> PermutationFloor:
+    """The same over all `arrangements`, the observed one among them: nothing is left to the draw.
+
+        p = #{W1 >= observed} / number of arrangements
+
+    Args:
+        a: positions [any length unit], shape [n_env_a, n_item, d].
+        b: positions [same unit], shape [n_env_b, n_item, d].
+
+    Raises:
+        ValueError: shapes of items differ; positions empty or not finite.
+    """
+    a, b = _sides(a, b)
+    count = len(a) + len(b)
+    observed, extension, between = _exchange(a, b)
+    deals = combinations(range(count), len(a))
+    # of two equal sides, the one with env 0
+    kept = [deal for deal in deals if len(a) != len(b) or deal[0] == 0]
+    floor = np.array([between(np.array([*deal, *sorted(set(range(count)) - set(deal))])) for deal in kept])
+    return PermutationFloor(
+        observed=observed,
+        floor_mean=float(floor.mean()),
+        floor_q95=float(np.quantile(floor, 0.95)),
+        p_value=_reached(floor, observed) / len(kept),
+        n_permutation=len(kept),
+        seed=0,
+        extension=extension,
+    )
+
+
+def _sides(a: npt.ArrayLike, b: npt.ArrayLike) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
     a, b = point_array(a, "a", ndim=3), point_array(b, "b", ndim=3)
     if a.shape[1:] != b.shape[1:]:
         raise ValueError(f"envs of different shape: {list(a.shape[1:])} and {list(b.shape[1:])}")
-    if n_permutation < 1:
-        raise ValueError(f"n_permutation must be at least 1, got {n_permutation}")
+    return a, b
+
+
+def _exchange(
+    a: npt.NDArray[np.float64], b: npt.NDArray[np.float64]
+) -> tuple[float, str | None, Callable[[npt.NDArray[np.int64]], float]]:
+    """The observed W1, its extension, and W1 by the order in which all envs are dealt."""
     envs = in_canonical_order(np.concatenate([a, b]))
     classes = bitwise_classes(envs)
     if classes.max() == 0:
         # One point set throughout: every exchange gives zero, as observed.
-        return PermutationFloor(0.0, 0.0, 0.0, 1.0, n_permutation, seed)
+        return 0.0, None, lambda dealt: 0.0
 
     known: dict[bytes, float] = {}
 
-    def between(side: npt.NDArray[np.int64], other: npt.NDArray[np.int64]) -> float:
+    def between(dealt: npt.NDArray[np.int64]) -> float:
         # Identical envs are interchangeable: an arrangement is which classes a side holds.
+        side, other = dealt[: len(a)], dealt[len(a) :]
         key = np.sort(classes[side]).tobytes()
         if key not in known:
             known[key] = wasserstein1(_pooled(envs[side]), _pooled(envs[other])).value
         return known[key]
 
-    order = np.arange(len(envs))
     first = wasserstein1(_pooled(a), _pooled(b))
     known[np.sort(classes[: len(a)]).tobytes()] = first.value
-    rng = np.random.default_rng(seed)
-    floor = np.empty(n_permutation)
-    for i in range(n_permutation):
-        dealt = rng.permutation(order)
-        floor[i] = between(dealt[: len(a)], dealt[len(a) :])
-    reached = int((floor >= first.value * (1.0 - _TIE)).sum())
-    return PermutationFloor(
-        observed=first.value,
-        floor_mean=float(floor.mean()),
-        floor_q95=float(np.quantile(floor, 0.95)),
-        p_value=(1 + reached) / (1 + n_permutation),
-        n_permutation=n_permutation,
-        seed=seed,
-        extension=first.extension,
-    )
+    return first.value, first.extension, between
+
+
+def _reached(floor: npt.NDArray[np.float64], observed: float) -> int:
+    return int((floor >= observed * (1.0 - _TIE)).sum())
 
 
 def _pooled(envs: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:

@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Iterator
+from dataclasses import replace
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -19,8 +20,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from evaluator import open_recording
-from evaluator.audit.distribution import ALPHA, LawTest, Unit, least_p, runs_needed, same_law
+from evaluator.audit.distribution import ALPHA, MOST_ARRANGEMENTS, LawTest, Unit, least_p, runs_needed, same_law
+from evaluator.audit.replaying import ReplayPlan
 from evaluator.audit.verdict import Level, Match, ladder
+from schemas.provenance import SIMULATION
 from tests.conftest import call, wait_for
 from tests.forging import forge
 from tests.synthetic import grid, write_recording
@@ -201,7 +204,7 @@ def test_a_stricter_requirement_fails(plugin: dict[str, str], tmp_path: Path) ->
     done = _audit(*given, environment=plugin, planted="ulp")
     assert done.returncode == 4, done.stdout + done.stderr
     assert "  verdict   undecided" in done.stdout
-    assert "largest distance 1 ULP; 0 are allowed" in done.stdout
+    assert "largest distance 1 ULP over 6 recorded steps; 0 are allowed" in done.stdout
 
 
 @pytest.mark.slow
@@ -278,7 +281,7 @@ def test_help_loads_nothing_heavy() -> None:
 
 
 def _law(p: float, least: float) -> LawTest:
-    return LawTest(5.0, Unit.RUNS, 3, 3, 4, 4, 1.0, 2.0, p, least, 199, 0)
+    return LawTest(5.0, Unit.RUNS, 3, 3, 4, 4, 1.0, 2.0, p, least, 199, False, 0)
 
 
 def _possible() -> Iterator[tuple[Match, LawTest | str]]:
@@ -325,7 +328,7 @@ def test_all_replays_count() -> None:
 def test_least_p_counts_arrangements(a: int, b: int) -> None:
     """Give the share of one arrangement among all, two among equal sides; exchange of the sides changes nothing."""
     arrangements = math.comb(a + b, a) / (2 if a == b else 1)
-    assert math.isclose(least_p(a, b), max(1 / arrangements, 1 / 200))
+    assert math.isclose(least_p(a, b), 1 / arrangements if arrangements <= MOST_ARRANGEMENTS else 1 / 200)
     assert least_p(a, b) == least_p(b, a)
 
 
@@ -335,6 +338,85 @@ def test_runs_needed(originals: int, needed: int) -> None:
     assert runs_needed(originals) == needed
     assert least_p(originals, needed) <= ALPHA
     assert needed == 1 or least_p(originals, needed - 1) > ALPHA
+
+
+@pytest.mark.parametrize("originals", [*range(1, 25), 60, 450])
+def test_so_many_runs_do_reject(originals: int) -> None:
+    """Tell sides that are far apart from each other with the replays that are named as needed, whatever is drawn."""
+    rng, needed = np.random.default_rng(originals), runs_needed(originals)
+    sides = (
+        [_drawn(rng, envs=1, moved=5.0 * side)[:, :2] for _ in range(n)] for side, n in enumerate((originals, needed))
+    )
+    found = same_law(*sides, time=5.0)
+    assert (found.unit, found.can_reject, found.rejects) == (Unit.RUNS, True, True)
+    assert found.exhaustive == (originals < MOST_ARRANGEMENTS)
+    if found.exhaustive:
+        assert found.p_value == found.least_p
+    # and copies on both sides change nothing
+    copies = same_law([np.zeros((1, 2, 2))] * originals, [np.ones((1, 2, 2))] * needed, time=5.0)
+    assert copies.rejects
+
+
+def test_environments_are_exchanged_with_a_warning() -> None:
+    """Say what an exchange of environments cannot see, and what would."""
+    rng = np.random.default_rng(4)
+    law = same_law([_drawn(rng)], [_drawn(rng)], time=5.0)
+    said = ladder([Match(False, False, None)], lambda: law, max_ulps=4, originals=1).rungs[-1].said
+    assert "it has no power where an environment's number decides, --runs 19 would exchange runs" in said
+
+
+@pytest.mark.parametrize(("ran", "limit"), [(0.5, 600), (40.01, 801), (1e9, 86_400)])
+def test_replays_have_a_time_limit(ran: float, limit: float) -> None:
+    """Bound what a file can ask for by what its run took, within ten minutes and a day, unless the user says."""
+    plan = ReplayPlan(Path("out"))
+    assert plan.within(ran).timeout == limit
+    assert f"--timeout {limit}" in " ".join(plan.within(ran).arguments(Path("a.mcap")))
+    assert replace(plan, timeout=0.0).within(ran).timeout == 0
+
+
+def test_what_was_not_compared_is_not_the_same() -> None:
+    """Decide no level for less than the original, but refute one by what was compared."""
+    part = Match(True, True, 0, left_out="the capture phase")
+    verdict = ladder([part, Match(True, True, 0)], lambda: "none", max_ulps=4, originals=1)
+    assert [rung.holds for rung in verdict.rungs] == [None] * 4
+    assert verdict.rungs[0].said.endswith("not everything of the original was compared: the capture phase")
+    far = Match(False, False, 10, left_out="a field", no_ulps="a field cannot be compared by bits")
+    assert [r.holds for r in ladder([far], lambda: "none", max_ulps=4, originals=1).rungs[:3]] == [False] * 3
+    assert ladder([replace(far, max_ulp=1)], lambda: "none", max_ulps=4, originals=1).rungs[2].holds is None
+
+
+def test_a_part_of_a_recording_is_said_to_be_one(tmp_path_factory: pytest.TempPathFactory, tmp_path: Path) -> None:
+    """Replay the timed phase alone, a forged copy with other names, and one with origins: nothing is bit-identical."""
+    folder = tmp_path_factory.mktemp("whole")
+    given = ("--n-env", "2", "--runs", "1", "--steps", "6", "--warmup", "3", "--timed-steps", "4")
+    assert call("gsb-record", "--sim", "mujoco", *given, "--out", folder).returncode == 0
+    (whole,) = folder.glob("*.mcap")
+    done = _audit(whole, "--phases", "timed", "--out", tmp_path / "timed")
+    assert done.returncode == 5, done.stdout + done.stderr
+    assert "1 of 1 replays: the 2 state hashes of the timed phase of an original; not everything" in done.stdout
+    assert "1 there, 1 distinct by state hashes; 1 here, 1 distinct; 1 together" in done.stdout
+
+    def renamed(document: dict[str, Any]) -> None:
+        for field in document["fields"][1:]:
+            field["items"] = [f"{name}'" for name in field["items"]]
+
+    def elsewhere(document: dict[str, Any]) -> None:
+        document["env_origins"] = [[1.0, 0.0, 0.0]] * 2
+
+    names = forge(whole, tmp_path / "names.mcap", renamed, attachment=SIMULATION)
+    origins = forge(whole, tmp_path / "origins.mcap", elsewhere, attachment=SIMULATION)
+    for forged, bits, within in ((names, None, None), (origins, False, None)):
+        audit = _one(_audit(forged, "--out", tmp_path / "out", "--json", "-"))
+        assert (audit["level"], audit["meets_requirement"]) == (None, None)
+        assert (_rung(audit, "bit-identical")["holds"], _rung(audit, "within-ulps")["holds"]) == (bits, within)
+
+
+def test_two_originals_and_five_replays_are_enough(small_set: list[Path], tmp_path: Path) -> None:
+    """Call another friction cone different with as many replays as the command asks for."""
+    done = _audit(*small_set[:2], "--runs", "5", "--option", "cone=pyramidal", "--out", tmp_path, "--json", "-")
+    audit = _one(done)
+    assert (audit["level"], done.returncode) == ("different", 4), done.stderr
+    assert (audit["law"]["n_permutation"], audit["law"]["exhaustive"]) == (21, True)
 
 
 def _drawn(rng: np.random.Generator, *, envs: int = 8, moved: float = 0.0) -> Any:

@@ -131,7 +131,7 @@ _BROKEN: dict[str, dict[str, Any]] = {
     "dt-of-scene": {"change": _slow_scene},
     "throughput-timed": {"change": _configured(scene="free-fall", phases=["capture"])},
     "outcome-captured": {"change": _configured(phases=["timed"])},
-    "sample-step": {"change": _configured(steps=400, dt=0.01)},
+    "sample-step": {"dt": 0.01, "change": _configured(steps=500)},  # the states end at step 5
     "warm-up": {"change": _configured(warmup=99)},
     "timed-steps": {"change": _configured(timed_steps=999)},
     "timed-phases": {},  # no events
@@ -144,6 +144,34 @@ _BROKEN: dict[str, dict[str, Any]] = {
     "recorder-unmodified": {"change": _recorder(modified=True)},
     "runs": {},
 }
+
+
+@pytest.mark.parametrize("status", ["FAILED", "INVALID"])
+def test_a_sample_step_that_was_only_asked_for(status: str, tmp_path: Path) -> None:
+    """Look for the state at the sample step among the states of a run that ended before it, and of one that did not."""
+    ended = {"status": status, "reason": "gone", "dt": 0.01}
+    assert "sample-step" in broken(whole(tmp_path, **ended, change=_configured(steps=500)))
+    assert "sample-step" in broken(whole(tmp_path, **ended, steps=501, stride=3))
+    assert "sample-step" not in broken(whole(tmp_path, **ended, steps=500))
+
+
+def test_steps_that_were_only_asked_for(tmp_path: Path) -> None:
+    """Count the clocks of the warm-up and of the timed steps of a complete run, not what was asked of it."""
+
+    def clocked(intervals: int, **keywords: Any) -> set[str]:
+        start = [2 * k for k in range(intervals)]
+        message = message_class("gsb.v1.StepTiming")(
+            steps_per_interval=10, start_ns=start, end_ns=[begin + 1 for begin in start]
+        )
+        raw = (("/timing/warmup", "gsb.v1.StepTiming", message),)
+        return broken(whole(tmp_path, change=_configured(warmup=100), shown=Shown(raw=raw), **keywords))
+
+    rules = {"warm-up", "timed-steps"}
+    assert clocked(10) & rules == set()
+    assert clocked(9) & rules == {"warm-up"}
+    assert clocked(10, elapsed_s=None, status="FAILED", reason="gone") & rules == set()
+    untimed = whole(tmp_path, elapsed_s=None, change=_configured(warmup=100, phases=["timed", "capture"]))
+    assert broken(untimed) & rules == rules
 
 
 @pytest.mark.parametrize("rule", _BROKEN)

@@ -355,6 +355,45 @@ def test_what_was_lost_is_said(tmp_path: Path) -> None:
     assert "lost data" in compare(cut, record(tmp_path, still(), dropout="disk full")).lost[1]
 
 
+def test_each_field_is_compared_over_its_own_steps(tmp_path: Path) -> None:
+    """Compare what a file that was cut within a block has of each field, and say what it lacks."""
+    whole = ROOT / "recordings" / "mujoco-pyramidal-r0.mcap"
+    data = whole.read_bytes()
+    (tmp_path / "cut.mcap").write_bytes(data[:300000])
+    cut = Recording(tmp_path / "cut.mcap")
+    ends = {f.name: int(cut.state(f.group, f.field).steps[-1]) for f in cut.fields}
+    assert set(ends.values()) == {50, 100}  # in the middle of a block
+    found = compare(Recording(whole), cut)
+    assert found.bit_identical
+    assert found.compared.state_steps == StepRange(101, 0, 100)
+    for f, field in zip(found.compared.fields, cut.fields, strict=True):
+        assert f.numbers == (ends[f.field] + 1) * 16 * len(field.items) * field.width
+    lacking = [name for name, end in ends.items() if end == 50]
+    assert f"states of a of {', '.join(lacking)} after its step 50, up to 500" in found.compared.left_out
+    other = compare(Recording(ROOT / "recordings" / "mujoco-xeon-r0.mcap"), cut)
+    assert not other.bit_identical
+    assert [f.different > 0 for f in other.compared.fields] == [True] * len(ends)
+
+
+def test_distances_that_are_not_finite(tmp_path: Path) -> None:
+    """Give no distance where one side is NaN, in place of zero, and the largest finite one where there is any."""
+
+    def with_nan(positions: NDArray[Any]) -> None:
+        positions[0, 0, 0] = np.nan
+
+    def and_moved(positions: NDArray[Any]) -> None:
+        positions[0, 0, 0] = np.nan
+        positions[1, 2, 1] += 0.5
+
+    a = record(tmp_path, still())
+    found = compare(a, record(tmp_path, changed(still(), 5, with_nan)))
+    assert [(f.different, f.max_distance) for f in found.compared.fields] == [(STEPS - 4, None)]
+    assert found.growth is not None
+    assert (found.growth.not_finite_from, found.growth.no_fit) == (5, "nothing moved apart of what is finite")
+    (field,) = compare(a, record(tmp_path, changed(still(), 5, and_moved))).compared.fields
+    assert field.max_distance == pytest.approx(0.5, rel=1e-6)
+
+
 def test_nothing_in_common(tmp_path: Path) -> None:
     """Refuse what cannot be compared: no states, no fields, no other environment, none of that number."""
     a = record(tmp_path, still(2))

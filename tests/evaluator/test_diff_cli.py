@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import re
 import shlex
@@ -12,9 +13,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from rich.console import Console
 
 from evaluator.cli.diff import main
 from evaluator.diff.result import Change
+from evaluator.diff.text_numbers import print_numbers
 from evaluator.diff.words import amount, changes, length, ranges, sparkline
 from tests import test_start_up as start_up
 from tests.synthetic import cubes_field, grid, write_recording
@@ -70,6 +73,62 @@ def test_no_difference_in_words(pair: tuple[str, str], capsys: pytest.CaptureFix
     assert main([pair[1], "--env", "0", "--env", "2"]) == 0
     assert main([pair[1], "--env", "0", "--env", "1"]) == 4
     assert main([pair[1]]) == 4
+
+
+def test_what_was_not_compared_is_not_called_identical(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Keep the word for files of which all was compared."""
+    runs = [
+        write_recording(tmp_path, grid(3), steps=steps, path_of=moved(99), name=f"{steps}.mcap") for steps in (5, 9)
+    ]
+    assert main([*map(str, runs)]) == 0
+    shown = capsys.readouterr().out
+    assert "\nEQUAL AS FAR AS COMPARED, bit for bit; not all was compared" in shown
+    assert "BIT-IDENTICAL" not in shown
+    assert "not compared: states of b after its step 5, up to 9" in shown
+    assert main([*map(str, runs), "--json", "-"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert (found["bit_identical"], found["all_compared"]) == (True, False)
+    assert main([str(runs[0]), str(runs[0]), "--json", "-"]) == 0
+    assert json.loads(capsys.readouterr().out)["all_compared"] is True
+
+
+def test_a_difference_that_ends(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Say "on" only where the sides stay apart: here one -0.0 stands at step 7 alone, and one NaN at step 5."""
+
+    def at(number: float, where: int) -> Any:
+        def positions(_: Any, step: int) -> Any:
+            found = grid(2)
+            found[0, 0, 0] = number if step == where else 0.0
+            return found
+
+        return positions
+
+    runs = [
+        str(write_recording(tmp_path, made(None, 9), steps=9, path_of=made, name=name))
+        for name, made in (("a.mcap", at(0.0, 7)), ("zero.mcap", at(-0.0, 7)), ("nan.mcap", at(np.nan, 5)))
+    ]
+    assert main(runs[:2]) == 4
+    shown = capsys.readouterr().out
+    assert "DIFFERENT first at step 7 (7 s)\n" in shown
+    assert "1 of them are 0.0 against -0.0" in shown
+    assert main([runs[0], runs[2], "--json", str(tmp_path / "found.json")]) == 4
+    shown = capsys.readouterr().out
+    assert "DIFFERENT first at step 5 (5 s)\n" in shown
+    assert re.search(r"^cubes/position .* not finite$", shown, re.MULTILINE)
+    assert "positions that are not finite, first at step 5, are left out" in shown
+    assert json.loads((tmp_path / "found.json").read_text())["compared"]["fields"][0]["max_distance"] is None
+
+
+@pytest.mark.parametrize("width", [40, 60, 80])
+def test_numbers_stay_whole_in_a_narrow_terminal(width: int) -> None:
+    """Break titles and names, and no number."""
+    numbers = ("2,560", "3,888", "250", "2.05e+09", "2.12e+09", "0.0377 rad/s")
+    titles = ("", "differ", "of", "from step", "ULP then", "max ULP", "max |a - b|")
+    stream = io.StringIO()
+    print_numbers(Console(file=stream, width=width), titles, [("cubes/angular_velocity", *numbers)])
+    shown = stream.getvalue()
+    assert [line for line in shown.splitlines() if all(f" {number}" in line for number in numbers)]
+    assert max(map(len, shown.splitlines())) <= max(width, 60)
 
 
 def test_json_and_picture(pair: tuple[str, str], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -162,7 +221,7 @@ def test_help_lists_exit_codes(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit):
         main(["--help"])
     shown = capsys.readouterr().out
-    assert [int(n) for n in re.findall(r"^  (\d)  ", shown, re.MULTILINE)] == [0, 2, 3, 4, 5]
+    assert [int(n) for n in re.findall(r"^  (\d)  ", shown, re.MULTILINE)] == [0, 1, 2, 3, 4, 5]
     assert "gsb-diff before.mcap after.mcap" in shown
 
 

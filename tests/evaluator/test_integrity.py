@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import random
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,17 +14,28 @@ from hypothesis import strategies as st
 
 from evaluator.integrity import examine
 from evaluator.integrity.problem import DAMAGE, MAX_KEPT, REMARKS, Kind, Problems
-from evaluator.integrity.unpack import unpack
 from evaluator.rules.findings import check
 from evaluator.rules.rule import Level, load_rules
 from recorder.capture.sink import Sink
+from schemas import checks
+from schemas.decompression import decompress
 from schemas.errors import DamagedRecording, ExitCode
+from schemas.messages import message_class
+from schemas.provenance import LOGGED, PROVENANCE, SCENE, SIMULATION
 from tests.evaluator.damaged import BYTES, REWRITTEN, SCENE_CHANGED, WRITTEN, hashes_of_others, rewritten, whole
 from tests.evaluator.test_strangers import FORGERIES
-from tests.synthetic import grid, write_recording
+from tests.synthetic import Shown, grid, write_recording
 
 ROOT = Path(__file__).resolve().parents[2]
 INTEGRITY = load_rules("integrity-1")
+
+
+def _configured(**changed: Any) -> Callable[[str, dict[str, Any]], None]:
+    def change(name: str, record: dict[str, Any]) -> None:
+        if name == PROVENANCE:
+            record["configuration"] |= changed
+
+    return change
 
 
 def broken(path: Path) -> set[str]:
@@ -101,6 +114,40 @@ def test_hashes_that_are_not_of_the_states(tmp_path: Path, monkeypatch: pytest.M
     assert found.of(Kind.state_hash) == tuple(f"at step {step}" for step in range(6))
 
 
+def test_hashes_of_a_file_without_an_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Hold state hashes against the states also where no end record claims a digest of them."""
+    found = examine(whole(tmp_path, end=False)).problems
+    assert (found.of(Kind.state_hash), found.skipped(Kind.state_hash)) == ((), "")
+    hashes_of_others(monkeypatch)
+    found = examine(whole(tmp_path, end=False)).problems
+    assert found.of(Kind.state_hash) == tuple(f"at step {step}" for step in range(6))
+
+
+def test_hashes_of_a_run_that_was_cut_short(small: Path, tmp_path: Path) -> None:
+    """Find no wrong state hash in a run of several fields wherever it was cut, and compare those that are whole."""
+    data, compared = small.read_bytes(), 0
+    for number in range(12):
+        cut = tmp_path / "cut.mcap"
+        cut.write_bytes(data[: len(data) * (number + 1) // 13])
+        found = examine(cut)
+        assert found.of(Kind.state_hash) == ()
+        compared += bool(found.recording and found.recording.fields) and not found.problems.skipped(Kind.state_hash)
+    assert compared > 0
+
+
+@pytest.mark.parametrize("end", [True, False])
+def test_hashes_of_fields_that_are_not_there(end: bool, tmp_path: Path) -> None:
+    """Say that hashes were not compared where a field that they are of has no states."""
+
+    def more(name: str, record: dict[str, Any]) -> None:
+        if name == SIMULATION:
+            record["fields"].append(record["fields"][0] | {"field": "linear_velocity", "unit": "m/s"})
+
+    found = examine(whole(tmp_path, end=end, change=more))
+    assert found.of(Kind.state_hash) == ()
+    assert "cubes/linear_velocity are not there" in found.problems.skipped(Kind.state_hash)
+
+
 def test_steps_without_hashes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Count the steps that have no hashes, and name the first."""
     write = Sink.write
@@ -111,6 +158,104 @@ def test_steps_without_hashes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
 
     monkeypatch.setattr(Sink, "write", without)
     assert examine(whole(tmp_path)).of(Kind.fingerprint) == ("5 of 6 captured steps have none, the first is step 1",)
+
+
+def test_steps_beyond_what_a_file_can_hold_have_no_hashes(tmp_path: Path) -> None:
+    """Count the hashes that are missing of many steps without making room for them."""
+    found = examine(whole(tmp_path, change=_configured(steps=1 << 40))).of(Kind.fingerprint)
+    assert found == (f"{(1 << 40) - 5} of {(1 << 40) + 1} captured steps have none, the first is step 6",)
+
+
+def _timing(phase: str, *clocks: tuple[int, int], steps: int = 1) -> tuple[str, str, Any]:
+    start, end = ([clock[side] for clock in clocks] for side in (0, 1))
+    message = message_class("gsb.v1.StepTiming")(steps_per_interval=steps, start_ns=start, end_ns=end)
+    return f"/timing/{phase}", "gsb.v1.StepTiming", message
+
+
+def _event(kind: int, phase: str, ns: int) -> tuple[str, str, Any]:
+    return "/run/event", "gsb.v1.Event", message_class("gsb.v1.Event")(kind=kind, phase=phase, monotonic_ns=ns)
+
+
+def test_a_warm_up_has_clocks(tmp_path: Path) -> None:
+    """Ask a complete run for as many clocks of the warm-up as it says that it had steps."""
+    asked = _configured(warmup=5)
+    assert examine(whole(tmp_path, change=asked)).of(Kind.contradiction) == (
+        "5 steps were to come first; there are clocks of 0 intervals",
+    )
+    for intervals, steps, whole_ in ((5, 1, True), (3, 2, True), (4, 1, False), (3, 1, False)):
+        clocks = _timing("warmup", *((2 * k, 2 * k + 1) for k in range(intervals)), steps=steps)
+        found = examine(whole(tmp_path, change=asked, shown=Shown(raw=(clocks,))))
+        assert (found.of(Kind.contradiction) == ()) == whole_, (intervals, steps)
+
+
+def test_a_program_that_logs_itself_clocks_no_warm_up(tmp_path: Path) -> None:
+    """Ask no clocks of the warm-up of a program that is no adapter: it hands over those of the timed steps."""
+
+    def logged(name: str, record: dict[str, Any]) -> None:
+        _configured(warmup=5)(name, record)
+        if name == SIMULATION:
+            record["fresh_start"] = LOGGED
+
+    assert examine(whole(tmp_path, change=logged)).of(Kind.contradiction) == ()
+
+
+@pytest.mark.parametrize("clock", ["capture", "stall", "drain"])
+def test_clocks_of_the_capture_lie_in_its_phase(clock: str, tmp_path: Path) -> None:
+    """Take a clock of the capture that lies in its phase, or that has no interval; name one that lies outside."""
+    phase = (_event(1, "capture", 100), _event(2, "capture", 200))
+
+    def found(*clocks: tuple[int, int]) -> tuple[str, ...]:
+        raw = (*phase, _timing(clock, *clocks, steps=50))
+        return examine(whole(tmp_path, shown=Shown(raw=raw))).of(Kind.clock)
+
+    assert found((100, 150), (150, 200)) == found() == ()
+    assert found((150, 250)) == (f"/timing/{clock} is clocked outside of the phase capture",)
+
+
+def test_the_capture_has_a_clock_of_each_block(tmp_path: Path) -> None:
+    """Hold the intervals of the capture against its steps, where it has clocks."""
+    raw = _timing("capture", (1, 2), (2, 3), steps=2)
+    assert examine(whole(tmp_path, shown=Shown(raw=(raw,)))).of(Kind.contradiction) == (
+        "5 steps were to be captured; there are clocks of 2 intervals",
+    )
+
+
+def test_a_comparison_that_cannot_end_is_not_called_kept(tmp_path: Path) -> None:
+    """Find a phase without an end beside a memory reading that cannot be; without one, leave the clocks open."""
+    absurd = message_class("gsb.v1.MemorySample")(source=1, monotonic_ns=1, used_bytes=1 << 63, phase="timed")
+    reading = ("/memory/host", "gsb.v1.MemorySample", absurd)
+    both = examine(whole(tmp_path, shown=Shown(raw=(_event(1, "timed", 10), reading))))
+    assert both.of(Kind.clock) == ("phase timed has 1 begins and ends, not one of each",)
+    report = check([examine(whole(tmp_path, shown=Shown(raw=(reading,))))], [INTEGRITY])
+    assert {finding.rule.id for finding in report.findings} == {"streams"}
+    assert {one.rule.id: one.reason for one in report.unchecked} == {
+        "clocks": "/memory/host has a reading that no memory can have"
+    }
+
+
+def test_what_an_error_leaves_open_is_told() -> None:
+    """Skip the kinds that were looked for where something was raised; look for all where nothing was."""
+    problems = Problems()
+    with problems.noting(Kind.stream, Kind.digest):
+        raise ValueError("too large")
+    with problems.skipping(Kind.clock):
+        raise DamagedRecording("gone")
+    with problems.noting(Kind.stream, Kind.observer), problems.skipping(Kind.dropout):
+        pass
+    assert problems.of(Kind.stream) == ("too large",)
+    skipped = {kind: problems.skipped(kind) for kind in Kind if problems.skipped(kind)}
+    assert skipped == {Kind.digest: "too large", Kind.clock: "gone"}
+    with pytest.raises(KeyboardInterrupt), problems.skipping(Kind.clock):
+        raise KeyboardInterrupt
+
+
+def test_attachments_are_parsed_once(small: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Parse each JSON attachment once for all that is asked of a file: it may be large."""
+    parsed: list[str] = []
+    load = checks.load
+    monkeypatch.setattr(checks, "load", lambda name, text: parsed.append(name) or load(name, text))
+    check([examine(small)], [INTEGRITY, load_rules("protocol-1")])
+    assert sorted(parsed) == [PROVENANCE, SCENE, SIMULATION]
 
 
 def test_all_of_several_problems_are_found(tmp_path: Path) -> None:
@@ -179,21 +324,21 @@ def test_any_mutation_is_survived(tmp_path: Path) -> None:
 
 
 def test_chunks_take_no_more_memory_than_they_hold() -> None:
-    """Refuse a chunk that holds more than it announces, in zstd and lz4, without unpacking all of it."""
+    """Refuse a chunk that holds more than it announces, in zstd and lz4, without decompressing all of it."""
     import lz4.frame
     import zstandard
 
     zeros = bytes(1 << 25)
     for compression, packed in (("zstd", zstandard.compress(zeros)), ("lz4", lz4.frame.compress(zeros))):
-        assert len(unpack(compression, memoryview(packed), len(zeros))) == len(zeros)
-        with pytest.raises(DamagedRecording, match="holds more"):
-            unpack(compression, memoryview(packed), 1000)
-        with pytest.raises(DamagedRecording):
-            unpack(compression, memoryview(packed[: len(packed) // 2]), len(zeros))
-        with pytest.raises(DamagedRecording, match="announces"):
-            unpack(compression, memoryview(packed), 1 << 40)
-    with pytest.raises(DamagedRecording, match="not known"):
-        unpack("rot13", memoryview(b""), 0)
+        assert len(decompress(compression, memoryview(packed), len(zeros))) == len(zeros)
+        with pytest.raises(ValueError, match="holds more|does not end where"):
+            decompress(compression, memoryview(packed), 1000)
+        with pytest.raises(ValueError, match="cannot be decompressed|announces"):
+            decompress(compression, memoryview(packed[: len(packed) // 2]), len(zeros))
+        with pytest.raises(ValueError, match="announces"):
+            decompress(compression, memoryview(packed), 1 << 40)
+    with pytest.raises(ValueError, match="not known"):
+        decompress("rot13", memoryview(b""), 0)
 
 
 def test_what_was_not_looked_at_is_not_called_kept(tmp_path: Path) -> None:
@@ -270,10 +415,4 @@ def test_a_reader_that_disagrees_is_told(tmp_path: Path, monkeypatch: pytest.Mon
 
 def test_numbers_of_environments_beyond_reason(tmp_path: Path) -> None:
     """Allocate nothing for a file that announces what it cannot hold."""
-    from schemas.provenance import PROVENANCE
-
-    def many(name: str, record: dict[str, object]) -> None:
-        if name == PROVENANCE:
-            record["configuration"]["n_env"] = 1 << 24  # type: ignore[index]
-
-    assert kinds(write_recording(tmp_path, np.asarray(grid(2)), change=many))
+    assert kinds(write_recording(tmp_path, np.asarray(grid(2)), change=_configured(n_env=1 << 24)))

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from evaluator.statistics import permutation
-from evaluator.statistics.permutation import permutation_floor
+from evaluator.statistics.permutation import arrangements, exhaustive_floor, permutation_floor
 
 
 def envs(n_env: int, seed: int, shift: float = 0.0, n_item: int = 27) -> np.ndarray:
@@ -107,3 +107,28 @@ def test_refuses(a: np.ndarray, b: np.ndarray, n: int, message: str) -> None:
     """Name what is wrong with envs that cannot be exchanged."""
     with pytest.raises(ValueError, match=message):
         permutation_floor(a, b, n_permutation=n, seed=0)
+
+
+@pytest.mark.parametrize(("a", "b", "count"), [(1, 19, 20), (2, 5, 21), (4, 4, 35)])
+def test_all_arrangements(a: int, b: int, count: int) -> None:
+    """Give the share of one arrangement for clouds far apart, also of copies, and one for sides that are equal."""
+    for low, high in ((envs(a, 0, n_item=3), envs(b, 1, 50.0, 3)), (np.zeros((a, 3, 2)), np.ones((b, 3, 2)))):
+        result = exhaustive_floor(low, high)
+        assert (arrangements(a, b), result.n_permutation, result.p_value) == (count, count, 1 / count)
+    same = exhaustive_floor(np.ones((a, 3, 2)), np.ones((b, 3, 2)))
+    assert (same.observed, same.p_value) == (0.0, 1.0)
+
+
+def test_the_draw_comes_near_all_arrangements() -> None:
+    """Agree with a long draw in p-value and floor."""
+    a, b = envs(3, 0, n_item=3), envs(4, 1, shift=0.7, n_item=3)
+    every, drawn = exhaustive_floor(a, b), permutation_floor(a, b, n_permutation=2000, seed=0)
+    assert every.observed == drawn.observed
+    assert every.p_value == pytest.approx(drawn.p_value, abs=0.03)
+    assert every.floor_mean == pytest.approx(drawn.floor_mean, rel=0.03)
+
+
+def test_exhaustive_p_is_valid_under_the_same_law() -> None:
+    """Reject one and the same law no more often than the level says."""
+    p = [exhaustive_floor(envs(2, 2 * i, n_item=3), envs(4, 2 * i + 1, n_item=3)).p_value for i in range(100)]
+    assert np.mean(np.array(p) <= 0.1) <= 0.15

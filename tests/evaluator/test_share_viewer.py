@@ -266,6 +266,23 @@ def test_the_command(tmp_path: Path) -> None:
     assert "exists already" in again.stderr
 
 
+def test_a_layout_whose_name_is_taken(tmp_path: Path) -> None:
+    """Refuse it before anything is written, and one of the same name as the view."""
+    (tmp_path / "layout.json").write_text("{}")
+    for layout in ("layout.json", "v.mcap"):
+        done = share("viewer", SHIPPED, "--out", tmp_path / "v.mcap", "--layout", tmp_path / layout)
+        assert done.returncode == 2, done.stderr
+        assert [p.name for p in tmp_path.iterdir()] == ["layout.json"]
+
+
+def test_a_view_of_a_file_cut_short(tmp_path: Path) -> None:
+    """Show what is there, say that it is not all, and end with 3."""
+    cut = write_recording(tmp_path, grid(1), end=False)
+    done = share("viewer", cut, "--out", tmp_path / "v.mcap")
+    assert done.returncode == 3, done.stdout + done.stderr
+    assert "cut short" in done.stderr
+
+
 @given(st.floats(-7, 7), st.floats(-7, 7))
 def test_rotations_add_up(a: float, b: float) -> None:
     """Turn by two angles as by their sum, and a vector as the angle says."""

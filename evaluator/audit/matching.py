@@ -1,0 +1,106 @@
+"""A replay beside the original that it is closest to: what was the same, and what of the original was not looked at."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from evaluator.audit.verdict import Match
+from evaluator.diff.result import Basis, Difference
+from evaluator.recording import Recording
+
+_PHASES = ("capture", "timed")
+_MOST_NAMED = 3
+
+
+def match_of(found: Difference, original: Recording, replay: Recording) -> Match:
+    """What a comparison of an original (its side a) with a replay came to."""
+    steps = found.compared.state_steps
+    return Match(
+        bit_identical=found.bit_identical,
+        same_up_to_env_order=found.same_up_to_env_order,
+        max_ulp=found.max_ulp,
+        steps=steps.count if steps else 0,
+        left_out=_named(list(_left_out(found, original, replay))),
+        no_ulps=_named(list(_no_ulps(found))),
+    )
+
+
+def compared(found: Difference) -> str:
+    """What is the same where a replay is bit-identical."""
+    c = found.compared
+    if c.state_steps:
+        return "every bit"
+    if c.hash_phase == "timed" and c.hash_steps:
+        return f"the {c.hash_steps.count} state hashes of the timed phase"
+    return "every state hash (no states were recorded)"
+
+
+def _left_out(found: Difference, original: Recording, replay: Recording) -> Iterator[str]:
+    c, asked = found.compared, original.configuration
+    missing = [phase for phase in asked.phases if phase not in replay.configuration.phases]
+    yield from (f"the {phase} phase" for phase in missing)
+    yield from c.left_out
+    if c.n_env < asked.n_env:
+        yield f"{asked.n_env - c.n_env} of {asked.n_env} environments"
+    states = c.state_steps.count if c.state_steps else 0
+    recorded = max((len(original.state(f.group, f.field).steps) for f in original.fields), default=0)
+    if recorded > states and "capture" not in missing:
+        yield f"{recorded - states} of {recorded} recorded states"
+    looked_at = {"capture": states, "timed": c.timed_steps.count if c.timed_steps else 0}
+    if c.hash_steps:
+        looked_at[c.hash_phase] = max(looked_at[c.hash_phase], c.hash_steps.count)
+    for phase in _PHASES:
+        hashes = original.fingerprints(phase)
+        rows = 0 if hashes is None else len(hashes.steps)
+        if rows > looked_at[phase] and phase not in missing:
+            why = f" ({c.no_hashes})" if c.no_hashes else ""
+            yield f"state hashes of {rows - looked_at[phase]} of {rows} steps of the {phase} phase{why}"
+
+
+def _no_ulps(found: Difference) -> Iterator[str]:
+    c = found.compared
+    others = [field.field for field in c.fields if field.basis is not Basis.BITS]
+    if others:
+        yield f"{_named(others)} cannot be compared by bits"
+    if c.unseen_steps:
+        yield f"state hashes differ at {c.unseen_steps} steps of which no state was recorded"
+
+
+def _named(parts: Sequence[str]) -> str:
+    more = len(parts) - _MOST_NAMED
+    return "; ".join(parts[:_MOST_NAMED]) + (f"; and {more} more" if more > 0 else "")
+
+
+def trajectories(recordings: Sequence[Recording]) -> list[list[bytes]]:
+    """State hashes of each environment of each recording, step after step, of the phases that all have hashes of."""
+    found = [[recording.fingerprints(phase) for recording in recordings] for phase in _PHASES]
+    common = [[h.hashes for h in phase if h is not None] for phase in found if None not in phase]
+    return [
+        [b"".join(columns) for columns in zip(*(_columns(phase[i]) for phase in common), strict=True)]
+        for i in range(len(recordings))
+    ]
+
+
+def _columns(hashes: np.ndarray[tuple[int, ...], np.dtype[np.uint64]]) -> list[bytes]:
+    return [column.tobytes() for column in np.ascontiguousarray(hashes.T)]
+
+
+def closest(replay: Recording, originals: Sequence[Recording]) -> Recording:
+    """The original with the replay's state hashes; else with those of its environments in any order; else the first."""
+    pairs = [trajectories([original, replay]) for original in originals]
+    for original, (theirs, ours) in zip(originals, pairs, strict=True):
+        if theirs == ours:
+            return original
+    for original, (theirs, ours) in zip(originals, pairs, strict=True):
+        if sorted(theirs) == sorted(ours):
+            return original
+    return originals[0]
+
+
+def distinct(originals: Sequence[Recording], replays: Sequence[Recording]) -> tuple[int, int, int]:
+    """How many recordings are distinct by their state hashes: of the originals, of the replays, and of both."""
+    found = [b"".join(envs) for envs in trajectories([*originals, *replays])]
+    there, here = set(found[: len(originals)]), set(found[len(originals) :])
+    return len(there), len(here), len(there | here)

@@ -1,0 +1,122 @@
+"""State hashes of the timed phase, which are compared beside a capture."""
+
+from __future__ import annotations
+
+import itertools
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from evaluator.audit.matching import compared, distinct, match_of
+from evaluator.audit.verdict import Level, Verdict, ladder
+from evaluator.cli.diff import main
+from evaluator.diff.compare import compare
+from evaluator.diff.result import Difference, StepRange
+from evaluator.diff.result import Verdict as Found
+from evaluator.recording import Recording
+from schemas import topics
+from schemas.messages import message_class
+from tests.synthetic import Shown, grid, write_recording
+
+_RUN = itertools.count()
+
+
+def _record(folder: Path, hashes: list[int] | None, *, stride: int = 1, moved: int | None = None) -> Recording:
+    """Two environments, eight captured steps, and these hashes of timed steps 100 and 1100, step after step.
+
+    moved  captured step at which a cube is a metre elsewhere
+    """
+    block = message_class("gsb.v1.FingerprintBlock")(first_step=100, stride=1000, steps=2, env_start=0, envs=2)
+    raw: tuple[tuple[str, str, Any], ...] = ()
+    if hashes is not None:
+        block.hashes.extend(hashes)
+        raw = ((topics.fingerprint("timed"), "gsb.v1.FingerprintBlock", block),)
+
+    def at(step: int) -> np.ndarray:
+        return grid(2, "float32") + np.float32(step == moved)
+
+    made = write_recording(
+        folder, grid(2, "float32"), steps=8, dt=0.01, stride=stride, run=next(_RUN), path_of=lambda _, step: at(step),
+        shown=Shown(raw=raw),
+    )  # fmt: skip
+    return Recording(made)
+
+
+def _verdict(found: Difference, a: Recording, b: Recording) -> Verdict:
+    return ladder(
+        [match_of(found, a, b)], lambda: "no test", max_ulps=4, originals=1, compared=compared(found)
+    )  # fmt: skip
+
+
+def test_a_difference_of_the_timed_phase_is_one(tmp_path: Path) -> None:
+    """Call nothing bit-identical whose captures agree and whose timed phases do not, and say where."""
+    a, b = _record(tmp_path, [1, 2, 3, 4]), _record(tmp_path, [1, 2, 3, 9])
+    found = compare(a, b)
+    assert (found.verdict, found.bit_identical, found.same_up_to_env_order) == (Found.DIFFERENT, False, False)
+    assert found.first is not None
+    assert (found.first.phase, found.first.step_a, found.first.env_a, found.first.envs) == ("timed", 1100, 1, 1)
+    assert (found.first.after_step, found.first.state, found.first.located) == (100, None, False)
+    assert (found.compared.hash_phase, found.compared.timed_steps) == ("capture", StepRange(2, 100, 1100))
+    assert found.compared.unseen_steps == 1
+    verdict = _verdict(found, a, b)
+    assert [rung.holds for rung in verdict.rungs] == [False, False, None, None]
+
+
+def test_equal_timed_phases_are_said_to_be(tmp_path: Path) -> None:
+    """Count the hashes of the timed phase among what was compared."""
+    a, b = (_record(tmp_path, [1, 2, 3, 4]) for _ in range(2))
+    found = compare(a, b)
+    assert found.bit_identical
+    assert (found.compared.timed_steps, found.notes) == (StepRange(2, 100, 1100), ())
+    assert _verdict(found, a, b).level is Level.BIT_IDENTICAL
+
+
+def test_an_order_is_one_of_both_phases(tmp_path: Path) -> None:
+    """Find environments in another order only where it is the same in capture and timed phase."""
+    a, b = _record(tmp_path, [1, 2, 3, 4]), _record(tmp_path, [2, 1, 4, 3])
+    assert compare(a, b).same_up_to_env_order
+    assert not compare(a, _record(tmp_path, [2, 1, 3, 4])).same_up_to_env_order
+
+
+def test_a_capture_that_differs_comes_first(tmp_path: Path) -> None:
+    """Date a difference of both phases by the capture, and note the other."""
+    a, b = _record(tmp_path, [1, 2, 3, 4]), _record(tmp_path, [5, 6, 7, 8], moved=3)
+    found = compare(a, b)
+    assert found.first is not None
+    assert (found.first.phase, found.first.step_a) == ("capture", 3)
+    assert "state hashes of the timed phase differ: first at its step 100, 2 of 2 pairs of envs" in found.notes
+
+
+def test_the_text_names_the_phase(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Print and draw a difference of the timed phase."""
+    a, b = _record(tmp_path, [1, 2, 3, 4]), _record(tmp_path, [1, 2, 3, 9])
+    assert main([str(a.path), str(b.path), "--plot", str(tmp_path / "x.svg")]) == 4
+    said = capsys.readouterr().out
+    assert "DIFFERENT first at step 1100 (11 s) of the timed phase" in said
+    drawn = (tmp_path / "x.svg").read_text()
+    assert "first difference: step 1100 of the timed phase" in drawn
+    assert 'class="first"' not in drawn
+
+
+def test_numbers_between_recorded_states_are_not_known(tmp_path: Path) -> None:
+    """Decide nothing of units in the last place where hashes differ at steps whose states were not recorded."""
+    a, b = _record(tmp_path, None, stride=8), _record(tmp_path, None, stride=8, moved=3)
+    found = compare(a, b)
+    assert (found.max_ulp, found.compared.unseen_steps) == (0, 1)
+    rung = _verdict(found, a, b).rungs[2]
+    assert (rung.level, rung.holds) == (Level.WITHIN_ULPS, None)
+    assert "over 2 recorded steps" in rung.said
+    assert "state hashes differ at 1 steps of which no state was recorded" in rung.said
+
+
+def test_a_phase_that_is_not_there_is_named(tmp_path: Path) -> None:
+    """Decide nothing of an original of which the replay has not all, and count what was compared."""
+    whole, part = _record(tmp_path, [1, 2, 3, 4]), _record(tmp_path, None)
+    found = compare(whole, part)
+    assert found.bit_identical
+    rung = _verdict(found, whole, part).rungs[0]
+    assert rung.holds is None
+    assert "every bit of an original; not everything of the original was compared: state hashes of 2 of 2 " in rung.said
+    assert distinct([whole], [part]) == (1, 1, 1)
