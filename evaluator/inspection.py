@@ -172,7 +172,7 @@ def _streams(recording: Recording, scan: Scan) -> dict[str, Any]:
     phases = read(lambda: _phases(recording), dict[str, float]())
     unread_clocks: tuple[Rate | None, str] = (None, "its clocks cannot be read")
     timed, not_timed = read(lambda: _timed(recording), unread_clocks)
-    captured, not_captured = _captured(recording, phases)
+    captured, not_captured = read(lambda: _captured(recording, phases), unread_clocks)
     said = {
         "phases": phases,
         "clocks": read(

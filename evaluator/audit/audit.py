@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 
 from evaluator.audit.distribution import LawTest, same_law
-from evaluator.audit.matching import closest, compared, distinct, match_of
+from evaluator.audit.matching import closest, compared, distinct, match_of, unreproduced
 from evaluator.audit.replaying import Replay, ReplayPlan, Replays, make_replays
 from evaluator.audit.settings import Settings, sorted_out
 from evaluator.audit.verdict import Level, Verdict, ladder
@@ -98,8 +98,12 @@ def audit(group: Group, plan: ReplayPlan, *, max_ulps: int, say: Callable[[str],
         differences = [compare(original, replay) for original, replay in pairs]
     except NothingComparable as error:
         return Audit(originals, replays, found, why_not=str(error))
+    matches = [match_of(d, *pair) for d, pair in zip(differences, pairs, strict=True)]
+    if len(originals) > 1 and (left := unreproduced(originals, found)):
+        # a file beside honest ones is not shown to be one of them
+        matches = [replace(m, left_out="; ".join(filter(None, (m.left_out, left)))) for m in matches]
     verdict = ladder(
-        [match_of(d, *pair) for d, pair in zip(differences, pairs, strict=True)],
+        matches,
         lambda: law_of(originals, found),
         max_ulps=max_ulps,
         originals=len(originals),

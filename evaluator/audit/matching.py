@@ -74,9 +74,11 @@ def _named(parts: Sequence[str]) -> str:
 
 
 def trajectories(recordings: Sequence[Recording]) -> list[list[bytes]]:
-    """State hashes of each environment of each recording, step after step, of the phases that all have hashes of."""
+    """State hashes of each environment of each recording, step after step, of the phases that all have hashes of, as
+    far as all go."""
     found = [[recording.fingerprints(phase) for recording in recordings] for phase in _PHASES]
-    common = [[h.hashes for h in phase if h is not None] for phase in found if None not in phase]
+    whole = [[h.hashes for h in phase if h is not None] for phase in found if None not in phase]
+    common = [[hashes[: min(map(len, phase))] for hashes in phase] for phase in whole]
     return [
         [b"".join(columns) for columns in zip(*(_columns(phase[i]) for phase in common), strict=True)]
         for i in range(len(recordings))
@@ -104,3 +106,11 @@ def distinct(originals: Sequence[Recording], replays: Sequence[Recording]) -> tu
     found = [b"".join(envs) for envs in trajectories([*originals, *replays])]
     there, here = set(found[: len(originals)]), set(found[len(originals) :])
     return len(there), len(here), len(there | here)
+
+
+def unreproduced(originals: Sequence[Recording], replays: Sequence[Recording]) -> str:
+    """Originals whose states no replay gave, in a sentence; empty where there are none."""
+    found = trajectories([*originals, *replays])
+    made = found[len(originals) :]
+    left = [o.path.name for o, states in zip(originals, found, strict=False) if states not in made]
+    return f"of several originals, no replay gave the states of {_named(left)}" if left else ""

@@ -82,7 +82,7 @@ def _missing(value: tuple[str, ...], wanted: list[str]) -> str:
 
 
 def _it_is(value: Any) -> str:
-    return f"it is {show(value)}" if not isinstance(value, bool) else "it is so" if value else "it is not so"
+    return f"it is {show(value)}" if not isinstance(value, bool) else f"found: {'yes' if value else 'no'}"
 
 
 def _unless(holds: bool, found: str) -> tuple[str, ...]:
@@ -173,7 +173,7 @@ def _all_distinct(values: Mapping[str, Any], _: Any, __: Any) -> tuple[tuple[str
 
 def _true_in(values: Mapping[str, Any], least: int, _: Any) -> tuple[tuple[str, tuple[str, ...]], ...]:
     count = sum(bool(value) for value in values.values())
-    return () if count >= least else ((f"it is so in {count} of {len(values)}, not in {least}", tuple(values)),)
+    return () if count >= least else ((f"found in {count} of {len(values)} files, {least} are needed", tuple(values)),)
 
 
 def _determined_by(
@@ -195,9 +195,7 @@ _ANY = tuple(FactType)
 SET_PREDICATES: dict[str, SetPredicate] = {
     "all_same": SetPredicate("it is the same in all files", _ANY, _true, _all_same),
     "all_distinct": SetPredicate("no two files have the same", _SCALARS, _true, _all_distinct),
-    "true_in": SetPredicate(
-        "it is so in at least {} files", (FactType.flag,), lambda a: type(a) is int and a >= 1, _true_in
-    ),
+    "true_in": SetPredicate("so in at least {} files", (FactType.flag,), lambda a: type(a) is int and a >= 1, _true_in),
     "determined_by": SetPredicate("files with the same {} have the same", _SCALARS, _fact, _determined_by),
 }
 """Predicates of rules that apply to several files."""

@@ -6,6 +6,10 @@ import shutil
 from pathlib import Path
 
 from evaluator.audit.checking import check_files
+from evaluator.audit.matching import unreproduced
+from evaluator.audit.verdict import Match, ladder
+from evaluator.recording import Recording
+from tests.conftest import SMALL, Command
 from tests.synthetic import grid, write_recording
 
 
@@ -40,3 +44,19 @@ def test_one_reason_is_given_once(tmp_path: Path) -> None:
     assert reasons
     assert len(set(reasons)) == len(reasons)
     assert not any("cannot be checked" in sentence for sentence in damaged[cut])
+
+
+def test_an_original_that_no_replay_gave(small_set: list[Path], gsb_record: Command, tmp_path: Path) -> None:
+    """Name the original whose states did not come out again; the others of its set do not vouch for it."""
+    done = gsb_record(
+        "--sim", "mujoco", "--n-env", 4, "--runs", 1, "--option", "cone=pyramidal", *SMALL, "--out", tmp_path
+    )
+    assert done.returncode == 0, done.stderr
+    honest, replay, other = (Recording(path) for path in (*small_set[:2], Path(done.stdout.strip())))
+    assert unreproduced([honest], [replay]) == ""
+    assert unreproduced([honest, other], [replay]).endswith(f"no replay gave the states of {other.path.name}")
+    left = unreproduced([honest, other], [replay])
+    match = Match(bit_identical=True, same_up_to_env_order=True, max_ulp=0, left_out=left)
+    verdict = ladder([match], lambda: "not asked", max_ulps=0, originals=2)
+    assert verdict.level is None
+    assert [rung.holds for rung in verdict.rungs] == [None] * 4

@@ -67,7 +67,7 @@ def test_a_set_that_follows_the_protocol() -> None:
     assert report.unchecked == ()
     fewer = check(files[:9], [PROTOCOL])
     assert [(f.rule.id, f.found) for f in fewer.findings if f.rule.level is Level.error] == [
-        ("runs", "it is so in 9 of 9, not in 10")
+        ("runs", "found in 9 of 9 files, 10 are needed")
     ]
     assert fewer.exit_code == ExitCode.GATE_FAILED
 
