@@ -68,7 +68,7 @@ class Tally:
 
     def __init__(self, how: Pairing) -> None:
         self._how = how
-        self._numbers = self._different = self._zeros = self._payloads = 0
+        self._numbers = self._different = self._zeros = self._payloads = self._not_finite = 0
         self._finite = False
         self._first_step: int | None = None
         self._first_ulp: int | None = None
@@ -87,6 +87,7 @@ class Tally:
         self._different += int(np.count_nonzero(mask))
         apart = np.abs(self._how.apart(a, b)[mask])
         finite = apart[np.isfinite(apart)]
+        self._not_finite += apart.size - finite.size
         if finite.size:
             self._max_distance = max(self._max_distance or 0.0, float(finite.max()))
         of_a, of_b = (np.broadcast_to(side, mask.shape)[mask] for side in one_dtype(a, b))
@@ -108,7 +109,7 @@ class Tally:
         nothing = 0.0 if self._finite and not self._different else None
         return FieldDifference(
             field.name, field.a.unit, field.basis, self._numbers, self._different, self._zeros, self._payloads,
-            self._first_step, self._first_ulp, self._max_ulp,
+            self._not_finite, self._first_step, self._first_ulp, self._max_ulp,
             nothing if self._max_distance is None else self._max_distance,
         )  # fmt: skip
 

@@ -75,6 +75,7 @@ class FieldDifference:
     different         how many of them differ
     signed_zeros      of those, pairs of -0.0 and 0.0
     nan_payloads      of those, pairs of NaNs with other bits
+    not_finite        of those, pairs of which one or both are not finite, or too far apart for a number
     first_step        first recorded step with a difference, of side a; None where there is none
     first_ulp         largest distance at that step in units in the last place, in order of the bits (see
                       `ulp_distance`); of float32 where the basis is FLOAT32; None where the basis is LOCAL, and where
@@ -91,6 +92,7 @@ class FieldDifference:
     different: int
     signed_zeros: int
     nan_payloads: int
+    not_finite: int
     first_step: int | None
     first_ulp: int | None
     max_ulp: int | None

@@ -167,7 +167,11 @@ def _print_fields(console: Console, found: Difference) -> None:
         rows.append((field.field, *cells, distance))
     print_numbers(console, titles, rows)
     for field in differing:
-        for count, what in ((field.signed_zeros, "0.0 against -0.0"), (field.nan_payloads, "NaN of another payload")):
+        for count, what in (
+            (field.signed_zeros, "0.0 against -0.0"),
+            (field.nan_payloads, "NaN of another payload"),
+            (field.not_finite, "not finite on a side, and in no distance"),
+        ):
             if count:
                 _line(console, f"  {field.field}: {count:,} of them are {what}")
     console.print()

@@ -132,7 +132,7 @@ def test_zeros_and_payloads_are_bits(tmp_path: Path) -> None:
     a = record(tmp_path, with_numbers(0.0, 0x7FC00000), status="INVALID", reason="a state is not finite")
     found = compare(a, record(tmp_path, with_numbers(-0.0, 0x7FC00005)))
     (field,) = found.compared.fields
-    assert (field.different, field.signed_zeros, field.nan_payloads) == (14, 7, 7)
+    assert (field.different, field.signed_zeros, field.nan_payloads, field.not_finite) == (14, 7, 7, 7)
     assert found.first is not None
     assert found.first.state is not None
     assert (found.first.step_a, found.first.state.number.distance, found.max_ulp) == (2, 0.0, 5)

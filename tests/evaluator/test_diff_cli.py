@@ -115,6 +115,7 @@ def test_a_difference_that_ends(tmp_path: Path, capsys: pytest.CaptureFixture[st
     shown = capsys.readouterr().out
     assert "DIFFERENT first at step 5 (5 s)\n" in shown
     assert re.search(r"^cubes/position .* not finite$", shown, re.MULTILINE)
+    assert "of them are not finite on a side, and in no distance" in shown
     assert "positions that are not finite, first at step 5, are left out" in shown
     assert json.loads((tmp_path / "found.json").read_text())["compared"]["fields"][0]["max_distance"] is None
 
