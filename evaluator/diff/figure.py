@@ -114,11 +114,11 @@ def _equal(found: Difference, divergence: Divergence, times: tuple[float, float]
     first = _x(divergence.time, times)
     if divergence.phase == "timed" and found.compared.hash_phase != "timed":  # the axis is that of the capture
         label = f"first difference: step {divergence.step_a} of the {divergence.phase} phase"
-        return [*parts, text(label, _LEFT + 5, top + 14, class_="small"), *_titles(top, bottom)]
+        return [*parts, text(label, _LEFT + 5, top - 10, class_="small"), *_titles(top, bottom)]
     parts.append(element("line", x1=first, x2=first, y1=_TOP, y2=bottom, class_="first"))
     before = first > _LEFT + _SIDE / 2
     label = f"first difference: step {divergence.step_a}, {divergence.time:g} s"
-    parts.append(text(label, first + (-5 if before else 5), top + 14, class_="small end" if before else "small"))
+    parts.append(text(label, first + (-5 if before else 5), top - 10, class_="small end" if before else "small"))
     return [*parts, *_titles(top, bottom)]
 
 
