@@ -144,10 +144,11 @@ def _in_small_blocks(path: Path) -> Path:
         if record.opcode != mcap.MESSAGE or Message.of(record).channel != channel or not Message.of(record).sequence:
             found.append(record)
             continue
-        _, rows = decode_state(Message.of(record).data)
-        for step in range(1, len(rows) + 1):
+        header, rows = decode_state(Message.of(record).data)
+        for row in range(len(rows)):
+            step = header.first_step + row
             time = 10_000_000 * step
-            data = encode_state(rows[step - 1 : step], first_step=step, stride=1, env_start=0, sim_time_ns=time)
+            data = encode_state(rows[row : row + 1], first_step=step, stride=1, env_start=0, sim_time_ns=time)
             found.append(Message(channel, step, 10**9 + time, 1, data).record())
     return _written(path.parent, file.with_records(found))
 
