@@ -188,7 +188,7 @@ from recorder.run import Run
 from schemas import digest
 from schemas.configuration import RunConfiguration
 
-original, calls = digest.ContentDigest.state, []
+original, calls = digest.ContentDigest.state_columns, []
 
 def slow(self, *arguments):
     original(self, *arguments)
@@ -196,7 +196,7 @@ def slow(self, *arguments):
     if len(calls) == 4:
         time.sleep(4)
 
-digest.ContentDigest.state = slow
+digest.ContentDigest.state_columns = slow
 configuration = RunConfiguration("mujoco", "free-fall", 70, 0.01, 200, phases=("capture",), timeout=3)
 outcome = Run(configuration, Path(sys.argv[1]), run_id="r", argv=(), created="2026-01-01T00:00:00Z",
               progress=lambda *_: None, log=lambda: b"").record()
