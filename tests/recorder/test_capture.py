@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import subprocess
 import sys
-import time
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -30,7 +29,7 @@ from recorder.simulators.mujoco.simulator import MujocoC
 from schemas.errors import DataLost
 from schemas.fields import BODY_FIELDS, body_field
 from schemas.fingerprint import fingerprint
-from tests.conftest import SMALL, Command
+from tests.conftest import SMALL, Command, wait_for
 
 FIELDS = [body_field("cubes", name, "float32", ("a", "b")) for name in BODY_FIELDS]
 
@@ -106,12 +105,13 @@ from recorder.simulators.captured import Held
 interruption.install()
 written = []
 def write(block):
-    time.sleep(0.3)
+    time.sleep(0.5)
     written.append(block)
+    if len(written) == 1:
+        os.kill(os.getpid(), signal.SIGINT)
 writing = Writing(write)
 for number in range(3):
     writing.put(Block(number, Held(()), None))
-threading.Timer(0.1, lambda: os.kill(os.getpid(), signal.SIGINT)).start()
 try:
     writing.finish()
 except KeyboardInterrupt:
@@ -236,9 +236,10 @@ def test_a_slow_disk_stops_the_engine_and_is_told() -> None:
     most, written = [], []
 
     def write(block: Block) -> None:
+        if block.first_step <= 25:  # later there are not as many blocks to come
+            wait_for(lambda: writing.unwritten == RING_BLOCKS)
         most.append(writing.unwritten)
         written.append(block.first_step)
-        time.sleep(0.05)
 
     writing, clock = Writing(write), CaptureClock()
     step_and_capture(
