@@ -23,8 +23,7 @@ from pathlib import Path
 
 from schemas import FORMAT, decompression
 from schemas.errors import DamagedRecording, NotARecording
-
-MAGIC = b"\x89MCAP0\r\n"
+from schemas.mcap_writer import MAGIC
 
 MAX_CHUNK_BYTES = decompression.MAX_BYTES
 

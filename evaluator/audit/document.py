@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import json
-import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, is_dataclass
-from enum import Enum
 from pathlib import Path
 from typing import Any
 
 from evaluator.audit.audit import Audit
 from evaluator.audit.checking import RULES, Check
 from evaluator.audit.verdict import Level
+from evaluator.document import dump, values_of
 from evaluator.recording import Recording
 
 SCHEMA_VERSION = 1
@@ -29,7 +26,7 @@ def dump_json(audits: Sequence[Audit], checked: Check, required: Level) -> str:
         "broken": _findings(checked.broken),
         "warnings": _findings(checked.warnings),
     }
-    return json.dumps(_plain(document), indent=1, allow_nan=False) + "\n"
+    return dump(values_of(document))
 
 
 def _findings(found: Mapping[Path, tuple[str, ...]]) -> list[dict[str, Any]]:
@@ -74,19 +71,3 @@ def _recording(recording: Recording) -> dict[str, Any]:
         "status": recording.status,
         "replay_of": made.replay_of,
     }
-
-
-def _plain(value: Any) -> Any:
-    if is_dataclass(value) and not isinstance(value, type):
-        return _plain(asdict(value))
-    if isinstance(value, Mapping):
-        return {str(key): _plain(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_plain(item) for item in value]
-    if isinstance(value, Enum):
-        return value.value
-    if isinstance(value, Path):
-        return str(value).encode("utf-8", "backslashreplace").decode()
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value

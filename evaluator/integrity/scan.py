@@ -21,10 +21,10 @@ from evaluator.integrity.problem import Kind, Problems
 from evaluator.integrity.records import KNOWN, PRIVATE, AttachmentHead, Record, parse, read_records
 from schemas import topics
 from schemas.blocks import state_header
-from schemas.container import MAGIC
 from schemas.decompression import decompress
 from schemas.digest import ContentDigest
 from schemas.errors import DamagedRecording, NotARecording
+from schemas.mcap_writer import MAGIC
 
 _MESSAGE = struct.Struct("<HIQQ")
 _CHUNK = struct.Struct("<QQQI")

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from typing import Any
 
+from evaluator.document import dump
 from evaluator.plain import plain
 from evaluator.rules.findings import Report
 from evaluator.rules.rule import Rule, RuleSet
@@ -67,4 +67,4 @@ def _rule(rule: Rule) -> dict[str, Any]:
 
 def _dump(record: dict[str, Any]) -> str:
     document = {"schema_version": SCHEMA_VERSION, "gpusimbench": __version__, **record}
-    return json.dumps(document, indent=1, allow_nan=False) + "\n"
+    return dump(document)

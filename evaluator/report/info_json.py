@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import Any
 
+from evaluator.document import dump
 from evaluator.inspection import Inspection
 from evaluator.plain import plain
 from schemas import __version__
@@ -21,7 +21,7 @@ def dump_info(found: Sequence[Inspection], unreadable: Sequence[tuple[Path, GsbE
     files: list[Any] = [_file(one) for one in found]
     files += [{"path": str(path), "status": "unreadable", "reason": str(error)} for path, error in unreadable]
     document = {"schema_version": SCHEMA_VERSION, "gpusimbench": __version__, "files": files}
-    return json.dumps(document, indent=1, allow_nan=False) + "\n"
+    return dump(document)
 
 
 def _file(value: Any) -> Any:

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import json
-import math
 from typing import Any
 
+from evaluator.document import dump, values_of
 from evaluator.metrics.memory_model import MemoryModel
 from evaluator.recording import Recording
 from evaluator.results import SCHEMA_VERSION, Evaluation, GroupResult, Metric
@@ -39,13 +39,13 @@ def to_json(evaluation: Evaluation) -> dict[str, Any]:
         },
         "guidelines": [vars(g) for g in comparison.guidelines],
     }
-    plain: dict[str, Any] = _plain(document)
+    plain: dict[str, Any] = values_of(document)
     return plain
 
 
 def dump_json(evaluation: Evaluation) -> str:
     """The same as text, ending in a newline."""
-    return json.dumps(to_json(evaluation), indent=1, allow_nan=False) + "\n"
+    return dump(to_json(evaluation))
 
 
 def _group(result: GroupResult) -> dict[str, Any]:
@@ -158,15 +158,3 @@ def _recording(recording: Recording) -> dict[str, Any]:
         "created_utc": recording.provenance.created_utc,
         "lost": list(recording.dropouts),
     }
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {str(key): _plain(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_plain(item) for item in value]
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    if value is None or isinstance(value, (bool, int, str)):
-        return value
-    return _plain(value.item())

@@ -9,8 +9,9 @@ from evaluator.recording import Recording
 from evaluator.sharing.copying import Copier
 from evaluator.sharing.target import new_file
 from schemas import topics
-from schemas.container import MAGIC, Container
+from schemas.container import Container
 from schemas.errors import DamagedRecording, RecordingError, UsageError
+from schemas.mcap_writer import MAGIC
 from schemas.records import read_records
 
 
