@@ -103,7 +103,10 @@ def _regime(metric: Metric) -> str:
 
 def _legend(results: list[GroupResult]) -> list[str]:
     found = {int(m.value) for r in results if (m := r.metrics["regime_published"]).value is not None}
-    return [f"type {number}: {REGIME_MEANING[number]}" for number in sorted(found)]
+    lines = [f"type {number}: {REGIME_MEANING[number]}" for number in sorted(found)]
+    if any(r.metrics["capture_slowdown"].value is not None for r in results):
+        lines.append("captured and timed steps are other steps of the scene: a difference in contacts counts as well")
+    return lines
 
 
 def _capture(metric: Metric) -> str:

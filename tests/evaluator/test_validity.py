@@ -247,6 +247,9 @@ def test_what_capturing_costs(tmp_path: Path) -> None:
     assert slowdown.value == pytest.approx(6.0 / steps / (1.0 / 100))
     assert slowdown.extra["stalled_share"] == pytest.approx(0.25)
     assert words.capturing(found.metrics).endswith("; 25.0%")
+    stream = io.StringIO()
+    print_tables(evaluate([open_recording(f) for f in files], reference=None, sample_time=5.0, unreadable=()), stream)
+    assert "captured and timed steps are other steps of the scene" in stream.getvalue()
     without = only(write_recording(tmp_path, grid(2), elapsed_s=None, clocks={"capture": 6.0})).metrics
     assert without["capture_slowdown"].why_not == "timed and captured steps were not both clocked"
 
