@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,13 +15,14 @@ from evaluator import group_metrics as gm
 from evaluator.comparison import compare
 from evaluator.density_maps import reference_density, shared_map, with_cloud
 from evaluator.groups import Group, group, labels, options_given, status_notes
-from evaluator.positions import sample_positions
-from evaluator.recording import Recording, Unreadable
+from evaluator.reading import Read, Reader, Unreadable
 from evaluator.results import Evaluation, GroupResult, Metric, Reference
-from evaluator.run_data import RunData, read_run
+from evaluator.run_data import RunData
+from evaluator.summary import Summary
 from evaluator.sweeps import find_sweeps
-from evaluator.validity import check, validity_of
-from schemas.errors import DamagedRecording, GsbError
+from evaluator.validity import validity_of
+from evaluator.work import HERE, Work
+from schemas.errors import DamagedRecording
 from schemas.provenance import REAL
 
 
@@ -33,38 +35,36 @@ class _Found:
     planar: NDArray[np.float64] | None
 
 
+def evaluate_files(paths: Iterable[Path], *, sample_time: float = 5.0) -> Evaluation:
+    """Every metric of every group of some recordings, whose digests are taken on trust; see `evaluate`."""
+    return evaluate(map(Reader(sample_time, verify=False), paths), sample_time=sample_time)
+
+
 def evaluate(
-    recordings: Sequence[Recording],
+    files: Iterable[Read | Unreadable],
     *,
-    reference: Recording | None = None,
+    reference: Read | None = None,
     sample_time: float = 5.0,
-    unreadable: Sequence[Unreadable] = (),
+    work: Work = HERE,
 ) -> Evaluation:
     """Every metric of every group.
 
-    A recording that turns out to be unreadable is set aside and named; the others are evaluated without it.
+    A file that could not be read is set aside and named; the others are evaluated without it.
 
-    recordings   in any order; copies of one run count once
-    reference    real trials, or a simulation to compare with; where None, the real trials among the recordings
-    sample_time  simulated time at which positions are compared [s]
-    unreadable   files that could not be opened, passed on to the report
+    files        in any order; copies of one run count once
+    reference    real trials, or a simulation to compare with; where None, the real trials among the files
+    sample_time  simulated time that the files were read for [s]
+    work         where distances are computed
     """
-    failures = list(unreadable)
-    distinct, notes = _without_copies(recordings, failures)
-    readable: list[Recording] = []
-    data: dict[str, RunData] = {}
-    for recording in distinct:
-        try:
-            check(recording)
-            if recording.configuration.simulator != REAL and recording.usable:
-                data[recording.provenance.run_id] = read_run(recording, sample_time)
-            readable.append(recording)
-        except GsbError as error:
-            failures.append(Unreadable(recording.path, error))
+    files = list(files)
+    failures = [f for f in files if isinstance(f, Unreadable)]
+    distinct, notes = _without_copies([f for f in files if isinstance(f, Read)], failures)
+    readable = [r.summary for r in distinct]
+    data = {r.summary.provenance.run_id: r.run for r in distinct if r.run}
 
-    measured = [r for r in readable if r.configuration.simulator == REAL]
+    measured = [r for r in distinct if r.summary.configuration.simulator == REAL]
     chosen, reference_note = _choose_reference(reference, measured)
-    target, why_not = _read_reference(chosen, sample_time, failures) if chosen else (None, reference_note)
+    target, why_not = _use_reference(chosen) if chosen else (None, reference_note)
     if target:
         reference_note = reference_note or f"compared with {target.label} in {target.path.name}"
 
@@ -73,7 +73,8 @@ def evaluate(
         notes.append("the recordings differ in dt, which changes the outcome: each dt is a group of its own")
     names = labels([g.key for g in groups], options_given(readable))
     found = [
-        _evaluate_group(g, label, data, target, why_not, sample_time) for g, label in zip(groups, names, strict=True)
+        _evaluate_group(g, label, data, target, why_not, sample_time, work)
+        for g, label in zip(groups, names, strict=True)
     ]
     notes += _identical_groups(found)
     maps = {
@@ -97,65 +98,66 @@ def evaluate(
     )
 
 
-def _without_copies(recordings: Sequence[Recording], failures: list[Unreadable]) -> tuple[list[Recording], list[str]]:
-    seen: dict[str, Recording] = {}
+def _without_copies(files: Sequence[Read], failures: list[Unreadable]) -> tuple[list[Read], list[str]]:
+    seen: dict[str, Read] = {}
     notes: list[str] = []
     # of a whole file and one that was cut short, the whole one stays
-    for recording in sorted(recordings, key=lambda r: r.status == "incomplete"):
-        first = seen.setdefault(recording.provenance.run_id, recording)
-        if first is recording:
+    for read in sorted(files, key=lambda r: r.summary.status == "incomplete"):
+        recording = read.summary
+        first = seen.setdefault(recording.provenance.run_id, read)
+        if first is read:
             continue
-        if recording.content_hash in (first.content_hash, ""):
-            notes.append(f"{recording.path.name} is a copy of {first.path.name}; it counts once")
+        if recording.content_hash in (first.summary.content_hash, ""):
+            notes.append(f"{recording.path.name} is a copy of {first.summary.path.name}; it counts once")
         else:
-            why = f"{recording.path} has the run id of {first.path.name} and another content: one of them was changed"
+            why = (
+                f"{recording.path} has the run id of {first.summary.path.name} and another content: one of them was "
+                "changed"
+            )
             failures.append(Unreadable(recording.path, DamagedRecording(why)))
     return list(seen.values()), notes
 
 
-def _choose_reference(given: Recording | None, measured: Sequence[Recording]) -> tuple[Recording | None, str]:
+def _choose_reference(given: Read | None, measured: Sequence[Read]) -> tuple[Read | None, str]:
     if given is not None:
         return given, ""
     if len(measured) == 1:
-        return measured[0], f"compared with the real trials in {measured[0].path.name}"
+        return measured[0], f"compared with the real trials in {measured[0].summary.path.name}"
     if measured:
         return None, f"{len(measured)} recordings of real trials are here: choose one with --reference"
     return None, "no reference: give real trials or another recording with --reference"
 
 
-def _read_reference(
-    recording: Recording, sample_time: float, failures: list[Unreadable]
-) -> tuple[Reference | None, str]:
+def _use_reference(read: Read) -> tuple[Reference | None, str]:
+    recording = read.summary
     name = recording.path.name
     if recording.status != "complete":
         return None, f"the reference {name} is {recording.status}: {recording.reason}"
     if recording.dropouts:
         return None, f"the reference {name} lost data: {recording.dropouts[0]}"
-    try:
-        positions, why_not = sample_positions(recording, sample_time)
-    except GsbError as error:
-        failures.append(Unreadable(recording.path, error))
-        return None, f"the reference {name} cannot be read"
-    if positions is None:
+    if read.run is None or read.run.positions is None:
+        why_not = read.run.no_positions if read.run else "it was not read"
         return None, f"the reference {name} cannot be used: {why_not}"
+    planar = read.run.positions.planar
     c = recording.configuration
     measured = c.simulator == REAL
-    label = f"{len(positions.planar)} real trials" if measured else f"{c.simulator} with {c.n_env} envs, dt {c.dt:g} s"
-    return Reference(label, recording.path, recording.provenance.run_id, measured, c.scene, positions.planar), ""
+    label = f"{len(planar)} real trials" if measured else f"{c.simulator} with {c.n_env} envs, dt {c.dt:g} s"
+    return Reference(label, recording.path, recording.provenance.run_id, measured, c.scene, planar), ""
 
 
 def _evaluate_group(
-    group: Group,
+    group: Group[Summary],
     label: str,
-    data: dict[str, RunData],
+    data: Mapping[str, RunData],
     reference: Reference | None,
     no_reference: str,
     sample_time: float,
+    work: Work,
 ) -> _Found:
     runs = tuple(data[r.provenance.run_id] for r in group.complete)
     planar, why_not = gm.positions(runs)
-    parallel, parallel_matrix = gm.parallel(planar, why_not)
-    between, run_matrix = gm.run_to_run(planar, why_not)
+    parallel, parallel_matrix = gm.parallel(planar, why_not, work)
+    between, run_matrix = gm.run_to_run(planar, why_not, work)
     metrics: list[Metric] = [
         costs.throughput(runs),
         costs.memory_peak_increment(runs),
@@ -166,7 +168,7 @@ def _evaluate_group(
         costs.capture_slowdown(runs),
         parallel,
         between,
-        gm.real(planar, why_not, reference, no_reference, group.key.scene),
+        gm.real(planar, why_not, reference, no_reference, group.key.scene, work),
         *gm.distinct(runs),
         gm.left_board(runs),
         gm.sank(runs),
@@ -187,7 +189,9 @@ def _evaluate_group(
     return _Found(_consistent(result), runs, planar)
 
 
-def _notes(group: Group, runs: Sequence[RunData], reference: Reference | None, sample_time: float) -> list[str]:
+def _notes(
+    group: Group[Summary], runs: Sequence[RunData], reference: Reference | None, sample_time: float
+) -> list[str]:
     notes = status_notes(group)
     sampled = next((r.positions.time for r in runs if r.positions), sample_time)
     if not math.isclose(sampled, sample_time, rel_tol=1e-9):

@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evaluator.metrics.alignment import sim_to_real_gap
-from evaluator.metrics.board import left_board as has_left
 from evaluator.metrics.identity import bitwise_classes, count_distinct
 from evaluator.metrics.regime import published_regime
 from evaluator.metrics.variability import CM_PER_M, parallel_variability, run_to_run_variability
@@ -20,6 +19,7 @@ from evaluator.results import Metric, Reference, not_computed
 from evaluator.run_data import RunData
 from evaluator.statistics.jackknife import jackknife_pair_mean
 from evaluator.statistics.permutation import permutation_floor
+from evaluator.work import Work
 
 _SEED = 0
 
@@ -29,8 +29,7 @@ _PERMUTATIONS = ((500, 99), (1000, 19))
 
 def distinct(runs: Runs) -> tuple[Metric, Metric]:
     """Bitwise distinct environments and runs, over every step of the capture phase."""
-    captured = [r.captured for r in runs if r.captured is not None]
-    if not captured:
+    if not any(r.histories for r in runs):
         why = "no states were captured" if runs else NO_RUN
         return not_computed("distinct_envs", "", "neither", why), not_computed("distinct_runs", "", "neither", why)
     method = "64-bit state hashes of every captured step"
@@ -45,48 +44,41 @@ def _distinct_envs(runs: Runs, method: str) -> Metric:
     if simulation and len(set(simulation.env_origins)) > 1:
         why = "environments at different origins cannot be compared by bits"
         return not_computed("distinct_envs", "", "neither", why)
-    captured = [r.captured for r in runs if r.captured is not None]
-    counts = [count_distinct(c.hashes.T) for c in captured]
-    first = [_first_step(c.steps, (c.hashes != c.hashes[:, :1]).any(axis=1)) for c in captured]
+    found = [r.histories for r in runs if r.histories]
+    counts = [h.n_distinct for h in found]
     return Metric(
         "distinct_envs",
         float(max(counts)),
         "",
         "neither",
         method=f"largest number of distinct environments in a run, by {method}",
-        n=captured[0].hashes.shape[1],
+        n=len(found[0].classes),
         extra={
             "per_run": counts,
-            "classes": [bitwise_classes(c.hashes.T).tolist() for c in captured],
-            "first_difference_step": min((step for step in first if step is not None), default=None),
+            "classes": [h.classes.tolist() for h in found],
+            "first_difference_step": min((h.first_step for h in found if h.first_step is not None), default=None),
         },
     )
 
 
 def _distinct_runs(runs: Runs, method: str) -> Metric:
-    captured = [r.captured for r in runs if r.captured is not None]
-    if len(captured) < 2:
+    found = [r.histories for r in runs if r.histories]
+    if len(found) < 2:
         return not_computed("distinct_runs", "", "neither", "needs at least two complete runs")
-    if len({c.steps.tobytes() for c in captured}) > 1:
+    if len({h.steps.tobytes() for h in found}) > 1:
         return not_computed("distinct_runs", "", "neither", "the runs captured different steps")
-    stacked = np.stack([c.hashes for c in captured])
+    stacked = np.stack([h.digests for h in found])
     differing = (stacked != stacked[:1]).any(axis=(0, 2))
+    first = int(found[0].steps[np.argmax(differing)]) if differing.any() else None
     return Metric(
         "distinct_runs",
         float(count_distinct(stacked)),
         "",
         "neither",
         method=f"distinct runs, env by env, by {method}",
-        n=len(captured),
-        extra={
-            "classes": bitwise_classes(stacked).tolist(),
-            "first_difference_step": _first_step(captured[0].steps, differing),
-        },
+        n=len(found),
+        extra={"classes": bitwise_classes(stacked).tolist(), "first_difference_step": first},
     )
-
-
-def _first_step(steps: NDArray[np.int64], differing: NDArray[np.bool_]) -> int | None:
-    return int(steps[np.argmax(differing)]) if differing.any() else None
 
 
 def identical_steps(one: Runs, other: Runs) -> int:
@@ -97,13 +89,11 @@ def identical_steps(one: Runs, other: Runs) -> int:
     runs = [*one, *other]
     if not (one and other) or len({_comparable(r) for r in runs}) > 1:
         return 0
-    captured = [r.captured for r in runs if r.captured is not None]
-    if len(captured) < len(runs):
+    found = [r.histories for r in runs if r.histories]
+    if len(found) < len(runs):
         return 0
-    count = min(len(c.steps) for c in captured)
-    if len({c.steps[:count].tobytes() for c in captured}) > 1:
-        return 0
-    return count if count_distinct(np.stack([c.hashes[:count] for c in captured])) == 1 else 0
+    count = min(len(h.steps) for h in found)
+    return count if len({h.until(count) for h in found}) == 1 else 0
 
 
 def _comparable(run: RunData) -> tuple[Any, ...]:
@@ -115,20 +105,12 @@ def _comparable(run: RunData) -> tuple[Any, ...]:
 def capture_effect(runs: Runs) -> Metric:
     """In how many runs the states differ between the timed phase, which nothing observes, and the capture phase."""
     name = "capture_changes_states"
-    compared, changed = 0, 0
-    for run in runs:
-        if run.timed is None or run.captured is None:
-            continue
-        common, at_timed, at_captured = np.intersect1d(run.timed.steps, run.captured.steps, return_indices=True)
-        if not len(common):
-            continue
-        compared += 1
-        changed += bool((run.timed.hashes[at_timed] != run.captured.hashes[at_captured]).any())
-    if not compared:
+    observed = [r.observed for r in runs if r.observed is not None]
+    if not observed:
         why = "no step was passed by both the timed and the capture phase" if runs else NO_RUN
         return not_computed(name, "", "lower", why)
     method = "runs whose state hashes differ between timed and capture phase at a step that both passed"
-    return Metric(name, float(changed), "", "lower", n=compared, method=method)
+    return Metric(name, float(sum(observed)), "", "lower", n=len(observed), method=method)
 
 
 def positions(runs: Runs) -> tuple[NDArray[np.float64] | None, str]:
@@ -141,7 +123,7 @@ def positions(runs: Runs) -> tuple[NDArray[np.float64] | None, str]:
     return np.stack([r.positions.planar for r in runs if r.positions is not None]), ""
 
 
-def parallel(planar: NDArray[np.float64] | None, why_not: str) -> tuple[Metric, NDArray[np.float64] | None]:
+def parallel(planar: NDArray[np.float64] | None, why_not: str, work: Work) -> tuple[Metric, NDArray[np.float64] | None]:
     """Parallel variability: mean over runs of the mean W1 over pairs of environments, with the first run's matrix."""
     name = "w1_parallel"
     if planar is None:
@@ -166,7 +148,9 @@ def parallel(planar: NDArray[np.float64] | None, why_not: str) -> tuple[Metric, 
     return metric, found[0].matrix_cm
 
 
-def run_to_run(planar: NDArray[np.float64] | None, why_not: str) -> tuple[Metric, NDArray[np.float64] | None]:
+def run_to_run(
+    planar: NDArray[np.float64] | None, why_not: str, work: Work
+) -> tuple[Metric, NDArray[np.float64] | None]:
     """Run-to-run variability: mean and SD of W1 over pairs of runs, all environments of a run pooled."""
     name = "w1_run_to_run"
     if planar is None:
@@ -196,7 +180,12 @@ def run_to_run(planar: NDArray[np.float64] | None, why_not: str) -> tuple[Metric
 
 
 def real(
-    planar: NDArray[np.float64] | None, why_not: str, reference: Reference | None, no_reference: str, scene: str
+    planar: NDArray[np.float64] | None,
+    why_not: str,
+    reference: Reference | None,
+    no_reference: str,
+    scene: str,
+    work: Work,
 ) -> Metric:
     """Gap to the reference: mean and SD over runs of W1 between all positions of a run and all of the reference."""
     name = "w1_real"
@@ -233,18 +222,12 @@ def left_board(runs: Runs) -> Metric:
     name, unit = "left_board", "cubes per env"
     if not runs:
         return not_computed(name, unit, "lower", NO_RUN)
-    counts, cubes, envs = [], 0, 0
-    for run in runs:
-        if run.board is None:
-            return not_computed(name, unit, "lower", "this scene has no board to leave")
-        if run.positions is None:
-            return not_computed(name, unit, "lower", run.no_positions)
-        if run.positions.spatial is None:
-            return not_computed(name, unit, "lower", "heights were not recorded")
-        left = has_left(run.positions.spatial, run.board)
-        counts.append(int(left.sum()))
-        cubes += left.size
-        envs += len(left)
+    why_not = next((r.no_left for r in runs if r.left is None), "")
+    if why_not:
+        return not_computed(name, unit, "lower", why_not)
+    counts = [r.left for r in runs if r.left is not None]
+    shapes = [r.positions.recorded.shape for r in runs if r.positions]
+    cubes, envs = sum(n_env * n_item for n_env, n_item, _ in shapes), sum(n_env for n_env, *_ in shapes)
     return Metric(
         name,
         sum(counts) / envs,

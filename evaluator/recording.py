@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from contextlib import suppress
-from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -39,13 +37,12 @@ from schemas import checks, topics
 from schemas.configuration import RunConfiguration
 from schemas.container import Channel, Container
 from schemas.digest import ContentDigest, content_hash
-from schemas.errors import DamagedRecording, GsbError
+from schemas.errors import DamagedRecording
 from schemas.fields import StateField
 from schemas.fingerprint import fingerprint
 from schemas.messages import enum_values
 from schemas.provenance import PROVENANCE, SCENE, SIMULATION, Provenance, Simulation
 
-_OTHER_FILES = 256  # that a process has open besides recordings
 _VERIFY_BYTES = 64 << 20
 _VERIFY_ROWS = 50  # a block's rows, so that none is decoded twice
 
@@ -288,38 +285,3 @@ def _row_ranges(arrays: Sequence[StateArray]) -> Iterator[slice]:
         yield slice(0, 1)
     for begin in range(first, len(arrays[0]), count):
         yield slice(begin, begin + count)
-
-
-def _allow_open_files(files: int) -> None:
-    # Each recording keeps its file open, and many a shell allows 1024 where the system allows far more.
-    try:
-        import resource
-    except ImportError:  # Windows has no such limit
-        return
-    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
-    wanted = files + _OTHER_FILES
-    if soft not in (resource.RLIM_INFINITY, hard) and soft < wanted:
-        limit = wanted if hard == resource.RLIM_INFINITY else min(wanted, hard)
-        with suppress(OSError, ValueError):  # then the file that is one too many says so
-            resource.setrlimit(resource.RLIMIT_NOFILE, (limit, hard))
-
-
-@dataclass(frozen=True)
-class Unreadable:
-    """A file that could not be opened or failed its checks, and why."""
-
-    path: Path
-    error: GsbError
-
-
-def open_all(paths: list[Path], *, verify: bool) -> Iterator[Recording | Unreadable]:
-    """Open each file; one that cannot be read is an item too, so that the others are not lost with it."""
-    _allow_open_files(len(paths))
-    for path in paths:
-        try:
-            recording = Recording(path)
-            if verify:
-                recording.verify()
-            yield recording
-        except GsbError as error:
-            yield Unreadable(path, error)

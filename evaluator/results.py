@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from evaluator.groups import Group
 from evaluator.metrics.density import Density, HexGrid
-from evaluator.recording import Unreadable
+from evaluator.reading import Unreadable
+from evaluator.summary import Summary
 from evaluator.validity import Validity
 
 if TYPE_CHECKING:
@@ -85,7 +86,7 @@ class GroupResult:
     notes            sentences that a reader must see beside the numbers
     """
 
-    group: Group
+    group: Group[Summary]
     label: str
     metrics: dict[str, Metric]
     cloud: Cloud | None

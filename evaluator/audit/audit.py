@@ -69,7 +69,7 @@ class Audit:
         return self.verdict.meets(required) if self.verdict else None
 
 
-def audit(group: Group, plan: ReplayPlan, *, max_ulps: int, say: Callable[[str], None]) -> Audit:
+def audit(group: Group[Recording], plan: ReplayPlan, *, max_ulps: int, say: Callable[[str], None]) -> Audit:
     """Replay the first complete recording of a group, and hold what came out against all complete ones.
 
     max_ulps  largest distance in units in the last place that counts as "within"

@@ -12,8 +12,12 @@ from evaluator.cli.json_target import check_target
 from schemas.errors import ExitCode, GsbError, NothingComparable, UsageError
 
 if TYPE_CHECKING:
-    from evaluator.recording import Recording, Unreadable
+    from collections.abc import Callable
+
+    from evaluator.cache.store import Store
+    from evaluator.reading import Read, Unreadable
     from evaluator.results import Evaluation
+    from evaluator.summary import Summary
 
 _EPILOG = """\
 exit codes:
@@ -45,21 +49,28 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument("--html", type=Path, metavar="DIR", help="write a report to DIR/index.html")
     p.add_argument("--published", action="store_true", help="show the paper's figures beside, marked as such")
     p.add_argument("--no-verify", action="store_true", help="skip the digests; CRCs of what is read are still checked")
+    p.add_argument("--cache", type=Path, metavar="DIR", help="where to keep results (default: the user's cache folder)")
+    p.add_argument("--no-cache", action="store_true", help="compute everything anew and keep nothing")
     return p
 
 
 def run(arguments: argparse.Namespace, command: str) -> int:
     """Evaluate and print; returns the exit code."""
     from evaluator.evaluate import evaluate
+    from evaluator.reading import Read
+    from evaluator.work import Work
 
     if not 0 < arguments.sample_time < float("inf"):
         raise UsageError(f"--sample-time is a time in seconds above 0, not {arguments.sample_time}")
     check_target(arguments.json)
-    recordings, unreadable = _open(arguments.files, verify=not arguments.no_verify)
-    reference = _open_reference(arguments.reference, verify=not arguments.no_verify) if arguments.reference else None
-    evaluation = evaluate(
-        recordings, reference=reference, sample_time=arguments.sample_time, unreadable=tuple(unreadable)
-    )
+    store = _store(arguments)
+    read = _reader(arguments, store)
+    reference = _reference(read, arguments.reference) if arguments.reference else None
+    files = list(map(read, dict.fromkeys(arguments.files)))
+    evaluation = evaluate(files, reference=reference, sample_time=arguments.sample_time, work=Work(store=store))
+    if store:
+        store.prune()
+    recordings = [f.summary for f in files if isinstance(f, Read)]
     for failure in evaluation.unreadable:
         complain("gsb-eval", str(failure.error))
     if not evaluation.results:
@@ -71,21 +82,27 @@ def run(arguments: argparse.Namespace, command: str) -> int:
     return _exit_code(evaluation, recordings)
 
 
-def _open(files: list[Path], *, verify: bool) -> tuple[list[Recording], list[Unreadable]]:
-    from evaluator.recording import Recording, Unreadable, open_all
+def _store(arguments: argparse.Namespace) -> Store | None:
+    from evaluator.cache.place import default_folder, open_store
 
-    opened = list(open_all(list(dict.fromkeys(files)), verify=verify))
-    return (
-        [o for o in opened if isinstance(o, Recording)],
-        [o for o in opened if isinstance(o, Unreadable)],
-    )
+    return None if arguments.no_cache else open_store(arguments.cache or default_folder())
 
 
-def _open_reference(path: Path, *, verify: bool) -> Recording:
-    recordings, unreadable = _open([path], verify=verify)
-    if unreadable:
-        raise unreadable[0].error
-    return recordings[0]
+def _reader(arguments: argparse.Namespace, store: Store | None) -> Callable[[Path], Read | Unreadable]:
+    from evaluator.cache.stored_reader import StoredReader
+    from evaluator.reading import Reader
+
+    reader = Reader(arguments.sample_time, verify=not arguments.no_verify)
+    return StoredReader(reader, store) if store else reader
+
+
+def _reference(read: Callable[[Path], Read | Unreadable], path: Path) -> Read:
+    from evaluator.reading import Unreadable
+
+    found = read(path)
+    if isinstance(found, Unreadable):
+        raise found.error
+    return found
 
 
 def _present(evaluation: Evaluation, arguments: argparse.Namespace, command: str) -> None:
@@ -112,7 +129,7 @@ def _present(evaluation: Evaluation, arguments: argparse.Namespace, command: str
         print(f"report: {page}", file=sys.stderr if arguments.json == "-" else sys.stdout)
 
 
-def _exit_code(evaluation: Evaluation, recordings: list[Recording]) -> int:
+def _exit_code(evaluation: Evaluation, recordings: list[Summary]) -> int:
     lost = any(r.status == "incomplete" or r.dropouts for r in recordings)
     if evaluation.unreadable or lost:
         return int(ExitCode.DATA_LOST)

@@ -22,15 +22,13 @@ from evaluator.groups import shown_status, status_notes
 from evaluator.metrics.density import Density, marginal
 from evaluator.metrics.radar import Axis
 from evaluator.metrics.regime import REGIME_MEANING
-from evaluator.recording import Recording
 from evaluator.report import numbers, words
 from evaluator.report.figures import density_map, lines, matrix, palette, radar_chart
 from evaluator.report.scaling import beside_published, scene_sweeps
 from evaluator.report.text import printable
 from evaluator.results import Evaluation, GroupResult, Map, Metric, Reference
-from evaluator.scene import board_of
+from evaluator.summary import Summary
 from evaluator.sweeps import SOURCES, swept_only
-from schemas.errors import DamagedRecording
 from schemas.provenance import Deviation
 
 _TEMPLATE = "report.html.j2"
@@ -239,10 +237,7 @@ def _why_no_cloud(result: GroupResult, evaluation: Evaluation) -> str:
 
 def _board(result: GroupResult) -> density_map.Outline | None:
     """The board that the scene names, where its description can be read."""
-    try:
-        board = board_of(result.group.recordings[0]) if result.group.recordings else None
-    except DamagedRecording:  # of a run that failed; no metric is computed from it
-        return None
+    board = result.group.recordings[0].board if result.group.recordings else None
     if board is None:
         return None
     (x, y), (length, width) = board.centre[:2], board.size[:2]
@@ -272,9 +267,9 @@ def _simulation_of(result: GroupResult) -> Any:
     return next((r.simulation for r in result.group.recordings if r.simulation), None)
 
 
-def _origins(result: GroupResult) -> list[tuple[str, Recording]]:
+def _origins(result: GroupResult) -> list[tuple[str, Summary]]:
     """One recording for each machine and software that the group's runs come from, with those runs' indices."""
-    alike: dict[str, list[Recording]] = {}
+    alike: dict[str, list[Summary]] = {}
     for recording in result.group.recordings:
         p = recording.provenance
         alike.setdefault(repr((p.host, p.gpus, p.software, p.environment)), []).append(recording)

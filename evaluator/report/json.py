@@ -7,8 +7,8 @@ from typing import Any
 
 from evaluator.document import dump, values_of
 from evaluator.metrics.memory_model import MemoryModel
-from evaluator.recording import Recording
 from evaluator.results import SCHEMA_VERSION, Evaluation, GroupResult, Metric
+from evaluator.summary import Summary
 from evaluator.sweeps import SOURCES, Sweep, SweepPoint
 from evaluator.validity import Validity
 
@@ -146,7 +146,7 @@ def _metric(metric: Metric) -> dict[str, Any]:
     }
 
 
-def _recording(recording: Recording) -> dict[str, Any]:
+def _recording(recording: Summary) -> dict[str, Any]:
     return {
         "file": str(recording.path),
         "content_hash": recording.content_hash or None,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from evaluator.groups import Group, shown_status
+from evaluator.groups import Described, Group, shown_status
 from evaluator.metrics.memory_model import MemoryModel
 from evaluator.report.numbers import NONE
 from evaluator.results import Metric
@@ -13,7 +13,7 @@ from evaluator.validity import BufferUse, Counted, OverflowSeen, Validity
 BYTES = {"GB": 1e9, "MB": 1e6}
 
 
-def trouble(group: Group) -> str:
+def trouble(group: Group[Described]) -> str:
     """Runs that are not complete, by how they ended: "2 INVALID (buffer), 1 failed"; empty where all are complete."""
     found: dict[str, int] = {}
     for recording in group.recordings:

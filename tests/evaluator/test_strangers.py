@@ -397,16 +397,16 @@ def test_a_recording_that_grows_while_it_is_read(tmp_path: Path) -> None:
 )
 def test_forged_evidence_of_a_run_that_failed(forgery: str, tmp_path: Path) -> None:
     """Set a damaged file aside also where no value is computed from it."""
-    from evaluator.evaluate import evaluate
+    from evaluator.evaluate import evaluate_files
 
     path = write_recording(tmp_path, grid(2), status="FAILED", reason="gone", **_EVIDENCE[forgery])
-    evaluation = evaluate([open_recording(path)])
+    evaluation = evaluate_files([path])
     assert (len(evaluation.results), len(evaluation.unreadable)) == (0, 1)
 
 
 def test_strange_names_of_counters_and_buffers(tmp_path: Path) -> None:
     """Show counters, buffers and phases that nobody foresaw, as text."""
-    from evaluator.evaluate import evaluate
+    from evaluator.evaluate import evaluate_files
     from evaluator.report.html import render_html
 
     evil = "<script>alert(1)</script>\x1b[2J"
@@ -418,7 +418,7 @@ def test_strange_names_of_counters_and_buffers(tmp_path: Path) -> None:
         buffers=buffers,
     )
     path = write_recording(tmp_path, grid(2), shown=shown)
-    (result,) = (evaluation := evaluate([open_recording(path)])).results
+    (result,) = (evaluation := evaluate_files([path])).results
     assert [u.share for u in result.validity.buffers] == [pytest.approx(2 / 2**63), None]
     page = render_html(evaluation, published=False, command="")
     assert "<script" not in page
