@@ -6,8 +6,8 @@ import os
 from pathlib import Path
 
 from evaluator.cache.codec import Codec
+from evaluator.cache.known_files import Stamp
 from evaluator.cache.store import Store
-from evaluator.cache.stored_reader import Stamp
 from evaluator.histories import Histories
 from evaluator.metrics.board import Board
 from evaluator.metrics.memory import Checkpoints

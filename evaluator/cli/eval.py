@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,12 +13,10 @@ from evaluator.cli.json_target import check_target
 from schemas.errors import ExitCode, GsbError, NothingComparable, UsageError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from evaluator.cache.store import Store
     from evaluator.reading import Read, Unreadable
     from evaluator.results import Evaluation
     from evaluator.summary import Summary
+    from evaluator.work import Mapper, Work
 
 _EPILOG = """\
 exit codes:
@@ -49,6 +48,7 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument("--html", type=Path, metavar="DIR", help="write a report to DIR/index.html")
     p.add_argument("--published", action="store_true", help="show the paper's figures beside, marked as such")
     p.add_argument("--no-verify", action="store_true", help="skip the digests; CRCs of what is read are still checked")
+    p.add_argument("--ray", metavar="ADDRESS", help="spread the work over a Ray cluster: an address, auto, or local")
     p.add_argument("--cache", type=Path, metavar="DIR", help="where to keep results (default: the user's cache folder)")
     p.add_argument("--no-cache", action="store_true", help="compute everything anew and keep nothing")
     return p
@@ -56,20 +56,23 @@ def parser() -> argparse.ArgumentParser:
 
 def run(arguments: argparse.Namespace, command: str) -> int:
     """Evaluate and print; returns the exit code."""
+    from evaluator.cache.known_files import read_all
     from evaluator.evaluate import evaluate
-    from evaluator.reading import Read
-    from evaluator.work import Work
+    from evaluator.reading import Read, Reader
 
     if not 0 < arguments.sample_time < float("inf"):
         raise UsageError(f"--sample-time is a time in seconds above 0, not {arguments.sample_time}")
     check_target(arguments.json)
-    store = _store(arguments)
-    read = _reader(arguments, store)
-    reference = _reference(read, arguments.reference) if arguments.reference else None
-    files = list(map(read, dict.fromkeys(arguments.files)))
-    evaluation = evaluate(files, reference=reference, sample_time=arguments.sample_time, work=Work(store=store))
-    if store:
-        store.prune()
+    with ExitStack() as stack:
+        work = _work(arguments, stack)
+        reader = Reader(arguments.sample_time, verify=not arguments.no_verify)
+        paths = list(dict.fromkeys([*arguments.files, *([arguments.reference] if arguments.reference else [])]))
+        read = dict(zip(paths, read_all(paths, reader, work), strict=True))
+        files = [read[path] for path in dict.fromkeys(arguments.files)]
+        reference = _readable(read[arguments.reference]) if arguments.reference else None
+        evaluation = evaluate(files, reference=reference, sample_time=arguments.sample_time, work=work)
+    if work.store:
+        work.store.prune()
     recordings = [f.summary for f in files if isinstance(f, Read)]
     for failure in evaluation.unreadable:
         complain("gsb-eval", str(failure.error))
@@ -82,27 +85,24 @@ def run(arguments: argparse.Namespace, command: str) -> int:
     return _exit_code(evaluation, recordings)
 
 
-def _store(arguments: argparse.Namespace) -> Store | None:
+def _work(arguments: argparse.Namespace, stack: ExitStack) -> Work:
     from evaluator.cache.place import default_folder, open_store
+    from evaluator.work import Work, serial
 
-    return None if arguments.no_cache else open_store(arguments.cache or default_folder())
+    mapper: Mapper = serial
+    if arguments.ray:
+        from evaluator.cluster import Cluster
 
-
-def _reader(arguments: argparse.Namespace, store: Store | None) -> Callable[[Path], Read | Unreadable]:
-    from evaluator.cache.stored_reader import StoredReader
-    from evaluator.reading import Reader
-
-    reader = Reader(arguments.sample_time, verify=not arguments.no_verify)
-    return StoredReader(reader, store) if store else reader
+        mapper = stack.enter_context(Cluster(arguments.ray))
+    return Work(mapper, None if arguments.no_cache else open_store(arguments.cache or default_folder()))
 
 
-def _reference(read: Callable[[Path], Read | Unreadable], path: Path) -> Read:
+def _readable(file: Read | Unreadable) -> Read:
     from evaluator.reading import Unreadable
 
-    found = read(path)
-    if isinstance(found, Unreadable):
-        raise found.error
-    return found
+    if isinstance(file, Unreadable):
+        raise file.error
+    return file
 
 
 def _present(evaluation: Evaluation, arguments: argparse.Namespace, command: str) -> None:

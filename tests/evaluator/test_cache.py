@@ -17,12 +17,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from evaluator.cache import known_files
 from evaluator.cache import store as store_module
-from evaluator.cache import stored_reader
 from evaluator.cache.codec import Codec
+from evaluator.cache.known_files import read_all
 from evaluator.cache.place import default_folder, open_store
 from evaluator.cache.store import Store
-from evaluator.cache.stored_reader import StoredReader
 from evaluator.evaluate import evaluate
 from evaluator.reading import Read, Reader, Unreadable
 from evaluator.recording import Recording
@@ -46,7 +46,7 @@ class Forbidden:
 @pytest.fixture
 def settled(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let files that were just written count as such that are left alone."""
-    monkeypatch.setattr(stored_reader, "_SETTLED_NS", 0)
+    monkeypatch.setattr(known_files, "_SETTLED_NS", 0)
 
 
 @pytest.fixture
@@ -57,6 +57,12 @@ def unread(monkeypatch: pytest.MonkeyPatch) -> Callable[[], None]:
         raise AssertionError("a file was opened")
 
     return lambda: monkeypatch.setattr(Recording, "__init__", refuse)
+
+
+def read_one(path: Path, cache: Path, *, sample_time: float = 1.0, verify: bool = True) -> Read | Unreadable:
+    """A file as a command reads it."""
+    (found,) = read_all([path], Reader(sample_time, verify=verify), Work(store=open_store(cache)))
+    return found
 
 
 def double(x: float) -> float:
@@ -158,20 +164,19 @@ def test_a_folder_that_cannot_be_written(tmp_path: Path) -> None:
 @pytest.mark.usefixtures("settled")
 def test_a_known_file_is_not_opened(tmp_path: Path, small_set: list[Path], unread: Callable[[], None]) -> None:
     """Evaluate a set a second time without opening a file, with the same document to the last digit."""
-    read = StoredReader(Reader(1.0), open_store(tmp_path))
-    before = dump_json(evaluate(map(read, small_set), sample_time=1.0))
+    work = Work(store=open_store(tmp_path))
+    before = dump_json(evaluate(read_all(small_set, Reader(1.0), work), sample_time=1.0))
     unread()
-    assert dump_json(evaluate(map(read, small_set), sample_time=1.0)) == before
+    assert dump_json(evaluate(read_all(small_set, Reader(1.0), work), sample_time=1.0)) == before
     with pytest.raises(AssertionError, match="a file was opened"):
-        StoredReader(Reader(0.5), open_store(tmp_path))(small_set[0])
+        read_one(small_set[0], tmp_path, sample_time=0.5)
 
 
 @pytest.mark.usefixtures("settled")
 def test_a_changed_file_is_read_again(tmp_path: Path, small: Path) -> None:
     """Find damage in a known file also where its size and its modification time are as before."""
     path = Path(shutil.copy(small, tmp_path / "run.mcap"))
-    read = StoredReader(Reader(1.0), open_store(tmp_path / "cache"))
-    assert isinstance(read(path), Read)
+    assert isinstance(read_one(path, tmp_path / "cache"), Read)
     status = path.stat()
     with path.open("r+b") as file:
         file.seek(status.st_size // 2)
@@ -179,32 +184,32 @@ def test_a_changed_file_is_read_again(tmp_path: Path, small: Path) -> None:
         file.seek(-1, os.SEEK_CUR)
         file.write(bytes([byte ^ 1]))
     os.utime(path, ns=(status.st_atime_ns, status.st_mtime_ns))
-    assert isinstance(read(path), Unreadable)
+    assert isinstance(read_one(path, tmp_path / "cache"), Unreadable)
 
 
 def test_a_file_just_written_is_not_relied_on(tmp_path: Path, small: Path) -> None:
     """Keep nothing of a file that may change once more within the resolution of the clock."""
     path = Path(shutil.copy(small, tmp_path / "run.mcap"))
-    StoredReader(Reader(1.0), open_store(tmp_path / "cache"))(path)
+    read_one(path, tmp_path / "cache")
     assert not list((tmp_path / "cache").rglob("*.npz"))
 
 
 @pytest.mark.usefixtures("settled")
 def test_nothing_is_kept_of_what_was_not_verified(tmp_path: Path, small: Path) -> None:
     """Take no file's word for its content hash."""
-    StoredReader(Reader(1.0, verify=False), open_store(tmp_path))(small)
+    read_one(small, tmp_path, verify=False)
     assert not list(tmp_path.rglob("*.npz"))
 
 
 @pytest.mark.usefixtures("settled")
-def test_a_renamed_file_has_its_new_name(tmp_path: Path, small: Path) -> None:
+def test_a_renamed_file_has_its_new_name(tmp_path: Path, small: Path, unread: Callable[[], None]) -> None:
     """Report a known recording under the name that it has now."""
-    read = StoredReader(Reader(1.0), open_store(tmp_path / "cache"))
+    cache = tmp_path / "cache"
     first = Path(shutil.copy(small, tmp_path / "first.mcap"))
-    assert isinstance(read(first), Read)
     os.link(first, tmp_path / "second.mcap")
-    assert isinstance(read(first), Read)  # linking it changed the time of its last change
-    found = read(tmp_path / "second.mcap")
+    assert isinstance(read_one(first, cache), Read)
+    unread()
+    found = read_one(tmp_path / "second.mcap", cache)
     assert isinstance(found, Read)
     assert found.run is not None
     assert (found.summary.path.name, found.run.recording.path.name) == ("second.mcap", "second.mcap")
