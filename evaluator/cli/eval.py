@@ -30,6 +30,7 @@ examples:
   gsb-eval recordings/*.mcap
   gsb-eval recordings/*.mcap --html report/ --published
   gsb-eval recordings/*.mcap --reference trials.mcap --json results.json
+  gsb-eval recordings/*.mcap --tables tables/ --ray local
 """
 
 
@@ -46,6 +47,7 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument("--sample-time", type=float, default=5.0, metavar="S", help="simulated time (default: 5.0)")
     p.add_argument("--json", metavar="FILE", help="write the results as JSON; - for standard output, alone")
     p.add_argument("--html", type=Path, metavar="DIR", help="write a report to DIR/index.html")
+    p.add_argument("--tables", type=Path, metavar="DIR", help="write metrics.parquet and runs.parquet")
     p.add_argument("--published", action="store_true", help="show the paper's figures beside, marked as such")
     p.add_argument("--no-verify", action="store_true", help="skip the digests; CRCs of what is read are still checked")
     p.add_argument("--ray", metavar="ADDRESS", help="spread the work over a Ray cluster: an address, auto, or local")
@@ -119,6 +121,14 @@ def _present(evaluation: Evaluation, arguments: argparse.Namespace, command: str
             print_published(sys.stdout)
         if arguments.json:
             write(Path(arguments.json), dump_json(evaluation))
+    if arguments.tables:
+        from evaluator.report.parquet import write_parquet
+
+        try:
+            for table in write_parquet(evaluation, arguments.tables):
+                print(f"table: {table}", file=sys.stderr if arguments.json == "-" else sys.stdout)
+        except OSError as error:
+            raise GsbError(f"cannot write tables to {arguments.tables}: {error.strerror}") from None
     if arguments.html:
         from evaluator.report.html import write_html
 
