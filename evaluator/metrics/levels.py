@@ -57,8 +57,8 @@ class Verdict:
     level       the strongest that holds
     max_ulp     limit of WITHIN_ULP
     tolerance   limit of WITHIN_TOLERANCE [m]; the resolution where that is coarser
-    worst       None where a number is not finite
-    worst_ulp   largest difference in ULP, which may be another body's than the worst; None likewise
+    worst       None where nothing differs, and where a number is not finite
+    worst_ulp   largest difference in ULP, which may be another body's than the worst; None where a number is not finite
     resolution  what storing one place twice can make of it [m]; None where bits were compared
     n_sample    samples
     n_distinct  of other bits; None where bits cannot be compared
@@ -129,15 +129,15 @@ def verdict(
     if n_distinct == 1:
         level = Level.BIT_IDENTICAL
         if hashes_agree is False:
-            level = Level.WITHIN_ULP if worst is not None else Level.DIFFERENT
+            level = Level.DIFFERENT if worst_ulp is None else Level.WITHIN_ULP
             note = "the positions are equal at the sample step, and states differ at other steps or in other fields"
     elif _equal_up_to_order(samples):
         level = Level.EQUAL_UP_TO_ORDER
         note = _joined(note, "at the sample step")
-    elif worst is None or worst_ulp is None:
+    elif worst_ulp is None:
         level, note = Level.DIFFERENT, _joined(note, "some positions are not finite")
     else:
-        level = _by_size(worst, worst_ulp, max_ulp, tolerance)
+        level = _by_size(_difference(worst), worst_ulp, max_ulp, tolerance)
     return Verdict(level, max_ulp, tolerance, worst, worst_ulp, None, len(samples), n_distinct, note)
 
 
@@ -145,7 +145,7 @@ def _beside_origins(
     samples: npt.NDArray[np.floating], origins: npt.NDArray[np.float64], max_ulp: float, tolerance: float
 ) -> Verdict:
     worst, worst_ulp = _worst(samples.astype(np.float64) - origins[:, np.newaxis, np.newaxis, :], samples)
-    if worst is None:
+    if worst_ulp is None:
         note = "some positions are not finite"
         return Verdict(Level.DIFFERENT, max_ulp, tolerance, None, None, None, len(samples), None, note)
     resolution = float(np.spacing(np.abs(samples).max()))
@@ -155,24 +155,26 @@ def _beside_origins(
         f"at different origins bits cannot be compared: {samples.dtype} resolves {resolution * 1000:.2g} mm there, and "
         "nothing finer is claimed"
     )
-    if worst.difference <= resolution:
+    if _difference(worst) <= resolution:
         note += "; all differences are below that"
-    level = Level.WITHIN_TOLERANCE if worst.difference <= limit else Level.DIFFERENT
+    level = Level.WITHIN_TOLERANCE if _difference(worst) <= limit else Level.DIFFERENT
     return Verdict(level, max_ulp, limit, worst, worst_ulp, resolution, len(samples), None, note)
 
 
-def _by_size(worst: Worst, worst_ulp: float, max_ulp: float, tolerance: float) -> Level:
+def _by_size(difference: float, worst_ulp: float, max_ulp: float, tolerance: float) -> Level:
     if worst_ulp <= max_ulp:
         return Level.WITHIN_ULP
-    return Level.WITHIN_TOLERANCE if worst.difference <= tolerance else Level.DIFFERENT
+    return Level.WITHIN_TOLERANCE if difference <= tolerance else Level.DIFFERENT
 
 
-def _worst(
-    local: npt.NDArray[np.float64], recorded: npt.NDArray[np.floating]
-) -> tuple[Worst, float] | tuple[None, None]:
-    """The worst of the numbers and the largest difference in ULP; None where a number is not finite.
+def _difference(worst: Worst | None) -> float:
+    return 0.0 if worst is None else worst.difference
 
-    Both are of shape [sample, env, item, component]; local without origins.
+
+def _worst(local: npt.NDArray[np.float64], recorded: npt.NDArray[np.floating]) -> tuple[Worst | None, float | None]:
+    """The worst number, None where none differs, and the largest difference in ULP; neither where one is not finite.
+
+    Both arrays are [sample, env, item, component]; local is without origins.
     """
     if not np.isfinite(recorded).all():
         return None, None
@@ -184,6 +186,8 @@ def _worst(
     ulps = apart / spacing[..., np.newaxis]
     env, item, component = (int(i) for i in np.unravel_index(int(apart.argmax()), apart.shape))
     at = (env, item, component)
+    if apart[at] == 0:
+        return None, 0.0
     pair = sorted((int(low[at]), int(high[at])))
     worst = Worst((pair[0], pair[1]), env, item, component, float(apart[at]), float(ulps[at]))
     return worst, float(ulps.max())

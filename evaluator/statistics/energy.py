@@ -51,6 +51,9 @@ def energy_distance(a: npt.ArrayLike, b: npt.ArrayLike, *, n_permutation: int = 
     (n m distances, in blocks) and each permutation only adds them up anew. The p-value is that of a Monte Carlo test
     (Phipson and Smyth 2010), (1 + #{permuted >= observed}) / (1 + n_permutation).
 
+    Envs are what is exchanged, and what is taken for independent. Envs of one run are not where runs differ as a whole:
+    to compare two configurations of several runs each, give runs as the envs, [n_run, n_env * n_item, 2].
+
     The U-statistic needs two envs a side, and is None without.
 
     Args:
@@ -76,11 +79,12 @@ def energy_distance(a: npt.ArrayLike, b: npt.ArrayLike, *, n_permutation: int = 
     means = env_pair_means(envs[first])
     counts = _Counts(means, classes, len(a), len(b))
     observed = float(counts.v_statistic(counts.dealt(np.arange(len(classes)))[np.newaxis])[0])
+    unbiased = counts.u_statistic()
     floor = _permuted(counts, n_permutation, np.random.default_rng(seed))
     tie = _TIE * float(means.mean())
     return EnergyDistance(
         v_statistic=observed if observed > tie else 0.0,
-        u_statistic=counts.u_statistic(),
+        u_statistic=0.0 if unbiased is not None and abs(unbiased) <= tie else unbiased,
         floor_mean=max(float(floor.mean()), 0.0),
         floor_q95=max(float(np.quantile(floor, 0.95)), 0.0),
         p_value=(1 + int((floor >= observed - tie).sum())) / (1 + n_permutation),

@@ -93,7 +93,7 @@ def regime_probabilities(
         classes: bitwise class of each run, shape [n_run].
         seed: of the draws.
         n_draw: samples to draw, at least 1.
-        method: how; the default is the best calibrated one of those in `benchmarks/coverage.py`.
+        method: how; by `benchmarks/coverage.py`, the default is the best calibrated one from ten runs on.
 
     Raises:
         ValueError: fewer than three runs, no draws, shapes that do not agree, a matrix that is no distance matrix,

@@ -20,7 +20,8 @@ def samples(n: int = 4, dtype: Any = np.float32) -> np.ndarray:
 
 def test_bit_identical_needs_the_hashes() -> None:
     """Claim bits of the whole run only where the hashes of all steps agree."""
-    assert verdict(samples(), hashes_agree=True).level is Level.BIT_IDENTICAL
+    same = verdict(samples(), hashes_agree=True)
+    assert (same.level, same.worst, same.worst_ulp) == (Level.BIT_IDENTICAL, None, 0.0)
     unknown = verdict(samples(), hashes_agree=None)
     assert (unknown.level, "no state hashes" in unknown.note) == (Level.BIT_IDENTICAL, True)
     elsewhere = verdict(samples(), hashes_agree=False)
