@@ -94,7 +94,13 @@ def spread(recording: Recording) -> tuple[Spread | None, str]:
 
 
 class _Sums:
-    """Displacements of one field's bodies from environment 0, summed over environments; rows as chosen."""
+    """What one field's displacements from environment 0 come to, row by row.
+
+    bodies        of the field
+    pair_squares  mean over pairs of environments of the squared distance [m^2], summed over bodies, shape [row]
+    largest       distance from environment 0 [m], shape [row]
+    resolution    largest that storing at two origins can make of one place [m]; None with one origin
+    """
 
     def __init__(self, recording: Recording, field: StateField, array: StateArray, rows: NDArray[np.int64]) -> None:
         self._recording, self._field, self._array, self._rows = recording, field, array, rows
@@ -102,17 +108,9 @@ class _Sums:
         origins = simulation.env_origins if simulation and field.frame == "world" else ()
         self._origins = np.array(origins) if len(set(origins)) > 1 else None
         self.bodies = len(field.items)
-        self.squares = np.zeros(len(rows))
+        self.pair_squares = np.zeros(len(rows))
         self.largest = np.zeros(len(rows))
-        self._vectors = np.zeros((len(rows), self.bodies, field.width))
         self.resolution = 0.0 if self._origins is not None else None
-
-    def pair_squares(self) -> NDArray[np.float64]:
-        """Mean over pairs of environments of the squared distance, summed over bodies, [row]; not finite likewise."""
-        n_env = self._array.shape[1]
-        with np.errstate(invalid="ignore", over="ignore"):
-            around = self.squares / n_env - ((self._vectors / n_env) ** 2).sum(axis=(1, 2))
-            return np.asarray(2 * n_env / (n_env - 1) * np.maximum(around, 0.0))
 
     def read(self, some: NDArray[np.int64]) -> None:
         """Add rows of the file, all within one block of rows."""
@@ -124,14 +122,18 @@ class _Sums:
         row_bytes = (end - begin) * block * items * width * self._array.dtype.itemsize
         envs = block * max(1, _READ_BYTES // max(row_bytes, 1))
         zero = self._array.read(slice(begin, end), slice(0, 1))[some - begin]
+        squares, vectors = np.zeros(len(some)), np.zeros((len(some), items, width))
         for first in range(0, n_env, envs):
             part = self._array.read(slice(begin, end), slice(first, first + envs))[some - begin]
             apart = self._apart(part, zero, first)
             with np.errstate(invalid="ignore", over="ignore"):
                 squared = (apart**2).sum(axis=-1)
-                self.squares[at] += squared.sum(axis=(1, 2))
-                self._vectors[at] += apart.sum(axis=1)
+                squares += squared.sum(axis=(1, 2))
+                vectors += apart.sum(axis=1)
                 self.largest[at] = np.maximum(self.largest[at], np.sqrt(squared.max(axis=(1, 2))))
+        with np.errstate(invalid="ignore", over="ignore"):
+            around = squares / n_env - ((vectors / n_env) ** 2).sum(axis=(1, 2))
+            self.pair_squares[at] = 2 * n_env / (n_env - 1) * np.maximum(around, 0.0)
 
     def _apart(self, part: NDArray[np.floating], zero: NDArray[np.floating], first: int) -> NDArray[np.float64]:
         # [row, env, item, component], in the environments' own frames
@@ -170,7 +172,7 @@ def _result(
     recording: Recording, fields: list[StateField], steps: NDArray[np.int64], sums: list[_Sums], rows_read: int
 ) -> Spread:
     bodies = sum(s.bodies for s in sums)
-    rms = np.sqrt(sum((s.pair_squares() for s in sums), np.zeros(len(steps))) / bodies)
+    rms = np.sqrt(sum((s.pair_squares for s in sums), np.zeros(len(steps))) / bodies)
     largest = np.max([s.largest for s in sums], axis=0)
     finite = np.isfinite(largest) & np.isfinite(rms)
     times = np.asarray(steps * recording.configuration.dt, dtype=np.float64)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 from itertools import combinations
 
@@ -147,12 +147,13 @@ def _point(
 ) -> MatchedPoint:
     n_run, n_env, n_item = runs.shape[:3]
     drawn = draws(n_env, size, n_draw, scheme, rng)
-    each = [_matrices(runs[:, envs], distance, rng) for envs in drawn]
+    # one deal a draw for the floor, and as many where there is one draw of all
+    each = [_matrices(runs[:, envs], distance, n_draw // len(drawn), rng) for envs in drawn]
     raw, no_raw = None, ""
     if size == n_env:
         raw = _variability(each)
     elif n_env * n_item <= max_points:
-        raw = _variability([_matrices(runs, distance, rng)])
+        raw = _variability([_matrices(runs, distance, n_draw, rng)])
     else:
         no_raw = f"{n_env * n_item} points a run are more than {max_points}"
     between = [float(m[np.triu_indices(n_run, 1)].mean()) for m, _, _ in each if m is not None]
@@ -165,8 +166,8 @@ def _point(
 _Found = tuple[Points | None, Points | None, float | None]
 
 
-def _matrices(runs: Points, distance: Distance, rng: np.random.Generator) -> _Found:
-    """Between runs [run, run], within each run [run], and the floor of one re-dealing of two runs."""
+def _matrices(runs: Points, distance: Distance, n_deal: int, rng: np.random.Generator) -> _Found:
+    """Between runs [run, run], within each run [run], and the mean over so many deals of two runs' envs."""
     n_run, n_env = runs.shape[:2]
     known = _Known(distance)
     within = None
@@ -177,10 +178,12 @@ def _matrices(runs: Points, distance: Distance, rng: np.random.Generator) -> _Fo
     matrix = np.zeros((n_run, n_run))
     for i, j in combinations(range(n_run), 2):
         matrix[i, j] = matrix[j, i] = known(runs[i].reshape(-1, 2), runs[j].reshape(-1, 2))
-    one, other = rng.choice(n_run, 2, replace=False)
-    pool = np.concatenate([runs[one], runs[other]])[rng.permutation(2 * n_env)]
-    floor = known(pool[:n_env].reshape(-1, 2), pool[n_env:].reshape(-1, 2))
-    return matrix, within, floor
+    floors = []
+    for _ in range(n_deal):
+        pair = rng.choice(n_run, 2, replace=False)
+        pool = runs[pair].reshape(2 * n_env, -1, 2)[rng.permutation(2 * n_env)]
+        floors.append(known(pool[:n_env].reshape(-1, 2), pool[n_env:].reshape(-1, 2)))
+    return matrix, within, float(np.mean(floors))
 
 
 class _Known:
@@ -205,10 +208,17 @@ def _variability(each: list[_Found]) -> Variability:
     within = [p for _, p, _ in each if p is not None]
     floors = [f for _, _, f in each if f is not None]
     return Variability(
-        jackknife_pair_mean(np.mean(matrices, axis=0)) if matrices else None,
-        jackknife_mean(np.mean(within, axis=0), nonnegative=True) if within else None,
+        _with_spread(jackknife_pair_mean(np.mean(matrices, axis=0))) if matrices else None,
+        _with_spread(jackknife_mean(np.mean(within, axis=0), nonnegative=True)) if within else None,
         float(np.mean(floors)) if floors else None,
     )
+
+
+def _with_spread(interval: Interval) -> Interval:
+    # one of width zero would claim that rare differences are excluded
+    if interval.standard_error != 0:
+        return interval
+    return replace(interval, low=None, high=None, standard_error=None, reason="the runs do not differ")
 
 
 def _sd(values: list[float]) -> float | None:
