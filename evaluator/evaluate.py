@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from evaluator import cost_metrics as costs
 from evaluator import group_metrics as gm
+from evaluator import identity_metrics as identity
 from evaluator.comparison import compare
 from evaluator.density_maps import reference_density, shared_map, with_cloud
 from evaluator.groups import Group, group, labels, options_given, status_notes
@@ -158,6 +159,8 @@ def _evaluate_group(
     planar, why_not = gm.positions(runs)
     parallel, parallel_matrix = gm.parallel(planar, why_not, work)
     between, run_matrix = gm.run_to_run(planar, why_not, work)
+    distinct_envs, distinct_runs = identity.distinct(runs)
+    classes = distinct_runs.extra.get("classes", [])
     metrics: list[Metric] = [
         costs.throughput(runs),
         costs.memory_peak_increment(runs),
@@ -169,11 +172,15 @@ def _evaluate_group(
         parallel,
         between,
         gm.real(planar, why_not, reference, no_reference, group.key.scene, work),
-        *gm.distinct(runs),
+        distinct_envs,
+        distinct_runs,
+        identity.equality_of_envs(runs),
+        identity.equality_of_runs(runs),
+        identity.growth(runs),
         gm.left_board(runs),
         gm.sank(runs),
-        gm.regime(parallel, between),
-        gm.capture_effect(runs),
+        gm.regime(parallel, between, run_matrix, classes),
+        identity.capture_effect(runs),
     ]
     result = GroupResult(
         group=group,
@@ -232,7 +239,7 @@ def _identical_groups(found: Sequence[_Found]) -> list[str]:
     notes = []
     for index, one in enumerate(found):
         for other in found[index + 1 :]:
-            count = gm.identical_steps(one.runs, other.runs)
+            count = identity.identical_steps(one.runs, other.runs)
             if count:
                 names = f"{one.result.label} and {other.result.label}"
                 notes.append(f"{names}: all runs are bit-identical over their {count} common states")

@@ -11,14 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evaluator.metrics.alignment import sim_to_real_gap
-from evaluator.metrics.identity import bitwise_classes, count_distinct
 from evaluator.metrics.regime import published_regime
 from evaluator.metrics.variability import CM_PER_M, parallel_variability, run_to_run_variability
 from evaluator.over_runs import NO_RUN, Runs, ends_of, mean_over_runs
 from evaluator.results import Metric, Reference, not_computed
-from evaluator.run_data import RunData
+from evaluator.statistics.energy import energy_distance
 from evaluator.statistics.jackknife import jackknife_pair_mean
 from evaluator.statistics.permutation import permutation_floor
+from evaluator.statistics.regimes import MIN_RUNS, regime_probabilities
 from evaluator.work import Work
 
 _SEED = 0
@@ -26,91 +26,9 @@ _SEED = 0
 _PERMUTATIONS = ((500, 99), (1000, 19))
 """Permutations by the number of points a side: one distance costs about n^2.5, and a table should take seconds."""
 
-
-def distinct(runs: Runs) -> tuple[Metric, Metric]:
-    """Bitwise distinct environments and runs, over every step of the capture phase."""
-    if not any(r.histories for r in runs):
-        why = "no states were captured" if runs else NO_RUN
-        return not_computed("distinct_envs", "", "neither", why), not_computed("distinct_runs", "", "neither", why)
-    method = "64-bit state hashes of every captured step"
-    return _distinct_envs(runs, method), _distinct_runs(runs, method)
-
-
-def _distinct_envs(runs: Runs, method: str) -> Metric:
-    if runs[0].recording.action_names:
-        why = "the environments were given different actions, so they differ by design"
-        return not_computed("distinct_envs", "", "neither", why)
-    simulation = runs[0].recording.simulation
-    if simulation and len(set(simulation.env_origins)) > 1:
-        why = "environments at different origins cannot be compared by bits"
-        return not_computed("distinct_envs", "", "neither", why)
-    found = [r.histories for r in runs if r.histories]
-    counts = [h.n_distinct for h in found]
-    return Metric(
-        "distinct_envs",
-        float(max(counts)),
-        "",
-        "neither",
-        method=f"largest number of distinct environments in a run, by {method}",
-        n=len(found[0].classes),
-        extra={
-            "per_run": counts,
-            "classes": [h.classes.tolist() for h in found],
-            "first_difference_step": min((h.first_step for h in found if h.first_step is not None), default=None),
-        },
-    )
-
-
-def _distinct_runs(runs: Runs, method: str) -> Metric:
-    found = [r.histories for r in runs if r.histories]
-    if len(found) < 2:
-        return not_computed("distinct_runs", "", "neither", "needs at least two complete runs")
-    if len({h.steps.tobytes() for h in found}) > 1:
-        return not_computed("distinct_runs", "", "neither", "the runs captured different steps")
-    stacked = np.stack([h.digests for h in found])
-    differing = (stacked != stacked[:1]).any(axis=(0, 2))
-    first = int(found[0].steps[np.argmax(differing)]) if differing.any() else None
-    return Metric(
-        "distinct_runs",
-        float(count_distinct(stacked)),
-        "",
-        "neither",
-        method=f"distinct runs, env by env, by {method}",
-        n=len(found),
-        extra={"classes": bitwise_classes(stacked).tolist(), "first_difference_step": first},
-    )
-
-
-def identical_steps(one: Runs, other: Runs) -> int:
-    """Number of captured states over which all runs of two groups agree by bits, 0 where they differ anywhere.
-
-    Groups of different scenes, steps, environment counts or layouts are not compared.
-    """
-    runs = [*one, *other]
-    if not (one and other) or len({_comparable(r) for r in runs}) > 1:
-        return 0
-    found = [r.histories for r in runs if r.histories]
-    if len(found) < len(runs):
-        return 0
-    count = min(len(h.steps) for h in found)
-    return count if len({h.until(count) for h in found}) == 1 else 0
-
-
-def _comparable(run: RunData) -> tuple[Any, ...]:
-    c, simulation = run.recording.configuration, run.recording.simulation
-    scene = simulation.scene.get("sha256") if simulation else None
-    return (str(scene), c.n_env, c.dt, c.seed if run.recording.action_names else 0, run.recording.fields)
-
-
-def capture_effect(runs: Runs) -> Metric:
-    """In how many runs the states differ between the timed phase, which nothing observes, and the capture phase."""
-    name = "capture_changes_states"
-    observed = [r.observed for r in runs if r.observed is not None]
-    if not observed:
-        why = "no step was passed by both the timed and the capture phase" if runs else NO_RUN
-        return not_computed(name, "", "lower", why)
-    method = "runs whose state hashes differ between timed and capture phase at a step that both passed"
-    return Metric(name, float(sum(observed)), "", "lower", n=len(observed), method=method)
+_ENERGY_PERMUTATIONS = 999
+_ENERGY_POINTS = 20_000
+"""Of both sides: their distances are some four seconds of computing."""
 
 
 def positions(runs: Runs) -> tuple[NDArray[np.float64] | None, str]:
@@ -266,8 +184,12 @@ def sank(runs: Runs) -> Metric:
     )
 
 
-def regime(parallel: Metric, between: Metric) -> Metric:
-    """The published type, 1 to 4."""
+def regime(parallel: Metric, between: Metric, run_matrix: NDArray[np.float64] | None, classes: list[int]) -> Metric:
+    """The published type, 1 to 4, and how sure it is.
+
+    run_matrix  W1 between runs [cm], shape [run, run]
+    classes     of the runs by their bits
+    """
     name = "regime_published"
     for needed in (parallel, between):
         if needed.value is None:
@@ -280,19 +202,40 @@ def regime(parallel: Metric, between: Metric) -> Metric:
         "type",
         "neither",
         method="variability counts as present where it is nonzero after rounding to 0.01 cm",
+        extra=_probabilities(parallel.extra["per_run"], run_matrix, classes),
     )
 
 
+def _probabilities(per_run: list[float], matrix: NDArray[np.float64] | None, classes: list[int]) -> dict[str, Any]:
+    if matrix is None or len(matrix) < MIN_RUNS or len(classes) != len(matrix):
+        return {"probabilities_why_not": f"needs at least {MIN_RUNS} runs with states"}
+    found = regime_probabilities(per_run, matrix, classes, seed=_SEED)
+    return {
+        "probabilities": list(found.probabilities),
+        "decided_by": list(found.decided_by),
+        "agreement": found.agreement,
+        "run_differs_below": found.run_differs_below,
+        "parallel_below": found.parallel_below,
+        "method": found.method.value,
+        "draws": found.n_draw,
+        "seed": found.seed,
+    }
+
+
 def floor(a: NDArray[np.float64], b: NDArray[np.float64]) -> dict[str, Any]:
-    """What W1 [cm] is between two samples of one law: whole environments of a and b exchanged at random.
+    """What W1 and energy distance [cm] are between two samples of one law: whole envs of a and b exchanged at random.
 
     a, b  planar positions [m], shape [env, item, 2]
     """
+    return {**_floor_of_w1(a * CM_PER_M, b * CM_PER_M), **_energy(a * CM_PER_M, b * CM_PER_M)}
+
+
+def _floor_of_w1(a: NDArray[np.float64], b: NDArray[np.float64]) -> dict[str, Any]:
     points = max(a.shape[0] * a.shape[1], b.shape[0] * b.shape[1])
     permutations = next((count for limit, count in _PERMUTATIONS if points <= limit), None)
     if permutations is None:
         return {"why_not": f"{points} points a side are too many for a permutation test"}
-    found = permutation_floor(a * CM_PER_M, b * CM_PER_M, n_permutation=permutations, seed=_SEED)
+    found = permutation_floor(a, b, n_permutation=permutations, seed=_SEED)
     return {
         "observed_cm": found.observed,
         "floor_mean_cm": found.floor_mean,
@@ -300,4 +243,18 @@ def floor(a: NDArray[np.float64], b: NDArray[np.float64]) -> dict[str, Any]:
         "p_value": found.p_value,
         "permutations": found.n_permutation,
         "seed": found.seed,
+    }
+
+
+def _energy(a: NDArray[np.float64], b: NDArray[np.float64]) -> dict[str, Any]:
+    points = a.shape[0] * a.shape[1] + b.shape[0] * b.shape[1]
+    if points > _ENERGY_POINTS:
+        return {"energy_why_not": f"{points} points are too many for their energy distance"}
+    found = energy_distance(a, b, n_permutation=_ENERGY_PERMUTATIONS, seed=_SEED)
+    return {
+        "energy_cm": found.v_statistic,
+        "energy_unbiased_cm": found.u_statistic,
+        "energy_floor_mean_cm": found.floor_mean,
+        "energy_p_value": found.p_value,
+        "energy_permutations": found.n_permutation,
     }

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from evaluator.metrics.identity import bitwise_classes
+from evaluator.metrics.identity import distinct_over_time
 from evaluator.streams import Fingerprints
 
 
@@ -19,14 +19,16 @@ class Histories:
     steps       simulator step of each row, shape [row]
     digests     128-bit digest of the hashes of all environments, in their order, shape [row, 2]
     classes     of the environments by their whole history, numbered in order of first appearance, shape [env]
-    distinct    environments that differ at this very row, shape [row]
+    at_step     distinct environments at that very row, shape [row]
+    so_far      distinct environments by all rows up to that one, shape [row]
     first_step  the first step at which any two environments differ; None where none do
     """
 
     steps: NDArray[np.int64]
     digests: NDArray[np.uint64]
     classes: NDArray[np.int64]
-    distinct: NDArray[np.int64]
+    at_step: NDArray[np.int64]
+    so_far: NDArray[np.int64]
     first_step: int | None
 
     @property
@@ -42,15 +44,14 @@ class Histories:
 def histories_of(fingerprints: Fingerprints) -> Histories:
     """Boil down the hashes of a phase."""
     hashes = np.ascontiguousarray(fingerprints.hashes)
-    differing = (hashes != hashes[:, :1]).any(axis=1)
     digests = [hashlib.blake2b(row, digest_size=16).digest() for row in hashes]
-    distinct = np.ones(len(hashes), dtype=np.int64)
-    for row in np.flatnonzero(differing):
-        distinct[row] = len(np.unique(hashes[row]))
+    counted = distinct_over_time(hashes)
+    apart = np.flatnonzero(counted.instant > 1)
     return Histories(
         steps=fingerprints.steps,
         digests=np.frombuffer(b"".join(digests), dtype=np.uint64).reshape(-1, 2),
-        classes=bitwise_classes(hashes.T),
-        distinct=distinct,
-        first_step=int(fingerprints.steps[np.argmax(differing)]) if differing.any() else None,
+        classes=counted.classes,
+        at_step=counted.instant,
+        so_far=counted.histories,
+        first_step=int(fingerprints.steps[apart[0]]) if len(apart) else None,
     )

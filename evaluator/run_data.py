@@ -11,11 +11,13 @@ import numpy as np
 
 from evaluator.histories import Histories, histories_of
 from evaluator.metrics.board import left_board
+from evaluator.metrics.levels import Verdict, verdict
 from evaluator.metrics.memory import Checkpoints
 from evaluator.positions import Positions, sample_positions
 from evaluator.recording import Recording
 from evaluator.scene import board_of
 from evaluator.sinking import Sunk, sunk
+from evaluator.spread import Spread, spread
 from evaluator.streams import Fingerprints, MemoryTrace, StepTiming
 from evaluator.summary import Summary
 from schemas.errors import DamagedRecording
@@ -38,6 +40,8 @@ class RunData:
     observed    whether capturing changed the states, by the hashes of steps that timed and capture phase both passed;
                 None where there are none
     positions   at the sample step; None where there are none, and `no_positions` says why
+    equality    of the environments, by bits and at the sample step; None where there are no two, or no positions
+    spread      how the environments move apart; None where it cannot be said, and `no_spread` says why
     left        cubes of all environments that are not on the board at the sample step; None where it cannot be said,
                 and `no_left` says why
     sunk        cubes that went through the floor; None where it cannot be said, and `no_sunk` says why
@@ -56,6 +60,9 @@ class RunData:
     observed: bool | None
     positions: Positions | None
     no_positions: str
+    equality: Verdict | None
+    spread: Spread | None
+    no_spread: str
     left: int | None
     no_left: str
     sunk: Sunk | None
@@ -75,6 +82,8 @@ def read_run(recording: Recording, summary: Summary, sample_time: float) -> RunD
         host = recording.memory.get("host")
         timed = recording.timing.get("timed")
         captured = recording.fingerprints("capture")
+        histories = histories_of(captured) if captured is not None else None
+        apart, no_spread = spread(recording)
         return RunData(
             recording=summary,
             elapsed_s=_elapsed(recording),
@@ -85,10 +94,13 @@ def read_run(recording: Recording, summary: Summary, sample_time: float) -> RunD
             compile_s={p: timing[f"compile_{p}"].elapsed_s for p in ("timed", "capture") if f"compile_{p}" in timing},
             capture_s=timing["capture"].elapsed_s if "capture" in timing else None,
             stalled_s=timing["stall"].total_s if "stall" in timing else 0.0,
-            histories=histories_of(captured) if captured is not None else None,
+            histories=histories,
             observed=_observed(captured, recording.fingerprints("timed")),
             positions=positions,
             no_positions=no_positions,
+            equality=_equality(positions, histories),
+            spread=apart,
+            no_spread=no_spread,
             left=left,
             no_left=no_left,
             sunk=sank,
@@ -108,6 +120,16 @@ def _check_complete(recording: Recording) -> None:
                 f"{recording.path}: the run says that it is complete, but {name} overflowed by step {step} of the "
                 f"{phase} phase"
             )
+
+
+def _equality(positions: Positions | None, histories: Histories | None) -> Verdict | None:
+    if positions is None or len(positions.recorded) < 2:
+        return None
+    agree = histories.n_distinct == 1 if histories else None
+    try:
+        return verdict(positions.recorded[:, np.newaxis], hashes_agree=agree, origins=positions.origins)
+    except ValueError as error:
+        raise ValueError(f"environments: {error}") from None
 
 
 def _left(recording: Recording, positions: Positions | None, no_positions: str) -> tuple[int | None, str]:

@@ -10,6 +10,7 @@ import io
 import json
 import zipfile
 from collections.abc import Mapping
+from enum import Enum
 from pathlib import Path, PurePath
 from typing import Any
 
@@ -20,7 +21,7 @@ _TREE = "tree"
 
 
 class Codec:
-    """Encodes values made of plain values, lists, tuples, mappings, paths, arrays and some dataclasses.
+    """Encodes values made of plain values, lists, tuples, mappings, paths, arrays, some dataclasses and enums.
 
     classes  that may be stored; a document that names another is refused
     """
@@ -48,6 +49,8 @@ class Codec:
             raise ValueError(f"not a stored result: {error}") from None
 
     def _tree(self, value: Any, arrays: list[NDArray[Any]]) -> Any:
+        if isinstance(value, Enum) and self._classes.get(type(value).__name__) is type(value):
+            return {"enum": type(value).__name__, "name": value.name}
         if value is None or isinstance(value, (bool, int, float, str)):
             return value
         if isinstance(value, np.ndarray) and not value.dtype.hasobject:
@@ -80,6 +83,8 @@ class Codec:
                 return {self._value(k, arrays): self._value(v, arrays) for k, v in tree["items"]}
             case "path":
                 return Path(tree["path"])
+            case "enum":
+                return self._classes[tree["enum"]][tree["name"]]  # type: ignore[index]
             case "class":
                 cls = self._classes[tree["class"]]
                 return cls(**{name: self._value(item, arrays) for name, item in tree["of"].items()})

@@ -10,11 +10,14 @@ from evaluator.cache.known_files import Stamp
 from evaluator.cache.store import Store
 from evaluator.histories import Histories
 from evaluator.metrics.board import Board
+from evaluator.metrics.divergence import GrowthFit
+from evaluator.metrics.levels import Level, Verdict, Worst
 from evaluator.metrics.memory import Checkpoints
 from evaluator.positions import Positions
 from evaluator.reading import Reader
 from evaluator.run_data import RunData
 from evaluator.sinking import Sunk
+from evaluator.spread import Spread
 from evaluator.step_evidence import ActionStream
 from evaluator.summary import BitSummary, CountSummary, OverflowSummary, Summary
 from schemas.configuration import RunConfiguration
@@ -24,7 +27,7 @@ from schemas.provenance import Buffer, Counter, Deviation, OverflowBit, Provenan
 _CLASSES = (
     Summary, CountSummary, BitSummary, OverflowSummary, ActionStream, Board, RunConfiguration, Provenance, ReplayOf,
     Simulation, Deviation, StateField, Buffer, Counter, OverflowBit, RunData, Histories, Positions, Checkpoints, Sunk,
-    Stamp, Reader,
+    Stamp, Reader, Spread, GrowthFit, Verdict, Worst, Level,
 )  # fmt: skip
 
 
