@@ -193,7 +193,7 @@ def _evaluate_group(
         notes=tuple(_notes(group, runs, reference, sample_time)),
     )
     result = replace(result, notes=(*result.notes, *_warnings(result)))
-    return _Found(_consistent(result), runs, planar)
+    return _Found(result, runs, planar)
 
 
 def _notes(
@@ -221,17 +221,6 @@ def _warnings(result: GroupResult) -> list[str]:
     if any(len(applied.sha256) > 1 for applied in result.validity.actions):
         notes.append("the runs were given different actions, so they differ by design")
     return notes
-
-
-def _consistent(result: GroupResult) -> GroupResult:
-    # Hashes that call environments equal while their positions differ are wrong, whoever wrote them.
-    by_hash, by_position = result.metrics["distinct_envs"], result.metrics["w1_parallel"]
-    counts = by_position.extra.get("distinct_at_sample_step", [])
-    if by_hash.value is None or not counts or max(counts) <= by_hash.value:
-        return result
-    why = f"the state hashes tell {by_hash.value:.0f} apart, the positions {max(counts)}: the hashes are wrong"
-    broken = Metric("distinct_envs", None, "", "neither", method="", exactness="none", why_not=why)
-    return replace(result, metrics={**result.metrics, "distinct_envs": broken})
 
 
 def _identical_groups(found: Sequence[_Found]) -> list[str]:
