@@ -69,8 +69,13 @@ def sample_positions(recording: Recording, sample_time: float) -> tuple[Position
     return Positions(recorded, planar, spatial, step * dt), ""
 
 
-def in_env_frame(recording: Recording, field: StateField, recorded: NDArray[Any]) -> NDArray[np.float64]:
-    """Positions [env, item, component] in each env's own frame [m], float64; DamagedRecording where they are none."""
+def in_env_frame(
+    recording: Recording, field: StateField, recorded: NDArray[Any], envs: slice = slice(None)
+) -> NDArray[np.float64]:
+    """Positions [..., env, item, component] in each env's own frame [m], float64; DamagedRecording where they are none.
+
+    envs  that the positions are of
+    """
     if field.unit != "m" or field.frame not in ("world", "env"):
         raise DamagedRecording(f"{recording.path}: positions in {field.unit}, frame {field.frame}: not of this format")
     if field.components not in (("x", "y"), ("x", "y", "z")):
@@ -78,5 +83,5 @@ def in_env_frame(recording: Recording, field: StateField, recorded: NDArray[Any]
     local = recorded.astype(np.float64)
     origins = recording.simulation.env_origins if recording.simulation else ()
     if origins and field.frame == "world":
-        local = local - np.array(origins)[:, None, : local.shape[-1]]
+        local = local - np.array(origins)[envs, None, : local.shape[-1]]
     return local

@@ -1,0 +1,144 @@
+"""How deep spheres and boxes are in fixed bodies and in each other."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+import numpy.typing as npt
+
+Array = npt.NDArray[np.float64]
+
+_CORNERS = np.array(list(product((-1.0, 1.0), repeat=3)))
+
+
+@dataclass(frozen=True)
+class FixedBox:
+    """A box that never moves.
+
+    centre    [m], shape [3]
+    rotation  from the box's axes to the world's, shape [3, 3]
+    half      half edges along its axes [m], shape [3]
+    """
+
+    centre: Array
+    rotation: Array
+    half: Array
+
+    def local(self, place: Array) -> Array:
+        """World coordinates [..., 3] in the box's axes [m]."""
+        return np.asarray((place - self.centre) @ self.rotation)
+
+
+@dataclass(frozen=True)
+class HalfSpace:
+    """Everything beneath a plane.
+
+    point   on the plane [m], shape [3]
+    normal  out of the solid, unit vector, shape [3]
+    """
+
+    point: Array
+    normal: Array
+
+
+Fixed = FixedBox | HalfSpace
+
+
+def rotations(quaternion: npt.NDArray[np.floating]) -> Array:
+    """Rotation matrices [..., 3, 3] of quaternions wxyz [..., 4], made unit first; of zero, the identity."""
+    q = np.asarray(quaternion, dtype=np.float64)
+    norm = np.linalg.norm(q, axis=-1, keepdims=True)
+    w, x, y, z = np.moveaxis(np.where(norm > 0, q / np.where(norm > 0, norm, 1.0), (1.0, 0.0, 0.0, 0.0)), -1, 0)
+    rows = (
+        (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
+        (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
+        (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
+    )
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def sphere_depth(solid: Fixed, centre: Array, radius: float) -> Array:
+    """How deep spheres are in a fixed body [m], shape [...]; negative: their distance from it.
+
+    centre  [m], shape [..., 3]
+    """
+    if isinstance(solid, HalfSpace):
+        return np.asarray(radius - (centre - solid.point) @ solid.normal)
+    return radius - box_distance(solid.local(centre), solid.half)
+
+
+def box_distance(local: Array, half: Array) -> Array:
+    """Signed distance of points in a box's own axes from its surface [m]; negative inside."""
+    beyond = np.abs(local) - half
+    outside = np.sqrt((np.maximum(beyond, 0.0) ** 2).sum(axis=-1))
+    return np.asarray(outside + np.minimum(beyond.max(axis=-1), 0.0))
+
+
+def corner_depth(solid: Fixed, centre: Array, rotation: Array, half: Array) -> Array:
+    """How deep the deepest corner of boxes is in a fixed body [m], shape [n]; zero or less where none is inside.
+
+    For a half-space that is the depth of the box. In a box, corners leave out what an edge of the fixed body cuts into
+    a face, so it is at most the depth.
+
+    centre    [m], shape [n, 3]
+    rotation  from the boxes' axes to the world's, shape [n, 3, 3]
+    half      half edges [m], shape [n, 3]
+    """
+    if isinstance(solid, HalfSpace):
+        reach = (np.abs(np.einsum("nij,i->nj", rotation, solid.normal)) * half).sum(axis=-1)
+        return np.asarray(reach - (centre - solid.point) @ solid.normal)
+    local = solid.local(centre)
+    axes = np.einsum("ki,nkj->nij", solid.rotation, rotation)
+    reach = np.einsum("nij,nj->ni", np.abs(axes), half)
+    gap = solid.half + reach - np.abs(local)
+    near = (gap > 0).all(axis=-1)
+    # away from its rim a box is a half-space, as long as nothing is closer to its other side
+    inner = near & (np.abs(local[:, :2]) + reach[:, :2] < solid.half[:2]).all(axis=-1) & (gap[:, 2] < solid.half[2])
+    depth = np.where(inner, gap[:, 2], np.minimum(gap.min(axis=-1), 0.0))
+    each = near & ~inner
+    if each.any():
+        corners = local[each][:, None] + np.einsum("nij,ncj->nci", axes[each], _CORNERS * half[each][:, None])
+        depth[each] = -box_distance(corners, solid.half).min(axis=-1)
+    return np.asarray(depth)
+
+
+def overlap(first: tuple[Array, Array, Array], second: tuple[Array, Array, Array]) -> Array:
+    """How far pairs of boxes reach into each other [m], shape [n]; zero or less where they are apart.
+
+    The smallest overlap along any of the 15 axes that can separate two boxes: their face normals, and the products of
+    an edge of one with an edge of the other (Gottschalk, Lin, Manocha, "OBBTree", 1996).
+
+    first, second  centre [m], [n, 3]; rotation from its axes to the world's, [n, 3, 3]; half edges [m], [n, 3]
+    """
+    (centre_a, axes_a, half_a), (centre_b, axes_b, half_b) = first, second
+    apart = centre_b - centre_a
+    normals = np.concatenate([axes_a, axes_b], axis=-1)
+    edges = np.cross(axes_a[..., :, None], axes_b[..., None, :], axis=1).reshape(len(apart), 3, 9)
+    axes = np.concatenate([normals, edges], axis=-1)
+    length = np.linalg.norm(axes, axis=1)
+    reach = sum(
+        (np.abs(np.einsum("nij,nik->njk", turn, axes)) * half[..., None]).sum(axis=1)
+        for turn, half in ((axes_a, half_a), (axes_b, half_b))
+    )
+    along = reach - np.abs(np.einsum("ni,nik->nk", apart, axes))
+    usable = length > 1e-6  # parallel edges make no axis
+    return np.asarray(np.where(usable, along / np.where(usable, length, 1.0), np.inf).min(axis=-1))
+
+
+def nearest(centre: Array) -> tuple[Array, Array]:
+    """Distance of each body from the nearest other one [m], shape [n, body], and the smallest of a row, shape [n].
+
+    Infinite where there is no other.
+
+    centre  [m], shape [n, body, 3]
+    """
+    # about their mean: the square of a difference of large numbers would lose what matters
+    from_mean = centre - centre.mean(axis=1, keepdims=True)
+    square = (from_mean**2).sum(axis=-1)
+    between = square[:, :, None] + square[:, None, :] - 2.0 * (from_mean @ from_mean.transpose(0, 2, 1))
+    index = np.arange(centre.shape[1])
+    between[:, index, index] = np.inf
+    closest = np.sqrt(np.maximum(between.min(axis=-1, initial=np.inf), 0.0))
+    return closest, closest.min(axis=-1, initial=np.inf)
