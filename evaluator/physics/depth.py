@@ -6,7 +6,13 @@ import numpy as np
 import numpy.typing as npt
 
 from evaluator.metrics.physics.solids import (
-    Fixed, box_distance, corner_depth, nearest, overlap, rotations, sphere_depth,
+    Fixed,
+    box_distance,
+    corner_depth,
+    nearest,
+    overlap,
+    rotations,
+    sphere_depth,
 )  # fmt: skip
 from evaluator.physics.facts import Check, Fact, NotMeasured, measured
 from evaluator.physics.setting import Setting
@@ -29,7 +35,7 @@ class Depths:
         self._balls = [i for i, body in enumerate(bodies) if body.radius]
         self._cubes = [i for i, body in enumerate(bodies) if body.half]
         self._half = np.array([bodies[i].half for i in self._cubes])
-        self._fixed = self._pair = np.zeros(0)
+        self._fixed = self._pair = np.zeros(0)  # of what touches nothing, zero
         self._last: States | None = None
 
     def feed(self, states: States) -> None:
@@ -41,8 +47,8 @@ class Depths:
         turn = rotations(states.orientation[:, :, self._cubes])
         fixed = self._in_fixed(states, turn).max(axis=(0, 2))
         pair = self._in_each_other(states, turn)
-        self._fixed = fixed if first else np.maximum(self._fixed, fixed)
-        self._pair = pair if first else np.maximum(self._pair, pair)
+        self._fixed = np.maximum(0.0 if first else self._fixed, fixed)
+        self._pair = np.maximum(0.0 if first else self._pair, pair)
 
     def facts(self) -> list[Fact]:
         """Four of them."""
@@ -73,12 +79,21 @@ class Depths:
             return [NotMeasured(check, f"nothing moves slower than {REST:g} m/s at the end") for check in checks]
         end = States(last.step[-1:], last.position[-1:], last.orientation[-1:], None, None)
         turn = rotations(last.orientation[-1:, :, self._cubes])
-        deep = np.where(still, self._in_fixed(end, turn)[0], -np.inf).max(axis=1)
+        deep = np.where(still, self._in_fixed(end, turn)[0], 0.0).max(axis=1, initial=0.0)
         note = f"{np.count_nonzero(still)} of {still.size} bodies are at rest"
         sink = self._setting.sink
         return [
-            measured(Check.DEPTH_REST, deep[still.any(axis=1)], low=None, high=0.0, tolerance=sink, of="g dt^2", note=note),
-            measured(Check.PAIR_REST, self._pairs_at_rest(end, turn[0], still), low=None, high=0.0, tolerance=sink, of="g dt^2"),
+            measured(
+                Check.DEPTH_REST, deep[still.any(axis=1)], low=None, high=0.0, tolerance=sink, of="g dt^2", note=note
+            ),
+            measured(
+                Check.PAIR_REST,
+                self._pairs_at_rest(end, turn[0], still),
+                low=None,
+                high=0.0,
+                tolerance=sink,
+                of="g dt^2",
+            ),
         ]
 
     def _in_fixed(self, states: States, turn: Array) -> Array:
@@ -128,6 +143,9 @@ class Depths:
             first, second = (resting[i] for i in np.triu_indices(len(resting), 1))
             apart = np.linalg.norm(centre[env, first] - centre[env, second], axis=-1)
             near = apart < np.sqrt(3.0) * (self._half[first] + self._half[second])
-            boxes = [(centre[env, i], turn[env, i], np.repeat(self._half[i][:, None], 3, axis=1)) for i in (first[near], second[near])]
+            boxes = [
+                (centre[env, i], turn[env, i], np.repeat(self._half[i][:, None], 3, axis=1))
+                for i in (first[near], second[near])
+            ]
             found.append(float(overlap(boxes[0], boxes[1]).max(initial=0.0)))
         return found

@@ -14,7 +14,7 @@ class Check(Enum):
     unit   of the measured number; empty for ratios and counts
     """
 
-    FINITE = ("finite", "numbers that are not finite", "")
+    FINITE = ("finite", "environments that blew up", "")
     ROLLING = ("rolling_acceleration", "acceleration of the rolling ball", "m/s2")
     FOOT_SPEED = ("foot_speed", "its speed at the foot of the slope", "m/s")
     SLIP = ("rolling_slip", "slip of its contact point", "m/s")

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from evaluator.metrics.physics.falling import Fall, deformation, impact
 from evaluator.metrics.physics.trend import FEWEST_ROWS, rounding, trend
 from evaluator.physics.facts import Check, Fact, NotMeasured, measured
@@ -29,7 +27,11 @@ def fall_facts(setting: Setting) -> list[Fact]:
 
 def _falling(setting: Setting, fall: Fall, rows: int) -> list[Fact]:
     if rows < FEWEST_ROWS or rows > len(setting.walk):
-        why = f"fewer than {FEWEST_ROWS} rows were recorded in the air" if rows < FEWEST_ROWS else "the states end in the air"
+        why = (
+            f"fewer than {FEWEST_ROWS} rows were recorded in the air"
+            if rows < FEWEST_ROWS
+            else "the states end in the air"
+        )
         return [NotMeasured(check, why) for check in _BEFORE]
     states = setting.walk.rows(0, rows)
     gravity, dt = fall.gravity, setting.dt
@@ -68,7 +70,7 @@ def _landing(setting: Setting, fall: Fall) -> list[Fact]:
     together = up @ setting.world.mass / setting.world.mass.sum()
     found = impact(states.step * setting.dt, up[..., front].mean(axis=2), together)
     slack = setting.dt + setting.row_time
-    bounce = max([f.surface.restitution for f in setting.world.fixed] + [b.surface.restitution for b in bodies])
+    bounce = setting.world.restitution
     return [
         measured(
             Check.IMPACT_TIME, found.time, low=fall.duration, high=fall.duration, tolerance=slack,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import numpy.typing as npt
 
 from evaluator.physics.balance import Balance
 from evaluator.physics.depth import Depths
@@ -64,7 +65,7 @@ _NO_STATES = "no states were recorded (the capture phase was left out or not rea
 
 def _of_states(setting: Setting) -> list[Fact]:
     depths, balance, slides = Depths(setting), Balance(setting), Slides(setting)
-    blown: np.ndarray | None = None
+    blown: npt.NDArray[np.bool_] | None = None
     last: States | None = None
     for states in setting.walk.chunks():
         bad = _blown_up(states)
@@ -91,10 +92,10 @@ def _of_states(setting: Setting) -> list[Fact]:
     ]
 
 
-def _blown_up(states: States) -> np.ndarray:
+def _blown_up(states: States) -> npt.NDArray[np.bool_]:
     arrays = (states.position, states.orientation, states.linear, states.angular)
     good = [(np.abs(array) <= _BLOWN).all(axis=(0, 2, 3)) for array in arrays if array is not None]
-    return ~np.logical_and.reduce(good)
+    return np.asarray(~np.logical_and.reduce(good))
 
 
 def _sank(found: tuple[Sunk | None, str]) -> Fact:

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import numpy as np
+import numpy.typing as npt
 
 from evaluator.physics.facts import Check, Fact, NotMeasured, measured
 from evaluator.physics.states import drawn_envs
 from evaluator.recording import Recording
 from schemas import checks
 from schemas.errors import DamagedRecording
+
+Array = npt.NDArray[np.float64]
 
 GROUP = "robot"
 
@@ -48,7 +51,7 @@ def robot_facts(recording: Recording) -> list[Fact]:
     ]  # fmt: skip
 
 
-def _limits(recording: Recording, items: tuple[str, ...]) -> tuple[np.ndarray, np.ndarray, float] | str:
+def _limits(recording: Recording, items: tuple[str, ...]) -> tuple[Array, Array, float] | str:
     try:
         links = checks.objects(checks.mapping(recording.scene, "robot"), "links")
         joints = [checks.mapping(link, "joint") for link in links if link.get("joint") is not None]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from evaluator.metrics.physics.sliding import FEWEST_ROWS, sliding_friction
+from evaluator.metrics.physics.sliding import FEWEST_ROWS, Stretches
 from evaluator.metrics.physics.solids import FixedBox, nearest, rotations
 from evaluator.physics.facts import Check, Fact, NotMeasured, measured
 from evaluator.physics.setting import Setting
@@ -14,14 +14,15 @@ from evaluator.physics.world import FixedBody
 
 _LEVEL = float(np.cos(np.radians(2.0)))  # of a face, to count as flat on the ground
 _HOVER = 1e-3  # between the heights of a cube that slides and of one that lies [m]
-_SPIN = 0.1  # speed of a corner about the centre over the speed, to count as sliding straight
-_SHARE = 0.05  # of the coefficient: a spin of 10 % takes 1 %, a tilt of 2 degrees lifts it for a while
+_SPIN = 0.3  # speed of a corner about the centre over the speed, to count as sliding straight
+_SHARE = 0.05  # of the coefficient: a spin of 30 % takes 2 %, a tilt of 2 degrees lifts it for a while
 
+Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 
 
 class Slides:
-    """Collects stretches in which a cube slides; one that is cut by the rows read at a time counts as two."""
+    """Collects stretches in which a cube slides."""
 
     def __init__(self, setting: Setting) -> None:
         self._setting = setting
@@ -32,7 +33,7 @@ class Slides:
         self._floors = [body for body in setting.world.fixed if body.level]
         pairs = [(bodies[i].surface.kinetic, floor.surface.kinetic) for i in self._cubes for floor in self._floors]
         self._bounds = min((min(pair) for pair in pairs), default=0.0), max((max(pair) for pair in pairs), default=0.0)
-        self._found: list[float] = []
+        self._stretches: Stretches | None = None
 
     def feed(self, states: States) -> None:
         """The next rows."""
@@ -40,23 +41,21 @@ class Slides:
             return
         if self._setting.sparse:
             return
-        rows, envs, bodies = states.position.shape[:3]
-        place, linear = states.position[:, :, self._cubes], states.linear[:, :, self._cubes]
-        speed = np.linalg.norm(linear[..., :2], axis=-1)
-        gravity, dt = self._setting.world.gravity, self._setting.dt
-        slides = speed > self._bounds[1] * gravity * dt
-        slides &= np.linalg.norm(states.angular[:, :, self._cubes], axis=-1) * self._reach[self._cubes] < _SPIN * speed
-        slides &= self._on_a_floor(place)
-        if not slides.any():
-            return
-        closest, _ = nearest(states.position.reshape(rows * envs, bodies, 3))
-        slides &= closest.reshape(rows, envs, bodies)[:, :, self._cubes] > self._reach[self._cubes] + self._reach.max()
-        tilt = np.abs(rotations(states.orientation[:, :, self._cubes])[..., 2, :]).max(axis=-1)
-        slides &= tilt > _LEVEL
-        flat = rows, envs * len(self._cubes)
-        self._found += sliding_friction(
-            linear.reshape(*flat, 3), slides.reshape(flat), gravity=gravity, dt=dt
-        ).tolist()  # fmt: skip
+        envs, bodies = states.position.shape[1:3]
+        linear = states.linear[:, :, self._cubes]
+        slides = self._candidates(states, linear)
+        row, env = np.nonzero(slides.any(axis=2))
+        if len(row):
+            closest, _ = nearest(states.position[row, env])
+            slides[row, env] &= closest[:, self._cubes] > self._reach[self._cubes] + self._reach.max()
+            which = np.nonzero(slides)
+            turn = rotations(states.orientation[:, :, self._cubes][which])
+            slides[which] &= np.abs(turn[:, 2]).max(axis=-1) > _LEVEL
+        if self._stretches is None:
+            gravity, dt = self._setting.world.gravity, self._setting.dt
+            self._stretches = Stretches(envs * len(self._cubes), gravity=gravity, dt=dt)
+        for index in range(len(slides)):
+            self._stretches.feed(linear[index].reshape(-1, 3), slides[index].reshape(-1))
 
     def fact(self) -> Fact:
         """The coefficient, once all rows were fed."""
@@ -64,14 +63,25 @@ class Slides:
             return NotMeasured(Check.SLIDING, self._setting.sparse)
         if not self._floors or not self._cubes:
             return NotMeasured(Check.SLIDING, "no cube can slide on level ground")
-        if not self._found:
+        if self._stretches is not None:
+            self._stretches.end()
+        found = self._stretches.friction if self._stretches else []
+        if not found:
             why = f"no cube slid flat, straight and apart from all others for {FEWEST_ROWS} rows"
             return NotMeasured(Check.SLIDING, why)
         low, high = self._bounds
         return measured(
-            Check.SLIDING, self._found, low=low, high=high, tolerance=_SHARE * high, of="5 % of the larger coefficient",
-            note=f"{len(self._found)} stretches; the rule for a pair is not part of the scene",
+            Check.SLIDING, found, low=low, high=high, tolerance=_SHARE * high, of="5 % of the larger coefficient",
+            note=f"{len(found)} stretches; the rule for a pair is not part of the scene",
         )  # fmt: skip
+
+    def _candidates(self, states: States, linear: Array) -> Mask:
+        # fast enough, straight enough, at the right height; what is dear to know comes after
+        assert states.angular is not None
+        speed = np.sqrt((linear[..., :2] ** 2).sum(axis=-1))
+        spin = np.sqrt((states.angular[:, :, self._cubes] ** 2).sum(axis=-1)) * self._reach[self._cubes]
+        fast = speed > self._bounds[1] * self._setting.world.gravity * self._setting.dt
+        return np.asarray(fast & (spin < _SPIN * speed) & self._on_a_floor(states.position[:, :, self._cubes]))
 
     def _on_a_floor(self, place: npt.NDArray[np.float64]) -> Mask:
         found = np.zeros(place.shape[:3], dtype=bool)

@@ -21,21 +21,21 @@ SEED = 0
 """Of the draw of environments."""
 
 _RANGES = 4  # that the environments are drawn in: each takes a block of the file to be read
-_CHUNK_BYTES = 4 << 20  # of positions in float64
+_CHUNK_BYTES = 512 << 10  # of positions in float64: what is computed of them stays in a processor's cache
 
 
 @dataclass(frozen=True)
 class States:
     """Rows of all moving bodies.
 
-    step         simulator step of each row
+    step         simulator step of each row, as float64
     position     [m], shape [row, env, body, 3]
     orientation  quaternions wxyz, shape [row, env, body, 4]; None where one group has none
     linear       velocity [m/s], shape [row, env, body, 3], or None
     angular      velocity [rad/s], shape [row, env, body, 3], or None
     """
 
-    step: npt.NDArray[np.int64]
+    step: Array
     position: Array
     orientation: Array | None
     linear: Array | None
@@ -50,9 +50,11 @@ def drawn_envs(n_env: int) -> tuple[tuple[int, int], ...]:
     """
     if n_env <= MOST_ENVS:
         return ((0, n_env - 1),)
-    size, part = MOST_ENVS // _RANGES, n_env // _RANGES
-    starts = np.random.default_rng(SEED).integers(0, part - size + 1, _RANGES)
-    return tuple((k * part + int(s), k * part + int(s) + size - 1) for k, s in enumerate(starts))
+    size = MOST_ENVS // _RANGES
+    draw = np.random.default_rng(SEED)
+    bounds = [n_env * k // _RANGES for k in range(_RANGES + 1)]
+    starts = [int(draw.integers(low, high - size + 1)) for low, high in zip(bounds, bounds[1:], strict=False)]
+    return tuple((start, start + size - 1) for start in starts)
 
 
 class Walk:
@@ -85,7 +87,7 @@ class Walk:
 
     @property
     def offset(self) -> float:
-        """Largest coordinate of the origin of any environment that is read [m]: recorded numbers are that much larger."""
+        """Largest coordinate of the origin of any environment that is read [m]: recorded numbers are as large."""
         simulation = self._recording.simulation
         origins = np.array(simulation.env_origins) if simulation and simulation.env_origins else np.zeros((0, 3))
         return float(max((np.abs(origins[a : b + 1]).max(initial=0.0) for a, b in self._envs), default=0.0))
@@ -100,7 +102,7 @@ class Walk:
 
     def rows(self, first: int, stop: int) -> States:
         """Some rows at once; the caller bounds them."""
-        steps = self._fields[self.groups[0], "position"].steps[first:stop]
+        steps = self._fields[self.groups[0], "position"].steps[first:stop].astype(np.float64)
         position = self._read("position", first, stop)
         assert position is not None
         return States(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -56,7 +57,7 @@ class Moving:
     @property
     def reach(self) -> float:
         """From the centre to the farthest point [m]."""
-        return self.radius + self.half * 3.0**0.5
+        return self.radius + self.half * math.sqrt(3.0)
 
 
 @dataclass(frozen=True)
@@ -70,7 +71,9 @@ class FixedBody:
     @property
     def top(self) -> float:
         """Height of a level body's upper face [m]."""
-        return float(self.solid.centre[2] + self.solid.half[2] if isinstance(self.solid, FixedBox) else self.solid.point[2])
+        if isinstance(self.solid, FixedBox):
+            return float(self.solid.centre[2] + self.solid.half[2])
+        return float(self.solid.point[2])
 
 
 @dataclass(frozen=True)
@@ -85,6 +88,11 @@ class World:
     moving: tuple[Moving, ...]
     fixed: tuple[FixedBody, ...]
     gravity: float
+
+    @property
+    def restitution(self) -> float:
+        """The largest coefficient of any material."""
+        return max(body.surface.restitution for body in (*self.moving, *self.fixed))
 
     @property
     def mass(self) -> Array:
@@ -106,6 +114,8 @@ def world_of(recording: Recording, items: Sequence[tuple[str, str]]) -> World | 
     """
     try:
         scene = recording.scene
+        if "gravity" not in scene or "bodies" not in scene:
+            return "the recording has no scene with gravity and bodies"
         x, y, z = checks.vector(scene.get("gravity"), 3, "gravity")
         if x or y or not -_LARGE < z < 0:
             return "gravity is not along -z"

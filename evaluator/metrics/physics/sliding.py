@@ -10,27 +10,46 @@ Array = npt.NDArray[np.float64]
 FEWEST_ROWS = 5
 
 
-def sliding_friction(
-    velocity: Array, slides: npt.NDArray[np.bool_], *, gravity: float, dt: float
-) -> Array:  # fmt: skip
-    """Coefficients of friction, one for each stretch of at least FEWEST_ROWS rows in which a body slides, shape [n].
+class Stretches:
+    """Follows bodies that slide, and measures friction over each stretch of at least FEWEST_ROWS rows.
 
     By the impulses of the stretch, so that a body that hops a little counts with the force that it had:
 
         mu = (|v_0| - |v_n|) / (g t + w_n - w_0),   v in the plane, w upward
 
-    velocity  [m/s], shape [row, n, 3]
-    slides    flat on the ground, touched by nothing else, faster than friction stops it in a row, shape [row, n]
-    dt        of a row [s]
+    A stretch in which the ground bore less than half of the weight is no sliding.
+
+    friction  a coefficient for each stretch that has ended
     """
-    padded = np.pad(slides, ((1, 1), (0, 0)))
-    change = np.diff(padded.astype(np.int8), axis=0)
-    body, begin = np.nonzero((change == 1).T)
-    _, end = np.nonzero((change == -1).T)
-    long = end - begin >= FEWEST_ROWS
-    body, begin, end = body[long], begin[long], end[long] - 1
-    first, last = velocity[begin, body], velocity[end, body]
-    lost = np.linalg.norm(first[:, :2], axis=-1) - np.linalg.norm(last[:, :2], axis=-1)
-    borne = gravity * (end - begin) * dt + last[:, 2] - first[:, 2]
-    good = borne > gravity * (end - begin) * dt / 2  # else it was in the air for half of the time
-    return np.asarray(lost[good] / borne[good])
+
+    def __init__(self, bodies: int, *, gravity: float, dt: float) -> None:
+        """dt: of a row [s]."""
+        self._gravity, self._dt = gravity, dt
+        self._length = np.zeros(bodies, dtype=np.int64)
+        self._first = np.zeros((bodies, 3))
+        self._last = np.zeros((bodies, 3))
+        self.friction: list[float] = []
+
+    def feed(self, velocity: Array, slides: npt.NDArray[np.bool_]) -> None:
+        """The next row: velocities [m/s], shape [body, 3], and which bodies slide, shape [body]."""
+        self._close(~slides & (self._length > 0))
+        begins = slides & (self._length == 0)
+        self._first[begins] = velocity[begins]
+        self._last[slides] = velocity[slides]
+        self._length = np.where(slides, self._length + 1, 0)
+
+    def end(self) -> None:
+        """After the last row."""
+        self._close(self._length > 0)
+        self._length[:] = 0
+
+    def _close(self, ended: npt.NDArray[np.bool_]) -> None:
+        long = ended & (self._length >= FEWEST_ROWS)
+        if not long.any():
+            return
+        first, last = self._first[long], self._last[long]
+        weight = self._gravity * (self._length[long] - 1) * self._dt
+        lost = np.linalg.norm(first[:, :2], axis=-1) - np.linalg.norm(last[:, :2], axis=-1)
+        borne = weight + last[:, 2] - first[:, 2]
+        good = borne > weight / 2
+        self.friction += (lost[good] / borne[good]).tolist()

@@ -49,14 +49,15 @@ Fixed = FixedBox | HalfSpace
 def rotations(quaternion: npt.NDArray[np.floating]) -> Array:
     """Rotation matrices [..., 3, 3] of quaternions wxyz [..., 4], made unit first; of zero, the identity."""
     q = np.asarray(quaternion, dtype=np.float64)
-    norm = np.linalg.norm(q, axis=-1, keepdims=True)
+    norm = np.sqrt((q**2).sum(axis=-1, keepdims=True))
     w, x, y, z = np.moveaxis(np.where(norm > 0, q / np.where(norm > 0, norm, 1.0), (1.0, 0.0, 0.0, 0.0)), -1, 0)
-    rows = (
-        (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
-        (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
-        (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
-    )
-    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+    matrix = np.empty((*w.shape, 3, 3))
+    matrix[..., 0, 0], matrix[..., 1, 1] = 1 - 2 * (y * y + z * z), 1 - 2 * (x * x + z * z)
+    matrix[..., 2, 2] = 1 - 2 * (x * x + y * y)
+    matrix[..., 0, 1], matrix[..., 1, 0] = 2 * (x * y - w * z), 2 * (x * y + w * z)
+    matrix[..., 0, 2], matrix[..., 2, 0] = 2 * (x * z + w * y), 2 * (x * z - w * y)
+    matrix[..., 1, 2], matrix[..., 2, 1] = 2 * (y * z - w * x), 2 * (y * z + w * x)
+    return matrix
 
 
 def sphere_depth(solid: Fixed, centre: Array, radius: float) -> Array:
@@ -79,6 +80,8 @@ def box_distance(local: Array, half: Array) -> Array:
 def corner_depth(solid: Fixed, centre: Array, rotation: Array, half: Array) -> Array:
     """How deep the deepest corner of boxes is in a fixed body [m], shape [n]; zero or less where none is inside.
 
+    Of a box too far away to touch it, minus infinity.
+
     For a half-space that is the depth of the box. In a box, corners leave out what an edge of the fixed body cuts into
     a face, so it is at most the depth.
 
@@ -89,18 +92,19 @@ def corner_depth(solid: Fixed, centre: Array, rotation: Array, half: Array) -> A
     if isinstance(solid, HalfSpace):
         reach = (np.abs(np.einsum("nij,i->nj", rotation, solid.normal)) * half).sum(axis=-1)
         return np.asarray(reach - (centre - solid.point) @ solid.normal)
-    local = solid.local(centre)
-    axes = np.einsum("ki,nkj->nij", solid.rotation, rotation)
-    reach = np.einsum("nij,nj->ni", np.abs(axes), half)
-    gap = solid.half + reach - np.abs(local)
-    near = (gap > 0).all(axis=-1)
+    local = np.abs(solid.local(centre))
+    size = np.sqrt((half**2).sum(axis=-1))
+    depth = np.full(len(centre), -np.inf)
+    close = (local < solid.half + size[:, None]).all(axis=-1)
     # away from its rim a box is a half-space, as long as nothing is closer to its other side
-    inner = near & (np.abs(local[:, :2]) + reach[:, :2] < solid.half[:2]).all(axis=-1) & (gap[:, 2] < solid.half[2])
-    depth = np.where(inner, gap[:, 2], np.minimum(gap.min(axis=-1), 0.0))
-    each = near & ~inner
-    if each.any():
-        corners = local[each][:, None] + np.einsum("nij,ncj->nci", axes[each], _CORNERS * half[each][:, None])
-        depth[each] = -box_distance(corners, solid.half).min(axis=-1)
+    plain = close & (local[:, :2] + size[:, None] < solid.half[:2]).all(axis=-1)
+    reach = (np.abs(solid.rotation[:, 2] @ rotation[plain]) * half[plain]).sum(axis=-1)
+    depth[plain] = solid.half[2] + reach - local[plain, 2]
+    other = (close & ~plain) | (depth > solid.half[2])
+    if other.any():
+        edges = rotation[other] * half[other][:, None]
+        corners = solid.local(centre[other][:, None] + _CORNERS @ edges.transpose(0, 2, 1))
+        depth[other] = -box_distance(corners, solid.half).min(axis=-1)
     return np.asarray(depth)
 
 
