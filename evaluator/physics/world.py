@@ -92,7 +92,8 @@ class World:
     @property
     def restitution(self) -> float:
         """The largest coefficient of any material."""
-        return max(body.surface.restitution for body in (*self.moving, *self.fixed))
+        surfaces = [*(body.surface for body in self.moving), *(body.surface for body in self.fixed)]
+        return max(surface.restitution for surface in surfaces)
 
     @property
     def mass(self) -> Array:

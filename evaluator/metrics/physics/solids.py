@@ -96,11 +96,12 @@ def corner_depth(solid: Fixed, centre: Array, rotation: Array, half: Array) -> A
     size = np.sqrt((half**2).sum(axis=-1))
     depth = np.full(len(centre), -np.inf)
     close = (local < solid.half + size[:, None]).all(axis=-1)
-    # away from its rim a box is a half-space, as long as nothing is closer to its other side
-    plain = close & (local[:, :2] + size[:, None] < solid.half[:2]).all(axis=-1)
+    # away from its rim a box is a half-space, as long as no other face is closer to the deepest corner
+    aside = (solid.half[:2] - local[:, :2]).min(axis=-1) - size
+    plain = close & (aside > 0)
     reach = (np.abs(solid.rotation[:, 2] @ rotation[plain]) * half[plain]).sum(axis=-1)
     depth[plain] = solid.half[2] + reach - local[plain, 2]
-    other = (close & ~plain) | (depth > solid.half[2])
+    other = (close & ~plain) | (depth > np.minimum(solid.half[2], aside))
     if other.any():
         edges = rotation[other] * half[other][:, None]
         corners = solid.local(centre[other][:, None] + _CORNERS @ edges.transpose(0, 2, 1))
