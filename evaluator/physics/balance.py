@@ -7,7 +7,8 @@ import numpy.typing as npt
 
 from evaluator.metrics.physics.energy import FrictionCone, Rises, mechanical_energy
 from evaluator.metrics.physics.kinematics import Displacements
-from evaluator.metrics.physics.solids import FixedBox, sphere_depth
+from evaluator.metrics.physics.solids import FixedBox
+from evaluator.metrics.physics.vectors import largest, square
 from evaluator.physics.facts import Check, Fact, NotMeasured, measured
 from evaluator.physics.setting import Setting
 from evaluator.physics.states import States
@@ -34,7 +35,7 @@ class Balance:
         self._rises = Rises()
         self._cone = FrictionCone(self._friction, float(self._mass.sum()) * world.gravity, setting.row_time)
         self._displacements = Displacements(setting.row_time)
-        self._terms = self._momenta = 0.0
+        self._terms = 0.0
         self._why_not = ""
 
     def feed(self, states: States) -> None:
@@ -47,9 +48,8 @@ class Balance:
             height, states.linear, states.angular, mass=self._mass, inertia=self._inertia, gravity=gravity
         )
         self._rises.feed(energy)
-        square = (states.linear**2).sum(axis=-1)
-        self._terms = max(self._terms, float(((square + gravity * np.abs(height)) @ self._mass).max()))
-        self._momenta = max(self._momenta, float((np.sqrt(square) @ self._mass).max()))
+        squared = square(states.linear)
+        self._terms = max(self._terms, float(((squared + gravity * np.abs(height)) @ self._mass).max()))
         if self._setting.stride == 1:
             self._cone.feed(np.einsum("rebi,b->rei", states.linear, self._mass), self._level_only(states.position))
             self._displacements.feed(states.position, states.linear)
@@ -120,9 +120,8 @@ class Balance:
         # [row, env, body]: touches nothing of it but its upper face
         if not isinstance(fixed.solid, FixedBox):
             return np.full(position.shape[:3], fixed.level)
-        apart = -sphere_depth(fixed.solid, position, 0.0) > self._reach + _CLEAR
+        beyond = np.abs(fixed.solid.local(position)) - fixed.solid.half
+        apart = largest(beyond) > self._reach + _CLEAR
         if not fixed.level:
             return np.asarray(apart)
-        local = np.abs(fixed.solid.local(position)[..., :2])
-        inside = (local < fixed.solid.half[:2] - self._reach[:, None]).all(axis=-1)
-        return np.asarray(apart | inside)
+        return np.asarray(apart | (largest(beyond[..., :2]) < -self._reach))

@@ -14,6 +14,7 @@ from evaluator.metrics.physics.solids import (
     rotations,
     sphere_depth,
 )  # fmt: skip
+from evaluator.metrics.physics.vectors import square
 from evaluator.physics.facts import Check, Fact, NotMeasured, measured
 from evaluator.physics.setting import Setting
 from evaluator.physics.states import States
@@ -126,7 +127,7 @@ class Depths:
         for ball in self._balls:
             radius = self._setting.world.moving[ball].radius
             away = states.position[:, :, ball, None] - cubes
-            close = (away**2).sum(axis=-1) < (radius + np.sqrt(3.0) * self._half) ** 2
+            close = square(away) < (radius + np.sqrt(3.0) * self._half) ** 2
             if close.any():
                 local = np.einsum("ni,nij->nj", away[close], turn[close])
                 half = np.broadcast_to(self._half, close.shape)[close]

@@ -7,6 +7,7 @@ import numpy.typing as npt
 
 from evaluator.metrics.physics.sliding import FEWEST_ROWS, Stretches
 from evaluator.metrics.physics.solids import FixedBox, nearest, rotations
+from evaluator.metrics.physics.vectors import largest, length
 from evaluator.physics.facts import Check, Fact, NotMeasured, measured
 from evaluator.physics.setting import Setting
 from evaluator.physics.states import States
@@ -78,8 +79,8 @@ class Slides:
     def _candidates(self, states: States, linear: Array) -> Mask:
         # fast enough, straight enough, at the right height; what is dear to know comes after
         assert states.angular is not None
-        speed = np.sqrt((linear[..., :2] ** 2).sum(axis=-1))
-        spin = np.sqrt((states.angular[:, :, self._cubes] ** 2).sum(axis=-1)) * self._reach[self._cubes]
+        speed = length(linear[..., :2])
+        spin = length(states.angular[:, :, self._cubes]) * self._reach[self._cubes]
         fast = speed > self._bounds[1] * self._setting.world.gravity * self._setting.dt
         return np.asarray(fast & (spin < _SPIN * speed) & self._on_a_floor(states.position[:, :, self._cubes]))
 
@@ -92,5 +93,5 @@ class Slides:
     def _lies_on(self, floor: FixedBody, place: npt.NDArray[np.float64]) -> Mask:
         near = np.abs(place[..., 2] - floor.top - self._half) < _HOVER
         if isinstance(floor.solid, FixedBox):
-            near &= (np.abs(floor.solid.local(place)[..., :2]) < floor.solid.half[:2]).all(axis=-1)
+            near &= largest(np.abs(floor.solid.local(place)[..., :2]) - floor.solid.half[:2]) < 0
         return np.asarray(near)

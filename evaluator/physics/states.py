@@ -21,7 +21,8 @@ SEED = 0
 """Of the draw of environments."""
 
 _RANGES = 4  # that the environments are drawn in: each takes a block of the file to be read
-_CHUNK_BYTES = 512 << 10  # of positions in float64: what is computed of them stays in a processor's cache
+_CHUNK_ROWS = 50  # a block's rows, so that none is decoded twice
+_CHUNK_BYTES = 16 << 20  # of positions in float64
 
 
 @dataclass(frozen=True)
@@ -93,10 +94,10 @@ class Walk:
         return float(max((np.abs(origins[a : b + 1]).max(initial=0.0) for a, b in self._envs), default=0.0))
 
     def chunks(self, first: int = 0, stop: int | None = None) -> Iterator[States]:
-        """Rows from `first` to `stop`, so many at a time that they fit in a few megabytes."""
+        """Rows from `first` to `stop`, a block of the file at a time, or less where that is many megabytes."""
         end = len(self) if stop is None else min(stop, len(self))
         n_env = sum(last - begin + 1 for begin, last in self._envs)
-        rows = max(1, _CHUNK_BYTES // (n_env * max(1, len(self.items)) * 3 * 8))
+        rows = max(1, min(_CHUNK_ROWS, _CHUNK_BYTES // (n_env * max(1, len(self.items)) * 3 * 8)))
         for begin in range(first, end, rows):
             yield self.rows(begin, min(begin + rows, end))
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from evaluator.metrics.physics.vectors import square
+
 Array = npt.NDArray[np.float64]
 
 
@@ -18,7 +20,7 @@ def mechanical_energy(
     mass, inertia    [kg], [kg m2], shape [body]; the inertia of a solid ball is 2/5 m r^2 and of a cube m edge^2 / 6,
                      about any axis
     """
-    kinetic = (linear**2).sum(axis=-1) @ mass + (angular**2).sum(axis=-1) @ inertia
+    kinetic = square(linear) @ mass + square(angular) @ inertia
     return np.asarray(kinetic / 2.0 + gravity * (height @ mass))
 
 

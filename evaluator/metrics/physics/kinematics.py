@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from evaluator.metrics.physics.vectors import length
+
 Array = npt.NDArray[np.float64]
 
 
@@ -34,5 +36,5 @@ class Displacements:
         self._before = position[-1], velocity[-1]
         half = self._dt / 2.0
         moved = np.diff(position, axis=0) - (velocity[1:] + velocity[:-1]) * half
-        beyond = np.linalg.norm(moved, axis=-1) - np.linalg.norm(np.diff(velocity, axis=0), axis=-1) * half
+        beyond = length(moved) - length(np.diff(velocity, axis=0)) * half
         self.largest = np.maximum(self.largest, beyond.max(axis=(0, 2), initial=-np.inf))

@@ -8,6 +8,8 @@ from itertools import product
 import numpy as np
 import numpy.typing as npt
 
+from evaluator.metrics.physics.vectors import largest, length, square
+
 Array = npt.NDArray[np.float64]
 
 _CORNERS = np.array(list(product((-1.0, 1.0), repeat=3)))
@@ -49,7 +51,7 @@ Fixed = FixedBox | HalfSpace
 def rotations(quaternion: npt.NDArray[np.floating]) -> Array:
     """Rotation matrices [..., 3, 3] of quaternions wxyz [..., 4], made unit first; of zero, the identity."""
     q = np.asarray(quaternion, dtype=np.float64)
-    norm = np.sqrt((q**2).sum(axis=-1, keepdims=True))
+    norm = length(q)[..., None]
     w, x, y, z = np.moveaxis(np.where(norm > 0, q / np.where(norm > 0, norm, 1.0), (1.0, 0.0, 0.0, 0.0)), -1, 0)
     matrix = np.empty((*w.shape, 3, 3))
     matrix[..., 0, 0], matrix[..., 1, 1] = 1 - 2 * (y * y + z * z), 1 - 2 * (x * x + z * z)
@@ -73,8 +75,7 @@ def sphere_depth(solid: Fixed, centre: Array, radius: float) -> Array:
 def box_distance(local: Array, half: Array) -> Array:
     """Signed distance of points in a box's own axes from its surface [m]; negative inside."""
     beyond = np.abs(local) - half
-    outside = np.sqrt((np.maximum(beyond, 0.0) ** 2).sum(axis=-1))
-    return np.asarray(outside + np.minimum(beyond.max(axis=-1), 0.0))
+    return length(np.maximum(beyond, 0.0)) + np.minimum(largest(beyond), 0.0)
 
 
 def corner_depth(solid: Fixed, centre: Array, rotation: Array, half: Array) -> Array:
@@ -93,11 +94,11 @@ def corner_depth(solid: Fixed, centre: Array, rotation: Array, half: Array) -> A
         reach = (np.abs(np.einsum("nij,i->nj", rotation, solid.normal)) * half).sum(axis=-1)
         return np.asarray(reach - (centre - solid.point) @ solid.normal)
     local = np.abs(solid.local(centre))
-    size = np.sqrt((half**2).sum(axis=-1))
+    size = length(half)
     depth = np.full(len(centre), -np.inf)
-    close = (local < solid.half + size[:, None]).all(axis=-1)
+    close = largest(local - solid.half) < size
     # away from its rim a box is a half-space, as long as no other face is closer to the deepest corner
-    aside = (solid.half[:2] - local[:, :2]).min(axis=-1) - size
+    aside = -largest(local[:, :2] - solid.half[:2]) - size
     plain = close & (aside > 0)
     reach = (np.abs(solid.rotation[:, 2] @ rotation[plain]) * half[plain]).sum(axis=-1)
     depth[plain] = solid.half[2] + reach - local[plain, 2]
@@ -122,14 +123,14 @@ def overlap(first: tuple[Array, Array, Array], second: tuple[Array, Array, Array
     normals = np.concatenate([axes_a, axes_b], axis=-1)
     edges = np.cross(axes_a[..., :, None], axes_b[..., None, :], axis=1).reshape(len(apart), 3, 9)
     axes = np.concatenate([normals, edges], axis=-1)
-    length = np.linalg.norm(axes, axis=1)
+    norm = np.linalg.norm(axes, axis=1)
     reach = sum(
         (np.abs(np.einsum("nij,nik->njk", turn, axes)) * half[..., None]).sum(axis=1)
         for turn, half in ((axes_a, half_a), (axes_b, half_b))
     )
     along = reach - np.abs(np.einsum("ni,nik->nk", apart, axes))
-    usable = length > 1e-6  # parallel edges make no axis
-    return np.asarray(np.where(usable, along / np.where(usable, length, 1.0), np.inf).min(axis=-1))
+    usable = norm > 1e-6  # parallel edges make no axis
+    return np.asarray(np.where(usable, along / np.where(usable, norm, 1.0), np.inf).min(axis=-1))
 
 
 def nearest(centre: Array) -> tuple[Array, Array]:
@@ -141,8 +142,8 @@ def nearest(centre: Array) -> tuple[Array, Array]:
     """
     # about their mean: the square of a difference of large numbers would lose what matters
     from_mean = centre - centre.mean(axis=1, keepdims=True)
-    square = (from_mean**2).sum(axis=-1)
-    between = square[:, :, None] + square[:, None, :] - 2.0 * (from_mean @ from_mean.transpose(0, 2, 1))
+    about = square(from_mean)
+    between = about[:, :, None] + about[:, None, :] - 2.0 * (from_mean @ from_mean.transpose(0, 2, 1))
     index = np.arange(centre.shape[1])
     between[:, index, index] = np.inf
     closest = np.sqrt(np.maximum(between.min(axis=-1, initial=np.inf), 0.0))
