@@ -28,6 +28,7 @@ _AT_THE_END = (
     Check.PAIR_REST,
     Check.SANK,
     Check.END_SPEED,
+    Check.END_SPIN,
 )
 
 

@@ -36,6 +36,7 @@ class Check(Enum):
     PAIR_EVER = ("pair_depth_ever", "depth in each other, ever (at least)", "m")
     SANK = ("sank", "cubes through the floor, per env", "")
     END_SPEED = ("end_speed", "fastest cube on the floor at the end", "m/s")
+    END_SPIN = ("end_spin", "fastest spin of a cube on the floor at the end", "rad/s")
     JOINT_LIMIT = ("joint_limit", "joint angle beyond its limits", "rad")
 
     def __init__(self, key: str, title: str, unit: str) -> None:

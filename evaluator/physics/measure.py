@@ -7,7 +7,7 @@ import numpy.typing as npt
 
 from evaluator.physics.balance import Balance
 from evaluator.physics.depth import Depths
-from evaluator.physics.ending import end_speed
+from evaluator.physics.ending import end_facts
 from evaluator.physics.facts import Check, Fact, NotMeasured, PhysicsFacts, measured
 from evaluator.physics.fall import fall_facts
 from evaluator.physics.robot import GROUP, robot_facts
@@ -88,7 +88,7 @@ def _of_states(setting: Setting) -> list[Fact]:
         *balance.facts(),
         slides.fact(),
         *depths.facts(),
-        end_speed(setting, last),
+        *end_facts(setting, last),
     ]
 
 

@@ -154,7 +154,7 @@ def _moving(name: str, body: dict[str, Any]) -> Moving | str:
         checks.number(body, "mass", _SMALL, _LARGE),
         radius,
         half,
-        checks.vector(body.get("position"), 3, "a body's position"),
+        _bounded(body.get("position"), 3, "a body's position"),
         not any(any(velocity) for velocity in still),
         _surface(body),
     )
@@ -162,8 +162,8 @@ def _moving(name: str, body: dict[str, Any]) -> Moving | str:
 
 def _fixed(body: dict[str, Any]) -> FixedBody | None:
     shape = checks.mapping(body, "shape")
-    centre = np.array(checks.vector(body.get("position"), 3, "a body's position"))
-    quaternion = np.array(checks.vector(body.get("orientation", [1.0, 0.0, 0.0, 0.0]), 4, "a body's orientation"))
+    centre = np.array(_bounded(body.get("position"), 3, "a body's position"))
+    quaternion = np.array(_bounded(body.get("orientation", [1.0, 0.0, 0.0, 0.0]), 4, "a body's orientation"))
     rotation = rotations(quaternion)
     level = bool(rotation[2, 2] == 1.0)
     if shape.get("kind") == "plane":
@@ -171,6 +171,13 @@ def _fixed(body: dict[str, Any]) -> FixedBody | None:
     if shape.get("kind") == "box":
         return FixedBody(FixedBox(centre, rotation, np.array(_size(shape)) / 2.0), _surface(body), level)
     return None
+
+
+def _bounded(value: Any, size: int, what: str) -> tuple[float, ...]:
+    found = checks.vector(value, size, what)
+    if max(map(abs, found)) > _LARGE:
+        raise DamagedRecording(f"{what} is beyond {_LARGE:g}")
+    return found
 
 
 def _size(shape: dict[str, Any]) -> tuple[float, ...]:

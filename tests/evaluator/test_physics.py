@@ -14,7 +14,9 @@ from evaluator.physics.facts import Check, Measured, NotMeasured, PhysicsFacts
 from evaluator.physics.measure import physics_of
 from evaluator.physics.states import MOST_ENVS, drawn_envs
 from evaluator.recording import Recording
+from recorder.scenes.base import Scene
 from recorder.scenes.registry import make_scene
+from schemas.errors import DamagedRecording
 from tests.evaluator.trajectories import Motion, at_rest, falling, heavier_gravity, rolling, write_motion
 
 RECORDINGS = Path(__file__).parents[2] / "recordings"
@@ -235,6 +237,21 @@ def test_sparse_states_are_named(tmp_path: Path) -> None:
     assert measured(facts, Check.DEPTH_REST).most == pytest.approx(0.0, abs=1e-4)
 
 
+def test_cubes_that_rock_on_the_spot_break(tmp_path: Path) -> None:
+    """Break on a cube that spins at the end, and leave one alone that fell off the board."""
+    motion = at_rest(make_scene("inclined-collision"), 3)
+    motion["position"][-1, :, 4] = (0.7, 0.0, -3.0)
+    motion["linear_velocity"][-1, :, 4, 2] = -7.0
+    motion["angular_velocity"][-1, :, 4, 2] = 50.0
+    facts = facts_of(write_motion(tmp_path, "inclined-collision", motion, stride=250))
+    assert not broken(facts) & {Check.END_SPEED, Check.END_SPIN}
+    motion["angular_velocity"][-1, :, 5, 1] = 2.0
+    facts = facts_of(write_motion(tmp_path, "inclined-collision", motion, stride=250))
+    assert broken(facts) & {Check.END_SPEED, Check.END_SPIN} == {Check.END_SPIN}
+    assert measured(facts, Check.END_SPIN).most == pytest.approx(2.0)
+    assert measured(facts, Check.END_SPIN).note == "1 of them spin"
+
+
 def test_facts_are_small_and_can_be_pickled(tmp_path: Path, roll: Motion) -> None:
     """Come back from another process as they were, in a few kilobytes."""
     facts = facts_of(write_motion(tmp_path, "inclined-collision", roll))
@@ -277,6 +294,19 @@ def test_scenes_that_mechanics_knows_nothing_of_say_so(tmp_path: Path) -> None:
     facts = facts_of(path)
     assert facts.why_not == "gravity is not along -z"
     assert facts.facts == ()
+
+
+@pytest.mark.parametrize("mass", [-1.0, 1e300])
+def test_scenes_that_cannot_be_are_refused(tmp_path: Path, mass: float) -> None:
+    """Name the file and the number where a body's mass is that of no body."""
+
+    def changed(scene: Scene) -> Scene:
+        return replace(scene, bodies=tuple(replace(b, mass=mass) if b.name == "ball" else b for b in scene.bodies))
+
+    motion = at_rest(make_scene("inclined-collision"), 3)
+    path = write_motion(tmp_path, "inclined-collision", motion, change_scene=changed)
+    with pytest.raises(DamagedRecording, match=f"{path.name}: mass is not a number"):
+        facts_of(path)
 
 
 def test_mujoco_keeps_to_mechanics() -> None:
