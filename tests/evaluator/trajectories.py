@@ -16,7 +16,7 @@ from recorder.capture.states import StateWriter
 from recorder.scenes.base import Scene, Sphere
 from recorder.scenes.registry import make_scene
 from schemas.configuration import RunConfiguration
-from schemas.fields import BODY_FIELDS, body_fields
+from schemas.fields import body_fields
 from schemas.provenance import PROVENANCE, SCENE, SIMULATION, Provenance, Simulation
 
 Array = NDArray[np.float64]
@@ -122,6 +122,3 @@ def write_motion(
 def heavier_gravity(scene: Scene) -> Scene:
     """The scene with twice the gravity."""
     return replace(scene, gravity=(0.0, 0.0, -19.62))
-
-
-__all__ = ["BODY_FIELDS", "Motion", "at_rest", "falling", "heavier_gravity", "rolling", "write_motion"]
