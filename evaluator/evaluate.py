@@ -15,6 +15,7 @@ from evaluator import group_metrics as gm
 from evaluator import identity_metrics as identity
 from evaluator.comparison import compare
 from evaluator.density_maps import reference_density, shared_map, with_cloud
+from evaluator.fidelity import fidelity
 from evaluator.groups import Group, group, labels, options_given, status_notes
 from evaluator.reading import Read, Reader, Unreadable
 from evaluator.results import Evaluation, GroupResult, Metric, Reference
@@ -190,6 +191,7 @@ def _evaluate_group(
         parallel_matrix=parallel_matrix,
         run_matrix=run_matrix,
         validity=validity_of(group),
+        fidelity=fidelity(label, [run.physics for run in runs]),
         notes=tuple(_notes(group, runs, reference, sample_time)),
     )
     result = replace(result, notes=(*result.notes, *_warnings(result)))

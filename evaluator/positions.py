@@ -83,11 +83,16 @@ def sample_positions(recording: Recording, sample_time: float) -> tuple[Position
     return positions, ""
 
 
-def in_env_frame(recording: Recording, field: StateField, recorded: NDArray[Any]) -> NDArray[np.float64]:
-    """Positions [env, item, component] in each env's own frame [m], float64; DamagedRecording where they are none."""
+def in_env_frame(
+    recording: Recording, field: StateField, recorded: NDArray[Any], envs: slice = slice(None)
+) -> NDArray[np.float64]:
+    """Positions [..., env, item, component] in each env's own frame [m], float64; DamagedRecording where they are none.
+
+    envs  that the positions are of
+    """
     origins = _origins(recording, field)
     local = recorded.astype(np.float64)
-    return local if origins is None else local - origins[:, None, :]
+    return local if origins is None else local - origins[envs, None, :]
 
 
 def _origins(recording: Recording, field: StateField) -> NDArray[np.float64] | None:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from evaluator.fidelity import Fidelity
 from evaluator.groups import Group
 from evaluator.metrics.density import Density, HexGrid
 from evaluator.reading import Unreadable
@@ -83,6 +84,7 @@ class GroupResult:
     parallel_matrix  C[e, e'] of the first complete run [cm], shape [env, env], or None
     run_matrix       W1 between runs [cm], shape [run, run], or None
     validity         contacts, buffers, overflow, actions
+    fidelity         whether the states keep to mechanics
     notes            sentences that a reader must see beside the numbers
     """
 
@@ -93,6 +95,7 @@ class GroupResult:
     parallel_matrix: NDArray[np.float64] | None
     run_matrix: NDArray[np.float64] | None
     validity: Validity
+    fidelity: Fidelity
     notes: tuple[str, ...]
 
 

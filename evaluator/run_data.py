@@ -13,6 +13,8 @@ from evaluator.histories import Histories, histories_of
 from evaluator.metrics.board import left_board
 from evaluator.metrics.levels import Verdict, verdict
 from evaluator.metrics.memory import Checkpoints
+from evaluator.physics.facts import PhysicsFacts
+from evaluator.physics.measure import physics_of
 from evaluator.positions import Positions, sample_positions
 from evaluator.recording import Recording
 from evaluator.scene import board_of
@@ -44,6 +46,7 @@ class RunData:
     spread      how the environments move apart; None where it cannot be said, and `no_spread` says why
     left        cubes of all environments that are not on the board at the sample step; None where it cannot be said,
                 and `no_left` says why
+    physics     how far the states keep to mechanics
     sunk        cubes that went through the floor; None where it cannot be said, and `no_sunk` says why
     """
 
@@ -67,6 +70,7 @@ class RunData:
     no_left: str
     sunk: Sunk | None
     no_sunk: str
+    physics: PhysicsFacts
 
 
 def read_run(recording: Recording, summary: Summary, sample_time: float) -> RunData:
@@ -105,6 +109,7 @@ def read_run(recording: Recording, summary: Summary, sample_time: float) -> RunD
             no_left=no_left,
             sunk=sank,
             no_sunk=no_sunk,
+            physics=physics_of(recording, (sank, no_sunk)),
         )
     except (ValueError, OverflowError, MemoryError) as error:
         raise DamagedRecording(f"{recording.path}: {str(error) or type(error).__name__}") from None

@@ -13,6 +13,7 @@ from evaluator.metrics.board import Board
 from evaluator.metrics.divergence import GrowthFit
 from evaluator.metrics.levels import Level, Verdict, Worst
 from evaluator.metrics.memory import Checkpoints
+from evaluator.physics.facts import Check, Measured, NotMeasured, PhysicsFacts
 from evaluator.positions import Positions
 from evaluator.reading import Reader
 from evaluator.run_data import RunData
@@ -27,7 +28,8 @@ from schemas.provenance import Buffer, Counter, Deviation, OverflowBit, Provenan
 _CLASSES = (
     Summary, CountSummary, BitSummary, OverflowSummary, ActionStream, Board, RunConfiguration, Provenance, ReplayOf,
     Simulation, Deviation, StateField, Buffer, Counter, OverflowBit, RunData, Histories, Positions, Checkpoints, Sunk,
-    Stamp, Reader, Spread, GrowthFit, Verdict, Worst, Level,
+    Stamp, Reader, Spread, GrowthFit, Verdict, Worst, Level, PhysicsFacts,
+    Measured, NotMeasured, Check,
 )  # fmt: skip
 
 

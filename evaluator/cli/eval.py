@@ -48,6 +48,7 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument("--json", metavar="FILE", help="write the results as JSON; - for standard output, alone")
     p.add_argument("--html", type=Path, metavar="DIR", help="write a report to DIR/index.html")
     p.add_argument("--tables", type=Path, metavar="DIR", help="write metrics.parquet and runs.parquet")
+    p.add_argument("--physics", action="store_true", help="show each check of mechanics, with what it allows")
     p.add_argument("--published", action="store_true", help="show the paper's figures beside, marked as such")
     p.add_argument("--no-verify", action="store_true", help="skip the digests; CRCs of what is read are still checked")
     p.add_argument("--ray", metavar="ADDRESS", help="spread the work over a Ray cluster: an address, auto, or local")
@@ -117,6 +118,10 @@ def _present(evaluation: Evaluation, arguments: argparse.Namespace, command: str
         from evaluator.report.tables import print_tables
 
         print_tables(evaluation, sys.stdout)
+        if arguments.physics:
+            from evaluator.report.fidelity import print_fidelity
+
+            print_fidelity([result.fidelity for result in evaluation.results], sys.stdout)
         if arguments.published:
             print_published(sys.stdout)
         if arguments.json:

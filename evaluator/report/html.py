@@ -23,6 +23,7 @@ from evaluator.metrics.density import Density, marginal
 from evaluator.metrics.radar import Axis
 from evaluator.metrics.regime import REGIME_MEANING
 from evaluator.report import numbers, words
+from evaluator.report.fidelity import fidelity_html
 from evaluator.report.figures import density_map, lines, matrix, palette, radar_chart
 from evaluator.report.scaling import beside_published, scene_sweeps
 from evaluator.report.text import printable
@@ -113,6 +114,7 @@ def render_html(evaluation: Evaluation, *, published: bool, command: str) -> str
             results=evaluation.results,
             recordings=[(r.label, one) for r in evaluation.results for one in r.group.recordings],
             problems=list(_problems(evaluation)),
+            physics=fidelity_html([r.fidelity for r in shown]),
             notes=[("", note) for note in evaluation.notes] + notes,
             maps=list(_maps(evaluation, shown)),
             shown=shown,

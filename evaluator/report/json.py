@@ -7,6 +7,7 @@ from typing import Any
 
 from evaluator.document import dump, values_of
 from evaluator.metrics.memory_model import MemoryModel
+from evaluator.report.fidelity import fidelity_record
 from evaluator.results import SCHEMA_VERSION, Evaluation, GroupResult, Metric
 from evaluator.summary import Summary
 from evaluator.sweeps import SOURCES, Sweep, SweepPoint
@@ -67,6 +68,7 @@ def _group(result: GroupResult) -> dict[str, Any]:
         "runs": result.group.outcomes,
         "metrics": {name: _metric(metric) for name, metric in result.metrics.items()},
         "validity": _validity(result.validity),
+        "physics": fidelity_record(result.fidelity),
         "deviations": [vars(d) for d in _deviations(result)],
         "notes": list(result.notes),
     }

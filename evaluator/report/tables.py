@@ -8,6 +8,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from evaluator.fidelity import Verdict
 from evaluator.metrics.regime import REGIME_MEANING
 from evaluator.report import words
 from evaluator.report.console import make_console, plain_table
@@ -85,6 +86,7 @@ def _print_scene(console: Console, evaluation: Evaluation, scene: str, results: 
     told("envs part: doubling time [s]", [words.doubling(r.metrics["divergence_rate"]) for r in results])
     both("cubes off the board per env", "left_board")
     both("cubes sunk per env", "sank")
+    told("checks of mechanics held", [words.mechanics(r.fidelity) for r in results])
     row("published type", [words.regime(r.metrics["regime_published"]) for r in results])
     row("capture changed the states", [_capture(r.metrics["capture_changes_states"]) for r in results])
     told("captured / timed step; standing still", [words.capturing(r.metrics) for r in results])
@@ -118,6 +120,8 @@ def _legend(results: list[GroupResult]) -> list[str]:
     found = {int(m.value) for r in results if (m := r.metrics["regime_published"]).value is not None}
     lines = [f"type {number}: {REGIME_MEANING[number]}" for number in sorted(found)]
     lines += _agreement(results)
+    if any(r.fidelity.of(Verdict.BROKEN) for r in results):
+        lines.append("which checks of mechanics are broken, and by how much: --physics")
     if any(r.metrics["capture_slowdown"].value is not None for r in results):
         lines.append("captured and timed steps are other steps of the scene: a difference in contacts counts as well")
     return lines

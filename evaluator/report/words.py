@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from statistics import median
 
+from evaluator.fidelity import Fidelity, Verdict
 from evaluator.groups import Described, Group, shown_status
 from evaluator.metrics.memory_model import MemoryModel
 from evaluator.report.numbers import NONE
@@ -122,6 +123,12 @@ def _length(metres: float) -> str:
     return (
         f"{metres:.2g} m" if metres >= 1 else f"{metres * 1000:.2g} mm" if metres >= 1e-6 else f"{metres * 1e9:.2g} nm"
     )
+
+
+def mechanics(fidelity: Fidelity) -> str:
+    """How many of the checks that could be made hold; a dash where none could."""
+    held, broken = len(fidelity.of(Verdict.HELD)), len(fidelity.of(Verdict.BROKEN))
+    return f"{held} of {held + broken}" if held + broken else NONE
 
 
 def doubling(metric: Metric) -> str:

@@ -114,7 +114,7 @@ def result(base: GroupResult, label: str, seed: int, *, off_map: int = 0) -> Gro
     ]
     return GroupResult(
         group=base.group, label=label, metrics={m.name: m for m in made}, cloud=cloud(positions),
-        parallel_matrix=half + half.T, run_matrix=np.zeros((3, 3)), validity=base.validity,
+        parallel_matrix=half + half.T, run_matrix=np.zeros((3, 3)), validity=base.validity, fidelity=base.fidelity,
         notes=(f"a note on {label}",),
     )  # fmt: skip
 
