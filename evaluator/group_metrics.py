@@ -5,6 +5,7 @@ The formulas are in ``evaluator.metrics`` and ``evaluator.statistics``; here the
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,7 @@ from evaluator.metrics.alignment import sim_to_real_gap
 from evaluator.metrics.board import left_board as has_left
 from evaluator.metrics.identity import bitwise_classes, count_distinct
 from evaluator.metrics.regime import published_regime
-from evaluator.metrics.variability import CM_PER_M, parallel_variability, run_to_run_variability
+from evaluator.metrics.variability import CM_PER_M, MATRIX_ENVS, parallel_variability, run_to_run_variability
 from evaluator.over_runs import NO_RUN, Runs, ends_of, mean_over_runs
 from evaluator.results import Metric, Reference, not_computed
 from evaluator.run_data import RunData
@@ -163,6 +164,8 @@ def parallel(planar: NDArray[np.float64] | None, why_not: str) -> tuple[Metric, 
         method="W1 between the planar positions of two environments, mean over pairs, mean over runs",
         extra={"distinct_at_sample_step": [f.n_distinct for f in found]},
     )
+    if found[0].matrix_cm is None:
+        metric.extra["no_matrix"] = f"{planar.shape[1]} environments are too many for one (limit: {MATRIX_ENVS})"
     return metric, found[0].matrix_cm
 
 
@@ -190,8 +193,11 @@ def run_to_run(planar: NDArray[np.float64] | None, why_not: str) -> tuple[Metric
         ci95=bounds,
         method="W1 between the pooled planar positions of two runs, mean and SD over pairs of runs; "
         f"interval: {interval.method}",
+        exactness=found.exactness,
         extra={"n_run": runs, "interval_why_not": no_interval, "floor": floor(planar[0], planar[1])},
     )
+    if found.exactness == "certified":
+        metric.extra["bounds_cm"] = [found.low_cm, found.mean_cm]
     return metric, found.matrix_cm
 
 
@@ -225,7 +231,11 @@ def real(
     if found[0].extension:
         extra["extension"] = found[0].extension
     method = f"W1 between the planar positions of a run and {reference.label}, mean over runs ({found[0].method})"
-    return mean_over_runs(name, "cm", "lower", [f.value_cm for f in found], method=method, extra=extra)
+    metric = mean_over_runs(name, "cm", "lower", [f.value_cm for f in found], method=method, extra=extra)
+    if all(f.exactness == "exact" for f in found):
+        return metric
+    metric.extra["bounds_cm"] = [float(np.mean([f.low_cm for f in found])), metric.value]
+    return replace(metric, exactness="certified")
 
 
 def left_board(runs: Runs) -> Metric:

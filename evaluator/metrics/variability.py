@@ -9,10 +9,15 @@ import numpy as np
 import numpy.typing as npt
 
 from evaluator.metrics.identity import bitwise_classes, count_distinct
-from evaluator.transport.pair import in_canonical_order, planar_array, wasserstein1
-from evaluator.transport.small import pairwise_wasserstein1
+from evaluator.transport.pair import wasserstein1
+from evaluator.transport.points import in_canonical_order, planar_array
+from evaluator.transport.small import pairwise_summary, pairwise_wasserstein1
 
 CM_PER_M = 100.0
+
+MATRIX_ENVS = 1024
+"""With more envs than this no matrix of them is kept: it would grow with their square, and has cells finer than any
+picture shows."""
 
 
 @dataclass(frozen=True)
@@ -20,13 +25,16 @@ class ParallelVariability:
     """Env-to-env variability within one run.
 
     mean_cm      mean W1 over env pairs e < e' [cm]
-    matrix_cm    W1 between envs [cm], shape [n_env, n_env]
+    matrix_cm    W1 between envs [cm], shape [n_env, n_env]; None with more than MATRIX_ENVS envs,
+                 for which it would take gigabytes
+    env_means_cm mean W1 from each env to all others [cm], shape [n_env]
     n_distinct   number of bitwise different envs; 1 is stronger than a mean of 0.00, since envs
                  whose items only swapped places also have distance zero
     """
 
     mean_cm: float
-    matrix_cm: npt.NDArray[np.float64]
+    matrix_cm: npt.NDArray[np.float64] | None
+    env_means_cm: npt.NDArray[np.float64]
     n_distinct: int
 
 
@@ -35,6 +43,9 @@ class RunToRun:
     """Run-to-run variability of one configuration.
 
     mean_cm      mean W1 over run pairs r < r' [cm]
+    exactness    "exact": the optimum up to float64 rounding; "certified" where a pair is only known
+                 between bounds: values are then of upper bounds
+    low_cm       mean of the lower bounds [cm]; mean_cm where it is exact
     sd_cm        standard deviation over the pairs [cm] (n - 1 in the denominator); None for one
                  pair. As published: the pairs share runs, so it is no standard error.
     matrix_cm    W1 between runs [cm], shape [n_run, n_run]
@@ -45,6 +56,8 @@ class RunToRun:
     sd_cm: float | None
     matrix_cm: npt.NDArray[np.float64]
     n_distinct: int
+    exactness: str
+    low_cm: float
 
 
 def sampling_step(t_s: float, dt: float) -> int:
@@ -81,10 +94,14 @@ def parallel_variability(positions: npt.ArrayLike) -> ParallelVariability:
     n_env = len(points)
     if n_env < 2:
         raise ValueError("parallel variability needs at least two envs, got 1")
+    n_distinct = count_distinct(positions)
+    if n_env > MATRIX_ENVS:
+        summary = pairwise_summary(points)
+        return ParallelVariability(summary.mean * CM_PER_M, None, summary.row_means * CM_PER_M, n_distinct)
     matrix = pairwise_wasserstein1(points) * CM_PER_M
     # The diagonal is zero and every pair stands twice in the sum.
     mean = float(matrix.sum()) / (n_env * (n_env - 1))
-    return ParallelVariability(mean, matrix, count_distinct(positions))
+    return ParallelVariability(mean, matrix, matrix.sum(axis=1) / (n_env - 1), n_distinct)
 
 
 def run_to_run_variability(runs: npt.ArrayLike) -> RunToRun:
@@ -104,21 +121,29 @@ def run_to_run_variability(runs: npt.ArrayLike) -> RunToRun:
     n_run = len(points)
     if n_run < 2:
         raise ValueError("run-to-run variability needs at least two runs, got 1")
-    matrix = _between_runs(points.reshape(n_run, -1, 2)) * CM_PER_M
-    pairs = matrix[np.triu_indices(n_run, k=1)]
+    matrix, lowest = (bounds * CM_PER_M for bounds in _between_runs(points.reshape(n_run, -1, 2)))
+    mean, sd = _over_pairs(matrix)
+    exactness = "exact" if np.array_equal(matrix, lowest) else "certified"
+    return RunToRun(mean, sd, matrix, count_distinct(runs), exactness, _over_pairs(lowest)[0])
+
+
+def _over_pairs(matrix: npt.NDArray[np.float64]) -> tuple[float, float | None]:
+    pairs = matrix[np.triu_indices(len(matrix), k=1)]
     # Measured from the first pair, so that equal pairs give exactly that value and deviation zero.
     offset = pairs - pairs[0]
-    mean = float(pairs[0] + offset.mean())
-    sd = float(offset.std(ddof=1)) if len(pairs) > 1 else None
-    return RunToRun(mean, sd, matrix, count_distinct(runs))
+    return float(pairs[0] + offset.mean()), float(offset.std(ddof=1)) if len(pairs) > 1 else None
 
 
-def _between_runs(points: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    """W1 between runs, shape [n_run, n_point, 2] -> [n_run, n_run]; equal runs solved once."""
+def _between_runs(points: npt.NDArray[np.float64]) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    """Upper and lower bounds of W1 between runs, [n_run, n_point, 2] -> [n_run, n_run]; equal runs solved once."""
     sets = in_canonical_order(points)
     classes = bitwise_classes(sets)
     _, first = np.unique(classes, return_index=True)
-    distinct = np.zeros((len(first), len(first)))
+    high = np.zeros((len(first), len(first)))
+    low = np.zeros_like(high)
     for i, j in zip(*np.triu_indices(len(first), k=1), strict=True):
-        distinct[i, j] = distinct[j, i] = wasserstein1(sets[first[i]], sets[first[j]]).value
-    return distinct[np.ix_(classes, classes)]
+        found = wasserstein1(sets[first[i]], sets[first[j]])
+        high[i, j] = high[j, i] = found.high
+        low[i, j] = low[j, i] = found.low
+    each = np.ix_(classes, classes)
+    return high[each], low[each]
