@@ -24,7 +24,7 @@ from evaluator.statistics.permutation import permutation_floor
 
 _SEED = 0
 
-_PERMUTATIONS = ((500, 99), (1000, 19))
+_PERMUTATIONS = ((1000, 99), (2000, 19))
 """Permutations by the number of points a side: one distance costs about n^2.5, and a table should take seconds."""
 
 

@@ -74,8 +74,7 @@ def _start(cost: _Floats, price: _Floats, column_of: _Ints, row_of: _Ints, best:
         price[j] /= n
     column_of[:] = -1
     row_of[:] = -1
-    # The cheapest reduced cost of every row, then of every column after it. The means are of no use any more when the
-    # second has begun, so the reduced prices are collected in their place only after all rows have been seen.
+    # What every row has left over the means of the columns, then every column over what the rows offer.
     offers = np.empty(n)
     for i in range(n):
         row = cost[i]

@@ -11,6 +11,7 @@ from evaluator.metrics.variability import (
     run_to_run_variability,
     sampling_step,
 )
+from evaluator.transport.pair import Transport, wasserstein1
 
 
 @pytest.fixture
@@ -140,3 +141,37 @@ def test_needs_two_runs(env: np.ndarray) -> None:
     """Refuse a single run."""
     with pytest.raises(ValueError, match="needs at least two runs"):
         run_to_run_variability(env[None, None])
+
+
+def test_many_envs_need_no_matrix(env: np.ndarray, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Give the same means beyond the number of envs that a matrix is kept for."""
+    runs = env + np.random.default_rng(1).normal(size=(12, 27, 2)) * 0.01
+    runs = runs[[0, 1, 2, 3, 3, 3, 6, 7, 8, 9, 10, 11]]
+    small = parallel_variability(runs)
+    monkeypatch.setattr(variability, "MATRIX_ENVS", 11)
+    large = parallel_variability(runs)
+    assert large.matrix_cm is None
+    assert large.n_distinct == small.n_distinct == 10
+    assert large.mean_cm == pytest.approx(small.mean_cm, rel=1e-12)
+    assert large.env_means_cm == pytest.approx(small.env_means_cm, rel=1e-12)
+    assert small.env_means_cm.mean() == pytest.approx(small.mean_cm, rel=1e-12)
+
+
+def test_exact_runs_say_so(env: np.ndarray) -> None:
+    """Call values exact that no bounds are needed for."""
+    result = run_to_run_variability(np.stack([env[None], env[None] + [0.0, 0.02]]))
+    assert (result.exactness, result.low_cm) == ("exact", result.mean_cm)
+
+
+def test_bounds_of_pairs_are_kept(env: np.ndarray, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Give upper bounds for values, and the mean of the lower ones, where a pair is not known exactly."""
+
+    def bounded(a: np.ndarray, b: np.ndarray) -> Transport:
+        exact = wasserstein1(a, b).value
+        return Transport(1.25 * exact, "certified", "", None, 0.75 * exact, 1.25 * exact)
+
+    runs = np.stack([env[None] + [shift, 0.0] for shift in (0.0, 0.01, 0.03)])
+    monkeypatch.setattr(variability, "wasserstein1", bounded)
+    result = run_to_run_variability(runs)
+    assert result.exactness == "certified"
+    assert (result.low_cm, result.mean_cm) == (pytest.approx(1.5), pytest.approx(2.5))
