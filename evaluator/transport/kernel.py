@@ -131,9 +131,9 @@ def _solve(cost: _Floats, price: _Floats, column_of: _Ints, row_of: _Ints) -> No
                 to = min(reached[j], row[j] - shown[j] - off)
                 reached[j] = to
                 nearest = min(nearest, to)
-            last = np.int32(padded)
-            for j in range(padded):
-                last = min(last, np.int32(j) if reached[j] == nearest else np.int32(padded))
+            last = 0
+            while reached[last] != nearest:
+                last += 1
             length[last], passed_at[last] = nearest, seen
             i = row_of[last]
             if i < 0:

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import importlib
 import importlib.util
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -126,14 +126,19 @@ def _repeated(net: NetMass) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.flo
 
 
 def _certified(net: NetMass, scale: float, extension: str | None, n: int, m: int) -> Transport:
-    if net.total > REPEATED_LIMIT or importlib.util.find_spec("evaluator.transport.large") is None:
-        raise ValueError(
-            f"{n} x {m} points are too many for exact transport (limit: {MATRIX_LIMIT} pairs), "
-            f"and their common multiple too large for bounds (limit: {REPEATED_LIMIT} points)"
-        )
-    from evaluator.transport import large  # type: ignore[attr-defined]
+    """Bounds, by points repeated to a common count where there are weights.
 
-    bounds: Any = large.certified_wasserstein1(*_repeated(net))
+    Larger sets of unequal counts are refused. Subsamples would give an estimate, but no interval: W1
+    between samples is too large on average, by an amount that depends on the laws.
+    """
+    too_many = f"{n} x {m} points are too many for exact transport (limit: {MATRIX_LIMIT} pairs)"
+    planar = net.sources.shape[1] == 2
+    if not planar or importlib.util.find_spec("evaluator.transport.large") is None:
+        raise ValueError(too_many)
+    if net.total > REPEATED_LIMIT:
+        raise ValueError(f"{too_many}, and repeated to one count for bounds (limit: {REPEATED_LIMIT} points)")
+    large = importlib.import_module("evaluator.transport.large")
+    bounds = large.certified_wasserstein1(*_repeated(net))
     share = net.total * net.share
     low, high = (scaled_back(float(bound) * share, scale) for bound in (bounds.low, bounds.high))
     return Transport(high, "certified", bounds.method, extension, low, high)

@@ -206,9 +206,7 @@ def direct(a: np.ndarray, b: np.ndarray) -> float:
 
 @FEW
 @given(several(2, COARSE) | several(2), several(1, COARSE), st.integers(1, 3), st.integers(0, 2))
-def test_merging_and_cancelling_change_nothing(
-    sets: np.ndarray, shared: np.ndarray, copies: int, times: int
-) -> None:
+def test_merging_and_cancelling_change_nothing(sets: np.ndarray, shared: np.ndarray, copies: int, times: int) -> None:
     """Agree with the assignment of all points where points repeat and both sides share some."""
     a, b = (np.concatenate([np.repeat(side, copies, axis=0), *[shared[0]] * times]) for side in sets)
     assert wasserstein1(a, b).value == pytest.approx(direct(a, b), abs=1e-12)
