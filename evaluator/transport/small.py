@@ -86,11 +86,8 @@ def pairwise_wasserstein1(points: npt.ArrayLike) -> npt.NDArray[np.float64]:
         ValueError: the points are empty, not of three axes, or not finite; a distance overflows.
     """
     found = distinct_sets(points)
-    n_set = len(found.sets)
-    distances = np.zeros((n_set, n_set))
-    distances[np.triu_indices(n_set, k=1)] = pair_block(found.sets, 0, n_set, threads=_cores())
-    distances += distances.T
-    return distances[np.ix_(found.classes, found.classes)]
+    upper = _rows(found.sets, 0, len(found.sets), _cores())
+    return (upper + upper.T)[np.ix_(found.classes, found.classes)]
 
 
 def pairwise_summary(points: npt.ArrayLike) -> PairwiseSummary:
