@@ -15,6 +15,7 @@ SCRIPTS = (
     ("write_path", "--n-env", "256"),
     ("capture_overhead",),
     ("archive",),
+    ("transport",),
     ("engine_best", "--sim", "warp", "--n-env", "64", "--steps", "50"),
 )
 

@@ -5,14 +5,22 @@ The formulas are in ``evaluator.metrics`` and ``evaluator.statistics``; here the
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from evaluator.metrics.alignment import sim_to_real_gap
+from evaluator.mapping import Mapper
+from evaluator.metrics.alignment import GapTo
 from evaluator.metrics.regime import published_regime
-from evaluator.metrics.variability import CM_PER_M, parallel_variability, run_to_run_variability
+from evaluator.metrics.variability import (
+    CM_PER_M,
+    MATRIX_ENVS,
+    SAMPLED_ENVS,
+    parallel_variability,
+    run_to_run_variability,
+)
 from evaluator.over_runs import NO_RUN, Runs, ends_of, mean_over_runs
 from evaluator.results import Metric, Reference, not_computed
 from evaluator.statistics.energy import energy_distance
@@ -23,7 +31,7 @@ from evaluator.work import Work
 
 _SEED = 0
 
-_PERMUTATIONS = ((500, 99), (1000, 19))
+_PERMUTATIONS = ((1000, 99), (2000, 19))
 """Permutations by the number of points a side: one distance costs about n^2.5, and a table should take seconds."""
 
 _ENERGY_PERMUTATIONS = 999
@@ -48,13 +56,13 @@ def parallel(planar: NDArray[np.float64] | None, why_not: str, work: Work) -> tu
         return not_computed(name, "cm", "lower", why_not), None
     if planar.shape[1] < 2:
         return not_computed(name, "cm", "lower", "needs at least two environments"), None
-    solved: dict[bytes, Any] = {}
-    found = []
-    for run in planar:
-        key = run.tobytes()  # identical runs are solved once
-        if key not in solved:
-            solved[key] = parallel_variability(run)
-        found.append(solved[key])
+    distinct = {run.tobytes(): run for run in planar}  # identical runs are solved once
+    if planar.shape[1] > MATRIX_ENVS:
+        solved = [parallel_variability(run, work.map) for run in distinct.values()]
+    else:
+        solved = work.map(parallel_variability, distinct.values())
+    by_run = dict(zip(distinct, solved, strict=True))
+    found = [by_run[run.tobytes()] for run in planar]
     metric = mean_over_runs(
         name,
         "cm",
@@ -63,6 +71,16 @@ def parallel(planar: NDArray[np.float64] | None, why_not: str, work: Work) -> tu
         method="W1 between the planar positions of two environments, mean over pairs, mean over runs",
         extra={"distinct_at_sample_step": [f.n_distinct for f in found]},
     )
+    sampled = [f for f in found if f.exactness == "sampled"]
+    if sampled:
+        metric.extra["sampled"] = {
+            "envs": SAMPLED_ENVS,
+            "seed": sampled[0].seed,
+            "intervals_cm": [list(f.interval_cm) if f.interval_cm else None for f in found],
+        }
+        metric = replace(metric, exactness="sampled")
+    if found[0].matrix_cm is None:
+        metric.extra["no_matrix"] = f"{planar.shape[1]} environments are too many for one (limit: {MATRIX_ENVS})"
     return metric, found[0].matrix_cm
 
 
@@ -77,23 +95,29 @@ def run_to_run(
     if runs < 2:
         return not_computed(name, "cm", "lower", "needs at least two complete runs"), None
     try:
-        found = run_to_run_variability(planar)
+        found = run_to_run_variability(planar, work.map)
     except ValueError as error:  # more points than an exact distance can be computed for
         return not_computed(name, "cm", "lower", str(error)), None
-    interval = jackknife_pair_mean(found.matrix_cm)
-    bounds, no_interval = ends_of(interval, runs, spread=bool(found.matrix_cm.any()))
+    if found.matrix_cm is None:
+        bounds, method, no_interval = None, "", f"{found.n_pair} pairs of runs were drawn with seed {found.seed}"
+    else:
+        interval = jackknife_pair_mean(found.matrix_cm)
+        bounds, no_interval = ends_of(interval, runs, spread=bool(found.matrix_cm.any()))
+        method = f"; interval: {interval.method}"
     metric = Metric(
         name,
         found.mean_cm,
         "cm",
         "lower",
-        n=runs * (runs - 1) // 2,
+        n=found.n_pair,
         sd=found.sd_cm,
         ci95=bounds,
-        method="W1 between the pooled planar positions of two runs, mean and SD over pairs of runs; "
-        f"interval: {interval.method}",
-        extra={"n_run": runs, "interval_why_not": no_interval, "floor": floor(planar[0], planar[1])},
+        method=f"W1 between the pooled planar positions of two runs, mean and SD over pairs of runs{method}",
+        exactness=found.exactness,
+        extra={"n_run": runs, "interval_why_not": no_interval, "floor": work.once(floor, planar[0], planar[1])},
     )
+    if found.exactness != "exact":
+        metric.extra["bounds_cm"] = [found.low_cm, found.mean_cm]
     return metric, found.matrix_cm
 
 
@@ -116,23 +140,25 @@ def real(
     if planar.shape[2] != reference.positions.shape[1]:
         why = f"the reference has {reference.positions.shape[1]} items, this group {planar.shape[2]}"
         return not_computed(name, "cm", "lower", why)
-    gaps: dict[bytes, Any] = {}
+    distinct = {run.tobytes(): run for run in planar}
     try:
-        for run in planar:
-            if run.tobytes() not in gaps:
-                gaps[run.tobytes()] = sim_to_real_gap(run, reference.positions)
+        gaps = dict(zip(distinct, work.map(GapTo(reference.positions), distinct.values()), strict=True))
     except ValueError as error:  # more points than an exact distance can be computed for
         return not_computed(name, "cm", "lower", str(error))
     found = [gaps[run.tobytes()] for run in planar]
     extra: dict[str, Any] = {
         "reference": reference.label,
         "measured": reference.measured,
-        "floor": floor(planar[0], reference.positions),
+        "floor": work.once(floor, planar[0], reference.positions),
     }
     if found[0].extension:
         extra["extension"] = found[0].extension
     method = f"W1 between the planar positions of a run and {reference.label}, mean over runs ({found[0].method})"
-    return mean_over_runs(name, "cm", "lower", [f.value_cm for f in found], method=method, extra=extra)
+    metric = mean_over_runs(name, "cm", "lower", [f.value_cm for f in found], method=method, extra=extra)
+    if all(f.exactness == "exact" for f in found):
+        return metric
+    metric.extra["bounds_cm"] = [float(np.mean([f.low_cm for f in found])), metric.value]
+    return replace(metric, exactness="certified")
 
 
 def left_board(runs: Runs) -> Metric:
@@ -222,20 +248,21 @@ def _probabilities(per_run: list[float], matrix: NDArray[np.float64] | None, cla
     }
 
 
-def floor(a: NDArray[np.float64], b: NDArray[np.float64]) -> dict[str, Any]:
+def floor(a: NDArray[np.float64], b: NDArray[np.float64], mapper: Mapper) -> dict[str, Any]:
     """What W1 and energy distance [cm] are between two samples of one law: whole envs of a and b exchanged at random.
 
-    a, b  planar positions [m], shape [env, item, 2]
+    a, b    planar positions [m], shape [env, item, 2]
+    mapper  makes the distances
     """
-    return {**_floor_of_w1(a * CM_PER_M, b * CM_PER_M), **_energy(a * CM_PER_M, b * CM_PER_M)}
+    return {**_floor_of_w1(a * CM_PER_M, b * CM_PER_M, mapper), **_energy(a * CM_PER_M, b * CM_PER_M)}
 
 
-def _floor_of_w1(a: NDArray[np.float64], b: NDArray[np.float64]) -> dict[str, Any]:
+def _floor_of_w1(a: NDArray[np.float64], b: NDArray[np.float64], mapper: Mapper) -> dict[str, Any]:
     points = max(a.shape[0] * a.shape[1], b.shape[0] * b.shape[1])
     permutations = next((count for limit, count in _PERMUTATIONS if points <= limit), None)
     if permutations is None:
         return {"why_not": f"{points} points a side are too many for a permutation test"}
-    found = permutation_floor(a, b, n_permutation=permutations, seed=_SEED)
+    found = permutation_floor(a, b, n_permutation=permutations, seed=_SEED, mapper=mapper)
     return {
         "observed_cm": found.observed,
         "floor_mean_cm": found.floor_mean,

@@ -2,29 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from typing import Protocol, TypeVar
+from typing import Any, TypeVar
 
 from evaluator.cache.store import Store
+from evaluator.mapping import Mapper, serial
 
 _Item = TypeVar("_Item")
 _Result = TypeVar("_Result")
-
-
-class Mapper(Protocol):
-    """Calls a function with each item, anywhere and in any order; gives the results in the order of the items.
-
-    ``map`` is one. Functions and items can be pickled, and a result depends on nothing but its item, so that it is the
-    same bit for bit wherever it is computed, and can be computed again where it was lost.
-    """
-
-    def __call__(self, function: Callable[[_Item], _Result], items: Iterable[_Item], /) -> Iterable[_Result]: ...
-
-
-def serial(function: Callable[[_Item], _Result], items: Iterable[_Item], /) -> Iterator[_Result]:
-    """One after another, in this process."""
-    return map(function, items)
 
 
 @dataclass(frozen=True)
@@ -38,20 +24,33 @@ class Work:
     mapper: Mapper = serial
     store: Store | None = None
 
-    def map(self, function: Callable[[_Item], _Result], items: Sequence[_Item]) -> list[_Result]:
+    def map(self, function: Callable[[_Item], _Result], items: Iterable[_Item], /) -> list[_Result]:
         """The function's result for each item, in their order; equal items and stored results are not computed again.
 
-        For results that take far longer than a file of a few kilobytes takes to read: a store keeps each of them.
+        A mapper itself, for results that take far longer than a file of a few kilobytes takes to read: a store keeps
+        each of them.
         """
         if self.store is None:
             return list(self.mapper(function, items))
-        keys = [self.store.key(function, item) for item in items]
-        known = {key: found for key in dict.fromkeys(keys) if (found := self.store.get(key)) is not None}
-        missing = {key: item for key, item in zip(keys, items, strict=True) if key not in known}
+        found = list(items)
+        keys = self.store.keys(function, found)
+        known = {key: stored for key in dict.fromkeys(keys) if (stored := self.store.get(key)) is not None}
+        missing = {key: item for key, item in zip(keys, found, strict=True) if key not in known}
         for key, result in zip(missing, self.mapper(function, list(missing.values())), strict=True):
             self.store.put(key, result)
             known[key] = result
         return [known[key] for key in keys]
+
+    def once(self, function: Callable[..., _Result], *arguments: Any) -> _Result:
+        """The function's result for these arguments and the mapper, which it may spread its own parts by."""
+        if self.store is None:
+            return function(*arguments, self.mapper)
+        (key,) = self.store.keys(function, [list(arguments)])
+        stored: _Result | None = self.store.get(key)
+        if stored is None:
+            stored = function(*arguments, self.mapper)
+            self.store.put(key, stored)
+        return stored
 
 
 HERE = Work()

@@ -57,7 +57,7 @@ class KnownFiles:
             self.store.put(self._key(read.summary.content_hash), read.run or read.summary)
 
     def _key(self, content_hash: str) -> str:
-        return self.store.key(Reader, content_hash, self.sample_time)
+        return self.store.key(Reader, [content_hash, self.sample_time])
 
 
 def read_all(paths: Sequence[Path], reader: Reader, work: Work) -> Iterator[Read | Unreadable]:

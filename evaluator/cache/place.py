@@ -9,10 +9,12 @@ from evaluator.cache.codec import Codec
 from evaluator.cache.known_files import Stamp
 from evaluator.cache.store import Store
 from evaluator.histories import Histories
+from evaluator.metrics.alignment import Gap, GapTo
 from evaluator.metrics.board import Board
 from evaluator.metrics.divergence import GrowthFit
 from evaluator.metrics.levels import Level, Verdict, Worst
 from evaluator.metrics.memory import Checkpoints
+from evaluator.metrics.variability import ParallelVariability
 from evaluator.physics.facts import Check, Measured, NotMeasured, PhysicsFacts
 from evaluator.positions import Positions
 from evaluator.reading import Reader
@@ -21,6 +23,8 @@ from evaluator.sinking import Sunk
 from evaluator.spread import Spread
 from evaluator.step_evidence import ActionStream
 from evaluator.summary import BitSummary, CountSummary, OverflowSummary, Summary
+from evaluator.transport.pair import Transport
+from evaluator.transport.small import SummaryBlock
 from schemas.configuration import RunConfiguration
 from schemas.fields import StateField
 from schemas.provenance import Buffer, Counter, Deviation, OverflowBit, Provenance, ReplayOf, Simulation
@@ -29,7 +33,7 @@ _CLASSES = (
     Summary, CountSummary, BitSummary, OverflowSummary, ActionStream, Board, RunConfiguration, Provenance, ReplayOf,
     Simulation, Deviation, StateField, Buffer, Counter, OverflowBit, RunData, Histories, Positions, Checkpoints, Sunk,
     Stamp, Reader, Spread, GrowthFit, Verdict, Worst, Level, PhysicsFacts,
-    Measured, NotMeasured, Check,
+    Measured, NotMeasured, Check, ParallelVariability, Transport, Gap, GapTo, SummaryBlock,
 )  # fmt: skip
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import os
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -30,16 +30,24 @@ class Store:
         self._folder = folder
         self._codec = codec
 
-    def key(self, function: Callable[..., Any], *arguments: Any) -> str:
-        """Of a function's result: the function, its arguments, the versions of all code that computes.
+    def keys(self, function: Callable[..., Any], items: Sequence[Any]) -> list[str]:
+        """Of a function's result for each item: the function, the item, the versions of all code that computes.
 
         A function is told by its name or, where it is a value that can be called, by its class and its fields.
         """
         named = getattr(function, "__qualname__", None)
-        what: Any = f"{function.__module__}.{named}" if named else function
         digest = hashlib.sha256(code_version().encode())
-        digest.update(self._codec.encode([what, *arguments]))
-        return digest.hexdigest()
+        digest.update(self._codec.encode(f"{function.__module__}.{named}" if named else function))
+        found = []
+        for item in items:
+            one = digest.copy()
+            one.update(self._codec.encode(item))
+            found.append(one.hexdigest())
+        return found
+
+    def key(self, function: Callable[..., Any], item: Any) -> str:
+        """Of a function's result for one item."""
+        return self.keys(function, [item])[0]
 
     def get(self, key: str) -> Any:
         """The result, None where there is none."""

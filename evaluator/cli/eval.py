@@ -13,10 +13,11 @@ from evaluator.cli.json_target import check_target
 from schemas.errors import ExitCode, GsbError, NothingComparable, UsageError
 
 if TYPE_CHECKING:
+    from evaluator.mapping import Mapper
     from evaluator.reading import Read, Unreadable
     from evaluator.results import Evaluation
     from evaluator.summary import Summary
-    from evaluator.work import Mapper, Work
+    from evaluator.work import Work
 
 _EPILOG = """\
 exit codes:
@@ -90,7 +91,8 @@ def run(arguments: argparse.Namespace, command: str) -> int:
 
 def _work(arguments: argparse.Namespace, stack: ExitStack) -> Work:
     from evaluator.cache.place import default_folder, open_store
-    from evaluator.work import Work, serial
+    from evaluator.mapping import serial
+    from evaluator.work import Work
 
     mapper: Mapper = serial
     if arguments.ray:

@@ -249,7 +249,8 @@ def _board(result: GroupResult) -> density_map.Outline | None:
 def _matrix(result: GroupResult, values: NDArray[np.float64] | None, of: str, name: str) -> Picture:
     if values is None:
         metric = result.metrics.get(name)
-        why_not = metric.why_not if metric and metric.why_not else "it was not computed"
+        why_not = (metric.why_not or metric.extra.get("no_matrix")) if metric else ""
+        why_not = why_not or "it was not computed"
         return Picture(result.label, f"No matrix: {why_not}.", None)
     svg = Markup(matrix.matrix_map(values, of=of, name=result.label))
     return Picture(result.label, matrix.caption(values, of=of), svg)

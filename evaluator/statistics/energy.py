@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from evaluator.metrics.identity import bitwise_classes
-from evaluator.transport.pair import in_canonical_order, planar_array
+from evaluator.transport.points import in_canonical_order, planar_array
 
 MAX_ENVS = 8192
 """Distinct envs of both sides together; the matrix of their sums then takes 0.5 GiB."""

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from evaluator.statistics.jackknife import Interval, jackknife_mean, jackknife_pair_mean
-from evaluator.transport.pair import in_canonical_order, planar_array
+from evaluator.transport.points import in_canonical_order, planar_array
 
 Points = npt.NDArray[np.float64]
 Distance = Callable[[Points, Points], float]

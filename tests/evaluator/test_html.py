@@ -14,9 +14,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from evaluator import published
+from evaluator import group_metrics, published
 from evaluator.comparison import Comparison, Contender
 from evaluator.evaluate import evaluate_files
+from evaluator.metrics import variability
 from evaluator.metrics.density import HexGrid, marginal
 from evaluator.metrics.guidelines import guidelines
 from evaluator.metrics.radar import SimulatorResult, radar
@@ -440,3 +441,18 @@ def test_hostile_sweeps_stay_text(tmp_path: Path) -> None:
 def test_same_evaluation_gives_the_same_page(several: Evaluation) -> None:
     """Render without clock, chance or order of a set."""
     assert render(several) == render(several)
+
+
+def test_too_many_environments_for_a_matrix(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Give the mean without a matrix, and say why there is none."""
+    final = np.random.default_rng(0).uniform(0.0, 0.1, size=(4, 27, 3))
+    path = write_recording(tmp_path, final, n_env=4)
+    with_matrix = evaluate_files([path]).results[0]
+    for module in (variability, group_metrics):
+        monkeypatch.setattr(module, "MATRIX_ENVS", 3)
+    evaluation = evaluate_files([path])
+    without = evaluation.results[0]
+    assert with_matrix.parallel_matrix is not None
+    assert without.parallel_matrix is None
+    assert without.metrics["w1_parallel"].value == pytest.approx(with_matrix.metrics["w1_parallel"].value, rel=1e-12)
+    assert "No matrix: 4 environments are too many for one (limit: 3)." in Page(render(evaluation)).text
