@@ -7,7 +7,6 @@ from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -42,8 +41,10 @@ from schemas.digest import ContentDigest, content_hash
 from schemas.errors import DamagedRecording, GsbError
 from schemas.fields import StateField
 from schemas.fingerprint import fingerprint
+from schemas.location import Place, place
 from schemas.messages import enum_values
 from schemas.provenance import PROVENANCE, SCENE, SIMULATION, Provenance, Simulation
+from schemas.source import Source
 
 _OTHER_FILES = 256  # that a process has open besides recordings
 _VERIFY_BYTES = 64 << 20
@@ -53,7 +54,7 @@ _VERIFY_ROWS = 50  # a block's rows, so that none is decoded twice
 class Recording:
     """A recording, opened for reading.
 
-    path           of the file
+    path           of the file, or its location
     status         complete, incomplete (no end record), failed (the run said why) or invalid (a validity gate fired)
     reason         why the status is not "complete"
     cause          what kind of thing it was: "device memory", "buffer", "timeout", ...; empty where nothing is said
@@ -63,9 +64,9 @@ class Recording:
     content_hash   the identity that the end record claims, empty without one; `verify` checks it
     """
 
-    def __init__(self, path: str | Path) -> None:
-        self.path = Path(path)
-        self._container = Container(self.path)
+    def __init__(self, path: str | Place, source: Source | None = None) -> None:
+        self.path: Place = place(path)
+        self._container = Container(self.path, source)
         self._messages = Messages(self._container)
         text = self._container.attachment(PROVENANCE)
         if text is None:
@@ -308,11 +309,11 @@ def _allow_open_files(files: int) -> None:
 class Unreadable:
     """A file that could not be opened or failed its checks, and why."""
 
-    path: Path
+    path: Place
     error: GsbError
 
 
-def open_all(paths: list[Path], *, verify: bool) -> Iterator[Recording | Unreadable]:
+def open_all(paths: Sequence[Place], *, verify: bool) -> Iterator[Recording | Unreadable]:
     """Open each file; one that cannot be read is an item too, so that the others are not lost with it."""
     _allow_open_files(len(paths))
     for path in paths:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,6 +12,7 @@ from evaluator.groups import Group
 from evaluator.metrics.density import Density, HexGrid
 from evaluator.recording import Unreadable
 from evaluator.validity import Validity
+from schemas.location import Place
 
 if TYPE_CHECKING:
     from evaluator.comparison import Comparison
@@ -123,7 +123,7 @@ class Reference:
     """
 
     label: str
-    path: Path
+    path: Place
     run_id: str
     measured: bool
     scene: str

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from evaluator.cli.entry import complain, enter, new_parser, write
 from evaluator.cli.json_target import check_target
 from schemas.errors import ExitCode, GsbError, NothingComparable, UsageError
+from schemas.location import Place, place
 
 if TYPE_CHECKING:
     from evaluator.recording import Recording, Unreadable
@@ -38,8 +39,8 @@ def parser() -> argparse.ArgumentParser:
         "simulator, version, switches, scene, environments, step, device.",
         _EPILOG,
     )
-    p.add_argument("files", nargs="+", type=Path, metavar="FILE", help="recordings (.mcap)")
-    p.add_argument("--reference", type=Path, metavar="FILE", help="recording to compare positions with")
+    p.add_argument("files", nargs="+", type=place, metavar="FILE", help="recordings (.mcap), or addresses of them")
+    p.add_argument("--reference", type=place, metavar="FILE", help="recording to compare positions with")
     p.add_argument("--sample-time", type=float, default=5.0, metavar="S", help="simulated time (default: 5.0)")
     p.add_argument("--json", metavar="FILE", help="write the results as JSON; - for standard output, alone")
     p.add_argument("--html", type=Path, metavar="DIR", help="write a report to DIR/index.html")
@@ -71,17 +72,18 @@ def run(arguments: argparse.Namespace, command: str) -> int:
     return _exit_code(evaluation, recordings)
 
 
-def _open(files: list[Path], *, verify: bool) -> tuple[list[Recording], list[Unreadable]]:
+def _open(files: list[Place], *, verify: bool) -> tuple[list[Recording], list[Unreadable]]:
+    from evaluator.locations import expand
     from evaluator.recording import Recording, Unreadable, open_all
 
-    opened = list(open_all(list(dict.fromkeys(files)), verify=verify))
+    opened = list(open_all(expand(files), verify=verify))
     return (
         [o for o in opened if isinstance(o, Recording)],
         [o for o in opened if isinstance(o, Unreadable)],
     )
 
 
-def _open_reference(path: Path, *, verify: bool) -> Recording:
+def _open_reference(path: Place, *, verify: bool) -> Recording:
     recordings, unreadable = _open([path], verify=verify)
     if unreadable:
         raise unreadable[0].error

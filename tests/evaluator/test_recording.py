@@ -71,8 +71,8 @@ def test_out_of_bounds(opened: Opened) -> None:
 def test_one_step_reads_one_block(small: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Decode a single block to read a single step."""
     read: list[Any] = []
-    original = Container.read
-    monkeypatch.setattr(Container, "read", lambda self, m: read.append(m) or original(self, m))
+    original = Container.read_with_crc
+    monkeypatch.setattr(Container, "read_with_crc", lambda self, m: read.append(m) or original(self, m))
     array = open_recording(small).state("cubes", "position")
     read.clear()
     array.at_step(77)
