@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
@@ -46,6 +48,7 @@ from schemas.messages import enum_values
 from schemas.provenance import PROVENANCE, SCENE, SIMULATION, Provenance, Simulation
 from schemas.source import Source
 
+_HASHING = 4  # threads that compute digests of different fields
 _OTHER_FILES = 256  # that a process has open besides recordings
 _VERIFY_BYTES = 64 << 20
 _VERIFY_ROWS = 50  # a block's rows, so that none is decoded twice
@@ -215,12 +218,17 @@ class Recording:
         stated = {(p.group, p.field) for p in map(topics.parse_state, self._container.channels) if p}
         arrays = [self.state(f.group, f.field) for f in self.fields if (f.group, f.field) in stated]
         hashes = self.fingerprints("capture") if len(arrays) == len(self.fields) else None
-        for rows in _row_ranges(arrays):
-            blocks = [array.read(rows, slice(None)) for array in arrays]
-            for array, block in zip(arrays, blocks, strict=True):
-                digest.state(array.field, self.configuration.n_env, block)
-            if hashes is not None:
-                self._check_hashes(hashes, arrays[0].steps[rows], fingerprint(blocks))
+        with ThreadPoolExecutor(min(_HASHING, os.cpu_count() or 1)) as pool:
+            for rows in _row_ranges(arrays):
+                blocks = [array.read(rows, slice(None), copy=False) for array in arrays]
+                fed = [
+                    pool.submit(digest.state, array.field, self.configuration.n_env, block)
+                    for array, block in zip(arrays, blocks, strict=True)
+                ]
+                if hashes is not None:
+                    self._check_hashes(hashes, arrays[0].steps[rows], fingerprint(blocks))
+                for done in fed:
+                    done.result()
         for topic, channel in self._container.channels.items():
             if parts := topics.parse_state(topic):
                 self._check_metadata(parts, channel)

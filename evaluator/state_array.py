@@ -22,6 +22,7 @@ from schemas.fields import StateField
 
 _BLOCK_ROWS = 50  # at most, by the format
 _GAP_ROWS = 1 << 22  # that may be missing before nothing else can be read
+_THREADS_MEMORY = 256 << 20  # that blocks may take while threads decode them
 _THREADED_BYTES = 4 << 20  # below which threads are not worth their while, where the file is near
 
 
@@ -140,8 +141,8 @@ class StateArray:
             out[part.target] = found
             return found.size
 
-        workers = min(len(parts), self._container.source.workers)
-        if workers > 1 and (size >= _THREADED_BYTES or not self._container.source.near):
+        workers = self._workers(parts, size)
+        if workers > 1:
             with ThreadPoolExecutor(workers) as pool:
                 try:
                     filled = sum(pool.map(place, parts))
@@ -156,6 +157,15 @@ class StateArray:
                 f"{filled} of {out.size} numbers are there"
             )
         return out
+
+    def _workers(self, parts: list[_Part], size: int) -> int:
+        # threads that are worth their while, and that have room for the blocks that they are at
+        source = self._container.source
+        if not parts or (source.near and size < _THREADED_BYTES):
+            return 1
+        number = self.shape[2] * self.shape[3] * self.dtype.itemsize
+        most = max(max(p.block.rows * p.envs * number, self._container.chunk_bytes(p.block.message)) for p in parts)
+        return max(1, min(len(parts), source.workers, _THREADS_MEMORY // max(most, 1)))
 
     def _parts(self, first: int, stop: int, env_first: int, env_stop: int) -> Iterator[_Part]:
         for column, next_start in self._env_ranges():

@@ -172,6 +172,10 @@ class Container:
             return sequence, content, None
         return sequence, content, second(known, zlib.crc32(data[:before]), len(content))
 
+    def chunk_bytes(self, message: Message) -> int:
+        """Of the chunk that a message is in, decompressed; of the message's head where it is in none."""
+        return self._chunks[message.chunk].uncompressed_size if message.chunk >= 0 else RECORD_HEAD
+
     def stored_bytes(self, topic: str) -> int:
         """Of the contents of a topic's messages, at most; those that the index tells the size of are not read."""
         return sum(

@@ -32,6 +32,7 @@ from schemas.mcap_writer import MAGIC
 from schemas.remote import RemoteFile
 from tests.evaluator.test_container import rewrite
 from tests.synthetic import grid, write_recording
+from tests.test_docs import ROOT, commands, shell
 from tests.web import Web, serving
 
 N_ENV, STEPS = 128, 400
@@ -286,7 +287,7 @@ def test_local_files_need_no_package(large: list[Path]) -> None:
     assert done.returncode == 0, done.stderr
 
 
-def test_secrets_stay_with_the_server(web: Web, tmp_path: Path) -> None:
+def test_secrets_stay_with_the_server(web: Web, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Write no password and no signature of an address to any output, good or bad."""
     web.files["a.mcap"] = write_recording(tmp_path, grid(2)).read_bytes()
     host = web.address.removeprefix("http://")
@@ -294,17 +295,20 @@ def test_secrets_stay_with_the_server(web: Web, tmp_path: Path) -> None:
     for name, code in (("a.mcap", 0), ("none.mcap", 3)):
         address = f"http://whoever:{secret}@{host}/{name}?X-Amz-Signature={secret}&x='{secret}"
         report, results = tmp_path / f"{name}.html", tmp_path / f"{name}.json"
-        for command in (
-            ["eval", address, "--html", str(report), "--json", str(results)],
-            ["check", address], ["info", address], ["info", "--no-verify", "--json", "-", address],
-            ["diff", address, address, "--no-verify", "--json", "-"], ["diff", address, address],
-        ):  # fmt: skip
-            code_of = [sys.executable, "-m", f"evaluator.cli.{command[0]}", *command[1:]]
-            done = subprocess.run(code_of, capture_output=True, text=True, timeout=120)
-            assert done.returncode in (code, 4), done.stderr
+        for main, arguments in (
+            (evaluation.main, [address, "--html", str(report), "--json", str(results)]),
+            (check.main, [address]),
+            (check.main, [address, "--json", "-"]),
+            (info.main, [address]),
+            (info.main, ["--no-verify", "--json", "-", address]),
+            (diff.main, [address, address, "--no-verify", "--json", "-"]),
+            (diff.main, [address, address]),
+        ):
+            assert main(arguments) in (code, 4)
+            found = capsys.readouterr()
             written = [p.read_text() for p in (report / "index.html", results) if p.is_file()]
-            assert f"http://{host}/{name}" in "".join((done.stdout, done.stderr, *written))
-            for text in (done.stdout, done.stderr, *written):
+            assert f"http://{host}/{name}" in "".join((found.out, found.err, *written))
+            for text in (found.out, found.err, *written):
                 assert "of-mine" not in text
                 assert "whoever" not in text
     assert (tmp_path / "a.mcap.html" / "index.html").is_file()
@@ -463,3 +467,14 @@ def test_checked_as_a_whole(memory: Any, large: list[Path]) -> None:
     assert remote_one.recording is not None
     assert str(remote_one.recording.path) == str(remote_one.path) == f"memory://set/{large[0].name}"
     remote_one.recording.verify()
+
+
+def test_commands_of_the_guide(tmp_path: Path) -> None:
+    """Run every command that docs/remote.md shows in a console block, in a folder that has the sample recordings."""
+    (tmp_path / "recordings").symlink_to(ROOT / "recordings")
+    lines = commands(ROOT / "docs" / "remote.md")
+    assert lines
+    for line in lines:
+        done = shell(line, tmp_path)
+        assert done.returncode == 0, done.stderr
+        assert done.stdout
