@@ -13,14 +13,13 @@ from __future__ import annotations
 import logging
 import zlib
 from array import array
-from collections import OrderedDict
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from struct import Struct
-from threading import Lock
 
 from schemas import FORMAT, decompression
+from schemas.chunks import Chunks
 from schemas.crc import combine, second
 from schemas.cursor import Cursor
 from schemas.errors import DamagedRecording, NotARecording
@@ -42,6 +41,7 @@ from schemas.parts import (
     SCHEMA,
     Attachment,
     Chunk,
+    check_head,
     read_attachment,
     read_chunk,
 )
@@ -59,8 +59,6 @@ _FREE_MESSAGES = 1 << 20
 _LEAST_MESSAGE = 2
 """Any file may have _FREE_MESSAGES messages; more have to take _LEAST_MESSAGE bytes each, also when compressed."""
 
-_CACHED_CHUNKS = 4
-_CACHED_BYTES = 64 << 20  # of chunks that are in memory; the one read last is kept whatever it takes
 _HELD_BYTES = 64 << 20  # of messages that wait for those before them
 _PIECE_BYTES = 4 << 20  # that a CRC is computed of at once
 _CHEAP_BYTES = 4096  # whose CRC costs nothing beside that of a chunk
@@ -114,15 +112,12 @@ class Container:
         self._schemas: dict[int, str] = {}
         self._topics: dict[int, str] = {}
         self._numbers: dict[str, list[int]] = {}  # channels of a topic
-        self._chunks: list[Chunk] = []
+        self._chunks = Chunks(path, self._source)
         self._attachments: dict[str, Attachment] = {}
         self._messages: dict[int, array[int]] = {}  # by channel: log time, chunk + 1 and offset of each, flat
         self._message_count = 0
         self._data_end: int | None = None  # where that record begins
         self._data_crc = 0
-        self._lock = Lock()  # of the two below: chunks may be opened by several threads
-        self._opened: OrderedDict[int, memoryview] = OrderedDict()
-        self._crcs: dict[int, int] = {}  # of chunks that were found to have them
         self._index: tuple[IndexedChunk, ...] = ()
         self._unlisted: dict[int, list[int]] = {}  # by channel, chunks whose messages of it were not looked for yet
         self._unscanned: list[int] = []  # chunks that nothing says the messages of
@@ -164,13 +159,13 @@ class Container:
         if message.chunk < 0:
             head = self._read_record(message.offset)
             return (*self._of_message(message, head, 0), None)
-        data = self._open_chunk(message.chunk)
+        data, crc = self._chunks.open(message.chunk)
         offset = message.offset if not self._sole(message.chunk) else self._sole_offset(data)
         sequence, content = self._of_message(message, data, offset)
-        before, known = offset + RECORD_HEAD + MESSAGE_HEAD.size, self._crcs.get(message.chunk)
-        if known is None or before + len(content) != len(data) or before > _CHEAP_BYTES:
+        before = offset + RECORD_HEAD + MESSAGE_HEAD.size
+        if not crc or before + len(content) != len(data) or before > _CHEAP_BYTES:
             return sequence, content, None
-        return sequence, content, second(known, zlib.crc32(data[:before]), len(content))
+        return sequence, content, second(crc, zlib.crc32(data[:before]), len(content))
 
     def chunk_bytes(self, message: Message) -> int:
         """Of the chunk that a message is in, decompressed; of the message's head where it is in none."""
@@ -273,7 +268,7 @@ class Container:
             raise self._damaged(f"the attachment {name} has more than the {MAX_ATTACHMENT_BYTES} bytes that are read")
         data = self._source.read(found.record - RECORD_HEAD, found.end + 4)
         if self.indexed:
-            self._check_head(ATTACHMENT, data, found.end + 4 - found.record)
+            check_head(self.path, ATTACHMENT, data, found.end + 4 - found.record)
             cursor = Cursor(self.path, data, RECORD_HEAD, len(data), found.record - RECORD_HEAD)
             if read_attachment(cursor) != found:
                 raise self._damaged(f"the attachment {name} is not what the file's index says")
@@ -311,16 +306,17 @@ class Container:
 
         Of a file that was opened through its summary, also that nothing lies beside what the summary says.
         """
+        self._chunks.forget()
         crc = position = 0
         end = self._data_end if self._data_end is not None else self.size
         for number, chunk in enumerate(self._chunks):
             self._check_between(position, chunk.record - RECORD_HEAD, number)
             crc = self._crc_of(position, chunk.begin, crc)
-            data = self._open_chunk(number)
-            if chunk.compression or number not in self._crcs:
+            data, known = self._chunks.open(number)
+            if chunk.compression or not known:
                 crc = self._crc_of(chunk.begin, chunk.end, crc)
             else:
-                crc = combine(crc, self._crcs[number], len(data))
+                crc = combine(crc, known, len(data))
             position = chunk.end
         self._check_between(position, end, len(self._chunks))
         if self._data_crc and self._crc_of(position, end, crc) != self._data_crc:
@@ -374,8 +370,8 @@ class Container:
             self._add_attachment(attachment)
         self._data_end, self._data_crc, self.finished = index.data_end, index.data_crc, True
         self._index = index.chunks
-        self._chunks = [c.chunk for c in index.chunks]
         for number, c in enumerate(index.chunks):
+            self._chunks.append(c.chunk)
             if not c.indexes:
                 self._unscanned.append(number)
             for channel in c.indexes:
@@ -401,16 +397,12 @@ class Container:
             self._add(channel, found.first_time, number, 0)
             return
         record = self._read_record(found.indexes[channel])
-        self._check_head(MESSAGE_INDEX, record, len(record) - RECORD_HEAD)
+        check_head(self.path, MESSAGE_INDEX, record, len(record) - RECORD_HEAD)
         if found.indexes[channel] + len(record) > found.chunk.end + found.index_bytes:
             raise self._damaged(f"an index of messages at byte {found.indexes[channel]} is longer than its file's says")
         cursor = Cursor(self.path, record, RECORD_HEAD, len(record), found.indexes[channel])
         if self._add_index(cursor, number) != channel:
             raise self._damaged(f"the index at byte {found.indexes[channel]} is of another topic than its file's says")
-
-    def _check_head(self, opcode: int, record: memoryview, length: int) -> None:
-        if record[0] != opcode or int.from_bytes(record[1:RECORD_HEAD], "little") != length:
-            raise self._damaged("the file's index points to a record of another kind or length")
 
     def _walk(self) -> None:
         position = len(MAGIC)
@@ -547,7 +539,7 @@ class Container:
         self._attachments[attachment.name] = attachment
 
     def _scan_chunk(self, number: int) -> None:
-        data = self._open_chunk(number)
+        data, _ = self._chunks.open(number)
         position = 0
         while position < len(data):
             cursor = Cursor(self.path, data, position, len(data))
@@ -562,40 +554,3 @@ class Container:
                 channel, _, log_time, _ = MESSAGE_HEAD.unpack(record.take(MESSAGE_HEAD.size))
                 self._add(channel, log_time, number, position)
             position = begin + length
-
-    def _open_chunk(self, number: int) -> memoryview:
-        with self._lock:
-            if number in self._opened:
-                self._opened.move_to_end(number)
-                return self._opened[number]
-        chunk = self._chunks[number]
-        begin = chunk.record - RECORD_HEAD
-        record = self._source.read(begin, chunk.end)
-        self._check_head(CHUNK, record, chunk.end - chunk.record)
-        there, crc = read_chunk(Cursor(self.path, record, RECORD_HEAD, len(record), begin))
-        if there != chunk:
-            raise self._damaged(f"the chunk at byte {begin} is not what the file's index says")
-        try:
-            data = decompression.decompress(
-                chunk.compression, record[chunk.begin - begin : chunk.end - begin], chunk.uncompressed_size
-            )
-        except ValueError as error:
-            raise self._damaged(f"the chunk at byte {chunk.begin} is damaged: {error}") from None
-        # what comes from elsewhere may be something else the second time
-        if crc and (number not in self._crcs or not self._source.near) and zlib.crc32(data) != crc:
-            self._source.confirm()
-            raise self._damaged(f"a chunk at byte {chunk.begin} fails its CRC")
-        with self._lock:
-            if crc:
-                self._crcs[number] = crc
-            self._opened[number] = data
-            kept = sum(map(self._cost, self._opened))
-            while len(self._opened) > 1 and (kept > _CACHED_BYTES or len(self._opened) > _CACHED_CHUNKS):
-                oldest = next(iter(self._opened))
-                kept -= self._cost(oldest)
-                del self._opened[oldest]
-        return data
-
-    def _cost(self, number: int) -> int:
-        # memory that an opened chunk takes
-        return 0 if self._source.near and not self._chunks[number].compression else len(self._opened[number])

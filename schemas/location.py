@@ -11,6 +11,7 @@ from pathlib import Path
 from urllib.parse import quote, unquote
 
 _WEB = ("http", "https")
+_CHAINED = re.compile(r"::(?=[a-z][a-z0-9+.-]*://)", re.IGNORECASE)  # as in zip://a.mcap::https://...
 _ADDRESS = re.compile(r"[a-z][a-z0-9+.-]*://\S*", re.IGNORECASE)
 
 
@@ -65,7 +66,7 @@ def place(given: str | Path | Location) -> Place:
 
 def shown(address: str) -> str:
     """An address without user, password, query and fragment, and without what a terminal would obey."""
-    return "::".join(map(_without_secrets, address.split("::")))
+    return "::".join(map(_without_secrets, _CHAINED.split(address)))
 
 
 def shown_argument(argument: str) -> str:
@@ -80,10 +81,9 @@ def redacted(text: str) -> str:
 
 
 def _without_secrets(address: str) -> str:
-    scheme, found, rest = address.partition("://")
+    scheme, found, rest = address.partition("?")[0].partition("://")
     if not found:
-        return _visible(address)
-    rest = rest.partition("?")[0]
+        return _visible(scheme)
     if scheme.lower() in _WEB:
         rest = rest.partition("#")[0]
     authority, slash, path = rest.partition("/")

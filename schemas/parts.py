@@ -6,6 +6,8 @@ import struct
 from dataclasses import dataclass
 
 from schemas.cursor import Cursor
+from schemas.errors import DamagedRecording
+from schemas.location import Place
 
 HEADER, FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, MESSAGE_INDEX, CHUNK_INDEX = range(1, 9)
 ATTACHMENT, ATTACHMENT_INDEX, STATISTICS, METADATA, METADATA_INDEX, SUMMARY_OFFSET, DATA_END = range(9, 16)
@@ -46,6 +48,12 @@ class Attachment:
     record: int
     begin: int
     end: int
+
+
+def check_head(place: Place, opcode: int, record: memoryview, length: int) -> None:
+    """DamagedRecording where a record is not of that type and length [byte, without its head]."""
+    if record[0] != opcode or int.from_bytes(record[1:RECORD_HEAD], "little") != length:
+        raise DamagedRecording(f"{place}: the file's index points to a record of another type or length")
 
 
 def read_chunk(cursor: Cursor) -> tuple[Chunk, int]:
