@@ -46,7 +46,8 @@ class Location:
     @property
     def name(self) -> str:
         """Of the file, without its folder."""
-        return unquote(str(self).partition("::")[0].rstrip("/").rpartition("/")[2]) or str(self)
+        first = next((part for part in _CHAINED.split(str(self)) if is_address(part)), str(self))
+        return _visible(unquote(first.rstrip("/").rpartition("/")[2])) or str(self)
 
 
 Place = Path | Location

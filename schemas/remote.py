@@ -178,6 +178,7 @@ def _file_system(location: Location) -> tuple[Any, str]:
         if _is_web(location):
             import aiohttp
 
+            options["headers"] = {"Accept-Encoding": "identity"}  # parts of the file, not of what a server packs
             options["client_kwargs"] = {
                 "timeout": aiohttp.ClientTimeout(total=None, sock_connect=_CONNECT_S, sock_read=_SILENCE_S)
             }

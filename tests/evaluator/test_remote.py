@@ -326,6 +326,7 @@ def test_what_is_shown_of_an_address(path: str, scheme: str, before: str) -> Non
     ):  # fmt: skip
         assert "SECRET" not in text
     assert shown(address).isprintable()
+    assert Location(address).name.isprintable()
     assert "SECRET" not in redacted(f"{before} https://user:SECRET@host/a?b=SECRET, {before}").replace(before, "")
 
 
@@ -478,3 +479,18 @@ def test_commands_of_the_guide(tmp_path: Path) -> None:
         done = shell(line, tmp_path)
         assert done.returncode == 0, done.stderr
         assert done.stdout
+
+
+@pytest.mark.parametrize(
+    ("address", "text", "name"),
+    [
+        ("s3://bucket/a/run%201.mcap?versionId=3", "s3://bucket/a/run%201.mcap", "run 1.mcap"),
+        ("simplecache::s3://bucket/run#3.mcap", "simplecache::s3://bucket/run#3.mcap", "run#3.mcap"),
+        ("zip://a.mcap::https://me:x@host/b.zip?x", "zip://a.mcap::https://host/b.zip", "a.mcap"),
+        ("https://me:p::w@host:80/a.mcap#x", "https://host:80/a.mcap", "a.mcap"),
+        ("hf://datasets/me/set@main/a.mcap", "hf://datasets/me/set@main/a.mcap", "a.mcap"),
+    ],
+)
+def test_names_of_addresses(address: str, text: str, name: str) -> None:
+    """Show what tells files apart, and name them without their folder."""
+    assert (str(Location(address)), Location(address).name) == (text, name)
