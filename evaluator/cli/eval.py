@@ -87,6 +87,8 @@ def _open_reference(path: Place, *, verify: bool) -> Recording:
     recordings, unreadable = _open([path], verify=verify)
     if unreadable:
         raise unreadable[0].error
+    if len(recordings) > 1:
+        raise UsageError(f"--reference is one recording; {path} stands for {len(recordings)}")
     return recordings[0]
 
 

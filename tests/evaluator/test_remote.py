@@ -363,6 +363,14 @@ def test_wildcards(memory: Any, large: list[Path]) -> None:
         remote.matching(Location("memory://set/*.mcap"), 1)
 
 
+def test_one_reference(memory: Any, large: list[Path], capsys: pytest.CaptureFixture[str]) -> None:
+    """Refuse a reference that stands for several recordings, rather than choose one."""
+    for path in large:
+        _put(memory, path)
+    assert evaluation.main([str(large[0]), "--reference", "memory://set/*.mcap", "--no-verify"]) == 2
+    assert "--reference is one recording; memory://set/*.mcap stands for 2" in capsys.readouterr().err
+
+
 def _summary(data: bytes) -> int:
     return int(struct.unpack_from("<Q", data, len(data) - len(MAGIC) - 20)[0])
 
