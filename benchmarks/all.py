@@ -13,6 +13,7 @@ SCRIPTS = (
     ("evaluate_set",),
     ("start_up",),
     ("write_path", "--n-env", "256"),
+    ("read_path",),
     ("capture_overhead",),
     ("archive",),
     ("transport",),

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +24,7 @@ from evaluator.sweeps import find_sweeps
 from evaluator.validity import validity_of
 from evaluator.work import HERE, Work
 from schemas.errors import DamagedRecording
+from schemas.location import Place
 from schemas.provenance import REAL
 
 
@@ -37,7 +37,7 @@ class _Found:
     planar: NDArray[np.float64] | None
 
 
-def evaluate_files(paths: Iterable[Path], *, sample_time: float = 5.0) -> Evaluation:
+def evaluate_files(paths: Iterable[Place], *, sample_time: float = 5.0) -> Evaluation:
     """Every metric of every group of some recordings, whose digests are taken on trust; see `evaluate`."""
     return evaluate(map(Reader(sample_time, verify=False), paths), sample_time=sample_time)
 

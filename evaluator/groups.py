@@ -6,11 +6,11 @@ import json
 from collections import Counter
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any, Generic, Protocol, TypeVar
 
 from schemas.configuration import RunConfiguration
 from schemas.fields import StateField
+from schemas.location import Place
 from schemas.provenance import REAL, Provenance, Simulation
 
 
@@ -18,7 +18,7 @@ class Described(Protocol):
     """What an open recording and the summary of a closed one both tell."""
 
     @property
-    def path(self) -> Path: ...
+    def path(self) -> Place: ...
     @property
     def status(self) -> str: ...
     @property

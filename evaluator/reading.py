@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 
 from evaluator.recording import Recording
 from evaluator.run_data import RunData, read_run
 from evaluator.summary import Summary, summarise
 from schemas.errors import GsbError
+from schemas.location import Place
 
 
 @dataclass(frozen=True)
@@ -27,7 +27,7 @@ class Read:
 class Unreadable:
     """A file that could not be opened or failed its checks, and why."""
 
-    path: Path
+    path: Place
     error: GsbError
 
 
@@ -42,7 +42,7 @@ class Reader:
     sample_time: float
     verify: bool = True
 
-    def __call__(self, path: Path) -> Read | Unreadable:
+    def __call__(self, path: Place) -> Read | Unreadable:
         """Read one file, in memory that its size does not govern: see docs/scale.md."""
         try:
             recording = Recording(path)

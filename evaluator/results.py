@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -15,6 +14,7 @@ from evaluator.metrics.density import Density, HexGrid
 from evaluator.reading import Unreadable
 from evaluator.summary import Summary
 from evaluator.validity import Validity
+from schemas.location import Place
 
 if TYPE_CHECKING:
     from evaluator.comparison import Comparison
@@ -127,7 +127,7 @@ class Reference:
     """
 
     label: str
-    path: Path
+    path: Place
     run_id: str
     measured: bool
     scene: str

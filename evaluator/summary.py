@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
@@ -14,6 +13,7 @@ from evaluator.step_evidence import ActionStream, Overflows, StepCounts
 from schemas.configuration import RunConfiguration
 from schemas.errors import DamagedRecording
 from schemas.fields import StateField
+from schemas.location import Place
 from schemas.provenance import Provenance, Simulation
 
 
@@ -68,7 +68,7 @@ class Summary:
     board           of the scene; None without one, and where its description cannot be read
     """
 
-    path: Path
+    path: Place
     status: str
     reason: str
     cause: str

@@ -6,12 +6,12 @@ import time
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 from evaluator.cache.store import Store
 from evaluator.reading import Read, Reader, Unreadable
 from evaluator.run_data import RunData
 from evaluator.work import Work
+from schemas.location import Location, Place
 
 _SETTLED_NS = 2_000_000_000
 """A file that was written so recently may change once more without its times telling."""
@@ -39,7 +39,7 @@ class KnownFiles:
     store: Store
     sample_time: float
 
-    def find(self, path: Path) -> Read | None:
+    def find(self, path: Place) -> Read | None:
         """What was read of a file; None where it is not known, or may have changed."""
         stamp = stamp_of(path)
         content_hash = stamp and self.store.get(self.store.key(Stamp, stamp))
@@ -60,11 +60,11 @@ class KnownFiles:
         return self.store.key(Reader, [content_hash, self.sample_time])
 
 
-def read_all(paths: Sequence[Path], reader: Reader, work: Work) -> Iterator[Read | Unreadable]:
+def read_all(paths: Sequence[Place], reader: Reader, work: Work) -> Iterator[Read | Unreadable]:
     """Read files wherever the work is done, those that are not known, in order."""
     known = KnownFiles(work.store, reader.sample_time) if work.store else None
     stamps = {path: stamp_of(path) for path in paths} if known else {}
-    found: dict[Path, Read | Unreadable] = {path: old for path in paths if known and (old := known.find(path))}
+    found: dict[Place, Read | Unreadable] = {path: old for path in paths if known and (old := known.find(path))}
     fresh = iter(work.mapper(reader, [path for path in paths if path not in found]))
     for path in paths:
         if path in found:
@@ -77,8 +77,10 @@ def read_all(paths: Sequence[Path], reader: Reader, work: Work) -> Iterator[Read
         yield read
 
 
-def stamp_of(path: Path) -> Stamp | None:
-    """The stamp of a file; None where there is none that can be relied on."""
+def stamp_of(path: Place) -> Stamp | None:
+    """The stamp of a file of this machine; None where there is none that can be relied on."""
+    if isinstance(path, Location):
+        return None
     with suppress(OSError, ValueError):
         status = path.stat()
         if time.time_ns() - max(status.st_mtime_ns, status.st_ctime_ns) > _SETTLED_NS:

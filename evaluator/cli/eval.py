@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 from evaluator.cli.entry import complain, enter, new_parser, write
 from evaluator.cli.json_target import check_target
 from schemas.errors import ExitCode, GsbError, NothingComparable, UsageError
+from schemas.location import Place, place
 
 if TYPE_CHECKING:
     from evaluator.mapping import Mapper
@@ -43,8 +44,8 @@ def parser() -> argparse.ArgumentParser:
         "simulator, version, switches, scene, environments, step, device.",
         _EPILOG,
     )
-    p.add_argument("files", nargs="+", type=Path, metavar="FILE", help="recordings (.mcap)")
-    p.add_argument("--reference", type=Path, metavar="FILE", help="recording to compare positions with")
+    p.add_argument("files", nargs="+", type=place, metavar="FILE", help="recordings (.mcap), or addresses of them")
+    p.add_argument("--reference", type=place, metavar="FILE", help="recording to compare positions with")
     p.add_argument("--sample-time", type=float, default=5.0, metavar="S", help="simulated time (default: 5.0)")
     p.add_argument("--json", metavar="FILE", help="write the results as JSON; - for standard output, alone")
     p.add_argument("--html", type=Path, metavar="DIR", help="write a report to DIR/index.html")
@@ -62,6 +63,7 @@ def run(arguments: argparse.Namespace, command: str) -> int:
     """Evaluate and print; returns the exit code."""
     from evaluator.cache.known_files import read_all
     from evaluator.evaluate import evaluate
+    from evaluator.locations import expand
     from evaluator.reading import Read, Reader
 
     if not 0 < arguments.sample_time < float("inf"):
@@ -70,10 +72,11 @@ def run(arguments: argparse.Namespace, command: str) -> int:
     with ExitStack() as stack:
         work = _work(arguments, stack)
         reader = Reader(arguments.sample_time, verify=not arguments.no_verify)
-        paths = list(dict.fromkeys([*arguments.files, *([arguments.reference] if arguments.reference else [])]))
-        read = dict(zip(paths, read_all(paths, reader, work), strict=True))
-        files = [read[path] for path in dict.fromkeys(arguments.files)]
-        reference = _readable(read[arguments.reference]) if arguments.reference else None
+        places, reference_place = expand(arguments.files), _one(arguments.reference)
+        wanted = list(dict.fromkeys([*places, *([reference_place] if reference_place else [])]))
+        read = dict(zip(wanted, read_all(wanted, reader, work), strict=True))
+        files = [read[place] for place in places]
+        reference = _readable(read[reference_place]) if reference_place else None
         evaluation = evaluate(files, reference=reference, sample_time=arguments.sample_time, work=work)
     if work.store:
         work.store.prune()
@@ -100,6 +103,15 @@ def _work(arguments: argparse.Namespace, stack: ExitStack) -> Work:
 
         mapper = stack.enter_context(Cluster(arguments.ray))
     return Work(mapper, None if arguments.no_cache else open_store(arguments.cache or default_folder()))
+
+
+def _one(given: Place | None) -> Place | None:
+    from evaluator.locations import expand
+
+    found = expand([given]) if given else []
+    if len(found) > 1:
+        raise UsageError(f"--reference is one recording; {given} stands for {len(found)}")
+    return found[0] if found else None
 
 
 def _readable(file: Read | Unreadable) -> Read:
