@@ -30,10 +30,12 @@ RATIO = 4
 FINER = 5.0
 """The eps of a phase to that of the next."""
 
-_FIRST_EPS = 0.05  # of the extent
+_FIRST_EPS = 0.05  # of the extent of a or b, the larger: prices of good duals differ by no more than that
 _LAST_EPS = 0.3  # of the spacing of a level's points: below it prices follow the sample rather than the law
 _LEAST_EPS = 2.0**-44  # of the extent: prices are float64
 _SLACK = 0.1  # of eps: larger ones make searches cheaper and bids more
+_LOSS = 0.01  # of eps, that a transform may miss: where many places are equally good, exact ones visit them all
+_AHEAD = 0.25  # of the tolerance: a level that is so close already leaves nothing to the next
 _AIM = 0.7  # of the eps at which the gap should meet the tolerance, if both shrink alike
 
 
@@ -95,30 +97,30 @@ def solve(
     while m // (strides[-1] * RATIO) >= COARSEST:
         strides.append(strides[-1] * RATIO)
     whole = Cloud(*_treed(a, counts_a)), Cloud(*_treed(b, counts_b))
-    eps, bids = _FIRST_EPS * extent, 0
+    wide = max(float(np.ptp(a, axis=0).max()), float(np.ptp(b, axis=0).max()), _LEAST_EPS * extent)
+    eps, bids = _FIRST_EPS * wide, 0
     coarse: tuple[Tree, Floats] | None = None
     for stride in reversed(strides):
         x, y = (_thinned(cloud, stride) for cloud in whole)
-        prices = np.zeros(len(y.counts)) if coarse is None else -_least(coarse[0], -coarse[1], y.points)
-        values = _least(y.tree, prices, x.points)
+        prices = np.zeros(len(y.counts)) if coarse is None else -_least(coarse[0], -coarse[1], y.points, _LOSS * eps)
+        values = _least(y.tree, prices, x.points, _LOSS * eps)
         origin = np.repeat(np.arange(len(x.counts), dtype=np.int32), x.counts)
         place = np.full(len(origin), -1, dtype=np.int32)
         guess = np.full(len(x.counts), -1, dtype=np.int32)
-        last = max(_LAST_EPS * extent / math.sqrt(len(origin)), _LEAST_EPS * extent)
+        goal, last = 1.0, _LEAST_EPS * extent
+        if stride > 1:
+            goal, last = _AHEAD, max(_LAST_EPS * wide / math.sqrt(len(origin)), last)
         while True:
             bids += _auction(eps, limit - bids, x, y, origin, values, place, guess, prices)
-            values = _least(y.tree, prices, x.points)
-            prices = -_least(x.tree, -values, y.points)
-            if stride > 1:
-                if eps <= last or bids >= limit:
-                    break
-                eps = max(eps / FINER, last)
-                continue
+            values = _least(y.tree, prices, x.points, _LOSS * eps)
+            prices = -_least(x.tree, -values, y.points, _LOSS * eps)
             solution = Solution(x, y, values, prices, origin, _seated(place, y.counts), bids)
-            excess = enough(solution.dual(), solution.primal())
-            if excess <= 1.0 or bids >= limit or eps <= _LEAST_EPS * extent:
-                return solution
-            eps = max(eps / FINER, eps * _AIM / excess, _LEAST_EPS * extent)
+            excess = enough(stride * solution.dual(), stride * solution.primal())
+            if excess <= goal or bids >= limit or eps <= last:
+                break
+            eps = max(eps / FINER, eps * _AIM * goal / excess, last)
+        if stride == 1:
+            return solution
         coarse = x.tree, values
     raise AssertionError("the last level has stride 1")
 
@@ -137,12 +139,12 @@ def _thinned(cloud: Cloud, stride: int) -> Cloud:
     return Cloud(*_treed(cloud.points[kept], counts))
 
 
-def _least(tree: Tree, prices: Floats, seen_from: Floats) -> Floats:
-    """The least distance plus price from each point, shape [n]; sets the tree's planes."""
+def _least(tree: Tree, prices: Floats, seen_from: Floats, loss: float) -> Floats:
+    """The least distance plus price from each point, or up to `loss` below, shape [n]; sets the tree's planes."""
     set_planes(tree.points, prices, tree.begin, tree.end, tree.nodes)
     values, best = np.empty(len(seen_from)), np.full(len(seen_from), -1, dtype=np.int32)
     least_values(
-        seen_from, 0.0, tree.points, prices, tree.begin, tree.end, tree.nodes, tree.first, values, best
+        seen_from, loss, tree.points, prices, tree.begin, tree.end, tree.nodes, tree.first, values, best
     )  # fmt: skip
     return values
 
