@@ -49,8 +49,8 @@ def certified_wasserstein1(
         W1(a, b) = min over one-to-one assignments s of  (1/n) * sum_i |a_i - b_s(i)|
 
     Below, Kantorovich's dual: W1 >= (1/n) * (sum_i u_i - sum_j p_j) where u_i - p_j <= |a_i - b_j| for all i, j. Above,
-    any assignment. Both come from an auction. Points at the same place in both sets stay there: under a metric, that loses
-    nothing. The same sets give the same bits, on one thread.
+    any assignment. Both come from an auction. Points at the same place in both sets stay there: under a metric, that
+    loses nothing. The same sets give the same bits, on one thread.
 
     Args:
         a, b: points [any length unit], shape [n, 2].
