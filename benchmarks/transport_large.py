@@ -70,7 +70,8 @@ def _nearest(a: Floats, b: Floats) -> None:
 
 
 def _exact(a: Floats, b: Floats) -> float:
-    from evaluator.transport.pair import distance_matrix, mean_assignment_distance
+    from evaluator.transport.assignment import mean_assignment_distance
+    from evaluator.transport.points import distance_matrix
 
     return mean_assignment_distance(distance_matrix(a, b))
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from evaluator.transport.pair import planar_array
+from evaluator.transport.points import planar_array
 
 METHOD = "multiscale auction"
 SAME_POINTS = "same points"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import importlib.util
 from dataclasses import dataclass
 
@@ -129,13 +128,13 @@ def _certified(net: NetMass, scale: float, extension: str | None, n: int, m: int
     between samples is too large on average, by an amount that depends on the laws.
     """
     too_many = f"{n} x {m} points are too many for exact transport (limit: {MATRIX_LIMIT} pairs)"
-    planar = net.sources.shape[1] == 2
-    if not planar or importlib.util.find_spec("evaluator.transport.large") is None:
+    if net.sources.shape[1] != 2 or importlib.util.find_spec("numba") is None:
         raise ValueError(too_many)
     if net.total > REPEATED_LIMIT:
         raise ValueError(f"{too_many}, and repeated to one count for bounds (limit: {REPEATED_LIMIT} points)")
-    large = importlib.import_module("evaluator.transport.large")
-    bounds = large.certified_wasserstein1(*_repeated(net))
+    from evaluator.transport.large import certified_wasserstein1
+
+    bounds = certified_wasserstein1(*_repeated(net))
     share = net.total * net.share
     low, high = (scaled_back(float(bound) * share, scale) for bound in (bounds.low, bounds.high))
     return Transport(high, "certified", bounds.method, extension, low, high)
