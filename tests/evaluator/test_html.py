@@ -148,6 +148,7 @@ def several(alone: Evaluation) -> Evaluation:
         ),
         reference_note="compared with 16 real trials",
         sweeps=(),
+        accumulation=(),
         comparison=Comparison(contenders, radar(figures), tuple(guidelines(figures))),
         maps={"inclined-collision": Map(GRID, EDGES, max(int(d.counts.max()) for d in clouds if len(d.counts)))},
         notes=("a note on the whole set",),
@@ -368,7 +369,7 @@ def test_published_types_follow_from_the_published_values() -> None:
 
 def test_evaluation_of_nothing_is_a_page(several: Evaluation) -> None:
     """Write a page even where no group is left, with the files that could not be read."""
-    nothing = Evaluation(5.0, (), several.unreadable, None, "no reference", (), Comparison(), {})
+    nothing = Evaluation(5.0, (), several.unreadable, None, "no reference", (), (), Comparison(), {})
     text = Page(render(nothing)).text
     assert "torn.mcap" in text
     assert "No map" in text
