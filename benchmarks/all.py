@@ -18,7 +18,6 @@ SCRIPTS = (
     ("archive",),
     ("transport",),
     ("transport_large",),
-    ("scale",),
     ("engine_best", "--sim", "warp", "--n-env", "64", "--steps", "50"),
 )
 
