@@ -42,7 +42,7 @@ class Agent:
                 text=True, errors="replace", env=self._environment(), start_new_session=True,
             )  # fmt: skip
             threading.Thread(target=self._read, args=(self._process, self._lines), daemon=True).start()
-        self.say(first)
+        self.say(key, first)
 
     def lines(self, known: int) -> tuple[list[str], bool]:
         """The lines after so many that the caller knows, and whether these are all; waits until there is an answer."""
@@ -50,10 +50,10 @@ class Agent:
             self._news.wait_for(lambda: len(self._lines) > known or self._ended)
             return self._lines[known:], self._ended
 
-    def say(self, line: str) -> None:
-        """A line of input."""
+    def say(self, key: str, line: str) -> None:
+        """A line of input to the process of that key; calls overtake each other, and another one's would be harmful."""
         process = self._process
-        if process is None or process.stdin is None:
+        if key != self._key or process is None or process.stdin is None:
             return
         with suppress(OSError, ValueError):  # it has ended, or its input has
             process.stdin.write(line + "\n")

@@ -5,12 +5,15 @@ Nothing else here imports Ray. Agents are ``recorder.cluster.agent.Agent``, sent
 
 from __future__ import annotations
 
+import io
 import logging
 import os
 import signal
+import sys
+import threading
 import time
 from collections.abc import Collection
-from contextlib import suppress
+from contextlib import ExitStack, redirect_stdout, suppress
 from dataclasses import dataclass, field
 from importlib import import_module
 from types import TracebackType
@@ -64,6 +67,7 @@ class Cluster:
         """address  as ray.init takes it: HOST:PORT, auto, ray://HOST:PORT; or LOCAL"""
         self._address = address
         self._ray: Any = None
+        self._quiet = ExitStack()
         self._agents: Any = None
         self._on_node: Any = None
 
@@ -80,6 +84,7 @@ class Cluster:
         for name, value in _SETTINGS.items():
             os.environ.setdefault(name, value)
         logging.getLogger("ray").setLevel(logging.ERROR)
+        self._quiet.enter_context(redirect_stdout(_OfMainThread(sys.stdout)))
         handlers = {number: signal.getsignal(number) for number in SIGNALS}
         local: dict[str, Any] = {"include_dashboard": False, "object_store_memory": _STORE_BYTES}
         try:
@@ -89,6 +94,7 @@ class Cluster:
             )  # fmt: skip
         except Exception as error:  # ConnectionError, RuntimeError for another version, ValueError, by Ray's version
             said = " ".join(str(error).split())
+            self._quiet.close()
             raise UsageError(f"no Ray cluster can be used at '{self._address}': {said}") from None
         finally:
             for number, handler in handlers.items():  # Ray sets one of its own
@@ -102,7 +108,8 @@ class Cluster:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        with shielded():  # processes of a local cluster would stay behind
+        # shielded, since processes of a local cluster would stay behind; Ray prints what it has kept for its end
+        with shielded(), self._quiet, redirect_stdout(io.StringIO()):
             self._ray.shutdown()
 
     def nodes(self) -> list[Node]:
@@ -171,6 +178,22 @@ class Cluster:
             return bool(self._ray.get(ref))
         except self._ray.exceptions.RayError:
             return False
+
+
+class _OfMainThread:
+    """Standard output, to which no other thread's words come: Ray prints there what becomes of nodes."""
+
+    def __init__(self, stream: Any) -> None:
+        self._stream = stream
+
+    def write(self, text: str) -> int:
+        """As of a text stream."""
+        if threading.current_thread() is threading.main_thread():
+            self._stream.write(text)
+        return len(text)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
 
 
 def _first_line(error: Exception) -> str:

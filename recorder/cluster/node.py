@@ -1,7 +1,7 @@
 """The process of one run on a node of a cluster: ``python -m recorder.cluster.node``.
 
 The first line of standard input says what is wanted, as JSON; what happens is said on standard output, one JSON object
-a line. A further line "interrupt" is an interruption of the user's. The end of standard input means that nobody waits
+a line. A further line is how often the user has interrupted by now. The end of standard input means that nobody waits
 any more: a run in progress is killed, the folder with its files is removed, and the process ends.
 
     said                 when
@@ -35,12 +35,16 @@ from schemas.errors import ExitCode, GsbError, UsageError
 
 Say = Callable[[dict[str, Any]], None]
 
-_KILLING = 2  # interruptions, the last of which kills a run
+KILLING = 2
+"""Interruptions, the last of which kills a run."""
+
 _ORDER = "CUDA_DEVICE_ORDER"
 
 
 def main() -> int:
     """Do what standard input asks for; returns the exit code. Whatever goes wrong is said."""
+    if child := os.fork():  # Ray kills its worker's children before these can put anything in order, but not theirs
+        return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
     say = _sayer()
     wanted = json.loads(sys.stdin.readline())
     folder = Path(tempfile.mkdtemp(prefix="gsb-node-"))
@@ -111,11 +115,14 @@ def _number_gpus_as_nvml_does() -> None:
 
 def _listen(interruptions: Interruptions, left: threading.Event) -> None:
     for line in sys.stdin:
-        if line.strip() == "interrupt":
-            interruptions.add()
-    while interruptions.count < _KILLING:
-        interruptions.add()
+        _interrupt(interruptions, int(line))
+    _interrupt(interruptions, KILLING)
     left.set()
+
+
+def _interrupt(interruptions: Interruptions, count: int) -> None:
+    while interruptions.count < min(count, KILLING):
+        interruptions.add()
 
 
 def _sayer() -> Say:

@@ -12,7 +12,8 @@ from typing import Any
 from recorder.cluster.code import code
 from recorder.cluster.connection import Cluster, Lost, Node
 from recorder.cluster.gathering import Spoiled, gather
-from recorder.launch import Result
+from recorder.launch import Interruptions, Result
+from recorder.launch import Progress as Report
 from recorder.task import Task
 from schemas.configuration import RunConfiguration
 from schemas.errors import ExitCode, UsageError
@@ -72,6 +73,7 @@ class Seat:
         self.where = ""
         self._cluster = cluster
         self._wanted = wanted
+        self._key = ""
         self.agent = cluster.new_agent(spot.node, cpus=spot.cpus, gpus=spot.gpus)
 
     @property
@@ -81,7 +83,7 @@ class Seat:
 
     def ask(self) -> None:
         """Whether runs can be made here, and with what. UsageError says why not; Lost where nobody answers."""
-        last = self._talk("check", None, lambda phase, done, of: None)
+        last = self._talk("check", None, lambda phase, done, of: None, Interruptions())
         if "error" in last:
             raise UsageError(f"{self.name} cannot record this: {last['error']}")
         if "where" not in last:
@@ -92,12 +94,12 @@ class Seat:
         self.where = last["where"]
         self.let_go()
 
-    def make(self, task: Task, report: Callable[[str, int, int], None]) -> dict[str, Any]:
+    def make(self, task: Task, report: Report, interruptions: Interruptions) -> dict[str, Any]:
         """Make a run; returns what the node says of it. Its files stay there until let_go.
 
         Lost where the agent is, or the process that it started.
         """
-        last = self._talk(task.run_id, task, report)
+        last = self._talk(task.run_id, task, report, interruptions)
         if "result" not in last and "error" not in last:
             raise Lost(f"the process that followed the run ended: {last['said']}")
         return last
@@ -123,9 +125,9 @@ class Seat:
         file, ended = here.get(said["file"] or ""), ExitCode(said["exit_code"])
         return Result(index, said["status"], reason, file, ended, said["cause"], died=said["died"])
 
-    def interrupt(self) -> None:
-        """Pass on an interruption of the user's; the second kills the run."""
-        self._cluster.tell(self.agent, "say", "interrupt")
+    def interrupt(self, count: int) -> None:
+        """Tell the present run how often the user has interrupted by now; at the second time it is killed."""
+        self._cluster.tell(self.agent, "say", self._key, str(count))
 
     def let_go(self) -> None:
         """The present run's files are needed no more."""
@@ -147,14 +149,17 @@ class Seat:
             self.close()
         return bool(there)
 
-    def _talk(self, key: str, task: Task | None, report: Callable[[str, int, int], None]) -> dict[str, Any]:
+    def _talk(self, key: str, task: Task | None, report: Report, interruptions: Interruptions) -> dict[str, Any]:
         # the node's last word, with what it said in no form of ours
         first = {
             **asdict(self._wanted),
             "code": code().sha256,
             "task": task.to_json() if task else None,
         }
+        self._key = key
         self._cluster.call(self.agent, "begin", key, ["-P", "-m", "recorder.cluster.node"], json.dumps(first))
+        if count := interruptions.count:  # of before there was a process to tell
+            self.interrupt(count)
         known, ended, said = 0, False, "nothing"
         while not ended:
             lines, ended = self._cluster.call(self.agent, "lines", known)

@@ -15,6 +15,7 @@ from types import TracebackType
 from recorder.cluster.batch import Batch, Ended, Phase, Said, lost
 from recorder.cluster.connection import Cluster, Lost
 from recorder.cluster.gathering import Stopped
+from recorder.cluster.node import KILLING
 from recorder.cluster.seats import Seat, Spot, Wanted, needs_gpu, spots
 from recorder.launch import Interruptions, Result
 from recorder.options import parse_options
@@ -112,7 +113,7 @@ class Team:
         finally:
             batch.stop()
             for worker in workers:
-                worker.kill()
+                worker.seat.interrupt(KILLING)
             deadline = time.monotonic() + _LAST_S
             for worker in workers:
                 worker.thread.join(max(0.0, deadline - time.monotonic()))
@@ -142,7 +143,7 @@ class Team:
                 passed_on += 1
                 batch.begin_no_more()
                 for worker in workers:
-                    worker.seat.interrupt()
+                    worker.seat.interrupt(passed_on)
                 if passed_on > 1:
                     deadline = deadline or time.monotonic() + _LAST_S
             if deadline and time.monotonic() > deadline:
@@ -167,12 +168,6 @@ class _Worker:
         self._request = request
         self._interruptions = interruptions
 
-    def kill(self) -> None:
-        """Nobody wants the run that is made here."""
-        if self.thread.is_alive():
-            self.seat.interrupt()
-            self.seat.interrupt()
-
     def _work(self) -> None:
         while self.seated and (run := self._batch.take()) is not None:
             began = time.monotonic()
@@ -188,7 +183,7 @@ class _Worker:
             self._batch.news.put(Phase(run, phase, done, of))
 
         try:
-            last = self.seat.make(task, report)
+            last = self.seat.make(task, report, self._interruptions)
             wanted = self._batch.wait_turn(run)
             result = self.seat.fetch(task, last, self._request.out, self._unwanted) if wanted else None
             self.seat.let_go()
