@@ -398,11 +398,11 @@ def test_runs_that_fail_are_recorded_as_without_a_cluster(nodes: Nodes, tmp_path
     assert len(results[0][2]) == (1 if mode == "memory" else 3)
 
 
-def _begin(nodes: Nodes, out: Path, *arguments: str) -> subprocess.Popen[str]:
+def _begin(nodes: Nodes, out: Path, *arguments: str, mode: str = "slow") -> subprocess.Popen[str]:
     # runs of some seconds; returns once all seats have one
     folder = Path(nodes.environment["TMPDIR"])
     process = subprocess.Popen(
-        [*command("gsb-record"), "--ray", nodes.address, "--sim", "faulty", "--option", "mode=slow",
+        [*command("gsb-record"), "--ray", nodes.address, "--sim", "faulty", "--option", f"mode={mode}",
          "--phases", "capture",
          *arguments, "--out", str(out)],
         env={**os.environ, **nodes.environment}, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
@@ -448,15 +448,18 @@ def test_an_interruption(nodes: Nodes, tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_two_interruptions(nodes: Nodes, tmp_path: Path) -> None:
-    """Kill all runs at the second Ctrl-C; what is left has its .partial name."""
-    process = _begin(nodes, tmp_path, "--runs", "5", "--option", "mode=deaf", "--steps", "100000")
+    """Kill all runs at the second Ctrl-C; what has a final name is whole and says that it was interrupted."""
+    process = _begin(nodes, tmp_path, "--runs", "5", "--steps", "100000", mode="deaf")
     os.killpg(process.pid, signal.SIGINT)
     time.sleep(0.5)
     os.killpg(process.pid, signal.SIGINT)
     _, err = process.communicate(timeout=60)
     assert process.returncode in (1, 3), err
     assert "Traceback" not in err
-    assert all(path.name.endswith(".partial") for path in tmp_path.iterdir())
+    for path in tmp_path.glob("*.mcap"):  # of a run that heeded the first
+        recording = open_recording(path)
+        recording.verify()
+        assert recording.reason.startswith("interrupted in phase ")
 
 
 @pytest.mark.slow
