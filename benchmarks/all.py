@@ -13,8 +13,10 @@ SCRIPTS = (
     ("evaluate_set",),
     ("start_up",),
     ("write_path", "--n-env", "256"),
+    ("read_path",),
     ("capture_overhead",),
     ("archive",),
+    ("transport",),
     ("engine_best", "--sim", "warp", "--n-env", "64", "--steps", "50"),
 )
 

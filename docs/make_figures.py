@@ -9,8 +9,7 @@ import io
 import re
 from pathlib import Path
 
-from evaluator.evaluate import evaluate
-from evaluator.recording import Recording
+from evaluator.evaluate import evaluate_files
 from evaluator.report.figures.svg import text
 from evaluator.report.html import render_html
 from evaluator.report.tables import print_tables
@@ -23,7 +22,7 @@ _TITLE, _INDENT, _GAP = 40, 44, 20
 
 def shipped() -> Evaluation:
     """The evaluation of the recordings that ship with the project."""
-    return evaluate([Recording(path) for path in sorted((ROOT / "recordings").glob("*.mcap"))])
+    return evaluate_files(sorted((ROOT / "recordings").glob("*.mcap")))
 
 
 def table(evaluation: Evaluation) -> str:

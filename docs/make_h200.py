@@ -7,8 +7,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from evaluator.evaluate import evaluate
-from evaluator.recording import Recording
+from evaluator.evaluate import evaluate_files
 from evaluator.report.numbers import distance
 from evaluator.results import Evaluation, GroupResult
 from evaluator.sweeps import Sweep
@@ -23,7 +22,7 @@ _PLAIN = ("impl", "backend", "solver")  # options that say what is run, and need
 
 def shipped() -> Evaluation:
     """The evaluation of the set."""
-    return evaluate([Recording(path) for path in sorted(FOLDER.glob("*.mcap"))])
+    return evaluate_files(sorted(FOLDER.glob("*.mcap")))
 
 
 def _settings(result: GroupResult) -> str:

@@ -11,17 +11,18 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from evaluator.recording import Recording
+    from schemas.location import Place
 
 __all__ = ["open_recording"]
 
 
-def open_recording(path: str | Path) -> Recording:
+def open_recording(path: str | Place) -> Recording:
     """Open a recording for reading; nothing but its index is read.
 
-    Raises NotARecording or DamagedRecording (see schemas.errors).
+    path  of a file of this machine, or its address elsewhere: "s3://bucket/run.mcap", "https://..." (docs/remote.md)
+
+    Raises NotARecording, DamagedRecording or Unreachable (see schemas.errors).
     """
     from evaluator.recording import Recording
 

@@ -10,6 +10,8 @@ from enum import Enum
 from pathlib import Path
 from typing import Any
 
+from schemas.location import Location
+
 
 def values_of(result: Any) -> Any:
     """A result as JSON has it: dataclasses by the names of their fields, numbers that are not finite as null.
@@ -26,7 +28,7 @@ def values_of(result: Any) -> Any:
         return result.value
     if isinstance(result, range):
         return {"first": result.start, "count": len(result)}
-    if isinstance(result, Path):
+    if isinstance(result, (Path, Location)):
         return str(result).encode("utf-8", "backslashreplace").decode()
     if isinstance(result, float):
         return result if math.isfinite(result) else None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,16 +11,20 @@ from numpy.typing import NDArray
 
 from evaluator import cost_metrics as costs
 from evaluator import group_metrics as gm
+from evaluator import identity_metrics as identity
 from evaluator.comparison import compare
 from evaluator.density_maps import reference_density, shared_map, with_cloud
+from evaluator.fidelity import fidelity
 from evaluator.groups import Group, group, labels, options_given, status_notes
-from evaluator.positions import sample_positions
-from evaluator.recording import Recording, Unreadable
+from evaluator.reading import Read, Reader, Unreadable
 from evaluator.results import Evaluation, GroupResult, Metric, Reference
-from evaluator.run_data import RunData, read_run
+from evaluator.run_data import RunData
+from evaluator.summary import Summary
 from evaluator.sweeps import find_sweeps
-from evaluator.validity import check, validity_of
-from schemas.errors import DamagedRecording, GsbError
+from evaluator.validity import validity_of
+from evaluator.work import HERE, Work
+from schemas.errors import DamagedRecording
+from schemas.location import Place
 from schemas.provenance import REAL
 
 
@@ -33,38 +37,36 @@ class _Found:
     planar: NDArray[np.float64] | None
 
 
+def evaluate_files(paths: Iterable[Place], *, sample_time: float = 5.0) -> Evaluation:
+    """Every metric of every group of some recordings, whose digests are taken on trust; see `evaluate`."""
+    return evaluate(map(Reader(sample_time, verify=False), paths), sample_time=sample_time)
+
+
 def evaluate(
-    recordings: Sequence[Recording],
+    files: Iterable[Read | Unreadable],
     *,
-    reference: Recording | None = None,
+    reference: Read | None = None,
     sample_time: float = 5.0,
-    unreadable: Sequence[Unreadable] = (),
+    work: Work = HERE,
 ) -> Evaluation:
     """Every metric of every group.
 
-    A recording that turns out to be unreadable is set aside and named; the others are evaluated without it.
+    A file that could not be read is set aside and named; the others are evaluated without it.
 
-    recordings   in any order; copies of one run count once
-    reference    real trials, or a simulation to compare with; where None, the real trials among the recordings
-    sample_time  simulated time at which positions are compared [s]
-    unreadable   files that could not be opened, passed on to the report
+    files        in any order; copies of one run count once
+    reference    real trials, or a simulation to compare with; where None, the real trials among the files
+    sample_time  simulated time that the files were read for [s]
+    work         where distances are computed
     """
-    failures = list(unreadable)
-    distinct, notes = _without_copies(recordings, failures)
-    readable: list[Recording] = []
-    data: dict[str, RunData] = {}
-    for recording in distinct:
-        try:
-            check(recording)
-            if recording.configuration.simulator != REAL and recording.usable:
-                data[recording.provenance.run_id] = read_run(recording, sample_time)
-            readable.append(recording)
-        except GsbError as error:
-            failures.append(Unreadable(recording.path, error))
+    files = list(files)
+    failures = [f for f in files if isinstance(f, Unreadable)]
+    distinct, notes = _without_copies([f for f in files if isinstance(f, Read)], failures)
+    readable = [r.summary for r in distinct]
+    data = {r.summary.provenance.run_id: r.run for r in distinct if r.run}
 
-    measured = [r for r in readable if r.configuration.simulator == REAL]
+    measured = [r for r in distinct if r.summary.configuration.simulator == REAL]
     chosen, reference_note = _choose_reference(reference, measured)
-    target, why_not = _read_reference(chosen, sample_time, failures) if chosen else (None, reference_note)
+    target, why_not = _use_reference(chosen) if chosen else (None, reference_note)
     if target:
         reference_note = reference_note or f"compared with {target.label} in {target.path.name}"
 
@@ -73,7 +75,8 @@ def evaluate(
         notes.append("the recordings differ in dt, which changes the outcome: each dt is a group of its own")
     names = labels([g.key for g in groups], options_given(readable))
     found = [
-        _evaluate_group(g, label, data, target, why_not, sample_time) for g, label in zip(groups, names, strict=True)
+        _evaluate_group(g, label, data, target, why_not, sample_time, work)
+        for g, label in zip(groups, names, strict=True)
     ]
     notes += _identical_groups(found)
     maps = {
@@ -97,65 +100,68 @@ def evaluate(
     )
 
 
-def _without_copies(recordings: Sequence[Recording], failures: list[Unreadable]) -> tuple[list[Recording], list[str]]:
-    seen: dict[str, Recording] = {}
+def _without_copies(files: Sequence[Read], failures: list[Unreadable]) -> tuple[list[Read], list[str]]:
+    seen: dict[str, Read] = {}
     notes: list[str] = []
     # of a whole file and one that was cut short, the whole one stays
-    for recording in sorted(recordings, key=lambda r: r.status == "incomplete"):
-        first = seen.setdefault(recording.provenance.run_id, recording)
-        if first is recording:
+    for read in sorted(files, key=lambda r: r.summary.status == "incomplete"):
+        recording = read.summary
+        first = seen.setdefault(recording.provenance.run_id, read)
+        if first is read:
             continue
-        if recording.content_hash in (first.content_hash, ""):
-            notes.append(f"{recording.path.name} is a copy of {first.path.name}; it counts once")
+        if recording.content_hash in (first.summary.content_hash, ""):
+            notes.append(f"{recording.path.name} is a copy of {first.summary.path.name}; it counts once")
         else:
-            why = f"{recording.path} has the run id of {first.path.name} and another content: one of them was changed"
+            why = (
+                f"{recording.path} has the run id of {first.summary.path.name} and another content: one of them was "
+                "changed"
+            )
             failures.append(Unreadable(recording.path, DamagedRecording(why)))
     return list(seen.values()), notes
 
 
-def _choose_reference(given: Recording | None, measured: Sequence[Recording]) -> tuple[Recording | None, str]:
+def _choose_reference(given: Read | None, measured: Sequence[Read]) -> tuple[Read | None, str]:
     if given is not None:
         return given, ""
     if len(measured) == 1:
-        return measured[0], f"compared with the real trials in {measured[0].path.name}"
+        return measured[0], f"compared with the real trials in {measured[0].summary.path.name}"
     if measured:
         return None, f"{len(measured)} recordings of real trials are here: choose one with --reference"
     return None, "no reference: give real trials or another recording with --reference"
 
 
-def _read_reference(
-    recording: Recording, sample_time: float, failures: list[Unreadable]
-) -> tuple[Reference | None, str]:
+def _use_reference(read: Read) -> tuple[Reference | None, str]:
+    recording = read.summary
     name = recording.path.name
     if recording.status != "complete":
         return None, f"the reference {name} is {recording.status}: {recording.reason}"
     if recording.dropouts:
         return None, f"the reference {name} lost data: {recording.dropouts[0]}"
-    try:
-        positions, why_not = sample_positions(recording, sample_time)
-    except GsbError as error:
-        failures.append(Unreadable(recording.path, error))
-        return None, f"the reference {name} cannot be read"
-    if positions is None:
+    if read.run is None or read.run.positions is None:
+        why_not = read.run.no_positions if read.run else "it was not read"
         return None, f"the reference {name} cannot be used: {why_not}"
+    planar = read.run.positions.planar
     c = recording.configuration
     measured = c.simulator == REAL
-    label = f"{len(positions.planar)} real trials" if measured else f"{c.simulator} with {c.n_env} envs, dt {c.dt:g} s"
-    return Reference(label, recording.path, recording.provenance.run_id, measured, c.scene, positions.planar), ""
+    label = f"{len(planar)} real trials" if measured else f"{c.simulator} with {c.n_env} envs, dt {c.dt:g} s"
+    return Reference(label, recording.path, recording.provenance.run_id, measured, c.scene, planar), ""
 
 
 def _evaluate_group(
-    group: Group,
+    group: Group[Summary],
     label: str,
-    data: dict[str, RunData],
+    data: Mapping[str, RunData],
     reference: Reference | None,
     no_reference: str,
     sample_time: float,
+    work: Work,
 ) -> _Found:
     runs = tuple(data[r.provenance.run_id] for r in group.complete)
     planar, why_not = gm.positions(runs)
-    parallel, parallel_matrix = gm.parallel(planar, why_not)
-    between, run_matrix = gm.run_to_run(planar, why_not)
+    parallel, parallel_matrix = gm.parallel(planar, why_not, work)
+    between, run_matrix = gm.run_to_run(planar, why_not, work)
+    distinct_envs, distinct_runs = identity.distinct(runs)
+    classes = distinct_runs.extra.get("classes", [])
     metrics: list[Metric] = [
         costs.throughput(runs),
         costs.memory_peak_increment(runs),
@@ -166,12 +172,16 @@ def _evaluate_group(
         costs.capture_slowdown(runs),
         parallel,
         between,
-        gm.real(planar, why_not, reference, no_reference, group.key.scene),
-        *gm.distinct(runs),
+        gm.real(planar, why_not, reference, no_reference, group.key.scene, work),
+        distinct_envs,
+        distinct_runs,
+        identity.equality_of_envs(runs),
+        identity.equality_of_runs(runs),
+        identity.growth(runs),
         gm.left_board(runs),
         gm.sank(runs),
-        gm.regime(parallel, between),
-        gm.capture_effect(runs),
+        gm.regime(parallel, between, run_matrix, classes),
+        identity.capture_effect(runs),
     ]
     result = GroupResult(
         group=group,
@@ -181,13 +191,16 @@ def _evaluate_group(
         parallel_matrix=parallel_matrix,
         run_matrix=run_matrix,
         validity=validity_of(group),
+        fidelity=fidelity(label, [run.physics for run in runs]),
         notes=tuple(_notes(group, runs, reference, sample_time)),
     )
     result = replace(result, notes=(*result.notes, *_warnings(result)))
-    return _Found(_consistent(result), runs, planar)
+    return _Found(result, runs, planar)
 
 
-def _notes(group: Group, runs: Sequence[RunData], reference: Reference | None, sample_time: float) -> list[str]:
+def _notes(
+    group: Group[Summary], runs: Sequence[RunData], reference: Reference | None, sample_time: float
+) -> list[str]:
     notes = status_notes(group)
     sampled = next((r.positions.time for r in runs if r.positions), sample_time)
     if not math.isclose(sampled, sample_time, rel_tol=1e-9):
@@ -212,23 +225,12 @@ def _warnings(result: GroupResult) -> list[str]:
     return notes
 
 
-def _consistent(result: GroupResult) -> GroupResult:
-    # Hashes that call environments equal while their positions differ are wrong, whoever wrote them.
-    by_hash, by_position = result.metrics["distinct_envs"], result.metrics["w1_parallel"]
-    counts = by_position.extra.get("distinct_at_sample_step", [])
-    if by_hash.value is None or not counts or max(counts) <= by_hash.value:
-        return result
-    why = f"the state hashes tell {by_hash.value:.0f} apart, the positions {max(counts)}: the hashes are wrong"
-    broken = Metric("distinct_envs", None, "", "neither", method="", exactness="none", why_not=why)
-    return replace(result, metrics={**result.metrics, "distinct_envs": broken})
-
-
 def _identical_groups(found: Sequence[_Found]) -> list[str]:
     # The same trajectories from other machines, versions or settings: what somebody who reproduces a result looks for.
     notes = []
     for index, one in enumerate(found):
         for other in found[index + 1 :]:
-            count = gm.identical_steps(one.runs, other.runs)
+            count = identity.identical_steps(one.runs, other.runs)
             if count:
                 names = f"{one.result.label} and {other.result.label}"
                 notes.append(f"{names}: all runs are bit-identical over their {count} common states")

@@ -6,10 +6,41 @@ import json
 from collections import Counter
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Generic, Protocol, TypeVar
 
-from evaluator.recording import Recording
-from schemas.provenance import REAL
+from schemas.configuration import RunConfiguration
+from schemas.fields import StateField
+from schemas.location import Place
+from schemas.provenance import REAL, Provenance, Simulation
+
+
+class Described(Protocol):
+    """What an open recording and the summary of a closed one both tell."""
+
+    @property
+    def path(self) -> Place: ...
+    @property
+    def status(self) -> str: ...
+    @property
+    def reason(self) -> str: ...
+    @property
+    def cause(self) -> str: ...
+    @property
+    def usable(self) -> bool: ...
+    @property
+    def dropouts(self) -> tuple[str, ...]: ...
+    @property
+    def configuration(self) -> RunConfiguration: ...
+    @property
+    def provenance(self) -> Provenance: ...
+    @property
+    def simulation(self) -> Simulation | None: ...
+    @property
+    def fields(self) -> tuple[StateField, ...]: ...
+
+
+_D = TypeVar("_D", bound=Described, covariant=True)
+_R = TypeVar("_R", bound=Described)
 
 
 @dataclass(frozen=True)
@@ -51,14 +82,14 @@ class GroupKey:
 
 
 @dataclass(frozen=True)
-class Group:
+class Group(Generic[_D]):
     """Recordings of one key, in order of run index and time; `complete` are those that metrics are computed from."""
 
     key: GroupKey
-    recordings: tuple[Recording, ...]
+    recordings: tuple[_D, ...]
 
     @property
-    def complete(self) -> tuple[Recording, ...]:
+    def complete(self) -> tuple[_D, ...]:
         """The runs that ended well and lost nothing."""
         return tuple(r for r in self.recordings if r.usable)
 
@@ -79,13 +110,13 @@ class Group:
         return any("capture" in r.configuration.phases for r in self.complete)
 
 
-def shown_status(recording: Recording) -> str:
+def shown_status(recording: Described) -> str:
     """A run's status with what kind of thing ended it; INVALID stands out."""
     status = "INVALID" if recording.status == "invalid" else recording.status
     return f"{status} ({recording.cause})" if recording.cause else status
 
 
-def status_notes(group: Group) -> list[str]:
+def status_notes(group: Group[Described]) -> list[str]:
     """What a reader must know of the runs that no metric is computed from."""
     found: dict[str, list[int]] = {}
     for recording in group.recordings:
@@ -103,7 +134,7 @@ def _note(what: str, runs: Sequence[int]) -> str:
     return f"run{'' if one else 's'} {', '.join(map(str, runs))} {said}"
 
 
-def key_of(recording: Recording) -> GroupKey:
+def key_of(recording: Described) -> GroupKey:
     """The key of one recording."""
     c = recording.configuration
     simulation = recording.simulation
@@ -138,7 +169,7 @@ _FOLLOWING = ("ring", "sparse")
 _NOT_NUMERIC = ("CUDA_VISIBLE_DEVICES", "NVIDIA_VISIBLE_DEVICES", "mcap", "protobuf")
 
 
-def _conditions(recording: Recording) -> dict[str, Any]:
+def _conditions(recording: Described) -> dict[str, Any]:
     provenance = recording.provenance
     packages = provenance.software.get("packages", {})
     found = {**provenance.environment, **(packages if isinstance(packages, dict) else {})}
@@ -151,13 +182,13 @@ def _without(settings: Mapping[str, Any], names: Collection[str]) -> dict[str, A
     return {name: value for name, value in settings.items() if name not in names}
 
 
-def group(recordings: Sequence[Recording]) -> list[Group]:
+def group(recordings: Sequence[_R]) -> list[Group[_R]]:
     """Recordings by key, in a fixed order.
 
     A run that failed before its simulator was built joins the group that was asked for the same, if there is one.
     """
     built = {asked(r): key_of(r) for r in recordings if r.simulation}
-    members: dict[GroupKey, list[Recording]] = {}
+    members: dict[GroupKey, list[_R]] = {}
     for recording in recordings:
         key = key_of(recording)
         if not recording.simulation:
@@ -170,7 +201,7 @@ def group(recordings: Sequence[Recording]) -> list[Group]:
     ]
 
 
-def asked(recording: Recording) -> GroupKey:
+def asked(recording: Described) -> GroupKey:
     """What is known of a run's key before its simulator is built: enough to tell which runs were asked for the same."""
     host, gpus = recording.provenance.host, recording.provenance.gpus
     machine = [host.get("cpu"), host.get("usable_threads"), *(gpu.get("name") for gpu in gpus)]
@@ -217,7 +248,7 @@ def _apart(keys: Sequence[GroupKey], parts: Sequence[list[str]]) -> list[str]:
     return names
 
 
-def options_given(recordings: Iterable[Recording]) -> set[str]:
+def options_given(recordings: Iterable[Described]) -> set[str]:
     """Names of the options that a user gave for any of some recordings."""
     return {name for recording in recordings for name in recording.configuration.options}
 
@@ -273,7 +304,7 @@ def _order(key: GroupKey) -> tuple[Any, ...]:
     return (key.scene, key.simulator == REAL, key.simulator, key.version, *settings)
 
 
-def _device(recording: Recording) -> str:
+def _device(recording: Described) -> str:
     device = recording.simulation.device if recording.simulation else ""
     if device != "cpu":
         return device

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 from schemas.container import Container
 from schemas.errors import DamagedRecording
+from schemas.location import Place
 from schemas.messages import message_class
 
 _FREE_BYTES = 64 << 20
@@ -25,7 +25,7 @@ class Messages:
 
     def __init__(self, container: Container) -> None:
         self._container = container
-        self.path: Path = container.path
+        self.path: Place = container.path
 
     def topics(self, prefix: str) -> Iterator[str]:
         """Topics that begin so, in order of appearance."""

@@ -22,25 +22,39 @@ _FAR_M = 1e6  # a cube that far away belongs to a simulation that blew up
 
 @dataclass(frozen=True)
 class Positions:
-    """Positions of the cubes at the sample step.
+    """Positions of the cubes at the sample step, kept as recorded: half of what they take in float64.
 
-    recorded  as recorded, [env, item, component]
-    planar    x and y in each env's own frame, float64 [m], [env, item, 2]
-    spatial   x, y and z likewise [m], [env, item, 3]; None where heights were not recorded
+    recorded  as recorded [m], [env, item, component]
+    origins   to be subtracted [m], [env, component]; None where the coordinates are relative to them already
     time      simulated time that was sampled [s]
     """
 
     recorded: NDArray[Any]
-    planar: NDArray[np.float64]
-    spatial: NDArray[np.float64] | None
+    origins: NDArray[np.float64] | None
     time: float
+
+    @property
+    def local(self) -> NDArray[np.float64]:
+        """In each env's own frame, float64 [m], [env, item, component]."""
+        local = self.recorded.astype(np.float64)
+        return local if self.origins is None else local - self.origins[:, None, :]
+
+    @property
+    def planar(self) -> NDArray[np.float64]:
+        """x and y in each env's own frame, float64 [m], [env, item, 2]."""
+        return self.local[..., :2]
+
+    @property
+    def spatial(self) -> NDArray[np.float64] | None:
+        """x, y and z likewise [m], [env, item, 3]; None where heights were not recorded."""
+        return self.local if self.recorded.shape[-1] == 3 else None
 
 
 def sample_positions(recording: Recording, sample_time: float) -> tuple[Positions | None, str]:
     """Positions at step round(sample_time / dt), or None and the reason why there are none.
 
-    Origins are subtracted here, in float64, from coordinates of the world frame: before recording it would have cost
-    bits. Coordinates that are declared relative to the env's origin already are left as they are.
+    Origins are subtracted behind the recording, in float64, from coordinates of the world frame: before it, that would
+    have cost bits. Coordinates that are declared relative to the env's origin already are left as they are.
     """
     field = next((f for f in recording.fields if f.name == f"{GROUP}/position"), None)
     if field is None:
@@ -60,23 +74,34 @@ def sample_positions(recording: Recording, sample_time: float) -> tuple[Position
             f"step {step} ({sample_time:g} s) was not recorded; recorded are steps {array.steps[0]} to {last} "
             f"({last * dt:g} s)"
         )
-    local = in_env_frame(recording, field, recorded)
-    planar, spatial = local[..., :2], local if local.shape[-1] == 3 else None
+    positions = Positions(recorded, _origins(recording, field), step * dt)
+    planar = positions.planar
     if not np.isfinite(planar).all():
         return None, "positions at the sample step are not finite"
     if np.abs(planar).max() > _FAR_M:
         return None, f"positions at the sample step are beyond {_FAR_M / 1000:g} km: the simulation blew up"
-    return Positions(recorded, planar, spatial, step * dt), ""
+    return positions, ""
 
 
-def in_env_frame(recording: Recording, field: StateField, recorded: NDArray[Any]) -> NDArray[np.float64]:
-    """Positions [env, item, component] in each env's own frame [m], float64; DamagedRecording where they are none."""
+def in_env_frame(
+    recording: Recording, field: StateField, recorded: NDArray[Any], envs: slice = slice(None)
+) -> NDArray[np.float64]:
+    """Positions [..., env, item, component] in each env's own frame [m], float64; DamagedRecording where they are none.
+
+    envs  that the positions are of
+    """
+    origins = _origins(recording, field)
+    local = recorded.astype(np.float64)
+    return local if origins is None else local - origins[envs, None, :]
+
+
+def _origins(recording: Recording, field: StateField) -> NDArray[np.float64] | None:
+    """What is to be subtracted from a field of positions [m], [env, component]."""
     if field.unit != "m" or field.frame not in ("world", "env"):
         raise DamagedRecording(f"{recording.path}: positions in {field.unit}, frame {field.frame}: not of this format")
     if field.components not in (("x", "y"), ("x", "y", "z")):
         raise DamagedRecording(f"{recording.path}: positions have the components {', '.join(field.components)}")
-    local = recorded.astype(np.float64)
     origins = recording.simulation.env_origins if recording.simulation else ()
-    if origins and field.frame == "world":
-        local = local - np.array(origins)[:, None, : local.shape[-1]]
-    return local
+    if not origins or field.frame != "world":
+        return None
+    return np.array(origins, dtype=np.float64)[:, : len(field.components)]

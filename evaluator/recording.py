@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Iterator, Sequence
-from contextlib import suppress
-from dataclasses import dataclass
+from concurrent.futures import ThreadPoolExecutor
 from functools import cached_property
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -39,13 +38,15 @@ from schemas import checks, topics
 from schemas.configuration import RunConfiguration
 from schemas.container import Channel, Container
 from schemas.digest import ContentDigest, content_hash
-from schemas.errors import DamagedRecording, GsbError
+from schemas.errors import DamagedRecording
 from schemas.fields import StateField
 from schemas.fingerprint import fingerprint
+from schemas.location import Place, place
 from schemas.messages import enum_values
 from schemas.provenance import PROVENANCE, SCENE, SIMULATION, Provenance, Simulation
+from schemas.source import Source
 
-_OTHER_FILES = 256  # that a process has open besides recordings
+_HASHING = 4  # threads that compute digests of different fields
 _VERIFY_BYTES = 64 << 20
 _VERIFY_ROWS = 50  # a block's rows, so that none is decoded twice
 
@@ -53,7 +54,7 @@ _VERIFY_ROWS = 50  # a block's rows, so that none is decoded twice
 class Recording:
     """A recording, opened for reading.
 
-    path           of the file
+    path           of the file, or its location
     status         complete, incomplete (no end record), failed (the run said why) or invalid (a validity gate fired)
     reason         why the status is not "complete"
     cause          what kind of thing it was: "device memory", "buffer", "timeout", ...; empty where nothing is said
@@ -63,9 +64,9 @@ class Recording:
     content_hash   the identity that the end record claims, empty without one; `verify` checks it
     """
 
-    def __init__(self, path: str | Path) -> None:
-        self.path = Path(path)
-        self._container = Container(self.path)
+    def __init__(self, path: str | Place, source: Source | None = None) -> None:
+        self.path: Place = place(path)
+        self._container = Container(self.path, source)
         self._messages = Messages(self._container)
         text = self._container.attachment(PROVENANCE)
         if text is None:
@@ -214,12 +215,17 @@ class Recording:
         stated = {(p.group, p.field) for p in map(topics.parse_state, self._container.channels) if p}
         arrays = [self.state(f.group, f.field) for f in self.fields if (f.group, f.field) in stated]
         hashes = self.fingerprints("capture") if len(arrays) == len(self.fields) else None
-        for rows in _row_ranges(arrays):
-            blocks = [array.read(rows, slice(None)) for array in arrays]
-            for array, block in zip(arrays, blocks, strict=True):
-                digest.state(array.field, self.configuration.n_env, block)
-            if hashes is not None:
-                self._check_hashes(hashes, arrays[0].steps[rows], fingerprint(blocks))
+        with ThreadPoolExecutor(min(_HASHING, os.cpu_count() or 1)) as pool:
+            for rows in _row_ranges(arrays):
+                blocks = [array.read(rows, slice(None), copy=False) for array in arrays]
+                fed = [
+                    pool.submit(digest.state, array.field, self.configuration.n_env, block)
+                    for array, block in zip(arrays, blocks, strict=True)
+                ]
+                if hashes is not None:
+                    self._check_hashes(hashes, arrays[0].steps[rows], fingerprint(blocks))
+                for done in fed:
+                    done.result()
         for topic, channel in self._container.channels.items():
             if parts := topics.parse_state(topic):
                 self._check_metadata(parts, channel)
@@ -288,38 +294,3 @@ def _row_ranges(arrays: Sequence[StateArray]) -> Iterator[slice]:
         yield slice(0, 1)
     for begin in range(first, len(arrays[0]), count):
         yield slice(begin, begin + count)
-
-
-def _allow_open_files(files: int) -> None:
-    # Each recording keeps its file open, and many a shell allows 1024 where the system allows far more.
-    try:
-        import resource
-    except ImportError:  # Windows has no such limit
-        return
-    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
-    wanted = files + _OTHER_FILES
-    if soft not in (resource.RLIM_INFINITY, hard) and soft < wanted:
-        limit = wanted if hard == resource.RLIM_INFINITY else min(wanted, hard)
-        with suppress(OSError, ValueError):  # then the file that is one too many says so
-            resource.setrlimit(resource.RLIMIT_NOFILE, (limit, hard))
-
-
-@dataclass(frozen=True)
-class Unreadable:
-    """A file that could not be opened or failed its checks, and why."""
-
-    path: Path
-    error: GsbError
-
-
-def open_all(paths: list[Path], *, verify: bool) -> Iterator[Recording | Unreadable]:
-    """Open each file; one that cannot be read is an item too, so that the others are not lost with it."""
-    _allow_open_files(len(paths))
-    for path in paths:
-        try:
-            recording = Recording(path)
-            if verify:
-                recording.verify()
-            yield recording
-        except GsbError as error:
-            yield Unreadable(path, error)

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from evaluator.fidelity import Fidelity
 from evaluator.groups import Group
 from evaluator.metrics.density import Density, HexGrid
-from evaluator.recording import Unreadable
+from evaluator.reading import Unreadable
+from evaluator.summary import Summary
 from evaluator.validity import Validity
+from schemas.location import Place
 
 if TYPE_CHECKING:
     from evaluator.comparison import Comparison
@@ -82,16 +84,18 @@ class GroupResult:
     parallel_matrix  C[e, e'] of the first complete run [cm], shape [env, env], or None
     run_matrix       W1 between runs [cm], shape [run, run], or None
     validity         contacts, buffers, overflow, actions
+    fidelity         whether the states keep to mechanics
     notes            sentences that a reader must see beside the numbers
     """
 
-    group: Group
+    group: Group[Summary]
     label: str
     metrics: dict[str, Metric]
     cloud: Cloud | None
     parallel_matrix: NDArray[np.float64] | None
     run_matrix: NDArray[np.float64] | None
     validity: Validity
+    fidelity: Fidelity
     notes: tuple[str, ...]
 
 
@@ -123,7 +127,7 @@ class Reference:
     """
 
     label: str
-    path: Path
+    path: Place
     run_id: str
     measured: bool
     scene: str

@@ -7,13 +7,21 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from evaluator.metrics.board import Board
+import numpy as np
+
+from evaluator.histories import Histories, histories_of
+from evaluator.metrics.board import left_board
+from evaluator.metrics.levels import Verdict, verdict
 from evaluator.metrics.memory import Checkpoints
+from evaluator.physics.facts import PhysicsFacts
+from evaluator.physics.measure import physics_of
 from evaluator.positions import Positions, sample_positions
 from evaluator.recording import Recording
 from evaluator.scene import board_of
 from evaluator.sinking import Sunk, sunk
+from evaluator.spread import Spread, spread
 from evaluator.streams import Fingerprints, MemoryTrace, StepTiming
+from evaluator.summary import Summary
 from schemas.errors import DamagedRecording
 
 
@@ -21,7 +29,7 @@ from schemas.errors import DamagedRecording
 class RunData:
     """One complete run.
 
-    recording   that it was read from
+    recording   that it was read from, in summary
     elapsed_s   of the timed phase [s]; None where it was left out
     gpu         memory of the device [byte]; None without a GPU
     host        memory of the process [byte]; None where it was not sampled
@@ -30,14 +38,19 @@ class RunData:
     compile_s   compilation of what the timed phase runs, and of what the capture phase runs [s], by phase
     capture_s   from the first step of the capture to the last one's state on the host [s]; None where not clocked
     stalled_s   part of that in which the engine stood still until states were written [s]
-    captured    state hashes of the capture phase, or None
-    timed       state hashes at the begin and end of the timed phase, or None
+    histories   of the captured states by bits, or None
+    observed    whether capturing changed the states, by the hashes of steps that timed and capture phase both passed;
+                None where there are none
     positions   at the sample step; None where there are none, and `no_positions` says why
-    board       of the scene, or None
+    equality    of the environments, by bits and at the sample step; None where there are no two, or no positions
+    spread      how the environments move apart; None where it cannot be said, and `no_spread` says why
+    left        cubes of all environments that are not on the board at the sample step; None where it cannot be said,
+                and `no_left` says why
+    physics     how far the states keep to mechanics
     sunk        cubes that went through the floor; None where it cannot be said, and `no_sunk` says why
     """
 
-    recording: Recording
+    recording: Summary
     elapsed_s: float | None
     gpu: Checkpoints | None
     host: Checkpoints | None
@@ -46,28 +59,37 @@ class RunData:
     compile_s: dict[str, float]
     capture_s: float | None
     stalled_s: float
-    captured: Fingerprints | None
-    timed: Fingerprints | None
+    histories: Histories | None
+    observed: bool | None
     positions: Positions | None
     no_positions: str
-    board: Board | None
+    equality: Verdict | None
+    spread: Spread | None
+    no_spread: str
+    left: int | None
+    no_left: str
     sunk: Sunk | None
     no_sunk: str
+    physics: PhysicsFacts
 
 
-def read_run(recording: Recording, sample_time: float) -> RunData:
+def read_run(recording: Recording, summary: Summary, sample_time: float) -> RunData:
     """Read a run; DamagedRecording where the file does not hold what it should, whatever is wrong with it."""
     try:
         _check_complete(recording)
         positions, no_positions = sample_positions(recording, sample_time)
+        left, no_left = _left(recording, positions, no_positions)
         sank, no_sunk = sunk(recording)
         timing = recording.timing
         allocator = recording.memory.get("gpu0/allocator") if "timed" in recording.configuration.phases else None
         gpu = recording.memory.get("gpu0/device") if recording.provenance.gpus else None
         host = recording.memory.get("host")
         timed = recording.timing.get("timed")
+        captured = recording.fingerprints("capture")
+        histories = histories_of(captured) if captured is not None else None
+        apart, no_spread = spread(recording)
         return RunData(
-            recording=recording,
+            recording=summary,
             elapsed_s=_elapsed(recording),
             gpu=_checkpoints(gpu, timed) if gpu else None,
             host=_checkpoints(host, timed) if host else None,
@@ -76,13 +98,18 @@ def read_run(recording: Recording, sample_time: float) -> RunData:
             compile_s={p: timing[f"compile_{p}"].elapsed_s for p in ("timed", "capture") if f"compile_{p}" in timing},
             capture_s=timing["capture"].elapsed_s if "capture" in timing else None,
             stalled_s=timing["stall"].total_s if "stall" in timing else 0.0,
-            captured=recording.fingerprints("capture"),
-            timed=recording.fingerprints("timed"),
+            histories=histories,
+            observed=_observed(captured, recording.fingerprints("timed")),
             positions=positions,
             no_positions=no_positions,
-            board=board_of(recording),
+            equality=_equality(positions, histories),
+            spread=apart,
+            no_spread=no_spread,
+            left=left,
+            no_left=no_left,
             sunk=sank,
             no_sunk=no_sunk,
+            physics=physics_of(recording, (sank, no_sunk)),
         )
     except (ValueError, OverflowError, MemoryError) as error:
         raise DamagedRecording(f"{recording.path}: {str(error) or type(error).__name__}") from None
@@ -98,6 +125,35 @@ def _check_complete(recording: Recording) -> None:
                 f"{recording.path}: the run says that it is complete, but {name} overflowed by step {step} of the "
                 f"{phase} phase"
             )
+
+
+def _equality(positions: Positions | None, histories: Histories | None) -> Verdict | None:
+    if positions is None or len(positions.recorded) < 2:
+        return None
+    agree = histories.n_distinct == 1 if histories else None
+    try:
+        return verdict(positions.recorded[:, np.newaxis], hashes_agree=agree, origins=positions.origins)
+    except ValueError as error:
+        raise ValueError(f"environments: {error}") from None
+
+
+def _left(recording: Recording, positions: Positions | None, no_positions: str) -> tuple[int | None, str]:
+    board = board_of(recording)
+    if board is None:
+        return None, "this scene has no board to leave"
+    if positions is None:
+        return None, no_positions
+    spatial = positions.spatial
+    if spatial is None:
+        return None, "heights were not recorded"
+    return int(np.count_nonzero(left_board(spatial, board))), ""
+
+
+def _observed(captured: Fingerprints | None, timed: Fingerprints | None) -> bool | None:
+    if captured is None or timed is None:
+        return None
+    common, at_timed, at_captured = np.intersect1d(timed.steps, captured.steps, return_indices=True)
+    return bool((timed.hashes[at_timed] != captured.hashes[at_captured]).any()) if len(common) else None
 
 
 def _elapsed(recording: Recording) -> float | None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from bisect import bisect_right
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas import topics
-from schemas.blocks import decode_state, state_bytes, state_header
+from schemas.blocks import STATE_HEAD_BYTES, BlockHeader, decode_state, state_bytes, state_header, state_header_in
 from schemas.checks import MAX_COUNT
 from schemas.configuration import EPOCH_NS, RunConfiguration, sim_time_ns
 from schemas.container import Container, Message
@@ -21,6 +22,8 @@ from schemas.fields import StateField
 
 _BLOCK_ROWS = 50  # at most, by the format
 _GAP_ROWS = 1 << 22  # that may be missing before nothing else can be read
+_THREADS_MEMORY = 256 << 20  # that blocks may take while threads decode them
+_THREADED_BYTES = 4 << 20  # below which threads are not worth their while, where the file is near
 
 
 @dataclass(frozen=True)
@@ -28,6 +31,17 @@ class _Block:
     first_row: int
     rows: int
     message: Message
+
+
+@dataclass(frozen=True)
+class _Part:
+    """What is asked for of one block: rows and environments of the block, and where they go."""
+
+    block: _Block
+    env_start: int
+    envs: int
+    taken: tuple[slice, slice]
+    target: tuple[slice, slice]
 
 
 @dataclass(frozen=True)
@@ -101,8 +115,12 @@ class StateArray:
             raise KeyError(f"step {step} of {self.field.name} is not recorded")
         return self[row]
 
-    def read(self, steps: slice, envs: slice) -> NDArray[Any]:
-        """Rows and environments of contiguous ranges, [step, env, item, width]; only their blocks are read."""
+    def read(self, steps: slice, envs: slice, *, copy: bool = True) -> NDArray[Any]:
+        """Rows and environments of contiguous ranges, [step, env, item, width]; only their blocks are read.
+
+        copy  False gives the file's own bytes, read-only, where one block has all that is asked for. They are a mapping
+              of the file, so that nobody may shorten it while they are used.
+        """
         first, stop, _ = steps.indices(self.shape[0])
         env_first, env_stop, _ = envs.indices(self.shape[1])
         shape = (max(0, stop - first), max(0, env_stop - env_first), *self.shape[2:])
@@ -111,25 +129,58 @@ class StateArray:
             raise DamagedRecording(
                 f"{self._container.path}: {self.field.name} announces {shape}, more numbers than the file holds"
             )
+        parts = list(self._parts(first, stop, env_first, env_stop))
+        if not copy and len(parts) == 1:
+            only = self._decode(parts[0])
+            if only.shape == shape:
+                return only
         out = np.empty(shape, dtype=self.dtype)
-        filled = 0
-        for column, next_start in self._env_ranges():
-            env_begin, env_end = max(env_first, column.env_start), min(env_stop, next_start)
-            if env_begin >= env_end:
-                continue
-            for block in self._touched(column, first, stop):
-                at = block.first_row - self._first_row
-                begin, end = max(first, at), min(stop, at + block.rows)
-                array = self._decode(block, column.env_start, next_start - column.env_start)
-                part = array[begin - at : end - at, env_begin - column.env_start : env_end - column.env_start]
-                out[begin - first : end - first, env_begin - env_first : env_end - env_first] = part
-                filled += part.size
+
+        def place(part: _Part) -> int:
+            found = self._decode(part)
+            out[part.target] = found
+            return found.size
+
+        workers = self._workers(parts, size)
+        if workers > 1:
+            with ThreadPoolExecutor(workers) as pool:
+                try:
+                    filled = sum(pool.map(place, parts))
+                except BaseException:
+                    pool.shutdown(wait=False, cancel_futures=True)
+                    raise
+        else:
+            filled = sum(map(place, parts))
         if filled != out.size:
             raise DamagedRecording(
                 f"{self._container.path}: blocks of {self.field.name} are missing: "
                 f"{filled} of {out.size} numbers are there"
             )
         return out
+
+    def _workers(self, parts: list[_Part], size: int) -> int:
+        # threads that are worth their while, and that have room for the blocks that they are at
+        source = self._container.source
+        if not parts or (source.near and size < _THREADED_BYTES):
+            return 1
+        number = self.shape[2] * self.shape[3] * self.dtype.itemsize
+        most = max(max(p.block.rows * p.envs * number, self._container.chunk_bytes(p.block.message)) for p in parts)
+        return max(1, min(len(parts), source.workers, _THREADS_MEMORY // max(most, 1)))
+
+    def _parts(self, first: int, stop: int, env_first: int, env_stop: int) -> Iterator[_Part]:
+        for column, next_start in self._env_ranges():
+            env_begin, env_end = max(env_first, column.env_start), min(env_stop, next_start)
+            if env_begin >= env_end:
+                continue
+            envs = slice(env_begin - column.env_start, env_end - column.env_start)
+            target = slice(env_begin - env_first, env_end - env_first)
+            for block in self._touched(column, first, stop):
+                at = block.first_row - self._first_row
+                begin, end = max(first, at), min(stop, at + block.rows)
+                yield _Part(
+                    block, column.env_start, next_start - column.env_start,
+                    (slice(begin - at, end - at), envs), (slice(begin - first, end - first), target),
+                )  # fmt: skip
 
     def _held(self, first: int, stop: int, env_first: int, env_stop: int) -> int:
         # bytes of the arrays that the blocks of a range hold; packed, they are fewer in the file
@@ -180,16 +231,19 @@ class StateArray:
             return slice(position, position + 1), 0
         return slice(None), index
 
-    def _decode(self, block: _Block, env_start: int, envs: int) -> NDArray[Any]:
-        header, array = decode_state(self._container.read(block.message)[1])
-        expected = (block.first_row * self._stride, self._stride, env_start, block.rows, envs, *self.shape[2:])
+    def _decode(self, part: _Part) -> NDArray[Any]:
+        block = part.block
+        _, content, crc = self._container.read_with_crc(block.message)
+        header, array = decode_state(content, crc=crc)
+        first_step = block.first_row * self._stride
+        expected = (first_step, self._stride, part.env_start, block.rows, part.envs, *self.shape[2:])
         found = (header.first_step, header.stride, header.env_start, *array.shape)
         if found != expected or array.dtype != self.dtype:
             raise DamagedRecording(
                 f"{self._container.path}: a block of {self.field.name} says (step, stride, env, rows, envs, items, "
                 f"width) = {found}, its place in the file says {expected}"
             )
-        return array
+        return array[part.taken]
 
     def _index(self, dt: float) -> list[_Column]:
         # A block's place follows from its topic and time, so that nothing has to be decompressed to find a step.
@@ -207,7 +261,7 @@ class StateArray:
                     return []  # cut short before the first row of all environments was there
                 continue
             rows = [self._row(m, dt) for m in messages]
-            last = state_header(self._container.read(messages[-1])[1])
+            last = self._header(messages[-1])
             if last.first_step != rows[-1] * self._stride:
                 raise DamagedRecording(f"{self._container.path}: the last block of {topic} is not where it says")
             rows.append(rows[-1] + last.steps)
@@ -216,6 +270,12 @@ class StateArray:
                 raise DamagedRecording(f"{self._container.path}: {topic} has two blocks of one step")
             columns.append(_Column(parts.env_start, blocks, rows[-1]))
         return sorted(columns, key=lambda c: c.env_start)
+
+    def _header(self, message: Message) -> BlockHeader:
+        # Without the block, where that suffices: its rows are held against its place when it is read, and the last step
+        # against that of the end record.
+        size, head = self._container.peek(message, STATE_HEAD_BYTES)
+        return state_header_in(head, size) or state_header(self._container.read(message)[1])
 
     def _row(self, message: Message, dt: float) -> int:
         step = round((message.log_time - EPOCH_NS) / (dt * 1e9))

@@ -8,8 +8,8 @@ from typing import NamedTuple
 
 from evaluator.groups import GroupKey, asked, labels, options_given
 from evaluator.metrics.memory_model import MIN_POINTS, MemoryModel, fit_memory
-from evaluator.recording import Recording
 from evaluator.results import GroupResult, Metric
+from evaluator.summary import Summary
 
 LONG = 3
 """From so many points on, a sweep is shown as one, and its points no more as groups of their own."""
@@ -55,7 +55,7 @@ class SweepPoint:
     others: tuple[GroupResult, ...] = ()
 
     @property
-    def recordings(self) -> tuple[Recording, ...]:
+    def recordings(self) -> tuple[Summary, ...]:
         """All runs at this number of environments."""
         return tuple(r for result in (self.result, *self.others) for r in result.group.recordings)
 
@@ -202,7 +202,7 @@ def _model(found: Sequence[tuple[int, Metric]]) -> MemoryModel | str:
     return fit_memory([n for n, _ in measured], [memory for _, memory in measured])
 
 
-def _failure(recording: Recording) -> Failure:
+def _failure(recording: Summary) -> Failure:
     if recording.status == "complete":
         return Failure("lost data", "", recording.dropouts[0])
     status = "INVALID" if recording.status == "invalid" else recording.status

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from evaluator.groups import Group
-from evaluator.recording import Recording
+from evaluator.summary import BitSummary, Summary
 from schemas.provenance import Buffer, OverflowBit
 
 PHASES = ("capture", "timed")
@@ -116,7 +116,7 @@ class Validity:
         return next((found[phase] for phase in phases or PHASES if phase in found), None)
 
 
-def validity_of(group: Group) -> Validity:
+def validity_of(group: Group[Summary]) -> Validity:
     """Read it from the group's recordings; DamagedRecording where one says what cannot be."""
     return Validity(
         counted=tuple(_counted(group.complete)),
@@ -126,12 +126,7 @@ def validity_of(group: Group) -> Validity:
     )
 
 
-def check(recording: Recording) -> None:
-    """Read all of it once, so that DamagedRecording comes before anything is computed."""
-    _ = recording.counts, recording.overflows, recording.action_streams
-
-
-def _counted(runs: Sequence[Recording]) -> Iterable[Counted]:
+def _counted(runs: Sequence[Summary]) -> Iterable[Counted]:
     meanings = {c.name: c.meaning for run in runs if run.simulation for c in run.simulation.counters}
     names = dict.fromkeys([*meanings, *(name for run in runs for by in run.counts.values() for name in by)])
     for name in names:
@@ -141,21 +136,21 @@ def _counted(runs: Sequence[Recording]) -> Iterable[Counted]:
                 yield Counted(
                     name,
                     meanings.get(name, ""),
-                    mean=float(np.mean([c.mean.mean() for c in found])),
-                    p95=float(np.mean([c.p95.mean() for c in found])),
-                    max=float(max(c.max.max() for c in found)),
+                    mean=float(np.mean([c.mean for c in found])),
+                    p95=float(np.mean([c.p95 for c in found])),
+                    max=max(c.max for c in found),
                     phase=phase,
-                    rows=sum(len(c.steps) for c in found),
+                    rows=sum(c.rows for c in found),
                     runs=len(found),
                 )
 
 
-def _buffers(runs: Sequence[Recording]) -> Iterable[BufferUse]:
+def _buffers(runs: Sequence[Summary]) -> Iterable[BufferUse]:
     buffers = dict.fromkeys(buffer for run in runs if run.simulation for buffer in run.simulation.buffers)
     for buffer in buffers:
         having = [run for run in runs if run.simulation and buffer in run.simulation.buffers]
         needed = [
-            float(counts.mean.max() * run.configuration.n_env if buffer.per == _ALL else counts.max.max())
+            counts.fullest_mean * run.configuration.n_env if buffer.per == _ALL else counts.max
             for run in having
             for by in run.counts.values()
             if (counts := by.get(buffer.counter)) is not None
@@ -163,38 +158,36 @@ def _buffers(runs: Sequence[Recording]) -> Iterable[BufferUse]:
         yield BufferUse(buffer, max(needed, default=None))
 
 
-def _overflow(runs: Sequence[Recording]) -> tuple[OverflowSeen, ...] | None:
+def _overflow(runs: Sequence[Summary]) -> tuple[OverflowSeen, ...] | None:
     telling = [run for run in runs if run.overflows]
     if not telling:
         return None
     described: dict[int, OverflowBit] = {}
     for run in telling:
         described |= {bit.bit: bit for bit in (run.simulation.overflow_bits if run.simulation else ())}
-    fired = np.bitwise_or.reduce([np.bitwise_or.reduce(o.bits) for run in telling for o in run.overflows.values()])
-    return tuple(_seen(bit, described.get(bit), telling) for bit in range(32) if int(fired) >> bit & 1)
+    seen: dict[int, list[tuple[BitSummary, str, bool, int]]] = {}
+    for index, run in enumerate(telling):
+        for phase, overflows in run.overflows.items():
+            for fired in overflows.bits:
+                seen.setdefault(fired.bit, []).append((fired, phase, overflows.spread, index))
+    return tuple(_seen(described.get(bit), seen[bit]) for bit in sorted(seen))
 
 
-def _seen(bit: int, described: OverflowBit | None, runs: Sequence[Recording]) -> OverflowSeen:
-    found = [
-        (int(overflows.steps[hit][0]), phase, int(hit.sum()), int(overflows.envs[hit].max()), overflows.stride > 1, run)
-        for run in runs
-        for phase, overflows in run.overflows.items()
-        if (hit := overflows.rows_of(bit)).any()
-    ]
-    first_step, phase, _, _, spread, _ = min(found, key=lambda one: one[0])
+def _seen(described: OverflowBit | None, found: Sequence[tuple[BitSummary, str, bool, int]]) -> OverflowSeen:
+    first, phase, spread, _ = min(found, key=lambda one: one[0].first_step)
     return OverflowSeen(
-        described.name if described else f"bit {bit}",
+        described.name if described else f"bit {first.bit}",
         described.fatal if described else None,
-        rows=sum(rows for _, _, rows, _, _, _ in found),
-        envs=max(envs for _, _, _, envs, _, _ in found),
-        runs=len({id(run) for *_, run in found}),
+        rows=sum(fired.rows for fired, *_ in found),
+        envs=max(fired.envs for fired, *_ in found),
+        runs=len({run for *_, run in found}),
         phase=phase,
-        first_step=first_step,
+        first_step=first.first_step,
         spread=spread,
     )
 
 
-def _actions(runs: Sequence[Recording]) -> Iterable[ActionsApplied]:
+def _actions(runs: Sequence[Summary]) -> Iterable[ActionsApplied]:
     for phase in dict.fromkeys(phase for run in runs for phase in run.action_streams):
         found = [run.action_streams[phase] for run in runs if phase in run.action_streams]
         yield ActionsApplied(

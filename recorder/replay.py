@@ -126,7 +126,7 @@ def _check_shown(container: Container, c: RunConfiguration) -> None:
 
 
 def _check_size(container: Container, c: RunConfiguration) -> None:
-    size = container.path.stat().st_size
+    size = container.size
     steps = (c.steps if "capture" in c.phases else 0) + (c.warmup + c.timed_steps if "timed" in c.phases else 0)
     for what, asked, most in (("environments", c.n_env, _ENVS_PER_BYTE), ("steps", steps, _STEPS_PER_BYTE)):
         if asked > most * size:

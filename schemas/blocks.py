@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 import zlib
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, fields
 from typing import Any
 
@@ -17,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas import packing, wire
+from schemas.crc import second
 from schemas.errors import DamagedRecording
 from schemas.mcap_writer import Part
 from schemas.messages import message_class
@@ -27,6 +29,9 @@ _FINGERPRINT = "gsb.v1.FingerprintBlock"
 
 ARRAY_FIELDS = {"data": "<f4", "data64": "<f8", "hashes": "<u8"}
 """Fields that hold whole arrays, packed, and their dtypes."""
+
+STATE_HEAD_BYTES = 256
+"""In which the small fields of a StateBlock have room."""
 
 _RAW, _PACKED = 0, 1  # of gsb.v1.Encoding
 _WORDS: dict[int, np.dtype[Any]] = {4: np.dtype("<f4"), 8: np.dtype("<f8")}
@@ -139,12 +144,14 @@ class _Scanned:
     field    name of the field that holds the array, empty without one
     array    its bytes
     packed   bytes of the array in another encoding
+    before   bytes of the message ahead of the array where that ends it; None where it does not
     """
 
     header: BlockHeader
     field: str
     array: memoryview
     packed: memoryview
+    before: int | None
 
 
 def _scan(name: str, data: memoryview, *, again: bool = False) -> _Scanned:
@@ -155,8 +162,10 @@ def _scan(name: str, data: memoryview, *, again: bool = False) -> _Scanned:
     by_number = message_class(name).DESCRIPTOR.fields_by_number
     values: dict[str, int] = {}
     array, payload, packed = "", memoryview(b""), memoryview(b"")
+    position, end = 0, -1  # of the fields so far; of the array
     try:
         for found in wire.fields(data):
+            position += len(found.whole)
             field = by_number.get(found.number)
             if field is None:
                 continue
@@ -165,14 +174,15 @@ def _scan(name: str, data: memoryview, *, again: bool = False) -> _Scanned:
             elif field.name in ARRAY_FIELDS:
                 if array or found.kind != wire.LENGTH_DELIMITED:
                     return _scan(name, _repacked(name, data, again), again=True)
-                array, payload = field.name, found.payload
+                array, payload, end = field.name, found.payload, position
             elif field.name == "packed":
                 packed = found.payload
     except ValueError:
         raise DamagedRecording(f"a {name} message is cut short or no protobuf") from None
     known = {f.name for f in fields(BlockHeader)}
     header = BlockHeader(**{k: v for k, v in values.items() if k in known})
-    return _Scanned(header, array, payload, packed)
+    before = len(data) - len(payload) if end == len(data) and not again else None
+    return _Scanned(header, array, payload, packed, before)
 
 
 def _repacked(name: str, data: memoryview, again: bool) -> memoryview:
@@ -186,7 +196,9 @@ def _repacked(name: str, data: memoryview, again: bool) -> memoryview:
     return memoryview(message.SerializeToString())
 
 
-def _decode(name: str, data: bytes | memoryview, shape: Callable[[BlockHeader], tuple[int, ...]]) -> Any:
+def _decode(
+    name: str, data: bytes | memoryview, shape: Callable[[BlockHeader], tuple[int, ...]], crc: int | None = None
+) -> Any:
     scanned = _scan(name, memoryview(data))
     header = scanned.header
     _check_size(name, scanned, shape(header))
@@ -198,9 +210,15 @@ def _decode(name: str, data: bytes | memoryview, shape: Callable[[BlockHeader], 
     except ValueError as error:  # also numpy's, of an array without numbers whose other sides are too many
         raise DamagedRecording(f"the {name} at step {header.first_step} cannot be read: {error}") from None
     array.flags.writeable = False
-    if header.crc32 is not None and zlib.crc32(raw_bytes(array)) != header.crc32:
+    if header.crc32 is not None and _array_crc(scanned, data, array, crc) != header.crc32:
         raise DamagedRecording(f"the {name} at step {header.first_step} fails its CRC")
     return header, array
+
+
+def _array_crc(scanned: _Scanned, data: bytes | memoryview, array: NDArray[Any], crc: int | None) -> int:
+    if crc is None or scanned.before is None or scanned.header.encoding != _RAW:
+        return zlib.crc32(raw_bytes(array))
+    return second(crc, zlib.crc32(memoryview(data)[: scanned.before]), len(scanned.array))
 
 
 def _dtype(scanned: _Scanned) -> np.dtype[Any]:
@@ -231,19 +249,43 @@ def _check_size(name: str, scanned: _Scanned, shape: tuple[int, ...]) -> int:
     return size
 
 
-def decode_state(data: bytes | memoryview) -> tuple[BlockHeader, NDArray[Any]]:
+def decode_state(data: bytes | memoryview, *, crc: int | None = None) -> tuple[BlockHeader, NDArray[Any]]:
     """Header and read-only array [step, env, item, width] of a StateBlock; its CRC is verified.
+
+    crc  of `data`, where it is known: the array's then follows from it, and the array is not read for it
 
     The array is a view of `data` where it is not packed. Raises DamagedRecording where sizes disagree, the CRC does not
     match, or the encoding is not known.
     """
-    result: tuple[BlockHeader, NDArray[Any]] = _decode(_STATE, data, _state_shape)
+    result: tuple[BlockHeader, NDArray[Any]] = _decode(_STATE, data, _state_shape, crc)
     return result
 
 
 def state_header(data: bytes | memoryview) -> BlockHeader:
     """The small fields of a StateBlock; its array is not looked at."""
     return _scan(_STATE, memoryview(data)).header
+
+
+def state_header_in(head: memoryview, size: int) -> BlockHeader | None:
+    """The small fields of a StateBlock from its first bytes; None where others may follow.
+
+    size  of the whole message
+    """
+    by_number = message_class(_STATE).DESCRIPTOR.fields_by_number
+    values: dict[str, int] = {}
+    position = 0
+    with suppress(ValueError):  # the array is cut short
+        for found in wire.fields(head):
+            position += len(found.whole)
+            field = by_number.get(found.number)
+            if field is None or found.kind != wire.VARINT:
+                return None
+            values[field.name] = found.value
+    array = wire.delimited_size(head[position:])
+    if array is None or position + array != size:
+        return None
+    known = {f.name for f in fields(BlockHeader)}
+    return BlockHeader(**{k: v for k, v in values.items() if k in known})
 
 
 def state_bytes(data: bytes | memoryview) -> int:

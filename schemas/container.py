@@ -1,51 +1,72 @@
 """An MCAP file as messages and attachments, also when its end is missing.
 
-The file is mapped, and its top-level records are walked once: a few hundred bytes of headers. A message of an
-uncompressed chunk is a view of the mapping. Every chunk, every attachment and the summary is checked against its CRC
-before the first use of its bytes, and every length against the bytes that are there.
+A file of this machine is mapped, and its top-level records are walked once: a few hundred bytes of headers. A message
+of an uncompressed chunk is a view of the mapping. A file elsewhere is opened through its summary (schemas.index), and
+its parts are read when they are needed; without a summary it is walked, too. Every chunk, every attachment and the
+summary is checked against its CRC before the first use of its bytes, and every length against the bytes that are there.
 
 What a stranger's file can cost is bounded by its size, see docs/strangers.md.
 """
 
 from __future__ import annotations
 
-import mmap
-import os
-import stat
-import struct
+import logging
 import zlib
 from array import array
-from collections import OrderedDict
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
+from struct import Struct
 
 from schemas import FORMAT, decompression
+from schemas.chunks import Chunks
+from schemas.crc import combine, second
+from schemas.cursor import Cursor
 from schemas.errors import DamagedRecording, NotARecording
+from schemas.index import Index, IndexedChunk, read_index
+from schemas.location import Place
 from schemas.mcap_writer import MAGIC
+from schemas.parts import (
+    ATTACHMENT,
+    CHANNEL,
+    CHUNK,
+    DATA_END,
+    FOOTER,
+    HEADER,
+    MESSAGE,
+    MESSAGE_HEAD,
+    MESSAGE_INDEX,
+    METADATA,
+    RECORD_HEAD,
+    SCHEMA,
+    Attachment,
+    Chunk,
+    check_head,
+    read_attachment,
+    read_chunk,
+)
+from schemas.source import Source, open_source
 
 MAX_CHUNK_BYTES = decompression.MAX_BYTES
 
 MAX_ATTACHMENT_BYTES = 1 << 30
 """A larger attachment is refused before it is read."""
 
+MAX_WALKED_BYTES = 1 << 30
+"""A file elsewhere that has no index is read as a whole, unless it is larger."""
+
 _FREE_MESSAGES = 1 << 20
 _LEAST_MESSAGE = 2
 """Any file may have _FREE_MESSAGES messages; more have to take _LEAST_MESSAGE bytes each, also when compressed."""
 
-_MAX_NAME = 1024
-_CACHED_CHUNKS = 4
-_CACHED_BYTES = 64 << 20  # of decompressed chunks; the one read last is kept whatever it takes
 _HELD_BYTES = 64 << 20  # of messages that wait for those before them
+_PIECE_BYTES = 4 << 20  # that a CRC is computed of at once
+_CHEAP_BYTES = 4096  # whose CRC costs nothing beside that of a chunk
 
-_HEADER, _FOOTER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _MESSAGE_INDEX = range(1, 8)
-_ATTACHMENT, _METADATA, _DATA_END = 9, 12, 15
+_OF_DATA = (MESSAGE, CHUNK, MESSAGE_INDEX, ATTACHMENT, METADATA, DATA_END)
+_INDEX_ENTRY = Struct("<QQ")
 
-_OF_DATA = (_MESSAGE, _CHUNK, _MESSAGE_INDEX, _ATTACHMENT, _METADATA, _DATA_END)
-_RECORD_HEAD = 9
-_MESSAGE_HEAD = struct.Struct("<HIQQ")
-_INDEX_ENTRY = struct.Struct("<QQ")
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -59,7 +80,10 @@ class Channel:
 
 @dataclass(frozen=True, slots=True)
 class Message:
-    """Where a message is: channel, chunk number (-1: outside of any), offset of its record in the chunk or file."""
+    """Where a message is: channel, chunk number (-1: outside of any), offset of its record in the chunk or file.
+
+    The offset of one that its chunk holds alone may be that of a record ahead of it.
+    """
 
     channel: int
     log_time: int
@@ -67,103 +91,56 @@ class Message:
     offset: int
 
 
-@dataclass(frozen=True)
-class _Chunk:
-    compression: str
-    uncompressed_size: int
-    crc: int
-    begin: int
-    end: int
-
-
-@dataclass(frozen=True)
-class _Attachment:
-    media_type: str
-    begin: int
-    end: int
-    record: int
-    crc: int
-
-
-class _Cursor:
-    """Reads the fields of one record; running past its end is damage."""
-
-    def __init__(self, path: Path, data: memoryview, position: int, end: int) -> None:
-        self._path = path
-        self._data = data
-        self.position = position
-        self._end = end
-
-    def take(self, size: int) -> memoryview:
-        if size > self._end - self.position:
-            raise DamagedRecording(f"{self._path}: a record at byte {self.position} is shorter than it says")
-        part = self._data[self.position : self.position + size]
-        self.position += size
-        return part
-
-    def u16(self) -> int:
-        return int.from_bytes(self.take(2), "little")
-
-    def u32(self) -> int:
-        return int.from_bytes(self.take(4), "little")
-
-    def u64(self) -> int:
-        return int.from_bytes(self.take(8), "little")
-
-    def text(self) -> str:
-        try:
-            return bytes(self.take(self.u32())).decode()
-        except UnicodeDecodeError:
-            raise DamagedRecording(f"{self._path}: a name at byte {self.position} is not UTF-8") from None
-
-    def name(self) -> str:
-        text = self.text()
-        if len(text) > _MAX_NAME:
-            raise DamagedRecording(f"{self._path}: the name at byte {self.position} has {len(text)} characters")
-        return text
-
-    def text_map(self) -> dict[str, str]:
-        end = self.u32() + self.position
-        values = {}
-        while self.position < end:
-            key = self.text()
-            values[key] = self.text()
-        return values
-
-
 class Container:
     """The messages and attachments of one file.
 
+    path      of the file
     finished  whether the file has its footer; without, it is read up to its last whole record
+    indexed   whether it was opened through its summary
+    library   that wrote it, by its own word
     channels  by topic, in order of appearance
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Place, source: Source | None = None) -> None:
         self.path = path
-        self._map = _mapped(path)
-        self._data = memoryview(self._map)
-        if self._data[: len(MAGIC)] != MAGIC:
+        self._source = source or open_source(path)
+        if self._source.size < len(MAGIC) or self._source.read(0, len(MAGIC)) != MAGIC:
             raise NotARecording(f"{path} is not an MCAP file")
         self.finished = False
+        self.library = ""
         self.channels: dict[str, Channel] = {}
         self._schemas: dict[int, str] = {}
         self._topics: dict[int, str] = {}
         self._numbers: dict[str, list[int]] = {}  # channels of a topic
-        self._chunks: list[_Chunk] = []
-        self._attachments: dict[str, _Attachment] = {}
+        self._chunks = Chunks(path, self._source)
+        self._attachments: dict[str, Attachment] = {}
         self._messages: dict[int, array[int]] = {}  # by channel: log time, chunk + 1 and offset of each, flat
         self._message_count = 0
         self._data_end: int | None = None  # where that record begins
         self._data_crc = 0
-        self._opened: OrderedDict[int, memoryview] = OrderedDict()
-        self._verified: set[int] = set()
-        self._walk()
+        self._index: tuple[IndexedChunk, ...] = ()
+        self._unlisted: dict[int, list[int]] = {}  # by channel, chunks whose messages of it were not looked for yet
+        self._unscanned: list[int] = []  # chunks that nothing says the messages of
+        index = None if self._source.near else read_index(self._source)
+        self.indexed = index is not None
+        if index is not None:
+            self._take(index)
+        else:
+            if not self._source.near:
+                self._announce_walk()
+            self._walk()
+
+    @property
+    def source(self) -> Source:
+        """The file's bytes."""
+        return self._source
 
     def messages(self, topic: str) -> list[Message]:
         """The messages of a topic, all channels of it, in order of log time."""
         return sorted(self._found(topic), key=lambda m: (m.log_time, m.chunk, m.offset))
 
     def _found(self, topic: str) -> Iterator[Message]:
+        self._look_for(topic)
         for number in self._numbers.get(topic, ()):
             yield from self._entries(number)
 
@@ -174,18 +151,88 @@ class Container:
 
     def read(self, message: Message) -> tuple[int, memoryview]:
         """Sequence number and content of a message."""
-        data = self._whole() if message.chunk < 0 else self._open_chunk(message.chunk)
-        if message.offset + _RECORD_HEAD + _MESSAGE_HEAD.size > len(data):
+        sequence, content, _ = self.read_with_crc(message)
+        return sequence, content
+
+    def read_with_crc(self, message: Message) -> tuple[int, memoryview, int | None]:
+        """The same, and the content's CRC-32 where it follows from that of its chunk, which was checked."""
+        if message.chunk < 0:
+            head = self._read_record(message.offset)
+            return (*self._of_message(message, head, 0), None)
+        data, crc = self._chunks.open(message.chunk)
+        offset = message.offset if not self._sole(message.chunk) else self._sole_offset(data)
+        sequence, content = self._of_message(message, data, offset)
+        before = offset + RECORD_HEAD + MESSAGE_HEAD.size
+        if not crc or before + len(content) != len(data) or before > _CHEAP_BYTES:
+            return sequence, content, None
+        return sequence, content, second(crc, zlib.crc32(data[:before]), len(content))
+
+    def chunk_bytes(self, message: Message) -> int:
+        """Of the chunk that a message is in, decompressed; of the message's head where it is in none."""
+        return self._chunks[message.chunk].uncompressed_size if message.chunk >= 0 else RECORD_HEAD
+
+    def stored_bytes(self, topic: str) -> int:
+        """Of the contents of a topic's messages, at most; those that the index tells the size of are not read."""
+        return sum(
+            self._chunks[m.chunk].uncompressed_size - RECORD_HEAD - MESSAGE_HEAD.size
+            if m.chunk >= 0 and self._sole(m.chunk)
+            else self.peek(m, 0)[0]
+            for m in self._found(topic)
+        )
+
+    def peek(self, message: Message, size: int) -> tuple[int, memoryview]:
+        """How long a message's content is, and its first bytes, at most `size`.
+
+        Of an uncompressed chunk nothing else is read: what is made of them has to be borne out by something else.
+        """
+        if message.chunk >= 0 and not (chunk := self._chunks[message.chunk]).compression:
+            begin = chunk.begin + message.offset
+            head = self._source.read(begin, min(begin + RECORD_HEAD + MESSAGE_HEAD.size + size, chunk.end))
+            if len(head) >= RECORD_HEAD + MESSAGE_HEAD.size and head[0] == MESSAGE:
+                length = int.from_bytes(head[1:RECORD_HEAD], "little") - MESSAGE_HEAD.size
+                channel, _, log_time, _ = MESSAGE_HEAD.unpack_from(head, RECORD_HEAD)
+                if (channel, log_time) == (message.channel, message.log_time) and length >= 0:
+                    return length, head[RECORD_HEAD + MESSAGE_HEAD.size :][:length]
+        content = self.read(message)[1]
+        return len(content), content[:size]
+
+    def _of_message(self, message: Message, data: memoryview, offset: int) -> tuple[int, memoryview]:
+        if offset + RECORD_HEAD + MESSAGE_HEAD.size > len(data):
             raise self._damaged("an index points past the end of its chunk")
-        opcode = data[message.offset]
-        size = int.from_bytes(data[message.offset + 1 : message.offset + _RECORD_HEAD], "little")
-        begin = message.offset + _RECORD_HEAD
-        if opcode != _MESSAGE or size > len(data) - begin or size < _MESSAGE_HEAD.size:
+        opcode = data[offset]
+        size = int.from_bytes(data[offset + 1 : offset + RECORD_HEAD], "little")
+        begin = offset + RECORD_HEAD
+        if opcode != MESSAGE or size > len(data) - begin or size < MESSAGE_HEAD.size:
             raise self._damaged("an index points to something that is no message")
-        channel, sequence, log_time, _ = _MESSAGE_HEAD.unpack_from(data, begin)
+        channel, sequence, log_time, _ = MESSAGE_HEAD.unpack_from(data, begin)
         if (channel, log_time) != (message.channel, message.log_time):
             raise self._damaged("a message and its index disagree on its topic or its time")
-        return sequence, data[begin + _MESSAGE_HEAD.size : begin + size]
+        return sequence, data[begin + MESSAGE_HEAD.size : begin + size]
+
+    def _sole(self, chunk: int) -> bool:
+        # whether the index of the file says of a chunk that it holds one message
+        return bool(self._index) and len(self._index[chunk].indexes) == self._index[chunk].messages == 1
+
+    def _sole_offset(self, data: memoryview) -> int:
+        # of the only message of a chunk, behind what declares its channel; it has to be the last record
+        position = 0
+        while position + RECORD_HEAD <= len(data):
+            end = position + RECORD_HEAD + int.from_bytes(data[position + 1 : position + RECORD_HEAD], "little")
+            if data[position] not in (SCHEMA, CHANNEL):
+                if end != len(data):
+                    break
+                return position
+            position = end
+        raise self._damaged("a chunk does not hold the one message that the file's index says")
+
+    def _read_record(self, position: int) -> memoryview:
+        # a top-level record, with its head
+        if position + RECORD_HEAD > self._source.size:
+            raise self._damaged("an index points past the end of the file")
+        length = int.from_bytes(self._source.read(position + 1, position + RECORD_HEAD), "little")
+        if length > self._source.size - position - RECORD_HEAD:
+            raise self._damaged("an index points past the end of the file")
+        return self._source.read(position, position + RECORD_HEAD + length)
 
     def in_sequence(self, topic: str) -> Iterator[memoryview]:
         """Contents of a topic's messages in the order in which they were written; a missing one is damage."""
@@ -197,7 +244,7 @@ class Container:
             if sequence < expected or sequence in waiting:
                 raise self._damaged(f"message {sequence} of {topic} is there twice")
             if sequence > expected:
-                held += len(content) + _MESSAGE_HEAD.size
+                held += len(content) + MESSAGE_HEAD.size
                 if held > _HELD_BYTES:
                     raise self._damaged(f"message {expected} of {topic} is missing, or far behind those after it")
                 waiting[sequence] = memoryview(bytes(content))
@@ -206,7 +253,7 @@ class Container:
             expected += 1
             while expected in waiting:
                 content = waiting.pop(expected)
-                held -= len(content) + _MESSAGE_HEAD.size
+                held -= len(content) + MESSAGE_HEAD.size
                 yield content
                 expected += 1
         if waiting:
@@ -219,10 +266,16 @@ class Container:
             return None
         if found.end - found.begin > MAX_ATTACHMENT_BYTES:
             raise self._damaged(f"the attachment {name} has more than the {MAX_ATTACHMENT_BYTES} bytes that are read")
-        self._whole()
-        if found.crc and zlib.crc32(self._data[found.record : found.end]) != found.crc:
+        data = self._source.read(found.record - RECORD_HEAD, found.end + 4)
+        if self.indexed:
+            check_head(self.path, ATTACHMENT, data, found.end + 4 - found.record)
+            cursor = Cursor(self.path, data, RECORD_HEAD, len(data), found.record - RECORD_HEAD)
+            if read_attachment(cursor) != found:
+                raise self._damaged(f"the attachment {name} is not what the file's index says")
+        crc = int.from_bytes(data[-4:], "little")
+        if crc and zlib.crc32(data[RECORD_HEAD:-4]) != crc:
             raise self._damaged(f"the attachment {name} fails its CRC")
-        return bytes(self._data[found.begin : found.end])
+        return bytes(data[found.begin - found.record + RECORD_HEAD : -4])
 
     def attachment_names(self) -> list[str]:
         """Names of all attachments."""
@@ -231,7 +284,12 @@ class Container:
     @property
     def size(self) -> int:
         """Of the file [byte], as it was when it was opened."""
-        return len(self._data)
+        return self._source.size
+
+    @property
+    def chunks(self) -> tuple[Chunk, ...]:
+        """All chunks, in the order of the file."""
+        return tuple(self._chunks)
 
     @cached_property
     def content_bytes(self) -> int:
@@ -241,74 +299,175 @@ class Container:
             for c in self._chunks
             if c.compression
         )
-        return len(self._data) + sum(sizes)
+        return self.size + sum(sizes)
 
     def verify(self) -> None:
-        """Check the CRC of the whole data section and of every chunk; DamagedRecording names the first that fails."""
-        if self._data_crc and zlib.crc32(self._whole()[: self._data_end]) != self._data_crc:
+        """Check the CRC of the whole data section and of every chunk; DamagedRecording names the first that fails.
+
+        Of a file that was opened through its summary, also that nothing lies beside what the summary says.
+        """
+        self._chunks.forget()
+        crc = position = 0
+        end = self._data_end if self._data_end is not None else self.size
+        for number, chunk in enumerate(self._chunks):
+            self._check_between(position, chunk.record - RECORD_HEAD, number)
+            crc = self._crc_of(position, chunk.begin, crc)
+            data, known = self._chunks.open(number)
+            if chunk.compression or not known:
+                crc = self._crc_of(chunk.begin, chunk.end, crc)
+            else:
+                crc = combine(crc, known, len(data))
+            position = chunk.end
+        self._check_between(position, end, len(self._chunks))
+        if self._data_crc and self._crc_of(position, end, crc) != self._data_crc:
             raise self._damaged("the data section fails its CRC: bytes were changed")
-        for number in range(len(self._chunks)):
-            self._open_chunk(number)
+        self._source.confirm()
+
+    def _crc_of(self, begin: int, end: int, crc: int) -> int:
+        # of what came before, followed by these bytes
+        if not self._data_crc:
+            return 0
+        for at in range(begin, end, _PIECE_BYTES):
+            crc = zlib.crc32(self._source.read(at, min(end, at + _PIECE_BYTES)), crc)
+        return crc
+
+    def _check_between(self, begin: int, end: int, chunk: int) -> None:
+        # What lies between two chunks, the latter of that number: no message that the index does not know.
+        if not self.indexed:
+            return
+        position, listed = begin or len(MAGIC), dict[int, int]()
+        while position < end:
+            head = self._source.read(position, min(position + RECORD_HEAD + 2, end))
+            opcode, length = head[0], int.from_bytes(head[1:RECORD_HEAD], "little")
+            if len(head) < RECORD_HEAD or length > end - position - RECORD_HEAD:
+                raise self._damaged(f"a record at byte {position} reaches into the next")
+            if opcode == MESSAGE_INDEX:
+                listed[int.from_bytes(head[RECORD_HEAD:], "little")] = position
+            elif opcode == ATTACHMENT:
+                if position + RECORD_HEAD not in {a.record for a in self._attachments.values()}:
+                    raise self._damaged(f"an attachment at byte {position} is not in the file's index")
+            elif opcode in (MESSAGE, CHUNK) or (opcode == HEADER) != (position == len(MAGIC)):
+                raise self._damaged(f"a record of type {opcode} at byte {position} is not in the file's index")
+            position += RECORD_HEAD + length
+        if listed != (self._index[chunk - 1].indexes if chunk else {}):
+            raise self._damaged(f"the index of the messages ahead of byte {end} is not what the file's index says")
+
+    def _announce_walk(self) -> None:
+        if self.size > MAX_WALKED_BYTES:
+            raise self._damaged(
+                f"it has no index, and {self.size} bytes are too many to be looked through from elsewhere; download it"
+            )
+        _log.warning("%s has no index: all of its %d bytes are read to find what is in it", self.path, self.size)
+
+    def _take(self, index: Index) -> None:
+        head = self._read_record(len(MAGIC))
+        if head[0] != HEADER:
+            raise self._damaged("the file does not begin with a header, or has a second one")
+        self._read_header(Cursor(self.path, head, RECORD_HEAD, len(head), len(MAGIC)))
+        for opcode, content in index.declared:
+            self._declare(opcode, Cursor(self.path, content, 0, len(content)))
+        for attachment in sorted(index.attachments, key=lambda a: a.record):
+            self._add_attachment(attachment)
+        self._data_end, self._data_crc, self.finished = index.data_end, index.data_crc, True
+        self._index = index.chunks
+        for number, c in enumerate(index.chunks):
+            self._chunks.append(c.chunk)
+            if not c.indexes:
+                self._unscanned.append(number)
+            for channel in c.indexes:
+                if channel not in self._topics:
+                    raise self._damaged(f"messages of an undeclared channel {channel}")
+                self._unlisted.setdefault(channel, []).append(number)
+
+    def _look_for(self, topic: str) -> None:
+        # the messages of a topic, where the index does not say them already
+        unscanned, self._unscanned = self._unscanned, []
+        for number in unscanned:
+            self._scan_chunk(number)
+        if unscanned and (missing := set(self._messages) - set(self._topics)):
+            raise self._damaged(f"messages of an undeclared channel {min(missing)}")
+        for channel in self._numbers.get(topic, ()):
+            for number in self._unlisted.pop(channel, ()):
+                self._list_messages(number, channel)
+
+    def _list_messages(self, number: int, channel: int) -> None:
+        # those of one channel of a chunk
+        found = self._index[number]
+        if self._sole(number):
+            self._add(channel, found.first_time, number, 0)
+            return
+        record = self._read_record(found.indexes[channel])
+        check_head(self.path, MESSAGE_INDEX, record, len(record) - RECORD_HEAD)
+        if found.indexes[channel] + len(record) > found.chunk.end + found.index_bytes:
+            raise self._damaged(f"an index of messages at byte {found.indexes[channel]} is longer than its file's says")
+        cursor = Cursor(self.path, record, RECORD_HEAD, len(record), found.indexes[channel])
+        if self._add_index(cursor, number) != channel:
+            raise self._damaged(f"the index at byte {found.indexes[channel]} is of another topic than its file's says")
 
     def _walk(self) -> None:
         position = len(MAGIC)
-        size = len(self._data)
+        size = self.size
         indexed: set[int] = set()
-        while position + _RECORD_HEAD <= size:
-            opcode = self._data[position]
-            length = int.from_bytes(self._data[position + 1 : position + _RECORD_HEAD], "little")
-            begin, end = position + _RECORD_HEAD, position + _RECORD_HEAD + length
+        while position + RECORD_HEAD <= size:
+            head = self._source.read(position, position + RECORD_HEAD)
+            opcode, length = head[0], int.from_bytes(head[1:], "little")
+            begin, end = position + RECORD_HEAD, position + RECORD_HEAD + length
             if end > size or opcode == 0:  # zeros are no record: a crash leaves them where bytes never arrived
                 break
-            cursor = _Cursor(self.path, self._data, begin, end)
-            if (position == len(MAGIC)) != (opcode == _HEADER):
+            cursor = Cursor(self.path, self._source.read(begin, end), 0, length, begin)
+            if (position == len(MAGIC)) != (opcode == HEADER):
                 raise self._damaged("the file does not begin with a header, or has a second one")
-            if opcode == _FOOTER:
+            if opcode == FOOTER:
                 self._end(cursor, begin, end)
                 break
-            if opcode == _HEADER:
-                self._check_profile(cursor.name())
-            elif opcode in (_SCHEMA, _CHANNEL):
+            if opcode == HEADER:
+                self._read_header(cursor)
+            elif opcode in (SCHEMA, CHANNEL):
                 self._declare(opcode, cursor)
             elif self._data_end is not None:
                 if opcode in _OF_DATA:
                     raise self._damaged("data follow behind the end of the data")
-            elif opcode == _MESSAGE:
-                channel, _, log_time, _ = _MESSAGE_HEAD.unpack(cursor.take(_MESSAGE_HEAD.size))
+            elif opcode == MESSAGE:
+                channel, _, log_time, _ = MESSAGE_HEAD.unpack(cursor.take(MESSAGE_HEAD.size))
                 self._add(channel, log_time, -1, position)
-            elif opcode == _CHUNK:
+            elif opcode == CHUNK:
                 self._add_chunk(cursor)
-            elif opcode == _MESSAGE_INDEX and self._chunks:
+            elif opcode == MESSAGE_INDEX and self._chunks:
                 indexed.add(len(self._chunks) - 1)
-                self._add_index(cursor)
-            elif opcode == _ATTACHMENT:
-                self._add_attachment(cursor, begin)
-            elif opcode == _DATA_END:
+                self._add_index(cursor, len(self._chunks) - 1)
+            elif opcode == ATTACHMENT:
+                found = read_attachment(cursor)
+                cursor.take(found.end - found.begin + 4)
+                self._add_attachment(found)
+            elif opcode == DATA_END:
                 self._data_end, self._data_crc = position, cursor.u32()
             position = end
         if not self.finished:
             # no CRC covers an index, and what a crash left may lack some: the chunks themselves are asked
             indexed.clear()
             self._forget_index()
+        if set(self._messages) - set(self._topics):
+            # without a summary the channels may be declared nowhere but inside the chunks
+            indexed.clear()
+            self._forget_index()
         for number in range(len(self._chunks)):
-            # Without a summary the channels are only declared inside the chunks.
             if number not in indexed:
                 self._scan_chunk(number)
         missing = set(self._messages) - set(self._topics)
         if self.finished and missing:
             raise self._damaged(f"messages of an undeclared channel {min(missing)}")
 
-    def _end(self, cursor: _Cursor, begin: int, end: int) -> None:
+    def _end(self, cursor: Cursor, begin: int, end: int) -> None:
         summary, offsets, crc = cursor.u64(), cursor.u64(), cursor.u32()
-        if self._data[end : end + len(MAGIC)] != MAGIC:
+        if self._source.read(end, min(end + len(MAGIC), self.size)) != MAGIC:
             return  # cut short within the last bytes
-        if end + len(MAGIC) != len(self._data):
-            raise self._damaged(f"{len(self._data) - end - len(MAGIC)} bytes follow behind the end of the file")
+        if end + len(MAGIC) != self.size:
+            raise self._damaged(f"{self.size - end - len(MAGIC)} bytes follow behind the end of the file")
         if self._data_end is None:
             raise self._damaged("the data section does not end")
         if not all(at == 0 or self._data_end < at <= begin for at in (summary, offsets)):
             raise self._damaged("the footer points to no summary")
-        if crc and zlib.crc32(self._data[summary or begin - _RECORD_HEAD : end - 4]) != crc:
+        if crc and zlib.crc32(self._source.read(summary or begin - RECORD_HEAD, end - 4)) != crc:
             raise self._damaged("the summary fails its CRC: bytes were changed")
         self.finished = True
 
@@ -322,11 +481,9 @@ class Container:
     def _damaged(self, what: str) -> DamagedRecording:
         return DamagedRecording(f"{self.path}: {what}")
 
-    def _whole(self) -> memoryview:
-        # Touching a page that the file has no more would end the process with SIGBUS.
-        if self._map.size() < len(self._data):
-            raise self._damaged("the file became shorter while it was read")
-        return self._data
+    def _read_header(self, cursor: Cursor) -> None:
+        self._check_profile(cursor.name())
+        self.library = cursor.name() if cursor.left else ""
 
     def _check_profile(self, profile: str) -> None:
         family = FORMAT.partition(".")[0]
@@ -338,9 +495,9 @@ class Container:
             f"{self.path} is an MCAP file, but not a recording of a simulator (profile '{profile}', not '{FORMAT}')"
         )
 
-    def _declare(self, opcode: int, cursor: _Cursor) -> None:
+    def _declare(self, opcode: int, cursor: Cursor) -> None:
         number = cursor.u16()
-        if opcode == _SCHEMA:
+        if opcode == SCHEMA:
             name = cursor.name()
             if self._schemas.setdefault(number, name) != name:
                 raise self._damaged(f"schema {number} has two names")
@@ -358,91 +515,42 @@ class Container:
 
     def _add(self, channel: int, log_time: int, chunk: int, offset: int) -> None:
         self._message_count += 1
-        if self._message_count > _FREE_MESSAGES + len(self._data) // _LEAST_MESSAGE:
+        if self._message_count > _FREE_MESSAGES + self.size // _LEAST_MESSAGE:
             raise self._damaged(f"it announces more than {self._message_count - 1} messages, which is refused")
         self._messages.setdefault(channel, array("Q")).extend((log_time, chunk + 1, offset))
 
-    def _add_index(self, cursor: _Cursor) -> None:
+    def _add_index(self, cursor: Cursor, chunk: int) -> int:
         channel = cursor.u16()
         entries = cursor.take(cursor.u32())
         if len(entries) % _INDEX_ENTRY.size:
             raise self._damaged("a message index has half an entry")
         for log_time, offset in _INDEX_ENTRY.iter_unpack(entries):
-            self._add(channel, log_time, len(self._chunks) - 1, offset)
+            self._add(channel, log_time, chunk, offset)
+        return channel
 
-    def _add_chunk(self, cursor: _Cursor) -> None:
-        cursor.take(16)  # first and last log time
-        uncompressed_size, crc, compression = cursor.u64(), cursor.u32(), cursor.name()
-        stored = cursor.u64()
-        begin = cursor.position
-        cursor.take(stored)
-        self._chunks.append(_Chunk(compression, uncompressed_size, crc, begin, begin + stored))
+    def _add_chunk(self, cursor: Cursor) -> None:
+        chunk, _ = read_chunk(cursor)
+        cursor.take(chunk.end - chunk.begin)
+        self._chunks.append(chunk)
 
-    def _add_attachment(self, cursor: _Cursor, begin: int) -> None:
-        cursor.take(16)  # log time and creation time
-        name, media_type = cursor.name(), cursor.name()
-        size = cursor.u64()
-        data = cursor.position
-        cursor.take(size)
-        if name in self._attachments:
-            raise self._damaged(f"the attachment {name} is there twice")
-        self._attachments[name] = _Attachment(media_type, data, data + size, begin, cursor.u32())
+    def _add_attachment(self, attachment: Attachment) -> None:
+        if attachment.name in self._attachments:
+            raise self._damaged(f"the attachment {attachment.name} is there twice")
+        self._attachments[attachment.name] = attachment
 
     def _scan_chunk(self, number: int) -> None:
-        data = self._open_chunk(number)
+        data, _ = self._chunks.open(number)
         position = 0
         while position < len(data):
-            cursor = _Cursor(self.path, data, position, len(data))
+            cursor = Cursor(self.path, data, position, len(data))
             opcode = cursor.take(1)[0]
             length = cursor.u64()
             begin = cursor.position
             cursor.take(length)
-            if opcode in (_SCHEMA, _CHANNEL):
-                self._declare(opcode, _Cursor(self.path, data, begin, begin + length))
-            elif opcode == _MESSAGE:
-                record = _Cursor(self.path, data, begin, begin + length)
-                channel, _, log_time, _ = _MESSAGE_HEAD.unpack(record.take(_MESSAGE_HEAD.size))
+            if opcode in (SCHEMA, CHANNEL):
+                self._declare(opcode, Cursor(self.path, data, begin, begin + length))
+            elif opcode == MESSAGE:
+                record = Cursor(self.path, data, begin, begin + length)
+                channel, _, log_time, _ = MESSAGE_HEAD.unpack(record.take(MESSAGE_HEAD.size))
                 self._add(channel, log_time, number, position)
             position = begin + length
-
-    def _open_chunk(self, number: int) -> memoryview:
-        if number in self._opened:
-            self._opened.move_to_end(number)
-            return self._opened[number]
-        chunk = self._chunks[number]
-        stored = self._whole()[chunk.begin : chunk.end]
-        try:
-            data = decompression.decompress(chunk.compression, stored, chunk.uncompressed_size)
-        except ValueError as error:
-            raise self._damaged(f"the chunk at byte {chunk.begin} is damaged: {error}") from None
-        if number not in self._verified:
-            if chunk.crc and zlib.crc32(data) != chunk.crc:
-                raise self._damaged(f"a chunk at byte {chunk.begin} fails its CRC")
-            self._verified.add(number)
-        self._opened[number] = data
-        kept = sum(len(self._opened[n]) for n in self._opened if self._chunks[n].compression)
-        while len(self._opened) > 1 and (kept > _CACHED_BYTES or len(self._opened) > _CACHED_CHUNKS):
-            oldest, dropped = self._opened.popitem(last=False)
-            kept -= len(dropped) if self._chunks[oldest].compression else 0
-        return data
-
-
-def _mapped(path: Path) -> mmap.mmap:
-    try:
-        # without O_NONBLOCK, opening a pipe would wait for its writer
-        descriptor = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
-    except (OSError, ValueError) as error:
-        raise NotARecording(f"cannot read {path}: {getattr(error, 'strerror', error)}") from None
-    try:
-        found = os.fstat(descriptor)
-        if stat.S_ISDIR(found.st_mode):
-            raise NotARecording(f"cannot read {path}: Is a directory")
-        if not stat.S_ISREG(found.st_mode):
-            raise NotARecording(f"{path} is not a file")
-        if found.st_size < len(MAGIC):
-            raise NotARecording(f"{path} is not an MCAP file: it has fewer than {len(MAGIC)} bytes")
-        return mmap.mmap(descriptor, 0, access=mmap.ACCESS_READ)
-    except (OSError, ValueError) as error:
-        raise NotARecording(f"cannot read {path}: {getattr(error, 'strerror', error)}") from None
-    finally:
-        os.close(descriptor)

@@ -1,4 +1,5 @@
-"""CRC-32 (ISO-HDLC, as in zlib) of A followed by B from those of A and of B, without reading either again.
+"""CRC-32 (ISO-HDLC, as in zlib) of A followed by B from those of A and of B, or that of B from the two others, without
+reading either again.
 
 A CRC is the remainder of a polynomial over GF(2). Appending n bytes multiplies what came before by x^(8n) modulo the
 CRC's polynomial, so crc(A B) = crc(A) * x^(8 |B|) + crc(B), the inversions at begin and end cancelling out.
@@ -16,6 +17,11 @@ _ONE = 1 << 31
 def combine(first: int, second: int, size: int) -> int:
     """CRC of two parts one after another, from theirs; `size` is that of the second [byte]."""
     return _times(_shift(size), first) ^ second
+
+
+def second(both: int, first: int, size: int) -> int:
+    """CRC of the second of two parts, from those of both together and of the first; `size` is its own [byte]."""
+    return both ^ _times(_shift(size), first)
 
 
 def _times(a: int, b: int) -> int:

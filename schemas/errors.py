@@ -4,7 +4,8 @@ GsbError                  1  something failed
 ├── UsageError            2  the command was asked for something that cannot be
 ├── RecordingError        3  a file cannot be read as what it should be
 │   ├── NotARecording     3  it is something else: not MCAP, another profile, an unknown format version
-│   └── DamagedRecording  3  bytes are missing or changed
+│   ├── DamagedRecording  3  bytes are missing or changed
+│   └── Unreachable       3  it is elsewhere and cannot be had: no such file, no access, no connection
 ├── DataLost              3  finished, but data was lost
 ├── GateFailed            4  a regression, an audit mismatch, a broken rule
 └── NothingComparable     5  nothing was measured
@@ -45,6 +46,10 @@ class NotARecording(RecordingError):
 
 
 class DamagedRecording(RecordingError):
+    pass
+
+
+class Unreachable(RecordingError):
     pass
 
 

@@ -43,6 +43,16 @@ def delimited_head(number: int, size: int) -> bytes:
     return varint(number << 3 | LENGTH_DELIMITED) + varint(size)
 
 
+def delimited_size(data: memoryview) -> int | None:
+    """Bytes of the length-delimited field that `data` begins with, tag and length included; None where it is none."""
+    try:
+        tag, position = _read_varint(data, 0)
+        size, position = _read_varint(data, position)
+    except ValueError:
+        return None
+    return position + size if tag & 7 == LENGTH_DELIMITED else None
+
+
 def fields(data: memoryview) -> Iterator[Field]:
     """The fields of a message in their order; ValueError where the bytes are none, or end in the middle of a field."""
     position, nothing = 0, data[:0]

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import atexit
+import os
+import shutil
 import signal
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -20,6 +24,10 @@ settings.load_profile("any-machine")
 # every process that they start would inherit it.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
+
+# What commands keep between evaluations belongs to these tests; and theirs finds nothing that another run left.
+os.environ["GSB_CACHE"] = tempfile.mkdtemp(prefix="gsb-cache-")
+atexit.register(shutil.rmtree, os.environ["GSB_CACHE"], ignore_errors=True)
 
 Command = Callable[..., subprocess.CompletedProcess[str]]
 

@@ -19,7 +19,8 @@ from evaluator.groups import Group
 from evaluator.metrics.variability import sampling_step
 from evaluator.positions import sample_positions
 from evaluator.recording import Recording
-from schemas.errors import DamagedRecording, NothingComparable
+from schemas.errors import DamagedRecording, NothingComparable, UsageError
+from schemas.location import Location
 from schemas.provenance import REAL
 
 
@@ -69,7 +70,7 @@ class Audit:
         return self.verdict.meets(required) if self.verdict else None
 
 
-def audit(group: Group, plan: ReplayPlan, *, max_ulps: int, say: Callable[[str], None]) -> Audit:
+def audit(group: Group[Recording], plan: ReplayPlan, *, max_ulps: int, say: Callable[[str], None]) -> Audit:
     """Replay the first complete recording of a group, and hold what came out against all complete ones.
 
     max_ulps  largest distance in units in the last place that counts as "within"
@@ -85,7 +86,10 @@ def audit(group: Group, plan: ReplayPlan, *, max_ulps: int, say: Callable[[str],
         return Audit(
             group.recordings, why_not=f"no run is complete ({ended}): there is nothing to hold a replay against"
         )
-    replays = make_replays(originals[0].path, plan.within(_ran(originals[0])), say)
+    asked = originals[0].path
+    if isinstance(asked, Location):
+        raise UsageError(f"{asked} is elsewhere: download it to have it replayed")
+    replays = make_replays(asked, plan.within(_ran(originals[0])), say)
     done = Audit(originals, replays)
     if replays.refused:
         return Audit(originals, replays, why_not=replays.refused)

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence, Set
 from dataclasses import dataclass
-from pathlib import Path
 
 from evaluator.integrity import examine
 from evaluator.recording import Recording
 from evaluator.rules.findings import Unchecked, check
 from evaluator.rules.rule import Level, load_rules
+from schemas.location import Place
 
 RULES = "integrity-1"
 
@@ -25,12 +25,12 @@ class Check:
     """
 
     recordings: tuple[Recording, ...]
-    damaged: dict[Path, tuple[str, ...]]
-    broken: dict[Path, tuple[str, ...]]
-    warnings: dict[Path, tuple[str, ...]]
+    damaged: dict[Place, tuple[str, ...]]
+    broken: dict[Place, tuple[str, ...]]
+    warnings: dict[Place, tuple[str, ...]]
 
 
-def check_files(paths: Sequence[Path]) -> Check:
+def check_files(paths: Sequence[Place]) -> Check:
     """Hold files against the rules of RULES; those that are damaged or have lost data are set aside, and copies."""
     files = [examine(path) for path in dict.fromkeys(paths)]
     report = check(files, [load_rules(RULES)])
@@ -49,16 +49,16 @@ def check_files(paths: Sequence[Path]) -> Check:
     return Check(good, damaged, _by_file(broken), _by_file([*copies, *warnings]))
 
 
-def _unasked(unchecked: Sequence[Unchecked], damaged: Set[Path]) -> list[tuple[Path, str]]:
+def _unasked(unchecked: Sequence[Unchecked], damaged: Set[Place]) -> list[tuple[Place, str]]:
     # of files that nothing else is known of, rules by what keeps them from being asked
-    rules: dict[tuple[Path, str], list[str]] = {}
+    rules: dict[tuple[Place, str], list[str]] = {}
     for u in unchecked:
         if u.rule.level is Level.error and u.file not in damaged:
             rules.setdefault((u.file, u.reason), []).append(u.rule.id)
     return [(path, f"{', '.join(ids)} cannot be checked: {reason}") for (path, reason), ids in rules.items()]
 
 
-def _without_copies(recordings: Sequence[Recording]) -> tuple[tuple[Recording, ...], list[tuple[Path, str]]]:
+def _without_copies(recordings: Sequence[Recording]) -> tuple[tuple[Recording, ...], list[tuple[Place, str]]]:
     # files of one run with different contents are damaged by RULES; of the others, all but the first are copies
     kept: dict[str, Recording] = {}
     copies = []
@@ -69,8 +69,8 @@ def _without_copies(recordings: Sequence[Recording]) -> tuple[tuple[Recording, .
     return tuple(kept.values()), copies
 
 
-def _by_file(findings: Sequence[tuple[Path, str]]) -> dict[Path, tuple[str, ...]]:
-    found: dict[Path, list[str]] = {}
+def _by_file(findings: Sequence[tuple[Place, str]]) -> dict[Place, tuple[str, ...]]:
+    found: dict[Place, list[str]] = {}
     for path, sentence in findings:
         found.setdefault(path, []).append(sentence)
     return {path: tuple(dict.fromkeys(sentences)) for path, sentences in found.items()}

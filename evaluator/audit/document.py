@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 from evaluator.audit.audit import Audit
@@ -11,6 +10,7 @@ from evaluator.audit.checking import RULES, Check
 from evaluator.audit.verdict import Level
 from evaluator.document import dump, values_of
 from evaluator.recording import Recording
+from schemas.location import Place
 
 SCHEMA_VERSION = 1
 
@@ -29,7 +29,7 @@ def dump_json(audits: Sequence[Audit], checked: Check, required: Level) -> str:
     return dump(values_of(document))
 
 
-def _findings(found: Mapping[Path, tuple[str, ...]]) -> list[dict[str, Any]]:
+def _findings(found: Mapping[Place, tuple[str, ...]]) -> list[dict[str, Any]]:
     return [{"file": path, "findings": sentences} for path, sentences in found.items()]
 
 

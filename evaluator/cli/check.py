@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import argparse
 import sys
-from pathlib import Path
 
 from evaluator.cli.entry import enter, new_parser
 from evaluator.cli.json_target import check_target, write_json
 from schemas.errors import ExitCode, UsageError
+from schemas.location import place
 
 _EPILOG = """\
 exit codes:
@@ -37,7 +37,7 @@ def parser() -> argparse.ArgumentParser:
         "checked as a set, too.",
         _EPILOG,
     )
-    p.add_argument("files", nargs="*", type=Path, metavar="FILE", help="recordings (.mcap)")
+    p.add_argument("files", nargs="*", type=place, metavar="FILE", help="recordings (.mcap), or addresses of them")
     p.add_argument("--protocol", action="store_true", help="check the benchmark's protocol as well as integrity")
     p.add_argument("--rules", action="append", metavar="NAME|FILE", help="rule set instead of integrity-1; repeatable")
     p.add_argument("--list-rules", action="store_true", help="show the rules, and what a file of rules can use")
@@ -65,8 +65,9 @@ def run(arguments: argparse.Namespace, command: str) -> int:
     if not arguments.files:
         raise UsageError("name the recordings to check, or --list-rules")
     from evaluator.integrity import examine
+    from evaluator.locations import expand
 
-    report = check([examine(path) for path in dict.fromkeys(arguments.files)], rule_sets)
+    report = check([examine(path) for path in expand(arguments.files)], rule_sets)
     if arguments.json:
         write_json(arguments.json, dump_check(report))
     if arguments.json != "-":

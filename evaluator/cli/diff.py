@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from evaluator.cli.entry import complain, enter, new_parser, write
 from evaluator.cli.json_target import check_target
 from schemas.errors import ExitCode, UsageError
+from schemas.location import place
 
 if TYPE_CHECKING:
     from evaluator.diff.result import Difference
@@ -39,7 +40,7 @@ def parser() -> argparse.ArgumentParser:
         "differ, and how fast the difference grows.",
         _EPILOG,
     )
-    p.add_argument("files", nargs="+", type=Path, metavar="FILE", help="one or two recordings (.mcap)")
+    p.add_argument("files", nargs="+", type=place, metavar="FILE", help="one or two recordings (.mcap), or addresses")
     p.add_argument(
         "--env", type=int, action="append", default=[], metavar="E",
         help="with one recording, twice: these two; with two, once: this one of both, or twice: E of the first "
@@ -53,6 +54,9 @@ def parser() -> argparse.ArgumentParser:
 
 def run(arguments: argparse.Namespace, command: str) -> int:
     """Compare and print; returns the exit code."""
+    from evaluator.locations import expand
+
+    arguments.files = expand(arguments.files, copies=True)
     _check(arguments)
     found = _compare(arguments)
     if arguments.plot:

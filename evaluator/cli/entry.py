@@ -12,6 +12,7 @@ from pathlib import Path
 
 import schemas
 from schemas.errors import ExitCode, GsbError
+from schemas.location import shown_argument
 
 
 def new_parser(command: str, description: str, epilog: str) -> argparse.ArgumentParser:
@@ -28,7 +29,7 @@ def enter(
 ) -> int:
     """Parse the arguments, do the work and return the exit code; every error is one line on standard error.
 
-    run  takes the arguments and the whole command as a shell would
+    run  takes the arguments and the whole command as a shell would, without what gives access to addresses
     """
     given = sys.argv[1:] if argv is None else argv
     arguments = parser.parse_args(given)
@@ -36,7 +37,7 @@ def enter(
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")  # a terminal without ± still gets its table
     try:
-        code = run(arguments, shlex.join([parser.prog, *given]))
+        code = run(arguments, shlex.join([parser.prog, *map(shown_argument, given)]))
         sys.stdout.flush()
     except GsbError as error:
         complain(parser.prog, str(error))

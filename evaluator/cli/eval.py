@@ -4,16 +4,21 @@ from __future__ import annotations
 
 import argparse
 import sys
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from evaluator.cli.entry import complain, enter, new_parser, write
 from evaluator.cli.json_target import check_target
 from schemas.errors import ExitCode, GsbError, NothingComparable, UsageError
+from schemas.location import Place, place
 
 if TYPE_CHECKING:
-    from evaluator.recording import Recording, Unreadable
+    from evaluator.mapping import Mapper
+    from evaluator.reading import Read, Unreadable
     from evaluator.results import Evaluation
+    from evaluator.summary import Summary
+    from evaluator.work import Work
 
 _EPILOG = """\
 exit codes:
@@ -27,6 +32,7 @@ examples:
   gsb-eval recordings/*.mcap
   gsb-eval recordings/*.mcap --html report/ --published
   gsb-eval recordings/*.mcap --reference trials.mcap --json results.json
+  gsb-eval recordings/*.mcap --tables tables/ --ray local
 """
 
 
@@ -38,28 +44,43 @@ def parser() -> argparse.ArgumentParser:
         "simulator, version, switches, scene, environments, step, device.",
         _EPILOG,
     )
-    p.add_argument("files", nargs="+", type=Path, metavar="FILE", help="recordings (.mcap)")
-    p.add_argument("--reference", type=Path, metavar="FILE", help="recording to compare positions with")
+    p.add_argument("files", nargs="+", type=place, metavar="FILE", help="recordings (.mcap), or addresses of them")
+    p.add_argument("--reference", type=place, metavar="FILE", help="recording to compare positions with")
     p.add_argument("--sample-time", type=float, default=5.0, metavar="S", help="simulated time (default: 5.0)")
     p.add_argument("--json", metavar="FILE", help="write the results as JSON; - for standard output, alone")
     p.add_argument("--html", type=Path, metavar="DIR", help="write a report to DIR/index.html")
+    p.add_argument("--tables", type=Path, metavar="DIR", help="write metrics.parquet and runs.parquet")
+    p.add_argument("--physics", action="store_true", help="show each check of mechanics, with what it allows")
     p.add_argument("--published", action="store_true", help="show the paper's figures beside, marked as such")
     p.add_argument("--no-verify", action="store_true", help="skip the digests; CRCs of what is read are still checked")
+    p.add_argument("--ray", metavar="ADDRESS", help="spread the work over a Ray cluster: an address, auto, or local")
+    p.add_argument("--cache", type=Path, metavar="DIR", help="where to keep results (default: the user's cache folder)")
+    p.add_argument("--no-cache", action="store_true", help="compute everything anew and keep nothing")
     return p
 
 
 def run(arguments: argparse.Namespace, command: str) -> int:
     """Evaluate and print; returns the exit code."""
+    from evaluator.cache.known_files import read_all
     from evaluator.evaluate import evaluate
+    from evaluator.locations import expand
+    from evaluator.reading import Read, Reader
 
     if not 0 < arguments.sample_time < float("inf"):
         raise UsageError(f"--sample-time is a time in seconds above 0, not {arguments.sample_time}")
     check_target(arguments.json)
-    recordings, unreadable = _open(arguments.files, verify=not arguments.no_verify)
-    reference = _open_reference(arguments.reference, verify=not arguments.no_verify) if arguments.reference else None
-    evaluation = evaluate(
-        recordings, reference=reference, sample_time=arguments.sample_time, unreadable=tuple(unreadable)
-    )
+    with ExitStack() as stack:
+        work = _work(arguments, stack)
+        reader = Reader(arguments.sample_time, verify=not arguments.no_verify)
+        places, reference_place = expand(arguments.files), _one(arguments.reference)
+        wanted = list(dict.fromkeys([*places, *([reference_place] if reference_place else [])]))
+        read = dict(zip(wanted, read_all(wanted, reader, work), strict=True))
+        files = [read[place] for place in places]
+        reference = _readable(read[reference_place]) if reference_place else None
+        evaluation = evaluate(files, reference=reference, sample_time=arguments.sample_time, work=work)
+    if work.store:
+        work.store.prune()
+    recordings = [f.summary for f in files if isinstance(f, Read)]
     for failure in evaluation.unreadable:
         complain("gsb-eval", str(failure.error))
     if not evaluation.results:
@@ -71,21 +92,34 @@ def run(arguments: argparse.Namespace, command: str) -> int:
     return _exit_code(evaluation, recordings)
 
 
-def _open(files: list[Path], *, verify: bool) -> tuple[list[Recording], list[Unreadable]]:
-    from evaluator.recording import Recording, Unreadable, open_all
+def _work(arguments: argparse.Namespace, stack: ExitStack) -> Work:
+    from evaluator.cache.place import default_folder, open_store
+    from evaluator.mapping import serial
+    from evaluator.work import Work
 
-    opened = list(open_all(list(dict.fromkeys(files)), verify=verify))
-    return (
-        [o for o in opened if isinstance(o, Recording)],
-        [o for o in opened if isinstance(o, Unreadable)],
-    )
+    mapper: Mapper = serial
+    if arguments.ray:
+        from evaluator.cluster import Cluster
+
+        mapper = stack.enter_context(Cluster(arguments.ray))
+    return Work(mapper, None if arguments.no_cache else open_store(arguments.cache or default_folder()))
 
 
-def _open_reference(path: Path, *, verify: bool) -> Recording:
-    recordings, unreadable = _open([path], verify=verify)
-    if unreadable:
-        raise unreadable[0].error
-    return recordings[0]
+def _one(given: Place | None) -> Place | None:
+    from evaluator.locations import expand
+
+    found = expand([given]) if given else []
+    if len(found) > 1:
+        raise UsageError(f"--reference is one recording; {given} stands for {len(found)}")
+    return found[0] if found else None
+
+
+def _readable(file: Read | Unreadable) -> Read:
+    from evaluator.reading import Unreadable
+
+    if isinstance(file, Unreadable):
+        raise file.error
+    return file
 
 
 def _present(evaluation: Evaluation, arguments: argparse.Namespace, command: str) -> None:
@@ -98,10 +132,22 @@ def _present(evaluation: Evaluation, arguments: argparse.Namespace, command: str
         from evaluator.report.tables import print_tables
 
         print_tables(evaluation, sys.stdout)
+        if arguments.physics:
+            from evaluator.report.fidelity import print_fidelity
+
+            print_fidelity([result.fidelity for result in evaluation.results], sys.stdout)
         if arguments.published:
             print_published(sys.stdout)
         if arguments.json:
             write(Path(arguments.json), dump_json(evaluation))
+    if arguments.tables:
+        from evaluator.report.parquet import write_parquet
+
+        try:
+            for table in write_parquet(evaluation, arguments.tables):
+                print(f"table: {table}", file=sys.stderr if arguments.json == "-" else sys.stdout)
+        except OSError as error:
+            raise GsbError(f"cannot write tables to {arguments.tables}: {error.strerror}") from None
     if arguments.html:
         from evaluator.report.html import write_html
 
@@ -112,7 +158,7 @@ def _present(evaluation: Evaluation, arguments: argparse.Namespace, command: str
         print(f"report: {page}", file=sys.stderr if arguments.json == "-" else sys.stdout)
 
 
-def _exit_code(evaluation: Evaluation, recordings: list[Recording]) -> int:
+def _exit_code(evaluation: Evaluation, recordings: list[Summary]) -> int:
     lost = any(r.status == "incomplete" or r.dropouts for r in recordings)
     if evaluation.unreadable or lost:
         return int(ExitCode.DATA_LOST)

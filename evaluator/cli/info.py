@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import argparse
 import sys
-from pathlib import Path
 
 from evaluator.cli.entry import complain, enter, new_parser
 from evaluator.cli.json_target import check_target, write_json
 from schemas.errors import ExitCode, GsbError
+from schemas.location import Place, place
 
 _EPILOG = """\
 exit codes:
@@ -31,7 +31,7 @@ def parser() -> argparse.ArgumentParser:
         "Say who made a recording, of what, where, how long it took, and what is in it. The whole file is verified.",
         _EPILOG,
     )
-    p.add_argument("files", nargs="+", type=Path, metavar="FILE", help="recordings (.mcap)")
+    p.add_argument("files", nargs="+", type=place, metavar="FILE", help="recordings (.mcap), or addresses of them")
     p.add_argument("--json", metavar="FILE", help="write it as JSON; - for standard output, alone")
     p.add_argument("--no-verify", action="store_true", help="skip digests and comparisons; CRCs are still checked")
     return p
@@ -42,14 +42,15 @@ def run(arguments: argparse.Namespace, command: str) -> int:
     from evaluator.inspection import Inspection, inspect
     from evaluator.integrity import examine
     from evaluator.integrity.problem import DAMAGE
+    from evaluator.locations import expand
     from evaluator.report.info_json import dump_info
     from evaluator.report.info_text import info_text
 
     check_target(arguments.json)
     found: list[Inspection] = []
-    unreadable: list[tuple[Path, GsbError]] = []
+    unreadable: list[tuple[Place, GsbError]] = []
     damaged = False
-    for path in dict.fromkeys(arguments.files):
+    for path in expand(arguments.files):
         examined = examine(path, verify=not arguments.no_verify)
         damaged |= examined.recording is None or bool(DAMAGE.intersection(examined.problems.kinds()))
         try:

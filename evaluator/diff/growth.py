@@ -10,10 +10,7 @@ from numpy.typing import NDArray
 
 from evaluator.diff.numbers import Pairing
 from evaluator.diff.result import Basis, Growth
-from evaluator.metrics.divergence import GrowthFit, first_reaching, fit_growth
-
-FIT_LIMIT_M = 1e-3
-"""Beyond a millimetre, bodies have met others that they would not have met."""
+from evaluator.metrics.divergence import FIT_LIMIT_M, GrowthFit, first_reaching, fit_growth
 
 _MM, _CM = 1e-3, 1e-2
 

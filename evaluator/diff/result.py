@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import Enum
-from pathlib import Path
 
 from evaluator.metrics.divergence import GrowthFit
+from schemas.location import Place
 
 SCHEMA_VERSION = 1
 
@@ -46,7 +46,7 @@ class Side:
     lost    one sentence for each thing that the recording should hold and does not
     """
 
-    path: Path
+    path: Place
     run_id: str
     label: str
     dt: float

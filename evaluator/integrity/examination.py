@@ -8,13 +8,18 @@ from typing import Any
 
 from evaluator.integrity.content import check_content, read_end
 from evaluator.integrity.library import check_library
+from evaluator.integrity.outline import outline
 from evaluator.integrity.problem import OF_STREAMS, WHOLE_CONTENT, Kind, Problems, without_path
 from evaluator.integrity.scan import Scan, scan
 from evaluator.integrity.streams import check_streams
 from evaluator.integrity.summary import check_summary
+from evaluator.locations import fetched
 from evaluator.recording import Recording
-from schemas.errors import NotARecording, RecordingError
+from schemas.container import Container
+from schemas.errors import NotARecording, RecordingError, Unreachable
+from schemas.location import Location, Place, place
 from schemas.provenance import PROVENANCE, SIMULATION, Provenance, Simulation
+from schemas.source import MappedFile
 
 
 @dataclass(frozen=True)
@@ -31,7 +36,7 @@ class Integrity:
     complete    whether the digests and all that needs the whole content were looked at
     """
 
-    path: Path
+    path: Place
     problems: Problems
     recording: Recording | None
     not_opened: str
@@ -50,24 +55,59 @@ class Integrity:
         return self.scan is not None and name in self.scan.doubtful
 
 
-def examine(path: str | Path, *, verify: bool = True) -> Integrity:
+def examine(path: str | Place, *, verify: bool = True) -> Integrity:
     """Look at a whole file and note everything that is wrong with it; nothing is raised for what a file holds.
 
-    verify  False leaves out the digests, the library and the comparison of streams
+    A file elsewhere is copied for it, since all of it is read more than once.
+
+    verify  False leaves out the digests, the library and the comparison of streams; and of a file elsewhere everything
+            but what its summary says and what is read because of that
     """
-    path = Path(path)
+    given = place(path)
+    if not isinstance(given, Location):
+        return _examine(given, given, verify=verify)
+    try:
+        if not verify:
+            return _examine_index(given)
+        with fetched(given) as copy:
+            return _examine(copy, given, verify=True)
+    except (NotARecording, Unreachable) as error:
+        return _nothing(given, error)
+
+
+def _examine_index(location: Location) -> Integrity:
+    problems = Problems()
+    try:
+        container = Container(location)
+        recording = Recording(location, container.source)
+        found = outline(container)
+    except (NotARecording, Unreachable):
+        raise
+    except RecordingError as error:
+        problems.add(Kind.record, without_path(error, location))
+        problems.skip(str(error), *(kind for kind in Kind if kind is not Kind.record))
+        return Integrity(location, problems, None, str(error), None, None, None, None, complete=False)
+    end = read_end(found, problems)
+    problems.skip("the file is elsewhere and was not read as a whole", *(kind for kind in Kind if kind is not Kind.end))
+    return Integrity(
+        location, problems, recording, "", found, recording.provenance, recording.simulation, end, complete=False
+    )
+
+
+def _examine(path: Path, named: Place, *, verify: bool) -> Integrity:
+    # `path` is where the bytes are, and `named` whose they are
     problems = Problems()
     recording, not_opened = None, ""
     try:
-        recording = Recording(path)
+        recording = Recording(named, MappedFile(path, named))
     except NotARecording as error:
-        return _nothing(path, error)
+        return _nothing(named, error)
     except RecordingError as error:
-        not_opened = without_path(error, path)
+        not_opened = without_path(error, named)
     try:
         found = scan(path, problems)
     except NotARecording as error:  # it was one a moment ago
-        return _nothing(path, error)
+        return _nothing(named, error)
     end = read_end(found, problems)
     provenance = _attached(Provenance, recording and recording.provenance, found, PROVENANCE, problems)
     if provenance is None:
@@ -97,10 +137,10 @@ def examine(path: str | Path, *, verify: bool = True) -> Integrity:
     if recording is None and not problems.kinds():
         problems.add(Kind.stream, not_opened)
     found.close()  # many files are examined before any of them is reported
-    return Integrity(path, problems, recording, not_opened, found, provenance, simulation, end, complete=verify)
+    return Integrity(named, problems, recording, not_opened, found, provenance, simulation, end, complete=verify)
 
 
-def _nothing(path: Path, error: NotARecording) -> Integrity:
+def _nothing(path: Place, error: RecordingError) -> Integrity:
     problems = Problems()
     problems.add(Kind.not_a_recording, str(error))
     problems.skip(str(error), *Kind)

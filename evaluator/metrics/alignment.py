@@ -4,26 +4,32 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
 import numpy.typing as npt
 
 from evaluator.metrics.variability import CM_PER_M
-from evaluator.transport.pair import planar_array, wasserstein1
+from evaluator.transport.pair import wasserstein1
+from evaluator.transport.points import planar_array
 
 
 @dataclass(frozen=True)
 class Gap:
     """Distance between simulated and real outcomes.
 
-    value_cm    W1 between all simulated and all real points [cm]
-    exactness   "exact": the optimum up to float64 rounding
-    method      the solver that produced it
-    extension   what goes beyond the published definition; None where nothing does
+    value_cm         W1 between all simulated and all real points [cm]; the upper bound where there
+                     are bounds
+    exactness        "exact": the optimum up to float64 rounding; "certified": between bounds
+    method           the solver that produced it
+    extension        what goes beyond the published definition; None where nothing does
+    low_cm, high_cm  W1 is between them [cm]; both the value where it is exact
     """
 
     value_cm: float
     exactness: str
     method: str
     extension: str | None
+    low_cm: float
+    high_cm: float
 
 
 def sim_to_real_gap(simulated: npt.ArrayLike, real: npt.ArrayLike) -> Gap:
@@ -49,4 +55,22 @@ def sim_to_real_gap(simulated: npt.ArrayLike, real: npt.ArrayLike) -> Gap:
             f"different scenes: {simulated.shape[1]} simulated items per env, {real.shape[1]} real items per trial"
         )
     transport = wasserstein1(simulated.reshape(-1, 2), real.reshape(-1, 2))
-    return Gap(transport.value * CM_PER_M, transport.exactness, transport.method, transport.extension)
+    return Gap(
+        value_cm=transport.value * CM_PER_M,
+        exactness=transport.exactness,
+        method=transport.method,
+        extension=transport.extension,
+        low_cm=transport.low * CM_PER_M,
+        high_cm=transport.high * CM_PER_M,
+    )
+
+
+@dataclass(frozen=True)
+class GapTo:
+    """The gap between a run and these real positions [m], shape [n_trial, n_item, 2]."""
+
+    real: npt.NDArray[np.float64]
+
+    def __call__(self, simulated: npt.NDArray[np.float64]) -> Gap:
+        """Of one run, as sim_to_real_gap."""
+        return sim_to_real_gap(simulated, self.real)

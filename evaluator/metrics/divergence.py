@@ -10,6 +10,9 @@ import numpy.typing as npt
 
 _WORDS = {2: np.uint16, 4: np.uint32, 8: np.uint64}
 
+FIT_LIMIT_M = 1e-3
+"""Beyond a millimetre, bodies have met others that they would not have met."""
+
 MIN_FIT_POINTS = 5
 """A line through fewer points says nothing of whether it is one."""
 

@@ -1,9 +1,13 @@
-"""Bit-identity: which samples are the same bytes."""
+"""Bit-identity: which samples are the same bytes, and since when they are not."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 import numpy.typing as npt
+
+from evaluator.metrics.divergence import by_first_appearance
 
 
 def bitwise_classes(samples: npt.ArrayLike) -> npt.NDArray[np.int64]:
@@ -34,3 +38,54 @@ def bitwise_classes(samples: npt.ArrayLike) -> npt.NDArray[np.int64]:
 def count_distinct(samples: npt.ArrayLike) -> int:
     """Number of bitwise different samples (see `bitwise_classes`), shape [n_sample, ...]."""
     return int(bitwise_classes(samples).max(initial=-1)) + 1
+
+
+@dataclass(frozen=True)
+class DistinctOverTime:
+    """How many samples are different, row by row.
+
+    instant    distinct samples at that row alone, shape [row]; falls where samples meet again
+    histories  distinct samples by all rows up to that one, shape [row]; never falls
+    classes    class of every sample by all rows, shape [sample]
+    """
+
+    instant: npt.NDArray[np.int64]
+    histories: npt.NDArray[np.int64]
+    classes: npt.NDArray[np.int64]
+
+    @property
+    def changes(self) -> npt.NDArray[np.int64]:
+        """Rows at which either count is not what it was at the row before, and row 0, shape [change]."""
+        both = np.stack([self.instant, self.histories], axis=1)
+        moved = (both[1:] != both[:-1]).any(axis=1)
+        return np.flatnonzero(np.concatenate([np.ones(min(len(both), 1), dtype=bool), moved]))
+
+
+def distinct_over_time(hashes: npt.NDArray[np.uint64]) -> DistinctOverTime:
+    """Count distinct samples at each row and along their histories.
+
+    Exact on the hashes: two samples share a history where they share a class so far and this row's hashes. Time grows
+    as row * sample * log(sample); memory beyond the hashes as sample.
+
+    Args:
+        hashes: of envs [row, env], or of runs, env by env [row, run, env].
+
+    Raises:
+        ValueError: another number of axes, or no samples.
+    """
+    if hashes.ndim not in (2, 3) or hashes.shape[1] == 0:
+        raise ValueError(f"hashes must have shape [row, env] or [row, run, env], got {list(hashes.shape)}")
+    n_row, n_sample = hashes.shape[:2]
+    instant = np.ones(n_row, dtype=np.int64)
+    histories = np.ones(n_row, dtype=np.int64)
+    classes = np.zeros(n_sample, dtype=np.int64)
+    count = 1
+    for row, now in enumerate(hashes):
+        if (now != now[:1]).any():
+            labels = by_first_appearance(now) if now.ndim == 1 else bitwise_classes(now)
+            instant[row] = labels.max() + 1
+            if count < n_sample:
+                classes = by_first_appearance((classes * n_sample + labels).astype(np.uint64))
+                count = int(classes.max()) + 1
+        histories[row] = count
+    return DistinctOverTime(instant, histories, classes)

@@ -7,6 +7,9 @@ from enum import IntEnum
 
 DECIMALS_CM = 2
 
+PRESENT_FROM_CM = 0.005
+"""The smallest float64 that does not round to 0.00 cm: `is_present(v)` is v >= this."""
+
 
 class Regime(IntEnum):
     """Published type, by which of the two variabilities is present."""

@@ -22,15 +22,14 @@ from evaluator.groups import shown_status, status_notes
 from evaluator.metrics.density import Density, marginal
 from evaluator.metrics.radar import Axis
 from evaluator.metrics.regime import REGIME_MEANING
-from evaluator.recording import Recording
 from evaluator.report import numbers, words
+from evaluator.report.fidelity import fidelity_html
 from evaluator.report.figures import density_map, lines, matrix, palette, radar_chart
 from evaluator.report.scaling import beside_published, scene_sweeps
 from evaluator.report.text import printable
 from evaluator.results import Evaluation, GroupResult, Map, Metric, Reference
-from evaluator.scene import board_of
+from evaluator.summary import Summary
 from evaluator.sweeps import SOURCES, swept_only
-from schemas.errors import DamagedRecording
 from schemas.provenance import Deviation
 
 _TEMPLATE = "report.html.j2"
@@ -115,6 +114,7 @@ def render_html(evaluation: Evaluation, *, published: bool, command: str) -> str
             results=evaluation.results,
             recordings=[(r.label, one) for r in evaluation.results for one in r.group.recordings],
             problems=list(_problems(evaluation)),
+            physics=fidelity_html([r.fidelity for r in shown]),
             notes=[("", note) for note in evaluation.notes] + notes,
             maps=list(_maps(evaluation, shown)),
             shown=shown,
@@ -239,10 +239,7 @@ def _why_no_cloud(result: GroupResult, evaluation: Evaluation) -> str:
 
 def _board(result: GroupResult) -> density_map.Outline | None:
     """The board that the scene names, where its description can be read."""
-    try:
-        board = board_of(result.group.recordings[0]) if result.group.recordings else None
-    except DamagedRecording:  # of a run that failed; no metric is computed from it
-        return None
+    board = result.group.recordings[0].board if result.group.recordings else None
     if board is None:
         return None
     (x, y), (length, width) = board.centre[:2], board.size[:2]
@@ -252,7 +249,8 @@ def _board(result: GroupResult) -> density_map.Outline | None:
 def _matrix(result: GroupResult, values: NDArray[np.float64] | None, of: str, name: str) -> Picture:
     if values is None:
         metric = result.metrics.get(name)
-        why_not = metric.why_not if metric and metric.why_not else "it was not computed"
+        why_not = (metric.why_not or metric.extra.get("no_matrix")) if metric else ""
+        why_not = why_not or "it was not computed"
         return Picture(result.label, f"No matrix: {why_not}.", None)
     svg = Markup(matrix.matrix_map(values, of=of, name=result.label))
     return Picture(result.label, matrix.caption(values, of=of), svg)
@@ -272,9 +270,9 @@ def _simulation_of(result: GroupResult) -> Any:
     return next((r.simulation for r in result.group.recordings if r.simulation), None)
 
 
-def _origins(result: GroupResult) -> list[tuple[str, Recording]]:
+def _origins(result: GroupResult) -> list[tuple[str, Summary]]:
     """One recording for each machine and software that the group's runs come from, with those runs' indices."""
-    alike: dict[str, list[Recording]] = {}
+    alike: dict[str, list[Summary]] = {}
     for recording in result.group.recordings:
         p = recording.provenance
         alike.setdefault(repr((p.host, p.gpus, p.software, p.environment)), []).append(recording)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import fields, is_dataclass
-from pathlib import Path
 from typing import Any
 
 from evaluator.document import dump
@@ -12,11 +11,12 @@ from evaluator.inspection import Inspection
 from evaluator.plain import plain
 from schemas import __version__
 from schemas.errors import GsbError
+from schemas.location import Place
 
 SCHEMA_VERSION = 1
 
 
-def dump_info(found: Sequence[Inspection], unreadable: Sequence[tuple[Path, GsbError]]) -> str:
+def dump_info(found: Sequence[Inspection], unreadable: Sequence[tuple[Place, GsbError]]) -> str:
     """A JSON document with an object for each file, those that are no recordings with their error."""
     files: list[Any] = [_file(one) for one in found]
     files += [{"path": str(path), "status": "unreadable", "reason": str(error)} for path, error in unreadable]

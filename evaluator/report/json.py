@@ -7,8 +7,9 @@ from typing import Any
 
 from evaluator.document import dump, values_of
 from evaluator.metrics.memory_model import MemoryModel
-from evaluator.recording import Recording
+from evaluator.report.fidelity import fidelity_record
 from evaluator.results import SCHEMA_VERSION, Evaluation, GroupResult, Metric
+from evaluator.summary import Summary
 from evaluator.sweeps import SOURCES, Sweep, SweepPoint
 from evaluator.validity import Validity
 
@@ -67,6 +68,7 @@ def _group(result: GroupResult) -> dict[str, Any]:
         "runs": result.group.outcomes,
         "metrics": {name: _metric(metric) for name, metric in result.metrics.items()},
         "validity": _validity(result.validity),
+        "physics": fidelity_record(result.fidelity),
         "deviations": [vars(d) for d in _deviations(result)],
         "notes": list(result.notes),
     }
@@ -146,7 +148,7 @@ def _metric(metric: Metric) -> dict[str, Any]:
     }
 
 
-def _recording(recording: Recording) -> dict[str, Any]:
+def _recording(recording: Summary) -> dict[str, Any]:
     return {
         "file": str(recording.path),
         "content_hash": recording.content_hash or None,

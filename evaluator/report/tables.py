@@ -8,6 +8,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from evaluator.fidelity import Verdict
 from evaluator.metrics.regime import REGIME_MEANING
 from evaluator.report import words
 from evaluator.report.console import make_console, plain_table
@@ -18,7 +19,13 @@ from evaluator.results import Evaluation, GroupResult, Metric
 from evaluator.sweeps import swept_only
 
 _COLUMNS = 4
-_UNSHOWN = ("allocator_peak", "build_time", "compile_time", "capture_slowdown")  # no row of dashes, so no reason
+_UNSHOWN = (
+    "allocator_peak",
+    "build_time",
+    "compile_time",
+    "capture_slowdown",
+    "divergence_rate",
+)  # no row of dashes, so no reason
 
 
 def print_tables(evaluation: Evaluation, stream: IO[str]) -> None:
@@ -59,6 +66,8 @@ def _print_scene(console: Console, evaluation: Evaluation, scene: str, results: 
         floors = [m.extra.get("floor", {}) for m in found]
         if any("p_value" in f for f in floors):
             row("  floor of one law; p", [_floor(f) for f in floors])
+        if any("energy_p_value" in f for f in floors):
+            row("  energy distance; p", [_energy(f) for f in floors])
 
     row("version", [r.group.key.version or NONE for r in results])
     row("device", [r.group.key.device or NONE for r in results])
@@ -72,9 +81,13 @@ def _print_scene(console: Console, evaluation: Evaluation, scene: str, results: 
     both("W1 to reference [cm]", "w1_real")
     row("distinct envs, bitwise", [_of(r.metrics["distinct_envs"]) for r in results])
     row("distinct runs, bitwise", [_of(r.metrics["distinct_runs"]) for r in results])
+    told("envs are", [words.equality(r.metrics["equality_envs"]) for r in results])
+    told("runs are", [words.equality(r.metrics["equality_runs"]) for r in results])
+    told("envs part: doubling time [s]", [words.doubling(r.metrics["divergence_rate"]) for r in results])
     both("cubes off the board per env", "left_board")
     both("cubes sunk per env", "sank")
-    row("published type", [_regime(r.metrics["regime_published"]) for r in results])
+    told("checks of mechanics held", [words.mechanics(r.fidelity) for r in results])
+    row("published type", [words.regime(r.metrics["regime_published"]) for r in results])
     row("capture changed the states", [_capture(r.metrics["capture_changes_states"]) for r in results])
     told("captured / timed step; standing still", [words.capturing(r.metrics) for r in results])
     told("contacts per env: mean / max", [words.counted(r.validity.of("contacts")) for r in results])
@@ -93,20 +106,38 @@ def _floor(floor: dict[str, float]) -> str:
     return f"{distance(floor['floor_mean_cm'])}; {floor['p_value']:.2g}"
 
 
+def _energy(floor: dict[str, float]) -> str:
+    if "energy_p_value" not in floor:
+        return NONE
+    return f"{distance(floor['energy_cm'])}; {floor['energy_p_value']:.2g}"
+
+
 def _of(metric: Metric) -> str:
     return NONE if metric.value is None else f"{metric.value:.0f} of {metric.n}"
-
-
-def _regime(metric: Metric) -> str:
-    return NONE if metric.value is None else str(int(metric.value))
 
 
 def _legend(results: list[GroupResult]) -> list[str]:
     found = {int(m.value) for r in results if (m := r.metrics["regime_published"]).value is not None}
     lines = [f"type {number}: {REGIME_MEANING[number]}" for number in sorted(found)]
+    lines += _agreement(results)
+    if any(r.fidelity.of(Verdict.BROKEN) for r in results):
+        lines.append("which checks of mechanics are broken, and by how much: --physics")
     if any(r.metrics["capture_slowdown"].value is not None for r in results):
         lines.append("captured and timed steps are other steps of the scene: a difference in contacts counts as well")
     return lines
+
+
+def _agreement(results: list[GroupResult]) -> list[str]:
+    # runs that all agree leave a resampling nothing to find
+    bounds: dict[int, float] = {}
+    for result in results:
+        found = result.metrics["regime_published"].extra
+        if found.get("agreement"):
+            bounds[len(result.group.complete)] = found["run_differs_below"]
+    return [
+        f"{count} runs that all agree: another one differs with a probability below {bound:.0%} (95 %)"
+        for count, bound in sorted(bounds.items())
+    ]
 
 
 def _capture(metric: Metric) -> str:

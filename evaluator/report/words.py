@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from statistics import median
 
-from evaluator.groups import Group, shown_status
+from evaluator.fidelity import Fidelity, Verdict
+from evaluator.groups import Described, Group, shown_status
 from evaluator.metrics.memory_model import MemoryModel
 from evaluator.report.numbers import NONE
 from evaluator.results import Metric
@@ -13,7 +15,7 @@ from evaluator.validity import BufferUse, Counted, OverflowSeen, Validity
 BYTES = {"GB": 1e9, "MB": 1e6}
 
 
-def trouble(group: Group) -> str:
+def trouble(group: Group[Described]) -> str:
     """Runs that are not complete, by how they ended: "2 INVALID (buffer), 1 failed"; empty where all are complete."""
     found: dict[str, int] = {}
     for recording in group.recordings:
@@ -107,3 +109,44 @@ def model(found: MemoryModel) -> str:
 def shortened(text: str, length: int = 160) -> str:
     """A reason for a table; the whole of it stands in JSON and HTML."""
     return text if len(text) <= length else f"{text[: length - 3]}..."
+
+
+def equality(metric: Metric) -> str:
+    """A level of equality with the difference that it rests on; a dash where there is none."""
+    if metric.value is None:
+        return NONE
+    worst = metric.extra["worst"]
+    return f"{metric.extra['text']}, {_length(worst['difference'])} apart" if worst else str(metric.extra["text"])
+
+
+def _length(metres: float) -> str:
+    return (
+        f"{metres:.2g} m" if metres >= 1 else f"{metres * 1000:.2g} mm" if metres >= 1e-6 else f"{metres * 1e9:.2g} nm"
+    )
+
+
+def mechanics(fidelity: Fidelity) -> str:
+    """How many of the checks that could be made hold; a dash where none could."""
+    held, broken = len(fidelity.of(Verdict.HELD)), len(fidelity.of(Verdict.BROKEN))
+    return f"{held} of {held + broken}" if held + broken else NONE
+
+
+def doubling(metric: Metric) -> str:
+    """How long a distance takes to double, as the median of the runs; a dash where nothing was fitted."""
+    times = [time for time in metric.extra.get("doubling_time_s", ()) if time is not None]
+    return f"{median(times):.2g}" if times else NONE
+
+
+def regime(metric: Metric) -> str:
+    """A published type with how often another sample of as many runs would have it; a dash where there is none."""
+    if metric.value is None:
+        return NONE
+    number = int(metric.value)
+    if metric.extra.get("agreement"):
+        return f"{number} (all runs agree)"
+    again = metric.extra.get("probabilities")
+    if not again:
+        return str(number)
+    return (
+        f"{number} (in {'all' if again[number - 1] == 1 else format(again[number - 1], '.0%') + ' of the'} resamples)"
+    )

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 from evaluator.integrity import Integrity
@@ -12,6 +11,7 @@ from evaluator.rules.facts import Unknown, applies, fact_of, point_of
 from evaluator.rules.predicates import FILE_PREDICATES, SET_PREDICATES
 from evaluator.rules.rule import Level, Rule, RuleSet, Scope
 from schemas.errors import ExitCode
+from schemas.location import Place
 
 
 @dataclass(frozen=True)
@@ -24,7 +24,7 @@ class Finding:
     """
 
     rule: Rule
-    files: tuple[Path, ...]
+    files: tuple[Place, ...]
     of: str
     found: str
 
@@ -34,7 +34,7 @@ class Unchecked:
     """A rule that could not be asked of a file, and why."""
 
     rule: Rule
-    file: Path
+    file: Place
     reason: str
 
 
@@ -46,7 +46,7 @@ class Checked:
     held    rules that hold
     """
 
-    path: Path
+    path: Place
     status: str
     reason: str
     what: str

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
 import numpy.typing as npt
 
+from evaluator.mapping import Mapper, serial
 from evaluator.metrics.identity import bitwise_classes
-from evaluator.transport.pair import in_canonical_order, point_array, wasserstein1
+from evaluator.transport.pair import Transport, wasserstein1
+from evaluator.transport.points import in_canonical_order, point_array
 
 # Arrangements that are equal in exact arithmetic may differ in the last bits; they count as ties.
 _TIE = 1e-9
@@ -39,7 +40,27 @@ class PermutationFloor:
     extension: str | None = None
 
 
-def permutation_floor(a: npt.ArrayLike, b: npt.ArrayLike, *, n_permutation: int, seed: int) -> PermutationFloor:
+@dataclass(frozen=True)
+class Dealt:
+    """W1 between the two sides of a deal, all points of a side pooled.
+
+    envs     positions [any length unit], shape [n_env, n_item, d]
+    on_side  envs on the first side
+    """
+
+    envs: npt.NDArray[np.float64]
+    on_side: int
+
+    def __call__(self, deal: npt.NDArray[np.int64]) -> float:
+        """Of all envs in some order, shape [n_env]; ValueError where the distance is only known between bounds."""
+        # Sides that were dealt are samples of one law, whatever the envs are.
+        sides = _pooled(self.envs[deal[: self.on_side]]), _pooled(self.envs[deal[self.on_side :]])
+        return _exact(wasserstein1(*sides, alike=True))
+
+
+def permutation_floor(
+    a: npt.ArrayLike, b: npt.ArrayLike, *, n_permutation: int, seed: int, mapper: Mapper = serial
+) -> PermutationFloor:
     """W1 between the pooled points of two groups of envs, with its permutation floor.
 
     W1 between finite samples is positive even where the laws agree, the more so the fewer the
@@ -53,7 +74,8 @@ def permutation_floor(a: npt.ArrayLike, b: npt.ArrayLike, *, n_permutation: int,
         a: positions [any length unit], shape [n_env_a, n_item, d].
         b: positions [same unit], shape [n_env_b, n_item, d].
         n_permutation: permutations to draw, at least 1.
-        seed: seed of the draw.
+        seed: seed of the draw; all are drawn before any is solved.
+        mapper: makes the distances of those that differ.
 
     Raises:
         ValueError: no permutations; shapes of items differ; positions empty or not finite.
@@ -63,10 +85,8 @@ def permutation_floor(a: npt.ArrayLike, b: npt.ArrayLike, *, n_permutation: int,
     a, b = _sides(a, b)
     rng = np.random.default_rng(seed)
     order = np.arange(len(a) + len(b))
-    observed, extension, between = _exchange(a, b)
-    floor = np.empty(n_permutation)
-    for i in range(n_permutation):
-        floor[i] = between(rng.permutation(order))
+    deals = np.array([rng.permutation(order) for _ in range(n_permutation)])
+    observed, extension, floor = _exchange(a, b, deals, mapper)
     return PermutationFloor(
         observed=observed,
         floor_mean=float(floor.mean()),
@@ -83,7 +103,7 @@ def arrangements(a: int, b: int) -> int:
     return math.comb(a + b, a) // (2 if a == b else 1)
 
 
-def exhaustive_floor(a: npt.ArrayLike, b: npt.ArrayLike) -> PermutationFloor:
+def exhaustive_floor(a: npt.ArrayLike, b: npt.ArrayLike, *, mapper: Mapper = serial) -> PermutationFloor:
     """The same over all `arrangements`, the observed one among them: nothing is left to the draw.
 
         p = #{W1 >= observed} / number of arrangements
@@ -91,17 +111,18 @@ def exhaustive_floor(a: npt.ArrayLike, b: npt.ArrayLike) -> PermutationFloor:
     Args:
         a: positions [any length unit], shape [n_env_a, n_item, d].
         b: positions [same unit], shape [n_env_b, n_item, d].
+        mapper: as in permutation_floor.
 
     Raises:
         ValueError: shapes of items differ; positions empty or not finite.
     """
     a, b = _sides(a, b)
     count = len(a) + len(b)
-    observed, extension, between = _exchange(a, b)
-    deals = combinations(range(count), len(a))
+    sides = combinations(range(count), len(a))
     # of two equal sides, the one with env 0
-    kept = [deal for deal in deals if len(a) != len(b) or deal[0] == 0]
-    floor = np.array([between(np.array([*deal, *sorted(set(range(count)) - set(deal))])) for deal in kept])
+    kept = [side for side in sides if len(a) != len(b) or side[0] == 0]
+    deals = np.array([[*side, *sorted(set(range(count)) - set(side))] for side in kept])
+    observed, extension, floor = _exchange(a, b, deals, mapper)
     return PermutationFloor(
         observed=observed,
         floor_mean=float(floor.mean()),
@@ -121,28 +142,34 @@ def _sides(a: npt.ArrayLike, b: npt.ArrayLike) -> tuple[npt.NDArray[np.float64],
 
 
 def _exchange(
-    a: npt.NDArray[np.float64], b: npt.NDArray[np.float64]
-) -> tuple[float, str | None, Callable[[npt.NDArray[np.int64]], float]]:
-    """The observed W1, its extension, and W1 by the order in which all envs are dealt."""
+    a: npt.NDArray[np.float64], b: npt.NDArray[np.float64], deals: npt.NDArray[np.int64], mapper: Mapper
+) -> tuple[float, str | None, npt.NDArray[np.float64]]:
+    """The observed W1, its extension, and the W1 of each deal, shape [n_deal]."""
     envs = in_canonical_order(np.concatenate([a, b]))
     classes = bitwise_classes(envs)
     if classes.max() == 0:
         # One point set throughout: every exchange gives zero, as observed.
-        return 0.0, None, lambda dealt: 0.0
+        return 0.0, None, np.zeros(len(deals))
+    observed = wasserstein1(_pooled(a), _pooled(b))
+    known = {_arrangement(classes, len(a)): _exact(observed)}
+    keys = [_arrangement(classes[deal], len(a)) for deal in deals]
+    new = {key: i for i, key in reversed(list(enumerate(keys))) if key not in known}
+    if new:
+        chosen = sorted(new.values())
+        known.update(zip((keys[i] for i in chosen), mapper(Dealt(envs, len(a)), deals[chosen]), strict=True))
+    return observed.value, observed.extension, np.array([known[key] for key in keys])
 
-    known: dict[bytes, float] = {}
 
-    def between(dealt: npt.NDArray[np.int64]) -> float:
-        # Identical envs are interchangeable: an arrangement is which classes a side holds.
-        side, other = dealt[: len(a)], dealt[len(a) :]
-        key = np.sort(classes[side]).tobytes()
-        if key not in known:
-            known[key] = wasserstein1(_pooled(envs[side]), _pooled(envs[other])).value
-        return known[key]
+def _arrangement(dealt: npt.NDArray[np.int64], on_side: int) -> bytes:
+    # Identical envs are interchangeable, and so are sides of one size: it matters which classes are together.
+    side, other = np.sort(dealt[:on_side]).tobytes(), np.sort(dealt[on_side:]).tobytes()
+    return min(side, other) if len(side) == len(other) else side
 
-    first = wasserstein1(_pooled(a), _pooled(b))
-    known[np.sort(classes[: len(a)]).tobytes()] = first.value
-    return first.value, first.extension, between
+
+def _exact(found: Transport) -> float:
+    if found.exactness != "exact":
+        raise ValueError("too many points a side: bounds of W1 cannot be ranked as its values can")
+    return found.value
 
 
 def _reached(floor: npt.NDArray[np.float64], observed: float) -> int:

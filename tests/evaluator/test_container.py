@@ -57,7 +57,7 @@ def test_rewritten_by_another_tool(tmp_path: Path, compression: str) -> None:
     """Keep arrays, status and identity when another writer copies the messages into other chunks."""
     original = write_recording(tmp_path, grid(3))
     copy = tmp_path / "copy.mcap"
-    _rewrite(original, copy, CompressionType[compression.upper()], chunk_size=700)
+    rewrite(original, copy, CompressionType[compression.upper()], chunk_size=700)
     a, b = open_recording(original), open_recording(copy)
     b.verify()
     assert a.content_hash == b.content_hash
@@ -68,11 +68,12 @@ def test_without_chunks_or_indexes(tmp_path: Path) -> None:
     """Read a file that has neither chunks nor message indexes."""
     original = write_recording(tmp_path, grid(2))
     copy = tmp_path / "flat.mcap"
-    _rewrite(original, copy, CompressionType.NONE, use_chunking=False)
+    rewrite(original, copy, CompressionType.NONE, use_chunking=False)
     open_recording(copy).verify()
 
 
-def _rewrite(source: Path, target: Path, compression: CompressionType, **options: object) -> None:
+def rewrite(source: Path, target: Path, compression: CompressionType, **options: object) -> None:
+    """Copy a recording as the official library writes it."""
     with source.open("rb") as stream, target.open("wb") as out:
         reader = make_reader(stream)
         writer = Writer(out, compression=compression, **options)  # type: ignore[arg-type]

@@ -14,15 +14,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from evaluator import published
+from evaluator import group_metrics, published
 from evaluator.comparison import Comparison, Contender
-from evaluator.evaluate import evaluate
+from evaluator.evaluate import evaluate_files
+from evaluator.metrics import variability
 from evaluator.metrics.density import HexGrid, marginal
 from evaluator.metrics.guidelines import guidelines
 from evaluator.metrics.radar import SimulatorResult, radar
-from evaluator.recording import Recording, Unreadable
+from evaluator.reading import Unreadable
+from evaluator.recording import Recording
 from evaluator.report.html import render_html, write_html
 from evaluator.results import Cloud, Evaluation, GroupResult, Map, Metric, Reference, not_computed
+from evaluator.summary import Summary, summarise
 from schemas.errors import DamagedRecording
 from tests.synthetic import write_recording, write_sweep
 
@@ -69,7 +72,7 @@ class Page(HTMLParser):
 
 
 @pytest.fixture(scope="module")
-def recorded(tmp_path_factory: pytest.TempPathFactory) -> Recording:
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> Summary:
     """A small recording of MuJoCo."""
     pytest.importorskip("mujoco")
     out = tmp_path_factory.mktemp("html")
@@ -78,7 +81,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Recording:
         [sys.executable, "-m", "recorder.cli", "--sim", "mujoco", *wanted, "--out", str(out)],
         check=True, cwd=ROOT, env={**os.environ, "PYTHONPATH": str(ROOT)}, capture_output=True,
     )  # fmt: skip
-    return Recording(next(out.glob("*.mcap")))
+    return summarise(Recording(next(out.glob("*.mcap"))))
 
 
 def cloud(positions: np.ndarray) -> Cloud:
@@ -112,15 +115,15 @@ def result(base: GroupResult, label: str, seed: int, *, off_map: int = 0) -> Gro
     ]
     return GroupResult(
         group=base.group, label=label, metrics={m.name: m for m in made}, cloud=cloud(positions),
-        parallel_matrix=half + half.T, run_matrix=np.zeros((3, 3)), validity=base.validity,
+        parallel_matrix=half + half.T, run_matrix=np.zeros((3, 3)), validity=base.validity, fidelity=base.fidelity,
         notes=(f"a note on {label}",),
     )  # fmt: skip
 
 
 @pytest.fixture(scope="module")
-def alone(recorded: Recording) -> Evaluation:
+def alone(recorded: Summary) -> Evaluation:
     """One real group and no reference, sampled at a step that was recorded."""
-    return evaluate([recorded], sample_time=0.1)
+    return evaluate_files([recorded.path], sample_time=0.1)
 
 
 @pytest.fixture(scope="module")
@@ -250,10 +253,9 @@ def test_maps_share_one_colour_scale(several: Evaluation) -> None:
     assert len(tops) == 1  # and one for the marginals
 
 
-def test_problems_stand_above_the_results(several: Evaluation, recorded: Recording) -> None:
+def test_problems_stand_above_the_results(several: Evaluation, recorded: Summary) -> None:
     """Name files that were damaged, failed or cut short, with their reasons, before any table."""
-    failed = Recording(recorded.path)
-    failed.status, failed.reason = "failed", "the engine ran out of memory"
+    failed = replace(recorded, status="failed", reason="the engine ran out of memory")
     base = several.results[0]
     bad = replace(base, group=replace(base.group, recordings=(failed,)))
     text = Page(render(replace(several, results=(bad, *several.results[1:])))).text
@@ -265,19 +267,22 @@ def test_problems_stand_above_the_results(several: Evaluation, recorded: Recordi
     assert "Files with problems" not in Page(render(replace(several, unreadable=()))).text
 
 
-def test_hostile_text_stays_text(several: Evaluation, recorded: Recording) -> None:
+def test_hostile_text_stays_text(several: Evaluation, recorded: Summary) -> None:
     """Let nothing that a file says become an element or an attribute."""
-    hostile = Recording(recorded.path)
-    hostile.status, hostile.reason, hostile.content_hash = "failed", HOSTILE, HOSTILE
-    hostile.path = Path(f"{HOSTILE.replace('/', '|')}\udcff.mcap")
-    assert hostile.simulation is not None
-    deviation = replace(hostile.simulation.deviations[0], parameter=HOSTILE, reason=HOSTILE, used=HOSTILE)
-    hostile.simulation = replace(
-        hostile.simulation, version=HOSTILE, deviations=(deviation,), options={HOSTILE: {HOSTILE: [HOSTILE, "\x00"]}}
-    )
-    hostile.provenance = replace(
-        hostile.provenance, argv=(HOSTILE,), host={"cpu": HOSTILE}, gpus=({"name": HOSTILE},), created_utc=HOSTILE
-    )
+    assert recorded.simulation is not None
+    deviation = replace(recorded.simulation.deviations[0], parameter=HOSTILE, reason=HOSTILE, used=HOSTILE)
+    hostile = replace(
+        recorded, status="failed", reason=HOSTILE, content_hash=HOSTILE,
+        path=Path(f"{HOSTILE.replace('/', '|')}\udcff.mcap"),
+        simulation=replace(
+            recorded.simulation, version=HOSTILE, deviations=(deviation,),
+            options={HOSTILE: {HOSTILE: [HOSTILE, "\x00"]}},
+        ),
+        provenance=replace(
+            recorded.provenance, argv=(HOSTILE,), host={"cpu": HOSTILE}, gpus=({"name": HOSTILE},),
+            created_utc=HOSTILE,
+        ),
+    )  # fmt: skip
     base = several.results[0]
     group = replace(base.group, recordings=(hostile,), key=replace(base.group.key, scene=HOSTILE, version=HOSTILE))
     metrics = {**base.metrics, "fps": not_computed("fps", HOSTILE, "higher", HOSTILE)}
@@ -315,7 +320,7 @@ def test_deviations_are_in_sight(alone: Evaluation) -> None:
         assert deviation.reason in shown
 
 
-def test_provenance_is_complete(alone: Evaluation, recorded: Recording) -> None:
+def test_provenance_is_complete(alone: Evaluation, recorded: Summary) -> None:
     """Show the machine, the software, the switches and the recording's full hash."""
     text = render(alone)
     page = Page(text)
@@ -394,7 +399,7 @@ def swept(tmp_path_factory: pytest.TempPathFactory) -> Evaluation:
     folder = tmp_path_factory.mktemp("swept")
     write_sweep(folder, (1, 4, 16), simulator="one", scene="free-fall", fails=16)
     write_sweep(folder, (1, 4, 16), simulator="two", scene="free-fall", allocator_peak=3 * 10**9)
-    return evaluate([Recording(f) for f in sorted(folder.glob("*.mcap"))])
+    return evaluate_files(sorted(folder.glob("*.mcap")))
 
 
 def test_scaling_is_drawn_and_tabulated(swept: Evaluation) -> None:
@@ -427,7 +432,7 @@ def test_hostile_sweeps_stay_text(tmp_path: Path) -> None:
             tmp_path, None, n_env=n_env, simulator=HOSTILE, name=f"{n_env}.mcap", gpu_bytes=(1, 10**9 * n_env),
             status="FAILED" if n_env == 4 else "COMPLETE", reason=HOSTILE, cause="ENGINE" if n_env == 4 else "",
         )  # fmt: skip
-    text = render(evaluate([Recording(f) for f in sorted(tmp_path.glob("*.mcap"))]), published=True)
+    text = render(evaluate_files(sorted(tmp_path.glob("*.mcap"))), published=True)
     assert "<script" not in text
     assert Page(text).text.count(HOSTILE) > 3
     assert len(pictures(text)) == text.count("<svg")
@@ -436,3 +441,18 @@ def test_hostile_sweeps_stay_text(tmp_path: Path) -> None:
 def test_same_evaluation_gives_the_same_page(several: Evaluation) -> None:
     """Render without clock, chance or order of a set."""
     assert render(several) == render(several)
+
+
+def test_too_many_environments_for_a_matrix(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Give the mean without a matrix, and say why there is none."""
+    final = np.random.default_rng(0).uniform(0.0, 0.1, size=(4, 27, 3))
+    path = write_recording(tmp_path, final, n_env=4)
+    with_matrix = evaluate_files([path]).results[0]
+    for module in (variability, group_metrics):
+        monkeypatch.setattr(module, "MATRIX_ENVS", 3)
+    evaluation = evaluate_files([path])
+    without = evaluation.results[0]
+    assert with_matrix.parallel_matrix is not None
+    assert without.parallel_matrix is None
+    assert without.metrics["w1_parallel"].value == pytest.approx(with_matrix.metrics["w1_parallel"].value, rel=1e-12)
+    assert "No matrix: 4 environments are too many for one (limit: 3)." in Page(render(evaluation)).text

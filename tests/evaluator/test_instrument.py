@@ -6,9 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from evaluator import open_recording
 from evaluator.comparison import Comparison
-from evaluator.evaluate import evaluate
+from evaluator.evaluate import evaluate_files
 from tests.synthetic import grid, write_recording, write_sweep
 
 NOTE = "radar and guidelines leave out instruments: control"
@@ -16,7 +15,7 @@ NOTE = "radar and guidelines leave out instruments: control"
 
 def compared(folder: Path) -> Comparison:
     """All recordings of a folder."""
-    return evaluate([open_recording(f) for f in sorted(folder.glob("*.mcap"))]).comparison
+    return evaluate_files(sorted(folder.glob("*.mcap"))).comparison
 
 
 @pytest.mark.parametrize("swept", [False, True], ids=["groups", "sweeps"])

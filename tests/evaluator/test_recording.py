@@ -71,8 +71,8 @@ def test_out_of_bounds(opened: Opened) -> None:
 def test_one_step_reads_one_block(small: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Decode a single block to read a single step."""
     read: list[Any] = []
-    original = Container.read
-    monkeypatch.setattr(Container, "read", lambda self, m: read.append(m) or original(self, m))
+    original = Container.read_with_crc
+    monkeypatch.setattr(Container, "read_with_crc", lambda self, m: read.append(m) or original(self, m))
     array = open_recording(small).state("cubes", "position")
     read.clear()
     array.at_step(77)
@@ -127,7 +127,7 @@ def test_status_and_reason(tmp_path: Path) -> None:
 
 def test_a_changed_end_is_noticed(tmp_path: Path) -> None:
     """Refuse a file whose status was edited, even if every CRC was made right again."""
-    from tests.evaluator.test_container import _rewrite  # the official writer makes the CRCs right
+    from tests.evaluator.test_container import rewrite  # the official writer makes the CRCs right
 
     path = write_recording(tmp_path, grid(1), status="INVALID", reason="contacts were dropped")
     forged = tmp_path / "forged.mcap"
@@ -135,7 +135,7 @@ def test_a_changed_end_is_noticed(tmp_path: Path) -> None:
     copy = tmp_path / "copy.mcap"
     from mcap.writer import CompressionType
 
-    _rewrite(forged, copy, CompressionType.NONE)
+    rewrite(forged, copy, CompressionType.NONE)
     with pytest.raises(DamagedRecording, match="end record was changed"):
         open_recording(copy).verify()
 
@@ -144,12 +144,12 @@ def test_a_changed_number_is_noticed(tmp_path: Path) -> None:
     """Refuse changed provenance, even if every CRC was made right again."""
     from mcap.writer import CompressionType
 
-    from tests.evaluator.test_container import _rewrite
+    from tests.evaluator.test_container import rewrite
 
     path = write_recording(tmp_path, grid(1))
     forged = tmp_path / "forged.mcap"
     forged.write_bytes(path.read_bytes().replace(b'"n_env": 1', b'"n_env": 2'))
     copy = tmp_path / "copy.mcap"
-    _rewrite(forged, copy, CompressionType.NONE)
+    rewrite(forged, copy, CompressionType.NONE)
     with pytest.raises(DamagedRecording):
         open_recording(copy).verify()

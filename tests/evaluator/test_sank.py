@@ -11,8 +11,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from evaluator import open_recording
-from evaluator.evaluate import evaluate
+from evaluator.evaluate import evaluate_files
 from evaluator.metrics.sank import Sinking, Support, may_have_sunk
 from evaluator.results import Metric
 from tests.synthetic import grid, write_recording
@@ -72,7 +71,7 @@ def test_a_ground_plane_has_no_edge(x: float, y: float, above: float, below: flo
 
 def sank(path: Path) -> Metric:
     """The metric of one file."""
-    (result,) = evaluate([open_recording(path)]).results
+    (result,) = evaluate_files([path]).results
     return result.metrics["sank"]
 
 
@@ -94,7 +93,7 @@ def test_cubes_through_the_floor(tmp_path: Path, scene: str, left: float | None)
     assert found.extra == {
         "total": 3, "of": 54, "cubes": 27, "per_run": [3], "last_step": 6, "first_step": 3
     }  # fmt: skip
-    (result,) = evaluate([open_recording(path)]).results
+    (result,) = evaluate_files([path]).results
     assert "cubes through the floor: 1.5 of 27 per env by step 6, the first at step 3" in result.notes
 
 
@@ -108,7 +107,7 @@ def test_a_fall_over_the_edge_is_not_sinking(tmp_path: Path) -> None:
         rows[0, 0] = (0.6 + 0.05 * step, 0.0, 0.1)
         return rows
 
-    (result,) = evaluate([open_recording(write_recording(tmp_path, final, path_of=fall))]).results
+    (result,) = evaluate_files([write_recording(tmp_path, final, path_of=fall)]).results
     assert result.metrics["sank"].value == 0
     assert result.metrics["left_board"].value == 1
 

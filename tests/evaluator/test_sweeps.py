@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from evaluator import open_recording
-from evaluator.evaluate import evaluate
+from evaluator.evaluate import evaluate_files
 from evaluator.metrics.radar import Axis
 from evaluator.report.html import render_html
 from evaluator.report.tables import print_tables
@@ -25,7 +24,7 @@ SIZES = (1, 4, 16, 64, 256)
 
 def evaluated(folder: Path) -> Evaluation:
     """All recordings of a folder."""
-    return evaluate([open_recording(f) for f in sorted(folder.glob("*.mcap"))])
+    return evaluate_files(sorted(folder.glob("*.mcap")))
 
 
 def only(folder: Path) -> Sweep:

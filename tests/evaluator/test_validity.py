@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from evaluator import open_recording
-from evaluator.evaluate import evaluate
+from evaluator.evaluate import evaluate_files
 from evaluator.report import words
 from evaluator.report.html import render_html
 from evaluator.report.json import to_json
@@ -29,7 +29,7 @@ COUNTS = np.array([[2, 4], [6, 8], [0, 10]])
 
 def only(*files: Path) -> GroupResult:
     """The only group of some files."""
-    (result,) = evaluate([open_recording(f) for f in files]).results
+    (result,) = evaluate_files(files).results
     return result
 
 
@@ -111,7 +111,7 @@ def test_buffers(tmp_path: Path, per: str, needed: float) -> None:
     (use,) = result.validity.buffers
     assert use.needed == pytest.approx(needed)
     assert use.share == pytest.approx(needed / 20)
-    assert f"nconmax {needed / 20:.0%}" in table(evaluate(list(result.group.recordings)))
+    assert f"nconmax {needed / 20:.0%}" in table(evaluate_files([r.path for r in result.group.recordings]))
 
 
 def test_buffers_that_nothing_counts(tmp_path: Path) -> None:
@@ -165,7 +165,7 @@ def test_an_invalid_run_enters_no_mean_and_is_seen_everywhere(tmp_path: Path) ->
         write_recording(tmp_path, grid(2), run=r, shown=Shown(counts, {"capture": overflowing(5, 9, 1)}, BITS))
         for r in range(2)
     ]
-    evaluation = evaluate([open_recording(f) for f in (*good, broken(tmp_path, 2, grid(2) + 1.0))])
+    evaluation = evaluate_files([*good, broken(tmp_path, 2, grid(2) + 1.0)])
     (result,) = evaluation.results
     assert result.metrics["fps"].value == pytest.approx(2000)
     assert result.metrics["w1_run_to_run"].value == 0
@@ -200,7 +200,7 @@ def test_a_complete_run_that_overflowed_is_no_complete_run(tmp_path: Path) -> No
     """Refuse a file that calls itself complete while a fatal bit is set: the recorder would not have."""
     shown = Shown(overflow={"capture": overflowing(5, 2, 1)}, bits=BITS)
     path = write_recording(tmp_path, grid(2), shown=shown)
-    evaluation = evaluate([open_recording(path)])
+    evaluation = evaluate_files([path])
     assert evaluation.results == ()
     (unreadable,) = evaluation.unreadable
     assert "says that it is complete, but NEFC overflowed by step 2 of the capture phase" in str(unreadable.error)
@@ -248,7 +248,7 @@ def test_what_capturing_costs(tmp_path: Path) -> None:
     assert slowdown.extra["stalled_share"] == pytest.approx(0.25)
     assert words.capturing(found.metrics).endswith("; 25.0%")
     stream = io.StringIO()
-    print_tables(evaluate([open_recording(f) for f in files], reference=None, sample_time=5.0, unreadable=()), stream)
+    print_tables(evaluate_files(files), stream)
     assert "captured and timed steps are other steps of the scene" in stream.getvalue()
     without = only(write_recording(tmp_path, grid(2), elapsed_s=None, clocks={"capture": 6.0})).metrics
     assert without["capture_slowdown"].why_not == "timed and captured steps were not both clocked"

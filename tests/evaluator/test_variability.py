@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
+
 import numpy as np
 import pytest
+from scipy import stats
 
 from evaluator.metrics import variability
 from evaluator.metrics.variability import (
@@ -11,6 +14,9 @@ from evaluator.metrics.variability import (
     run_to_run_variability,
     sampling_step,
 )
+from evaluator.transport import small
+from evaluator.transport.pair import Transport, wasserstein1
+from evaluator.transport.small import pairwise_summary
 
 
 @pytest.fixture
@@ -140,3 +146,86 @@ def test_needs_two_runs(env: np.ndarray) -> None:
     """Refuse a single run."""
     with pytest.raises(ValueError, match="needs at least two runs"):
         run_to_run_variability(env[None, None])
+
+
+def test_many_envs_need_no_matrix(env: np.ndarray, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Give the same means beyond the number of envs that a matrix is kept for."""
+    runs = env + np.random.default_rng(1).normal(size=(12, 27, 2)) * 0.01
+    runs = runs[[0, 1, 2, 3, 3, 3, 6, 7, 8, 9, 10, 11]]
+    whole = parallel_variability(runs)
+    monkeypatch.setattr(variability, "MATRIX_ENVS", 11)
+    large = parallel_variability(runs)
+    assert large.matrix_cm is None
+    assert large.n_distinct == whole.n_distinct == 10
+    assert large.mean_cm == pytest.approx(whole.mean_cm, rel=1e-12)
+    assert (large.exactness, large.interval_cm) == ("exact", None)
+
+
+def test_a_sample_of_very_many_envs(env: np.ndarray, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Draw envs where all pairs would take too long, and hold the mean of all pairs in the interval."""
+    runs = env[:3, :] + np.random.default_rng(1).normal(size=(300, 3, 2)) * 0.01
+    whole = parallel_variability(runs)
+    monkeypatch.setattr(variability, "MAX_DISTINCT", 299)
+    monkeypatch.setattr(variability, "SAMPLED_ENVS", 60)
+    found, again = parallel_variability(runs), parallel_variability(runs)
+    assert (found.exactness, found.n_distinct, found.mean_cm) == ("sampled", 300, again.mean_cm)
+    assert found.interval_cm is not None
+    low, high = found.interval_cm
+    assert 0 < low < whole.mean_cm < high
+    assert high - low < whole.mean_cm
+
+
+def test_an_interval_over_drawn_envs() -> None:
+    """Have the jackknife of the definition, which leaves out one env after the other."""
+    points = np.random.default_rng(3).normal(size=(9, 3, 2))
+    summary = pairwise_summary(points)
+    without = [pairwise_summary(np.delete(points, e, axis=0)).mean for e in range(9)]
+    error = np.sqrt(8 / 9 * ((np.array(without) - np.mean(without)) ** 2).sum())
+    low, high = variability._interval(summary)
+    assert (high - low) / 2 == pytest.approx(error * stats.t.ppf(0.975, 8))
+    assert (high + low) / 2 == pytest.approx(summary.mean)
+
+
+def test_a_sample_of_large_runs(env: np.ndarray, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Draw pairs of runs where each takes a certified solver, count equal runs among them, and say so."""
+    runs = env + np.random.default_rng(1).normal(size=(6, 1, 27, 2)) * 0.01
+    runs[1] = runs[0]
+    whole = run_to_run_variability(runs)
+    assert (whole.exactness, whole.n_pair) == ("exact", 15)
+    monkeypatch.setattr(variability, "MATRIX_LIMIT", 27 * 27 - 1)
+    found = run_to_run_variability(runs)
+    assert (found.exactness, found.n_pair, found.matrix_cm) == ("sampled", 6, None)
+    assert found.mean_cm == pytest.approx(whole.mean_cm, rel=0.3)
+    monkeypatch.setattr(variability, "MAX_CERTIFIED_PAIRS", 15)
+    assert run_to_run_variability(runs).n_pair == 15
+
+
+def test_parts_may_be_made_elsewhere(env: np.ndarray, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Give the same to the last bit where parts are made by threads, in any order."""
+    monkeypatch.setattr(variability, "MATRIX_ENVS", 4)
+    monkeypatch.setattr(small, "SUMMARY_ROWS", 2)
+    runs = env + np.random.default_rng(1).normal(size=(4, 9, 27, 2)) * 0.01
+    with ThreadPoolExecutor(3) as pool:
+        assert parallel_variability(runs[0], pool.map) == parallel_variability(runs[0])
+        found, expected = run_to_run_variability(runs, pool.map), run_to_run_variability(runs)
+    assert (found.mean_cm, found.sd_cm) == (expected.mean_cm, expected.sd_cm)
+
+
+def test_exact_runs_say_so(env: np.ndarray) -> None:
+    """Call values exact that no bounds are needed for."""
+    result = run_to_run_variability(np.stack([env[None], env[None] + [0.0, 0.02]]))
+    assert (result.exactness, result.low_cm) == ("exact", result.mean_cm)
+
+
+def test_bounds_of_pairs_are_kept(env: np.ndarray, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Give upper bounds for values, and the mean of the lower ones, where a pair is not known exactly."""
+
+    def bounded(a: np.ndarray, b: np.ndarray) -> Transport:
+        exact = wasserstein1(a, b).value
+        return Transport(1.25 * exact, "certified", "", None, 0.75 * exact, 1.25 * exact)
+
+    runs = np.stack([env[None] + [shift, 0.0] for shift in (0.0, 0.01, 0.03)])
+    monkeypatch.setattr(variability, "wasserstein1", bounded)
+    result = run_to_run_variability(runs)
+    assert result.exactness == "certified"
+    assert (result.low_cm, result.mean_cm) == (pytest.approx(1.5), pytest.approx(2.5))

@@ -16,6 +16,7 @@ import numpy as np
 
 from evaluator import open_recording
 from evaluator.evaluate import evaluate
+from evaluator.reading import Read, Reader
 from evaluator.recording import Recording
 from schemas.errors import GsbError
 
@@ -124,8 +125,8 @@ def use(path: Path, other: Path, turn: int) -> None:
             with contextlib.suppress(GsbError):
                 read()
     with in_time(), contextlib.suppress(GsbError):
-        opened = [open_recording(file) for file in ([path], [path, other])[turn % 2]]
-        evaluate(opened, reference=opened[0])
+        read = [Reader(5.0, verify=False)(file) for file in ([path], [path, other])[turn % 2]]
+        evaluate(read, reference=read[0] if isinstance(read[0], Read) else None)
     with tempfile.TemporaryDirectory(dir=path.parent) as out:
         calls = command_lines(path, other, Path(out))
         name, arguments = calls[turn % len(calls)]

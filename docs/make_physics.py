@@ -1,0 +1,109 @@
+"""Redraws the tables of docs/physics.md from the shipped recordings, and from a folder with every step if one is given.
+
+usage: python docs/make_physics.py [FOLDER]
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+from evaluator.fidelity import Fidelity, FidelityRow, Verdict, fidelity
+from evaluator.groups import group, labels, options_given
+from evaluator.physics.facts import Check
+from evaluator.physics.measure import physics_of
+from evaluator.recording import Recording
+from evaluator.report.fidelity import allowed, number
+from evaluator.report.numbers import NONE
+
+ROOT = Path(__file__).resolve().parent.parent
+PAGE = ROOT / "docs" / "physics.md"
+BEGIN, END = "<!-- {}: make figures -->", "<!-- end of {} -->"
+
+_AT_THE_END = (
+    Check.ENERGY_START,
+    Check.DEPTH_REST,
+    Check.DEPTH_EVER,
+    Check.PAIR_REST,
+    Check.SANK,
+    Check.END_SPEED,
+    Check.END_SPIN,
+)
+
+
+def judged(paths: Iterable[Path]) -> list[tuple[Fidelity, float]]:
+    """The groups of some recordings that mechanics can say anything of, with the step of each [s]."""
+    recordings = [recording for path in paths if (recording := Recording(path)).usable]
+    groups = group(recordings)
+    names = labels([one.key for one in groups], options_given(recordings))
+    found = [
+        (fidelity(label, [physics_of(recording) for recording in one.complete]), one.key.dt)
+        for one, label in zip(groups, names, strict=True)
+    ]
+    return [(one, dt) for one, dt in found if not one.why_not]
+
+
+def shipped() -> list[tuple[Fidelity, float]]:
+    """Those of the recordings that ship."""
+    folder = ROOT / "recordings"
+    return judged([*sorted(folder.glob("*.mcap")), *sorted((folder / "h200").glob("*.mcap"))])
+
+
+def cell(row: FidelityRow | None) -> str:
+    """The worst of what was measured, bold where it broke."""
+    if row is None or row.verdict is Verdict.NOT_APPLICABLE:
+        return NONE
+    middle = row.low is not None and row.high is not None and row.low == row.high and row.check is not Check.SANK
+    shown = number(row.mean if middle else row.most)
+    if not row.broken:
+        return shown
+    return f"**{shown}** ({row.broken} of {row.count})" if row.broken < row.count else f"**{shown}**"
+
+
+def at_the_end(found: Sequence[tuple[Fidelity, float]]) -> str:
+    """A row for each group: what a few states tell."""
+    titles = [f"{check.title}{f' [{check.unit}]' if check.unit else ''}" for check in _AT_THE_END]
+    lines = [f"| simulator | runs | {' | '.join(titles)} |", f"| --- | --- {'| --- ' * len(titles)}|"]
+    for one, _ in found:
+        rows = {row.check: row for row in one.rows}
+        cells = [cell(rows.get(check)) for check in _AT_THE_END]
+        lines.append(f"| {one.label} | {one.runs} | {' | '.join(cells)} |")
+    return "\n".join(lines)
+
+
+def every_step(found: Sequence[tuple[Fidelity, float]], scene: str) -> str:
+    """A row for each check, a column for each group of a scene."""
+    chosen = [(one, dt) for one, dt in found if one.scene == scene]
+    heads = [f"{one.label}, {1000 * dt:g} ms" for one, dt in chosen]
+    lines = [f"| check | allowed | {' | '.join(heads)} |", f"| --- | --- {'| --- ' * len(heads)}|"]
+    for check in Check:
+        rows = [next((row for row in one.rows if row.check is check), None) for one, _ in chosen]
+        told = [row for row in rows if row is not None and row.verdict is not Verdict.NOT_APPLICABLE]
+        if told:
+            unit = f" [{check.unit}]" if check.unit else ""
+            lines.append(f"| {check.title}{unit} | {allowed(told[0])} | {' | '.join(map(cell, rows))} |")
+    return "\n".join(lines)
+
+
+def with_block(page: str, name: str, shown: str) -> str:
+    """A page with what is between its markers replaced."""
+    begin, end = BEGIN.format(name), END.format(name)
+    head, rest = page.split(begin)
+    _, tail = rest.split(end)
+    return f"{head}{begin}\n{shown}\n{end}{tail}"
+
+
+def main() -> None:
+    """Write the page."""
+    page = with_block(PAGE.read_text(encoding="utf-8"), "shipped", at_the_end(shipped()))
+    if len(sys.argv) > 1:
+        found = judged(sorted(Path(sys.argv[1]).rglob("*.mcap")))
+        for scene in ("inclined-collision", "free-fall"):
+            page = with_block(page, f"every step of {scene}", every_step(found, scene))
+    PAGE.write_text(page, encoding="utf-8")
+    print(PAGE)
+
+
+if __name__ == "__main__":
+    main()

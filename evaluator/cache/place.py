@@ -1,0 +1,50 @@
+"""Where results are kept, and which classes they are made of."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+from evaluator.cache.codec import Codec
+from evaluator.cache.known_files import Stamp
+from evaluator.cache.store import Store
+from evaluator.histories import Histories
+from evaluator.metrics.alignment import Gap, GapTo
+from evaluator.metrics.board import Board
+from evaluator.metrics.divergence import GrowthFit
+from evaluator.metrics.levels import Level, Verdict, Worst
+from evaluator.metrics.memory import Checkpoints
+from evaluator.metrics.variability import ParallelVariability
+from evaluator.physics.facts import Check, Measured, NotMeasured, PhysicsFacts
+from evaluator.positions import Positions
+from evaluator.reading import Reader
+from evaluator.run_data import RunData
+from evaluator.sinking import Sunk
+from evaluator.spread import Spread
+from evaluator.step_evidence import ActionStream
+from evaluator.summary import BitSummary, CountSummary, OverflowSummary, Summary
+from evaluator.transport.pair import Transport
+from evaluator.transport.small import SummaryBlock
+from schemas.configuration import RunConfiguration
+from schemas.fields import StateField
+from schemas.provenance import Buffer, Counter, Deviation, OverflowBit, Provenance, ReplayOf, Simulation
+
+_CLASSES = (
+    Summary, CountSummary, BitSummary, OverflowSummary, ActionStream, Board, RunConfiguration, Provenance, ReplayOf,
+    Simulation, Deviation, StateField, Buffer, Counter, OverflowBit, RunData, Histories, Positions, Checkpoints, Sunk,
+    Stamp, Reader, Spread, GrowthFit, Verdict, Worst, Level, PhysicsFacts,
+    Measured, NotMeasured, Check, ParallelVariability, Transport, Gap, GapTo, SummaryBlock,
+)  # fmt: skip
+
+
+def default_folder() -> Path:
+    """GSB_CACHE, or gpusimbench in the user's folder of caches (XDG Base Directory Specification)."""
+    if given := os.environ.get("GSB_CACHE"):
+        return Path(given)
+    home = os.environ.get("XDG_CACHE_HOME")
+    return (Path(home) if home else Path.home() / ".cache") / "gpusimbench"
+
+
+def open_store(folder: Path) -> Store:
+    """The store in a folder."""
+    return Store(folder, Codec(*_CLASSES))

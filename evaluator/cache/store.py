@@ -1,0 +1,95 @@
+"""A folder of results, each under the digest of everything that it follows from."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import tempfile
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+from evaluator.cache.codec import Codec
+from evaluator.cache.version import code_version
+
+MAX_BYTES = 1 << 30
+"""What a store may take; beyond it, what was used longest ago is deleted."""
+
+_SUFFIX = ".npz"
+
+
+class Store:
+    """Results by key. Several processes may use one folder; whatever goes wrong with a file, its result is missing.
+
+    folder  made when first written to
+    codec   of the results
+    """
+
+    def __init__(self, folder: Path, codec: Codec) -> None:
+        self._folder = folder
+        self._codec = codec
+
+    def keys(self, function: Callable[..., Any], items: Sequence[Any]) -> list[str]:
+        """Of a function's result for each item: the function, the item, the versions of all code that computes.
+
+        A function is told by its name or, where it is a value that can be called, by its class and its fields.
+        """
+        named = getattr(function, "__qualname__", None)
+        digest = hashlib.sha256(code_version().encode())
+        digest.update(self._codec.encode(f"{function.__module__}.{named}" if named else function))
+        found = []
+        for item in items:
+            one = digest.copy()
+            one.update(self._codec.encode(item))
+            found.append(one.hexdigest())
+        return found
+
+    def key(self, function: Callable[..., Any], item: Any) -> str:
+        """Of a function's result for one item."""
+        return self.keys(function, [item])[0]
+
+    def get(self, key: str) -> Any:
+        """The result, None where there is none."""
+        path = self._path(key)
+        try:
+            document = path.read_bytes()
+            result = self._codec.decode(document)
+        except (OSError, ValueError):
+            return None
+        with suppress(OSError):
+            os.utime(path)
+        return result
+
+    def put(self, key: str, result: Any) -> None:
+        """Keep a result. One that cannot be written is not kept: the next evaluation computes it again."""
+        path = self._path(key)
+        with suppress(OSError):
+            path.parent.mkdir(parents=True, exist_ok=True)
+            with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".tmp", delete=False) as file:
+                try:
+                    file.write(self._codec.encode(result))
+                    file.close()
+                    Path(file.name).replace(path)
+                except BaseException:
+                    Path(file.name).unlink()
+                    raise
+
+    def prune(self, limit: int = MAX_BYTES) -> None:
+        """Delete what was used longest ago, until the folder holds at most `limit` bytes."""
+        found = sorted(self._files(), reverse=True)
+        held = 0
+        for _, size, path in found:
+            held += size
+            if held > limit:
+                with suppress(OSError):
+                    path.unlink()
+
+    def _files(self) -> Iterator[tuple[int, int, Path]]:
+        for path in self._folder.glob(f"*/*{_SUFFIX}"):
+            with suppress(OSError):
+                status = path.stat()
+                yield status.st_mtime_ns, status.st_size, path
+
+    def _path(self, key: str) -> Path:
+        return self._folder / key[:2] / f"{key[2:]}{_SUFFIX}"

@@ -1,0 +1,59 @@
+"""Files elsewhere, as commands are given them: addresses that stand for several files, and copies that do not last."""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+from schemas.errors import GsbError
+from schemas.location import Location, Place
+
+MAX_FILES = 10_000
+"""An address that stands for more files is refused."""
+
+
+def expand(places: Sequence[Place], *, copies: bool = False) -> list[Place]:
+    """Paths as they are, and each address with wildcards as the files that it stands for; each of them once.
+
+    copies  what is named twice is there twice
+
+    Unreachable where a file system does not tell.
+    """
+    found: list[Place] = []
+    for given in places:
+        if isinstance(given, Location):
+            from schemas.remote import matching
+
+            found += matching(given, MAX_FILES)
+        else:
+            found.append(given)
+    return found if copies else list(dict.fromkeys(found))
+
+
+@contextmanager
+def fetched(location: Location) -> Iterator[Path]:
+    """A copy of a file on this machine's disk, gone afterwards; what is mapped of it stays readable.
+
+    GsbError where there is no room for it; Unreachable where it cannot be had.
+    """
+    from schemas.remote import RemoteFile
+
+    source = RemoteFile(location)
+    with tempfile.TemporaryDirectory(prefix="gpusimbench-", ignore_cleanup_errors=True) as folder:
+        free = shutil.disk_usage(folder).free
+        if source.size > free:
+            raise GsbError(
+                f"{location} has {source.size} bytes, and {Path(folder).parent}, where it would be checked, has room "
+                f"for {free}: set TMPDIR to a folder with more"
+            )
+        copy = Path(folder, "copy.mcap")
+        try:
+            with copy.open("wb") as stream:
+                for piece in source.pieces():
+                    stream.write(piece)
+        except OSError as error:
+            raise GsbError(f"cannot copy {location} to {folder}: {error.strerror}") from None
+        yield copy

@@ -1,0 +1,1 @@
+"""What mechanics demands of a recorded motion, whatever engine made it."""

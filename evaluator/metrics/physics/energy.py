@@ -1,0 +1,88 @@
+"""Energy and momentum of rigid bodies, and how they may change."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from evaluator.metrics.physics.vectors import square
+
+Array = npt.NDArray[np.float64]
+
+
+def mechanical_energy(
+    height: Array, linear: Array, angular: Array, *, mass: Array, inertia: Array, gravity: float
+) -> Array:
+    """Sum over bodies of m v^2 / 2 + I w^2 / 2 + m g z [J], shape [row, env].
+
+    height           of the centres [m], shape [row, env, body]
+    linear, angular  velocities [m/s], [rad/s], shape [row, env, body, 3]
+    mass, inertia    [kg], [kg m2], shape [body]; the inertia of a solid ball is 2/5 m r^2 and of a cube m edge^2 / 6,
+                     about any axis
+    """
+    kinetic = square(linear) @ mass + square(angular) @ inertia
+    return np.asarray(kinetic / 2.0 + gravity * (height @ mass))
+
+
+class Rises:
+    """Follows the energy of isolated bodies, which contacts may take but never give.
+
+    above_start  largest E(t) - E(0) [J], shape [env]
+    in_a_row     largest rise from one row to the next [J], shape [env]
+    """
+
+    def __init__(self) -> None:
+        self._start: Array | None = None
+        self._before = self.above_start = self.in_a_row = np.zeros(0)
+
+    def feed(self, energy: Array) -> None:
+        """The next rows [J], shape [row, env]."""
+        if self._start is None:
+            self._start = energy[0]
+            self.above_start = np.zeros(energy.shape[1])
+            self.in_a_row = np.full(energy.shape[1], -np.inf)
+        else:
+            energy = np.concatenate([self._before[None], energy])
+        self.above_start = np.maximum(self.above_start, (energy - self._start).max(axis=0))
+        self.in_a_row = np.maximum(self.in_a_row, np.diff(energy, axis=0).max(axis=0, initial=-np.inf))
+        self._before = energy[-1]
+
+
+class FrictionCone:
+    """Follows the momentum of bodies that touch nothing but level ground, and each other.
+
+    Contacts between the bodies cancel. What is left of a change of momentum is the impulse J of the ground,
+
+        J = P(k+1) - P(k) + M g dt,   with  |J_xy| <= mu J_z  and  J_z >= 0
+
+    by Coulomb's law for every contact, hence for their sum.
+
+    excess  largest |J_xy| - mu max(J_z, 0) [N s], shape [env]
+    pull    largest -J_z [N s], shape [env]
+    rows    intervals that could be judged, shape [env]
+    """
+
+    def __init__(self, friction: float, weight: float, dt: float) -> None:
+        """friction: the largest coefficient of any pair; weight: M g of all bodies [N]; dt: of a row [s]."""
+        self._friction, self._fall = friction, weight * dt
+        self._before: tuple[Array, npt.NDArray[np.bool_]] | None = None
+        self.excess = self.pull = np.zeros(0)
+        self.rows = np.zeros(0, dtype=np.int64)
+
+    def feed(self, momentum: Array, judged: npt.NDArray[np.bool_]) -> None:
+        """The next rows: momentum [N s], [row, env, 3], and whether only level ground is touched, [row, env]."""
+        if self._before is None:
+            self.excess = np.full(momentum.shape[1], -np.inf)
+            self.pull = np.full(momentum.shape[1], -np.inf)
+            self.rows = np.zeros(momentum.shape[1], dtype=np.int64)
+        else:
+            momentum = np.concatenate([self._before[0][None], momentum])
+            judged = np.concatenate([self._before[1][None], judged])
+        self._before = momentum[-1], judged[-1]
+        impulse = np.diff(momentum, axis=0)
+        up = impulse[..., 2] + self._fall
+        excess = np.linalg.norm(impulse[..., :2], axis=-1) - self._friction * np.maximum(up, 0.0)
+        both = judged[1:] & judged[:-1]
+        self.rows = self.rows + both.sum(axis=0)
+        self.excess = np.maximum(self.excess, np.where(both, excess, -np.inf).max(axis=0, initial=-np.inf))
+        self.pull = np.maximum(self.pull, np.where(both, -up, -np.inf).max(axis=0, initial=-np.inf))

@@ -1,0 +1,1 @@
+"""What a recording's states say of mechanics: see docs/physics.md."""

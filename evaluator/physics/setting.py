@@ -1,0 +1,50 @@
+"""What all checks of a run share: its states, its world, its step, and the tolerances that follow from them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from evaluator.physics.states import Walk
+from evaluator.physics.world import World
+
+
+@dataclass(frozen=True)
+class Setting:
+    """A run that is being looked at.
+
+    walk         over its states
+    world        its scene
+    dt           step of the simulator [s]
+    stride       steps between rows
+    sample_time  when the scene's outcome is read [s]
+    """
+
+    walk: Walk
+    world: World
+    dt: float
+    stride: int
+    sample_time: float
+
+    @property
+    def row_time(self) -> float:
+        """From row to row [s]."""
+        return self.dt * self.stride
+
+    @property
+    def sink(self) -> float:
+        """g dt^2 [m]: how far gravity moves a body from rest in a step of semi-implicit Euler."""
+        return self.world.gravity * self.dt**2
+
+    @property
+    def fastest(self) -> float | None:
+        """sqrt(2 g H) [m/s], with H from the lowest floor to the highest centre at the start; None without a floor."""
+        tops = [body.top for body in self.world.fixed if body.level]
+        if not tops:
+            return None
+        highest = max(body.start[2] for body in self.world.moving)
+        return float((2.0 * self.world.gravity * max(0.0, highest - min(tops))) ** 0.5)
+
+    @property
+    def sparse(self) -> str:
+        """Why nothing can be said of what happens between rows; empty where every step was recorded."""
+        return "" if self.stride == 1 else f"only every {self.stride}th state was recorded"

@@ -1,0 +1,116 @@
+"""An evaluation as Parquet tables, for questions that reach over many evaluations.
+
+Tables of several evaluations, of several laboratories, are read as one::
+
+    polars.scan_parquet("*/metrics.parquet").filter(polars.col("metric") == "fps").group_by("simulator").agg(...)
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from evaluator.report.text import printable
+from evaluator.results import Evaluation, GroupResult, Metric
+from evaluator.summary import Summary
+from schemas.errors import UsageError
+
+METRICS, RUNS = "metrics.parquet", "runs.parquet"
+
+_KEY = {
+    "group": "String", "scene": "String", "scene_hash": "String", "simulator": "String", "version": "String",
+    "device": "String", "n_env": "Int64", "dt": "Float64", "seed": "String", "warmup": "Int64", "timed_steps": "Int64",
+    "determinism": "String", "options": "String", "switches": "String", "conditions": "String",
+}  # fmt: skip
+
+_METRICS = {
+    **_KEY, "metric": "String", "value": "Float64", "unit": "String", "direction": "String", "sd": "Float64",
+    "low": "Float64", "high": "Float64", "n": "Int64", "exactness": "String", "method": "String", "why_not": "String",
+}  # fmt: skip
+
+_RUNS = {
+    **_KEY, "file": "String", "content_hash": "String", "run_id": "String", "run_index": "Int64", "status": "String",
+    "cause": "String", "reason": "String", "lost": "Int64", "created_utc": "String", "host": "String", "gpu": "String",
+}  # fmt: skip
+
+
+def write_parquet(evaluation: Evaluation, folder: Path) -> list[Path]:
+    """Write both tables to a folder, which is made if need be; UsageError without polars, OSError where it cannot be.
+
+    metrics.parquet  a row for each metric of each group; an interval where it has one
+    runs.parquet     a row for each recording that could be read
+    """
+    try:
+        import polars as pl
+    except ImportError:
+        raise UsageError("--tables needs the package polars: pip install 'gpusimbench[tables]'") from None
+    folder.mkdir(parents=True, exist_ok=True)
+    paths = []
+    for name, columns, rows in (
+        (METRICS, _METRICS, _metric_rows(evaluation)),
+        (RUNS, _RUNS, _run_rows(evaluation)),
+    ):
+        table = pl.DataFrame(list(rows), schema={column: getattr(pl, kind) for column, kind in columns.items()})
+        unfinished = folder / f"{name}.partial"
+        try:
+            table.write_parquet(unfinished)
+            unfinished.replace(folder / name)
+        finally:
+            unfinished.unlink(missing_ok=True)
+        paths.append(folder / name)
+    return paths
+
+
+def _key_of(result: GroupResult) -> dict[str, Any]:
+    key = result.group.key
+    # a seed may be beyond 64 bits with a sign, and one without one: it is a name rather than a number
+    return {
+        **{name: getattr(key, name) for name in _KEY if name != "group"},
+        "group": result.label,
+        "seed": str(key.seed),
+    }
+
+
+def _metric_rows(evaluation: Evaluation) -> Iterator[dict[str, Any]]:
+    for result in evaluation.results:
+        for metric in result.metrics.values():
+            low, high = metric.ci95 or (None, None)
+            yield _clean({
+                **_key_of(result), "metric": metric.name, **_values_of(metric), "low": low, "high": high, "n": metric.n,
+            })  # fmt: skip
+
+
+def _values_of(metric: Metric) -> dict[str, Any]:
+    return {
+        name: getattr(metric, name) for name in ("value", "unit", "direction", "sd", "exactness", "method", "why_not")
+    }
+
+
+def _run_rows(evaluation: Evaluation) -> Iterator[dict[str, Any]]:
+    for result in evaluation.results:
+        for recording in result.group.recordings:
+            yield _clean({**_key_of(result), **_run(recording)})
+
+
+def _run(recording: Summary) -> dict[str, Any]:
+    provenance = recording.provenance
+    return {
+        "file": str(recording.path),
+        "content_hash": recording.content_hash or None,
+        "run_id": provenance.run_id,
+        "run_index": recording.configuration.run_index,
+        "status": recording.status,
+        "cause": recording.cause,
+        "reason": recording.reason,
+        "lost": len(recording.dropouts),
+        "created_utc": provenance.created_utc,
+        "host": json.dumps(provenance.host, sort_keys=True),
+        "gpu": provenance.gpus[0].get("name") if provenance.gpus else None,
+    }
+
+
+def _clean(row: dict[str, Any]) -> dict[str, Any]:
+    # a file's name may hold bytes that are no text, and Parquet has only text
+    return {name: printable(value) if isinstance(value, str) else value for name, value in row.items()}

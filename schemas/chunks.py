@@ -1,0 +1,88 @@
+"""The chunks of a file, opened: checked, decompressed where they are compressed, the last few kept."""
+
+from __future__ import annotations
+
+import zlib
+from collections import OrderedDict
+from collections.abc import Iterator
+from threading import Lock
+
+from schemas import decompression
+from schemas.cursor import Cursor
+from schemas.errors import DamagedRecording
+from schemas.location import Place
+from schemas.parts import CHUNK, RECORD_HEAD, Chunk, check_head, read_chunk
+from schemas.source import Source
+
+_CACHED_CHUNKS = 4
+_CACHED_BYTES = 64 << 20  # of chunks that are in memory; the one read last is kept whatever it takes
+
+
+class Chunks:
+    """The chunks of one file, by number in the order of the file; several threads may open them."""
+
+    def __init__(self, place: Place, source: Source) -> None:
+        self._place = place
+        self._source = source
+        self._all: list[Chunk] = []
+        self._lock = Lock()
+        self._opened: OrderedDict[int, tuple[memoryview, int]] = OrderedDict()
+
+    def __len__(self) -> int:
+        return len(self._all)
+
+    def __getitem__(self, number: int) -> Chunk:
+        return self._all[number]
+
+    def __iter__(self) -> Iterator[Chunk]:
+        return iter(self._all)
+
+    def append(self, chunk: Chunk) -> None:
+        """Add the next one."""
+        self._all.append(chunk)
+
+    def forget(self) -> None:
+        """Keep none that is opened."""
+        with self._lock:
+            self._opened.clear()
+
+    def open(self, number: int) -> tuple[memoryview, int]:
+        """The content of a chunk, and the CRC-32 that it was found to have; zero where the writer computed none.
+
+        DamagedRecording where it is not what its record says, or the record not what is known of it.
+        """
+        with self._lock:
+            if number in self._opened:
+                self._opened.move_to_end(number)
+                return self._opened[number]
+        chunk = self._all[number]
+        begin = chunk.record - RECORD_HEAD
+        record = self._source.read(begin, chunk.end)
+        check_head(self._place, CHUNK, record, chunk.end - chunk.record)
+        there, crc = read_chunk(Cursor(self._place, record, RECORD_HEAD, len(record), begin))
+        if there != chunk:
+            raise DamagedRecording(f"{self._place}: the chunk at byte {begin} is not what the file's index says")
+        stored = record[chunk.begin - begin : chunk.end - begin]
+        try:
+            data = decompression.decompress(chunk.compression, stored, chunk.uncompressed_size)
+        except ValueError as error:
+            self._source.confirm()
+            raise DamagedRecording(f"{self._place}: the chunk at byte {chunk.begin} is damaged: {error}") from None
+        if crc and zlib.crc32(data) != crc:
+            self._source.confirm()
+            raise DamagedRecording(f"{self._place}: a chunk at byte {chunk.begin} fails its CRC")
+        self._keep(number, data, crc)
+        return data, crc
+
+    def _keep(self, number: int, data: memoryview, crc: int) -> None:
+        with self._lock:
+            self._opened[number] = data, crc
+            kept = sum(map(self._cost, self._opened))
+            while len(self._opened) > 1 and (kept > _CACHED_BYTES or len(self._opened) > _CACHED_CHUNKS):
+                oldest = next(iter(self._opened))
+                kept -= self._cost(oldest)
+                del self._opened[oldest]
+
+    def _cost(self, number: int) -> int:
+        # memory that an opened chunk takes
+        return 0 if self._source.near and not self._all[number].compression else len(self._opened[number][0])

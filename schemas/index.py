@@ -1,0 +1,182 @@
+"""What the summary section of an MCAP file says is where, so that a file elsewhere is opened with a few requests.
+
+A summary is a claim like any other. Here its own records are held against its CRC, the size of the file, and each
+other; what is found at a place is held against it when it is read (schemas.container).
+"""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from dataclasses import dataclass
+
+from schemas.cursor import Cursor
+from schemas.errors import DamagedRecording
+from schemas.mcap_writer import MAGIC
+from schemas.parts import (
+    ATTACHMENT_INDEX,
+    CHANNEL,
+    CHUNK_INDEX,
+    DATA_END,
+    FOOTER,
+    RECORD_HEAD,
+    SCHEMA,
+    STATISTICS,
+    Attachment,
+    Chunk,
+)
+from schemas.source import Source
+
+MAX_SUMMARY_BYTES = 64 << 20
+"""A larger summary is not read."""
+
+_FOOTER = struct.Struct("<BQQQI")
+_DATA_END = struct.Struct("<BQI")
+_INDEX_HEAD = RECORD_HEAD + 6  # of a message index, before its entries
+_ENTRY = 16
+_CHUNK_HEAD = 40  # of a chunk, without the name of its compression
+
+
+@dataclass(frozen=True, slots=True)
+class IndexedChunk:
+    """A chunk as the summary has it.
+
+    first_time, last_time  log times of its messages [ns]
+    indexes                by channel, where the record is that lists its messages; all behind the chunk, in one piece
+    index_bytes            of all of them
+    """
+
+    chunk: Chunk
+    first_time: int
+    last_time: int
+    indexes: dict[int, int]
+    index_bytes: int
+
+    @property
+    def messages(self) -> int:
+        """How many the lengths of the indexes leave room for."""
+        return max(0, self.index_bytes - _INDEX_HEAD * len(self.indexes)) // _ENTRY
+
+
+@dataclass(frozen=True, slots=True)
+class Index:
+    """The summary of a file.
+
+    data_end, data_crc  where the record is that ends the data section; the CRC in it, zero where there is none
+    declared            contents of the records that declare schemas and channels, with their opcodes
+    chunks              in the order of the file
+    attachments         the same
+    """
+
+    data_end: int
+    data_crc: int
+    declared: tuple[tuple[int, memoryview], ...]
+    chunks: tuple[IndexedChunk, ...]
+    attachments: tuple[Attachment, ...]
+
+
+def read_index(source: Source) -> Index | None:
+    """The index of a finished file; None where it has none that tells all of it.
+
+    DamagedRecording where it contradicts itself or the file.
+    """
+    footer_at = source.size - len(MAGIC) - _FOOTER.size
+    if footer_at < len(MAGIC) + _DATA_END.size:
+        return None
+    tail = source.read(footer_at, source.size)
+    opcode, length, begin, offsets, crc = _FOOTER.unpack_from(tail)
+    if tail[-len(MAGIC) :] != MAGIC or (opcode, length) != (FOOTER, _FOOTER.size - RECORD_HEAD) or not begin:
+        return None
+    data_end = begin - _DATA_END.size
+    if not len(MAGIC) <= data_end <= footer_at or not (offsets == 0 or begin <= offsets <= footer_at):
+        raise DamagedRecording(f"{source.place}: the footer points to no summary")
+    if footer_at - begin > MAX_SUMMARY_BYTES:
+        raise DamagedRecording(
+            f"{source.place}: its summary has {footer_at - begin} bytes, more than are read from elsewhere; download it"
+        )
+    section = source.read(data_end, source.size)
+    if crc and zlib.crc32(section[_DATA_END.size : -len(MAGIC) - 4]) != crc:
+        raise DamagedRecording(f"{source.place}: the summary fails its CRC: bytes were changed")
+    opcode, length, data_crc = _DATA_END.unpack_from(section)
+    if (opcode, length) != (DATA_END, _DATA_END.size - RECORD_HEAD):
+        return None
+    return _Summary(source, data_end).read(section[_DATA_END.size : footer_at - data_end], data_crc)
+
+
+class _Summary:
+    def __init__(self, source: Source, data_end: int) -> None:
+        self._place = source.place
+        self._data_end = data_end
+        self._declared: list[tuple[int, memoryview]] = []
+        self._chunks: list[IndexedChunk] = []
+        self._attachments: list[Attachment] = []
+        self._counts: tuple[int, int, int, int] | None = None  # messages, channels, attachments, chunks
+
+    def read(self, section: memoryview, data_crc: int) -> Index | None:
+        cursor = Cursor(self._place, section, 0, len(section), self._data_end + _DATA_END.size)
+        while cursor.left >= RECORD_HEAD:
+            opcode, length = cursor.take(1)[0], cursor.u64()
+            at = cursor.at
+            content = cursor.take(length)
+            record = Cursor(self._place, content, 0, length, at)
+            if opcode in (SCHEMA, CHANNEL):
+                self._declared.append((opcode, content))
+            elif opcode == CHUNK_INDEX:
+                self._chunks.append(self._chunk(record))
+            elif opcode == ATTACHMENT_INDEX:
+                self._attachments.append(self._attachment(record))
+            elif opcode == STATISTICS:
+                messages, _, channels, attachments = record.u64(), record.u16(), record.u32(), record.u32()
+                record.u32()  # metadata records
+                self._counts = messages, channels, attachments, record.u32()
+        self._chunks.sort(key=lambda c: c.chunk.record)
+        self._check_places()
+        if self._counts != self._found():
+            return None
+        return Index(self._data_end, data_crc, tuple(self._declared), tuple(self._chunks), tuple(self._attachments))
+
+    def _found(self) -> tuple[int, int, int, int]:
+        # Messages outside of chunks are in no index, so the numbers have to agree; where chunks have no index of their
+        # messages, these are counted by nobody.
+        indexed = all(c.indexes or not c.chunk.uncompressed_size for c in self._chunks)
+        messages = sum(c.messages for c in self._chunks) if indexed or self._counts is None else self._counts[0]
+        channels = sum(opcode == CHANNEL for opcode, _ in self._declared)
+        return messages, channels, len(self._attachments), len(self._chunks)
+
+    def _chunk(self, record: Cursor) -> IndexedChunk:
+        first, last, start, length = record.u64(), record.u64(), record.u64(), record.u64()
+        entries = record.take(record.u32())
+        if len(entries) % 10:
+            raise self._damaged("an index of a chunk has half an entry")
+        indexes = dict(struct.iter_unpack("<HQ", entries))
+        index_bytes, compression = record.u64(), record.name()
+        stored, size = record.u64(), record.u64()
+        content, end = start + RECORD_HEAD, start + length
+        if length != RECORD_HEAD + _CHUNK_HEAD + len(compression.encode()) + stored:
+            raise self._damaged(f"its index says of the chunk at byte {start} what cannot be")
+        if len(indexes) * 10 != len(entries) or any(not end <= at < end + index_bytes for at in indexes.values()):
+            raise self._damaged(f"its index says of the messages of the chunk at byte {start} what cannot be")
+        return IndexedChunk(Chunk(compression, size, content, end - stored, end), first, last, indexes, index_bytes)
+
+    def _attachment(self, record: Cursor) -> Attachment:
+        start, length = record.u64(), record.u64()
+        record.take(16)  # log time and creation time
+        size, name, media_type = record.u64(), record.name(), record.name()
+        content = start + RECORD_HEAD
+        begin = content + 16 + 4 + len(name.encode()) + 4 + len(media_type.encode()) + 8
+        if start + length != begin + size + 4:
+            raise self._damaged(f"its index says of the attachment {name} what cannot be")
+        return Attachment(name, media_type, content, begin, begin + size)
+
+    def _check_places(self) -> None:
+        # within the data section, none upon another
+        taken = [(c.chunk.record - RECORD_HEAD, c.chunk.end + c.index_bytes) for c in self._chunks]
+        taken += [(a.record - RECORD_HEAD, a.end + 4) for a in self._attachments]
+        behind = len(MAGIC)
+        for begin, end in sorted(taken):
+            if begin < behind or end > self._data_end:
+                raise self._damaged(f"its index places a record at byte {begin}, where none can be")
+            behind = end
+
+    def _damaged(self, what: str) -> DamagedRecording:
+        return DamagedRecording(f"{self._place}: {what}")

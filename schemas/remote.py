@@ -1,0 +1,213 @@
+"""A file elsewhere, read in parts through fsspec, with a cache of bounded size.
+
+A part costs a request and the time that it takes to answer; so what is asked for is rounded to blocks, blocks that lie
+beside each other are one request, and whoever reads on from where the last request ended is given more at once.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import OrderedDict
+from collections.abc import Iterable, Iterator
+from threading import Lock
+from typing import Any
+
+from schemas.errors import DamagedRecording, Unreachable
+from schemas.location import Location, redacted
+from schemas.source import Source
+
+_BLOCK = 64 << 10
+_CACHED_BYTES = 32 << 20
+_AHEAD_BYTES = 4 << 20  # in one request, of whoever reads on
+_PIECE_BYTES = 16 << 20  # of a file that is read from its beginning to its end
+_WORKERS = 8
+_CONNECT_S, _SILENCE_S = 30, 60
+_CONFIRM_S = 1.0  # at most this often, the server is asked whether the file is still the same
+_IDENTITY = ("size", "ETag", "etag", "Content-MD5", "Last-Modified", "LastModified", "mtime", "created", "generation")
+"""What file systems tell of a file that changes when the file does."""
+
+
+class RemoteFile(Source):
+    """A file that fsspec can read.
+
+    requests, fetched  how many parts were asked for, and their bytes
+    """
+
+    near = False
+    workers = _WORKERS
+
+    def __init__(self, location: Location) -> None:
+        self.place = location
+        self.requests = self.fetched = 0
+        self._system, self._path = _file_system(location)
+        self._told = self._ask()
+        size = self._told.get("size")
+        if self._told.get("type") == "directory":
+            raise Unreachable(f"cannot read {location}: Is a directory")
+        if not isinstance(size, int):
+            raise Unreachable(f"cannot read {location} in parts: the server does not say how large it is; download it")
+        self.size = size
+        self._asked = time.monotonic()
+        self._parts_are_given = not _is_web(location)  # a web server may answer with the whole file instead
+        self._lock = Lock()
+        self._blocks: OrderedDict[int, bytes] = OrderedDict()
+        self._next = -1  # block behind the last request
+        self._streak = 0  # bytes of the requests that followed each other
+
+    def read(self, begin: int, end: int) -> memoryview:
+        """See Source.read."""
+        if begin >= end:
+            return memoryview(b"")
+        if end - begin > _CACHED_BYTES // 2:
+            return memoryview(self._fetch(begin, end))
+        first, last = begin // _BLOCK, (end - 1) // _BLOCK
+        found: dict[int, bytes] = {}
+        with self._lock:
+            for number in range(first, last + 1):
+                if number in self._blocks:
+                    self._blocks.move_to_end(number)
+                    found[number] = self._blocks[number]
+            runs = [self._prolonged(run) for run in _runs(n for n in range(first, last + 1) if n not in found)]
+        for run in runs:
+            data = self._fetch(run.start * _BLOCK, min(run.stop * _BLOCK, self.size))
+            with self._lock:
+                for number in run:
+                    at = (number - run.start) * _BLOCK
+                    found[number] = self._blocks[number] = data[at : at + _BLOCK]
+                while len(self._blocks) * _BLOCK > _CACHED_BYTES:
+                    self._blocks.popitem(last=False)
+        offset = first * _BLOCK
+        if first == last:
+            return memoryview(found[first])[begin - offset : end - offset]
+        joined = b"".join(found[number] for number in range(first, last + 1))
+        return memoryview(joined)[begin - offset : end - offset]
+
+    def pieces(self) -> Iterator[bytes]:
+        """The whole file, piece by piece; nothing of it is kept."""
+        for begin in range(0, self.size, _PIECE_BYTES):
+            yield self._fetch(begin, min(begin + _PIECE_BYTES, self.size))
+        self.confirm()
+
+    def confirm(self) -> None:
+        """See Source.confirm."""
+        self._asked = time.monotonic()
+        told = self._ask()
+        if [told.get(key) for key in _IDENTITY] != [self._told.get(key) for key in _IDENTITY]:
+            raise DamagedRecording(f"{self.place}: the file was changed while it was read; try again")
+
+    def _prolonged(self, run: range) -> range:
+        # of whoever reads on, as much again as was read so far; the lock is held
+        if run.start != self._next:
+            self._streak = 0
+        blocks = max(len(run), min(self._streak, _AHEAD_BYTES) // _BLOCK)
+        stop = min(run.start + blocks, -(-self.size // _BLOCK))
+        self._next = stop
+        self._streak += (stop - run.start) * _BLOCK
+        return range(run.start, stop)
+
+    def _fetch(self, begin: int, end: int) -> bytes:
+        try:
+            if self._parts_are_given:
+                data = self._system.cat_file(self._path, start=begin, end=end)
+            else:
+                # this way fsspec notices, and stops, where the answer is not the part that was asked for
+                with self._system.open(self._path, "rb", cache_type="none") as stream:
+                    stream.seek(begin)
+                    data = stream.read(end - begin)
+                self._parts_are_given = begin > 0
+        except Exception as error:  # each file system has its own
+            raise Unreachable(f"cannot read {self.place}: {_reason(error)}") from None
+        with self._lock:
+            self.requests += 1
+            self.fetched += len(data)
+        if len(data) != end - begin or time.monotonic() - self._asked > _CONFIRM_S:
+            self.confirm()
+        if len(data) != end - begin:
+            raise Unreachable(
+                f"cannot read {self.place}: {len(data)} bytes came where {end - begin} were asked for, from byte "
+                f"{begin} on"
+            )
+        return bytes(data)
+
+    def _ask(self) -> dict[str, Any]:
+        try:
+            self._system.invalidate_cache(self._path)
+            return dict(self._system.info(self._path))
+        except Exception as error:
+            raise Unreachable(f"cannot read {self.place}: {_reason(error)}") from None
+
+
+def matching(pattern: Location, most: int) -> list[Location]:
+    """The files that an address with wildcards (*, [...]) stands for, sorted; as itself where it has none.
+
+    Unreachable where the file system cannot tell, or where they are more than `most`.
+    """
+    if not any(c in pattern.url for c in "*["):
+        return [pattern]
+    system, path = _file_system(pattern)
+    try:
+        found = sorted(map(str, system.glob(path)))
+    except Exception as error:
+        raise Unreachable(f"cannot list {pattern}: {_reason(error)}") from None
+    if not found:
+        raise Unreachable(f"cannot list {pattern}: no file there has such a name, or the server shows no list")
+    if len(found) > most:
+        raise Unreachable(f"{pattern} stands for {len(found)} files, more than the {most} that are read at once")
+    return [Location(str(system.unstrip_protocol(name))) for name in found]
+
+
+def _runs(numbers: Iterable[int]) -> list[range]:
+    runs: list[range] = []
+    for number in numbers:
+        if runs and runs[-1].stop == number:
+            runs[-1] = range(runs[-1].start, number + 1)
+        else:
+            runs.append(range(number, number + 1))
+    return runs
+
+
+def _is_web(location: Location) -> bool:
+    return location.url.lower().startswith(("http://", "https://"))
+
+
+def _file_system(location: Location) -> tuple[Any, str]:
+    try:
+        import fsspec
+
+        options: dict[str, Any] = {}
+        if _is_web(location):
+            import aiohttp
+
+            options["headers"] = {"Accept-Encoding": "identity"}  # parts of the file, not of what a server packs
+            options["client_kwargs"] = {
+                "timeout": aiohttp.ClientTimeout(total=None, sock_connect=_CONNECT_S, sock_read=_SILENCE_S)
+            }
+        system, path = fsspec.core.url_to_fs(location.url, **options)
+    except ImportError as error:
+        raise Unreachable(
+            f"cannot read {location}: {redacted(str(error))}; pip install 'gpusimbench[remote]' reads https://, other "
+            "addresses need the package of their file system: s3fs, gcsfs, adlfs, huggingface_hub"
+        ) from None
+    except Exception as error:
+        raise Unreachable(f"cannot read {location}: {_reason(error)}") from None
+    return system, path
+
+
+def _reason(error: BaseException) -> str:
+    # what happened, in words that hold no address with its secrets
+    status = getattr(error, "status", None)
+    if isinstance(status, int) and status >= 400:  # a web server's answer
+        known = {401: ": it wants a login", 403: ": access is refused", 404: ": there is no such file"}
+        return f"the server answers {status}{known.get(status, '')}"
+    if isinstance(error, FileNotFoundError):
+        if error.__cause__ is not None and not isinstance(error.__cause__, FileNotFoundError):
+            return _reason(error.__cause__)
+        return "there is no such file"
+    if isinstance(error, PermissionError):
+        return "access is refused"
+    if isinstance(error, TimeoutError):
+        return "no answer in time"
+    if isinstance(error, ValueError) and ("range requests" in str(error) or "Cannot seek" in str(error)):
+        return "the server gives files only as a whole; download it"
+    told = redacted(str(error)).strip()
+    return f"{type(error).__name__}{': ' if told else ''}{told[:300]}"

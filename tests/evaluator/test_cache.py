@@ -1,0 +1,241 @@
+"""Results that are kept: the same as computed ones, never those of another file, gone without harm."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import pickle
+import shutil
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from evaluator.cache import known_files
+from evaluator.cache import store as store_module
+from evaluator.cache.codec import Codec
+from evaluator.cache.known_files import read_all
+from evaluator.cache.place import default_folder, open_store
+from evaluator.cache.store import Store
+from evaluator.evaluate import evaluate
+from evaluator.reading import Read, Reader, Unreadable
+from evaluator.recording import Recording
+from evaluator.report.json import dump_json
+from evaluator.work import Work
+from tests.conftest import Command
+
+
+@dataclass(frozen=True)
+class Point:
+    """A class that a codec may store."""
+
+    x: float
+    names: tuple[str, ...]
+
+
+class Forbidden:
+    """A class that it may not."""
+
+
+@pytest.fixture
+def settled(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let files that were just written count as such that are left alone."""
+    monkeypatch.setattr(known_files, "_SETTLED_NS", 0)
+
+
+@pytest.fixture
+def unread(monkeypatch: pytest.MonkeyPatch) -> Callable[[], None]:
+    """Make opening any recording an error from the call on."""
+
+    def refuse(*_: Any) -> None:
+        raise AssertionError("a file was opened")
+
+    return lambda: monkeypatch.setattr(Recording, "__init__", refuse)
+
+
+def read_one(path: Path, cache: Path, *, sample_time: float = 1.0, verify: bool = True) -> Read | Unreadable:
+    """A file as a command reads it."""
+    (found,) = read_all([path], Reader(sample_time, verify=verify), Work(store=open_store(cache)))
+    return found
+
+
+def double(x: float) -> float:
+    """A function with results to keep."""
+    CALLS.append(x)
+    return 2 * x
+
+
+CALLS: list[float] = []
+
+_plain = st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False) | st.text()
+_values = st.recursive(
+    _plain | st.builds(Point, st.floats(allow_nan=False), st.lists(st.text()).map(tuple)),
+    lambda inner: (
+        st.lists(inner) | st.lists(inner).map(tuple) | st.dictionaries(st.text() | st.integers(), inner)
+    ),
+    max_leaves=10,
+)  # fmt: skip
+
+
+@given(_values)
+def test_values_come_back(value: Any) -> None:
+    """Give back plain values, lists, tuples, mappings and dataclasses, each as what it was."""
+    codec = Codec(Point)
+    assert codec.decode(codec.encode(value)) == value
+    assert repr(codec.decode(codec.encode(value))) == repr(value)
+
+
+def test_arrays_come_back_by_bits() -> None:
+    """Keep dtype, shape and NaN payloads of arrays, wherever they stand."""
+    bits = np.array([0x7FC00001, 0xFFC00000, 0x80000000], dtype=np.uint32).view(np.float32)
+    found = Codec().decode(Codec().encode({"a": [bits, np.zeros((0, 2), dtype=np.int64)]}))
+    assert found["a"][0].dtype == np.float32
+    assert found["a"][0].tobytes() == bits.tobytes()
+    assert found["a"][1].shape == (0, 2)
+
+
+@pytest.mark.parametrize("value", [Forbidden(), np.array([Forbidden()]), {1, 2}, 1j])
+def test_other_things_are_refused(value: Any) -> None:
+    """Refuse to write what could not be read back without running code."""
+    with pytest.raises(TypeError, match="cannot be stored"):
+        Codec().encode([value])
+
+
+def test_what_is_no_document_is_refused() -> None:
+    """Read no pickles, no classes that were not named, and no torn files."""
+    codec = Codec(Point)
+    document = codec.encode(Point(1.0, ("a",)))
+    stream = io.BytesIO()
+    np.savez(stream, tree=np.array([Forbidden()], dtype=object))
+    for forged in (b"", document[:-30], pickle.dumps(1), stream.getvalue()):
+        with pytest.raises(ValueError, match="not a stored result"):
+            codec.decode(forged)
+    with pytest.raises(ValueError, match="not a stored result"):
+        Codec().decode(document)
+
+
+def test_a_result_is_computed_once(tmp_path: Path) -> None:
+    """Compute each item once, equal ones too, and keep the order; a lost file is computed again."""
+    CALLS.clear()
+    store = open_store(tmp_path / "deep" / "cache")
+    work = Work(store=store)
+    assert work.map(double, [1.0, 2.0, 1.0]) == [2.0, 4.0, 2.0]
+    assert work.map(double, [2.0, 3.0]) == [4.0, 6.0]
+    assert CALLS == [1.0, 2.0, 3.0]
+    for path in tmp_path.rglob("*.npz"):
+        path.write_bytes(path.read_bytes()[:40])
+    assert work.map(double, [1.0]) == [2.0]
+    assert CALLS[3:] == [1.0]
+
+
+def test_other_code_finds_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Key results by the version of the code that computed them."""
+    store = open_store(tmp_path)
+    store.put(store.key(double, 1.0), 2.0)
+    assert store.get(store.key(double, 1.0)) == 2.0
+    monkeypatch.setattr(store_module, "code_version", lambda: "another")
+    assert store.get(store.key(double, 1.0)) is None
+
+
+def test_what_was_used_longest_ago_goes_first(tmp_path: Path) -> None:
+    """Hold the store below its limit by deleting what nobody asked for."""
+    store = Store(tmp_path, Codec())
+    for index in range(4):
+        store.put(f"{index:064d}", "x" * 1000)
+        os.utime(next(p for p in tmp_path.rglob("*.npz") if f"{index:062d}" in p.name), ns=(index, index))
+    size = sum(p.stat().st_size for p in tmp_path.rglob("*.npz"))
+    assert store.get(f"{0:064d}")  # used now
+    store.prune(size // 2)
+    assert [bool(store.get(f"{index:064d}")) for index in range(4)] == [True, False, False, True]
+
+
+def test_a_folder_that_cannot_be_written(tmp_path: Path) -> None:
+    """Compute all the same where nothing can be kept."""
+    (tmp_path / "file").write_text("in the way")
+    assert Work(store=open_store(tmp_path / "file" / "cache")).map(double, [4.0]) == [8.0]
+
+
+@pytest.mark.usefixtures("settled")
+def test_a_known_file_is_not_opened(tmp_path: Path, small_set: list[Path], unread: Callable[[], None]) -> None:
+    """Evaluate a set a second time without opening a file, with the same document to the last digit."""
+    work = Work(store=open_store(tmp_path))
+    before = dump_json(evaluate(read_all(small_set, Reader(1.0), work), sample_time=1.0))
+    unread()
+    assert dump_json(evaluate(read_all(small_set, Reader(1.0), work), sample_time=1.0)) == before
+    with pytest.raises(AssertionError, match="a file was opened"):
+        read_one(small_set[0], tmp_path, sample_time=0.5)
+
+
+@pytest.mark.usefixtures("settled")
+def test_a_changed_file_is_read_again(tmp_path: Path, small: Path) -> None:
+    """Find damage in a known file also where its size and its modification time are as before."""
+    path = Path(shutil.copy(small, tmp_path / "run.mcap"))
+    assert isinstance(read_one(path, tmp_path / "cache"), Read)
+    status = path.stat()
+    with path.open("r+b") as file:
+        file.seek(status.st_size // 2)
+        byte = file.read(1)[0]
+        file.seek(-1, os.SEEK_CUR)
+        file.write(bytes([byte ^ 1]))
+    os.utime(path, ns=(status.st_atime_ns, status.st_mtime_ns))
+    assert isinstance(read_one(path, tmp_path / "cache"), Unreadable)
+
+
+def test_a_file_just_written_is_not_relied_on(tmp_path: Path, small: Path) -> None:
+    """Keep nothing of a file that may change once more within the resolution of the clock."""
+    path = Path(shutil.copy(small, tmp_path / "run.mcap"))
+    read_one(path, tmp_path / "cache")
+    assert not list((tmp_path / "cache").rglob("*.npz"))
+
+
+@pytest.mark.usefixtures("settled")
+def test_nothing_is_kept_of_what_was_not_verified(tmp_path: Path, small: Path) -> None:
+    """Take no file's word for its content hash."""
+    read_one(small, tmp_path, verify=False)
+    assert not list(tmp_path.rglob("*.npz"))
+
+
+@pytest.mark.usefixtures("settled")
+def test_a_renamed_file_has_its_new_name(tmp_path: Path, small: Path, unread: Callable[[], None]) -> None:
+    """Report a known recording under the name that it has now."""
+    cache = tmp_path / "cache"
+    first = Path(shutil.copy(small, tmp_path / "first.mcap"))
+    os.link(first, tmp_path / "second.mcap")
+    assert isinstance(read_one(first, cache), Read)
+    unread()
+    found = read_one(tmp_path / "second.mcap", cache)
+    assert isinstance(found, Read)
+    assert found.run is not None
+    assert (found.summary.path.name, found.run.recording.path.name) == ("second.mcap", "second.mcap")
+
+
+def test_the_command(tmp_path: Path, small_set: list[Path], gsb_eval: Command) -> None:
+    """Print the same with a new store, a filled one, a deleted one and none."""
+    cache = tmp_path / "cache"
+    printed = []
+    for arguments in (["--cache", cache], ["--cache", cache], ["--no-cache"]):
+        done = gsb_eval(*small_set, "--sample-time", 1, "--json", "-", *arguments)
+        assert done.returncode == 0, done.stderr
+        printed.append(done.stdout)
+    assert list(cache.rglob("*.npz"))
+    shutil.rmtree(cache)
+    printed.append(gsb_eval(*small_set, "--sample-time", 1, "--json", "-", "--cache", cache).stdout)
+    assert len(set(printed)) == 1
+    assert json.loads(printed[0])["groups"]
+
+
+def test_where_it_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Follow GSB_CACHE, then XDG_CACHE_HOME, then the home folder."""
+    monkeypatch.setenv("GSB_CACHE", "/a")
+    assert default_folder() == Path("/a")
+    monkeypatch.delenv("GSB_CACHE")
+    monkeypatch.setenv("XDG_CACHE_HOME", "/b")
+    assert default_folder() == Path("/b/gpusimbench")
+    monkeypatch.delenv("XDG_CACHE_HOME")
+    assert default_folder() == Path.home() / ".cache" / "gpusimbench"

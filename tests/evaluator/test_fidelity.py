@@ -1,0 +1,100 @@
+"""Verdicts of groups, and how they are shown."""
+
+from __future__ import annotations
+
+import io
+import json
+from dataclasses import replace
+
+import pytest
+
+from evaluator.fidelity import Fidelity, Verdict, fidelity
+from evaluator.physics.facts import Check, Measured, NotMeasured, PhysicsFacts, measured
+from evaluator.report.fidelity import fidelity_html, fidelity_record, print_fidelity
+
+
+def run(*values: float, why: str = "") -> PhysicsFacts:
+    """A run whose rolling was measured, or not."""
+    fact = (
+        NotMeasured(Check.ROLLING, why)
+        if why
+        else measured(Check.ROLLING, values, low=2.4, high=2.4, tolerance=0.05, of="a dt / T", note="seen")
+    )
+    return PhysicsFacts("inclined-collision", 2, ((0, 1),), (fact, NotMeasured(Check.FALL, "nothing falls")))
+
+
+def rolling_of(found: Fidelity) -> object:
+    """The row of rolling."""
+    return next(row for row in found.rows if row.check is Check.ROLLING)
+
+
+def test_one_broken_value_breaks_the_group() -> None:
+    """Break where one environment of one run is beyond the tolerance, and count it."""
+    row = fidelity("x", [run(2.4, 2.41), run(2.38, 2.46)]).rows[0]
+    assert (row.verdict, row.broken, row.count, row.runs) == (Verdict.BROKEN, 1, 4, 2)
+    assert row.mean == pytest.approx(2.4125)
+    assert (row.least, row.most) == (2.38, 2.46)
+
+
+def test_the_tolerance_belongs_to_what_is_held() -> None:
+    """Hold on the edge of the tolerance."""
+    assert fidelity("x", [run(2.449, 2.351)]).rows[0].verdict is Verdict.HELD
+
+
+def test_runs_that_could_not_be_measured_are_told() -> None:
+    """Judge by those that could, and keep the reason of the others."""
+    row = fidelity("x", [run(2.4), run(why="sparse")]).rows[0]
+    assert (row.verdict, row.runs, row.reason) == (Verdict.HELD, 1, "sparse")
+    none = fidelity("x", [run(why="sparse"), run(why="sparse")]).rows[0]
+    assert (none.verdict, none.mean, none.reason) == (Verdict.NOT_APPLICABLE, None, "sparse")
+
+
+def test_groups_without_facts_say_why() -> None:
+    """Give the reason of the runs, or that there is none that can be used."""
+    assert fidelity("x", []).why_not == "no run can be used"
+    silent = replace(run(2.4), facts=(), why_not="no states were recorded")
+    assert fidelity("x", [silent, silent]).why_not == "no states were recorded"
+    assert fidelity("x", [silent, run(2.4)]).rows[0].verdict is Verdict.HELD
+
+
+def test_a_value_that_is_not_finite_breaks() -> None:
+    """Count it as broken, and keep it out of the mean."""
+    fact = measured(Check.ROLLING, [2.4, float("nan")], low=2.4, high=2.4, tolerance=0.05, of="a dt / T")
+    assert isinstance(fact, Measured)
+    assert (fact.mean, fact.broken, fact.count) == (2.4, 1, 2)
+    nothing = measured(Check.ROLLING, [float("inf")], low=None, high=0.0, tolerance=0.0, of="none")
+    assert isinstance(nothing, NotMeasured)
+
+
+def test_the_table_shows_what_broke() -> None:
+    """Print measured, allowed, tolerance and verdict, and the reasons beneath."""
+    stream = io.StringIO()
+    print_fidelity([fidelity("engine x", [run(2.4, 2.0)])], stream)
+    text = stream.getvalue()
+    assert "physics of engine x, inclined-collision: 1 run, 2 envs" in text
+    assert "2 to 2.4" in text
+    assert "BROKEN 1 of 2" in text
+    assert "not applicable: acceleration of free fall: nothing falls" in text
+
+
+def test_text_of_strangers_moves_no_cursor_and_opens_no_tag() -> None:
+    """Show escapes of a label as text, in the terminal and on a page."""
+    found = fidelity("\x1b[2J<script>", [replace(run(2.4), scene="<b>")])
+    stream = io.StringIO()
+    print_fidelity([found], stream)
+    assert "\x1b" not in stream.getvalue()
+    page = fidelity_html([found, fidelity("<i>", [])])
+    assert "<script>" not in page
+    assert "&lt;script&gt;" in page
+    assert "<b>" not in page
+    assert "<i>" not in page
+
+
+def test_json_has_every_check() -> None:
+    """Name each check with its verdict; what was not measured has a reason and no number."""
+    record = json.loads(json.dumps(fidelity_record(fidelity("x", [run(2.4, 2.0)])), allow_nan=False))
+    assert record["checks"]["rolling_acceleration"]["verdict"] == "broken"
+    assert record["checks"]["rolling_acceleration"]["least"] == 2.0
+    assert record["checks"]["fall_acceleration"] == {
+        "title": "acceleration of free fall", "unit": "m/s2", "verdict": "not applicable", "reason": "nothing falls",
+    }  # fmt: skip

@@ -1,0 +1,97 @@
+"""Parquet tables: what the JSON says, in rows that any reader of Parquet can ask."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from evaluator.evaluate import evaluate_files
+from evaluator.report.json import to_json
+from evaluator.report.parquet import METRICS, RUNS, write_parquet
+from schemas.errors import UsageError
+from schemas.provenance import PROVENANCE
+from tests.conftest import Command
+from tests.synthetic import grid, write_recording
+
+pl = pytest.importorskip("polars")
+
+
+def test_the_tables_say_what_the_document_says(tmp_path: Path, small_set: list[Path], gsb_eval: Command) -> None:
+    """Write every metric of every group and every recording, with the values of the JSON."""
+    out = tmp_path / "tables"
+    done = gsb_eval(*small_set, "--sample-time", 1, "--json", "-", "--tables", out, "--no-cache")
+    assert done.returncode == 0, done.stderr
+    document = json.loads(done.stdout)
+    metrics = pl.read_parquet(out / METRICS)
+    for group in document["groups"]:
+        rows = metrics.filter(pl.col("group") == group["label"])
+        assert set(rows["metric"]) == set(group["metrics"])
+        for row in rows.iter_rows(named=True):
+            told = group["metrics"][row["metric"]]
+            for name in ("value", "unit", "sd", "n", "exactness", "method", "why_not"):
+                assert row[name] == told[name]
+            assert [row["low"], row["high"]] == (told["ci95"] or [None, None])
+    runs = pl.read_parquet(out / RUNS)
+    assert sorted(runs["file"]) == [str(p) for p in small_set]
+    assert set(runs["content_hash"]) == {r["content_hash"] for r in document["recordings"]}
+    assert not list(out.glob("*.partial"))
+
+
+def test_tables_of_several_evaluations_are_one(tmp_path: Path) -> None:
+    """Scan tables of two folders together, and group them."""
+    for name, elapsed in (("a", 1.0), ("b", 2.0)):
+        (tmp_path / name).mkdir()
+        files = [write_recording(tmp_path / name, grid(2), run=run, elapsed_s=elapsed) for run in range(2)]
+        write_parquet(evaluate_files(files), tmp_path / name)
+    fps = pl.scan_parquet(tmp_path / "*" / METRICS).filter(pl.col("metric") == "fps")
+    found = fps.group_by("simulator").agg(pl.col("value").max() / pl.col("value").min()).collect()
+    assert found["value"].to_list() == [pytest.approx(2.0)]
+
+
+def test_strange_texts_and_seeds(tmp_path: Path) -> None:
+    """Hold names that are no text, and seeds beyond 64 bits with a sign."""
+    folder = tmp_path / "caf\udce9"
+    folder.mkdir()
+
+    def seeded(name: str, record: dict[str, Any]) -> None:
+        if name == PROVENANCE:
+            record["configuration"]["seed"] = 2**64 - 1
+
+    path = write_recording(folder, grid(1), status="FAILED", reason="a\x1b[2J", change=seeded)
+    evaluation = evaluate_files([path])
+    _, runs = write_parquet(evaluation, tmp_path / "out")
+    (row,) = pl.read_parquet(runs).iter_rows(named=True)
+    assert row["file"].endswith(f"caf\\xdce9/{path.name}")
+    assert (row["reason"], row["seed"], row["status"]) == ("a\\x1b[2J", str(2**64 - 1), "failed")
+
+
+def test_values_that_are_none(tmp_path: Path) -> None:
+    """Leave a value that could not be computed empty, with the reason beside it."""
+    path = write_recording(tmp_path, np.full((2, 27, 3), np.nan))
+    evaluation = evaluate_files([path])
+    metrics, _ = write_parquet(evaluation, tmp_path)
+    row = pl.read_parquet(metrics).row(by_predicate=pl.col("metric") == "w1_parallel", named=True)
+    told = to_json(evaluation)["groups"][0]["metrics"]["w1_parallel"]
+    assert (row["value"], row["why_not"]) == (None, told["why_not"])
+    assert row["why_not"]
+
+
+def test_without_the_package(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, small: Path) -> None:
+    """Say what to install, and write nothing."""
+    monkeypatch.setitem(sys.modules, "polars", None)
+    with pytest.raises(UsageError, match=r"pip install 'gpusimbench\[tables\]'"):
+        write_parquet(evaluate_files([small]), tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_folder_that_cannot_be_made(tmp_path: Path, small: Path, gsb_eval: Command) -> None:
+    """Say in one line where the tables could not be written."""
+    (tmp_path / "file").write_text("")
+    done = gsb_eval(small, "--tables", tmp_path / "file" / "out")
+    assert done.returncode == 1
+    assert done.stderr == f"gsb-eval: cannot write tables to {tmp_path / 'file' / 'out'}: Not a directory\n"

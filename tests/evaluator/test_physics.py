@@ -1,0 +1,342 @@
+"""Facts of mechanics: exact motions hold, spoiled ones break, and real recordings say what is known of them."""
+
+from __future__ import annotations
+
+import math
+import pickle
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from evaluator.physics.facts import Check, Measured, NotMeasured, PhysicsFacts
+from evaluator.physics.measure import physics_of
+from evaluator.physics.states import MOST_ENVS, drawn_envs
+from evaluator.recording import Recording
+from recorder.scenes.base import Scene
+from recorder.scenes.registry import make_scene
+from schemas.errors import DamagedRecording
+from tests.evaluator.trajectories import Motion, at_rest, falling, heavier_gravity, rolling, write_motion
+
+RECORDINGS = Path(__file__).parents[2] / "recordings"
+A = 5 / 7 * 9.81 * math.sin(math.radians(20.0))
+
+
+def facts_of(path: Path) -> PhysicsFacts:
+    """The facts of a file."""
+    return physics_of(Recording(path))
+
+
+def measured(facts: PhysicsFacts, check: Check) -> Measured:
+    """A check that must have been made."""
+    found = next(fact for fact in facts.facts if fact.check is check)
+    assert isinstance(found, Measured), found
+    return found
+
+
+def why(facts: PhysicsFacts, check: Check) -> str:
+    """Why a check was not made."""
+    found = next(fact for fact in facts.facts if fact.check is check)
+    assert isinstance(found, NotMeasured), found
+    return found.why
+
+
+def broken(facts: PhysicsFacts) -> set[Check]:
+    """The checks that any value breaks."""
+    return {fact.check for fact in facts.facts if isinstance(fact, Measured) and fact.broken}
+
+
+@pytest.fixture
+def roll() -> Motion:
+    """A ball that rolls by semi-implicit Euler, in two environments, to shortly before the foot."""
+    return rolling(make_scene("inclined-collision"), dt=0.01, rows=46, n_env=2)
+
+
+def test_exact_rolling_holds(tmp_path: Path, roll: Motion) -> None:
+    """Find 5/7 g sin(20 degrees) to rounding, no slip, and a foot speed within the first-order error."""
+    facts = facts_of(write_motion(tmp_path, "inclined-collision", roll))
+    assert measured(facts, Check.ROLLING).mean == pytest.approx(A, rel=1e-9)
+    assert measured(facts, Check.SLIP).most == pytest.approx(0.0, abs=1e-12)
+    speed = measured(facts, Check.FOOT_SPEED)
+    assert speed.mean == pytest.approx(math.sqrt(2 * A * 0.25) * (1 - 0.005 / 0.4568), rel=1e-3)
+    assert not broken(facts)
+
+
+@pytest.mark.parametrize("share", [1.0, 0.95 * 5 / 7, 3 / 5])
+def test_other_accelerations_break(tmp_path: Path, share: float) -> None:
+    """Break on a ball that slides, on one that is held back by 5 %, and on a hollow one."""
+    motion = rolling(make_scene("inclined-collision"), dt=0.01, rows=46, share=share)
+    assert Check.ROLLING in broken(facts_of(write_motion(tmp_path, "inclined-collision", motion)))
+
+
+def test_a_ball_that_spins_the_wrong_way_breaks(tmp_path: Path, roll: Motion) -> None:
+    """Break on slip where the angular velocity has the other sign, and on nothing else."""
+    roll["angular_velocity"] *= -1.0
+    assert broken(facts_of(write_motion(tmp_path, "inclined-collision", roll))) == {Check.SLIP}
+
+
+def test_origins_and_float32_are_allowed_for(tmp_path: Path, roll: Motion) -> None:
+    """Hold in float32 far from the origin, where coordinates have seven digits."""
+    origins = ((0.0, 0.0, 0.0), (60.0, -60.0, 0.0))
+    path = write_motion(tmp_path, "inclined-collision", roll, dtype="float32", origins=origins)
+    facts = facts_of(path)
+    assert measured(facts, Check.ROLLING).mean == pytest.approx(A, rel=1e-3)
+    assert not broken(facts)
+
+
+def test_gravity_is_the_scenes(tmp_path: Path) -> None:
+    """Take gravity from the recording: the same motion breaks where the scene says twice as much."""
+    motion = rolling(make_scene("inclined-collision"), dt=0.01, rows=46)
+    path = write_motion(tmp_path, "inclined-collision", motion, change_scene=heavier_gravity)
+    found = measured(facts_of(path), Check.ROLLING)
+    assert found.broken
+    assert found.low == pytest.approx(2 * A)
+
+
+@pytest.mark.parametrize(
+    ("half_steps", "lead", "said"),
+    [(1, 0.5, "semi-implicit Euler"), (-1, -0.5, "explicit Euler"), (0, 0.0, "second order, or exact")],
+)
+def test_free_fall_tells_g_and_the_method(tmp_path: Path, half_steps: int, lead: float, said: str) -> None:
+    """Find g to rounding whatever the method, and which method it was."""
+    motion = falling(make_scene("free-fall"), dt=0.01, rows=60, half_steps=half_steps)
+    facts = facts_of(write_motion(tmp_path, "free-fall", motion))
+    assert measured(facts, Check.FALL).mean == pytest.approx(9.81, rel=1e-9)
+    assert measured(facts, Check.FALL_LEAD).mean == pytest.approx(lead, abs=1e-9)
+    assert measured(facts, Check.FALL_LEAD).note == said
+    assert not broken(facts) & {Check.FALL, Check.FALL_LEAD, Check.FALL_SHAPE, Check.IMPACT_TIME, Check.IMPACT_SPEED}
+
+
+def test_a_stack_that_falls_a_thousandth_slower_breaks(tmp_path: Path) -> None:
+    """Break on g of 9.80, which no rounding of float32 explains."""
+    motion = falling(make_scene("free-fall"), dt=0.01, rows=60)
+    start = motion["position"][0]
+    motion["position"] = start + (motion["position"] - start) * 0.999
+    assert Check.FALL in broken(facts_of(write_motion(tmp_path, "free-fall", motion, dtype="float32")))
+
+
+def test_a_stack_that_comes_apart_in_the_air_breaks(tmp_path: Path) -> None:
+    """Break on one cube that drifts 2 mm while it falls."""
+    motion = falling(make_scene("free-fall"), dt=0.01, rows=60)
+    motion["position"][:, :, 3, 0] += np.linspace(0.0, 0.004, 60)[:, None]
+    assert Check.FALL_SHAPE in broken(facts_of(write_motion(tmp_path, "free-fall", motion)))
+
+
+def test_injected_energy_breaks(tmp_path: Path) -> None:
+    """Break where a cube that lay still moves off with more energy than the scene had."""
+    motion = at_rest(make_scene("inclined-collision"), 20)
+    motion["linear_velocity"][10:, :, 5, 0] = 12.0
+    facts = facts_of(write_motion(tmp_path, "inclined-collision", motion))
+    assert {Check.ENERGY_START, Check.ENERGY_ROW} <= broken(facts)
+    assert why(facts, Check.CONE) == "no row has all bodies on level ground"
+    assert measured(facts, Check.ENERGY_START).most == pytest.approx(0.5 * 0.005 * 144.0)
+
+
+def test_momentum_from_nowhere_breaks(tmp_path: Path) -> None:
+    """Break where the ball on the board gets a push that no friction gives, and where the ground pulls."""
+    motion = at_rest(make_scene("inclined-collision"), 20)
+    motion["position"][:, :, 0] = (0.3, 0.1, 0.0375)
+    motion["linear_velocity"][10:, :, 0, 1] = 0.5
+    facts = facts_of(write_motion(tmp_path, "inclined-collision", motion))
+    weight = (0.17782 + 27 * 0.005) * 9.81
+    found = measured(facts, Check.CONE)
+    assert found.most == pytest.approx(0.17782 * 0.5 - 0.65 * weight * 0.01)
+    assert {Check.CONE} <= broken(facts)
+    motion["linear_velocity"][10:, :, 0] = (0.0, 0.0, -0.5)
+    facts = facts_of(write_motion(tmp_path, "inclined-collision", motion))
+    assert measured(facts, Check.PULL).most == pytest.approx(0.17782 * 0.5 - weight * 0.01)
+    assert {Check.PULL} <= broken(facts)
+
+
+def test_rotation_counts_as_energy(tmp_path: Path) -> None:
+    """Count m edge^2 / 6 of a cube that starts to spin."""
+    motion = at_rest(make_scene("inclined-collision"), 20)
+    motion["angular_velocity"][10:, :, 5, 2] = 400.0
+    found = measured(facts_of(write_motion(tmp_path, "inclined-collision", motion)), Check.ENERGY_START)
+    assert found.most == pytest.approx(0.5 * 0.005 * 0.02**2 / 6 * 400.0**2)
+
+
+def test_a_cube_pushed_into_the_board_breaks(tmp_path: Path) -> None:
+    """Break on 1 mm at rest, and say 1 mm; a tenth of it is what a step accounts for."""
+    for depth, breaks in ((1e-3, True), (1e-4, False)):
+        motion = at_rest(make_scene("inclined-collision"), 20)
+        motion["position"][-1, :, 1, 2] -= depth
+        facts = facts_of(write_motion(tmp_path, "inclined-collision", motion, without=()))
+        assert measured(facts, Check.DEPTH_REST).most == pytest.approx(depth)
+        assert (Check.DEPTH_REST in broken(facts)) is breaks
+
+
+def test_cubes_in_each_other_break(tmp_path: Path) -> None:
+    """Break on cubes 2 mm in each other, measured exactly at rest and at least ever."""
+    motion = at_rest(make_scene("inclined-collision"), 20)
+    motion["position"][-1, :, 1:10, 0] += 2e-3  # the layer of the smallest x toward the next
+    facts = facts_of(write_motion(tmp_path, "inclined-collision", motion))
+    assert measured(facts, Check.PAIR_REST).most == pytest.approx(2e-3)
+    assert measured(facts, Check.PAIR_EVER).most == pytest.approx(2e-3)
+    assert Check.PAIR_REST in broken(facts)
+
+
+def test_a_jump_without_velocity_breaks(tmp_path: Path) -> None:
+    """Break on a cube that moves 5 mm while its velocity says that it lies still."""
+    motion = at_rest(make_scene("inclined-collision"), 20)
+    motion["position"][10:, :, 27, 2] += 5e-3
+    facts = facts_of(write_motion(tmp_path, "inclined-collision", motion))
+    assert broken(facts) == {Check.DISPLACEMENT}
+    assert measured(facts, Check.DISPLACEMENT).most == pytest.approx(5e-3)
+
+
+def test_sliding_shows_the_coefficient(tmp_path: Path) -> None:
+    """Find 0.3 on a cube that slides alone, between the scene's coefficients, and break on 0.6."""
+    for friction, breaks in ((0.3, False), (0.6, True)):
+        scene = make_scene("inclined-collision")
+        motion = at_rest(scene, 30)
+        time = np.arange(30)[:, None] * 0.01
+        speed = np.maximum(0.0, 1.5 - friction * 9.81 * time)
+        motion["position"][:, :, 9] = (0.3, 0.2, 0.03)
+        motion["position"][:, :, 9, 0] += np.cumsum(speed, axis=0) * 0.01
+        motion["linear_velocity"][:, :, 9, 0] = speed
+        facts = facts_of(write_motion(tmp_path, "inclined-collision", motion))
+        found = measured(facts, Check.SLIDING)
+        assert found.mean == pytest.approx(friction)
+        assert (found.count, bool(found.broken)) == (1, breaks)
+
+
+def test_what_is_not_finite_is_said_first(tmp_path: Path, roll: Motion) -> None:
+    """Break on one NaN in one environment, and measure nothing else."""
+    roll["linear_velocity"][20, 1, 4, 0] = np.nan
+    facts = facts_of(write_motion(tmp_path, "inclined-collision", roll))
+    assert broken(facts) == {Check.FINITE}
+    assert measured(facts, Check.FINITE).broken == 1
+    assert why(facts, Check.ROLLING) == "states are not finite"
+
+
+def test_huge_numbers_overflow_nothing(tmp_path: Path, roll: Motion) -> None:
+    """Call numbers whose squares are infinite a simulation that blew up."""
+    roll["position"][20, 0, 4, 0] = 1e300
+    assert broken(facts_of(write_motion(tmp_path, "inclined-collision", roll))) == {Check.FINITE}
+
+
+def test_fields_that_are_missing_are_named(tmp_path: Path, roll: Motion) -> None:
+    """Give a reason for what velocities and orientations would have told."""
+    path = write_motion(tmp_path, "inclined-collision", roll, without=("orientation", "angular_velocity"))
+    facts = facts_of(path)
+    assert measured(facts, Check.ROLLING).mean == pytest.approx(A)
+    assert why(facts, Check.SLIP) == "velocities were not recorded"
+    assert why(facts, Check.DEPTH_EVER) == "orientations were not recorded"
+    assert why(facts, Check.ENERGY_START) == "velocities were not recorded"
+
+
+def test_sparse_states_are_named(tmp_path: Path) -> None:
+    """Give a reason for what happens between rows that were not recorded."""
+    motion = at_rest(make_scene("inclined-collision"), 3)
+    facts = facts_of(write_motion(tmp_path, "inclined-collision", motion, stride=250))
+    assert why(facts, Check.ROLLING) == "fewer than 5 rows are on the slope"
+    assert why(facts, Check.CONE) == "only every 250th state was recorded"
+    assert measured(facts, Check.END_SPEED).most == 0.0
+    assert measured(facts, Check.DEPTH_REST).most == pytest.approx(0.0, abs=1e-4)
+
+
+def test_cubes_that_rock_on_the_spot_break(tmp_path: Path) -> None:
+    """Break on a cube that spins at the end, and leave one alone that fell off the board."""
+    motion = at_rest(make_scene("inclined-collision"), 3)
+    motion["position"][-1, :, 4] = (0.7, 0.0, -3.0)
+    motion["linear_velocity"][-1, :, 4, 2] = -7.0
+    motion["angular_velocity"][-1, :, 4, 2] = 50.0
+    facts = facts_of(write_motion(tmp_path, "inclined-collision", motion, stride=250))
+    assert not broken(facts) & {Check.END_SPEED, Check.END_SPIN}
+    motion["angular_velocity"][-1, :, 5, 1] = 2.0
+    facts = facts_of(write_motion(tmp_path, "inclined-collision", motion, stride=250))
+    assert broken(facts) & {Check.END_SPEED, Check.END_SPIN} == {Check.END_SPIN}
+    assert measured(facts, Check.END_SPIN).most == pytest.approx(2.0)
+    assert measured(facts, Check.END_SPIN).note == "1 of them spin"
+
+
+def test_facts_are_small_and_can_be_pickled(tmp_path: Path, roll: Motion) -> None:
+    """Come back from another process as they were, in a few kilobytes."""
+    facts = facts_of(write_motion(tmp_path, "inclined-collision", roll))
+    packed = pickle.dumps(facts)
+    assert pickle.loads(packed) == facts
+    assert len(packed) < 10_000
+
+
+def test_envs_are_drawn_alike_and_from_everywhere() -> None:
+    """Look at all of a small run, and at the same 64 of a large one, in four parts of it."""
+    assert drawn_envs(MOST_ENVS) == ((0, MOST_ENVS - 1),)
+    for n_env in (65, 100, 4096, 131072):
+        ranges = drawn_envs(n_env)
+        assert ranges == drawn_envs(n_env)
+        envs = [env for first, last in ranges for env in range(first, last + 1)]
+        assert len(set(envs)) == len(envs) == MOST_ENVS
+        assert max(envs) < n_env
+        parts = [n_env * k // 4 for k in range(5)]
+        assert all(
+            low <= first and last < high for low, (first, last), high in zip(parts[:4], ranges, parts[1:], strict=True)
+        )
+
+
+def test_large_runs_are_sampled(tmp_path: Path) -> None:
+    """Say "sampled" of 80 environments, and find the one that broke if it is among those."""
+    motion = at_rest(make_scene("inclined-collision"), 2, n_env=80)
+    chosen = drawn_envs(80)[2][0]
+    motion["position"][:, chosen, 1, 2] -= 2e-3
+    facts = facts_of(write_motion(tmp_path, "inclined-collision", motion))
+    assert (facts.exactness, facts.looked_at) == ("sampled", 64)
+    assert measured(facts, Check.DEPTH_REST).broken == 1
+
+
+def test_scenes_that_mechanics_knows_nothing_of_say_so(tmp_path: Path) -> None:
+    """Give a reason for gravity that is not along -z."""
+    motion = at_rest(make_scene("inclined-collision"), 3)
+    path = write_motion(
+        tmp_path, "inclined-collision", motion, change_scene=lambda s: replace(s, gravity=(1.0, 0.0, -9.81))
+    )
+    facts = facts_of(path)
+    assert facts.why_not == "gravity is not along -z"
+    assert facts.facts == ()
+
+
+@pytest.mark.parametrize("mass", [-1.0, 1e300])
+def test_scenes_that_cannot_be_are_refused(tmp_path: Path, mass: float) -> None:
+    """Name the file and the number where a body's mass is that of no body."""
+
+    def changed(scene: Scene) -> Scene:
+        return replace(scene, bodies=tuple(replace(b, mass=mass) if b.name == "ball" else b for b in scene.bodies))
+
+    motion = at_rest(make_scene("inclined-collision"), 3)
+    path = write_motion(tmp_path, "inclined-collision", motion, change_scene=changed)
+    with pytest.raises(DamagedRecording, match=f"{path.name}: mass is not a number"):
+        facts_of(path)
+
+
+def test_mujoco_keeps_to_mechanics() -> None:
+    """Hold every check of the shipped float64 recording; its rolling is 0.6 % slow, by the give of its contacts."""
+    facts = facts_of(RECORDINGS / "mujoco-xeon-r0.mcap")
+    assert not broken(facts)
+    assert measured(facts, Check.ROLLING).mean == pytest.approx(0.9942 * A, rel=1e-4)
+    assert measured(facts, Check.SLIP).most == pytest.approx(0.00948, rel=1e-2)
+
+
+def test_newton_xpbd_loses_its_cubes() -> None:
+    """Break on the cubes that went through the board of a shipped recording."""
+    facts = facts_of(RECORDINGS / "h200" / "newton-xpbd-inclined-collision-n16-r0.mcap")
+    assert Check.SANK in broken(facts)
+    assert why(facts, Check.ROLLING) == "fewer than 5 rows are on the slope"
+
+
+def test_a_robot_keeps_to_its_limits(tmp_path: Path, gsb_record: object) -> None:
+    """Hold the joint limits of a real franka run."""
+    done = gsb_record(  # type: ignore[operator]
+        "--sim", "mujoco", "--scene", "franka", "--n-env", "2", "--runs", "1", "--phases", "capture", "--steps", "50",
+        "--out", tmp_path,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    facts = facts_of(next(tmp_path.glob("*.mcap")))
+    assert not broken(facts)
+    assert measured(facts, Check.JOINT_LIMIT).most < 0.0
+
+
+def test_a_run_without_states_says_so() -> None:
+    """Give the reason where the capture phase was left out."""
+    facts = facts_of(RECORDINGS / "h200" / "warp-franka-n8-r0.mcap")
+    assert "no states were recorded" in facts.why_not

@@ -1,0 +1,38 @@
+"""What docs/physics.md says is what the code and the shipped recordings say."""
+
+from __future__ import annotations
+
+import importlib.util
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from evaluator.physics.facts import Check
+
+ROOT = Path(__file__).parents[2]
+PAGE = ROOT / "docs" / "physics.md"
+
+
+@pytest.fixture(scope="module")
+def making() -> Any:
+    """docs/make_physics.py."""
+    spec = importlib.util.spec_from_file_location("make_physics", ROOT / "docs" / "make_physics.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_the_page_explains_every_check() -> None:
+    """Name each check by its key in the table of checks."""
+    page = PAGE.read_text(encoding="utf-8")
+    assert [check.key for check in Check if f"`{check.key}`" not in page] == []
+
+
+@pytest.mark.slow
+def test_the_page_shows_what_the_recordings_say(making: Any) -> None:
+    """Hold the table to the shipped recordings; make figures redraws it."""
+    page = PAGE.read_text(encoding="utf-8")
+    assert making.with_block(page, "shipped", making.at_the_end(making.shipped())) == page, "run make figures"

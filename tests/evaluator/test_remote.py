@@ -1,0 +1,504 @@
+"""Recordings elsewhere: the same as on this machine, with a small part of their bytes."""
+
+from __future__ import annotations
+
+import json
+import random
+import struct
+import subprocess
+import sys
+import zlib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import fsspec
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from evaluator import open_recording
+from evaluator.cli import check, diff, info
+from evaluator.cli import eval as evaluation
+from evaluator.integrity import examine
+from evaluator.locations import expand
+from evaluator.recording import Recording
+from schemas import container, remote
+from schemas.container import Container
+from schemas.errors import DamagedRecording, NotARecording, RecordingError, Unreachable
+from schemas.location import Location, redacted, shown, shown_argument
+from schemas.mcap_writer import MAGIC
+from schemas.remote import RemoteFile
+from tests.evaluator.test_container import rewrite
+from tests.synthetic import grid, write_recording
+from tests.test_docs import ROOT, commands, shell
+from tests.web import Web, serving
+
+N_ENV, STEPS = 128, 400
+
+
+def _paths(start: np.ndarray[Any, Any], step: int) -> np.ndarray[Any, Any]:
+    return start + np.float32(0.001) * step
+
+
+@pytest.fixture(scope="module")
+def large(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    """Two runs that have two columns of environments and nine blocks of states each, 17 MB."""
+    folder = tmp_path_factory.mktemp("large")
+    ends = [grid(N_ENV, "float32"), grid(N_ENV, "float32") + np.float32(0.01)]
+    return [
+        write_recording(
+            folder, end, run=i, run_id=f"run-{i}", steps=STEPS, dt=0.01, path_of=_paths, gpu_bytes=(10**9, 2 * 10**9),
+            name=f"run-{i}.mcap",
+        )
+        for i, end in enumerate(ends)
+    ]  # fmt: skip
+
+
+@pytest.fixture
+def web() -> Iterator[Web]:
+    """A web server."""
+    with serving() as server:
+        yield server
+
+
+@pytest.fixture
+def memory() -> Iterator[Any]:
+    """The file system memory://, empty."""
+    system = fsspec.filesystem("memory")
+    system.store.clear()
+    yield system
+    system.store.clear()
+
+
+def _put(memory: Any, path: Path, name: str = "") -> str:
+    memory.pipe(f"/set/{name or path.name}", path.read_bytes())
+    return f"memory://set/{name or path.name}"
+
+
+def _source(recording: Recording) -> RemoteFile:
+    source = recording._container.source
+    assert isinstance(source, RemoteFile)
+    return source
+
+
+def test_facts_cost_a_small_part(web: Web, large: list[Path], capsys: pytest.CaptureFixture[str]) -> None:
+    """Tell of a remote file, from a tenth of its bytes, what is told of the same file here."""
+    web.files["a.mcap"] = large[0].read_bytes()
+    assert info.main(["--no-verify", "--json", "-", f"{web.address}/a.mcap"]) == 0
+    (remote_facts,) = json.loads(capsys.readouterr().out)["files"]
+    assert web.sent < large[0].stat().st_size / 10
+    assert info.main(["--no-verify", "--json", "-", str(large[0])]) == 0
+    (facts,) = json.loads(capsys.readouterr().out)["files"]
+    assert remote_facts.pop("path") == f"{web.address}/a.mcap"
+    assert facts.pop("path") == str(large[0])
+    assert remote_facts == facts
+
+
+@pytest.mark.parametrize("options", [[], ["--no-verify"]])
+def test_the_same_metrics(web: Web, tmp_path: Path, capsys: pytest.CaptureFixture[str], options: list[str]) -> None:
+    """Evaluate a remote set, given by a wildcard, to the same numbers as the local one."""
+    ends = (grid(4) + offset for offset in (0, 0.001, 0.002))
+    runs = [write_recording(tmp_path, end, run=i, steps=60, gpu_bytes=(1, 2)) for i, end in enumerate(ends)]
+    web.files |= {f"set/{path.name}": path.read_bytes() for path in runs}
+    documents = []
+    for files in ([f"{web.address}/set/*.mcap"], sorted(map(str, runs))):
+        assert evaluation.main([*files, "--json", "-", *options]) == 0
+        text = capsys.readouterr().out
+        for path in runs:
+            text = text.replace(f"{web.address}/set/{path.name}", "F").replace(str(path), "F")
+        documents.append(json.loads(text))
+    assert documents[0] == documents[1]
+    assert {path for path, _ in web.requests if path.endswith(".mcap")} == {f"set/{path.name}" for path in runs}
+
+
+def test_one_step_and_one_env_cost_their_blocks(memory: Any, large: list[Path]) -> None:
+    """Read of one step the blocks of that step, and of one environment those of its column."""
+    recording = open_recording(_put(memory, large[0]))
+    local = np.asarray(open_recording(large[0]).state("cubes", "position"))
+    states, source = recording.state("cubes", "position"), _source(recording)
+    assert source.fetched < 400_000  # opening has read no block
+    block = 50 * 64 * 27 * 3 * 4
+    rounding = 2 * remote._BLOCK
+    before = source.fetched
+    assert np.array_equal(states.at_step(210), local[210])
+    assert 2 * block < source.fetched - before < 2 * (block + rounding)
+    before = source.fetched
+    assert np.array_equal(states[:, 70], local[:, 70])
+    of_column = STEPS // 50 * block + block // 50
+    assert of_column - block < source.fetched - before < of_column + 9 * rounding
+    assert source.fetched < large[0].stat().st_size
+
+
+def test_one_difference_costs_its_blocks(web: Web, large: list[Path], capsys: pytest.CaptureFixture[str]) -> None:
+    """Compare one environment of two remote runs without the blocks of the others."""
+    web.files |= {path.name: path.read_bytes() for path in large}
+    found = []
+    for a, b in ([f"{web.address}/{path.name}" for path in large], map(str, large)):
+        assert diff.main([a, b, "--env", "3", "--no-verify", "--json", "-"]) == 4
+        document = json.loads(capsys.readouterr().out)
+        assert (document["a"].pop("path"), document["b"].pop("path")) == (a, b)
+        found.append(document)
+    assert found[0] == found[1]
+    assert web.sent < 0.75 * sum(path.stat().st_size for path in large)
+
+
+def test_verified_in_bounded_memory(
+    memory: Any, large: list[Path], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """Verify a remote file with a cache that is smaller than the file, and find a bit that was changed."""
+    monkeypatch.setattr(remote, "_CACHED_BYTES", 2 << 20)
+    recording = open_recording(_put(memory, large[0]))
+    recording.verify()
+    assert len(_source(recording)._blocks) * remote._BLOCK <= 2 << 20
+    data = bytearray(large[0].read_bytes())
+    data[len(data) // 2] ^= 1
+    changed = tmp_path / "changed.mcap"
+    changed.write_bytes(data)
+    with pytest.raises(DamagedRecording, match="CRC"):
+        open_recording(_put(memory, changed)).verify()
+
+
+@pytest.mark.parametrize("compression", ["none", "zstd"])
+def test_files_of_other_writers(memory: Any, tmp_path: Path, compression: str) -> None:
+    """Read chunks that hold messages of many topics, with and without an index of them, and messages outside of any."""
+    from mcap.writer import CompressionType, IndexType
+
+    original = write_recording(tmp_path, grid(3), steps=60)
+    whole = np.asarray(open_recording(original).state("cubes", "position"))
+    ways: list[dict[str, Any]] = [
+        {"chunk_size": 700},
+        {"chunk_size": 1 << 20},
+        {"index_types": IndexType.ALL & ~IndexType.MESSAGE},
+        {"index_types": IndexType.NONE},
+        {"use_chunking": False},
+        {"use_statistics": False},
+        {"use_summary_offsets": False, "repeat_schemas": False, "repeat_channels": False},
+    ]
+    for number, options in enumerate(ways):
+        copy = tmp_path / f"{number}.mcap"
+        rewrite(original, copy, CompressionType[compression.upper()], **options)
+        recording = open_recording(_put(memory, copy))
+        recording.verify()
+        assert np.array_equal(np.asarray(recording.state("cubes", "position")), whole), options
+        assert recording.events == open_recording(copy).events
+
+
+def test_cut_short(memory: Any, tmp_path: Path, caplog: pytest.LogCaptureFixture, monkeypatch: Any) -> None:
+    """Read what is left of a file without an end, and say that all of it had to be read; refuse a large one."""
+    whole = write_recording(tmp_path, grid(2), end=False)
+    recording = open_recording(_put(memory, whole, "part.mcap"))
+    assert recording.status == "incomplete"
+    assert "memory://set/part.mcap has no index: all of its" in caplog.text
+    monkeypatch.setattr(container, "MAX_WALKED_BYTES", 1000)
+    with pytest.raises(DamagedRecording, match="download it"):
+        open_recording("memory://set/part.mcap")
+
+
+def test_a_server_that_gives_no_parts(web: Web, large: list[Path], tmp_path: Path) -> None:
+    """Say so where the file is large, after little of it; read a file as a whole that is no larger than a part."""
+    web.ranges = False
+    web.files["a.mcap"] = large[0].read_bytes()
+    with pytest.raises(Unreachable, match="only as a whole; download it"):
+        open_recording(f"{web.address}/a.mcap").state("cubes", "position")
+    assert web.sent < len(web.files["a.mcap"]) / 2
+    small = write_recording(tmp_path, grid(2), steps=5)
+    assert small.stat().st_size < remote._BLOCK
+    web.files["b.mcap"] = small.read_bytes()
+    open_recording(f"{web.address}/b.mcap").verify()
+
+
+def test_a_connection_that_breaks(web: Web, large: list[Path], capsys: pytest.CaptureFixture[str]) -> None:
+    """Name the file and what happened where an answer ends early; nothing is taken for the file's content."""
+    web.files["a.mcap"] = large[0].read_bytes()
+    recording = open_recording(f"{web.address}/a.mcap")
+    states = recording.state("cubes", "position")
+    web.cut = 100_000
+    with pytest.raises(Unreachable, match=f"cannot read {web.address}/a.mcap: "):
+        states.at_step(100)
+    web.cut = 10
+    assert info.main(["--no-verify", f"{web.address}/a.mcap"]) == 3
+    assert f"gsb-info: cannot read {web.address}/a.mcap: " in capsys.readouterr().err
+
+
+def test_a_file_that_changes(web: Web, large: list[Path], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Notice that another file took the place of one that is being read, though its bytes look like it."""
+    monkeypatch.setattr(remote, "_CONFIRM_S", -1.0)
+    web.files["a.mcap"] = large[0].read_bytes()
+    recording = open_recording(f"{web.address}/a.mcap")
+    states = recording.state("cubes", "position")
+    web.files["a.mcap"] = large[1].read_bytes()
+    with pytest.raises(DamagedRecording, match="changed while it was read"):
+        states.at_step(100)
+
+
+def test_verify_asks_whether_it_changed(memory: Any, large: list[Path]) -> None:
+    """Notice at the end of a verification that the file is another one by now, if not before."""
+    recording = open_recording(_put(memory, large[0]))
+    _put(memory, large[1], large[0].name)
+    with pytest.raises(RecordingError):
+        recording.verify()
+
+
+def test_what_cannot_be_had(web: Web, memory: Any, capsys: pytest.CaptureFixture[str]) -> None:
+    """Name what is not there, no recording, of no known kind or behind a missing package; exit as for other files."""
+    web.files["text.mcap"] = b"not the bytes that you are looking for" * 10
+    web.files["empty.mcap"] = b""
+    for address, message in (
+        (f"{web.address}/none.mcap", "the server answers 404: there is no such file"),
+        (f"{web.address}/text.mcap", "is not an MCAP file"),
+        (f"{web.address}/empty.mcap", "is not an MCAP file"),
+        ("http://127.0.0.1:1/a.mcap", "cannot read http://127.0.0.1:1/a.mcap: "),
+        ("memory://nowhere/a.mcap", "there is no such file"),
+        ("nonsense://a.mcap", "Protocol not known: nonsense"),
+    ):
+        assert info.main(["--no-verify", address]) == 3
+        found = capsys.readouterr()
+        assert message in found.err
+        assert found.err.count("\n") == 1
+        assert evaluation.main([address]) == 3
+        assert message in capsys.readouterr().err
+    with pytest.raises(NotARecording, match="not an MCAP file"):
+        open_recording(f"{web.address}/text.mcap")
+    assert check.main(["memory://nowhere/a.mcap"]) == 3
+
+
+def test_missing_package() -> None:
+    """Name what to install where fsspec is not there."""
+    code = (
+        "import sys; sys.modules['fsspec'] = None\n"
+        "from evaluator.cli.info import main\n"
+        "raise SystemExit(main(['--no-verify', 'https://localhost/a.mcap']))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
+    assert done.returncode == 3
+    assert "pip install 'gpusimbench[remote]'" in done.stderr
+
+
+def test_local_files_need_no_package(large: list[Path]) -> None:
+    """Read a local file without loading anything that reads remote ones."""
+    code = (
+        "import sys\nfrom evaluator.cli.info import main\n"
+        f"assert main(['--no-verify', {str(large[0])!r}]) == 0\n"
+        "assert not {'fsspec', 'aiohttp', 'schemas.remote'} & set(sys.modules)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
+    assert done.returncode == 0, done.stderr
+
+
+def test_secrets_stay_with_the_server(web: Web, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Write no password and no signature of an address to any output, good or bad."""
+    web.files["a.mcap"] = write_recording(tmp_path, grid(2)).read_bytes()
+    host = web.address.removeprefix("http://")
+    secret = "pass%20word-of-mine"
+    for name, code in (("a.mcap", 0), ("none.mcap", 3)):
+        address = f"http://whoever:{secret}@{host}/{name}?X-Amz-Signature={secret}&x='{secret}"
+        report, results = tmp_path / f"{name}.html", tmp_path / f"{name}.json"
+        for main, arguments in (
+            (evaluation.main, [address, "--html", str(report), "--json", str(results)]),
+            (check.main, [address]),
+            (check.main, [address, "--json", "-"]),
+            (info.main, [address]),
+            (info.main, ["--no-verify", "--json", "-", address]),
+            (diff.main, [address, address, "--no-verify", "--json", "-"]),
+            (diff.main, [address, address]),
+        ):
+            assert main(arguments) in (code, 4)
+            found = capsys.readouterr()
+            written = [p.read_text() for p in (report / "index.html", results) if p.is_file()]
+            assert f"http://{host}/{name}" in "".join((found.out, found.err, *written))
+            for text in (found.out, found.err, *written):
+                assert "of-mine" not in text
+                assert "whoever" not in text
+    assert (tmp_path / "a.mcap.html" / "index.html").is_file()
+
+
+@given(
+    st.text("abc/@:?#=&%é\x1b \u202e", max_size=30), st.sampled_from(["https", "s3", "hf", "memory", "HTTP"]), st.text()
+)
+def test_what_is_shown_of_an_address(path: str, scheme: str, before: str) -> None:
+    """Show neither what stands ahead of the host nor what follows the path, and no control character."""
+    address = f"{scheme}://user:SECRET@host/{path}?key=SECRET"
+    for text in (
+        shown(address), str(Location(address)), repr(Location(address)), Location(address).name,
+        shown_argument(f"--reference={address}"), shown(f"simplecache::{address}"),
+    ):  # fmt: skip
+        assert "SECRET" not in text
+    assert shown(address).isprintable()
+    assert Location(address).name.isprintable()
+    assert "SECRET" not in redacted(f"{before} https://user:SECRET@host/a?b=SECRET, {before}").replace(before, "")
+
+
+@given(st.data())
+def test_any_part_is_that_of_the_file(data: st.DataObject) -> None:
+    """Give the file's own bytes of any part, whatever was read before, and keep no more than the cache holds."""
+    content = random.Random(1).randbytes(300_000)
+    system = fsspec.filesystem("memory")
+    system.pipe("/parts", content)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(remote, "_BLOCK", 1000)
+        patch.setattr(remote, "_CACHED_BYTES", 20_000)
+        patch.setattr(remote, "_AHEAD_BYTES", 8000)
+        source = RemoteFile(Location("memory://parts"))
+        for _ in range(20):
+            begin = data.draw(st.integers(0, len(content)))
+            end = data.draw(st.integers(begin, min(len(content), begin + 15_000)))
+            assert source.read(begin, end) == content[begin:end]
+            assert len(source._blocks) <= 20
+
+
+def test_wildcards(memory: Any, large: list[Path]) -> None:
+    """Let an address stand for the files that match it, each once, and say so where there is none."""
+    for path in large:
+        _put(memory, path)
+    addresses = [Location(f"memory:///set/{path.name}") for path in large]
+    assert [str(p) for p in expand([Location("memory://set/*.mcap"), addresses[0]])] == [
+        str(Location(f"memory://{'/' if str(p).startswith('memory:///') else ''}set/{path.name}"))
+        for p, path in zip(expand([Location("memory://set/*.mcap")]), large, strict=True)
+    ]
+    with pytest.raises(Unreachable, match="no file there has such a name"):
+        expand([Location("memory://set/*.txt")])
+    with pytest.raises(Unreachable, match="more than the 1 that are read at once"):
+        remote.matching(Location("memory://set/*.mcap"), 1)
+
+
+def test_one_reference(memory: Any, large: list[Path], capsys: pytest.CaptureFixture[str]) -> None:
+    """Refuse a reference that stands for several recordings, rather than choose one."""
+    for path in large:
+        _put(memory, path)
+    assert evaluation.main([str(large[0]), "--reference", "memory://set/*.mcap", "--no-verify"]) == 2
+    assert "--reference is one recording; memory://set/*.mcap stands for 2" in capsys.readouterr().err
+
+
+def _summary(data: bytes) -> int:
+    return int(struct.unpack_from("<Q", data, len(data) - len(MAGIC) - 20)[0])
+
+
+def _records(data: bytes) -> list[bytes]:
+    # of the summary
+    records, position = [], _summary(data)
+    while position < len(data) - len(MAGIC):
+        size = 9 + struct.unpack_from("<Q", data, position + 1)[0]
+        records.append(data[position : position + size])
+        position += size
+    return records
+
+
+def _resealed(data: bytearray) -> bytes:
+    # with the CRC that the summary has now
+    begin, crc_at = _summary(data), len(data) - len(MAGIC) - 4
+    data[crc_at : crc_at + 4] = struct.pack("<I", zlib.crc32(data[begin:crc_at]))
+    return bytes(data)
+
+
+def test_a_summary_that_lies(memory: Any, tmp_path: Path) -> None:
+    """Refuse, or read the same numbers, whatever a summary claims whose CRC is right."""
+    rng = random.Random(3)
+    source = write_recording(tmp_path, grid(64, "float32"), steps=60, timed_steps=20)
+    data, whole = source.read_bytes(), np.asarray(open_recording(source).state("cubes", "position"))
+    declared = b"".join(record for record in _records(data) if record[0] in (3, 4))
+    begin = _summary(data) + len(declared)  # schemas are long, and nothing is read with them
+    refused = 0
+    for number in range(200):
+        changed = bytearray(data)
+        at = rng.randrange(begin, len(data) - 30)
+        match number % 3:
+            case 0:
+                changed[at] ^= 1 << rng.randrange(8)
+            case 1:
+                changed[at : at + 8] = rng.choice([b"\xff" * 8, b"\0" * 8, (2**40).to_bytes(8, "little")])
+            case 2:
+                changed[at : at + 16] = rng.randbytes(16)
+        memory.pipe("/lie", _resealed(changed[: len(data)]))
+        try:
+            recording = open_recording("memory://lie")
+            recording.verify()
+            assert np.array_equal(np.asarray(recording.state("cubes", "position")), whole)
+        except (RecordingError, KeyError):
+            refused += 1
+    assert refused > 50
+
+
+def test_what_a_summary_leaves_out(memory: Any, tmp_path: Path) -> None:
+    """Notice on verifying that chunks or messages lie in the file that its summary does not know."""
+    source = write_recording(tmp_path, grid(64, "float32"), steps=60)
+    data = source.read_bytes()
+    begin, records = _summary(data), _records(data)
+    chunks = [i for i, r in enumerate(records) if r[0] == 8]
+    attachments = [i for i, r in enumerate(records) if r[0] == 10]
+    (statistics,) = [i for i, r in enumerate(records) if r[0] == 11]
+    for left_out, counter in ((chunks[-2], 9 + 8 + 2 + 4 + 4 + 4), (attachments[0], 9 + 8 + 2 + 4)):
+        kept = [bytearray(r) for i, r in enumerate(records) if i != left_out]
+        at = statistics if statistics < left_out else statistics - 1
+        (count,) = struct.unpack_from("<I", kept[at], counter)
+        struct.pack_into("<I", kept[at], counter, count - 1)
+        if left_out in chunks:
+            index_bytes = struct.unpack_from("<Q", records[left_out], 9 + 32 + 4 + 10)[0]
+            (messages,) = struct.unpack_from("<Q", kept[at], 9)
+            struct.pack_into("<Q", kept[at], 9, messages - (index_bytes - 15) // 16)
+        forged = bytearray(data[:begin] + b"".join(kept) + MAGIC)
+        memory.pipe("/short", _resealed(forged))
+        with pytest.raises(DamagedRecording):
+            opened = Container(Location("memory://short"))
+            assert opened.indexed
+            opened.verify()
+
+
+def test_no_flipped_bit_passes(memory: Any, tmp_path: Path) -> None:
+    """Notice every flipped bit of a remote file: refused on opening, or by verify."""
+    data = write_recording(tmp_path, grid(1)).read_bytes()
+    rng = random.Random(4)
+    passed = []
+    for _ in range(200):
+        changed = bytearray(data)
+        position = rng.randrange(len(data))
+        changed[position] ^= 1 << rng.randrange(8)
+        memory.pipe("/flipped", bytes(changed))
+        try:
+            recording = open_recording("memory://flipped")
+            recording.verify()
+        except RecordingError:
+            continue
+        if recording.status != "incomplete":
+            passed.append(position)
+    assert not passed
+
+
+def test_checked_as_a_whole(memory: Any, large: list[Path]) -> None:
+    """Examine a remote file as a local one, and leave no copy behind."""
+    remote_one, local = examine(_put(memory, large[0])), examine(large[0])
+    assert remote_one.problems.kinds() == local.problems.kinds()
+    assert remote_one.complete
+    assert remote_one.scan is not None
+    assert local.scan is not None
+    assert remote_one.scan.counts == local.scan.counts
+    assert remote_one.recording is not None
+    assert str(remote_one.recording.path) == str(remote_one.path) == f"memory://set/{large[0].name}"
+    remote_one.recording.verify()
+
+
+def test_commands_of_the_guide(tmp_path: Path) -> None:
+    """Run every command that docs/remote.md shows in a console block, in a folder that has the sample recordings."""
+    (tmp_path / "recordings").symlink_to(ROOT / "recordings")
+    lines = commands(ROOT / "docs" / "remote.md")
+    assert lines
+    for line in lines:
+        done = shell(line, tmp_path)
+        assert done.returncode == 0, done.stderr
+        assert done.stdout
+
+
+@pytest.mark.parametrize(
+    ("address", "text", "name"),
+    [
+        ("s3://bucket/a/run%201.mcap?versionId=3", "s3://bucket/a/run%201.mcap", "run 1.mcap"),
+        ("simplecache::s3://bucket/run#3.mcap", "simplecache::s3://bucket/run#3.mcap", "run#3.mcap"),
+        ("zip://a.mcap::https://me:x@host/b.zip?x", "zip://a.mcap::https://host/b.zip", "a.mcap"),
+        ("https://me:p::w@host:80/a.mcap#x", "https://host:80/a.mcap", "a.mcap"),
+        ("hf://datasets/me/set@main/a.mcap", "hf://datasets/me/set@main/a.mcap", "a.mcap"),
+    ],
+)
+def test_names_of_addresses(address: str, text: str, name: str) -> None:
+    """Show what tells files apart, and name them without their folder."""
+    assert (str(Location(address)), Location(address).name) == (text, name)

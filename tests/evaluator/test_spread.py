@@ -1,0 +1,177 @@
+"""How the environments of one run move apart."""
+
+from __future__ import annotations
+
+import pickle
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from evaluator import spread as module
+from evaluator.recording import Recording
+from evaluator.spread import Spread, spread
+from schemas.errors import DamagedRecording
+from tests.synthetic import cubes_field, write_recording
+
+DT = 0.01
+RATE = 8.0
+
+
+def growing(n_env: int, dtype: str = "float64") -> tuple[np.ndarray, Any]:
+    """Environments that leave the first one exponentially, each in its own direction: the path and its end."""
+    away = np.random.default_rng(0).normal(size=(n_env, 27, 3)) * 1e-7
+    away[0] = 0.0
+
+    def path(start: np.ndarray, step: int) -> np.ndarray:
+        return np.asarray((start + away * np.exp(RATE * step * DT)).astype(dtype))
+
+    return away, path
+
+
+def record(folder: Path, *, n_env: int = 5, steps: int = 120, dtype: str = "float64", **keywords: Any) -> Recording:
+    """A recording of environments that move apart."""
+    away, path = growing(n_env, dtype)
+    start = np.zeros((n_env, 27, 3), dtype=dtype)
+    final = keywords.pop("final", (start + away).astype(dtype))
+    made = write_recording(folder, final, steps=steps, dt=DT, path_of=keywords.pop("path_of", path), **keywords)
+    return Recording(made)
+
+
+def known(recording: Recording) -> Spread:
+    """The spread of a recording that has one."""
+    found, why = spread(recording)
+    assert found is not None, why
+    return found
+
+
+def by_pairs(recording: Recording) -> tuple[np.ndarray, np.ndarray]:
+    """RMS over all pairs of environments and largest distance from the first, by looking at all pairs."""
+    x = np.asarray(recording.state("cubes", "position")).astype(np.float64)
+    n_env = x.shape[1]
+    one, other = np.triu_indices(n_env, 1)
+    apart = np.linalg.norm(x[:, one] - x[:, other], axis=-1)
+    from_first = np.linalg.norm(x - x[:, :1], axis=-1)
+    return np.sqrt((apart**2).mean(axis=(1, 2))), from_first.max(axis=(1, 2))
+
+
+@pytest.mark.parametrize("read_bytes", [1, 16 << 20])
+def test_same_as_all_pairs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, read_bytes: int) -> None:
+    """Give what a look at all pairs gives, whatever is read at a time and wherever blocks end."""
+    monkeypatch.setattr(module, "_READ_BYTES", read_bytes)
+    recording = record(tmp_path, n_env=70)  # two blocks of environments, three of rows
+    found = known(recording)
+    rms, largest = by_pairs(recording)
+    assert found.steps == tuple(range(121))
+    assert np.allclose(np.array(found.rms, dtype=float), rms, rtol=1e-6, atol=1e-15)
+    assert np.allclose(np.array(found.largest, dtype=float), largest, rtol=1e-9)
+    assert (found.not_finite_from, found.resolution, found.groups, found.n_env) == (None, None, ("cubes",), 70)
+
+
+def test_rate_is_found(tmp_path: Path) -> None:
+    """Fit the rate that the environments were given, within the declared window."""
+    found = known(record(tmp_path))
+    assert found.fit is not None
+    assert found.fit.rate == pytest.approx(RATE, rel=0.01)
+    assert found.fit.r_squared > 0.99
+    inside = [d for d, t in zip(found.largest, found.times, strict=True) if found.fit.begin <= t <= found.fit.end]
+    assert all(d is not None and d < 1e-3 for d in inside)
+    assert pickle.loads(pickle.dumps(found)) == found
+
+
+def test_what_agrees_is_not_read(tmp_path: Path) -> None:
+    """Read no row at which all hashes agree, and give exact zeros there."""
+    final = np.zeros((3, 27, 3))
+    final[1, 4, 0] = 0.25
+
+    def path(start: np.ndarray, step: int) -> np.ndarray:
+        x = np.zeros_like(start)
+        x[1, 4, 1] = 1e-5 if step == 5 else 0.0
+        return x
+
+    recording = record(tmp_path, final=final, steps=6, path_of=path)
+    found = known(recording)
+    assert found.rows_read == 2
+    assert found.largest == (0.0, 0.0, 0.0, 0.0, 0.0, 1e-5, 0.25)
+    # one of 27 bodies, in two of three pairs
+    assert found.rms[-1] == pytest.approx(0.25 * np.sqrt(2 / 3 / 27))
+
+
+def test_identical_environments(tmp_path: Path) -> None:
+    """Say that nothing moved apart, with zeros that are exact."""
+    final = np.repeat(np.random.default_rng(0).uniform(size=(1, 27, 3)), 4, axis=0)
+    found = known(record(tmp_path, final=final, steps=10, path_of=None))
+    assert set(found.rms) == set(found.largest) == {0.0}
+    assert (found.fit, found.no_fit) == (None, "nothing moved apart")
+
+
+def test_long_recordings_are_thinned(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Take every k-th row of a long recording."""
+    monkeypatch.setattr(module, "MAX_STEPS", 30)
+    found = known(record(tmp_path))
+    assert found.steps == tuple(range(0, 121, 5))
+    rms, _ = by_pairs(Recording(next(tmp_path.glob("*.mcap"))))
+    assert np.allclose(np.array(found.rms, dtype=float), rms[::5], rtol=1e-6, atol=1e-15)
+
+
+def test_strides_are_steps(tmp_path: Path) -> None:
+    """Name steps of the simulator, not rows."""
+    found = known(record(tmp_path, steps=20, stride=2, final=np.zeros((3, 27, 3)), path_of=None))
+    assert found.steps[:3] == (0, 2, 4)
+    assert found.times[1] == pytest.approx(2 * DT)
+
+
+def test_origins_are_no_distance(tmp_path: Path) -> None:
+    """Take what float32 makes of one place at another origin for no distance, and what is beyond for one."""
+    origins = ((0.0, 0.0, 0.0), (100.0, 0.0, 0.0), (0.0, 200.0, 0.0))
+    at = np.array(origins)[:, None, :]
+    local = np.random.default_rng(0).uniform(size=(1, 27, 3))
+
+    def path(start: np.ndarray, step: int) -> np.ndarray:
+        return np.asarray((local + at).astype(np.float32))
+
+    moved = local + at
+    moved[2, 3, 1] += 0.01
+    found = known(
+        record(tmp_path, dtype="float32", steps=4, origins=origins, path_of=path, final=moved.astype(np.float32))
+    )
+    assert found.largest[1:4] == (0.0, 0.0, 0.0)
+    assert found.largest[4] == pytest.approx(0.01, abs=2e-5)
+    assert found.resolution == np.spacing(np.float32(200.0))
+
+
+def test_numbers_that_are_not_finite(tmp_path: Path) -> None:
+    """Name the first step with NaN, and go on with what is there."""
+
+    def path(start: np.ndarray, step: int) -> np.ndarray:
+        x = np.zeros_like(start)
+        x[1, 0, 0] = np.nan if step == 3 else step * 1e-5
+        return x
+
+    found = known(record(tmp_path, final=np.zeros((3, 27, 3)), steps=5, path_of=path))
+    assert (found.not_finite_from, found.largest[3], found.rms[3]) == (3, None, None)
+    assert found.largest[4] == pytest.approx(4e-5)
+    assert found.fit is None
+
+
+def test_reasons(tmp_path: Path) -> None:
+    """Give a reason where there is nothing to follow."""
+    for name, keywords, why in (
+        ("one", {"final": np.zeros((1, 27, 3)), "steps": 3, "path_of": None}, "two environments"),
+        ("none", {"final": None, "n_env": 3}, "no states were recorded"),
+    ):
+        (tmp_path / name).mkdir()
+        assert why in spread(Recording(write_recording(tmp_path / name, **keywords)))[1]
+
+
+def test_refuses_positions_in_other_units(tmp_path: Path) -> None:
+    """Refuse positions that are in no unit of the format."""
+
+    def change(attachment: str, record: dict[str, Any]) -> None:
+        for field in record.get("fields", ()):
+            field["unit"] = "cm"
+
+    made = write_recording(tmp_path, np.zeros((3, 27, 3)), change=change, field=cubes_field("float64"))
+    with pytest.raises(DamagedRecording):
+        spread(Recording(made))
