@@ -5,8 +5,9 @@ Where the code of each module runs:
     connection.py  here: Ray, and nothing else that knows how Ray is spoken to
     seats.py       here: which parts of which nodes make runs, one at a time each
     team.py        here: the runs of a command, given to seats as these become free
-    remote.py      here: a process on a node, by way of an agent
+    batch.py       here: which of these are to be made still, and what became of the others
     gathering.py   here: files of a node, copied piece by piece and checked
+    code.py        here and on the nodes: which code of this project is imported
     agent.py       on the node, in a worker of Ray: starts one process; needs nothing of this project
     node.py        on the node, that process: makes one run, as it is made without Ray
 

@@ -14,6 +14,7 @@ from contextlib import suppress
 from pathlib import Path
 
 _KEPT_BYTES = 16 << 20  # of lines; a process that says more is not ours
+_SILENCE_S = 120.0  # after which a caller is told that there is nothing new
 
 
 class Agent:
@@ -45,9 +46,9 @@ class Agent:
         self.say(key, first)
 
     def lines(self, known: int) -> tuple[list[str], bool]:
-        """The lines after so many that the caller knows, and whether these are all; waits until there is an answer."""
+        """The lines after so many that the caller knows, and whether these are all; none after some silence."""
         with self._news:
-            self._news.wait_for(lambda: len(self._lines) > known or self._ended)
+            self._news.wait_for(lambda: len(self._lines) > known or self._ended, _SILENCE_S)
             return self._lines[known:], self._ended
 
     def say(self, key: str, line: str) -> None:

@@ -48,7 +48,7 @@ class Batch:
     def __init__(self, runs: Sequence[RunConfiguration]) -> None:
         self.news: SimpleQueue[Phase | Ended | Said] = SimpleQueue()
         self._waiting = deque(runs)
-        self._open = len(runs)  # runs that have not ended
+        self._open = list(runs)  # those that have not ended
         self._first = runs[0]
         self._tries = dict.fromkeys((run.run_index for run in runs), 0)
         self._decided = False  # whether others than the first are wanted
@@ -80,7 +80,7 @@ class Batch:
     def begin_no_more(self) -> None:
         """Runs that are not begun are not made."""
         with self._changed:
-            self._open -= len(self._waiting)
+            self._open = [run for run in self._open if run not in self._waiting]
             self._waiting.clear()
             self._decided = True
             self._changed.notify_all()
@@ -101,7 +101,7 @@ class Batch:
         """The run has ended."""
         with self._changed:
             self.news.put(Ended(run, result, seconds))  # first, so that nobody finds that all is over and no news of it
-            self._open -= 1
+            self._open.remove(run)
             self._changed.notify_all()
 
     def lose(self, run: RunConfiguration, why: str, *, again: bool, seconds: float) -> None:
@@ -117,10 +117,12 @@ class Batch:
                 return
         self.end(run, lost(run, f"lost {tries} times, with the node that made it: {why}"), seconds)
 
-    def left(self) -> list[RunConfiguration]:
-        """Runs that nobody has taken."""
+    def give_up(self, why: str) -> None:
+        """Nobody is left to make the runs that have not ended."""
         with self._changed:
-            return list(self._waiting)
+            self._waiting.clear()
+            for run in list(self._open):
+                self.end(run, lost(run, why), 0.0)
 
     @property
     def over(self) -> bool:

@@ -12,8 +12,8 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Collection
-from contextlib import ExitStack, redirect_stdout, suppress
+from collections.abc import Collection, Iterator
+from contextlib import ExitStack, contextmanager, redirect_stderr, redirect_stdout, suppress
 from dataclasses import dataclass, field
 from importlib import import_module
 from types import TracebackType
@@ -29,8 +29,9 @@ LOCAL = "local"
 _STORE_BYTES = 256 << 20  # of a local cluster: pieces of files pass through it, and simulators need the memory
 _TRIES, _PAUSE_S = 30, 2.0  # of a node that does not answer, but is not known to be dead
 
-# Ray would send statistics, and kill what it takes for the reason of a full memory: that is what a sweep may be after.
-_SETTINGS = {"RAY_USAGE_STATS_ENABLED": "0", "RAY_memory_monitor_refresh_ms": "0"}
+# Ray would send statistics; kill what it takes for the reason of a full memory, which is what a sweep may be after; and
+# let everything else on the machine go before a run that is timed.
+_SETTINGS = {"RAY_USAGE_STATS_ENABLED": "0", "RAY_memory_monitor_refresh_ms": "0", "RAY_worker_niceness": "0"}
 
 
 class Lost(Exception):
@@ -88,10 +89,11 @@ class Cluster:
         handlers = {number: signal.getsignal(number) for number in SIGNALS}
         local: dict[str, Any] = {"include_dashboard": False, "object_store_memory": _STORE_BYTES}
         try:
-            ray.init(
-                address=self._address, log_to_driver=False, configure_logging=False,
-                **(local if self._address == LOCAL else {}),
-            )  # fmt: skip
+            with _unheard():
+                ray.init(
+                    address=self._address, log_to_driver=False, configure_logging=False,
+                    **(local if self._address == LOCAL else {}),
+                )  # fmt: skip
         except Exception as error:  # ConnectionError, RuntimeError for another version, ValueError, by Ray's version
             said = " ".join(str(error).split())
             self._quiet.close()
@@ -108,8 +110,8 @@ class Cluster:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        # shielded, since processes of a local cluster would stay behind; Ray prints what it has kept for its end
-        with shielded(), self._quiet, redirect_stdout(io.StringIO()):
+        # shielded, since processes of a local cluster would stay behind
+        with shielded(), self._quiet, _unheard():
             self._ray.shutdown()
 
     def nodes(self) -> list[Node]:
@@ -132,20 +134,15 @@ class Cluster:
             scheduling_strategy=self._on_node(node_id=node.id, soft=False),
         ).remote()
 
-    def wait_ready(self, handles: Collection[Any], *, patience: float, limit: float | None = None) -> list[Any]:
-        """Those agents that are there so many seconds after the first of them is.
-
-        limit  as many seconds from now at the latest [s]; None: the first is waited for as long as it takes
-        """
+    def wait_ready(self, handles: Collection[Any], *, limit: float) -> tuple[list[Any], list[Any]]:
+        """Those agents that are there within so many seconds, and those that may come still; lost ones are neither."""
         asked = {handle.ready.remote(): handle for handle in handles}
         left, there = list(asked), []
-        deadline = None if limit is None else time.monotonic() + limit
-        while left and (deadline is None or time.monotonic() < deadline):
+        deadline = time.monotonic() + limit
+        while left and time.monotonic() < deadline:
             done, left = self._ray.wait(left, num_returns=1, timeout=1.0)
             there += [asked[ref] for ref in done if self._answers(ref)]
-            if there and limit is None and deadline is None:
-                deadline = time.monotonic() + patience
-        return there
+        return there, [asked[ref] for ref in left]
 
     def call(self, handle: Any, method: str, *arguments: Any) -> Any:
         """What a method of an agent returns. Lost where the agent is there no more, or does not answer for a minute.
@@ -178,6 +175,29 @@ class Cluster:
             return bool(self._ray.get(ref))
         except self._ray.exceptions.RayError:
             return False
+
+
+@contextmanager
+def _unheard() -> Iterator[None]:
+    """What is printed meanwhile goes nowhere, and so does what processes print that are started meanwhile.
+
+    Ray tells there what nobody asked for, and a process of its that outlived the command, holding the command's output,
+    would keep whoever reads that waiting.
+    """
+    kept: dict[int, int] = {}
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    try:
+        for number in (1, 2):
+            with suppress(OSError):  # the command was started without it
+                kept[number] = os.dup(number)
+                os.dup2(nowhere, number)
+        with redirect_stdout(io.StringIO()), redirect_stderr(io.StringIO()):  # not to be mixed with what waits in ours
+            yield
+    finally:
+        for number, copy in kept.items():
+            os.dup2(copy, number)
+            os.close(copy)
+        os.close(nowhere)
 
 
 class _OfMainThread:

@@ -55,15 +55,20 @@ def gather(
     folder  here; names are chosen in it as for a run that is made here
     stop    whether to give it up; asked between pieces
 
-    Spoiled, Stopped; GsbError or OSError where the folder does not take the files. A file that is not whole and right
-    leaves nothing behind.
+    Spoiled, Stopped; GsbError or OSError where the folder does not take the files; and what `read` raises. Nothing is
+    left behind then, but for a whole recording whose name was taken meanwhile.
     """
     found = [Remote(str(file["name"]), int(file["size"]), str(file["sha256"])) for file in files]
-    # what a killed run left had its name before the recording that says so
-    return {
-        file.name: _copy(task, file, f"{source}/{file.name}", folder, read, stop)
-        for file in sorted(found, key=lambda file: (file.whole, file.name))
-    }
+    here: dict[str, Path] = {}
+    try:
+        # what a killed run left had its name before the recording that says so
+        for file in sorted(found, key=lambda file: (file.whole, file.name)):
+            here[file.name] = _copy(task, file, f"{source}/{file.name}", folder, read, stop)
+    except BaseException:
+        for path in here.values():
+            path.unlink(missing_ok=True)
+        raise
+    return here
 
 
 def _copy(task: Task, file: Remote, source: str, folder: Path, read: Read, stop: Callable[[], bool]) -> Path:
@@ -92,10 +97,10 @@ def _copy(task: Task, file: Remote, source: str, folder: Path, read: Read, stop:
         if not file.whole:
             return partial
         _check(partial, task)
-        publish(path)
     except BaseException:
         partial.unlink(missing_ok=True)
         raise
+    publish(path)  # where that fails, the run is in the .partial file, and the error says so
     return path
 
 

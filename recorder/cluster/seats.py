@@ -144,7 +144,7 @@ class Seat:
         if all(node.id != self.spot.node.id for node in self._cluster.nodes()):
             return False
         self.agent = self._cluster.new_agent(self.spot.node, cpus=self.spot.cpus, gpus=self.spot.gpus)
-        there = self._cluster.wait_ready([self.agent], patience=0, limit=_REOPEN_S)
+        there, _ = self._cluster.wait_ready([self.agent], limit=_REOPEN_S)
         if not there:
             self.close()
         return bool(there)
@@ -163,6 +163,8 @@ class Seat:
         known, ended, said = 0, False, "nothing"
         while not ended:
             lines, ended = self._cluster.call(self.agent, "lines", known)
+            if task is None and not lines and not ended:
+                raise Lost("it does not answer")  # a run may be silent for as long as its --timeout lets it
             known += len(lines)
             for line in filter(None, lines):
                 record = _record(line)

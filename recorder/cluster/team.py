@@ -25,7 +25,7 @@ from recorder.simulators.registry import find_simulator
 from schemas.configuration import RunConfiguration
 from schemas.errors import ExitCode, GsbError, UsageError
 
-_PATIENCE_S = 30.0  # for the seats that others still occupy, once there is one
+_PATIENCE_S = 30.0  # for the seats that others still occupy
 _LOOK_S = 0.5  # between looks at what the user wants
 _LAST_S = 30.0  # for nodes to tell of runs that were killed
 
@@ -70,7 +70,12 @@ class Team:
         """Wait for the seats, ask each, and keep those of the kind that most are of. UsageError as of Seat.ask."""
         seats = [Seat(self._cluster, spot, self._wanted) for spot in self._spots]
         by_agent = {seat.agent: seat for seat in seats}
-        there = [by_agent[agent] for agent in self._cluster.wait_ready(list(by_agent), patience=_PATIENCE_S)]
+        agents, busy = self._cluster.wait_ready(list(by_agent), limit=_PATIENCE_S)
+        if busy and not agents:
+            say(f"others use all that this cluster has ({len(busy)} runs at a time); waiting until something is free")
+        while busy and not agents:
+            agents, busy = self._cluster.wait_ready(busy, limit=_PATIENCE_S)
+        there = [by_agent[agent] for agent in agents]
         with ThreadPoolExecutor(max(1, len(there))) as pool:
             for _ in pool.map(_ask, there):
                 pass
@@ -84,8 +89,8 @@ class Team:
                 seat.close()
         nodes = len({seat.spot.node.id for seat in self._seats})
         say(f"{len(self._seats)} runs at a time on {nodes} nodes of the cluster")
-        if busy := len(seats) - len(there):
-            say(f"left out, since others use them: room for {busy} runs")
+        if busy:
+            say(f"left out, since others use them: room for {len(busy)} runs")
         if other := len(there) - len(self._seats):
             say(f"left out, as machines or packages of another kind: room for {other} runs (--ray-resource chooses)")
         return self
@@ -149,9 +154,7 @@ class Team:
             if deadline and time.monotonic() > deadline:
                 return
             if not any(worker.thread.is_alive() for worker in workers):
-                for run in batch.left():
-                    batch.end(run, lost(run, "no node is left to make it"), 0.0)
-                batch.begin_no_more()
+                batch.give_up("no node is left to make it")
 
 
 class _Worker:
