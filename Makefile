@@ -74,6 +74,7 @@ locks: $(VENV)/.installed-test
 figures: install
 	$(BIN)/python docs/make_figures.py
 	$(BIN)/python docs/make_h200.py
+	$(BIN)/python docs/make_physics.py
 
 bench: $(VENV)/.installed-test
 	$(BIN)/python -m benchmarks.all

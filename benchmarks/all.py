@@ -17,6 +17,8 @@ SCRIPTS = (
     ("capture_overhead",),
     ("archive",),
     ("transport",),
+    ("transport_large",),
+    ("scale",),
     ("engine_best", "--sim", "warp", "--n-env", "64", "--steps", "50"),
 )
 

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from evaluator import cost_metrics as costs
 from evaluator import group_metrics as gm
 from evaluator import identity_metrics as identity
+from evaluator.accumulation import accumulations
 from evaluator.comparison import compare
 from evaluator.density_maps import reference_density, shared_map, with_cloud
 from evaluator.fidelity import fidelity
@@ -94,6 +95,7 @@ def evaluate(
         reference=reference_density(target, maps.get(target.scene)) if target else None,
         reference_note=reference_note or why_not,
         sweeps=sweeps,
+        accumulation=accumulations(sweeps, {f.result.label: f.planar for f in found}, work),
         comparison=comparison,
         maps=maps,
         notes=(*notes, *comparison.notes),

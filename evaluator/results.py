@@ -17,6 +17,7 @@ from evaluator.validity import Validity
 from schemas.location import Place
 
 if TYPE_CHECKING:
+    from evaluator.accumulation import Accumulation
     from evaluator.comparison import Comparison
     from evaluator.sweeps import Sweep
 
@@ -144,6 +145,7 @@ class Evaluation:
     unreadable   files that could not be read, with their errors
     reference    None where there is none; `reference_note` says why, or where it came from
     sweeps       groups that differ in the number of environments alone
+    accumulation how variability of sweeps goes with the number of environments
     comparison   of simulators: radar and guidelines
     maps         by scene; none for a scene whose positions were not recorded or lie too far apart
     notes        about the set as a whole
@@ -155,6 +157,7 @@ class Evaluation:
     reference: Reference | None
     reference_note: str
     sweeps: tuple[Sweep, ...]
+    accumulation: tuple[Accumulation, ...]
     comparison: Comparison
     maps: dict[str, Map]
     notes: tuple[str, ...] = ()

@@ -21,6 +21,9 @@ from evaluator.reading import Reader
 from evaluator.run_data import RunData
 from evaluator.sinking import Sunk
 from evaluator.spread import Spread
+from evaluator.statistics.jackknife import Interval
+from evaluator.statistics.matched import MatchedPoint
+from evaluator.statistics.matched import Variability as MatchedVariability
 from evaluator.step_evidence import ActionStream
 from evaluator.summary import BitSummary, CountSummary, OverflowSummary, Summary
 from evaluator.transport.pair import Transport
@@ -34,6 +37,7 @@ _CLASSES = (
     Simulation, Deviation, StateField, Buffer, Counter, OverflowBit, RunData, Histories, Positions, Checkpoints, Sunk,
     Stamp, Reader, Spread, GrowthFit, Verdict, Worst, Level, PhysicsFacts,
     Measured, NotMeasured, Check, ParallelVariability, Transport, Gap, GapTo, SummaryBlock,
+    MatchedPoint, MatchedVariability, Interval,
 )  # fmt: skip
 
 

@@ -14,6 +14,7 @@ from evaluator.report.numbers import NONE
 from evaluator.report.text import printable
 
 _TITLES = ("check", "measured", "range", "allowed", "tolerance", "verdict")
+_NUMBERS = ("measured", "range", "allowed", "tolerance")
 
 
 def print_fidelity(found: Sequence[Fidelity], stream: IO[str]) -> None:
@@ -116,7 +117,9 @@ def remarks(one: Fidelity) -> list[str]:
 
 
 def _table(one: Fidelity) -> Markup:
-    head = Markup("").join(Markup('<th scope="col">{}</th>').format(title) for title in _TITLES)
+    aligned = [Markup(' class="num"') if title in _NUMBERS else Markup("") for title in _TITLES]
+    columns = zip(aligned, _TITLES, strict=True)
+    head = Markup("").join(Markup('<th scope="col"{}>{}</th>').format(how, title) for how, title in columns)
     rows = []
     for row in one.rows:
         if row.verdict is Verdict.NOT_APPLICABLE:

@@ -22,7 +22,7 @@ from evaluator.groups import shown_status, status_notes
 from evaluator.metrics.density import Density, marginal
 from evaluator.metrics.radar import Axis
 from evaluator.metrics.regime import REGIME_MEANING
-from evaluator.report import numbers, words
+from evaluator.report import accumulation, numbers, words
 from evaluator.report.fidelity import fidelity_html
 from evaluator.report.figures import density_map, lines, matrix, palette, radar_chart
 from evaluator.report.scaling import beside_published, scene_sweeps
@@ -114,6 +114,8 @@ def render_html(evaluation: Evaluation, *, published: bool, command: str) -> str
             results=evaluation.results,
             recordings=[(r.label, one) for r in evaluation.results for one in r.group.recordings],
             problems=list(_problems(evaluation)),
+            accumulation=[(a, list(accumulation.rows(a)), accumulation.remarks(a)) for a in evaluation.accumulation],
+            accumulation_titles=accumulation.TITLES,
             physics=fidelity_html([r.fidelity for r in shown]),
             notes=[("", note) for note in evaluation.notes] + notes,
             maps=list(_maps(evaluation, shown)),

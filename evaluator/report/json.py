@@ -34,6 +34,7 @@ def to_json(evaluation: Evaluation) -> dict[str, Any]:
             ),
         ],
         "sweeps": [_sweep(sweep) for sweep in evaluation.sweeps],
+        "accumulation": list(evaluation.accumulation),
         "radar": {
             name: {axis.value: value for axis, value in axes.items()}
             for name, axes in (comparison.radar.values if comparison.radar else {}).items()

@@ -11,6 +11,7 @@ from rich.text import Text
 from evaluator.fidelity import Verdict
 from evaluator.metrics.regime import REGIME_MEANING
 from evaluator.report import words
+from evaluator.report.accumulation import print_accumulation
 from evaluator.report.console import make_console, plain_table
 from evaluator.report.numbers import NONE, distance, interval, mean_sd
 from evaluator.report.sweep_tables import print_sweeps
@@ -42,6 +43,8 @@ def print_tables(evaluation: Evaluation, stream: IO[str]) -> None:
         for begin in range(0, len(results), _COLUMNS):
             _print_scene(console, evaluation, scene, results[begin : begin + _COLUMNS])
         print_sweeps(console, scene, [s for s in evaluation.sweeps if s.key.scene == scene])
+        for found in (a for a in evaluation.accumulation if a.scene == scene):
+            print_accumulation(console, found)
     _print_notes(console, evaluation)
     _print_guidelines(console, evaluation)
 

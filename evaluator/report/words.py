@@ -120,9 +120,10 @@ def equality(metric: Metric) -> str:
 
 
 def _length(metres: float) -> str:
-    return (
-        f"{metres:.2g} m" if metres >= 1 else f"{metres * 1000:.2g} mm" if metres >= 1e-6 else f"{metres * 1e9:.2g} nm"
-    )
+    for unit, size in (("m", 1.0), ("mm", 1e-3), ("um", 1e-6)):
+        if metres >= size:
+            return f"{metres / size:.3g} {unit}"
+    return f"{metres * 1e9:.3g} nm"
 
 
 def mechanics(fidelity: Fidelity) -> str:

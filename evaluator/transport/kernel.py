@@ -13,15 +13,11 @@ that cannot be written, in the user's cache folder.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any, ParamSpec, TypeVar
-
-import numba
 import numpy as np
 import numpy.typing as npt
 
-_P = ParamSpec("_P")
-_R = TypeVar("_R")
+from evaluator.transport.compiled import compiled_without_nan
+
 _Floats = npt.NDArray[np.float64]
 _Ints = npt.NDArray[np.int64]
 
@@ -31,19 +27,7 @@ _HUGE = 1e300
 _LANES = 4
 
 
-def _compiled(function: Callable[_P, _R]) -> Callable[_P, _R]:
-    """The function as machine code, made at its first call."""
-    # Minima may be taken in any order, for there are no NaNs; sums may not, and products are not fused into them: the
-    # bits are the same on every machine.
-    options: dict[str, Any] = {"nogil": True, "fastmath": {"nnan", "ninf", "nsz"}, "error_model": "numpy"}
-    try:
-        compiled: Callable[_P, _R] = numba.njit(cache=True, **options)(function)
-    except RuntimeError:  # no folder can be written: compiled anew in every process
-        compiled = numba.njit(**options)(function)
-    return compiled
-
-
-@_compiled
+@compiled_without_nan
 def _fill(a: _Floats, b: _Floats, cost: _Floats) -> None:
     """Distances between a and b, both [d, n], into cost [n, >= n]."""
     width, n = a.shape
@@ -61,7 +45,7 @@ def _fill(a: _Floats, b: _Floats, cost: _Floats) -> None:
             row[j] = np.sqrt(row[j])
 
 
-@_compiled
+@compiled_without_nan
 def _start(cost: _Floats, price: _Floats, column_of: _Ints, row_of: _Ints, best: _Ints) -> None:
     """Feasible prices, and rows assigned to columns where no two want the same one; -1 where one is free."""
     n, padded = cost.shape
@@ -101,7 +85,7 @@ def _start(cost: _Floats, price: _Floats, column_of: _Ints, row_of: _Ints, best:
         price[j] = 0.0
 
 
-@_compiled
+@compiled_without_nan
 def _solve(cost: _Floats, price: _Floats, column_of: _Ints, row_of: _Ints) -> None:
     """The optimal assignment of the n rows of cost [n, padded]; what is beyond column n is _HUGE.
 
@@ -158,7 +142,7 @@ def _solve(cost: _Floats, price: _Floats, column_of: _Ints, row_of: _Ints) -> No
                 shown[j] = price[j]
 
 
-@_compiled
+@compiled_without_nan
 def _mean_cost(a: _Floats, b: _Floats, cost: _Floats, price: _Floats, column_of: _Ints, row_of: _Ints) -> float:
     _fill(a, b, cost)
     _solve(cost, price, column_of, row_of)
@@ -169,7 +153,7 @@ def _mean_cost(a: _Floats, b: _Floats, cost: _Floats, price: _Floats, column_of:
     return total / n
 
 
-@_compiled
+@compiled_without_nan
 def distances_to_later(sets: _Floats, row: int, out: _Floats) -> None:
     """W1 from one set to all behind it, without holding the interpreter's lock.
 
@@ -187,7 +171,7 @@ def distances_to_later(sets: _Floats, row: int, out: _Floats) -> None:
         out[other] = _mean_cost(sets[row], sets[other], cost, price, column_of, row_of)
 
 
-@_compiled
+@compiled_without_nan
 def certified_assignment(a: _Floats, b: _Floats) -> tuple[_Floats, _Ints, _Floats]:
     """The optimal assignment between scaled points a and b, both [d, n], with its dual certificate.
 

@@ -110,6 +110,10 @@ def result(base: GroupResult, label: str, seed: int, *, off_map: int = 0) -> Gro
         Metric("sank", 0.5, "cubes per env", "lower", "m", n=12, extra={"total": 6, "of": 324, "first_step": 17}),
         Metric("regime_published", 1.0, "type", "neither", "m"),
         Metric("allocator_peak", 1.5, "GB", "lower", "m", n=3, sd=0.0),
+        Metric(
+            "equality_envs", 4.0, "level", "lower", "m", extra={"text": "different", "worst": {"difference": 0.012}}
+        ),
+        Metric("equality_runs", 0.0, "level", "lower", "m", extra={"text": "bit-identical", "worst": None}),
         Metric("build_time", 1.25, "s", "lower", "m", n=3),
         Metric("compile_time", 33.0, "s", "lower", "m", n=3),
     ]
@@ -144,6 +148,7 @@ def several(alone: Evaluation) -> Evaluation:
         ),
         reference_note="compared with 16 real trials",
         sweeps=(),
+        accumulation=(),
         comparison=Comparison(contenders, radar(figures), tuple(guidelines(figures))),
         maps={"inclined-collision": Map(GRID, EDGES, max(int(d.counts.max()) for d in clouds if len(d.counts)))},
         notes=("a note on the whole set",),
@@ -215,6 +220,7 @@ def test_values_have_sensible_digits(several: Evaluation) -> None:
     assert "1.2e-05" in text
     assert "3 of 4" in text
     assert "first differ at step 118" in text
+    assert "different, 12 mm apart" in text
     assert "3 of 324" in text
 
 
@@ -227,7 +233,8 @@ def test_missing_values_are_reasons(alone: Evaluation) -> None:
             assert f"not computed: {metric.why_not}" in Page(text).text
     base = alone.results[0]
     reasons = {name: not_computed(name, m.unit, m.direction, f"reason of {name}") for name, m in base.metrics.items()}
-    empty = replace(base, metrics=reasons, cloud=None, parallel_matrix=None, run_matrix=None)
+    unseen = replace(base.fidelity, rows=(), why_not="no states were recorded")
+    empty = replace(base, metrics=reasons, cloud=None, parallel_matrix=None, run_matrix=None, fidelity=unseen)
     text = render(replace(alone, results=(empty,), maps={}))
     rows = re.findall(r"<tbody>(.*?)</tbody>", text, flags=re.DOTALL)
     for name in reasons:
@@ -235,6 +242,7 @@ def test_missing_values_are_reasons(alone: Evaluation) -> None:
     for row in rows[:2]:
         assert not re.search(r'<td class="num">\s*\d', row)
     assert "No matrix: reason of w1_parallel." in text
+    assert "Not applicable: no states were recorded." in text
 
 
 def test_off_map_counts_are_printed(several: Evaluation) -> None:
@@ -361,7 +369,7 @@ def test_published_types_follow_from_the_published_values() -> None:
 
 def test_evaluation_of_nothing_is_a_page(several: Evaluation) -> None:
     """Write a page even where no group is left, with the files that could not be read."""
-    nothing = Evaluation(5.0, (), several.unreadable, None, "no reference", (), Comparison(), {})
+    nothing = Evaluation(5.0, (), several.unreadable, None, "no reference", (), (), Comparison(), {})
     text = Page(render(nothing)).text
     assert "torn.mcap" in text
     assert "No map" in text

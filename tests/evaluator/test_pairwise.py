@@ -213,7 +213,8 @@ def test_read_only_install_compiles_into_the_users_cache(tmp_path: Path) -> None
     source = Path(small.__file__).parents[1]
     package = tmp_path / "evaluator" / "transport"
     package.mkdir(parents=True)
-    shutil.copy(source / "transport" / "kernel.py", package)
+    for name in ("kernel.py", "compiled.py"):
+        shutil.copy(source / "transport" / name, package)
     for folder in (package, package.parent):
         (folder / "__init__.py").touch()
     (package / "__pycache__").touch()  # a file: nothing can be written beneath it, by anyone

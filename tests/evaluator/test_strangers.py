@@ -342,15 +342,16 @@ def test_the_sampled_time_is_said(gsb_eval: Command, tmp_path: Path) -> None:
     assert "positions are those at 5.1 s, the step nearest to 5 s" in gsb_eval(path).stdout
 
 
-def test_many_points_are_a_reason(gsb_eval: Command, tmp_path: Path) -> None:
-    """Give a reason, quickly, where there are too many points for an exact distance."""
+def test_many_points_that_few_moved_of(gsb_eval: Command, tmp_path: Path) -> None:
+    """Solve what moved alone, where runs of 21,600 points share all others."""
     one = grid(800)
     two = one.copy()
     two[0] += 0.01
     files = [write_recording(tmp_path, final, run=r) for r, final in enumerate((one, two))]
     found = metrics_of(gsb_eval(*files, "--json", "-").stdout)
-    assert "too many" in found["w1_run_to_run"]["why_not"]
-    assert found["w1_parallel"]["value"] is not None
+    assert found["w1_run_to_run"]["value"] == pytest.approx(2**0.5 / 800)
+    assert found["w1_run_to_run"]["exactness"] == "exact"
+    assert "too many for a permutation" in found["w1_run_to_run"]["extra"]["floor"]["why_not"]
 
 
 def test_identical_runs_claim_no_interval(gsb_eval: Command, tmp_path: Path) -> None:

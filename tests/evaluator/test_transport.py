@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import itertools
 import pickle
 import subprocess
@@ -263,7 +262,6 @@ def test_result_can_be_sent() -> None:
     assert pickle.loads(pickle.dumps(found)) == found
 
 
-@pytest.mark.skipif(importlib.util.find_spec("evaluator.transport.large") is None, reason="no certified solver here")
 @pytest.mark.parametrize("counts", [(60, 60), (40, 60)])
 def test_bounds_beyond_the_matrix(counts: tuple[int, int], monkeypatch: pytest.MonkeyPatch) -> None:
     """Enclose the exact value where the distance matrix would be too large, mass that is shared left out."""

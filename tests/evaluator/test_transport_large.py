@@ -1,0 +1,266 @@
+"""Certified W1 of large sets: bounds that hold the exact value, a dual that stands alone, one result for one input."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from hypothesis import assume, example, given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+from scipy.optimize import linear_sum_assignment
+from scipy.spatial.distance import cdist
+
+from evaluator.transport.kd_tree import build, set_planes
+from evaluator.transport.large import SAME_POINTS, Certified, certified_wasserstein1
+from evaluator.transport.multiscale import COARSEST, RATIO, Solution, solve
+
+COORDINATE = st.floats(-10.0, 10.0, width=32)
+# Few distinct values: ties and duplicates are the rule.
+COARSE = st.integers(-2, 2).map(float)
+SOME = settings(max_examples=60, deadline=None)
+
+
+def pairs(elements: st.SearchStrategy[float], most: int = 24):
+    """Strategy: two planar point sets of one size, shape [2, n, 2]."""
+    return st.integers(1, most).flatmap(lambda n: arrays(np.float64, (2, n, 2), elements=elements))
+
+
+def exact(a: np.ndarray, b: np.ndarray) -> float:
+    """W1 by scipy's dense assignment."""
+    distance = cdist(a, b)
+    rows, columns = linear_sum_assignment(distance)
+    return float(distance[rows, columns].mean())
+
+
+def holds(bounds: Certified, value: float, rounding: float = 1e-12) -> bool:
+    """Whether a value that is itself rounded lies within the bounds."""
+    return bounds.low <= value * (1 + rounding) and value * (1 - rounding) <= bounds.high
+
+
+def board(n: int, seed: int, spread: float = 3.0) -> np.ndarray:
+    """Resting places [cm] on a board of 60 x 60: clusters, and a quarter scattered; shape [n, 2]."""
+    draw = np.random.default_rng(seed)
+    centres = np.random.default_rng(5).uniform(-14, 14, (27, 2))
+    points = centres[draw.integers(0, 27, n)] + spread * draw.standard_normal((n, 2))
+    points[::4] = draw.uniform(-30, 30, (len(points[::4]), 2))
+    return np.clip(points, -30, 30)
+
+
+@SOME
+@given(pairs(COORDINATE), st.sampled_from([0.0, 1e-6, 0.01, 0.3]))
+def test_bounds_hold_the_exact_value(sets: np.ndarray, relative: float) -> None:
+    """Hold scipy's value, and meet the tolerance wherever it is above what float64 can give."""
+    bounds = certified_wasserstein1(*sets, relative=relative)
+    value = exact(*sets)
+    assert holds(bounds, value, 1e-12) or abs(bounds.high - value) < 1e-13
+    assert bounds.high - bounds.low <= max(relative * bounds.high, 1e-11 * (1.0 + float(np.ptp(sets))))
+
+
+@SOME
+@given(pairs(COARSE, 60))
+def test_ties_and_duplicates(sets: np.ndarray) -> None:
+    """Hold scipy's value where points repeat, within one set and between both."""
+    bounds = certified_wasserstein1(*sets, relative=1e-6)
+    assert holds(bounds, exact(*sets))
+    assert bounds.high - bounds.low <= 1e-6 * bounds.high
+
+
+@SOME
+@given(pairs(COORDINATE), st.floats(-3.0, 3.0), st.floats(-3.0, 3.0))
+def test_points_on_a_line(sets: np.ndarray, x: float, y: float) -> None:
+    """Agree with the sorted solution on a line, which one dimension has."""
+    a, b = sets[0, :, :1] * [x, y], sets[1, :, :1] * [x, y]
+    along = np.hypot(x, y) * np.sort(sets[:, :, 0], axis=1)
+    value = float(np.abs(along[0] - along[1]).mean())
+    bounds = certified_wasserstein1(a, b, relative=1e-3)
+    assert bounds.low <= value * (1 + 1e-12) + 1e-13
+    assert value <= bounds.high * (1 + 1e-12) + 1e-13
+
+
+@SOME
+@given(pairs(COORDINATE), st.sampled_from([-1060, -1000, -300, 300, 1000, 1016]))
+@example(np.array([[[0.0, 0.0]], [[3.0, 4.0]]]), -1060)
+def test_scales(sets: np.ndarray, exponent: int) -> None:
+    """Hold the value in units that are tiny or huge; what leaves the range of float64 only widens the bounds."""
+    a, b = np.round(sets * 1024) / 1024
+    assume(not np.array_equal(a, b))
+    near = certified_wasserstein1(a, b)
+    bounds = certified_wasserstein1(np.ldexp(a, exponent), np.ldexp(b, exponent))
+    step = np.ldexp(1.0, -1074 - exponent) if exponent < 0 else 0.0
+    assert np.ldexp(bounds.low, -exponent) == pytest.approx(near.low, rel=1e-12, abs=2 * step)
+    assert np.ldexp(bounds.high, -exponent) == pytest.approx(near.high, rel=1e-12, abs=2 * step)
+
+
+@SOME
+@given(pairs(COORDINATE), st.sampled_from([0.0, 1e3, 1e9, -1e12]))
+def test_offsets(sets: np.ndarray, offset: float) -> None:
+    """Hold the value of points far from the origin, as they are once rounded there."""
+    a, b = sets + offset
+    bounds = certified_wasserstein1(a, b, relative=1e-4)
+    value = exact(a - offset, b - offset)
+    assert bounds.low <= value * (1 + 1e-12) + 1e-13
+    assert value <= bounds.high * (1 + 1e-12) + 1e-13
+
+
+@pytest.mark.parametrize("shift", [0.0, 4.0])
+def test_levels_hold_the_exact_value(shift: float) -> None:
+    """Hold scipy's value with several levels, like and shifted."""
+    n = COARSEST * RATIO + 17
+    a, b = board(n, 1), board(n, 2) + [shift, 0.0]
+    bounds = certified_wasserstein1(a, b, relative=1e-4)
+    assert holds(bounds, exact(a, b))
+    assert bounds.high - bounds.low <= 1e-4 * bounds.high
+
+
+@pytest.mark.parametrize("kinds", [2, 40])
+def test_environments_that_agree(kinds: int) -> None:
+    """Hold the value where environments come in few kinds: the same outcomes, many times over."""
+    draw = np.random.default_rng(kinds)
+    a, b = (draw.uniform(-30, 30, (kinds, 27, 2))[draw.integers(0, kinds, 100)].reshape(-1, 2) for _ in range(2))
+    assert holds(certified_wasserstein1(a, b), exact(a, b))
+
+
+def test_same_points_are_exactly_zero() -> None:
+    """Return exactly zero for the same points in another order, and say so."""
+    a = board(300, 1)
+    assert certified_wasserstein1(a, a[::-1]) == Certified(0.0, 0.0, SAME_POINTS, 300, 0)
+    assert certified_wasserstein1([[0.0, 1.0]], [[-0.0, 1.0]]).high == 0.0
+
+
+def test_shared_points_stay() -> None:
+    """Move only what differs, to full precision, however little it is."""
+    a = board(300, 1)
+    b = a.copy()
+    b[7] += [3e-12, 4e-12]
+    bounds = certified_wasserstein1(a, b)
+    assert bounds.shared == 299
+    assert bounds.low <= np.hypot(*(b[7] - a[7])) / 300 <= bounds.high
+    assert bounds.high - bounds.low <= 1e-12 * bounds.high
+
+
+def test_order_and_place_do_not_matter() -> None:
+    """Return the same bits for points in another order, bounds that meet for the sets exchanged or elsewhere."""
+    a, b = board(1500, 1), board(1500, 2)
+    draw = np.random.default_rng(0)
+    bounds = certified_wasserstein1(a, b)
+    assert certified_wasserstein1(draw.permutation(a), draw.permutation(b)) == bounds
+    for other in (certified_wasserstein1(b, a), certified_wasserstein1(a + [64.0, -7.0], b + [64.0, -7.0])):
+        assert max(other.low, bounds.low) <= min(other.high, bounds.high)
+
+
+def solution(a: np.ndarray, b: np.ndarray, limit: int = sys.maxsize) -> Solution:
+    """The solver's dual and assignment at 1 %."""
+    once = np.ones(len(a), dtype=np.int64)
+    return solve(
+        a, once, b, once, extent=60.0, enough=lambda low, high: (high - low) / (0.01 * high), limit=limit
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("limit", [sys.maxsize, 3000, 0])
+def test_certificate_stands_alone(limit: int) -> None:
+    """Find the dual feasible by brute force, and the assignment one-to-one, also where bids run out."""
+    a, b = board(1500, 1), board(1500, 2) + [2.0, 1.0]
+    found = solution(a, b, limit)
+    assert found.bids <= limit
+    distance = cdist(found.a.points, found.b.points)
+    reduced = distance - found.values[:, None] + found.prices[None, :]
+    assert reduced.min() >= -1e-12
+    assert found.dual() <= (distance + found.prices).min(axis=1).sum() - found.prices.sum() + 1e-8
+    assert np.array_equal(np.sort(found.origin), np.arange(1500))
+    assert np.array_equal(np.sort(found.place), np.arange(1500))
+    assert found.primal() == pytest.approx(distance[found.origin, found.place].sum(), rel=1e-12)
+    assert np.array_equal(found.a.points, a[found.a.tree.order])
+    assert np.array_equal(found.b.points, b[found.b.tree.order])
+
+
+def test_bounds_without_work() -> None:
+    """Return bounds that hold when no bid may be made, and closer ones for more work."""
+    a, b = board(1500, 1), board(1500, 2) + [4.0, 0.0]
+    value = exact(a, b)
+    gaps = []
+    for work in (0, 3000, None):
+        bounds = certified_wasserstein1(a, b, relative=1e-3, max_work=work)
+        assert holds(bounds, value)
+        assert work is None or bounds.bids <= work
+        gaps.append(bounds.high - bounds.low)
+    assert gaps[0] > gaps[1] > gaps[2]
+
+
+def test_absolute_tolerance() -> None:
+    """End at an absolute tolerance in the unit of the points, whatever their scale."""
+    a, b = board(1500, 1), board(1500, 2) + [4.0, 0.0]
+    for scale in (1.0, 1e-2):
+        loose = certified_wasserstein1(a * scale, b * scale, relative=0.0, absolute=0.1 * scale)
+        tight = certified_wasserstein1(a * scale, b * scale, relative=0.0, absolute=1e-4 * scale)
+        assert tight.high - tight.low <= 1e-4 * scale < loose.high - loose.low <= 0.1 * scale
+        assert tight.bids > loose.bids
+    assert certified_wasserstein1(a, b, relative=0.0, absolute=np.inf).high >= exact(a, b)
+
+
+@SOME
+@given(pairs(COORDINATE, 60), st.integers(0, 2**32 - 1))
+def test_planes_lie_below_prices(sets: np.ndarray, seed: int) -> None:
+    """Keep each node's plane below all its prices, and each point in its node's box."""
+    tree = build(sets[0])
+    prices = np.random.default_rng(seed).normal(size=len(tree.points))
+    set_planes(tree.points, prices, tree.begin, tree.end, tree.nodes)
+    assert np.array_equal(np.sort(tree.order), np.arange(len(prices)))
+    for node, begin, end in zip(tree.nodes, tree.begin, tree.end, strict=True):
+        away = tree.points[begin:end] - node[:2]
+        assert (np.abs(away) <= node[2:4]).all()
+        assert (node[6] + away @ node[4:6] <= prices[begin:end] + 1e-12).all()
+
+
+@pytest.mark.parametrize(
+    ("a", "b", "options", "says"),
+    [
+        (np.zeros((3, 2)), np.zeros((4, 2)), {}, "different size"),
+        (np.zeros((3, 3)), np.zeros((3, 3)), {}, "planar"),
+        (np.zeros((0, 2)), np.zeros((0, 2)), {}, "empty"),
+        (np.zeros(3), np.zeros(3), {}, "2 axes"),
+        ([[np.nan, 0.0]], [[0.0, 0.0]], {}, "non-finite"),
+        ([[-1.7e308, 0.0]], [[1.7e308, 0.0]], {}, "overflow"),
+        ([[0.0, 0.0]], [[1.7e308, 1.7e308]], {}, "overflow"),
+        ([[0.0, 0.0]], [[1.0, 0.0]], {"relative": -0.1}, "negative"),
+        ([[0.0, 0.0]], [[1.0, 0.0]], {"absolute": np.nan}, "negative"),
+        ([[0.0, 0.0]], [[1.0, 0.0]], {"max_work": -1}, "negative"),
+    ],
+)
+def test_refusals(a: object, b: object, options: dict[str, float], says: str) -> None:
+    """Refuse what has no answer, and say why."""
+    with pytest.raises(ValueError, match=says):
+        certified_wasserstein1(a, b, **options)
+
+
+PROGRAM = """
+import json, resource, sys
+import numpy as np
+from evaluator.transport.large import certified_wasserstein1
+a, b = np.load(sys.argv[1])
+certified_wasserstein1(a[:2000], b[:2000])
+before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+bounds = [certified_wasserstein1(a, b, relative=0.05) for _ in range(2)]
+after = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+print(json.dumps([[x.low.hex(), x.high.hex(), x.bids] for x in bounds] + [after - before]))
+"""
+
+
+def test_one_result_and_little_memory(tmp_path) -> None:
+    """Return the same bits again, with one thread and with two, and hold no matrix: 30,000 points, under 60 MiB."""
+    np.save(tmp_path / "sets.npy", np.stack([board(30_000, 1), board(30_000, 2) + [4.0, 0.0]]))
+    results = []
+    for threads in ("1", "2"):
+        done = subprocess.run(
+            [sys.executable, "-c", PROGRAM, str(tmp_path / "sets.npy")], check=True, capture_output=True, text=True,
+            env={**os.environ, "NUMBA_NUM_THREADS": threads, "OMP_NUM_THREADS": threads},
+        )  # fmt: skip
+        first, again, kib = json.loads(done.stdout)
+        assert first == again
+        assert kib < 60 * 1024  # the matrix would take 7,200 MB
+        results.append(first)
+    assert results[0] == results[1]
