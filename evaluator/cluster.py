@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import io
 import os
 import socket
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import suppress
+from contextlib import contextmanager, redirect_stderr, redirect_stdout, suppress
 from pathlib import Path
 from types import TracebackType
 from typing import Any, TypeVar
@@ -44,7 +45,8 @@ class Cluster:
             raise UsageError("--ray needs the package ray: pip install 'gpusimbench[ray]'") from None
         options: dict[str, Any] = {"object_store_memory": _STORE_BYTES} if address == LOCAL else {}
         try:
-            ray.init(address, log_to_driver=False, configure_logging=False, **options)
+            with _unheard():
+                ray.init(address, log_to_driver=False, configure_logging=False, **options)
         except (ConnectionError, ValueError, RuntimeError, OSError) as error:
             raise GsbError(f"no Ray cluster at {address}: {str(error).splitlines()[0]}") from None
         self._ray = ray
@@ -57,7 +59,8 @@ class Cluster:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._ray.shutdown()
+        with _unheard():
+            self._ray.shutdown()
 
     def __call__(self, function: Callable[[_Item], _Result], items: Iterable[_Item], /) -> Iterator[_Result]:
         """The function's results in the order of the items; GsbError where a part cannot be had."""
@@ -84,6 +87,29 @@ class Cluster:
         if why_not:
             raise GsbError(why_not)
         return found
+
+
+@contextmanager
+def _unheard() -> Iterator[None]:
+    """What is printed meanwhile goes nowhere, and so does what processes print that are started meanwhile.
+
+    Ray tells there what nobody asked for, and a process of its that outlived the command, holding the command's output,
+    would keep whoever reads that waiting.
+    """
+    kept: dict[int, int] = {}
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    try:
+        for number in (1, 2):
+            with suppress(OSError):  # the command was started without it
+                kept[number] = os.dup(number)
+                os.dup2(nowhere, number)
+        with redirect_stdout(io.StringIO()), redirect_stderr(io.StringIO()):  # not to be mixed with what waits in ours
+            yield
+    finally:
+        for number, copy in kept.items():
+            os.dup2(copy, number)
+            os.close(copy)
+        os.close(nowhere)
 
 
 def _part(function: Callable[[Any], Any], item: Any, folder: Path, version: str) -> tuple[Any, str]:

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import argparse
 import json
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import schemas
 from recorder.interruption import shielded
@@ -13,6 +14,10 @@ from recorder.output import flush, show
 from schemas.configuration import CAPTURE_MODES, OPTIONAL_PHASES, RunConfiguration
 from schemas.errors import ExitCode, UsageError
 from schemas.provenance import REAL
+
+if TYPE_CHECKING:
+    from recorder.environments.interpreter import Interpreter
+    from recorder.series import Maker
 
 _EPILOG = """\
 exit codes:
@@ -32,6 +37,11 @@ replays:
   and nothing else. What it asks for is printed first. The scene has to be the same; --option (and --impl, --device...)
   replaces what was recorded, and the new recording says so; --runs, --phases, --timeout, --python and --out are yours.
   gsb-audit FILE does this, and says whether the same came out.
+
+clusters:
+  --ray ADDRESS makes one run at a time on each GPU of a Ray cluster, or one a node where runs step on the CPU, and
+  copies each recording to --out here. Only machines of one kind are used: those of the kind that there are most of, or
+  that --ray-resource names. Every node needs this version of the project and the engine; see docs/cluster.md.
 
 environments:
   Engines whose packages cannot live together get an environment each: --setup NAME makes it, in $GSB_ENVIRONMENTS or
@@ -69,13 +79,17 @@ _SIMULATED: dict[str, Any] = {
     "capture": CAPTURE_MODES[0],
     "warmup": 100,
     "timed_steps": 1000,
+    "ray": None,
+    "ray_resource": None,
 }
 """Arguments that make sense for a simulator only, and what each is where it is not given."""
 
 _MEASURED: dict[str, Any] = {"scene": "inclined-collision", "trials": None, "unit": None, "sample_time": 5.0}
 """The same for real trials."""
 
-_REPLAYED: dict[str, Any] = {"runs": 1, "option": (), "timeout": 0.0, "phases": None}
+_REPLAYED: dict[str, Any] = {
+    "runs": 1, "option": (), "timeout": 0.0, "phases": None, "ray": None, "ray_resource": None,
+}  # fmt: skip
 """The same for replays; and so are the options that are short for --option."""
 
 _OUT, _OUT_OF_REPLAYS = Path("recordings"), Path("replays")  # replays are no further runs of a set
@@ -153,6 +167,15 @@ def parser() -> argparse.ArgumentParser:
     )
     how.add_argument("--out", type=Path, metavar="DIR", help=f"default: {_OUT}/; of --replay: {_OUT_OF_REPLAYS}/")
 
+    across = p.add_argument_group("where it is run")
+    across.add_argument(
+        "--ray",
+        metavar="ADDRESS",
+        help="spread the runs over the Ray cluster there (HOST:PORT, auto), or over the GPUs of this machine (local); "
+        "see below",
+    )
+    across.add_argument("--ray-resource", metavar="NAME", help="use only nodes with this resource of Ray's")
+
     real = p.add_argument_group("real trials (--sim real)")
     real.add_argument("--trials", type=Path, metavar="CSV", help="positions of the cubes: trial,cube,x,y[,z]")
     real.add_argument("--unit", choices=("m", "cm"), help="unit of the positions in the CSV")
@@ -225,39 +248,60 @@ def _phases(text: str) -> tuple[str, ...]:
 def record(arguments: argparse.Namespace, argv: tuple[str, ...]) -> int:
     """Make all runs; returns the exit code."""
     with shielded():
-        from recorder.environments.choice import check_known, interpreter_for
         from recorder.plan import check_runs
         from recorder.series import Request, record_set, record_sweep
-        from recorder.simulators.registry import find_simulator
         from recorder.sweep import Sweep, parse_points
 
     check_runs(arguments.runs)
     points = () if arguments.sweep is None else parse_points(arguments.sweep)
     if points:
         arguments.n_env = points[0]
-    interpreter = interpreter_for(find_simulator(arguments.sim), arguments.python)
+    interpreter = _interpreter(arguments, arguments.sim)
     configuration = configure(arguments)
-    check_known(interpreter, configuration.simulator, configuration.scene)
-    request = Request(configuration, arguments.out or _OUT, argv, quiet=arguments.json, interpreter=interpreter)
-    if points:
-        code, results = record_sweep(request, Sweep(points, arguments.runs))
-    else:
-        code, results = record_set(request, arguments.runs)
+    out = arguments.out or _OUT
+    request = Request(configuration, out, argv, quiet=arguments.json, end_killed=bool(points))
+    with _maker(arguments, configuration, interpreter) as maker:
+        if points:
+            code, results = record_sweep(request, Sweep(points, arguments.runs), maker)
+        else:
+            code, results = record_set(request, arguments.runs, maker)
     if arguments.json:
         _print_json(results)
     return code
 
 
+def _interpreter(arguments: argparse.Namespace, simulator: str) -> Interpreter | None:
+    # that makes the runs here; None with --ray, where each node finds its own
+    with shielded():
+        from recorder.environments.choice import interpreter_for
+        from recorder.simulators.registry import find_simulator
+    entry = find_simulator(simulator)
+    return interpreter_for(entry, arguments.python) if arguments.ray is None else None
+
+
+def _maker(
+    arguments: argparse.Namespace, configuration: RunConfiguration, interpreter: Interpreter | None
+) -> AbstractContextManager[Maker]:
+    with shielded():
+        from recorder.environments.choice import check_known
+        from recorder.series import Here
+    if interpreter is not None:
+        check_known(interpreter, configuration.simulator, configuration.scene)
+        return nullcontext(Here(interpreter))
+    with shielded():
+        from recorder.cluster.team import team
+    return team(arguments.ray, configuration, resource=arguments.ray_resource, python=arguments.python)
+
+
 def replay(arguments: argparse.Namespace, argv: tuple[str, ...]) -> int:
     """Make the run of a recording again; returns the exit code."""
     with shielded():
-        from recorder.environments.choice import check_known, interpreter_for
+        from recorder.environments.choice import check_known
         from recorder.plan import check_runs
         from recorder.progress import say
         from recorder.replay import announcement, check_scene, origin, read_source, replayed, shown
         from recorder.scenes.registry import make_scene
         from recorder.series import Request, record_set
-        from recorder.simulators.registry import find_simulator
 
     check_runs(arguments.runs)
     source = read_source(arguments.replay)
@@ -271,8 +315,9 @@ def replay(arguments: argparse.Namespace, argv: tuple[str, ...]) -> int:
     try:
         check_scene(source, make_scene(configuration.scene))
         check_configuration(configuration)
-        interpreter = interpreter_for(find_simulator(configuration.simulator), arguments.python)
-        check_known(interpreter, configuration.simulator, configuration.scene)
+        interpreter = _interpreter(arguments, configuration.simulator)
+        if interpreter is not None:
+            check_known(interpreter, configuration.simulator, configuration.scene)
     except UsageError as error:
         said = shown(str(error))
         whole = said if str(arguments.replay) in said else f"{arguments.replay} cannot be replayed here: {said}"
@@ -280,8 +325,9 @@ def replay(arguments: argparse.Namespace, argv: tuple[str, ...]) -> int:
     say(announcement(source, configuration))
     of = origin(source, configuration)
     out = arguments.out or _OUT_OF_REPLAYS
-    request = Request(configuration, out, argv, quiet=arguments.json, interpreter=interpreter, replay_of=of)
-    code, results = record_set(request, arguments.runs)
+    request = Request(configuration, out, argv, quiet=arguments.json, replay_of=of)
+    with _maker(arguments, configuration, interpreter) as maker:
+        code, results = record_set(request, arguments.runs, maker)
     if code and configuration.options.get("device", "cpu") not in ("cpu", "auto"):
         say("where that device is not there, --option device=cpu replays on the CPU; the recording will say so")
     if arguments.json:
@@ -361,6 +407,8 @@ def _fill(arguments: argparse.Namespace) -> None:
     for name in foreign:
         if name not in own and getattr(arguments, name) is not None:
             raise UsageError(f"--{name.replace('_', '-')} is for {whose}; {doing}")
+    if arguments.ray_resource is not None and arguments.ray is None:
+        raise UsageError("--ray-resource chooses nodes of a Ray cluster; say which cluster with --ray")
     if arguments.sweep is not None and arguments.n_env is not None:
         raise UsageError("--sweep says how many environments there are; leave --n-env out")
     for name, default in own.items():

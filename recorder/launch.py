@@ -87,9 +87,13 @@ class Interruptions:
         self._child = child
         self._pass_on()
 
-    def _handle(self, number: int, frame: object) -> None:
+    def add(self) -> None:
+        """One more, by whatever way the user's wish came."""
         self.count += 1
         self._pass_on()
+
+    def _handle(self, number: int, frame: object) -> None:
+        self.add()
 
     def _pass_on(self) -> None:
         if self._child is None or not self.count:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import os
 import re
 import tempfile
 from dataclasses import replace
@@ -10,13 +12,16 @@ from pathlib import Path
 
 from schemas import PARTIAL
 from schemas.configuration import CAPTURE_MODES, MAX_ENVS, OPTIONAL_PHASES, RunConfiguration
-from schemas.errors import GsbError, UsageError
+from schemas.errors import DataLost, GsbError, UsageError
 
 MIN_DT = 1e-6
 """Shortest step [s]: times are recorded in whole nanoseconds, and a step is to be off by no more than a thousandth."""
 
 MAX_TIMEOUT = 1e9
 """Longest time limit [s]."""
+
+_NO_LINKS = {errno.EPERM, errno.EOPNOTSUPP, errno.ENOTSUP, errno.ENOSYS, errno.EMLINK, errno.EXDEV}
+"""What os.link fails with on a file system without hard links."""
 
 
 def check_dt(dt: float) -> None:
@@ -99,6 +104,32 @@ def partial_of(path: Path) -> Path:
     return path.with_name(path.name + PARTIAL)
 
 
+def publish(path: Path) -> None:
+    """Give a whole .partial file its final name, and flush the folder.
+
+    DataLost where a file of that name appeared meanwhile; OSError where the disk says so.
+    """
+    partial = partial_of(path)
+    try:
+        os.link(partial, path)  # unlike rename, never replaces a file
+    except FileExistsError:
+        raise _taken(path, partial) from None
+    except OSError as error:
+        if error.errno not in _NO_LINKS:
+            raise
+        # Other recorders stay away from a name whose .partial exists, so a look before is enough.
+        if path.exists():
+            raise _taken(path, partial) from None
+        os.rename(partial, path)
+    else:
+        os.unlink(partial)
+    folder = os.open(path.parent, os.O_RDONLY)
+    try:
+        os.fsync(folder)
+    finally:
+        os.close(folder)
+
+
 def release(path: Path) -> Path | None:
     """The .partial file of a reserved name; None, and the file removed, where nothing was written to it."""
     partial = partial_of(path)
@@ -134,6 +165,10 @@ def _take(path: Path) -> bool:
         partial.unlink()
         return False
     return True
+
+
+def _taken(path: Path, partial: Path) -> DataLost:
+    return DataLost(f"{path} appeared meanwhile; this run is in {partial}")
 
 
 def _unwritable(folder: Path, error: OSError) -> GsbError:

@@ -25,8 +25,8 @@ class Progress(Protocol):
     def update(self, run: int, phase: str, done: int, of: int) -> None:
         """`done` of `of` steps of a phase of a run (from 0) are done."""
 
-    def finish(self, result: Result) -> None:
-        """A run ended."""
+    def finish(self, result: Result, elapsed: float | None = None) -> None:
+        """A run ended, so many seconds after it began; None: it began when the one before had ended."""
 
     def path(self, path: Path) -> None:
         """Print the path of a run's file on standard output."""
@@ -66,10 +66,10 @@ class LineProgress:
     def update(self, run: int, phase: str, done: int, of: int) -> None:
         """Nothing: a log is not a place for bars."""
 
-    def finish(self, result: Result) -> None:
+    def finish(self, result: Result, elapsed: float | None = None) -> None:
         """See Progress.finish."""
         now = time.monotonic()
-        print(describe(result, self._runs, now - self._began), file=sys.stderr)
+        print(describe(result, self._runs, now - self._began if elapsed is None else elapsed), file=sys.stderr)
         self._began = now
 
     def path(self, path: Path) -> None:
@@ -114,10 +114,14 @@ class BarProgress:
         """See Progress.update."""
         self._bars.update(self._phase_bar, description=f"run {run + 1}: {phase}", completed=done, total=of)
 
-    def finish(self, result: Result) -> None:
+    def finish(self, result: Result, elapsed: float | None = None) -> None:
         """See Progress.finish."""
         now = time.monotonic()
-        self._bars.console.print(describe(result, self._runs, now - self._began), highlight=False, markup=False)
+        self._bars.console.print(
+            describe(result, self._runs, now - self._began if elapsed is None else elapsed),
+            highlight=False,
+            markup=False,
+        )
         self._began = now
         self._bars.advance(self._run_bar)
 

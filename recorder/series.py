@@ -1,18 +1,20 @@
-"""The runs of one command, one process after another: a set of equal ones, or a sweep over n_env."""
+"""The runs of one command: a set of equal ones, or a sweep over n_env."""
 
 from __future__ import annotations
 
-import uuid
+from collections.abc import Generator, Sequence
+from contextlib import closing
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 from recorder.environments.interpreter import Interpreter
 from recorder.interruption import shielded
-from recorder.launch import Interruptions, Result, launch
-from recorder.plan import prepare_folder, reserve, runs, utc_now
+from recorder.launch import Interruptions, Result
+from recorder.plan import prepare_folder, runs
 from recorder.progress import Progress, make_progress, say
 from recorder.sweep import Outcome, Outcomes, Place, Sweep
+from recorder.task import Task, make
 from schemas.configuration import RunConfiguration
 from schemas.errors import ExitCode
 from schemas.provenance import ReplayOf
@@ -30,19 +32,69 @@ class Request:
     out            folder of the recordings
     argv           the user's command
     quiet          print no paths and no summary: the caller prints the results itself
-    interpreter    that the runs' processes are of
     replay_of      the recording that the runs are replays of
+    end_killed     where a run has to be killed after its timeout, write a recording that says so
     """
 
     configuration: RunConfiguration
     out: Path
     argv: tuple[str, ...]
     quiet: bool
-    interpreter: Interpreter
     replay_of: ReplayOf | None = None
+    end_killed: bool = False
+
+    def task(self, run: RunConfiguration) -> Task:
+        """One of the runs, to be made now."""
+        return Task.of(run, self.argv, replay_of=self.replay_of, end_killed=self.end_killed)
 
 
-def record_set(request: Request, count: int) -> tuple[int, Json]:
+class Maker(Protocol):
+    """Makes runs, here or elsewhere."""
+
+    def where(self) -> str:
+        """Machine and software that runs are made with, as of recorder.finished."""
+
+    def make(
+        self, request: Request, planned: Sequence[RunConfiguration], progress: Progress, interruptions: Interruptions
+    ) -> Generator[tuple[RunConfiguration, Result], None, None]:
+        """Make the runs and tell how each ended, in the order in which they end, the first of them before all others.
+
+        Once the user interrupts, no further run is begun. Where the iterator is closed early, only recordings of what
+        it has told remain.
+        """
+
+
+class Here:
+    """Makes runs on this machine, one after another, so that none disturbs another's clocks."""
+
+    def __init__(self, interpreter: Interpreter) -> None:
+        """interpreter  that the runs' processes are of"""
+        self._interpreter = interpreter
+
+    def where(self) -> str:
+        """See Maker.where."""
+        with shielded():
+            from recorder.finished import where_am_i
+
+        return where_am_i(self._interpreter)
+
+    def make(
+        self, request: Request, planned: Sequence[RunConfiguration], progress: Progress, interruptions: Interruptions
+    ) -> Generator[tuple[RunConfiguration, Result], None, None]:
+        """See Maker.make."""
+        for run in planned:
+
+            def report(phase: str, done: int, of: int, index: int = run.run_index) -> None:
+                progress.update(index, phase, done, of)
+
+            result = make(request.task(run), request.out, self._interpreter, report, interruptions)
+            progress.finish(result)
+            yield run, result
+            if interruptions.count:
+                return
+
+
+def record_set(request: Request, count: int, maker: Maker) -> tuple[int, Json]:
     """Make so many equal runs; returns the exit code and the results."""
     planned = runs(request.configuration, count)
     prepare_folder(request.out)
@@ -50,45 +102,55 @@ def record_set(request: Request, count: int) -> tuple[int, Json]:
     title = f"{c.simulator}, {c.scene}, {c.n_env} envs, dt {c.dt:g} s, {count} runs"
     code = ExitCode.OK
     results = []
-    with Interruptions() as interruptions, make_progress(title, count) as progress:
-        for run in planned:
-            result = _make(request, run, progress, interruptions)
+    with (
+        Interruptions() as interruptions,
+        make_progress(title, count) as progress,
+        closing(maker.make(request, planned, progress, interruptions)) as made,
+    ):
+        for run, result in made:
+            _show(request, result, progress)
             results.append(_json(run, result.path, _outcome(result)))
             code = max(code, result.exit_code)
-            if interruptions.count or result.exit_code == ExitCode.USAGE:
+            if result.exit_code == ExitCode.USAGE:
                 break
     if interruptions.count:
         say(f"interrupted: {len(results)} of {count} runs were started")
         code = max(code, ExitCode.FAILURE)
-    return int(code), {"runs": results}
+    return int(code), {"runs": sorted(results, key=lambda result: int(result["run"]))}
 
 
-def record_sweep(request: Request, sweep: Sweep) -> tuple[int, Json]:
+def record_sweep(request: Request, sweep: Sweep, maker: Maker) -> tuple[int, Json]:
     """Make the runs of a sweep that its folder does not hold yet; returns the exit code and the results."""
     with shielded():  # the reader of recordings is nothing that a set of runs needs
-        from recorder.finished import matching, read_folder, where_am_i
+        from recorder.finished import matching, read_folder
 
     prepare_folder(request.out)
     found, others = read_folder(request.out)
-    where = where_am_i(request.interpreter)
-    there = {place: f for place, f in matching(found, request.configuration, where).items() if place in sweep}
+    there = {p: f for p, f in matching(found, request.configuration, maker.where()).items() if p in sweep}
     known = {place: f.outcome for place, f in there.items()}
     results = {place: {**_json(f.configuration, f.path, f.outcome), "found": True} for place, f in there.items()}
     codes: dict[int, ExitCode] = {}  # the gravest of the runs that are made here, by n_env
     cut = ""
     _announce(request, sweep, len(there), others)
     with Interruptions() as interruptions:
-        while (place := sweep.next_place(known)) and not cut:
-            n_env = place.n_env
-            with make_progress(*_heading(sweep, n_env, known)) as progress:
-                while place and place.n_env == n_env and not cut:
-                    run = replace(request.configuration, n_env=n_env, run_index=place.run_index)
-                    result = _make(request, run, progress, interruptions, end_killed=True)
+        while (places := sweep.next_places(known)) and not cut:
+            n_env = places[0].n_env
+            planned = [replace(request.configuration, n_env=n_env, run_index=place.run_index) for place in places]
+            with (
+                make_progress(*_heading(sweep, n_env, known)) as progress,
+                closing(maker.make(request, planned, progress, interruptions)) as made,
+            ):
+                for run, result in made:
+                    _show(request, result, progress)
+                    place = Place(n_env, run.run_index)
                     known[place] = _outcome(result)
                     results[place] = {**_json(run, result.path, known[place]), "found": False}
                     codes[n_env] = max(codes.get(n_env, ExitCode.OK), result.exit_code)
-                    cut = _cut(n_env, result, interruptions)
-                    place = sweep.next_place(known)
+                    cut = cut or _cut(n_env, result, interruptions)
+                    if (cut and not interruptions.count) or sweep.cut_short(n_env, known):
+                        break
+            if interruptions.count:
+                cut = _interrupted(n_env)
             if not cut and (spared := sweep.cut_short(n_env, known)):
                 say(f"{n_env} envs: {spared} of {sweep.runs} runs are not made: they would fail as the first did")
     summary = _summary(sweep, known, cut)
@@ -101,39 +163,9 @@ def record_sweep(request: Request, sweep: Sweep) -> tuple[int, Json]:
     return int(code), {"sweep": summary, "runs": [results[place] for place in sorted(results)]}
 
 
-def _make(
-    request: Request,
-    run: RunConfiguration,
-    progress: Progress,
-    interruptions: Interruptions,
-    *,
-    end_killed: bool = False,
-) -> Result:
-    # end_killed: a run that had to be killed after its timeout gets a recording that says so
-    created, run_id = utc_now(), str(uuid.uuid4())
-    result = launch(
-        run,
-        reserve(request.out, run, created),
-        run_id=run_id,
-        created=created,
-        argv=request.argv,
-        interpreter=request.interpreter,
-        progress=lambda phase, done, of: progress.update(run.run_index, phase, done, of),
-        interruptions=interruptions,
-        replay_of=request.replay_of,
-    )
-    if end_killed and result.died and result.cause == "TIMEOUT" and not interruptions.count:
-        from recorder.killed import record_killed
-
-        path = record_killed(
-            request.out, run, result.path, run_id=run_id, created=created, argv=request.argv,
-            interpreter=request.interpreter, reason=result.reason,
-        )  # fmt: skip
-        result = replace(result, status="failed", path=path, exit_code=ExitCode.FAILURE)
-    progress.finish(result)
+def _show(request: Request, result: Result, progress: Progress) -> None:
     if not request.quiet and result.path:
         progress.path(result.path)
-    return result
 
 
 def _outcome(result: Result) -> Outcome:
@@ -154,10 +186,14 @@ def _json(run: RunConfiguration, path: Path | None, outcome: Outcome) -> Json:
 def _cut(n_env: int, result: Result, interruptions: Interruptions) -> str:
     # why no further run of a sweep can be made; empty where one can
     if interruptions.count:
-        return f"interrupted at {n_env}; the same command goes on from there"
+        return _interrupted(n_env)
     if result.exit_code >= ExitCode.USAGE and not result.died:  # such as a full disk
         return f"given up at {n_env}: {result.reason}"
     return ""
+
+
+def _interrupted(n_env: int) -> str:
+    return f"interrupted at {n_env}; the same command goes on from there"
 
 
 def _announce(request: Request, sweep: Sweep, there: int, others: dict[Path, str]) -> None:

@@ -92,9 +92,9 @@ class Sweep:
     def __contains__(self, place: Place) -> bool:
         return place.n_env in self.points and place.run_index < self.runs
 
-    def next_place(self, known: Outcomes) -> Place | None:
-        """The run to be made next; None when the sweep is over."""
-        return next(iter(self.missing(self.reached(known)[-1], known)), None)
+    def next_places(self, known: Outcomes) -> list[Place]:
+        """The runs to be made next, all of one point, in order; empty when the sweep is over."""
+        return self.missing(self.reached(known)[-1], known)
 
     def reached(self, known: Outcomes) -> tuple[int, ...]:
         """The points that the sweep has come to: up to the first with runs to be made, or at which every run fails."""

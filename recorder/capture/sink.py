@@ -7,7 +7,6 @@ its .partial name and, but for a crash in the moment before the renaming, has no
 
 from __future__ import annotations
 
-import errno
 import os
 import time
 from collections.abc import Iterator, Sequence
@@ -16,16 +15,13 @@ from pathlib import Path
 from typing import Any
 
 from recorder.interruption import shielded
-from recorder.plan import partial_of
+from recorder.plan import partial_of, publish
 from schemas import FORMAT, __version__, topics
 from schemas.configuration import EPOCH_NS
 from schemas.digest import ContentDigest, content_hash
 from schemas.errors import DataLost, UsageError
 from schemas.mcap_writer import McapWriter, Part
 from schemas.messages import embedded_schema, enum_values, message_class
-
-_NO_LINKS = {errno.EPERM, errno.EOPNOTSUPP, errno.ENOTSUP, errno.ENOSYS, errno.EMLINK, errno.EXDEV}
-"""What os.link fails with on a file system without hard links."""
 
 
 class Sink:
@@ -139,36 +135,13 @@ class Sink:
             self._writer.finish()
             os.fsync(self._stream.fileno())
             self._stream.close()
-            self._rename()
+            publish(self.path)
         return self.path
 
     def abandon(self) -> None:
         """Close the file as it is: without an end record and under its .partial name."""
         with suppress(OSError):  # the error that led here is the one to report
             self._stream.close()
-
-    def _rename(self) -> None:
-        try:
-            os.link(self.partial, self.path)  # unlike rename, never replaces a file
-        except FileExistsError:
-            raise self._taken() from None
-        except OSError as error:
-            if error.errno not in _NO_LINKS:
-                raise
-            # Other recorders stay away from a name whose .partial exists, so a look before is enough.
-            if self.path.exists():
-                raise self._taken() from None
-            os.rename(self.partial, self.path)
-        else:
-            os.unlink(self.partial)
-        folder = os.open(self.path.parent, os.O_RDONLY)
-        try:
-            os.fsync(folder)
-        finally:
-            os.close(folder)
-
-    def _taken(self) -> DataLost:
-        return DataLost(f"{self.path} appeared meanwhile; this run is in {self.partial}")
 
     @contextmanager
     def _disk(self) -> Iterator[None]:

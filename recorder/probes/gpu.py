@@ -15,7 +15,9 @@ class Gpus:
     problems  one sentence for each GPU that is there and does not answer; it is left out
     """
 
-    def __init__(self) -> None:
+    def __init__(self, *, hidden: bool = False) -> None:
+        """hidden  those too that CUDA does not show, in NVML's order"""
+        self._hidden = hidden
         self.problems: list[str] = []
         self._nvml: Any = None
         self._handles: list[Any] = []
@@ -46,7 +48,7 @@ class Gpus:
         # In the order in which CUDA numbers them, so that GPU 0 here is the one that engines step on by default. CUDA
         # and NVML number the GPUs of a machine alike where CUDA_DEVICE_ORDER is PCI_BUS_ID or all are of one model.
         named = os.environ.get("CUDA_VISIBLE_DEVICES")
-        if named is None:
+        if named is None or self._hidden:
             return list(range(count))
         found = []
         for name in (word.strip() for word in named.split(",")):

@@ -155,7 +155,8 @@ def _sweeps(draw: st.DrawFn) -> tuple[Sweep, dict[Place, Outcome]]:
 
 def _follow(sweep: Sweep, ends: dict[Place, Outcome], known: dict[Place, Outcome]) -> list[Place]:
     made = []
-    while place := sweep.next_place(known):
+    while places := sweep.next_places(known):
+        place = places[0]
         assert place not in known, "a run is made twice"
         known[place] = ends[place]
         made.append(place)

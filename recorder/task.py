@@ -1,0 +1,92 @@
+"""One run that is to be made, as data, and how it is made: here, or on a machine that was sent the data."""
+
+from __future__ import annotations
+
+import uuid
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from recorder.environments.interpreter import Interpreter
+from recorder.launch import Interruptions, Progress, Result, launch
+from recorder.plan import reserve, utc_now
+from schemas.configuration import RunConfiguration
+from schemas.errors import ExitCode
+from schemas.provenance import ReplayOf
+
+
+@dataclass(frozen=True)
+class Task:
+    """A run to be made.
+
+    run_id      unique (UUID4)
+    created     UTC, ISO 8601
+    argv        the user's command
+    replay_of   the recording that it is a replay of
+    end_killed  where it has to be killed after its timeout, write a recording that says so
+    """
+
+    configuration: RunConfiguration
+    run_id: str
+    created: str
+    argv: tuple[str, ...]
+    replay_of: ReplayOf | None = None
+    end_killed: bool = False
+
+    @classmethod
+    def of(
+        cls,
+        configuration: RunConfiguration,
+        argv: tuple[str, ...],
+        *,
+        replay_of: ReplayOf | None = None,
+        end_killed: bool = False,
+    ) -> Task:
+        """A new run, created now."""
+        return cls(configuration, str(uuid.uuid4()), utc_now(), argv, replay_of, end_killed)
+
+    def to_json(self) -> dict[str, Any]:
+        """As plain JSON values."""
+        of = asdict(self.replay_of) if self.replay_of else None
+        return {**asdict(self), "configuration": self.configuration.to_json(), "argv": list(self.argv), "replay_of": of}
+
+    @classmethod
+    def from_json(cls, record: dict[str, Any]) -> Task:
+        """From what to_json gave."""
+        of = record["replay_of"]
+        return cls(
+            RunConfiguration.from_json(record["configuration"]),
+            record["run_id"],
+            record["created"],
+            tuple(record["argv"]),
+            ReplayOf.from_json(of) if of else None,
+            record["end_killed"],
+        )
+
+
+def make(
+    task: Task, folder: Path, interpreter: Interpreter, progress: Progress, interruptions: Interruptions
+) -> Result:
+    """Make the run in a fresh process, its recording in `folder`. GsbError where that cannot be begun."""
+    run = task.configuration
+    result = launch(
+        run,
+        reserve(folder, run, task.created),
+        run_id=task.run_id,
+        created=task.created,
+        argv=task.argv,
+        interpreter=interpreter,
+        progress=progress,
+        interruptions=interruptions,
+        replay_of=task.replay_of,
+    )
+    if not (task.end_killed and result.died and result.cause == "TIMEOUT") or interruptions.count:
+        return result
+
+    from recorder.killed import record_killed
+
+    path = record_killed(
+        folder, run, result.path, run_id=task.run_id, created=task.created, argv=task.argv,
+        interpreter=interpreter, reason=result.reason,
+    )  # fmt: skip
+    return replace(result, status="failed", path=path, exit_code=ExitCode.FAILURE)
