@@ -5,9 +5,11 @@ from __future__ import annotations
 import io
 import os
 import socket
+import sys
+import threading
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager, redirect_stderr, redirect_stdout, suppress
+from contextlib import ExitStack, contextmanager, redirect_stderr, redirect_stdout, suppress
 from pathlib import Path
 from types import TracebackType
 from typing import Any, TypeVar
@@ -50,6 +52,8 @@ class Cluster:
         except (ConnectionError, ValueError, RuntimeError, OSError) as error:
             raise GsbError(f"no Ray cluster at {address}: {str(error).splitlines()[0]}") from None
         self._ray = ray
+        self._quiet = ExitStack()
+        self._quiet.enter_context(redirect_stdout(_OfMainThread(sys.stdout)))
         self._task = ray.remote(_part).options(num_cpus=1, max_retries=_RETRIES)
         self._cores = max(1, int(ray.cluster_resources().get("CPU", 1)))
 
@@ -59,7 +63,7 @@ class Cluster:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        with _unheard():
+        with self._quiet, _unheard():
             self._ray.shutdown()
 
     def __call__(self, function: Callable[[_Item], _Result], items: Iterable[_Item], /) -> Iterator[_Result]:
@@ -87,6 +91,22 @@ class Cluster:
         if why_not:
             raise GsbError(why_not)
         return found
+
+
+class _OfMainThread:
+    """Standard output, to which no other thread's words come: Ray tells there which nodes died."""
+
+    def __init__(self, stream: Any) -> None:
+        self._stream = stream
+
+    def write(self, text: str) -> int:
+        """As of a text stream."""
+        if threading.current_thread() is threading.main_thread():
+            self._stream.write(text)
+        return len(text)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
 
 
 @contextmanager

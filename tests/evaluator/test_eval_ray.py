@@ -32,7 +32,8 @@ def two_nodes(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
     from ray.cluster_utils import Cluster as Nodes
 
     monkeypatch.setenv("RAY_USAGE_STATS_ENABLED", "0")
-    monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parent))  # for the functions of this module
+    here = Path(__file__).resolve()
+    monkeypatch.setenv("PYTHONPATH", f"{here.parent}{os.pathsep}{here.parents[2]}")  # for the functions of this module
     nodes = Nodes(initialize_head=True, head_node_args=_NODE)
     nodes.worker = nodes.add_node(**_NODE)
     yield nodes
