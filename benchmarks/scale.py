@@ -30,7 +30,7 @@ from evaluator.evaluate import evaluate
 from evaluator.group_metrics import floor
 from evaluator.identity_metrics import identical_steps
 from evaluator.mapping import serial
-from evaluator.metrics.variability import MAX_CERTIFIED_PAIRS, parallel_variability, run_to_run_variability
+from evaluator.metrics.variability import MAX_CERTIFIED_POINTS, parallel_variability, run_to_run_variability
 from evaluator.reading import Read, Reader
 from evaluator.recording import Recording
 from evaluator.report.parquet import write_parquet
@@ -202,7 +202,9 @@ def main() -> None:
         f" a core hour, ${prices.gb_month:g} a GB and month, ${prices.gb_egress:g} a GB sent out\n"
     )
     print(f"{'':<50} {'as recorded':>14} {'packed':>14}")
-    for what, *both in extrapolate(rates, plan, prices, min(MAX_CERTIFIED_PAIRS, a.runs * (a.runs - 1) // 2)):
+    for what, *both in extrapolate(
+        rates, plan, prices, min(MAX_CERTIFIED_POINTS // a.points, a.runs * (a.runs - 1) // 2)
+    ):
         print(f"{what:<50} {both[0]:>14} {both[1]:>14}")
 
 

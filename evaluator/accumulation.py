@@ -15,9 +15,11 @@ from evaluator.sweeps import Sweep
 from evaluator.transport.pair import wasserstein1
 from evaluator.work import Work
 
-_DRAWS = 10
+_DRAWS = 5
 _SEED = 0
-_MAX_POINTS = 2000  # a side: each distance then takes a fraction of a second, and there are hundreds
+_MIN_ENVS = 4  # fewer say next to nothing, and all others would be reduced to them
+_MAX_POINTS = 500  # of a side that runs are reduced to: a distance takes 10 ms, and there are hundreds
+_MAX_RAW_POINTS = 1000  # of a side as it is
 
 
 @dataclass(frozen=True)
@@ -43,13 +45,14 @@ class Accumulation:
 def accumulations(
     sweeps: Sequence[Sweep], planar: Mapping[str, NDArray[np.float64] | None], work: Work
 ) -> tuple[Accumulation, ...]:
-    """Of the sweeps that have positions at two numbers of envs or more.
+    """Of the sweeps that have positions of several runs at two numbers of envs or more, not counting those below 4.
 
     planar  positions at the sample step [m] by label of the group, shape [run, env, item, 2]
     """
     found = []
     for sweep in sweeps:
-        at = {p.n_env: runs for p in sweep.points if (runs := planar.get(p.result.label)) is not None}
+        found_at = {p.n_env: planar.get(p.result.label) for p in sweep.points if p.n_env >= _MIN_ENVS}
+        at = {n_env: runs for n_env, runs in found_at.items() if runs is not None and len(runs) > 1}
         if len(at) < 2:
             continue
         items = next(iter(at.values())).shape[2]
@@ -61,7 +64,9 @@ def accumulations(
 
 def _matched(runs: list[tuple[int, NDArray[np.float64]]], size: int, _: Mapper) -> list[MatchedPoint]:
     by_number = dict(runs)
-    return list(matched_variability(by_number, _distance, n_draw=_DRAWS, seed=_SEED, size=size, max_points=_MAX_POINTS))
+    return list(
+        matched_variability(by_number, _distance, n_draw=_DRAWS, seed=_SEED, size=size, max_points=_MAX_RAW_POINTS)
+    )
 
 
 def _distance(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:

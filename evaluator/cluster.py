@@ -140,6 +140,8 @@ def _part(function: Callable[[Any], Any], item: Any, folder: Path, version: str)
             "with; install the same on all nodes"
         )
     os.environ["NUMBA_NUM_THREADS"] = "1"  # a part has one core; read when numba is first imported
-    with suppress(OSError):
-        os.chdir(folder)  # paths are those of the command; a node without that folder says so of each file
+    try:
+        os.chdir(folder)  # paths are those of the command
+    except OSError:
+        os.chdir("/")  # a node without that folder has none of the files that are named from there
     return function(item), ""

@@ -182,7 +182,7 @@ def _evaluate_group(
         identity.growth(runs),
         gm.left_board(runs),
         gm.sank(runs),
-        gm.regime(parallel, between, run_matrix, classes),
+        gm.regime(runs, parallel, between, run_matrix, classes),
         identity.capture_effect(runs),
     ]
     result = GroupResult(

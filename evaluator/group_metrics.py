@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from evaluator.mapping import Mapper
 from evaluator.metrics.alignment import GapTo
-from evaluator.metrics.regime import published_regime
+from evaluator.metrics.regime import PRESENT_FROM_CM, published_regime
 from evaluator.metrics.variability import (
     CM_PER_M,
     MATRIX_ENVS,
@@ -21,7 +21,7 @@ from evaluator.metrics.variability import (
     parallel_variability,
     run_to_run_variability,
 )
-from evaluator.over_runs import NO_RUN, Runs, ends_of, mean_over_runs
+from evaluator.over_runs import NO_RUN, Runs, differ, ends_of, mean_over_runs
 from evaluator.results import Metric, Reference, not_computed
 from evaluator.statistics.energy import energy_distance
 from evaluator.statistics.jackknife import jackknife_pair_mean
@@ -102,7 +102,8 @@ def run_to_run(
         bounds, method, no_interval = None, "", f"{found.n_pair} pairs of runs were drawn with seed {found.seed}"
     else:
         interval = jackknife_pair_mean(found.matrix_cm)
-        bounds, no_interval = ends_of(interval, runs, spread=bool(found.matrix_cm.any()))
+        pairs = found.matrix_cm[np.triu_indices(runs, k=1)]
+        bounds, no_interval = ends_of(interval, runs, spread=differ(pairs))
         method = f"; interval: {interval.method}"
     metric = Metric(
         name,
@@ -210,13 +211,19 @@ def sank(runs: Runs) -> Metric:
     )
 
 
-def regime(parallel: Metric, between: Metric, run_matrix: NDArray[np.float64] | None, classes: list[int]) -> Metric:
+def regime(
+    runs: Runs, parallel: Metric, between: Metric, run_matrix: NDArray[np.float64] | None, classes: list[int]
+) -> Metric:
     """The published type, 1 to 4, and how sure it is.
 
     run_matrix  W1 between runs [cm], shape [run, run]
     classes     of the runs by their bits
     """
     name = "regime_published"
+    resolution = CM_PER_M * max((r.equality.resolution or 0.0 for r in runs if r.equality), default=0.0)
+    if resolution > PRESENT_FROM_CM:
+        why = f"environments lie so far apart that positions are stored to {resolution:.2g} cm, coarser than 0.005 cm"
+        return not_computed(name, "type", "neither", why)
     for needed in (parallel, between):
         if needed.value is None:
             return not_computed(name, "type", "neither", f"{needed.name} could not be computed: {needed.why_not}")
@@ -233,11 +240,16 @@ def regime(parallel: Metric, between: Metric, run_matrix: NDArray[np.float64] | 
 
 
 def _probabilities(per_run: list[float], matrix: NDArray[np.float64] | None, classes: list[int]) -> dict[str, Any]:
-    if matrix is None or len(matrix) < MIN_RUNS or len(classes) != len(matrix):
-        return {"probabilities_why_not": f"needs at least {MIN_RUNS} runs with states"}
+    if len(per_run) < MIN_RUNS:
+        return {"probabilities_why_not": f"needs at least {MIN_RUNS} runs"}
+    if matrix is None:
+        return {"probabilities_why_not": "not all pairs of runs were computed"}
+    if len(classes) != len(matrix):
+        return {"probabilities_why_not": "the runs cannot be compared by bits"}
     found = regime_probabilities(per_run, matrix, classes, seed=_SEED)
     return {
         "probabilities": list(found.probabilities),
+        "runs": found.n_run,
         "decided_by": list(found.decided_by),
         "agreement": found.agreement,
         "run_differs_below": found.run_differs_below,
@@ -254,6 +266,9 @@ def floor(a: NDArray[np.float64], b: NDArray[np.float64], mapper: Mapper) -> dic
     a, b    planar positions [m], shape [env, item, 2]
     mapper  makes the distances
     """
+    if all((side == side[:1]).all() for side in (a, b)):
+        why = "the environments of a side are identical: there is nothing to exchange"
+        return {"why_not": why, "energy_why_not": why}
     return {**_floor_of_w1(a * CM_PER_M, b * CM_PER_M, mapper), **_energy(a * CM_PER_M, b * CM_PER_M)}
 
 

@@ -138,9 +138,10 @@ def equality_of_runs(runs: Runs) -> Metric:
     if len(runs) < 2:
         return not_computed(name, "level", "lower", "needs at least two complete runs")
     histories = [r.histories for r in runs if r.histories]
+    rows = min((len(h.steps) for h in histories), default=0)  # runs of one group may be of different length
     agree = None
-    if len(histories) == len(runs):
-        agree = len({h.until(len(h.steps)) for h in histories}) == 1
+    if len(histories) == len(runs) and len({h.steps[:rows].tobytes() for h in histories}) == 1:
+        agree = len({h.until(rows) for h in histories}) == 1
     samples = np.stack([r.positions.recorded for r in runs if r.positions])
     try:
         found = verdict(samples, hashes_agree=agree)

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from evaluator.results import Metric
 from evaluator.run_data import RunData
@@ -15,6 +16,7 @@ NO_RUN = "no run of this group is complete"
 """Why a group has no value."""
 
 _MIN_RUNS = 3  # for an interval
+_ROUNDING = 1e-12  # of a value
 
 Runs = Sequence[RunData]
 
@@ -23,7 +25,7 @@ def mean_over_runs(
     name: str, unit: str, direction: str, values: list[float], *, method: str, extra: dict[str, Any]
 ) -> Metric:
     """A metric that is a mean of one value per run."""
-    runs, spread = len(values), len(set(values)) > 1
+    runs, spread = len(values), differ(np.array(values))
     interval = jackknife_mean(np.array(values), nonnegative=True) if runs >= _MIN_RUNS else None
     bounds, no_interval = ends_of(interval, runs, spread=spread)
     # equal values have their very value for a mean, and no deviation: sums of them round
@@ -38,6 +40,11 @@ def mean_over_runs(
         method=method + (f"; interval: {interval.method}" if bounds and interval else ""),
         extra={"per_run": values, "interval_why_not": no_interval, **extra},
     )
+
+
+def differ(values: NDArray[np.float64]) -> bool:
+    """Whether values are apart by more than the rounding of what they are computed from."""
+    return bool(np.ptp(values) > _ROUNDING * np.abs(values).max()) if values.size else False
 
 
 def ends_of(interval: Interval | None, runs: int, *, spread: bool) -> tuple[tuple[float, float] | None, str]:

@@ -76,7 +76,7 @@ def sample_positions(recording: Recording, sample_time: float) -> tuple[Position
         )
     positions = Positions(recorded, _origins(recording, field), step * dt)
     planar = positions.planar
-    if not np.isfinite(planar).all():
+    if not np.isfinite(positions.recorded).all():
         return None, "positions at the sample step are not finite"
     if np.abs(planar).max() > _FAR_M:
         return None, f"positions at the sample step are beyond {_FAR_M / 1000:g} km: the simulation blew up"

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from evaluator.recording import Recording
 from evaluator.run_data import RunData, read_run
+from evaluator.stamp import Stamp, stamp_of
 from evaluator.summary import Summary, summarise
 from schemas.errors import GsbError
 from schemas.location import Place
@@ -17,10 +18,12 @@ class Read:
 
     summary  what it says of itself
     run      what metrics need of it; None where the run did not end well or lost data
+    stamp    of the file before it was read, where it was read; None without one that can be relied on
     """
 
     summary: Summary
     run: RunData | None
+    stamp: Stamp | None = None
 
 
 @dataclass(frozen=True)
@@ -44,6 +47,7 @@ class Reader:
 
     def __call__(self, path: Place) -> Read | Unreadable:
         """Read one file, in memory that its size does not govern: see docs/scale.md."""
+        stamp = stamp_of(path)
         try:
             recording = Recording(path)
             if self.verify:
@@ -52,4 +56,4 @@ class Reader:
             run = read_run(recording, summary, self.sample_time) if recording.usable else None
         except GsbError as error:
             return Unreadable(path, error)
-        return Read(summary, run)
+        return Read(summary, run, stamp)

@@ -14,6 +14,7 @@ two more of them. Splitting, compressing or re-chunking a file leaves it as it i
 from __future__ import annotations
 
 import hashlib
+import json
 import struct
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -83,7 +84,14 @@ class ContentDigest:
 
 
 def content_hash(digests: Mapping[str, str], status: str, reason: str) -> str:
-    """The identity of a recording from its digests and its end."""
-    lines = [f"{name} {digest}\n" for name, digest in digests.items()]
-    lines += [f"status {status}\n", f"reason {reason}\n"]
-    return hashlib.sha256("".join(sorted(lines)).encode()).hexdigest()
+    """The identity of a recording from its digests and its end.
+
+    Where a name or the reason has a line break, it could pass for lines of its own: then it is that of a JSON text.
+    """
+    if any("\n" in text for text in (*digests, reason)):
+        text = json.dumps([sorted(digests.items()), status, reason])
+    else:
+        lines = [f"{name} {digest}\n" for name, digest in digests.items()]
+        lines += [f"status {status}\n", f"reason {reason}\n"]
+        text = "".join(sorted(lines))
+    return hashlib.sha256(text.encode()).hexdigest()

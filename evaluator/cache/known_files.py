@@ -2,30 +2,16 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterator, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
 
 from evaluator.cache.store import Store
 from evaluator.reading import Read, Reader, Unreadable
 from evaluator.run_data import RunData
+from evaluator.stamp import Stamp, stamp_of
+from evaluator.summary import Summary
 from evaluator.work import Work
-from schemas.location import Location, Place
-
-_SETTLED_NS = 2_000_000_000
-"""A file that was written so recently may change once more without its times telling."""
-
-
-@dataclass(frozen=True)
-class Stamp:
-    """What a file system says of a file; a changed file has another, whatever is done to its modification time."""
-
-    device: int
-    inode: int
-    size: int
-    modified_ns: int
-    changed_ns: int
+from schemas.location import Place
 
 
 @dataclass(frozen=True)
@@ -43,21 +29,25 @@ class KnownFiles:
         """What was read of a file; None where it is not known, or may have changed."""
         stamp = stamp_of(path)
         content_hash = stamp and self.store.get(self.store.key(Stamp, stamp))
-        found = self.store.get(self._key(content_hash)) if isinstance(content_hash, str) else None
-        if found is None:
+        if not stamp or not isinstance(content_hash, str):
             return None
+        found = self.store.get(self._key(content_hash, stamp))
         run = found if isinstance(found, RunData) else None
-        summary = replace(run.recording if run else found, path=path)
+        known = run.recording if run else found
+        if not isinstance(known, Summary):
+            return None
+        summary = replace(known, path=path)
         return Read(summary, replace(run, recording=summary) if run else None)
 
     def keep(self, stamp: Stamp, read: Read) -> None:
-        """Keep what was read and verified of a file that has the stamp before and after."""
-        if read.summary.content_hash and stamp_of(read.summary.path) == stamp:
+        """Keep what was read and verified of a file: it had the stamp before, where it was read, and has it now."""
+        if read.summary.content_hash and read.stamp == stamp == stamp_of(read.summary.path):
             self.store.put(self.store.key(Stamp, stamp), read.summary.content_hash)
-            self.store.put(self._key(read.summary.content_hash), read.run or read.summary)
+            self.store.put(self._key(read.summary.content_hash, stamp), read.run or read.summary)
 
-    def _key(self, content_hash: str) -> str:
-        return self.store.key(Reader, [content_hash, self.sample_time])
+    def _key(self, content_hash: str, stamp: Stamp) -> str:
+        # of this very file: what the content hash does not cover, such as the cause of a failure, may be another's
+        return self.store.key(Reader, [content_hash, stamp, self.sample_time])
 
 
 def read_all(paths: Sequence[Place], reader: Reader, work: Work) -> Iterator[Read | Unreadable]:
@@ -75,14 +65,3 @@ def read_all(paths: Sequence[Place], reader: Reader, work: Work) -> Iterator[Rea
         if known and stamp and reader.verify and isinstance(read, Read):
             known.keep(stamp, read)
         yield read
-
-
-def stamp_of(path: Place) -> Stamp | None:
-    """The stamp of a file of this machine; None where there is none that can be relied on."""
-    if isinstance(path, Location):
-        return None
-    with suppress(OSError, ValueError):
-        status = path.stat()
-        if time.time_ns() - max(status.st_mtime_ns, status.st_ctime_ns) > _SETTLED_NS:
-            return Stamp(status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns, status.st_ctime_ns)
-    return None

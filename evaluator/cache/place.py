@@ -6,7 +6,6 @@ import os
 from pathlib import Path
 
 from evaluator.cache.codec import Codec
-from evaluator.cache.known_files import Stamp
 from evaluator.cache.store import Store
 from evaluator.histories import Histories
 from evaluator.metrics.alignment import Gap, GapTo
@@ -21,6 +20,7 @@ from evaluator.reading import Reader
 from evaluator.run_data import RunData
 from evaluator.sinking import Sunk
 from evaluator.spread import Spread
+from evaluator.stamp import Stamp
 from evaluator.statistics.jackknife import Interval
 from evaluator.statistics.matched import MatchedPoint
 from evaluator.statistics.matched import Variability as MatchedVariability
@@ -41,12 +41,15 @@ _CLASSES = (
 )  # fmt: skip
 
 
-def default_folder() -> Path:
-    """GSB_CACHE, or gpusimbench in the user's folder of caches (XDG Base Directory Specification)."""
+def default_folder() -> Path | None:
+    """GSB_CACHE, or gpusimbench in the user's folder of caches (XDG Base Directory Specification); None without one."""
     if given := os.environ.get("GSB_CACHE"):
         return Path(given)
     home = os.environ.get("XDG_CACHE_HOME")
-    return (Path(home) if home else Path.home() / ".cache") / "gpusimbench"
+    try:
+        return (Path(home) if home else Path.home() / ".cache") / "gpusimbench"
+    except RuntimeError:  # of a user that nobody knows, as in many a container
+        return None
 
 
 def open_store(folder: Path) -> Store:

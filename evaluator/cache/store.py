@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import os
 import tempfile
+import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path
@@ -16,7 +17,10 @@ from evaluator.cache.version import code_version
 MAX_BYTES = 1 << 30
 """What a store may take; beyond it, what was used longest ago is deleted."""
 
-_SUFFIX = ".npz"
+_SUFFIX = ".result"
+_UNFINISHED = ".tmp"
+_DIGEST = 32  # bytes of SHA-256 before each document: what a disk or a hand changed is no result
+_ABANDONED_S = 3600
 
 
 class Store:
@@ -53,8 +57,10 @@ class Store:
         """The result, None where there is none."""
         path = self._path(key)
         try:
-            document = path.read_bytes()
-            result = self._codec.decode(document)
+            stored = path.read_bytes()
+            if hashlib.sha256(stored[_DIGEST:]).digest() != stored[:_DIGEST]:
+                return None
+            result = self._codec.decode(stored[_DIGEST:])
         except (OSError, ValueError):
             return None
         with suppress(OSError):
@@ -66,9 +72,10 @@ class Store:
         path = self._path(key)
         with suppress(OSError):
             path.parent.mkdir(parents=True, exist_ok=True)
-            with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".tmp", delete=False) as file:
+            with tempfile.NamedTemporaryFile(dir=path.parent, suffix=_UNFINISHED, delete=False) as file:
                 try:
-                    file.write(self._codec.encode(result))
+                    document = self._codec.encode(result)
+                    file.write(hashlib.sha256(document).digest() + document)
                     file.close()
                     Path(file.name).replace(path)
                 except BaseException:
@@ -76,7 +83,11 @@ class Store:
                     raise
 
     def prune(self, limit: int = MAX_BYTES) -> None:
-        """Delete what was used longest ago, until the folder holds at most `limit` bytes."""
+        """Delete what others left undone, and what was used longest ago, until the folder holds `limit` bytes."""
+        for path in self._folder.glob(f"*/*{_UNFINISHED}"):
+            with suppress(OSError):
+                if time.time() - path.stat().st_mtime > _ABANDONED_S:
+                    path.unlink()
         found = sorted(self._files(), reverse=True)
         held = 0
         for _, size, path in found:

@@ -102,7 +102,10 @@ def _work(arguments: argparse.Namespace, stack: ExitStack) -> Work:
         from evaluator.cluster import Cluster
 
         mapper = stack.enter_context(Cluster(arguments.ray))
-    return Work(mapper, None if arguments.no_cache else open_store(arguments.cache or default_folder()))
+    folder = None if arguments.no_cache else arguments.cache or default_folder()
+    if arguments.cache and arguments.cache.exists() and not arguments.cache.is_dir():
+        raise UsageError(f"--cache is a folder, and {arguments.cache} is none")
+    return Work(mapper, open_store(folder) if folder else None)
 
 
 def _one(given: Place | None) -> Place | None:

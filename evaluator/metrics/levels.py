@@ -102,9 +102,9 @@ def verdict(
     a coordinate near zero has ULPs of no meaning: it comes of terms that are as large as the others.
 
     Bit-identity is claimed for what the hashes cover, every step and field. Where they differ, equal positions at the
-    sample step are within 0 ULP. EQUAL_UP_TO_ORDER: in each env the same bodies' positions, bit by bit, in another
-    order. Envs at different origins are compared without them, in float64: their bits mean nothing, and the spacing of
-    the recorded numbers is the finest tolerance there is.
+    sample step are a coincidence, and the samples different. EQUAL_UP_TO_ORDER: in each env the same bodies'
+    positions, bit by bit, in another order. Envs at different origins are compared without them, in float64: their bits
+    mean nothing, and the spacing of the recorded numbers is the finest tolerance there is.
 
     Args:
         samples: positions as recorded [m], float32 or float64, shape [sample, env, item, width]; envs of one run are
@@ -129,7 +129,7 @@ def verdict(
     if n_distinct == 1:
         level = Level.BIT_IDENTICAL
         if hashes_agree is False:
-            level = Level.DIFFERENT if worst_ulp is None else Level.WITHIN_ULP
+            level = Level.DIFFERENT
             note = "the positions are equal at the sample step, and states differ at other steps or in other fields"
     elif _equal_up_to_order(samples):
         level = Level.EQUAL_UP_TO_ORDER
@@ -162,9 +162,10 @@ def _beside_origins(
 
 
 def _by_size(difference: float, worst_ulp: float, max_ulp: float, tolerance: float) -> Level:
-    if worst_ulp <= max_ulp:
-        return Level.WITHIN_ULP
-    return Level.WITHIN_TOLERANCE if difference <= tolerance else Level.DIFFERENT
+    # far from the origin an ULP is coarser than the tolerance, and no stronger statement than that
+    if difference > tolerance:
+        return Level.DIFFERENT
+    return Level.WITHIN_ULP if worst_ulp <= max_ulp else Level.WITHIN_TOLERANCE
 
 
 def _difference(worst: Worst | None) -> float:

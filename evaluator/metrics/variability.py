@@ -25,8 +25,9 @@ MAX_DISTINCT = 8192
 SAMPLED_ENVS = 4096
 """Of more than MAX_DISTINCT distinct envs, whose pairs would take minutes of all cores, so many are drawn."""
 
-MAX_CERTIFIED_PAIRS = 10
-"""Pairs of runs too large for an exact distance; each takes some ten seconds of a core. Of more, so many are drawn."""
+MAX_CERTIFIED_POINTS = 1_200_000
+"""Of all pairs of runs too large for an exact distance, a side: 100,000 take some ten seconds of a core. Of more pairs,
+as many are drawn."""
 
 _SEED = 0
 
@@ -162,8 +163,9 @@ def run_to_run_variability(runs: npt.ArrayLike, mapper: Mapper = serial) -> RunT
     classes = bitwise_classes(sets)
     _, first = np.unique(classes, return_index=True)
     distinct = list(combinations(range(len(first)), 2))  # equal runs are solved once
-    if len(distinct) > MAX_CERTIFIED_PAIRS and sets.shape[1] ** 2 > MATRIX_LIMIT:
-        return _of_some_pairs(sets, classes, count_distinct(runs), mapper)
+    affordable = max(MAX_CERTIFIED_POINTS // sets.shape[1], 1)
+    if len(distinct) > affordable and sets.shape[1] ** 2 > MATRIX_LIMIT:
+        return _of_some_pairs(sets, classes, count_distinct(runs), affordable, mapper)
     found = mapper(_between, [(sets[first[i]], sets[first[j]]) for i, j in distinct])
     high, low = np.zeros((2, len(first), len(first)))
     for (i, j), transport in zip(distinct, found, strict=True):
@@ -178,10 +180,10 @@ def run_to_run_variability(runs: npt.ArrayLike, mapper: Mapper = serial) -> RunT
 
 
 def _of_some_pairs(
-    sets: npt.NDArray[np.float64], classes: npt.NDArray[np.int64], n_distinct: int, mapper: Mapper
+    sets: npt.NDArray[np.float64], classes: npt.NDArray[np.int64], n_distinct: int, n_pair: int, mapper: Mapper
 ) -> RunToRun:
     pairs = list(combinations(range(len(sets)), 2))
-    chosen = np.random.default_rng(_SEED).choice(len(pairs), MAX_CERTIFIED_PAIRS, replace=False)
+    chosen = np.random.default_rng(_SEED).choice(len(pairs), n_pair, replace=False)
     drawn = [pairs[i] for i in sorted(chosen)]
     different = [(i, j) for i, j in drawn if classes[i] != classes[j]]
     found = dict(zip(different, mapper(_between, [(sets[i], sets[j]) for i, j in different]), strict=True))

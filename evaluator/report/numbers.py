@@ -5,6 +5,8 @@ from __future__ import annotations
 from evaluator.results import Metric
 
 NONE = "-"
+_MARKS = {"certified": "<= ", "sampled": "~ "}
+"""Of a value that is an upper bound, or of a sample."""
 
 
 def distance(value: float) -> str:
@@ -29,7 +31,7 @@ def mean_sd(metric: Metric) -> str:
     """Mean and SD as published tables print them; a dash where there is no value."""
     if metric.value is None:
         return NONE
-    mean = figure(metric.value, metric.unit)
+    mean = _MARKS.get(metric.exactness, "") + figure(metric.value, metric.unit)
     return mean if metric.sd is None else f"{mean} ± {figure(metric.sd, metric.unit)}"
 
 

@@ -68,7 +68,7 @@ def _print_scene(console: Console, evaluation: Evaluation, scene: str, results: 
             row("  95 % interval", [interval(m) for m in found])
         floors = [m.extra.get("floor", {}) for m in found]
         if any("p_value" in f for f in floors):
-            row("  floor of one law; p", [_floor(f) for f in floors])
+            row("  envs exchanged: floor; p", [_floor(f) for f in floors])
         if any("energy_p_value" in f for f in floors):
             row("  energy distance; p", [_energy(f) for f in floors])
 
@@ -106,7 +106,7 @@ def _print_scene(console: Console, evaluation: Evaluation, scene: str, results: 
 def _floor(floor: dict[str, float]) -> str:
     if "p_value" not in floor:
         return NONE
-    return f"{distance(floor['floor_mean_cm'])}; {floor['p_value']:.2g}"
+    return f"{distance(floor['floor_mean_cm'])}; {floor['p_value']:.2g} of {distance(floor['observed_cm'])}"
 
 
 def _energy(floor: dict[str, float]) -> str:
@@ -123,10 +123,33 @@ def _legend(results: list[GroupResult]) -> list[str]:
     found = {int(m.value) for r in results if (m := r.metrics["regime_published"]).value is not None}
     lines = [f"type {number}: {REGIME_MEANING[number]}" for number in sorted(found)]
     lines += _agreement(results)
+    lines += _bounds(results)
+    if any("p_value" in m.extra.get("floor", {}) for r in results for m in r.metrics.values()):
+        lines.append(
+            "envs exchanged: of the first two runs, or the first and the reference, whose W1 stands behind the p: "
+            "whether their envs are one law, if envs are independent"
+        )
+    if any(r.metrics["equality_runs"].value or r.metrics["equality_envs"].value for r in results):
+        lines.append("what is less than bit-identical is said of the sample step alone")
     if any(r.fidelity.of(Verdict.BROKEN) for r in results):
         lines.append("which checks of mechanics are broken, and by how much: --physics")
     if any(r.metrics["capture_slowdown"].value is not None for r in results):
         lines.append("captured and timed steps are other steps of the scene: a difference in contacts counts as well")
+    return lines
+
+
+def _bounds(results: list[GroupResult]) -> list[str]:
+    lines = []
+    for number, result in enumerate(results, start=1):
+        for metric in result.metrics.values():
+            low, high = metric.extra.get("bounds_cm", (None, None))
+            where = f"column {number}, {metric.name}"
+            if low is not None and high is not None:
+                pairs = f", of {metric.n} pairs drawn with seed 0" if metric.exactness == "sampled" else ""
+                lines.append(f"{where} is {metric.exactness}: between {distance(low)} and {distance(high)}{pairs}")
+            elif metric.exactness == "sampled":
+                drawn = metric.extra["sampled"]
+                lines.append(f"{where} is sampled: {drawn['envs']} envs of a run drawn with seed {drawn['seed']}")
     return lines
 
 

@@ -7,6 +7,7 @@ from statistics import median
 
 from evaluator.fidelity import Fidelity, Verdict
 from evaluator.groups import Described, Group, shown_status
+from evaluator.metrics.levels import Level
 from evaluator.metrics.memory_model import MemoryModel
 from evaluator.report.numbers import NONE
 from evaluator.results import Metric
@@ -116,6 +117,8 @@ def equality(metric: Metric) -> str:
     if metric.value is None:
         return NONE
     worst = metric.extra["worst"]
+    if metric.value == Level.DIFFERENT and worst is None and metric.extra["worst_ulp"] == 0:
+        return "different, though not at the sample step"
     return f"{metric.extra['text']}, {_length(worst['difference'])} apart" if worst else str(metric.extra["text"])
 
 
@@ -143,11 +146,10 @@ def regime(metric: Metric) -> str:
     if metric.value is None:
         return NONE
     number = int(metric.value)
-    if metric.extra.get("agreement"):
-        return f"{number} (all runs agree)"
     again = metric.extra.get("probabilities")
     if not again:
         return str(number)
-    return (
-        f"{number} (in {'all' if again[number - 1] == 1 else format(again[number - 1], '.0%') + ' of the'} resamples)"
-    )
+    share, runs = again[number - 1], metric.extra["runs"]
+    if share == 1 and metric.extra["agreement"]:
+        return f"{number} (all {runs} runs agree)"
+    return f"{number} (in {'all' if share == 1 else format(share, '.0%') + ' of'} resamples of {runs} runs)"

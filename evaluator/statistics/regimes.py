@@ -107,7 +107,7 @@ def regime_probabilities(
     counts = _draw(n_run, n_draw, method, np.random.default_rng(seed))
     types = _types(counts, parallel, matrix)
     without = tuple(_regime(np.delete(parallel, r), np.delete(np.delete(matrix, r, 0), r, 1)) for r in range(n_run))
-    agreement = "bits" if (labels == labels[0]).all() else "rounding" if (matrix[0] < PRESENT_FROM_CM).all() else ""
+    agreement = "bits" if (labels == labels[0]).all() else "rounding" if (matrix < PRESENT_FROM_CM).all() else ""
     alike = len(set((parallel >= PRESENT_FROM_CM).tolist())) == 1
     share = [float((types == t).mean()) for t in Regime]
     return RegimeProbabilities(

@@ -29,8 +29,12 @@ ASSIGNMENT_LIMIT = 600
 # CPU time: 0.33 against 0.72 s; 4000: 2.0 against 3.2 s, but 10 s if the clouds are slightly shifted).
 ALIKE_LIMIT = 2000
 
-# Both exact solvers hold the whole distance matrix; 4e8 float64 entries are 3.2 GB.
-MATRIX_LIMIT = 400_000_000
+# Both exact solvers hold the whole distance matrix, and take some n^2.5: 5000 points a side are 0.2 GB and five seconds
+# of a core, 14,000 are 8 GB and a minute, where bounds to a thousandth take two seconds.
+MATRIX_LIMIT = 25_000_000
+
+# How far apart bounds may be, of the value, by the number of points.
+_TOLERANCES = ((50_000, 1e-3), (None, 1e-2))
 
 # Sets of unequal counts are certified as points repeated to a common count, if it is no larger.
 REPEATED_LIMIT = 200_000
@@ -134,11 +138,12 @@ def _certified(net: NetMass, scale: float, extension: str | None, n: int, m: int
     too_many = f"{n} x {m} points are too many for exact transport (limit: {MATRIX_LIMIT} pairs)"
     if net.sources.shape[1] != 2 or importlib.util.find_spec("numba") is None:
         raise ValueError(too_many)
-    if net.total > REPEATED_LIMIT:
+    if n != m and net.total > REPEATED_LIMIT:
         raise ValueError(f"{too_many}, and repeated to one count for bounds (limit: {REPEATED_LIMIT} points)")
     from evaluator.transport.large import certified_wasserstein1
 
-    bounds = certified_wasserstein1(*_repeated(net), max_work=_BIDS * net.total)
+    relative = next(part for points, part in _TOLERANCES if points is None or net.total <= points)
+    bounds = certified_wasserstein1(*_repeated(net), relative=relative, max_work=_BIDS * net.total)
     share = net.total * net.share
     low, high = (scaled_back(float(bound) * share, scale) for bound in (bounds.low, bounds.high))
     return Transport(high, "certified", bounds.method, extension, low, high)

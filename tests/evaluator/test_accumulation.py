@@ -40,7 +40,7 @@ def test_noise_of_one_size_stays(tmp_path: Path) -> None:
 
 def test_noise_that_grows_is_seen(tmp_path: Path) -> None:
     """Find more at larger N where it is there."""
-    (found,) = evaluate_files(sweep(tmp_path, {2: 0.0, 4: 0.001, 8: 0.01})).accumulation
+    (found,) = evaluate_files(sweep(tmp_path, {4: 0.0, 8: 0.001, 16: 0.01})).accumulation
     matched = [p.matched.run_to_run.estimate for p in found.points if p.matched.run_to_run]
     assert matched[0] == 0
     assert 5 < matched[2] / matched[1] < 20
@@ -48,28 +48,28 @@ def test_noise_that_grows_is_seen(tmp_path: Path) -> None:
 
 def test_it_is_shown(tmp_path: Path) -> None:
     """Show a row for each N in the terminal and the page, and everything in the document."""
-    evaluation = evaluate_files(sweep(tmp_path, {2: 0.01, 80: 0.01}, runs=2))
+    evaluation = evaluate_files(sweep(tmp_path, {4: 0.01, 40: 0.01}, runs=2))
     stream = io.StringIO()
     print_tables(evaluation, stream)
     page = render_html(evaluation, published=False, command="")
     (document,) = to_json(evaluation)["accumulation"]
     for text in (stream.getvalue(), page):
-        assert "each run reduced to 2 environments, mean of 10 draws with seed 0" in text
-        assert "2160 points a run are more than 2000" in text
-    assert [p["n_env"] for p in document["points"]] == [2, 80]
+        assert "each run reduced to 4 environments, mean of 5 draws with seed 0" in text
+        assert "1080 points a run are more than 1000" in text
+    assert [p["n_env"] for p in document["points"]] == [4, 40]
     assert document["points"][1]["raw"] is None
 
 
 def test_no_sweep_has_none(tmp_path: Path) -> None:
-    """Leave it out for one number of environments, and for sweeps that captured nothing."""
-    assert evaluate_files(sweep(tmp_path, {2: 0.01})).accumulation == ()
+    """Leave it out for one number of environments, for sweeps that captured nothing, and below four environments."""
+    assert evaluate_files(sweep(tmp_path, {1: 0.01, 2: 0.01, 4: 0.01})).accumulation == ()
     files = [write_recording(tmp_path, None, n_env=n) for n in (2, 4)]
     assert evaluate_files(files).accumulation == ()
 
 
 def test_it_is_kept(tmp_path: Path) -> None:
     """Give the same from a store."""
-    files = sweep(tmp_path, {2: 0.01, 4: 0.01}, runs=2)
+    files = sweep(tmp_path, {4: 0.01, 8: 0.01}, runs=2)
     work = Work(store=open_store(tmp_path / "cache"))
     read = [Reader(5.0)(file) for file in files]
     first, second = (to_json(evaluate(read, work=work)) for _ in range(2))

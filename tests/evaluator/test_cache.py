@@ -7,8 +7,8 @@ import json
 import os
 import pickle
 import shutil
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +17,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from evaluator import stamp
 from evaluator.cache import known_files
 from evaluator.cache import store as store_module
 from evaluator.cache.codec import Codec
@@ -46,7 +47,7 @@ class Forbidden:
 @pytest.fixture
 def settled(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let files that were just written count as such that are left alone."""
-    monkeypatch.setattr(known_files, "_SETTLED_NS", 0)
+    monkeypatch.setattr(stamp, "_SETTLED_NS", 0)
 
 
 @pytest.fixture
@@ -128,10 +129,24 @@ def test_a_result_is_computed_once(tmp_path: Path) -> None:
     assert work.map(double, [1.0, 2.0, 1.0]) == [2.0, 4.0, 2.0]
     assert work.map(double, [2.0, 3.0]) == [4.0, 6.0]
     assert CALLS == [1.0, 2.0, 3.0]
-    for path in tmp_path.rglob("*.npz"):
-        path.write_bytes(path.read_bytes()[:40])
-    assert work.map(double, [1.0]) == [2.0]
-    assert CALLS[3:] == [1.0]
+    for number, path in enumerate(sorted(tmp_path.rglob("*.result"))):
+        content = bytearray(path.read_bytes())
+        content[40 + 30 * number] ^= 1
+        path.write_bytes(content)
+    assert work.map(double, [1.0, 2.0, 3.0]) == [2.0, 4.0, 6.0]
+    assert CALLS[3:] == [1.0, 2.0, 3.0]
+
+
+@pytest.mark.usefixtures("settled")
+def test_a_result_of_another_kind_is_none(tmp_path: Path, small: Path) -> None:
+    """Read a file whose entry holds something else, as a version of tomorrow might."""
+    store = open_store(tmp_path)
+    known = known_files.KnownFiles(store, 1.0)
+    seen = stamp.stamp_of(small)
+    assert seen is not None
+    store.put(store.key(stamp.Stamp, seen), "hash")
+    store.put(known._key("hash", seen), [1, 2])
+    assert known.find(small) is None
 
 
 def test_other_code_finds_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -148,8 +163,8 @@ def test_what_was_used_longest_ago_goes_first(tmp_path: Path) -> None:
     store = Store(tmp_path, Codec())
     for index in range(4):
         store.put(f"{index:064d}", "x" * 1000)
-        os.utime(next(p for p in tmp_path.rglob("*.npz") if f"{index:062d}" in p.name), ns=(index, index))
-    size = sum(p.stat().st_size for p in tmp_path.rglob("*.npz"))
+        os.utime(next(p for p in tmp_path.rglob("*.result") if f"{index:062d}" in p.name), ns=(index, index))
+    size = sum(p.stat().st_size for p in tmp_path.rglob("*.result"))
     assert store.get(f"{0:064d}")  # used now
     store.prune(size // 2)
     assert [bool(store.get(f"{index:064d}")) for index in range(4)] == [True, False, False, True]
@@ -191,14 +206,14 @@ def test_a_file_just_written_is_not_relied_on(tmp_path: Path, small: Path) -> No
     """Keep nothing of a file that may change once more within the resolution of the clock."""
     path = Path(shutil.copy(small, tmp_path / "run.mcap"))
     read_one(path, tmp_path / "cache")
-    assert not list((tmp_path / "cache").rglob("*.npz"))
+    assert not list((tmp_path / "cache").rglob("*.result"))
 
 
 @pytest.mark.usefixtures("settled")
 def test_nothing_is_kept_of_what_was_not_verified(tmp_path: Path, small: Path) -> None:
     """Take no file's word for its content hash."""
     read_one(small, tmp_path, verify=False)
-    assert not list(tmp_path.rglob("*.npz"))
+    assert not list(tmp_path.rglob("*.result"))
 
 
 @pytest.mark.usefixtures("settled")
@@ -223,15 +238,44 @@ def test_the_command(tmp_path: Path, small_set: list[Path], gsb_eval: Command) -
         done = gsb_eval(*small_set, "--sample-time", 1, "--json", "-", *arguments)
         assert done.returncode == 0, done.stderr
         printed.append(done.stdout)
-    assert list(cache.rglob("*.npz"))
+    assert list(cache.rglob("*.result"))
     shutil.rmtree(cache)
     printed.append(gsb_eval(*small_set, "--sample-time", 1, "--json", "-", "--cache", cache).stdout)
     assert len(set(printed)) == 1
     assert json.loads(printed[0])["groups"]
 
 
+def test_a_file_read_elsewhere_is_not_kept(tmp_path: Path, small_set: list[Path]) -> None:
+    """Keep nothing under this machine's stamp that another machine read of a file of that name."""
+
+    def elsewhere(function: Callable[[Any], Any], items: Iterable[Any], /) -> list[Any]:
+        return [replace(function(small_set[1]), stamp=stamp.Stamp(1, 2, 3, 4, 5)) for _ in items]
+
+    work = Work(elsewhere, open_store(tmp_path))
+    assert len(list(read_all([small_set[0]], Reader(1.0), work))) == 1
+    assert not list(tmp_path.rglob("*.result"))
+
+
+def test_what_killed_processes_left_goes(tmp_path: Path) -> None:
+    """Delete unfinished files of an hour ago, and leave those of now."""
+    (tmp_path / "ab").mkdir()
+    old, new = tmp_path / "ab" / "old.tmp", tmp_path / "ab" / "new.tmp"
+    for path in (old, new):
+        path.write_text("")
+    os.utime(old, (0, 0))
+    open_store(tmp_path).prune()
+    assert [old.exists(), new.exists()] == [False, True]
+
+
+def test_a_cache_that_is_no_folder(tmp_path: Path, small: Path, gsb_eval: Command) -> None:
+    """Refuse a file where a folder was meant."""
+    (tmp_path / "file").write_text("")
+    done = gsb_eval(small, "--cache", tmp_path / "file")
+    assert (done.returncode, done.stderr) == (2, f"gsb-eval: --cache is a folder, and {tmp_path / 'file'} is none\n")
+
+
 def test_where_it_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Follow GSB_CACHE, then XDG_CACHE_HOME, then the home folder."""
+    """Follow GSB_CACHE, then XDG_CACHE_HOME, then the home folder; do without where there is none."""
     monkeypatch.setenv("GSB_CACHE", "/a")
     assert default_folder() == Path("/a")
     monkeypatch.delenv("GSB_CACHE")
@@ -239,3 +283,9 @@ def test_where_it_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
     assert default_folder() == Path("/b/gpusimbench")
     monkeypatch.delenv("XDG_CACHE_HOME")
     assert default_folder() == Path.home() / ".cache" / "gpusimbench"
+
+    def nobody() -> Path:
+        raise RuntimeError("Could not determine home directory.")
+
+    monkeypatch.setattr(Path, "home", nobody)
+    assert default_folder() is None

@@ -155,10 +155,12 @@ def test_refuses(a, b, message: str) -> None:
 
 def test_refuses_too_many_points(monkeypatch: pytest.MonkeyPatch) -> None:
     """Refuse sets for which neither a distance matrix nor bounds fit, rather than exhaust memory."""
-    monkeypatch.setattr(pair, "MATRIX_LIMIT", 99)
+    monkeypatch.setattr(pair, "MATRIX_LIMIT", 80)
     monkeypatch.setattr(pair, "REPEATED_LIMIT", 9)
+    with pytest.raises(ValueError, match="10 x 9 points are too many"):
+        wasserstein1(cloud(10, 0), cloud(9, 1))
     with pytest.raises(ValueError, match="10 x 10 points are too many"):
-        wasserstein1(cloud(10, 0), cloud(10, 1))
+        wasserstein1(*np.random.default_rng(0).normal(size=(2, 10, 3)))
 
 
 def test_raises_without_convergence(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -193,11 +193,11 @@ def test_a_sample_of_large_runs(env: np.ndarray, monkeypatch: pytest.MonkeyPatch
     whole = run_to_run_variability(runs)
     assert (whole.exactness, whole.n_pair) == ("exact", 15)
     monkeypatch.setattr(variability, "MATRIX_LIMIT", 27 * 27 - 1)
-    monkeypatch.setattr(variability, "MAX_CERTIFIED_PAIRS", 6)
+    monkeypatch.setattr(variability, "MAX_CERTIFIED_POINTS", 6 * 27)
     found = run_to_run_variability(runs)
     assert (found.exactness, found.n_pair, found.matrix_cm) == ("sampled", 6, None)
     assert found.mean_cm == pytest.approx(whole.mean_cm, rel=0.3)
-    monkeypatch.setattr(variability, "MAX_CERTIFIED_PAIRS", 15)
+    monkeypatch.setattr(variability, "MAX_CERTIFIED_POINTS", 15 * 27)
     assert run_to_run_variability(runs).n_pair == 15
 
 
