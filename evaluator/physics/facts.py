@@ -47,7 +47,7 @@ class Check(Enum):
 class Measured:
     """A check of one run that could be made.
 
-    mean, least, most  of the values
+    mean, least, most  of the values that are finite; None where none is
     count              how many values there are: environments, or stretches of sliding
     low, high          what mechanics allows, in the check's unit; None where that side is open
     tolerance          what the method's step and its number type may add on either side; `of` says by what formula
@@ -57,9 +57,9 @@ class Measured:
     """
 
     check: Check
-    mean: float
-    least: float
-    most: float
+    mean: float | None
+    least: float | None
+    most: float | None
     count: int
     low: float | None
     high: float | None
@@ -123,12 +123,11 @@ def measured(
     finite = [value for value in found if abs(value) < float("inf")]
     if not found:
         return NotMeasured(check, "there is nothing to measure")
-    if not finite:
-        return NotMeasured(check, "no environment gave a finite value")
     least = None if low is None else low - tolerance
     most = None if high is None else high + tolerance
     held = [v for v in finite if (least is None or v >= least) and (most is None or v <= most)]
+    mean = sum(finite) / len(finite) if finite else None
     return Measured(
-        check, sum(finite) / len(finite), min(finite), max(finite), len(found), low, high, tolerance,
+        check, mean, min(finite, default=None), max(finite, default=None), len(found), low, high, tolerance,
         len(found) - len(held), of, note,
     )  # fmt: skip

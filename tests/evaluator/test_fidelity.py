@@ -62,8 +62,22 @@ def test_a_value_that_is_not_finite_breaks() -> None:
     fact = measured(Check.ROLLING, [2.4, float("nan")], low=2.4, high=2.4, tolerance=0.05, of="a dt / T")
     assert isinstance(fact, Measured)
     assert (fact.mean, fact.broken, fact.count) == (2.4, 1, 2)
-    nothing = measured(Check.ROLLING, [float("inf")], low=None, high=0.0, tolerance=0.0, of="none")
-    assert isinstance(nothing, NotMeasured)
+
+
+def test_values_of_which_none_is_finite_break() -> None:
+    """Count all as broken, give no number for them, and show that on every output."""
+    fact = measured(Check.ROLLING, [float("nan"), float("inf")], low=2.4, high=2.4, tolerance=0.05, of="a dt / T")
+    assert isinstance(fact, Measured)
+    assert (fact.mean, fact.least, fact.most, fact.broken, fact.count) == (None, None, None, 2, 2)
+    found = fidelity("x", [replace(run(2.4), facts=(fact,))])
+    assert (found.rows[0].verdict, found.rows[0].mean) == (Verdict.BROKEN, None)
+    stream = io.StringIO()
+    print_fidelity([found], stream)
+    assert "BROKEN 2 of 2" in stream.getvalue()
+    assert "BROKEN 2 of 2" in fidelity_html([found])
+    json.dumps(fidelity_record(found), allow_nan=False)
+    both = fidelity("x", [replace(run(2.4), facts=(fact,)), run(2.41)]).rows[0]
+    assert (both.mean, both.broken, both.count) == (2.41, 2, 3)
 
 
 def test_the_table_shows_what_broke() -> None:

@@ -333,7 +333,7 @@ def test_a_robot_keeps_to_its_limits(tmp_path: Path, gsb_record: object) -> None
     assert done.returncode == 0, done.stderr
     facts = facts_of(next(tmp_path.glob("*.mcap")))
     assert not broken(facts)
-    assert measured(facts, Check.JOINT_LIMIT).most < 0.0
+    assert (measured(facts, Check.JOINT_LIMIT).most or math.inf) < 0.0
 
 
 def test_a_run_without_states_says_so() -> None:
