@@ -35,7 +35,7 @@ class Balance:
         self._rises = Rises()
         self._cone = FrictionCone(self._friction, float(self._mass.sum()) * world.gravity, setting.row_time)
         self._displacements = Displacements(setting.row_time)
-        self._terms = 0.0
+        self._terms = self._resolution = 0.0
         self._why_not = ""
 
     def feed(self, states: States) -> None:
@@ -53,6 +53,7 @@ class Balance:
         if self._setting.stride == 1:
             self._cone.feed(np.einsum("rebi,b->rei", states.linear, self._mass), self._level_only(states.position))
             self._displacements.feed(states.position, states.linear)
+            self._resolution = max(self._resolution, self._setting.resolution(states.position))
 
     def facts(self) -> list[Fact]:
         """Five of them."""
@@ -106,8 +107,8 @@ class Balance:
 
     def _displacement(self) -> Fact:
         return measured(
-            Check.DISPLACEMENT, self._displacements.largest, low=None, high=0.0, tolerance=self._setting.sink,
-            of="g dt^2",
+            Check.DISPLACEMENT, self._displacements.largest, low=None, high=0.0,
+            tolerance=self._setting.sink + self._resolution, of="g dt^2, and rounding",
         )  # fmt: skip
 
     def _level_only(self, position: Array) -> Mask:
