@@ -14,11 +14,15 @@ class Verdict(Enum):
 
     HELD            every value of every run is within what mechanics allows and the step accounts for
     BROKEN          some value is not
+    AT_REST         of a check that mechanics does not demand: every value is within its tolerance
+    MOVING          some value is not
     NOT_APPLICABLE  no run could be measured
     """
 
     HELD = "held"
     BROKEN = "broken"
+    AT_REST = "at rest"
+    MOVING = "still moving"
     NOT_APPLICABLE = "not applicable"
 
 
@@ -110,7 +114,7 @@ def _row(check: Check, facts: Sequence[PhysicsFacts]) -> FidelityRow | None:
     widest = max(told, key=lambda fact: fact.tolerance)
     return FidelityRow(
         check,
-        Verdict.BROKEN if broken else Verdict.HELD,
+        _verdict(check, broken),
         mean=sum(mean * share for mean, share in means) / weight if means else None,
         least=min((fact.least for fact in told if fact.least is not None), default=None),
         most=max((fact.most for fact in told if fact.most is not None), default=None),
@@ -124,3 +128,9 @@ def _row(check: Check, facts: Sequence[PhysicsFacts]) -> FidelityRow | None:
         reason=reason,
         notes=tuple(dict.fromkeys(fact.note for fact in told if fact.note)),
     )
+
+
+def _verdict(check: Check, broken: int) -> Verdict:
+    if check.demanded:
+        return Verdict.BROKEN if broken else Verdict.HELD
+    return Verdict.MOVING if broken else Verdict.AT_REST

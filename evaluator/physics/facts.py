@@ -8,10 +8,11 @@ from enum import Enum
 
 
 class Check(Enum):
-    """What mechanics demands; the value is its name in the JSON.
+    """What is looked at; the first of each value is its name in the JSON.
 
-    title  as tables show it
-    unit   of the measured number; empty for ratios and counts
+    title     as tables show it
+    unit      of the measured number; empty for ratios and counts
+    demanded  whether mechanics demands it; else it says only whether the scene was at rest at its sample time
     """
 
     FINITE = ("finite", "environments that blew up", "")
@@ -35,12 +36,12 @@ class Check(Enum):
     PAIR_REST = ("pair_depth_at_rest", "depth in each other, at the end", "m")
     PAIR_EVER = ("pair_depth_ever", "depth in each other, ever (at least)", "m")
     SANK = ("sank", "cubes through the floor, per env", "")
-    END_SPEED = ("end_speed", "fastest cube on the floor at the end", "m/s")
-    END_SPIN = ("end_spin", "fastest spin of a cube on the floor at the end", "rad/s")
+    END_SPEED = ("end_speed", "fastest cube on the floor at the end", "m/s", False)
+    END_SPIN = ("end_spin", "fastest spin of a cube on the floor at the end", "rad/s", False)
     JOINT_LIMIT = ("joint_limit", "joint angle beyond its limits", "rad")
 
-    def __init__(self, key: str, title: str, unit: str) -> None:
-        self.key, self.title, self.unit = key, title, unit
+    def __init__(self, key: str, title: str, unit: str, demanded: bool = True) -> None:
+        self.key, self.title, self.unit, self.demanded = key, title, unit, demanded
 
 
 @dataclass(frozen=True)

@@ -11,6 +11,7 @@ import pytest
 from evaluator.fidelity import Fidelity, Verdict, fidelity
 from evaluator.physics.facts import Check, Measured, NotMeasured, PhysicsFacts, measured
 from evaluator.report.fidelity import fidelity_html, fidelity_record, print_fidelity
+from evaluator.report.words import mechanics
 
 
 def run(*values: float, why: str = "") -> PhysicsFacts:
@@ -110,5 +111,26 @@ def test_json_has_every_check() -> None:
     assert record["checks"]["rolling_acceleration"]["verdict"] == "broken"
     assert record["checks"]["rolling_acceleration"]["least"] == 2.0
     assert record["checks"]["fall_acceleration"] == {
-        "title": "acceleration of free fall", "unit": "m/s2", "verdict": "not applicable", "reason": "nothing falls",
+        "title": "acceleration of free fall", "unit": "m/s2", "demanded": True, "verdict": "not applicable",
+        "reason": "nothing falls",
     }  # fmt: skip
+
+
+def test_what_mechanics_does_not_demand_is_shown_apart() -> None:
+    """Tell of cubes that still spin, without counting or calling it a breach of mechanics."""
+    spin = measured(Check.END_SPIN, [3.0, 0.0], low=None, high=0.0, tolerance=0.5, of="1 cm/s of a corner")
+    speed = measured(Check.END_SPEED, [0.0, 0.0], low=None, high=0.0, tolerance=0.01, of="1 cm/s")
+    found = fidelity("x", [replace(run(2.4), facts=(*run(2.4).facts, speed, spin))])
+    assert mechanics(found) == "1 of 1"
+    assert [row.check for row in found.of(Verdict.MOVING)] == [Check.END_SPIN]
+    assert [row.check for row in found.of(Verdict.AT_REST)] == [Check.END_SPEED]
+    stream = io.StringIO()
+    print_fidelity([found], stream)
+    for text in (stream.getvalue(), str(fidelity_html([found]))):
+        held, apart = text.split("t rest at the sample time (mechanics does not demand it)", 1)
+        assert "fastest spin" not in held
+        assert "still moving 1 of 2" in apart
+        assert "BROKEN" not in text
+        assert 'class="bad"' not in text
+    record = fidelity_record(found)["checks"]["end_spin"]
+    assert (record["demanded"], record["verdict"], record["broken"]) == (False, "still moving", 1)
