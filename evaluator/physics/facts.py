@@ -26,7 +26,7 @@ class Check(Enum):
     IMPACT_SPEED = ("impact_speed", "speed at the impact", "m/s")
     REBOUND = ("rebound", "rebound, over the speed at the impact", "")
     ENERGY_START = ("energy_above_start", "energy above that of the start", "J")
-    ENERGY_ROW = ("energy_rise", "rise of energy in a row", "J")
+    ENERGY_ROW = ("energy_rise", "rise of energy that no loss before it pays for", "J")
     CONE = ("friction_cone", "horizontal impulse beyond friction", "N s")
     PULL = ("ground_pull", "impulse that pulls down", "N s")
     SLIDING = ("sliding_friction", "friction of sliding cubes", "")

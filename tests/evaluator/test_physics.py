@@ -103,16 +103,14 @@ def test_displacements_allow_for_the_number_type(tmp_path: Path) -> None:
 
 def test_depths_at_rest_allow_for_the_number_type(tmp_path: Path) -> None:
     """Hold a scene at rest in float32 at 200 m above the origin, though it is 10 um in the board; break on 0.3 mm."""
-    far, scene = ((0.0, 0.0, 200.0),), make_scene("inclined-collision")
-    motion = at_rest(scene, 5)
+    far, motion = ((0.0, 0.0, 200.0),), at_rest(make_scene("inclined-collision"), 5)
     motion["position"][:, :, 1:, 2] -= 9e-6
     motion["position"][:, :, 1:10, 0] += 9e-6
-    shown = dict(dtype="float32", origins=far, dt=0.001)
-    facts = facts_of(write_motion(tmp_path, "inclined-collision", motion, **shown))  # type: ignore[arg-type]
+    facts = facts_of(write_motion(tmp_path, "inclined-collision", motion, dtype="float32", origins=far, dt=0.001))
     assert (measured(facts, Check.DEPTH_REST).most or 0.0) > 9.81 * 0.001**2
     assert not broken(facts) & {Check.DEPTH_REST, Check.PAIR_REST}
     motion["position"][:, :, 1:10, 2] -= 3e-4
-    facts = facts_of(write_motion(tmp_path, "inclined-collision", motion, **shown))  # type: ignore[arg-type]
+    facts = facts_of(write_motion(tmp_path, "inclined-collision", motion, dtype="float32", origins=far, dt=0.001))
     assert Check.DEPTH_REST in broken(facts)
 
 
@@ -171,6 +169,20 @@ def test_injected_energy_breaks(tmp_path: Path) -> None:
     assert {Check.ENERGY_START, Check.ENERGY_ROW} <= broken(facts)
     assert why(facts, Check.CONE) == "no row has all bodies on level ground"
     assert measured(facts, Check.ENERGY_START).most == pytest.approx(0.5 * 0.005 * 144.0)
+
+
+def test_a_kick_of_a_cube_at_rest_breaks(tmp_path: Path) -> None:
+    """Break on a cube that leaves the pile at 4 m/s upward, with less energy than the scene lost long before."""
+    motion = at_rest(make_scene("inclined-collision"), 120)
+    motion["linear_velocity"][:10, :, 0, 0] = 3.0  # what it had, and lost
+    time = 0.01 * np.arange(40)
+    motion["position"][80:, :, 27, 2] += (np.cumsum(4.0 - 9.81 * time) * 0.01)[:, None]
+    motion["linear_velocity"][80:, :, 27, 2] = (4.0 - 9.81 * time)[:, None]
+    facts = facts_of(write_motion(tmp_path, "inclined-collision", motion))
+    assert not measured(facts, Check.ENERGY_START).broken
+    found = measured(facts, Check.ENERGY_ROW)
+    assert found.broken
+    assert found.most == pytest.approx(0.5 * 0.005 * 16 + 0.005 * 9.81 * 0.04, rel=0.02)
 
 
 def test_momentum_from_nowhere_breaks(tmp_path: Path) -> None:
