@@ -51,14 +51,16 @@ def shipped() -> list[tuple[Fidelity, float]]:
 
 
 def cell(row: FidelityRow | None) -> str:
-    """The worst of what was measured, bold where it broke."""
+    """The worst of what was measured, bold where mechanics broke, in italics where a scene was not at rest."""
     if row is None or row.verdict is Verdict.NOT_APPLICABLE:
         return NONE
     middle = row.low is not None and row.high is not None and row.low == row.high and row.check is not Check.SANK
     shown = number(row.mean if middle else row.most)
     if not row.broken:
         return shown
-    return f"**{shown}** ({row.broken} of {row.count})" if row.broken < row.count else f"**{shown}**"
+    mark = "**" if row.check.demanded else "*"
+    told = f"{mark}{shown}{mark}"
+    return f"{told} ({row.broken} of {row.count})" if row.broken < row.count else told
 
 
 def at_the_end(found: Sequence[tuple[Fidelity, float]]) -> str:

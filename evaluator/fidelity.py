@@ -14,11 +14,15 @@ class Verdict(Enum):
 
     HELD            every value of every run is within what mechanics allows and the step accounts for
     BROKEN          some value is not
+    AT_REST         of a check that mechanics does not demand: every value is within its tolerance
+    MOVING          some value is not
     NOT_APPLICABLE  no run could be measured
     """
 
     HELD = "held"
     BROKEN = "broken"
+    AT_REST = "at rest"
+    MOVING = "still moving"
     NOT_APPLICABLE = "not applicable"
 
 
@@ -26,7 +30,8 @@ class Verdict(Enum):
 class FidelityRow:
     """One check of one group.
 
-    mean         over environments (or stretches of sliding) of all runs that could be measured; None where none could
+    mean         over environments (or stretches of sliding) of all runs that could be measured; None where none could,
+                 or where no value is finite
     least, most  the range of the same
     runs, count  runs that could be measured, and values they gave
     low, high    what mechanics allows; None where that side is open
@@ -102,15 +107,17 @@ def _row(check: Check, facts: Sequence[PhysicsFacts]) -> FidelityRow | None:
     reason = "; ".join(dict.fromkeys(fact.why for fact in found if isinstance(fact, NotMeasured)))
     if not told:
         return FidelityRow(check, Verdict.NOT_APPLICABLE, reason=reason)
+    means = [(fact.mean, fact.count) for fact in told if fact.mean is not None]
+    weight = sum(share for _, share in means)
     count, broken = sum(fact.count for fact in told), sum(fact.broken for fact in told)
     # runs of a group share scene and step; where rounding makes the tolerances differ, the largest is shown
     widest = max(told, key=lambda fact: fact.tolerance)
     return FidelityRow(
         check,
-        Verdict.BROKEN if broken else Verdict.HELD,
-        mean=sum(fact.mean * fact.count for fact in told) / count,
-        least=min(fact.least for fact in told),
-        most=max(fact.most for fact in told),
+        _verdict(check, broken),
+        mean=sum(mean * share for mean, share in means) / weight if means else None,
+        least=min((fact.least for fact in told if fact.least is not None), default=None),
+        most=max((fact.most for fact in told if fact.most is not None), default=None),
         runs=len(told),
         count=count,
         low=widest.low,
@@ -121,3 +128,9 @@ def _row(check: Check, facts: Sequence[PhysicsFacts]) -> FidelityRow | None:
         reason=reason,
         notes=tuple(dict.fromkeys(fact.note for fact in told if fact.note)),
     )
+
+
+def _verdict(check: Check, broken: int) -> Verdict:
+    if check.demanded:
+        return Verdict.BROKEN if broken else Verdict.HELD
+    return Verdict.MOVING if broken else Verdict.AT_REST

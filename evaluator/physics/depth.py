@@ -82,19 +82,12 @@ class Depths:
         turn = rotations(last.orientation[-1:, :, self._cubes])
         deep = np.where(still, self._in_fixed(end, turn)[0], 0.0).max(axis=1, initial=0.0)
         note = f"{np.count_nonzero(still)} of {still.size} bodies are at rest"
-        sink = self._setting.sink
+        slack = self._setting.sink + self._setting.resolution(end.position[0][still])
+        pairs = self._pairs_at_rest(end, turn[0], still)
+        of = "g dt^2, and rounding"
         return [
-            measured(
-                Check.DEPTH_REST, deep[still.any(axis=1)], low=None, high=0.0, tolerance=sink, of="g dt^2", note=note
-            ),
-            measured(
-                Check.PAIR_REST,
-                self._pairs_at_rest(end, turn[0], still),
-                low=None,
-                high=0.0,
-                tolerance=sink,
-                of="g dt^2",
-            ),
+            measured(Check.DEPTH_REST, deep[still.any(axis=1)], low=None, high=0.0, tolerance=slack, of=of, note=note),
+            measured(Check.PAIR_REST, pairs, low=None, high=0.0, tolerance=slack, of=of),
         ]
 
     def _in_fixed(self, states: States, turn: Array) -> Array:

@@ -8,10 +8,11 @@ from enum import Enum
 
 
 class Check(Enum):
-    """What mechanics demands; the value is its name in the JSON.
+    """What is looked at; the first of each value is its name in the JSON.
 
-    title  as tables show it
-    unit   of the measured number; empty for ratios and counts
+    title     as tables show it
+    unit      of the measured number; empty for ratios and counts
+    demanded  whether mechanics demands it; else it says only whether the scene was at rest at its sample time
     """
 
     FINITE = ("finite", "environments that blew up", "")
@@ -25,7 +26,7 @@ class Check(Enum):
     IMPACT_SPEED = ("impact_speed", "speed at the impact", "m/s")
     REBOUND = ("rebound", "rebound, over the speed at the impact", "")
     ENERGY_START = ("energy_above_start", "energy above that of the start", "J")
-    ENERGY_ROW = ("energy_rise", "rise of energy in a row", "J")
+    ENERGY_ROW = ("energy_rise", "rise of energy that no loss before it pays for", "J")
     CONE = ("friction_cone", "horizontal impulse beyond friction", "N s")
     PULL = ("ground_pull", "impulse that pulls down", "N s")
     SLIDING = ("sliding_friction", "friction of sliding cubes", "")
@@ -35,19 +36,19 @@ class Check(Enum):
     PAIR_REST = ("pair_depth_at_rest", "depth in each other, at the end", "m")
     PAIR_EVER = ("pair_depth_ever", "depth in each other, ever (at least)", "m")
     SANK = ("sank", "cubes through the floor, per env", "")
-    END_SPEED = ("end_speed", "fastest cube on the floor at the end", "m/s")
-    END_SPIN = ("end_spin", "fastest spin of a cube on the floor at the end", "rad/s")
+    END_SPEED = ("end_speed", "fastest cube on the floor at the end", "m/s", False)
+    END_SPIN = ("end_spin", "fastest spin of a cube on the floor at the end", "rad/s", False)
     JOINT_LIMIT = ("joint_limit", "joint angle beyond its limits", "rad")
 
-    def __init__(self, key: str, title: str, unit: str) -> None:
-        self.key, self.title, self.unit = key, title, unit
+    def __init__(self, key: str, title: str, unit: str, demanded: bool = True) -> None:
+        self.key, self.title, self.unit, self.demanded = key, title, unit, demanded
 
 
 @dataclass(frozen=True)
 class Measured:
     """A check of one run that could be made.
 
-    mean, least, most  of the values
+    mean, least, most  of the values that are finite; None where none is
     count              how many values there are: environments, or stretches of sliding
     low, high          what mechanics allows, in the check's unit; None where that side is open
     tolerance          what the method's step and its number type may add on either side; `of` says by what formula
@@ -57,9 +58,9 @@ class Measured:
     """
 
     check: Check
-    mean: float
-    least: float
-    most: float
+    mean: float | None
+    least: float | None
+    most: float | None
     count: int
     low: float | None
     high: float | None
@@ -123,12 +124,11 @@ def measured(
     finite = [value for value in found if abs(value) < float("inf")]
     if not found:
         return NotMeasured(check, "there is nothing to measure")
-    if not finite:
-        return NotMeasured(check, "no environment gave a finite value")
     least = None if low is None else low - tolerance
     most = None if high is None else high + tolerance
     held = [v for v in finite if (least is None or v >= least) and (most is None or v <= most)]
+    mean = sum(finite) / len(finite) if finite else None
     return Measured(
-        check, sum(finite) / len(finite), min(finite), max(finite), len(found), low, high, tolerance,
+        check, mean, min(finite, default=None), max(finite, default=None), len(found), low, high, tolerance,
         len(found) - len(held), of, note,
     )  # fmt: skip

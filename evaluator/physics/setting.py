@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+import numpy.typing as npt
+
 from evaluator.physics.states import Walk
 from evaluator.physics.world import World
 
@@ -34,6 +37,15 @@ class Setting:
     def sink(self) -> float:
         """g dt^2 [m]: how far gravity moves a body from rest in a step of semi-implicit Euler."""
         return self.world.gravity * self.dt**2
+
+    def resolution(self, place: npt.NDArray[np.float64]) -> float:
+        """What the number type may add to a distance between two of some places [m], shape [...], in env frames.
+
+        Each coordinate was recorded from the environment's origin, rounded by half a unit in the last place: eps times
+        the largest for two of them, less than twice that for three coordinates.
+        """
+        largest = float(np.abs(place).max(initial=0.0))
+        return 2.0 * self.walk.epsilon * (self.walk.offset + largest)
 
     @property
     def fastest(self) -> float | None:

@@ -14,6 +14,7 @@ from evaluator.report.numbers import NONE
 from evaluator.report.text import printable
 
 _TITLES = ("check", "measured", "range", "allowed", "tolerance", "verdict")
+_AT_REST = "at rest at the sample time (mechanics does not demand it)"
 _NUMBERS = ("measured", "range", "allowed", "tolerance")
 
 
@@ -24,12 +25,13 @@ def print_fidelity(found: Sequence[Fidelity], stream: IO[str]) -> None:
         console.print(printable(f"physics of {heading(one)}"), style="bold")
         if one.why_not:
             console.print(printable(f"  not applicable: {one.why_not}"))
-        elif any(row.verdict is not Verdict.NOT_APPLICABLE for row in one.rows):
+        for title, rows in _parts(one):
+            if title:
+                console.print(title)
             table = plain_table(*_TITLES)
-            for row in one.rows:
-                if row.verdict is not Verdict.NOT_APPLICABLE:
-                    style = "bold" if row.verdict is Verdict.BROKEN else ""
-                    table.add_row(*(Text(printable(cell), style=style) for cell in cells(row)))
+            for row in rows:
+                style = "bold" if row.broken else ""
+                table.add_row(*(Text(printable(cell), style=style) for cell in cells(row)))
             console.print(table)
         for line in remarks(one):
             console.print(printable(f"  {line}"), style="dim")
@@ -44,7 +46,10 @@ def fidelity_html(found: Sequence[Fidelity]) -> Markup:
         if one.why_not:
             parts.append(Markup("<p>Not applicable: {}.</p>\n").format(printable(one.why_not)))
             continue
-        parts.append(_table(one))
+        for title, rows in _parts(one):
+            if title:
+                parts.append(Markup("<p>{}</p>\n").format(title.capitalize()))
+            parts.append(_table(f"Physics of {one.label}{f', {title}' if title else ''}", rows))
         lines = [Markup("<li>{}</li>").format(printable(line)) for line in remarks(one)]
         if lines:
             parts.append(Markup("<ul>{}</ul>\n").format(Markup("").join(lines)))
@@ -67,6 +72,7 @@ def fidelity_record(one: Fidelity) -> dict[str, Any]:
         shown: dict[str, Any] = {
             "title": row.check.title,
             "unit": row.check.unit,
+            "demanded": row.check.demanded,
             "verdict": row.verdict.value,
             "reason": row.reason,
         }
@@ -88,7 +94,9 @@ def heading(one: Fidelity) -> str:
 def cells(row: FidelityRow) -> tuple[str, ...]:
     """A measured check as the texts of a table's row, in the order of its titles."""
     unit = f" [{row.check.unit}]" if row.check.unit else ""
-    verdict = row.verdict.value if not row.broken else f"{row.verdict.value.upper()} {row.broken} of {row.count}"
+    verdict = row.verdict.value.upper() if row.verdict is Verdict.BROKEN else row.verdict.value
+    if row.broken:
+        verdict += f" {row.broken} of {row.count}"
     spread = NONE if row.least == row.most else f"{number(row.least)} to {number(row.most)}"
     return row.check.title + unit, number(row.mean), spread, allowed(row), number(row.tolerance), verdict
 
@@ -116,23 +124,29 @@ def remarks(one: Fidelity) -> list[str]:
     return [*lines, *(f"not applicable: {', '.join(names)}: {why}" for why, names in reasons.items())]
 
 
-def _table(one: Fidelity) -> Markup:
+def _parts(one: Fidelity) -> list[tuple[str, list[FidelityRow]]]:
+    """The checks that were made, with a title: those of mechanics, then those of rest; neither where it is empty."""
+    told = [row for row in one.rows if row.verdict is not Verdict.NOT_APPLICABLE]
+    parts = [
+        ("", [row for row in told if row.check.demanded]),
+        (_AT_REST, [row for row in told if not row.check.demanded]),
+    ]
+    return [(title, rows) for title, rows in parts if rows]
+
+
+def _table(name: str, told: Sequence[FidelityRow]) -> Markup:
     aligned = [Markup(' class="num"') if title in _NUMBERS else Markup("") for title in _TITLES]
     columns = zip(aligned, _TITLES, strict=True)
     head = Markup("").join(Markup('<th scope="col"{}>{}</th>').format(how, title) for how, title in columns)
     rows = []
-    for row in one.rows:
-        if row.verdict is Verdict.NOT_APPLICABLE:
-            continue
+    for row in told:
         title, *numbers, verdict = (printable(cell) for cell in cells(row))
         bad = Markup(' class="bad"') if row.verdict is Verdict.BROKEN else Markup("")
         shown = Markup("").join(Markup('<td class="num">{}</td>').format(text) for text in numbers)
         rows.append(
             Markup('<tr><th scope="row">{}</th>{}<td{}>{}</td></tr>\n').format(title, shown, bad, verdict)
         )  # fmt: skip
-    if not rows:
-        return Markup("")
     return Markup(
         '<div class="scroll" role="region" tabindex="0" aria-label="{}"><table>\n<thead><tr>{}</tr></thead>\n'
         "<tbody>\n{}</tbody></table></div>\n"
-    ).format(printable(f"Physics of {one.label}"), head, Markup("").join(rows))
+    ).format(printable(name), head, Markup("").join(rows))

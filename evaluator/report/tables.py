@@ -133,6 +133,8 @@ def _legend(results: list[GroupResult]) -> list[str]:
         lines.append("what is less than bit-identical is said of the sample step alone")
     if any(r.fidelity.of(Verdict.BROKEN) for r in results):
         lines.append("which checks of mechanics are broken, and by how much: --physics")
+    if any(r.fidelity.of(Verdict.MOVING) for r in results):
+        lines.append("cubes still move or spin at the sample time, which is no check of mechanics: --physics")
     if any(r.metrics["capture_slowdown"].value is not None for r in results):
         lines.append("captured and timed steps are other steps of the scene: a difference in contacts counts as well")
     return lines

@@ -130,7 +130,7 @@ def _length(metres: float) -> str:
 
 
 def mechanics(fidelity: Fidelity) -> str:
-    """How many of the checks that could be made hold; a dash where none could."""
+    """How many of the checks that mechanics demands and that could be made hold; a dash where none could."""
     held, broken = len(fidelity.of(Verdict.HELD)), len(fidelity.of(Verdict.BROKEN))
     return f"{held} of {held + broken}" if held + broken else NONE
 

@@ -11,6 +11,7 @@ import pytest
 from evaluator.fidelity import Fidelity, Verdict, fidelity
 from evaluator.physics.facts import Check, Measured, NotMeasured, PhysicsFacts, measured
 from evaluator.report.fidelity import fidelity_html, fidelity_record, print_fidelity
+from evaluator.report.words import mechanics
 
 
 def run(*values: float, why: str = "") -> PhysicsFacts:
@@ -62,8 +63,22 @@ def test_a_value_that_is_not_finite_breaks() -> None:
     fact = measured(Check.ROLLING, [2.4, float("nan")], low=2.4, high=2.4, tolerance=0.05, of="a dt / T")
     assert isinstance(fact, Measured)
     assert (fact.mean, fact.broken, fact.count) == (2.4, 1, 2)
-    nothing = measured(Check.ROLLING, [float("inf")], low=None, high=0.0, tolerance=0.0, of="none")
-    assert isinstance(nothing, NotMeasured)
+
+
+def test_values_of_which_none_is_finite_break() -> None:
+    """Count all as broken, give no number for them, and show that on every output."""
+    fact = measured(Check.ROLLING, [float("nan"), float("inf")], low=2.4, high=2.4, tolerance=0.05, of="a dt / T")
+    assert isinstance(fact, Measured)
+    assert (fact.mean, fact.least, fact.most, fact.broken, fact.count) == (None, None, None, 2, 2)
+    found = fidelity("x", [replace(run(2.4), facts=(fact,))])
+    assert (found.rows[0].verdict, found.rows[0].mean) == (Verdict.BROKEN, None)
+    stream = io.StringIO()
+    print_fidelity([found], stream)
+    assert "BROKEN 2 of 2" in stream.getvalue()
+    assert "BROKEN 2 of 2" in fidelity_html([found])
+    json.dumps(fidelity_record(found), allow_nan=False)
+    both = fidelity("x", [replace(run(2.4), facts=(fact,)), run(2.41)]).rows[0]
+    assert (both.mean, both.broken, both.count) == (2.41, 2, 3)
 
 
 def test_the_table_shows_what_broke() -> None:
@@ -96,5 +111,26 @@ def test_json_has_every_check() -> None:
     assert record["checks"]["rolling_acceleration"]["verdict"] == "broken"
     assert record["checks"]["rolling_acceleration"]["least"] == 2.0
     assert record["checks"]["fall_acceleration"] == {
-        "title": "acceleration of free fall", "unit": "m/s2", "verdict": "not applicable", "reason": "nothing falls",
+        "title": "acceleration of free fall", "unit": "m/s2", "demanded": True, "verdict": "not applicable",
+        "reason": "nothing falls",
     }  # fmt: skip
+
+
+def test_what_mechanics_does_not_demand_is_shown_apart() -> None:
+    """Tell of cubes that still spin, without counting or calling it a breach of mechanics."""
+    spin = measured(Check.END_SPIN, [3.0, 0.0], low=None, high=0.0, tolerance=0.5, of="1 cm/s of a corner")
+    speed = measured(Check.END_SPEED, [0.0, 0.0], low=None, high=0.0, tolerance=0.01, of="1 cm/s")
+    found = fidelity("x", [replace(run(2.4), facts=(*run(2.4).facts, speed, spin))])
+    assert mechanics(found) == "1 of 1"
+    assert [row.check for row in found.of(Verdict.MOVING)] == [Check.END_SPIN]
+    assert [row.check for row in found.of(Verdict.AT_REST)] == [Check.END_SPEED]
+    stream = io.StringIO()
+    print_fidelity([found], stream)
+    for text in (stream.getvalue(), str(fidelity_html([found]))):
+        held, apart = text.split("t rest at the sample time (mechanics does not demand it)", 1)
+        assert "fastest spin" not in held
+        assert "still moving 1 of 2" in apart
+        assert "BROKEN" not in text
+        assert 'class="bad"' not in text
+    record = fidelity_record(found)["checks"]["end_spin"]
+    assert (record["demanded"], record["verdict"], record["broken"]) == (False, "still moving", 1)

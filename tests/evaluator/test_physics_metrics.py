@@ -210,18 +210,36 @@ def test_energy_of_one_body() -> None:
     assert float(found[0, 0]) == pytest.approx(25.0 + 1.0 + 100.0)
 
 
-@given(seed=seeds, cut=st.integers(1, 19))
-def test_rises_do_not_depend_on_how_rows_are_read(seed: int, cut: int) -> None:
+@given(seed=seeds, cut=st.integers(1, 19), window=st.integers(1, 25), restitution=st.floats(0.0, 1.0))
+def test_rises_do_not_depend_on_how_rows_are_read(seed: int, cut: int, window: int, restitution: float) -> None:
     """Find the same in one piece and in two, and what a loop finds."""
     energy = np.random.default_rng(seed).normal(size=(20, 3))
-    whole, parts = Rises(), Rises()
+    whole, parts = Rises(restitution, window), Rises(restitution, window)
     whole.feed(energy)
     parts.feed(energy[:cut])
     parts.feed(energy[cut:])
     np.testing.assert_array_equal(whole.above_start, parts.above_start)
-    np.testing.assert_array_equal(whole.in_a_row, parts.in_a_row)
-    np.testing.assert_allclose(whole.in_a_row, np.diff(energy, axis=0).max(axis=0))
+    np.testing.assert_array_equal(whole.unpaid, parts.unpaid)
+    unpaid = [
+        energy[k + 1] - energy[k] - restitution**2 * (energy[max(0, k + 1 - window) : k + 1].max(axis=0) - energy[k])
+        for k in range(19)
+    ]
+    np.testing.assert_allclose(whole.unpaid, np.max(unpaid, axis=0), atol=1e-12)
     np.testing.assert_allclose(whole.above_start, (energy - energy[0]).max(axis=0))
+
+
+@given(restitution=st.floats(0.0, 1.0), rows=st.integers(1, 9))
+def test_a_bounce_is_paid_for_and_a_kick_is_not(restitution: float, rows: int) -> None:
+    """Allow e^2 of a loss to come back in a few rows, and no more, nor after the window."""
+    back = restitution**2 * np.linspace(0.0, 1.0, rows + 1)
+    bounce = np.concatenate([[1.0, 1.0], back, np.full(20, back[-1])])[:, None]
+    fair = Rises(restitution, 10)
+    fair.feed(bounce)
+    assert fair.unpaid[0] <= 1e-12
+    bounce[-1] += 0.5
+    kicked = Rises(restitution, 10)
+    kicked.feed(bounce)
+    assert kicked.unpaid[0] == pytest.approx(0.5)
 
 
 @given(seed=seeds, mu=st.floats(0.0, 1.5), cut=st.integers(1, 29))

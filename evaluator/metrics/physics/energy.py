@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
+from numpy.lib.stride_tricks import sliding_window_view
 
 from evaluator.metrics.physics.vectors import square
 
@@ -25,27 +26,41 @@ def mechanical_energy(
 
 
 class Rises:
-    """Follows the energy of isolated bodies, which contacts may take but never give.
+    """Follows the energy of isolated bodies, which contacts may take, and give back in part.
+
+    A contact that yields stores what bodies lose while it is compressed; a restitution e gives back e^2 of it.
+    So a rise is paid for by what was lost shortly before:
+
+        unpaid = E(k+1) - E(k) - e^2 (max(E(k-n+1), ..., E(k)) - E(k))
 
     above_start  largest E(t) - E(0) [J], shape [env]
-    in_a_row     largest rise from one row to the next [J], shape [env]
+    unpaid       largest of a row [J], shape [env]
     """
 
-    def __init__(self) -> None:
+    def __init__(self, restitution: float, window: int) -> None:
+        """restitution: the largest e of any pair; window: the n rows in which a loss can come back, one or more."""
+        self._share, self._window = restitution**2, window
         self._start: Array | None = None
-        self._before = self.above_start = self.in_a_row = np.zeros(0)
+        self._before = self.above_start = self.unpaid = np.zeros(0)
 
     def feed(self, energy: Array) -> None:
         """The next rows [J], shape [row, env]."""
         if self._start is None:
             self._start = energy[0]
             self.above_start = np.zeros(energy.shape[1])
-            self.in_a_row = np.full(energy.shape[1], -np.inf)
-        else:
-            energy = np.concatenate([self._before[None], energy])
+            self.unpaid = np.full(energy.shape[1], -np.inf)
+            self._before = np.full((self._window, energy.shape[1]), -np.inf)
+            self._before[-1] = energy[0]
+            energy = energy[1:]
+        whole = np.concatenate([self._before, energy])
+        self._before = whole[-self._window :]
+        if not len(energy):
+            return
         self.above_start = np.maximum(self.above_start, (energy - self._start).max(axis=0))
-        self.in_a_row = np.maximum(self.in_a_row, np.diff(energy, axis=0).max(axis=0, initial=-np.inf))
-        self._before = energy[-1]
+        rows = whole[self._window - 1 : -1]
+        highest = sliding_window_view(whole[:-1], self._window, axis=0).max(axis=-1)
+        unpaid = energy - rows - self._share * (highest - rows)
+        self.unpaid = np.maximum(self.unpaid, unpaid.max(axis=0))
 
 
 class FrictionCone:
