@@ -57,6 +57,11 @@ class Chunks:
                 return self._opened[number]
         chunk = self._all[number]
         begin = chunk.record - RECORD_HEAD
+        if not self._source.near and chunk.end - chunk.begin > decompression.MAX_BYTES:
+            raise DamagedRecording(
+                f"{self._place}: the chunk at byte {begin} has {chunk.end - chunk.begin} bytes, more than the "
+                f"{decompression.MAX_BYTES} that are read from elsewhere; download it"
+            )
         record = self._source.read(begin, chunk.end)
         check_head(self._place, CHUNK, record, chunk.end - chunk.record)
         there, crc = read_chunk(Cursor(self._place, record, RECORD_HEAD, len(record), begin))

@@ -7,6 +7,7 @@ import random
 import struct
 import subprocess
 import sys
+import tracemalloc
 import zlib
 from collections.abc import Iterator
 from pathlib import Path
@@ -24,7 +25,7 @@ from evaluator.cli import eval as evaluation
 from evaluator.integrity import examine
 from evaluator.locations import expand
 from evaluator.recording import Recording
-from schemas import container, remote
+from schemas import container, decompression, remote
 from schemas.container import Container
 from schemas.errors import DamagedRecording, NotARecording, RecordingError, Unreachable
 from schemas.location import Location, redacted, shown, shown_argument
@@ -502,3 +503,89 @@ def test_commands_of_the_guide(tmp_path: Path) -> None:
 def test_names_of_addresses(address: str, text: str, name: str) -> None:
     """Show what tells files apart, and name them without their folder."""
     assert (str(Location(address)), Location(address).name) == (text, name)
+
+
+def _record(opcode: int, content: bytes = b"") -> bytes:
+    return struct.pack("<BQ", opcode, len(content)) + content
+
+
+def _with(data: bytes, *, beside: bytes = b"", behind: bytes = b"", instead: bytes | None = None) -> bytes:
+    # records beside the chunks, behind the summary's, or instead of those; sizes and CRCs are right
+    begin = _summary(data)
+    section = (data[begin : len(data) - len(MAGIC) - 29] if instead is None else instead) + behind
+    head = data[: begin - 13] + beside
+    end = head + _record(15, struct.pack("<I", zlib.crc32(head)))
+    footer = _record(2, struct.pack("<QQI", len(end), 0, 0))
+    return _resealed(bytearray(end + section + footer + MAGIC))
+
+
+@pytest.mark.parametrize(
+    "more",
+    [
+        {"beside": bytes(9)},
+        {"beside": _record(2, bytes(20))},
+        {"beside": _record(15, bytes(4))},
+        {"beside": _record(4, struct.pack("<HHI", 1, 0, 2) + b"/Z" + bytes(8))},
+        {"beside": _record(3, struct.pack("<HI", 60000, 1) + b"x" + bytes(8))},
+        {"behind": b"\5"},
+        {"behind": bytes(8)},
+        {"behind": bytes(9)},
+        {"behind": _record(2, bytes(20))},
+        {"behind": _record(7, bytes(6))},
+    ],
+)
+def test_nothing_that_a_walk_would_trip_over(memory: Any, tmp_path: Path, more: dict[str, bytes]) -> None:
+    """Refuse what a file holds beside its records, though its summary and all CRCs are right."""
+    data = write_recording(tmp_path, grid(4)).read_bytes()
+    memory.pipe("/good", _with(data))
+    recording = open_recording("memory://good")
+    recording.verify()
+    assert recording._container.indexed
+    memory.pipe("/bad", _with(data, **more))
+    with pytest.raises(DamagedRecording):
+        open_recording("memory://bad").verify()
+
+
+def test_indexes_that_are_never_read(memory: Any, tmp_path: Path) -> None:
+    """Refuse a false index of a chunk's only message, which is found without it."""
+    data = write_recording(tmp_path, grid(4)).read_bytes()
+    places = [struct.unpack_from("<Q", r, 9 + 32 + 4 + 2)[0] for r in _records(data) if r[0] == 8]
+    for at, value in ((9 + 6 + 8, 2**40), (9 + 6, 7), (9 + 2, 0)):
+        changed = bytearray(data)
+        changed[places[-1] + at : places[-1] + at + 4] = (value & 0xFFFFFFFF or value >> 32).to_bytes(4, "little")
+        memory.pipe("/index", _with(bytes(changed)))
+        opened = Container(Location("memory://index"))
+        assert opened.indexed
+        with pytest.raises(DamagedRecording, match="index"):
+            opened.verify()
+
+
+def test_memory_of_a_summary(memory: Any) -> None:
+    """Take a summary of a million declarations in little memory, and refuse lists that no file has room for."""
+    head = MAGIC + _record(1, struct.pack("<I", 6) + b"gsb.v1" + bytes(4))
+    data = head + _record(15, bytes(4)) + _record(2, struct.pack("<QQI", len(head) + 13, 0, 0)) + MAGIC
+    schema = _record(3, struct.pack("<HII", 1, 0, 0) + bytes(4))
+    memory.pipe("/many", _with(data, instead=schema * 300_000))
+    tracemalloc.start()
+    with pytest.raises(DamagedRecording, match="cut short"):  # without statistics it is walked
+        open_recording("memory://many")
+    assert tracemalloc.get_traced_memory()[1] < 100e6
+    tracemalloc.stop()
+    listed = b"".join(struct.pack("<HQ", i, len(head) + 49 + i) for i in range(1000))
+    chunk = struct.pack("<QQQQI", 0, 0, len(head), 49, len(listed)) + listed + struct.pack("<QIQQ", 15_000, 0, 0, 0)
+    memory.pipe("/lists", _with(data, beside=bytes(9 + 15_100), instead=_record(8, chunk)))
+    with pytest.raises(DamagedRecording, match="what cannot be"):
+        open_recording("memory://lists")
+
+
+def test_records_that_are_too_long(memory: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Refuse a long record of a remote file before it is read."""
+    path = write_recording(tmp_path, grid(4))
+    address = _put(memory, path)
+    monkeypatch.setattr(container, "MAX_HEADER_BYTES", 3)
+    with pytest.raises(DamagedRecording, match="more than the 3 that are read from elsewhere"):
+        open_recording(address)
+    monkeypatch.undo()
+    monkeypatch.setattr(decompression, "MAX_BYTES", 100)
+    with pytest.raises(DamagedRecording, match="more than the 100 that are read from elsewhere"):
+        open_recording(address).verify()
