@@ -3,7 +3,8 @@
 A file of this machine is mapped, and its top-level records are walked once: a few hundred bytes of headers. A message
 of an uncompressed chunk is a view of the mapping. A file elsewhere is opened through its summary (schemas.index), and
 its parts are read when they are needed; without a summary it is walked, too. Every chunk, every attachment and the
-summary is checked against its CRC before its content is used (`Container.peek` tells the exception), and every length against the bytes that are there.
+summary is checked against its CRC before its content is used (`Container.peek` tells the exception), and every length
+against the bytes that are there.
 
 What a stranger's file can cost is bounded by its size, see docs/strangers.md.
 """

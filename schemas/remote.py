@@ -15,6 +15,7 @@ from typing import Any
 from schemas.errors import DamagedRecording, Unreachable
 from schemas.location import Location, redacted
 from schemas.source import Source
+from schemas.web import WrongAnswer, web_part
 
 _BLOCK = 64 << 10
 _CACHED_BYTES = 32 << 20
@@ -34,6 +35,7 @@ class RemoteFile(Source):
     """
 
     near = False
+    place: Location
     workers = _WORKERS
 
     def __init__(self, location: Location) -> None:
@@ -48,7 +50,6 @@ class RemoteFile(Source):
             raise Unreachable(f"cannot read {location} in parts: the server does not say how large it is; download it")
         self.size = size
         self._asked = time.monotonic()
-        self._parts_are_given = not _is_web(location)  # a web server may answer with the whole file instead
         self._lock = Lock()
         self._blocks: OrderedDict[int, bytes] = OrderedDict()
         self._next = -1  # block behind the last request
@@ -107,14 +108,10 @@ class RemoteFile(Source):
 
     def _fetch(self, begin: int, end: int) -> bytes:
         try:
-            if self._parts_are_given:
-                data = self._system.cat_file(self._path, start=begin, end=end)
+            if _is_web(self.place):
+                data = web_part(self._system, self._path, begin, end)
             else:
-                # this way fsspec notices, and stops, where the answer is not the part that was asked for
-                with self._system.open(self._path, "rb", cache_type="none") as stream:
-                    stream.seek(begin)
-                    data = stream.read(end - begin)
-                self._parts_are_given = begin > 0
+                data = self._system.cat_file(self._path, start=begin, end=end)
         except Exception as error:  # each file system has its own
             raise Unreachable(f"cannot read {self.place}: {_reason(error)}") from None
         with self._lock:
@@ -180,7 +177,8 @@ def _file_system(location: Location) -> tuple[Any, str]:
 
             options["headers"] = {"Accept-Encoding": "identity"}  # parts of the file, not of what a server packs
             options["client_kwargs"] = {
-                "timeout": aiohttp.ClientTimeout(total=None, sock_connect=_CONNECT_S, sock_read=_SILENCE_S)
+                "auto_decompress": False,  # a few bytes may become any number
+                "timeout": aiohttp.ClientTimeout(total=None, sock_connect=_CONNECT_S, sock_read=_SILENCE_S),
             }
         system, path = fsspec.core.url_to_fs(location.url, **options)
     except ImportError as error:
@@ -207,7 +205,7 @@ def _reason(error: BaseException) -> str:
         return "access is refused"
     if isinstance(error, TimeoutError):
         return "no answer in time"
-    if isinstance(error, ValueError) and ("range requests" in str(error) or "Cannot seek" in str(error)):
-        return "the server gives files only as a whole; download it"
+    if isinstance(error, WrongAnswer):
+        return str(error)
     told = redacted(str(error)).strip()
     return f"{type(error).__name__}{': ' if told else ''}{told[:300]}"

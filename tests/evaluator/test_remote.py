@@ -561,15 +561,15 @@ def test_indexes_that_are_never_read(memory: Any, tmp_path: Path) -> None:
 
 
 def test_memory_of_a_summary(memory: Any) -> None:
-    """Take a summary of a million declarations in little memory, and refuse lists that no file has room for."""
+    """Take a summary of 60,000 declarations in little memory, and refuse lists that no file has room for."""
     head = MAGIC + _record(1, struct.pack("<I", 6) + b"gsb.v1" + bytes(4))
     data = head + _record(15, bytes(4)) + _record(2, struct.pack("<QQI", len(head) + 13, 0, 0)) + MAGIC
     schema = _record(3, struct.pack("<HII", 1, 0, 0) + bytes(4))
-    memory.pipe("/many", _with(data, instead=schema * 300_000))
+    memory.pipe("/many", _with(data, instead=schema * 60_000))
     tracemalloc.start()
     with pytest.raises(DamagedRecording, match="cut short"):  # without statistics it is walked
         open_recording("memory://many")
-    assert tracemalloc.get_traced_memory()[1] < 100e6
+    assert tracemalloc.get_traced_memory()[1] < 20e6
     tracemalloc.stop()
     listed = b"".join(struct.pack("<HQ", i, len(head) + 49 + i) for i in range(1000))
     chunk = struct.pack("<QQQQI", 0, 0, len(head), 49, len(listed)) + listed + struct.pack("<QIQQ", 15_000, 0, 0, 0)
@@ -589,3 +589,17 @@ def test_records_that_are_too_long(memory: Any, tmp_path: Path, monkeypatch: pyt
     monkeypatch.setattr(decompression, "MAX_BYTES", 100)
     with pytest.raises(DamagedRecording, match="more than the 100 that are read from elsewhere"):
         open_recording(address).verify()
+
+
+def test_no_more_than_was_asked_for(web: Web, large: list[Path]) -> None:
+    """Refuse an answer that is packed or longer than the part, after no more bytes than the part has."""
+    web.files["a.mcap"] = large[0].read_bytes()
+    web.packed = True
+    with pytest.raises(Unreachable, match="the server packs its answers"):
+        open_recording(f"{web.address}/a.mcap")
+    web.packed, web.more = False, 200 << 20
+    with pytest.raises(Unreachable, match="more than the [0-9]+ bytes that it was asked for"):
+        open_recording(f"{web.address}/a.mcap")
+    assert web.sent < 1 << 20  # no answer was taken to its end
+    web.more = 0
+    open_recording(f"{web.address}/a.mcap").state("cubes", "position").at_step(3)
