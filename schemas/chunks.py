@@ -47,7 +47,8 @@ class Chunks:
             self._opened.clear()
 
     def open(self, number: int) -> tuple[memoryview, int]:
-        """The content of a chunk, and the CRC-32 that it was found to have; zero where the writer computed none.
+        """The content of a chunk, and the CRC-32 that it has; zero where the writer computed none, or where that was
+        found by an earlier call: bytes of a mapping may have been changed since.
 
         DamagedRecording where it is not what its record says, or the record not what is known of it.
         """
@@ -76,7 +77,8 @@ class Chunks:
         if crc and zlib.crc32(data) != crc:
             self._source.confirm()
             raise DamagedRecording(f"{self._place}: a chunk at byte {chunk.begin} fails its CRC")
-        self._keep(number, data, crc)
+        mapped = self._source.near and not chunk.compression
+        self._keep(number, data, 0 if mapped else crc)
         return data, crc
 
     def _keep(self, number: int, data: memoryview, crc: int) -> None:
