@@ -20,7 +20,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from evaluator import open_recording
-from evaluator.cli import check, diff, info
+from evaluator.cli import audit, check, diff, info, share
 from evaluator.cli import eval as evaluation
 from evaluator.integrity import examine
 from evaluator.locations import expand
@@ -603,3 +603,38 @@ def test_no_more_than_was_asked_for(web: Web, large: list[Path]) -> None:
     assert web.sent < 1 << 20  # no answer was taken to its end
     web.more = 0
     open_recording(f"{web.address}/a.mcap").state("cubes", "position").at_step(3)
+
+
+@pytest.mark.parametrize(
+    "address",
+    [
+        "https://user:SECRET@h.example/x.json",
+        "https://user:pa/SECRET@h.example/x",
+        "https://user:SECRET#x@h.example/",
+        "https://user:SECRET?x@h.example/",
+        "https://h.example/x?X-Amz-Signature=SECRET",
+        "https://h.example/x?e=a@SECRET",
+    ],
+)
+def test_addresses_where_paths_are_meant(
+    address: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Refuse an address in place of a path as wrong usage, make no folder of it, and tell none of its secrets."""
+    monkeypatch.chdir(tmp_path)
+    file = "none.mcap"
+    cases: list[tuple[Any, list[str]]] = [
+        (share.main, ["pack", address]), (share.main, ["recover", address]),
+        (share.main, ["pack", file, "--out", address]),
+        (audit.main, [address]), (audit.main, [file, "--out", address]), (check.main, [file, "--rules", address]),
+        (diff.main, [file, "--env", address]), (diff.main, [file, "--plot", address]),
+        *((evaluation.main, [file, option, address]) for option in ("--json", "--html", "--tables", "--cache")),
+        *((main, [file, "--json", address]) for main in (audit.main, check.main, diff.main, info.main)),
+    ]  # fmt: skip
+    for main, arguments in cases:
+        with pytest.raises(SystemExit) as ended:
+            main(arguments)
+        assert ended.value.code == 2
+        found = capsys.readouterr()
+        assert "SECRET" not in found.out + found.err
+        assert not list(tmp_path.iterdir())
+    assert "SECRET" not in shown(address) + redacted(f"cannot read {address}: no") + shown_argument(address)
