@@ -65,6 +65,11 @@ def place(given: str | Path | Location) -> Place:
     return given
 
 
+def chain(address: str) -> list[str]:
+    """The parts of a chained address, such as zip://a.mcap::https://..."""
+    return _CHAINED.split(address)
+
+
 def shown(address: str) -> str:
     """An address without user, password, query and fragment, and without what a terminal would obey."""
     return "::".join(map(_without_secrets, _CHAINED.split(address)))

@@ -11,9 +11,10 @@ from collections import OrderedDict
 from collections.abc import Iterable, Iterator
 from threading import Lock
 from typing import Any
+from urllib.parse import unquote
 
 from schemas.errors import DamagedRecording, Unreachable
-from schemas.location import Location, redacted
+from schemas.location import Location, chain, is_address, redacted
 from schemas.source import Source
 from schemas.web import WrongAnswer, web_part
 
@@ -135,14 +136,26 @@ class RemoteFile(Source):
 
 
 def matching(pattern: Location, most: int) -> list[Location]:
-    """The files that an address with wildcards (*, [...]) stands for, sorted; as itself where it has none.
+    """The files that an address with wildcards (*, [...]) in its path stands for, sorted; as itself where it has none,
+    or where a file has that very name. They keep the query of the address, and what it is chained to.
 
     Unreachable where the file system cannot tell, or where they are more than `most`.
     """
-    if not any(c in pattern.url for c in "*["):
+    first, *behind = chain(pattern.url)
+    if not is_address(first) and behind:  # simplecache::https://...
+        return [Location(f"{first}::{found.url}") for found in matching(Location("::".join(behind)), most)]
+    query = ""
+    if _is_web(pattern):
+        first, mark, query = first.partition("?")
+        query = mark + query
+    name = first.partition("://")[2]
+    if not any(c in (name.partition("/")[2] if _is_web(pattern) else name) for c in "*["):  # not in [::1]
         return [pattern]
     system, path = _file_system(pattern)
     try:
+        if system.isfile(path):
+            return [pattern]
+        path = path.removesuffix(query)
         found = sorted(map(str, system.glob(path)))
     except Exception as error:
         raise Unreachable(f"cannot list {pattern}: {_reason(error)}") from None
@@ -150,7 +163,10 @@ def matching(pattern: Location, most: int) -> list[Location]:
         raise Unreachable(f"cannot list {pattern}: no file there has such a name, or the server shows no list")
     if len(found) > most:
         raise Unreachable(f"{pattern} stands for {len(found)} files, more than the {most} that are read at once")
-    return [Location(str(system.unstrip_protocol(name))) for name in found]
+    if behind:
+        scheme = first.partition("://")[0]
+        return [Location("::".join([f"{scheme}://{name}", *behind])) for name in found]
+    return [Location(f"{system.unstrip_protocol(name)}{query}") for name in found]
 
 
 def _runs(numbers: Iterable[int]) -> list[range]:
@@ -181,6 +197,8 @@ def _file_system(location: Location) -> tuple[Any, str]:
                 "timeout": aiohttp.ClientTimeout(total=None, sock_connect=_CONNECT_S, sock_read=_SILENCE_S),
             }
         system, path = fsspec.core.url_to_fs(location.url, **options)
+        if location.url.lower().startswith("file://") and "%" in path and not system.exists(path):
+            path = unquote(path)
     except ImportError as error:
         raise Unreachable(
             f"cannot read {location}: {redacted(str(error))}; pip install 'gpusimbench[remote]' reads https://, other "

@@ -8,6 +8,7 @@ import struct
 import subprocess
 import sys
 import tracemalloc
+import zipfile
 import zlib
 from collections.abc import Iterator
 from pathlib import Path
@@ -638,3 +639,26 @@ def test_addresses_where_paths_are_meant(
         assert "SECRET" not in found.out + found.err
         assert not list(tmp_path.iterdir())
     assert "SECRET" not in shown(address) + redacted(f"cannot read {address}: no") + shown_argument(address)
+
+
+def test_wildcards_of_the_path_alone(web: Web, tmp_path: Path) -> None:
+    """Look for wildcards in the path, after the name itself, and keep the query and the archive of what is found."""
+    web.files["d/x.mcap"] = b"content"
+    for query in ("?sig=ab*cd", "?f[0]=1"):
+        address = Location(f"{web.address}/d/x.mcap{query}")
+        assert expand([address]) == [address]
+        assert not web.requests
+    assert expand([Location(f"{web.address}/d/*.mcap?token=T")]) == [Location(f"{web.address}/d/x.mcap?token=T")]
+    six = Location("http://[::1]:1/x.mcap")
+    assert expand([six]) == [six]
+    for name in ("br[1].mcap", "sp ace.mcap"):
+        (tmp_path / name).write_bytes(b"content")
+    literal = Location(f"file://{tmp_path}/br[1].mcap")
+    assert expand([literal]) == [literal]
+    assert RemoteFile(Location(f"file://{tmp_path}/sp%20ace.mcap")).read(0, 7) == b"content"
+    with zipfile.ZipFile(tmp_path / "z.zip", "w") as archive:
+        archive.write(tmp_path / "br[1].mcap", "a.mcap")
+    (found,) = expand([Location(f"zip://*.mcap::file://{tmp_path}/z.zip")])
+    assert found == Location(f"zip://a.mcap::file://{tmp_path}/z.zip")
+    assert isinstance(found, Location)
+    assert RemoteFile(found).read(0, 7) == b"content"
