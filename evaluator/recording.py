@@ -36,7 +36,8 @@ from evaluator.streams import (
 )
 from schemas import checks, topics
 from schemas.configuration import RunConfiguration
-from schemas.container import Channel, Container
+from schemas.container import Container
+from schemas.declarations import Channel
 from schemas.digest import ContentDigest, content_hash
 from schemas.errors import DamagedRecording
 from schemas.fields import StateField

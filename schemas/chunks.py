@@ -47,7 +47,8 @@ class Chunks:
             self._opened.clear()
 
     def open(self, number: int) -> tuple[memoryview, int]:
-        """The content of a chunk, and the CRC-32 that it was found to have; zero where the writer computed none.
+        """The content of a chunk, and the CRC-32 that it has; zero where the writer computed none, or where that was
+        found by an earlier call: bytes of a mapping may have been changed since.
 
         DamagedRecording where it is not what its record says, or the record not what is known of it.
         """
@@ -57,6 +58,11 @@ class Chunks:
                 return self._opened[number]
         chunk = self._all[number]
         begin = chunk.record - RECORD_HEAD
+        if not self._source.near and chunk.end - chunk.begin > decompression.MAX_BYTES:
+            raise DamagedRecording(
+                f"{self._place}: the chunk at byte {begin} has {chunk.end - chunk.begin} bytes, more than the "
+                f"{decompression.MAX_BYTES} that are read from elsewhere; download it"
+            )
         record = self._source.read(begin, chunk.end)
         check_head(self._place, CHUNK, record, chunk.end - chunk.record)
         there, crc = read_chunk(Cursor(self._place, record, RECORD_HEAD, len(record), begin))
@@ -71,7 +77,8 @@ class Chunks:
         if crc and zlib.crc32(data) != crc:
             self._source.confirm()
             raise DamagedRecording(f"{self._place}: a chunk at byte {chunk.begin} fails its CRC")
-        self._keep(number, data, crc)
+        mapped = self._source.near and not chunk.compression
+        self._keep(number, data, 0 if mapped else crc)
         return data, crc
 
     def _keep(self, number: int, data: memoryview, crc: int) -> None:

@@ -3,7 +3,8 @@
 A file of this machine is mapped, and its top-level records are walked once: a few hundred bytes of headers. A message
 of an uncompressed chunk is a view of the mapping. A file elsewhere is opened through its summary (schemas.index), and
 its parts are read when they are needed; without a summary it is walked, too. Every chunk, every attachment and the
-summary is checked against its CRC before the first use of its bytes, and every length against the bytes that are there.
+summary is checked against its CRC before its content is used (`Container.peek` tells the exception), and every length
+against the bytes that are there.
 
 What a stranger's file can cost is bounded by its size, see docs/strangers.md.
 """
@@ -22,6 +23,7 @@ from schemas import FORMAT, decompression
 from schemas.chunks import Chunks
 from schemas.crc import combine, second
 from schemas.cursor import Cursor
+from schemas.declarations import Channel, Declarations
 from schemas.errors import DamagedRecording, NotARecording
 from schemas.index import Index, IndexedChunk, read_index
 from schemas.location import Place
@@ -52,6 +54,12 @@ MAX_CHUNK_BYTES = decompression.MAX_BYTES
 MAX_ATTACHMENT_BYTES = 1 << 30
 """A larger attachment is refused before it is read."""
 
+MAX_HEADER_BYTES = 64 << 10
+"""A file elsewhere with a longer header is refused before that is read."""
+
+MAX_INDEX_BYTES = 1 << 30
+"""The same of the index of a chunk's messages, and of a declaration beside the chunks."""
+
 MAX_WALKED_BYTES = 1 << 30
 """A file elsewhere that has no index is read as a whole, unless it is larger."""
 
@@ -63,19 +71,11 @@ _HELD_BYTES = 64 << 20  # of messages that wait for those before them
 _PIECE_BYTES = 4 << 20  # that a CRC is computed of at once
 _CHEAP_BYTES = 4096  # whose CRC costs nothing beside that of a chunk
 
+_BETWEEN = (SCHEMA, CHANNEL, MESSAGE_INDEX, ATTACHMENT, METADATA)  # chunks, of what MCAP defines
 _OF_DATA = (MESSAGE, CHUNK, MESSAGE_INDEX, ATTACHMENT, METADATA, DATA_END)
 _INDEX_ENTRY = Struct("<QQ")
 
 _log = logging.getLogger(__name__)
-
-
-@dataclass(frozen=True)
-class Channel:
-    """A channel: its topic, the name of its message type, and its metadata."""
-
-    topic: str
-    message: str
-    metadata: dict[str, str]
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,10 +108,7 @@ class Container:
             raise NotARecording(f"{path} is not an MCAP file")
         self.finished = False
         self.library = ""
-        self.channels: dict[str, Channel] = {}
-        self._schemas: dict[int, str] = {}
-        self._topics: dict[int, str] = {}
-        self._numbers: dict[str, list[int]] = {}  # channels of a topic
+        self._declared = Declarations(path)
         self._chunks = Chunks(path, self._source)
         self._attachments: dict[str, Attachment] = {}
         self._messages: dict[int, array[int]] = {}  # by channel: log time, chunk + 1 and offset of each, flat
@@ -131,6 +128,11 @@ class Container:
             self._walk()
 
     @property
+    def channels(self) -> dict[str, Channel]:
+        """See Container."""
+        return self._declared.channels
+
+    @property
     def source(self) -> Source:
         """The file's bytes."""
         return self._source
@@ -141,7 +143,7 @@ class Container:
 
     def _found(self, topic: str) -> Iterator[Message]:
         self._look_for(topic)
-        for number in self._numbers.get(topic, ()):
+        for number in self._declared.numbers.get(topic, ()):
             yield from self._entries(number)
 
     def _entries(self, channel: int) -> Iterator[Message]:
@@ -183,7 +185,8 @@ class Container:
     def peek(self, message: Message, size: int) -> tuple[int, memoryview]:
         """How long a message's content is, and its first bytes, at most `size`.
 
-        Of an uncompressed chunk nothing else is read: what is made of them has to be borne out by something else.
+        Of an uncompressed chunk nothing else is read, so that its CRC is not checked yet: what is made of these bytes
+        has to be borne out by the message, once it is read.
         """
         if message.chunk >= 0 and not (chunk := self._chunks[message.chunk]).compression:
             begin = chunk.begin + message.offset
@@ -211,7 +214,7 @@ class Container:
 
     def _sole(self, chunk: int) -> bool:
         # whether the index of the file says of a chunk that it holds one message
-        return bool(self._index) and len(self._index[chunk].indexes) == self._index[chunk].messages == 1
+        return bool(self._index) and len(self._index[chunk].channels) == self._index[chunk].messages == 1
 
     def _sole_offset(self, data: memoryview) -> int:
         # of the only message of a chunk, behind what declares its channel; it has to be the last record
@@ -225,13 +228,17 @@ class Container:
             position = end
         raise self._damaged("a chunk does not hold the one message that the file's index says")
 
-    def _read_record(self, position: int) -> memoryview:
-        # a top-level record, with its head
+    def _read_record(self, position: int, most: int | None = None) -> memoryview:
+        # a top-level record, with its head; from elsewhere, one of at most that many bytes
         if position + RECORD_HEAD > self._source.size:
             raise self._damaged("an index points past the end of the file")
         length = int.from_bytes(self._source.read(position + 1, position + RECORD_HEAD), "little")
         if length > self._source.size - position - RECORD_HEAD:
             raise self._damaged("an index points past the end of the file")
+        if most is not None and length > most and not self._source.near:
+            raise self._damaged(
+                f"the record at byte {position} has {length} bytes, more than the {most} that are read from elsewhere"
+            )
         return self._source.read(position, position + RECORD_HEAD + length)
 
     def in_sequence(self, topic: str) -> Iterator[memoryview]:
@@ -307,10 +314,11 @@ class Container:
         Of a file that was opened through its summary, also that nothing lies beside what the summary says.
         """
         self._chunks.forget()
+        beside = Declarations(self.path)
         crc = position = 0
         end = self._data_end if self._data_end is not None else self.size
         for number, chunk in enumerate(self._chunks):
-            self._check_between(position, chunk.record - RECORD_HEAD, number)
+            self._check_between(position, chunk.record - RECORD_HEAD, number, beside)
             crc = self._crc_of(position, chunk.begin, crc)
             data, known = self._chunks.open(number)
             if chunk.compression or not known:
@@ -318,7 +326,9 @@ class Container:
             else:
                 crc = combine(crc, known, len(data))
             position = chunk.end
-        self._check_between(position, end, len(self._chunks))
+        self._check_between(position, end, len(self._chunks), beside)
+        if not self._declared.covers(beside):
+            raise self._damaged("a channel or schema that is declared beside the chunks is not so in the file's index")
         if self._data_crc and self._crc_of(position, end, crc) != self._data_crc:
             raise self._damaged("the data section fails its CRC: bytes were changed")
         self._source.confirm()
@@ -331,26 +341,57 @@ class Container:
             crc = zlib.crc32(self._source.read(at, min(end, at + _PIECE_BYTES)), crc)
         return crc
 
-    def _check_between(self, begin: int, end: int, chunk: int) -> None:
-        # What lies between two chunks, the latter of that number: no message that the index does not know.
+    def _check_between(self, begin: int, end: int, chunk: int, beside: Declarations) -> None:
+        # What lies between two chunks, the latter of that number: nothing that a walk would take for something else
+        # than the index does.
         if not self.indexed:
             return
+        attachments = {a.record: a for a in self._attachments.values()}
         position, listed = begin or len(MAGIC), dict[int, int]()
         while position < end:
-            head = self._source.read(position, min(position + RECORD_HEAD + 2, end))
+            head = self._source.read(position, min(position + RECORD_HEAD, end))
             opcode, length = head[0], int.from_bytes(head[1:RECORD_HEAD], "little")
             if len(head) < RECORD_HEAD or length > end - position - RECORD_HEAD:
                 raise self._damaged(f"a record at byte {position} reaches into the next")
-            if opcode == MESSAGE_INDEX:
-                listed[int.from_bytes(head[RECORD_HEAD:], "little")] = position
+            if opcode == MESSAGE_INDEX and chunk:
+                channel = self._check_index(position, chunk - 1)
+                if listed.setdefault(channel, position) != position:
+                    raise self._damaged(f"the messages of a channel are listed twice, at byte {position} again")
             elif opcode == ATTACHMENT:
-                if position + RECORD_HEAD not in {a.record for a in self._attachments.values()}:
-                    raise self._damaged(f"an attachment at byte {position} is not in the file's index")
-            elif opcode in (MESSAGE, CHUNK) or (opcode == HEADER) != (position == len(MAGIC)):
+                self._check_attachment(attachments.get(position + RECORD_HEAD), position, length)
+            elif opcode in (SCHEMA, CHANNEL):
+                record = self._read_record(position, MAX_INDEX_BYTES)
+                beside.take(opcode, Cursor(self.path, record, RECORD_HEAD, len(record), position))
+            elif (opcode <= DATA_END and opcode not in (*_BETWEEN, HEADER)) or (
+                (opcode == HEADER) != (position == len(MAGIC))
+            ):
                 raise self._damaged(f"a record of type {opcode} at byte {position} is not in the file's index")
             position += RECORD_HEAD + length
-        if listed != (self._index[chunk - 1].indexes if chunk else {}):
+        known = self._index[chunk - 1] if chunk else None
+        if listed != (dict(zip(known.channels, known.places, strict=True)) if known else {}):
             raise self._damaged(f"the index of the messages ahead of byte {end} is not what the file's index says")
+
+    def _check_index(self, position: int, number: int) -> int:
+        # An index of messages points to messages of its channel, where it is never read, too; returns the channel.
+        record = self._read_record(position, MAX_INDEX_BYTES)
+        cursor = Cursor(self.path, record, RECORD_HEAD, len(record), position)
+        channel, entries = self._entries_of(cursor)
+        data, _ = self._chunks.open(number)
+        for log_time, offset in _INDEX_ENTRY.iter_unpack(entries):
+            self._of_message(Message(channel, log_time, number, offset), data, offset)
+        if self._sole(number):
+            expected = _INDEX_ENTRY.pack(self._index[number].first_time, self._sole_offset(data))
+            if entries != expected:
+                raise self._damaged(f"the index at byte {position} and the file's disagree on the chunk's only message")
+        return channel
+
+    def _check_attachment(self, known: Attachment | None, position: int, length: int) -> None:
+        begin = position + RECORD_HEAD
+        if known is not None and known.end + 4 - known.record == length:
+            head = self._source.read(begin, known.begin)
+            if read_attachment(Cursor(self.path, head, 0, len(head), begin)) == known:
+                return
+        raise self._damaged(f"an attachment at byte {position} is not in the file's index")
 
     def _announce_walk(self) -> None:
         if self.size > MAX_WALKED_BYTES:
@@ -360,22 +401,21 @@ class Container:
         _log.warning("%s has no index: all of its %d bytes are read to find what is in it", self.path, self.size)
 
     def _take(self, index: Index) -> None:
-        head = self._read_record(len(MAGIC))
+        head = self._read_record(len(MAGIC), MAX_HEADER_BYTES)
         if head[0] != HEADER:
             raise self._damaged("the file does not begin with a header, or has a second one")
         self._read_header(Cursor(self.path, head, RECORD_HEAD, len(head), len(MAGIC)))
-        for opcode, content in index.declared:
-            self._declare(opcode, Cursor(self.path, content, 0, len(content)))
+        self._declared = index.declared
         for attachment in sorted(index.attachments, key=lambda a: a.record):
             self._add_attachment(attachment)
         self._data_end, self._data_crc, self.finished = index.data_end, index.data_crc, True
         self._index = index.chunks
         for number, c in enumerate(index.chunks):
             self._chunks.append(c.chunk)
-            if not c.indexes:
+            if not c.channels:
                 self._unscanned.append(number)
-            for channel in c.indexes:
-                if channel not in self._topics:
+            for channel in c.channels:
+                if channel not in self._declared.topics:
                     raise self._damaged(f"messages of an undeclared channel {channel}")
                 self._unlisted.setdefault(channel, []).append(number)
 
@@ -384,9 +424,9 @@ class Container:
         unscanned, self._unscanned = self._unscanned, []
         for number in unscanned:
             self._scan_chunk(number)
-        if unscanned and (missing := set(self._messages) - set(self._topics)):
+        if unscanned and (missing := set(self._messages) - set(self._declared.topics)):
             raise self._damaged(f"messages of an undeclared channel {min(missing)}")
-        for channel in self._numbers.get(topic, ()):
+        for channel in self._declared.numbers.get(topic, ()):
             for number in self._unlisted.pop(channel, ()):
                 self._list_messages(number, channel)
 
@@ -396,13 +436,14 @@ class Container:
         if self._sole(number):
             self._add(channel, found.first_time, number, 0)
             return
-        record = self._read_record(found.indexes[channel])
+        place = found.place_of(channel)
+        record = self._read_record(place, min(found.index_bytes, MAX_INDEX_BYTES))
         check_head(self.path, MESSAGE_INDEX, record, len(record) - RECORD_HEAD)
-        if found.indexes[channel] + len(record) > found.chunk.end + found.index_bytes:
-            raise self._damaged(f"an index of messages at byte {found.indexes[channel]} is longer than its file's says")
-        cursor = Cursor(self.path, record, RECORD_HEAD, len(record), found.indexes[channel])
+        if place + len(record) > found.chunk.end + found.index_bytes:
+            raise self._damaged(f"an index of messages at byte {place} is longer than its file's says")
+        cursor = Cursor(self.path, record, RECORD_HEAD, len(record), place)
         if self._add_index(cursor, number) != channel:
-            raise self._damaged(f"the index at byte {found.indexes[channel]} is of another topic than its file's says")
+            raise self._damaged(f"the index at byte {place} is of another topic than its file's says")
 
     def _walk(self) -> None:
         position = len(MAGIC)
@@ -423,7 +464,7 @@ class Container:
             if opcode == HEADER:
                 self._read_header(cursor)
             elif opcode in (SCHEMA, CHANNEL):
-                self._declare(opcode, cursor)
+                self._declared.take(opcode, cursor)
             elif self._data_end is not None:
                 if opcode in _OF_DATA:
                     raise self._damaged("data follow behind the end of the data")
@@ -446,14 +487,14 @@ class Container:
             # no CRC covers an index, and what a crash left may lack some: the chunks themselves are asked
             indexed.clear()
             self._forget_index()
-        if set(self._messages) - set(self._topics):
+        if set(self._messages) - set(self._declared.topics):
             # without a summary the channels may be declared nowhere but inside the chunks
             indexed.clear()
             self._forget_index()
         for number in range(len(self._chunks)):
             if number not in indexed:
                 self._scan_chunk(number)
-        missing = set(self._messages) - set(self._topics)
+        missing = set(self._messages) - set(self._declared.topics)
         if self.finished and missing:
             raise self._damaged(f"messages of an undeclared channel {min(missing)}")
 
@@ -495,24 +536,6 @@ class Container:
             f"{self.path} is an MCAP file, but not a recording of a simulator (profile '{profile}', not '{FORMAT}')"
         )
 
-    def _declare(self, opcode: int, cursor: Cursor) -> None:
-        number = cursor.u16()
-        if opcode == SCHEMA:
-            name = cursor.name()
-            if self._schemas.setdefault(number, name) != name:
-                raise self._damaged(f"schema {number} has two names")
-            return
-        schema, topic = cursor.u16(), cursor.name()
-        cursor.text()  # message encoding; the format has one
-        if self._topics.setdefault(number, topic) != topic:
-            raise self._damaged(f"channel {number} has two topics")
-        channel = Channel(topic, self._schemas.get(schema, ""), cursor.text_map())
-        if self.channels.setdefault(topic, channel) != channel:
-            raise self._damaged(f"the topic {topic} is declared twice, not the same")
-        numbers = self._numbers.setdefault(topic, [])
-        if number not in numbers:
-            numbers.append(number)
-
     def _add(self, channel: int, log_time: int, chunk: int, offset: int) -> None:
         self._message_count += 1
         if self._message_count > _FREE_MESSAGES + self.size // _LEAST_MESSAGE:
@@ -520,13 +543,17 @@ class Container:
         self._messages.setdefault(channel, array("Q")).extend((log_time, chunk + 1, offset))
 
     def _add_index(self, cursor: Cursor, chunk: int) -> int:
+        channel, entries = self._entries_of(cursor)
+        for log_time, offset in _INDEX_ENTRY.iter_unpack(entries):
+            self._add(channel, log_time, chunk, offset)
+        return channel
+
+    def _entries_of(self, cursor: Cursor) -> tuple[int, memoryview]:
         channel = cursor.u16()
         entries = cursor.take(cursor.u32())
         if len(entries) % _INDEX_ENTRY.size:
             raise self._damaged("a message index has half an entry")
-        for log_time, offset in _INDEX_ENTRY.iter_unpack(entries):
-            self._add(channel, log_time, chunk, offset)
-        return channel
+        return channel, entries
 
     def _add_chunk(self, cursor: Cursor) -> None:
         chunk, _ = read_chunk(cursor)
@@ -548,7 +575,7 @@ class Container:
             begin = cursor.position
             cursor.take(length)
             if opcode in (SCHEMA, CHANNEL):
-                self._declare(opcode, Cursor(self.path, data, begin, begin + length))
+                self._declared.take(opcode, Cursor(self.path, data, begin, begin + length))
             elif opcode == MESSAGE:
                 record = Cursor(self.path, data, begin, begin + length)
                 channel, _, log_time, _ = MESSAGE_HEAD.unpack(record.take(MESSAGE_HEAD.size))

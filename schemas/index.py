@@ -8,17 +8,28 @@ from __future__ import annotations
 
 import struct
 import zlib
+from array import array
+from bisect import bisect_left
 from dataclasses import dataclass
 
+from schemas import decompression
 from schemas.cursor import Cursor
+from schemas.declarations import Declarations
 from schemas.errors import DamagedRecording
 from schemas.mcap_writer import MAGIC
 from schemas.parts import (
+    ATTACHMENT,
     ATTACHMENT_INDEX,
     CHANNEL,
+    CHUNK,
     CHUNK_INDEX,
     DATA_END,
     FOOTER,
+    HEADER,
+    MESSAGE,
+    MESSAGE_HEAD,
+    MESSAGE_INDEX,
+    METADATA,
     RECORD_HEAD,
     SCHEMA,
     STATISTICS,
@@ -34,7 +45,9 @@ _FOOTER = struct.Struct("<BQQQI")
 _DATA_END = struct.Struct("<BQI")
 _INDEX_HEAD = RECORD_HEAD + 6  # of a message index, before its entries
 _ENTRY = 16
+_LISTED = 10  # an entry of a chunk's list of message indexes
 _CHUNK_HEAD = 40  # of a chunk, without the name of its compression
+_NOT_HERE = (0, HEADER, FOOTER, MESSAGE, CHUNK, MESSAGE_INDEX, ATTACHMENT, METADATA, DATA_END)
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,20 +55,26 @@ class IndexedChunk:
     """A chunk as the summary has it.
 
     first_time, last_time  log times of its messages [ns]
-    indexes                by channel, where the record is that lists its messages; all behind the chunk, in one piece
+    channels               that have messages in it, in order of their numbers
+    places                 where the record is that lists the messages of each; all behind the chunk, in one piece
     index_bytes            of all of them
     """
 
     chunk: Chunk
     first_time: int
     last_time: int
-    indexes: dict[int, int]
+    channels: array[int]
+    places: array[int]
     index_bytes: int
+
+    def place_of(self, channel: int) -> int:
+        """Where the messages of one of the channels are listed."""
+        return self.places[bisect_left(self.channels, channel)]
 
     @property
     def messages(self) -> int:
         """How many the lengths of the indexes leave room for."""
-        return max(0, self.index_bytes - _INDEX_HEAD * len(self.indexes)) // _ENTRY
+        return max(0, self.index_bytes - _INDEX_HEAD * len(self.channels)) // _ENTRY
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,14 +82,14 @@ class Index:
     """The summary of a file.
 
     data_end, data_crc  where the record is that ends the data section; the CRC in it, zero where there is none
-    declared            contents of the records that declare schemas and channels, with their opcodes
+    declared            schemas and channels
     chunks              in the order of the file
     attachments         the same
     """
 
     data_end: int
     data_crc: int
-    declared: tuple[tuple[int, memoryview], ...]
+    declared: Declarations
     chunks: tuple[IndexedChunk, ...]
     attachments: tuple[Attachment, ...]
 
@@ -107,20 +126,24 @@ class _Summary:
     def __init__(self, source: Source, data_end: int) -> None:
         self._place = source.place
         self._data_end = data_end
-        self._declared: list[tuple[int, memoryview]] = []
+        self._declared = Declarations(source.place)
+        self._channels = 0  # records of them
         self._chunks: list[IndexedChunk] = []
         self._attachments: list[Attachment] = []
         self._counts: tuple[int, int, int, int] | None = None  # messages, channels, attachments, chunks
 
     def read(self, section: memoryview, data_crc: int) -> Index | None:
         cursor = Cursor(self._place, section, 0, len(section), self._data_end + _DATA_END.size)
-        while cursor.left >= RECORD_HEAD:
+        while cursor.left:
             opcode, length = cursor.take(1)[0], cursor.u64()
+            if opcode in _NOT_HERE:
+                raise self._damaged(f"its summary has a record of type {opcode}, which none can have")
             at = cursor.at
             content = cursor.take(length)
             record = Cursor(self._place, content, 0, length, at)
             if opcode in (SCHEMA, CHANNEL):
-                self._declared.append((opcode, content))
+                self._declared.take(opcode, record)
+                self._channels += opcode == CHANNEL
             elif opcode == CHUNK_INDEX:
                 self._chunks.append(self._chunk(record))
             elif opcode == ATTACHMENT_INDEX:
@@ -131,32 +154,45 @@ class _Summary:
                 self._counts = messages, channels, attachments, record.u32()
         self._chunks.sort(key=lambda c: c.chunk.record)
         self._check_places()
-        if self._counts != self._found():
+        if self._counts != self._found() or not self._declared.whole:
             return None
-        return Index(self._data_end, data_crc, tuple(self._declared), tuple(self._chunks), tuple(self._attachments))
+        return Index(self._data_end, data_crc, self._declared, tuple(self._chunks), tuple(self._attachments))
 
     def _found(self) -> tuple[int, int, int, int]:
         # Messages outside of chunks are in no index, so the numbers have to agree; where chunks have no index of their
         # messages, these are counted by nobody.
-        indexed = all(c.indexes or not c.chunk.uncompressed_size for c in self._chunks)
+        indexed = all(c.channels or not c.chunk.uncompressed_size for c in self._chunks)
         messages = sum(c.messages for c in self._chunks) if indexed or self._counts is None else self._counts[0]
-        channels = sum(opcode == CHANNEL for opcode, _ in self._declared)
-        return messages, channels, len(self._attachments), len(self._chunks)
+        return messages, self._channels, len(self._attachments), len(self._chunks)
 
     def _chunk(self, record: Cursor) -> IndexedChunk:
         first, last, start, length = record.u64(), record.u64(), record.u64(), record.u64()
         entries = record.take(record.u32())
-        if len(entries) % 10:
+        if len(entries) % _LISTED:
             raise self._damaged("an index of a chunk has half an entry")
-        indexes = dict(struct.iter_unpack("<HQ", entries))
+        if len(entries) > _LISTED << 16:
+            raise self._damaged(f"its index says of the messages of the chunk at byte {start} what cannot be")
+        listed = sorted(struct.iter_unpack("<HQ", entries))
+        channels, places = array("H", [c for c, _ in listed]), array("Q", [at for _, at in listed])
         index_bytes, compression = record.u64(), record.name()
         stored, size = record.u64(), record.u64()
         content, end = start + RECORD_HEAD, start + length
         if length != RECORD_HEAD + _CHUNK_HEAD + len(compression.encode()) + stored:
             raise self._damaged(f"its index says of the chunk at byte {start} what cannot be")
-        if len(indexes) * 10 != len(entries) or any(not end <= at < end + index_bytes for at in indexes.values()):
+        if size > decompression.limit(compression, stored):
+            raise self._damaged(f"its index says of the chunk at byte {start} that it becomes more than it can hold")
+        found = IndexedChunk(
+            Chunk(compression, size, content, end - stored, end), first, last, channels, places, index_bytes
+        )
+        # each index takes a few bytes, and each message that is listed: what can be announced is less than the file
+        behind = end
+        for at in sorted(places):
+            if not behind <= at <= end + index_bytes - _INDEX_HEAD:
+                raise self._damaged(f"its index says of the messages of the chunk at byte {start} what cannot be")
+            behind = at + _INDEX_HEAD
+        if len(set(channels)) != len(channels) or found.messages > size // (RECORD_HEAD + MESSAGE_HEAD.size):
             raise self._damaged(f"its index says of the messages of the chunk at byte {start} what cannot be")
-        return IndexedChunk(Chunk(compression, size, content, end - stored, end), first, last, indexes, index_bytes)
+        return found
 
     def _attachment(self, record: Cursor) -> Attachment:
         start, length = record.u64(), record.u64()

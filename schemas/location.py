@@ -65,6 +65,11 @@ def place(given: str | Path | Location) -> Place:
     return given
 
 
+def chain(address: str) -> list[str]:
+    """The parts of a chained address, such as zip://a.mcap::https://..."""
+    return _CHAINED.split(address)
+
+
 def shown(address: str) -> str:
     """An address without user, password, query and fragment, and without what a terminal would obey."""
     return "::".join(map(_without_secrets, _CHAINED.split(address)))
@@ -82,11 +87,16 @@ def redacted(text: str) -> str:
 
 
 def _without_secrets(address: str) -> str:
-    scheme, found, rest = address.partition("?")[0].partition("://")
+    scheme, found, rest = address.partition("://")
     if not found:
-        return _visible(scheme)
+        return _visible(scheme.partition("?")[0])
     if scheme.lower() in _WEB:
+        # A password may hold / ? and # that nobody escaped; what precedes the last @ may be one.
+        before, _, rest = rest.rpartition("@")
+        if "?" in before or "#" in before:
+            return _visible(f"{scheme}://...")  # nor what follows, which may be the rest of a query
         rest = rest.partition("#")[0]
+    rest = rest.partition("?")[0]
     authority, slash, path = rest.partition("/")
     return _visible(f"{scheme}://{authority.rpartition('@')[2]}{slash}{path}")
 

@@ -11,10 +11,12 @@ from collections import OrderedDict
 from collections.abc import Iterable, Iterator
 from threading import Lock
 from typing import Any
+from urllib.parse import unquote
 
 from schemas.errors import DamagedRecording, Unreachable
-from schemas.location import Location, redacted
+from schemas.location import Location, chain, is_address, redacted
 from schemas.source import Source
+from schemas.web import WrongAnswer, web_part
 
 _BLOCK = 64 << 10
 _CACHED_BYTES = 32 << 20
@@ -34,6 +36,7 @@ class RemoteFile(Source):
     """
 
     near = False
+    place: Location
     workers = _WORKERS
 
     def __init__(self, location: Location) -> None:
@@ -48,7 +51,6 @@ class RemoteFile(Source):
             raise Unreachable(f"cannot read {location} in parts: the server does not say how large it is; download it")
         self.size = size
         self._asked = time.monotonic()
-        self._parts_are_given = not _is_web(location)  # a web server may answer with the whole file instead
         self._lock = Lock()
         self._blocks: OrderedDict[int, bytes] = OrderedDict()
         self._next = -1  # block behind the last request
@@ -107,14 +109,10 @@ class RemoteFile(Source):
 
     def _fetch(self, begin: int, end: int) -> bytes:
         try:
-            if self._parts_are_given:
-                data = self._system.cat_file(self._path, start=begin, end=end)
+            if _is_web(self.place):
+                data = web_part(self._system, self._path, begin, end)
             else:
-                # this way fsspec notices, and stops, where the answer is not the part that was asked for
-                with self._system.open(self._path, "rb", cache_type="none") as stream:
-                    stream.seek(begin)
-                    data = stream.read(end - begin)
-                self._parts_are_given = begin > 0
+                data = self._system.cat_file(self._path, start=begin, end=end)
         except Exception as error:  # each file system has its own
             raise Unreachable(f"cannot read {self.place}: {_reason(error)}") from None
         with self._lock:
@@ -138,14 +136,26 @@ class RemoteFile(Source):
 
 
 def matching(pattern: Location, most: int) -> list[Location]:
-    """The files that an address with wildcards (*, [...]) stands for, sorted; as itself where it has none.
+    """The files that an address with wildcards (*, [...]) in its path stands for, sorted; as itself where it has none,
+    or where a file has that very name. They keep the query of the address, and what it is chained to.
 
     Unreachable where the file system cannot tell, or where they are more than `most`.
     """
-    if not any(c in pattern.url for c in "*["):
+    first, *behind = chain(pattern.url)
+    if not is_address(first) and behind:  # simplecache::https://...
+        return [Location(f"{first}::{found.url}") for found in matching(Location("::".join(behind)), most)]
+    query = ""
+    if _is_web(pattern):
+        first, mark, query = first.partition("?")
+        query = mark + query
+    name = first.partition("://")[2]
+    if not any(c in (name.partition("/")[2] if _is_web(pattern) else name) for c in "*["):  # not in [::1]
         return [pattern]
     system, path = _file_system(pattern)
     try:
+        if system.isfile(path):
+            return [pattern]
+        path = path.removesuffix(query)
         found = sorted(map(str, system.glob(path)))
     except Exception as error:
         raise Unreachable(f"cannot list {pattern}: {_reason(error)}") from None
@@ -153,7 +163,10 @@ def matching(pattern: Location, most: int) -> list[Location]:
         raise Unreachable(f"cannot list {pattern}: no file there has such a name, or the server shows no list")
     if len(found) > most:
         raise Unreachable(f"{pattern} stands for {len(found)} files, more than the {most} that are read at once")
-    return [Location(str(system.unstrip_protocol(name))) for name in found]
+    if behind:
+        scheme = first.partition("://")[0]
+        return [Location("::".join([f"{scheme}://{name}", *behind])) for name in found]
+    return [Location(f"{system.unstrip_protocol(name)}{query}") for name in found]
 
 
 def _runs(numbers: Iterable[int]) -> list[range]:
@@ -180,9 +193,12 @@ def _file_system(location: Location) -> tuple[Any, str]:
 
             options["headers"] = {"Accept-Encoding": "identity"}  # parts of the file, not of what a server packs
             options["client_kwargs"] = {
-                "timeout": aiohttp.ClientTimeout(total=None, sock_connect=_CONNECT_S, sock_read=_SILENCE_S)
+                "auto_decompress": False,  # a few bytes may become any number
+                "timeout": aiohttp.ClientTimeout(total=None, sock_connect=_CONNECT_S, sock_read=_SILENCE_S),
             }
         system, path = fsspec.core.url_to_fs(location.url, **options)
+        if location.url.lower().startswith("file://") and "%" in path and not system.exists(path):
+            path = unquote(path)
     except ImportError as error:
         raise Unreachable(
             f"cannot read {location}: {redacted(str(error))}; pip install 'gpusimbench[remote]' reads https://, other "
@@ -207,7 +223,7 @@ def _reason(error: BaseException) -> str:
         return "access is refused"
     if isinstance(error, TimeoutError):
         return "no answer in time"
-    if isinstance(error, ValueError) and ("range requests" in str(error) or "Cannot seek" in str(error)):
-        return "the server gives files only as a whole; download it"
+    if isinstance(error, WrongAnswer):
+        return str(error)
     told = redacted(str(error)).strip()
     return f"{type(error).__name__}{': ' if told else ''}{told[:300]}"

@@ -6,6 +6,7 @@ import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from gzip import compress
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from threading import Lock, Thread
 from typing import Any
@@ -18,6 +19,8 @@ class Web:
 
     files     by path, without the leading slash
     ranges    whether parts are given
+    packed    whether parts are compressed, though nobody asked for it
+    more      bytes of zero behind each part
     cut       bytes of an answer after which the connection breaks; None: never
     requests  the parts that were asked for: path, first and last byte (None: all of it)
     sent      bytes of all answers
@@ -25,6 +28,8 @@ class Web:
 
     files: dict[str, bytes] = field(default_factory=dict)
     ranges: bool = True
+    packed: bool = False
+    more: int = 0
     cut: int | None = None
     requests: list[tuple[str, tuple[int, int] | None]] = field(default_factory=list)
     sent: int = 0
@@ -73,6 +78,11 @@ def serving() -> Iterator[Web]:
                 self.send_header("Content-Range", f"bytes {first}-{last}/{total}")
             else:
                 self.send_response(200)
+            if asked and web.packed:
+                part = compress(part)
+                self.send_header("Content-Encoding", "gzip")
+            if asked:
+                part += bytes(web.more)
             self.send_header("Content-Length", str(len(part)))
             self.send_header("ETag", f'"{crc32(content)}"')
             self.end_headers()

@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from evaluator.cli.arguments import local_name, local_path
 from evaluator.cli.entry import complain, enter, new_parser
 from evaluator.cli.json_target import check_target, write_json
 from schemas.errors import ExitCode, UsageError
@@ -56,15 +57,19 @@ def parser() -> argparse.ArgumentParser:
         "agrees. Recordings that were made alike are originals of one audit.",
         _EPILOG,
     )
-    p.add_argument("files", nargs="+", type=Path, metavar="FILE", help="recordings (.mcap)")
+    p.add_argument("files", nargs="+", type=local_path, metavar="FILE", help="recordings (.mcap)")
     p.add_argument("--runs", type=int, default=1, metavar="R", help="replays of each (default: 1; statistics want 6)")
-    p.add_argument("--out", type=Path, default=Path("audit"), metavar="DIR", help="of the replays (default: audit/)")
+    p.add_argument(
+        "--out", type=local_path, default=Path("audit"), metavar="DIR", help="of the replays (default: audit/)"
+    )
     p.add_argument(
         "--require", choices=_LEVELS, default=_LEVELS[-1], metavar="LEVEL", help="see below (default: %(default)s)"
     )
     p.add_argument("--ulps", type=int, default=4, metavar="K", help="of the level within-ulps (default: %(default)s)")
-    p.add_argument("--json", metavar="FILE", help="write the results as JSON; - for standard output, alone")
-    p.add_argument("--python", type=Path, metavar="PATH", help="interpreter that makes the replays")
+    p.add_argument(
+        "--json", type=local_name, metavar="FILE", help="write the results as JSON; - for standard output, alone"
+    )
+    p.add_argument("--python", type=local_path, metavar="PATH", help="interpreter that makes the replays")
     p.add_argument("--timeout", type=float, metavar="S", help="of each replay; 0: none (default: as below)")
     p.add_argument("--phases", metavar="LIST", help="timed, capture or both (default: those that were recorded)")
     p.add_argument(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 
+from evaluator.cli.arguments import local_name
 from evaluator.cli.entry import enter, new_parser
 from evaluator.cli.json_target import check_target, write_json
 from schemas.errors import ExitCode, UsageError
@@ -39,9 +40,17 @@ def parser() -> argparse.ArgumentParser:
     )
     p.add_argument("files", nargs="*", type=place, metavar="FILE", help="recordings (.mcap), or addresses of them")
     p.add_argument("--protocol", action="store_true", help="check the benchmark's protocol as well as integrity")
-    p.add_argument("--rules", action="append", metavar="NAME|FILE", help="rule set instead of integrity-1; repeatable")
+    p.add_argument(
+        "--rules",
+        action="append",
+        type=local_name,
+        metavar="NAME|FILE",
+        help="rule set instead of integrity-1; repeatable",
+    )
     p.add_argument("--list-rules", action="store_true", help="show the rules, and what a file of rules can use")
-    p.add_argument("--json", metavar="FILE", help="write the findings as JSON; - for standard output, alone")
+    p.add_argument(
+        "--json", type=local_name, metavar="FILE", help="write the findings as JSON; - for standard output, alone"
+    )
     return p
 
 

@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from evaluator.cli.arguments import local_name, local_path
 from evaluator.cli.entry import complain, enter, new_parser, write
 from evaluator.cli.json_target import check_target
 from schemas.errors import ExitCode, UsageError
@@ -46,8 +47,10 @@ def parser() -> argparse.ArgumentParser:
         help="with one recording, twice: these two; with two, once: this one of both, or twice: E of the first "
         "and E of the second (default: all environments)",
     )  # fmt: skip
-    p.add_argument("--json", metavar="FILE", help="write the result as JSON; - for standard output, alone")
-    p.add_argument("--plot", type=Path, metavar="FILE.svg", help="draw how the difference grows")
+    p.add_argument(
+        "--json", type=local_name, metavar="FILE", help="write the result as JSON; - for standard output, alone"
+    )
+    p.add_argument("--plot", type=local_path, metavar="FILE.svg", help="draw how the difference grows")
     p.add_argument("--no-verify", action="store_true", help="skip the digests; CRCs of what is read are still checked")
     return p
 

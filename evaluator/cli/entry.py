@@ -9,15 +9,22 @@ import shlex
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import NoReturn
 
 import schemas
 from schemas.errors import ExitCode, GsbError
-from schemas.location import shown_argument
+from schemas.location import redacted, shown_argument
+
+
+class _Parser(argparse.ArgumentParser):
+    def error(self, message: str) -> NoReturn:
+        """See ArgumentParser.error; an argument that is no number may be an address with a password."""
+        super().error(redacted(message))
 
 
 def new_parser(command: str, description: str, epilog: str) -> argparse.ArgumentParser:
     """A parser of a command's arguments, with what all commands have."""
-    p = argparse.ArgumentParser(
+    p = _Parser(
         prog=command, description=description, epilog=epilog, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     p.add_argument("--version", action="version", version=f"gpusimbench {schemas.__version__}")
@@ -55,10 +62,13 @@ def enter(
 
 
 def complain(command: str, message: str) -> None:
-    """One line on standard error; what a terminal would obey in it is shown, not done."""
+    """One line on standard error; what a terminal would obey in it is shown, not done.
+
+    Of addresses, what gives access is left out.
+    """
     from evaluator.report.text import printable
 
-    print(f"{command}: {printable(message)}", file=sys.stderr)
+    print(f"{command}: {printable(redacted(message))}", file=sys.stderr)
 
 
 def write(path: Path, text: str) -> None:

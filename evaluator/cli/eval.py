@@ -8,6 +8,7 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from evaluator.cli.arguments import local_name, local_path
 from evaluator.cli.entry import complain, enter, new_parser, write
 from evaluator.cli.json_target import check_target
 from schemas.errors import ExitCode, GsbError, NothingComparable, UsageError
@@ -47,14 +48,18 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument("files", nargs="+", type=place, metavar="FILE", help="recordings (.mcap), or addresses of them")
     p.add_argument("--reference", type=place, metavar="FILE", help="recording to compare positions with")
     p.add_argument("--sample-time", type=float, default=5.0, metavar="S", help="simulated time (default: 5.0)")
-    p.add_argument("--json", metavar="FILE", help="write the results as JSON; - for standard output, alone")
-    p.add_argument("--html", type=Path, metavar="DIR", help="write a report to DIR/index.html")
-    p.add_argument("--tables", type=Path, metavar="DIR", help="write metrics.parquet and runs.parquet")
+    p.add_argument(
+        "--json", type=local_name, metavar="FILE", help="write the results as JSON; - for standard output, alone"
+    )
+    p.add_argument("--html", type=local_path, metavar="DIR", help="write a report to DIR/index.html")
+    p.add_argument("--tables", type=local_path, metavar="DIR", help="write metrics.parquet and runs.parquet")
     p.add_argument("--physics", action="store_true", help="show each check of mechanics, with what it allows")
     p.add_argument("--published", action="store_true", help="show the paper's figures beside, marked as such")
     p.add_argument("--no-verify", action="store_true", help="skip the digests; CRCs of what is read are still checked")
     p.add_argument("--ray", metavar="ADDRESS", help="spread the work over a Ray cluster: an address, auto, or local")
-    p.add_argument("--cache", type=Path, metavar="DIR", help="where to keep results (default: the user's cache folder)")
+    p.add_argument(
+        "--cache", type=local_path, metavar="DIR", help="where to keep results (default: the user's cache folder)"
+    )
     p.add_argument("--no-cache", action="store_true", help="compute everything anew and keep nothing")
     return p
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 
+from evaluator.cli.arguments import local_name
 from evaluator.cli.entry import complain, enter, new_parser
 from evaluator.cli.json_target import check_target, write_json
 from schemas.errors import ExitCode, GsbError
@@ -32,7 +33,7 @@ def parser() -> argparse.ArgumentParser:
         _EPILOG,
     )
     p.add_argument("files", nargs="+", type=place, metavar="FILE", help="recordings (.mcap), or addresses of them")
-    p.add_argument("--json", metavar="FILE", help="write it as JSON; - for standard output, alone")
+    p.add_argument("--json", type=local_name, metavar="FILE", help="write it as JSON; - for standard output, alone")
     p.add_argument("--no-verify", action="store_true", help="skip digests and comparisons; CRCs are still checked")
     return p
 

@@ -13,7 +13,7 @@ from mcap.writer import CompressionType, Writer
 
 from evaluator import open_recording
 from schemas.container import Container
-from schemas.errors import NotARecording, RecordingError
+from schemas.errors import DamagedRecording, NotARecording, RecordingError
 from tests.synthetic import grid, write_recording
 
 compressions = pytest.mark.parametrize("compression", ["none", "lz4", "zstd"])
@@ -192,3 +192,19 @@ def test_something_else_is_named(tmp_path: Path) -> None:
         path.write_bytes(stream.getvalue())
         with pytest.raises(NotARecording, match=message):
             open_recording(path)
+
+
+def test_bytes_that_change_after_they_were_verified(tmp_path: Path) -> None:
+    """Notice that a number of a state was overwritten in the file itself, though its chunk was read before."""
+    path = write_recording(tmp_path, grid(3), steps=5)
+    recording = open_recording(path)
+    recording.verify()
+    container = recording._container
+    (topic,) = [topic for topic in container.channels if topic.startswith("/state/")]
+    content = container.read(container.messages(topic)[0])[1]
+    with path.open("r+b") as stream:
+        at = path.read_bytes().index(bytes(content)) + len(content) - 3
+        stream.seek(at)
+        stream.write(bytes([path.read_bytes()[at] ^ 1]))
+    with pytest.raises(DamagedRecording, match="CRC"):
+        np.asarray(recording.state("cubes", "position"))

@@ -7,6 +7,8 @@ import random
 import struct
 import subprocess
 import sys
+import tracemalloc
+import zipfile
 import zlib
 from collections.abc import Iterator
 from pathlib import Path
@@ -19,12 +21,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from evaluator import open_recording
-from evaluator.cli import check, diff, info
+from evaluator.cli import audit, check, diff, info, share
 from evaluator.cli import eval as evaluation
 from evaluator.integrity import examine
 from evaluator.locations import expand
 from evaluator.recording import Recording
-from schemas import container, remote
+from schemas import container, decompression, remote
 from schemas.container import Container
 from schemas.errors import DamagedRecording, NotARecording, RecordingError, Unreachable
 from schemas.location import Location, redacted, shown, shown_argument
@@ -502,3 +504,161 @@ def test_commands_of_the_guide(tmp_path: Path) -> None:
 def test_names_of_addresses(address: str, text: str, name: str) -> None:
     """Show what tells files apart, and name them without their folder."""
     assert (str(Location(address)), Location(address).name) == (text, name)
+
+
+def _record(opcode: int, content: bytes = b"") -> bytes:
+    return struct.pack("<BQ", opcode, len(content)) + content
+
+
+def _with(data: bytes, *, beside: bytes = b"", behind: bytes = b"", instead: bytes | None = None) -> bytes:
+    # records beside the chunks, behind the summary's, or instead of those; sizes and CRCs are right
+    begin = _summary(data)
+    section = (data[begin : len(data) - len(MAGIC) - 29] if instead is None else instead) + behind
+    head = data[: begin - 13] + beside
+    end = head + _record(15, struct.pack("<I", zlib.crc32(head)))
+    footer = _record(2, struct.pack("<QQI", len(end), 0, 0))
+    return _resealed(bytearray(end + section + footer + MAGIC))
+
+
+@pytest.mark.parametrize(
+    "more",
+    [
+        {"beside": bytes(9)},
+        {"beside": _record(2, bytes(20))},
+        {"beside": _record(15, bytes(4))},
+        {"beside": _record(4, struct.pack("<HHI", 1, 0, 2) + b"/Z" + bytes(8))},
+        {"beside": _record(3, struct.pack("<HI", 60000, 1) + b"x" + bytes(8))},
+        {"behind": b"\5"},
+        {"behind": bytes(8)},
+        {"behind": bytes(9)},
+        {"behind": _record(2, bytes(20))},
+        {"behind": _record(7, bytes(6))},
+    ],
+)
+def test_nothing_that_a_walk_would_trip_over(memory: Any, tmp_path: Path, more: dict[str, bytes]) -> None:
+    """Refuse what a file holds beside its records, though its summary and all CRCs are right."""
+    data = write_recording(tmp_path, grid(4)).read_bytes()
+    memory.pipe("/good", _with(data))
+    recording = open_recording("memory://good")
+    recording.verify()
+    assert recording._container.indexed
+    memory.pipe("/bad", _with(data, **more))
+    with pytest.raises(DamagedRecording):
+        open_recording("memory://bad").verify()
+
+
+def test_indexes_that_are_never_read(memory: Any, tmp_path: Path) -> None:
+    """Refuse a false index of a chunk's only message, which is found without it."""
+    data = write_recording(tmp_path, grid(4)).read_bytes()
+    places = [struct.unpack_from("<Q", r, 9 + 32 + 4 + 2)[0] for r in _records(data) if r[0] == 8]
+    for at, value in ((9 + 6 + 8, 2**40), (9 + 6, 7), (9 + 2, 0)):
+        changed = bytearray(data)
+        changed[places[-1] + at : places[-1] + at + 4] = (value & 0xFFFFFFFF or value >> 32).to_bytes(4, "little")
+        memory.pipe("/index", _with(bytes(changed)))
+        opened = Container(Location("memory://index"))
+        assert opened.indexed
+        with pytest.raises(DamagedRecording, match="index"):
+            opened.verify()
+
+
+def test_memory_of_a_summary(memory: Any) -> None:
+    """Take a summary of 60,000 declarations in little memory, and refuse lists that no file has room for."""
+    head = MAGIC + _record(1, struct.pack("<I", 6) + b"gsb.v1" + bytes(4))
+    data = head + _record(15, bytes(4)) + _record(2, struct.pack("<QQI", len(head) + 13, 0, 0)) + MAGIC
+    schema = _record(3, struct.pack("<HII", 1, 0, 0) + bytes(4))
+    memory.pipe("/many", _with(data, instead=schema * 60_000))
+    tracemalloc.start()
+    with pytest.raises(DamagedRecording, match="cut short"):  # without statistics it is walked
+        open_recording("memory://many")
+    assert tracemalloc.get_traced_memory()[1] < 20e6
+    tracemalloc.stop()
+    listed = b"".join(struct.pack("<HQ", i, len(head) + 49 + i) for i in range(1000))
+    chunk = struct.pack("<QQQQI", 0, 0, len(head), 49, len(listed)) + listed + struct.pack("<QIQQ", 15_000, 0, 0, 0)
+    memory.pipe("/lists", _with(data, beside=bytes(9 + 15_100), instead=_record(8, chunk)))
+    with pytest.raises(DamagedRecording, match="what cannot be"):
+        open_recording("memory://lists")
+
+
+def test_records_that_are_too_long(memory: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Refuse a long record of a remote file before it is read."""
+    path = write_recording(tmp_path, grid(4))
+    address = _put(memory, path)
+    monkeypatch.setattr(container, "MAX_HEADER_BYTES", 3)
+    with pytest.raises(DamagedRecording, match="more than the 3 that are read from elsewhere"):
+        open_recording(address)
+    monkeypatch.undo()
+    monkeypatch.setattr(decompression, "MAX_BYTES", 100)
+    with pytest.raises(DamagedRecording, match="more than the 100 that are read from elsewhere"):
+        open_recording(address).verify()
+
+
+def test_no_more_than_was_asked_for(web: Web, large: list[Path]) -> None:
+    """Refuse an answer that is packed or longer than the part, after no more bytes than the part has."""
+    web.files["a.mcap"] = large[0].read_bytes()
+    web.packed = True
+    with pytest.raises(Unreachable, match="the server packs its answers"):
+        open_recording(f"{web.address}/a.mcap")
+    web.packed, web.more = False, 200 << 20
+    with pytest.raises(Unreachable, match="more than the [0-9]+ bytes that it was asked for"):
+        open_recording(f"{web.address}/a.mcap")
+    assert web.sent < 1 << 20  # no answer was taken to its end
+    web.more = 0
+    open_recording(f"{web.address}/a.mcap").state("cubes", "position").at_step(3)
+
+
+@pytest.mark.parametrize(
+    "address",
+    [
+        "https://user:SECRET@h.example/x.json",
+        "https://user:pa/SECRET@h.example/x",
+        "https://user:SECRET#x@h.example/",
+        "https://user:SECRET?x@h.example/",
+        "https://h.example/x?X-Amz-Signature=SECRET",
+        "https://h.example/x?e=a@SECRET",
+    ],
+)
+def test_addresses_where_paths_are_meant(
+    address: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Refuse an address in place of a path as wrong usage, make no folder of it, and tell none of its secrets."""
+    monkeypatch.chdir(tmp_path)
+    file = "none.mcap"
+    cases: list[tuple[Any, list[str]]] = [
+        (share.main, ["pack", address]), (share.main, ["recover", address]),
+        (share.main, ["pack", file, "--out", address]),
+        (audit.main, [address]), (audit.main, [file, "--out", address]), (check.main, [file, "--rules", address]),
+        (diff.main, [file, "--env", address]), (diff.main, [file, "--plot", address]),
+        *((evaluation.main, [file, option, address]) for option in ("--json", "--html", "--tables", "--cache")),
+        *((main, [file, "--json", address]) for main in (audit.main, check.main, diff.main, info.main)),
+    ]  # fmt: skip
+    for main, arguments in cases:
+        with pytest.raises(SystemExit) as ended:
+            main(arguments)
+        assert ended.value.code == 2
+        found = capsys.readouterr()
+        assert "SECRET" not in found.out + found.err
+        assert not list(tmp_path.iterdir())
+    assert "SECRET" not in shown(address) + redacted(f"cannot read {address}: no") + shown_argument(address)
+
+
+def test_wildcards_of_the_path_alone(web: Web, tmp_path: Path) -> None:
+    """Look for wildcards in the path, after the name itself, and keep the query and the archive of what is found."""
+    web.files["d/x.mcap"] = b"content"
+    for query in ("?sig=ab*cd", "?f[0]=1"):
+        address = Location(f"{web.address}/d/x.mcap{query}")
+        assert expand([address]) == [address]
+        assert not web.requests
+    assert expand([Location(f"{web.address}/d/*.mcap?token=T")]) == [Location(f"{web.address}/d/x.mcap?token=T")]
+    six = Location("http://[::1]:1/x.mcap")
+    assert expand([six]) == [six]
+    for name in ("br[1].mcap", "sp ace.mcap"):
+        (tmp_path / name).write_bytes(b"content")
+    literal = Location(f"file://{tmp_path}/br[1].mcap")
+    assert expand([literal]) == [literal]
+    assert RemoteFile(Location(f"file://{tmp_path}/sp%20ace.mcap")).read(0, 7) == b"content"
+    with zipfile.ZipFile(tmp_path / "z.zip", "w") as archive:
+        archive.write(tmp_path / "br[1].mcap", "a.mcap")
+    (found,) = expand([Location(f"zip://*.mcap::file://{tmp_path}/z.zip")])
+    assert found == Location(f"zip://a.mcap::file://{tmp_path}/z.zip")
+    assert isinstance(found, Location)
+    assert RemoteFile(found).read(0, 7) == b"content"
