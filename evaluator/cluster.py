@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-import io
 import os
 import socket
 import sys
-import threading
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import ExitStack, contextmanager, redirect_stderr, redirect_stdout, suppress
+from contextlib import ExitStack, redirect_stdout
 from pathlib import Path
 from types import TracebackType
 from typing import Any, TypeVar
 
 from evaluator.cache.version import code_version
 from schemas.errors import GsbError, UsageError
+from schemas.output import OfMainThread, unheard
 
 LOCAL = "local"
 """The address of a cluster that is started on this machine for one command."""
@@ -47,13 +46,13 @@ class Cluster:
             raise UsageError("--ray needs the package ray: pip install 'gpusimbench[ray]'") from None
         options: dict[str, Any] = {"object_store_memory": _STORE_BYTES} if address == LOCAL else {}
         try:
-            with _unheard():
+            with unheard():
                 ray.init(address, log_to_driver=False, configure_logging=False, **options)
         except (ConnectionError, ValueError, RuntimeError, OSError) as error:
             raise GsbError(f"no Ray cluster at {address}: {str(error).splitlines()[0]}") from None
         self._ray = ray
         self._quiet = ExitStack()
-        self._quiet.enter_context(redirect_stdout(_OfMainThread(sys.stdout)))
+        self._quiet.enter_context(redirect_stdout(OfMainThread(sys.stdout)))
         self._task = ray.remote(_part).options(num_cpus=1, max_retries=_RETRIES)
         self._cores = max(1, int(ray.cluster_resources().get("CPU", 1)))
 
@@ -63,7 +62,7 @@ class Cluster:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        with self._quiet, _unheard():
+        with self._quiet, unheard():
             self._ray.shutdown()
 
     def __call__(self, function: Callable[[_Item], _Result], items: Iterable[_Item], /) -> Iterator[_Result]:
@@ -91,45 +90,6 @@ class Cluster:
         if why_not:
             raise GsbError(why_not)
         return found
-
-
-class _OfMainThread:
-    """Standard output, to which no other thread's words come: Ray tells there which nodes died."""
-
-    def __init__(self, stream: Any) -> None:
-        self._stream = stream
-
-    def write(self, text: str) -> int:
-        """As of a text stream."""
-        if threading.current_thread() is threading.main_thread():
-            self._stream.write(text)
-        return len(text)
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._stream, name)
-
-
-@contextmanager
-def _unheard() -> Iterator[None]:
-    """What is printed meanwhile goes nowhere, and so does what processes print that are started meanwhile.
-
-    Ray tells there what nobody asked for, and a process of its that outlived the command, holding the command's output,
-    would keep whoever reads that waiting.
-    """
-    kept: dict[int, int] = {}
-    nowhere = os.open(os.devnull, os.O_WRONLY)
-    try:
-        for number in (1, 2):
-            with suppress(OSError):  # the command was started without it
-                kept[number] = os.dup(number)
-                os.dup2(nowhere, number)
-        with redirect_stdout(io.StringIO()), redirect_stderr(io.StringIO()):  # not to be mixed with what waits in ours
-            yield
-    finally:
-        for number, copy in kept.items():
-            os.dup2(copy, number)
-            os.close(copy)
-        os.close(nowhere)
 
 
 def _part(function: Callable[[Any], Any], item: Any, folder: Path, version: str) -> tuple[Any, str]:

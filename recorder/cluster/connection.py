@@ -5,15 +5,13 @@ Nothing else here imports Ray. Agents are ``recorder.cluster.agent.Agent``, sent
 
 from __future__ import annotations
 
-import io
 import logging
 import os
 import signal
 import sys
-import threading
 import time
-from collections.abc import Collection, Iterator
-from contextlib import ExitStack, contextmanager, redirect_stderr, redirect_stdout, suppress
+from collections.abc import Collection
+from contextlib import ExitStack, redirect_stdout, suppress
 from dataclasses import dataclass, field
 from importlib import import_module
 from types import TracebackType
@@ -22,6 +20,7 @@ from typing import Any
 from recorder.cluster import agent
 from recorder.interruption import SIGNALS, shielded
 from schemas.errors import UsageError
+from schemas.output import OfMainThread, unheard
 
 LOCAL = "local"
 """Address that means: a cluster of this machine alone, for as long as the command runs."""
@@ -85,11 +84,11 @@ class Cluster:
         for name, value in _SETTINGS.items():
             os.environ.setdefault(name, value)
         logging.getLogger("ray").setLevel(logging.ERROR)
-        self._quiet.enter_context(redirect_stdout(_OfMainThread(sys.stdout)))
+        self._quiet.enter_context(redirect_stdout(OfMainThread(sys.stdout)))
         handlers = {number: signal.getsignal(number) for number in SIGNALS}
         local: dict[str, Any] = {"include_dashboard": False, "object_store_memory": _STORE_BYTES}
         try:
-            with _unheard():
+            with unheard():
                 ray.init(
                     address=self._address, log_to_driver=False, configure_logging=False,
                     **(local if self._address == LOCAL else {}),
@@ -111,7 +110,7 @@ class Cluster:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         # shielded, since processes of a local cluster would stay behind
-        with shielded(), self._quiet, _unheard():
+        with shielded(), self._quiet, unheard():
             self._ray.shutdown()
 
     def nodes(self) -> list[Node]:
@@ -175,45 +174,6 @@ class Cluster:
             return bool(self._ray.get(ref))
         except self._ray.exceptions.RayError:
             return False
-
-
-@contextmanager
-def _unheard() -> Iterator[None]:
-    """What is printed meanwhile goes nowhere, and so does what processes print that are started meanwhile.
-
-    Ray tells there what nobody asked for, and a process of its that outlived the command, holding the command's output,
-    would keep whoever reads that waiting.
-    """
-    kept: dict[int, int] = {}
-    nowhere = os.open(os.devnull, os.O_WRONLY)
-    try:
-        for number in (1, 2):
-            with suppress(OSError):  # the command was started without it
-                kept[number] = os.dup(number)
-                os.dup2(nowhere, number)
-        with redirect_stdout(io.StringIO()), redirect_stderr(io.StringIO()):  # not to be mixed with what waits in ours
-            yield
-    finally:
-        for number, copy in kept.items():
-            os.dup2(copy, number)
-            os.close(copy)
-        os.close(nowhere)
-
-
-class _OfMainThread:
-    """Standard output, to which no other thread's words come: Ray prints there what becomes of nodes."""
-
-    def __init__(self, stream: Any) -> None:
-        self._stream = stream
-
-    def write(self, text: str) -> int:
-        """As of a text stream."""
-        if threading.current_thread() is threading.main_thread():
-            self._stream.write(text)
-        return len(text)
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._stream, name)
 
 
 def _first_line(error: Exception) -> str:

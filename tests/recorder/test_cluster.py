@@ -544,7 +544,7 @@ def test_without_ray(tmp_path: Path) -> None:
 def test_no_process_holds_the_output(module: str) -> None:
     """Let the output end with the command, though a process that Ray started lives on."""
     script = (
-        f"import subprocess, sys\nfrom {module} import _unheard\nprint('before')\nwith _unheard():\n"
+        f"import subprocess, sys\nfrom {module} import unheard\nprint('before')\nwith unheard():\n"
         "    print('within', file=sys.stderr)\n"
         "    child = subprocess.Popen(['sh', '-c', 'echo within; exec sleep 100'], stdin=subprocess.DEVNULL)\n"
         "print(child.pid)\nprint('after', file=sys.stderr)\nchild.returncode = 0\n"
