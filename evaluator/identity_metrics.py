@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from evaluator.histories import Histories
 from evaluator.metrics.divergence import FIT_LIMIT_M
-from evaluator.metrics.identity import distinct_over_time
+from evaluator.metrics.identity import DistinctOverTime, distinct_over_time
 from evaluator.metrics.levels import Verdict, verdict
 from evaluator.over_runs import NO_RUN, Runs, mean_over_runs
 from evaluator.results import Metric, not_computed
@@ -48,7 +50,7 @@ def _distinct_envs(runs: Runs, method: str) -> Metric:
             "per_run": counts,
             "classes": [h.classes.tolist() for h in found],
             "first_difference_step": min((h.first_step for h in found if h.first_step is not None), default=None),
-            "over_time": _changes(max(found, key=lambda h: h.n_distinct)),
+            "over_time": _most_distinct(found),
         },
     )
 
@@ -63,7 +65,6 @@ def _distinct_runs(runs: Runs, method: str) -> Metric:
     over_time = distinct_over_time(stacked.swapaxes(0, 1))
     apart = np.flatnonzero(over_time.instant > 1)
     first = int(found[0].steps[apart[0]]) if len(apart) else None
-    rows = over_time.changes
     return Metric(
         "distinct_runs",
         float(over_time.classes.max() + 1),
@@ -74,11 +75,7 @@ def _distinct_runs(runs: Runs, method: str) -> Metric:
         extra={
             "classes": over_time.classes.tolist(),
             "first_difference_step": first,
-            "over_time": {
-                "step": found[0].steps[rows].tolist(),
-                "at_step": over_time.instant[rows].tolist(),
-                "histories": over_time.histories[rows].tolist(),
-            },
+            "over_time": _over_time(found[0].steps, over_time),
         },
     )
 
@@ -173,15 +170,20 @@ def growth(runs: Runs) -> Metric:
     return mean_over_runs(name, unit, "lower", [fit.rate for fit in fitted], method=method, extra=extra)
 
 
-def _changes(histories: Histories) -> dict[str, list[int]]:
-    # of the run with the most environments that differ, where either count changes
-    both = np.stack([histories.at_step, histories.so_far], axis=1)
-    rows = np.flatnonzero(np.r_[True, (both[1:] != both[:-1]).any(axis=1)])
+def _over_time(steps: NDArray[np.int64], counted: DistinctOverTime) -> dict[str, list[int]]:
+    # where either count changes
+    rows = counted.changes
     return {
-        "step": histories.steps[rows].tolist(),
-        "at_step": histories.at_step[rows].tolist(),
-        "histories": histories.so_far[rows].tolist(),
+        "step": steps[rows].tolist(),
+        "at_step": counted.instant[rows].tolist(),
+        "histories": counted.histories[rows].tolist(),
     }
+
+
+def _most_distinct(found: Sequence[Histories]) -> dict[str, list[int]]:
+    # of the run with the most environments that differ
+    most = max(found, key=lambda h: h.n_distinct)
+    return _over_time(most.steps, DistinctOverTime(most.at_step, most.so_far, most.classes))
 
 
 def _no_positions(runs: Runs) -> str:
