@@ -74,6 +74,10 @@ def run(arguments: argparse.Namespace, command: str) -> int:
     if not 0 < arguments.sample_time < float("inf"):
         raise UsageError(f"--sample-time is a time in seconds above 0, not {arguments.sample_time}")
     check_target(arguments.json)
+    if arguments.tables:
+        from evaluator.report.parquet import polars
+
+        polars()  # before anything is computed
     with ExitStack() as stack:
         work = _work(arguments, stack)
         reader = Reader(arguments.sample_time, verify=not arguments.no_verify)

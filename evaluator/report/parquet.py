@@ -42,10 +42,7 @@ def write_parquet(evaluation: Evaluation, folder: Path) -> list[Path]:
     metrics.parquet  a row for each metric of each group; an interval where it has one
     runs.parquet     a row for each recording that could be read
     """
-    try:
-        import polars as pl
-    except ImportError:
-        raise UsageError("--tables needs the package polars: pip install 'gpusimbench[tables]'") from None
+    pl = polars()
     folder.mkdir(parents=True, exist_ok=True)
     paths = []
     for name, columns, rows in (
@@ -61,6 +58,15 @@ def write_parquet(evaluation: Evaluation, folder: Path) -> list[Path]:
             unfinished.unlink(missing_ok=True)
         paths.append(folder / name)
     return paths
+
+
+def polars() -> Any:
+    """The package that writes them; UsageError where it is not installed."""
+    try:
+        import polars as pl
+    except ImportError:
+        raise UsageError("--tables needs the package polars: pip install 'gpusimbench[tables]'") from None
+    return pl
 
 
 def _key_of(result: GroupResult) -> dict[str, Any]:

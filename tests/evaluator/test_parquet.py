@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from evaluator.cli.eval import main
 from evaluator.evaluate import evaluate_files
 from evaluator.report.json import to_json
 from evaluator.report.parquet import METRICS, RUNS, write_parquet
@@ -87,6 +88,7 @@ def test_without_the_package(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, sm
     with pytest.raises(UsageError, match=r"pip install 'gpusimbench\[tables\]'"):
         write_parquet(evaluate_files([small]), tmp_path / "out")
     assert not (tmp_path / "out").exists()
+    assert main([str(tmp_path / "missing.mcap"), "--tables", str(tmp_path / "out")]) == 2  # and reads no file
 
 
 def test_a_folder_that_cannot_be_made(tmp_path: Path, small: Path, gsb_eval: Command) -> None:
