@@ -3,6 +3,7 @@ PYTHON ?= python3
 VENV   ?= .venv
 BIN    := $(VENV)/bin
 OUT    ?= demo
+JOBS   ?= 2
 # Simulators whose environments make test sets up; make engines has them all, with minutes of kernel builds.
 ENGINES     ?= calibration physx sapien
 ALL_ENGINES := calibration genesis isaaclab maniskill physx sapien
@@ -43,8 +44,10 @@ lint: $(VENV)/.installed-test
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 
+# Files of tests are spread over JOBS processes, in their order; those that mind what runs beside them come after.
 test: lint environments
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -m 'not alone' -n $(JOBS) --dist loadfile --no-loadscope-reorder
+	$(BIN)/python -m pytest -m alone
 	$(MAKE) test-engines
 
 engines:

@@ -41,6 +41,7 @@ def shell(line: str, folder: Path, environment: dict[str, str] | None = None) ->
 
 
 @pytest.mark.slow
+@pytest.mark.alone
 def test_readme_commands(tmp_path: Path) -> None:
     """Run every command of the README in a folder that has the sample recordings."""
     shutil.copytree(ROOT / "recordings", tmp_path / "recordings")

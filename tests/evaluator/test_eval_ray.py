@@ -21,6 +21,8 @@ from evaluator.work import HERE, Work
 from schemas.errors import GsbError, UsageError
 from tests.conftest import Command
 
+pytestmark = pytest.mark.alone
+
 ray = pytest.importorskip("ray")
 
 _NODE = {"num_cpus": 1, "object_store_memory": 80 << 20, "include_dashboard": False}

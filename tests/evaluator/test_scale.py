@@ -24,6 +24,8 @@ from evaluator.transport.pair import MATRIX_LIMIT
 from tests.synthetic import grid, write_recording
 from tests.test_docs import blocks, commands, shell
 
+pytestmark = pytest.mark.alone
+
 ROOT = Path(__file__).parents[2]
 PAGE = ROOT / "docs" / "scale.md"
 

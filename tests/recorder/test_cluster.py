@@ -34,6 +34,8 @@ from schemas.errors import ExitCode, UsageError
 from tests.conftest import call, command, wait_for
 from tests.test_docs import commands, shell
 
+pytestmark = pytest.mark.alone
+
 ROOT = Path(__file__).resolve().parent.parent.parent
 TINY = ("--sim", "mujoco", "--scene", "free-fall", "--steps", "20", "--warmup", "2", "--timed-steps", "5")
 RUN = RunConfiguration("mujoco", "free-fall", 2, 0.01, 20, warmup=2, timed_steps=5)

@@ -16,6 +16,8 @@ import pytest
 from evaluator import open_recording
 from tests.conftest import Command, command, wait_for
 
+pytestmark = pytest.mark.alone
+
 _INTERRUPTED_BETWEEN = '''
 """Interrupt a capture right after the digest of its n-th piece of a kind; print how it ended."""
 import os, signal, sys

@@ -27,6 +27,8 @@ from schemas.container import Container
 from schemas.errors import RecordingError
 from tests.conftest import SMALL, Command, command
 
+pytestmark = pytest.mark.alone
+
 _KILLS = 50
 _AT_ONCE = 4
 

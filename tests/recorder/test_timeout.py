@@ -14,6 +14,8 @@ from evaluator import open_recording
 from recorder.finished import read_end
 from tests.conftest import Command
 
+pytestmark = pytest.mark.alone
+
 _PLUGIN = '''
 """A third party's simulator that does not come to an end."""
 import atexit, hashlib, os, time
