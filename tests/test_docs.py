@@ -40,6 +40,70 @@ def shell(line: str, folder: Path, environment: dict[str, str] | None = None) ->
     )  # fmt: skip
 
 
+FENCE = re.compile(r'^```(\w*)(?: title="([^"]+)")?\n(.*?)^```$', re.DOTALL | re.MULTILINE)
+
+
+def walk(page: Path, folder: Path, environment: dict[str, str]) -> int:
+    """Do what a page tells its reader, from top to bottom, in one folder; returns how many commands that were.
+
+    A block with a file's name as its title is written to that file. A console block is run, each line with the exit
+    code that a comment announces. What a text block behind it shows is printed, where ... stands for anything.
+    """
+    printed, n_command = "", 0
+    for language, title, text in FENCE.findall(page.read_text(encoding="utf-8")):
+        if title:
+            (folder / title).write_text(text, encoding="utf-8")
+        elif language == "console":
+            printed = ""
+            for line in text.strip().splitlines():
+                line, _, expected = line.partition("  # exit code ")
+                done = shell(line, folder, environment)
+                assert done.returncode == int(expected or 0), f"{line}\n{done.stdout}\n{done.stderr}"
+                printed += done.stdout
+                n_command += 1
+        elif language == "text":
+            assert shows(text, printed), f"{page.name} shows\n{text}\nand this was printed\n{printed}"
+            printed = ""
+    return n_command
+
+
+def shows(page: str, printed: str) -> bool:
+    """Whether a page shows what was printed, however wide its columns; "..." stands for anything."""
+    shown, real = (" ".join(text.split()) for text in (page, printed))
+    parts = [re.escape(part.strip()) for part in shown.split("...")]
+    return re.fullmatch(r"\s*" + r".*?".join(rf"{part}\s*" for part in parts), real, re.DOTALL) is not None
+
+
+def test_what_a_page_shows() -> None:
+    """Take a line that is not printed, or printed in another order, for a difference."""
+    assert shows("a  1\n...\nd", "a 1\nb 2\nc 3\nd\n")
+    assert shows("throughput  ...  1 of 2", "throughput 3.4 ± 1 1 of 2")
+    assert not shows("a\nb", "a\nc\nb")
+    assert not shows("a\n...\nb", "b\na")
+    assert not shows("a", "a b")
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(importlib.util.find_spec("setuptools") is None, reason="setuptools, which builds, is not installed")
+def test_the_tutorial(tmp_path: Path) -> None:
+    """Go through the tutorial in an empty folder: install its package, record, evaluate, and see what it shows."""
+    site = tmp_path / "site"
+    folder = tmp_path / "springs"
+    folder.mkdir()
+    path = os.pathsep.join(filter(None, [str(site), str(ROOT), os.environ.get("PYTHONPATH")]))
+    installing = {"TARGET": str(site), "NO_INDEX": "1", "NO_DEPS": "1", "NO_BUILD_ISOLATION": "0",
+                  "DISABLE_PIP_VERSION_CHECK": "1"}  # fmt: skip
+    environment = {"PYTHONPATH": path, **{f"PIP_{name}": value for name, value in installing.items()}}
+    assert walk(ROOT / "docs" / "tutorial.md", folder, environment) == 11
+
+
+@pytest.mark.parametrize("page", sorted((ROOT / "docs" / "how-to").glob("*.md")), ids=lambda page: page.stem)
+def test_the_how_tos(page: Path, tmp_path: Path) -> None:
+    """Do what a page of instructions says in a folder that has the sample recordings."""
+    (tmp_path / "recordings").symlink_to(ROOT / "recordings")
+    assert walk(page, tmp_path, {}) > 0
+
+
 @pytest.mark.slow
 def test_readme_commands(tmp_path: Path) -> None:
     """Run every command of the README in a folder that has the sample recordings."""
