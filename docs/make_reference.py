@@ -83,9 +83,9 @@ def codes(epilog: str) -> dict[int, str]:
 
 def command_page(name: str, parser: argparse.ArgumentParser) -> str:
     """A command's description, usage, options and the end of its help."""
-    text = [f"# {name}", str(parser.description), _usage(parser), *_options(parser)]
+    text = [f"# {name}", str(parser.description), _fenced(usage(parser)), *_options(parser)]
     for verb, below in verbs(parser).items():
-        text += [f"## {name} {verb}", str(below.description), _usage(below), *_options(below, level=3)]
+        text += [f"## {name} {verb}", str(below.description), _fenced(usage(below)), *_options(below, level=3)]
     for title, body in sections(parser.epilog or "").items():
         if title == "exit codes":
             text += [
@@ -218,27 +218,34 @@ def scenes() -> str:
     return "\n\n".join(text) + "\n"
 
 
-def _usage(parser: argparse.ArgumentParser) -> str:
+def usage(parser: argparse.ArgumentParser) -> str:
+    """How a command is called."""
     formatter = argparse.HelpFormatter(parser.prog, width=100)
     formatter.add_usage(parser.usage, parser._actions, parser._mutually_exclusive_groups, prefix="")
-    return _fenced(formatter.format_help())
+    return formatter.format_help().strip().replace("\n       ", "\n")
+
+
+def options_of(parser: argparse.ArgumentParser) -> Iterator[tuple[str, list[tuple[list[str], str]]]]:
+    """Titles of a parser's groups, and of each option how it is written, and what it does."""
+    for group in parser._action_groups:
+        shown = [action for action in group._group_actions if action.help != argparse.SUPPRESS]
+        shown = [action for action in shown if not isinstance(action, argparse._SubParsersAction)]
+        if shown:
+            yield str(group.title), [_option(action, parser) for action in shown]
+
+
+def _option(action: argparse.Action, parser: argparse.ArgumentParser) -> tuple[list[str], str]:
+    closed = "{" + ",".join(map(str, action.choices)) + "}" if action.choices else action.dest.upper()
+    takes = "" if action.nargs == 0 else action.metavar or closed
+    names = [f"{name} {takes}".strip() for name in action.option_strings] or [str(takes)]
+    return names, (action.help or "") % {**vars(action), "prog": parser.prog}
 
 
 def _options(parser: argparse.ArgumentParser, level: int = 2) -> Iterator[str]:
-    for group in parser._action_groups:
-        rows = [_row(action, parser) for action in group._group_actions if action.help != argparse.SUPPRESS]
-        if rows:
-            yield f"{'#' * level} {str(group.title).capitalize()}"
-            if group.description:
-                yield group.description
-            yield _table(("option", "what"), rows)
-
-
-def _row(action: argparse.Action, parser: argparse.ArgumentParser) -> tuple[str, str]:
-    takes = action.metavar or (action.nargs != 0 and "{" + ",".join(map(str, action.choices or ())) + "}") or ""
-    shown = [f"{name} {takes}".strip() for name in action.option_strings] or [str(takes)]
-    meaning = (action.help or "") % {**vars(action), "prog": parser.prog}
-    return ", ".join(f"`{name}`" for name in shown), _escape(meaning)
+    for title, options in options_of(parser):
+        rows = [(", ".join(f"`{name}`" for name in names), _escape(meaning)) for names, meaning in options]
+        yield f"{'#' * level} {title.capitalize()}"
+        yield _table(("option", "what"), rows)
 
 
 def _modules(package: str) -> Iterator[tuple[str, ModuleType]]:

@@ -147,7 +147,10 @@ def parser() -> argparse.ArgumentParser:
     )
     what.add_argument("--dt", type=float, metavar="S", help="step [s] (default: the scene's, such as 0.01)")
     what.add_argument(
-        "--seed", type=int, help=f"of what is drawn at random, in every run (default: {_SIMULATED['seed']})"
+        "--seed",
+        type=int,
+        metavar="N",
+        help=f"of what is drawn at random, in every run (default: {_SIMULATED['seed']})",
     )
     what.add_argument("--option", action="append", metavar="NAME=VALUE", help="an option of the simulator; repeatable")
     for name, meaning in _SHORTHANDS.items():

@@ -23,11 +23,10 @@ _VARIABLES = {
 
 _READS = {
     "gsb-record": ("CUDA_VISIBLE_DEVICES", "GSB_ENVIRONMENTS", "GSB_MADRONA_MODULE"),
-    "gsb-audit": ("CUDA_VISIBLE_DEVICES", "GSB_ENVIRONMENTS", "OMP_NUM_THREADS"),
-    "gsb-eval": ("GSB_CACHE", "OMP_NUM_THREADS", "TMPDIR"),
+    "gsb-audit": ("CUDA_VISIBLE_DEVICES", "GSB_ENVIRONMENTS", "GSB_MADRONA_MODULE"),
+    "gsb-eval": ("GSB_CACHE", "OMP_NUM_THREADS"),
     "gsb-info": ("TMPDIR",),
     "gsb-check": ("TMPDIR",),
-    "gsb-diff": ("TMPDIR",),
 }
 """Which of them each command reads."""
 

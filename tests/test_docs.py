@@ -8,6 +8,7 @@ import re
 import shutil
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -197,3 +198,18 @@ def test_make_demo(tmp_path: Path) -> None:
     assert len(list((tmp_path / "demo").glob("*.mcap"))) == 10
     assert "16 x 10" in done.stdout
     assert str(tmp_path / "demo" / "report" / "index.html") in done.stdout
+
+
+def test_how_to_cite() -> None:
+    """Name the version and the licence of the package, an author, and the format that the file is in."""
+    import schemas
+
+    text = (ROOT / "CITATION.cff").read_text(encoding="utf-8")
+    said = dict(re.findall(r"^([\w-]+): (.+)$", text, re.MULTILINE))
+    assert said["cff-version"] == "1.2.0"
+    assert said["version"] == schemas.__version__
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    assert (said["title"], said["license"]) == (project["name"], project["license"])
+    assert "Apache License" in (ROOT / "LICENSE").read_text(encoding="utf-8")
+    assert re.search(r"^authors:\n  - name: \S", text, re.MULTILINE)
+    assert said["message"]

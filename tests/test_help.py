@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import re
 import shlex
+import shutil
 import subprocess
 import sys
 from importlib import import_module
@@ -127,3 +128,21 @@ def test_help_fits_a_page(name: str) -> None:
     assert all(len(line) <= 120 for line in (PARSERS[name].epilog or "").splitlines())
     found = script("make_reference").sections(PARSERS[name].epilog)
     assert {"exit codes", "examples", "see also"} <= set(found)
+
+
+@every_command
+def test_the_manual_page(name: str) -> None:
+    """Make a manual page that formats without a warning and has every option, section and exit code of the help."""
+    page = script("make_man").man_page(name, PARSERS[name])
+    for option in PARSERS[name]._option_string_actions:
+        assert option.replace("-", "\\-") in page
+    for heading in ("NAME", "SYNOPSIS", "DESCRIPTION", "OPTIONS", "EXIT STATUS", "EXAMPLES", "SEE ALSO"):
+        assert f".SH {heading}\n" in page
+    if shutil.which("groff") is None:
+        pytest.skip("there is no groff to format it")
+    done = subprocess.run(
+        ["groff", "-man", "-ww", "-Tascii"], input=page, capture_output=True, text=True, timeout=60, check=True
+    )
+    assert done.stderr == ""
+    assert f"{name.upper()}(1)" in done.stdout
+    assert " ".join(str(PARSERS[name].description).split()[:4]) in " ".join(done.stdout.split())
