@@ -97,6 +97,7 @@ def test_the_tutorial(tmp_path: Path) -> None:
     assert walk(ROOT / "docs" / "tutorial.md", folder, environment) == 11
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("page", sorted((ROOT / "docs" / "how-to").glob("*.md")), ids=lambda page: page.stem)
 def test_the_how_tos(page: Path, tmp_path: Path) -> None:
     """Do what a page of instructions says in a folder that has the sample recordings."""
