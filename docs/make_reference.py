@@ -59,14 +59,21 @@ Made from the code when this site is built, so that it says what the commands do
 """
 
 
+def entry_points() -> dict[str, str]:
+    """The module whose main each installed command is, by the command's name."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    return {name: target.partition(":")[0] for name, target in project["scripts"].items()}
+
+
 def parsers() -> dict[str, argparse.ArgumentParser]:
     """The parser of every command that the package installs, by the command's name."""
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    made = {}
-    for name, target in project["scripts"].items():
-        module = target.partition(":")[0]
-        made[name] = import_module("recorder.command" if module == "recorder.cli" else module).parser()
-    return made
+    return {name: module.parser() for name, module in modules().items()}
+
+
+def modules() -> dict[str, ModuleType]:
+    """The module with the parser and the work of every command; that of gsb-record's main imports next to nothing."""
+    elsewhere = {"recorder.cli": "recorder.command"}
+    return {name: import_module(elsewhere.get(module, module)) for name, module in entry_points().items()}
 
 
 def sections(epilog: str) -> dict[str, str]:

@@ -12,12 +12,12 @@ from pathlib import Path
 import pytest
 
 from schemas.completion import SHELLS
+from tests.test_site import script
 
 pytestmark = pytest.mark.skipif(importlib.util.find_spec("shtab") is None, reason="shtab is not installed")
 needs_bash = pytest.mark.skipif(shutil.which("bash") is None, reason="there is no bash")
 
-MODULES = {"gsb-record": "recorder.cli", "gsb-eval": "evaluator.cli.eval", "gsb-share": "evaluator.cli.share",
-           "gsb-audit": "evaluator.cli.audit", "gsb-check": "evaluator.cli.check"}  # fmt: skip
+MODULES = script("make_reference").entry_points()
 
 
 def printed(command: str, shell: str) -> str:
@@ -36,11 +36,11 @@ def printed(command: str, shell: str) -> str:
 def completed(line: str, folder: Path) -> set[str]:
     """What bash offers for the last word of a line, after it has read the script of the line's command."""
     words = line.split(" ")
-    script = folder / f"{words[0]}.bash"
-    if not script.exists():
-        script.write_text(printed(words[0], "bash"), encoding="utf-8")
+    source = folder / f"{words[0]}.bash"
+    if not source.exists():
+        source.write_text(printed(words[0], "bash"), encoding="utf-8")
     program = f"""
-        source {shlex.quote(str(script))}
+        source {shlex.quote(str(source))}
         COMP_WORDS=({" ".join(shlex.quote(word) for word in words)}) COMP_CWORD={len(words) - 1}
         function=$(complete -p {words[0]} | sed 's/.*-F \\([^ ]*\\).*/\\1/')
         "$function" && printf '%s\\n' "${{COMPREPLY[@]}}"
@@ -87,10 +87,11 @@ def test_files(folder: Path) -> None:
 
 @pytest.mark.parametrize("shell", SHELLS)
 def test_every_shell(shell: str) -> None:
-    """Print a script of each kind that names the command and its options."""
-    script = printed("gsb-check", shell)
-    assert "gsb-check" in script
-    assert "protocol" in script
+    """Print for each command a script that names it and its options."""
+    for command in MODULES:
+        text = printed(command, shell)
+        assert command in text
+        assert "print-completion" in text
 
 
 def test_help_and_work_are_as_they_were() -> None:

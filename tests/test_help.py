@@ -8,9 +8,7 @@ import shlex
 import shutil
 import subprocess
 import sys
-from importlib import import_module
 from pathlib import Path
-from types import ModuleType
 
 import pytest
 
@@ -18,16 +16,12 @@ from schemas import errors
 from schemas.errors import ExitCode
 from tests.test_site import script
 
+MODULES = script("make_reference").modules()
 PARSERS = script("make_reference").parsers()
 PACKAGES = ("schemas", "recorder", "evaluator")
 ROOT = Path(__file__).resolve().parent.parent
 
 every_command = pytest.mark.parametrize("name", PARSERS)
-
-
-def _module(name: str) -> ModuleType:
-    # the module whose code decides on a command's exit codes
-    return import_module("recorder.command" if name == "gsb-record" else f"evaluator.cli.{name.removeprefix('gsb-')}")
 
 
 def _options(parser: argparse.ArgumentParser) -> list[argparse.Action]:
@@ -68,7 +62,7 @@ def test_exit_codes_exist(name: str) -> None:
     """List codes that schemas.errors has, and every one that the command's own code can end with."""
     listed = set(script("make_reference").codes(PARSERS[name].epilog))
     assert listed <= {int(code) for code in ExitCode}
-    source = Path(str(_module(name).__file__)).read_text(encoding="utf-8")
+    source = Path(str(MODULES[name].__file__)).read_text(encoding="utf-8")
     raised = {
         int(kind.exit_code)
         for name, kind in vars(errors).items()
@@ -113,8 +107,7 @@ def test_variables_of_the_environment() -> None:
 def test_one_version() -> None:
     """Print the same line for the version of every command."""
     lines = set()
-    for name in PARSERS:
-        module = "recorder.cli" if name == "gsb-record" else _module(name).__name__
+    for module in script("make_reference").entry_points().values():
         done = subprocess.run([sys.executable, "-m", module, "--version"], capture_output=True, text=True, timeout=60)
         lines.add((done.returncode, done.stdout, done.stderr))
     ((code, line, said),) = lines
