@@ -14,7 +14,7 @@ import make_reference  # noqa: E402 - a script beside this one
 import schemas  # noqa: E402
 
 _TITLES = {"exit codes": "exit status", "environment variables": "environment"}
-_AFTER = ("environment variables", "examples", "see also")
+_AFTER = ("files", "environment variables", "examples", "see also")
 """Sections whose place is at the end of a manual page."""
 
 

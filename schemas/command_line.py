@@ -30,6 +30,16 @@ _READS = {
 }
 """Which of them each command reads."""
 
+_FILES = {
+    "gsb-record": (
+        "OUT/SIM-SCENE-nN-rR-TIME.mcap  a run: R is its number, TIME is UTC; SIM names the level of determinism, too",
+        "OUT/NAME.mcap.partial  a run that is being made, or what a crash left of it, for gsb-share recover",
+    ),
+    "gsb-audit": ("OUT/NAME.mcap  a replay, a recording like any other",),
+    "gsb-eval": ("CACHE/  what was read and computed, by content and version; it may be deleted at any time",),
+}
+"""What commands leave on the disk without being told its name."""
+
 _SEE_ALSO = {
     "gsb-record": "gsb-eval, which computes what the runs show; gsb-audit, which replays and compares; "
     "docs/simulators.md; docs/timing.md",
@@ -67,13 +77,12 @@ def add_common(parser: argparse.ArgumentParser, names: Names = dict) -> None:
 
 
 def _kin(command: str) -> str:
-    text = ""
-    if command in _READS:
-        rows = [f"{name}  {_VARIABLES[name]}" for name in _READS[command]]
-        text += f"\nenvironment variables:\n{''.join(map(_item, rows))}"
-    if command in _SEE_ALSO:
-        text += f"\nsee also:\n{''.join(map(_item, _SEE_ALSO[command].split('; ')))}"
-    return text
+    sections = {
+        "files": _FILES.get(command, ()),
+        "environment variables": [f"{name}  {_VARIABLES[name]}" for name in _READS.get(command, ())],
+        "see also": _SEE_ALSO[command].split("; ") if command in _SEE_ALSO else (),
+    }
+    return "".join(f"\n{title}:\n{''.join(map(_item, rows))}" for title, rows in sections.items() if rows)
 
 
 def _item(text: str) -> str:
