@@ -32,7 +32,7 @@ _READS = {
 
 _FILES = {
     "gsb-record": (
-        "OUT/SIM-SCENE-nN-rR-TIME.mcap  a run: R is its number, TIME is UTC; SIM names the level of determinism, too",
+        "OUT/SIM-SCENE-nN-rR-TIME.mcap  run R, begun at TIME (UTC); SIM with its solver and level of determinism",
         "OUT/NAME.mcap.partial  a run that is being made, or what a crash left of it, for gsb-share recover",
     ),
     "gsb-audit": ("OUT/NAME.mcap  a replay, a recording like any other",),

@@ -138,10 +138,11 @@ def test_the_adapter_of_the_guide(tmp_path: Path) -> None:
     info.mkdir()
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: ballistic\nVersion: 1.0\n")
     (info / "entry_points.txt").write_text(f"[gsb.simulators]\n{found[1].replace(chr(34), '')}\n")
+    environment = {"PYTHONPATH": os.pathsep.join([str(tmp_path), str(ROOT)])}
     for line in commands(guide):
-        done = shell(line, tmp_path, {"PYTHONPATH": str(tmp_path)})
+        done = shell(line, tmp_path, environment)
         assert done.returncode == 0, f"{line}\n{done.stderr}"
-    assert "ballistic" in shell("gsb-record --list", tmp_path, {"PYTHONPATH": str(tmp_path)}).stdout
+    assert "ballistic" in shell("gsb-record --list", tmp_path, environment).stdout
 
 
 def _figures():  # type: ignore[no-untyped-def]
