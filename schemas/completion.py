@@ -11,13 +11,8 @@ SHELLS = ("bash", "zsh", "fish", "tcsh")
 
 Names = Callable[[], Mapping[str, tuple[str, ...]]]
 
-_RECORDINGS = ("*.mcap", "*.mcap.partial")
-
-_PATTERNS = {"CSV": ("*.csv",), "FILE.svg": ("*.svg",)}
-"""Names of files that an option takes, by its metavar; FILE is a recording, but for what OUTPUTS names."""
-
-_OUTPUTS = ("json", "layout", "out")
-"""Options with a FILE that is written; any name will do."""
+_PATTERNS = {"FILE": ("*.mcap", "*.mcap.partial"), "CSV": ("*.csv",), "FILE.svg": ("*.svg",)}
+"""Names of files that an argument takes, by its metavar. A FILE is a recording where its help does not say "write"."""
 
 
 class PrintCompletion(argparse.Action):
@@ -61,8 +56,6 @@ def _files(action: argparse.Action) -> tuple[str, ...]:
     # "file", "folder", patterns, or nothing
     if action.metavar == "DIR":
         return ("folder",)
-    if action.metavar in ("PATH", "NAME|FILE") or (action.metavar == "FILE" and action.dest in _OUTPUTS):
+    if action.metavar in ("PATH", "NAME|FILE") or (action.metavar == "FILE" and "write" in (action.help or "")):
         return ("file",)
-    if action.metavar == "FILE":
-        return _RECORDINGS
     return _PATTERNS.get(str(action.metavar), ())

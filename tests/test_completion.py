@@ -81,7 +81,8 @@ def test_files(folder: Path) -> None:
     assert completed("gsb-eval run.mcap --reference ", folder) == recordings
     assert completed("gsb-share recover ", folder) == recordings
     assert completed("gsb-record --sim real --trials ", folder) == {"trials.csv", "more"}
-    assert "notes.txt" in completed("gsb-eval run.mcap --json ", folder)
+    for written in ("gsb-eval run.mcap --json ", "gsb-share recover --out ", "gsb-share viewer --layout "):
+        assert "notes.txt" in completed(written, folder), written
     assert completed("gsb-eval run.mcap --html ", folder) == {"more"}
 
 

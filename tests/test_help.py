@@ -53,7 +53,7 @@ def test_the_recorder_says_its_defaults() -> None:
     helps = {action.dest: action.help or "" for action in _options(PARSERS["gsb-record"])}
     for table in (command._SIMULATED, command._MEASURED, command._REPLAYED):
         for name, default in table.items():
-            if default not in (None, ()):
+            if default is not False and default not in (None, ()):
                 assert _says(helps[name], default), f"--{name}: {default}"
 
 
