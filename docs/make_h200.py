@@ -1,4 +1,4 @@
-"""Redraws the tables of recordings/h200/README.md and of README.md from the recordings of that folder.
+"""Redraws tables of recordings/h200/README.md, README.md and docs/determinism.md from the recordings of that folder.
 
 usage: python docs/make_h200.py
 """
@@ -87,6 +87,34 @@ def verdicts(evaluation: Evaluation) -> str:
     return "\n".join(lines)
 
 
+def switches(evaluation: Evaluation) -> str:
+    """What levels of determinism change and cost, where several were recorded, as a Markdown table."""
+    results = [r for r in evaluation.results if r.group.key.scene == _SCENE]
+    levels: dict[str, dict[str, GroupResult]] = {}
+    for result in results:
+        levels.setdefault(_who(result), {})[result.group.key.determinism] = result
+    lines = [
+        "| simulator | determinism | distinct envs | distinct runs | type | time of a step, times default |",
+        "| --- | --- | --- | --- | --- | --- |",
+    ]
+    for who, found in sorted(levels.items()):
+        base = found["default"].metrics["fps"].value if "default" in found else None
+        for level, result in sorted(found.items(), key=lambda item: (item[0] != "default", item[0])):
+            if len(found) == 1:
+                continue
+            fps, kind = result.metrics["fps"].value, result.metrics["regime_published"].value
+            cells = [
+                who,
+                level,
+                _of(result, "distinct_envs"),
+                _of(result, "distinct_runs"),
+                _outcome(result) if kind is None else f"{kind:.0f}",
+                _NONE if fps is None or not base else f"{base / fps:.2f}",
+            ]
+            lines.append(f"| {' | '.join(cells)} |")
+    return "\n".join(lines)
+
+
 def _best(sweep: Sweep) -> str:
     found = [(p.result.metrics["fps"].value or 0.0, p.n_env) for p in sweep.points]
     fps, n_env = max(found)
@@ -126,11 +154,15 @@ def with_block(page: str, name: str, shown: str) -> str:
 
 
 def pages(evaluation: Evaluation) -> dict[Path, str]:
-    """Both pages as they should be."""
-    card, readme = FOLDER / "README.md", ROOT / "README.md"
+    """The pages as they should be."""
+    card, readme, explained = FOLDER / "README.md", ROOT / "README.md", ROOT / "docs" / "determinism.md"
     page = with_block(card.read_text(encoding="utf-8"), "verdicts", verdicts(evaluation))
     page = with_block(page, "sweeps", sweeps(evaluation))
-    return {card: page, readme: with_block(readme.read_text(encoding="utf-8"), "h200", verdicts(evaluation))}
+    return {
+        card: page,
+        readme: with_block(readme.read_text(encoding="utf-8"), "h200", verdicts(evaluation)),
+        explained: with_block(explained.read_text(encoding="utf-8"), "switches", switches(evaluation)),
+    }
 
 
 def main() -> None:

@@ -8,9 +8,9 @@ from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import schemas
 from recorder.interruption import shielded
 from recorder.output import flush, show
+from schemas.command_line import add_common
 from schemas.configuration import CAPTURE_MODES, OPTIONAL_PHASES, RunConfiguration
 from schemas.errors import ExitCode, UsageError
 from schemas.provenance import REAL
@@ -57,6 +57,14 @@ examples:
   gsb-record --replay theirs.mcap --runs 3
   gsb-record --sim real --trials trials.csv --unit cm
 """
+
+
+_USAGE = """\
+%(prog)s --sim NAME [options]
+       %(prog)s --sim real --trials CSV --unit {m,cm} [options]
+       %(prog)s --replay FILE [options]
+       %(prog)s --setup NAME [--python PATH]
+       %(prog)s --list [--json]"""
 
 
 _SIMULATED: dict[str, Any] = {
@@ -109,10 +117,11 @@ def parser() -> argparse.ArgumentParser:
         prog="gsb-record",
         description="Run a scene in N identical environments on a simulator; write one MCAP recording per run, "
         "each run in a fresh process.",
+        usage=_USAGE,
         epilog=_EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    p.add_argument("--version", action="version", version=f"gpusimbench {schemas.__version__}")
+    add_common(p, _names)
     p.add_argument("--list", action="store_true", help="show simulators, where they are installed, and scenes")
     p.add_argument("--setup", metavar="NAME", help="make the environment of a simulator that needs one of its own")
     p.add_argument(
@@ -126,7 +135,7 @@ def parser() -> argparse.ArgumentParser:
     what = p.add_argument_group("what is run")
     what.add_argument("--sim", metavar="NAME", help="simulator (see --list), or 'real' for measured trials")
     what.add_argument("--replay", type=Path, metavar="FILE", help="run what a recording says that it ran; see below")
-    what.add_argument("--scene", metavar="NAME", help=f"default: {_SIMULATED['scene']}")
+    what.add_argument("--scene", metavar="NAME", help=f"what is simulated; see --list (default: {_SIMULATED['scene']})")
     what.add_argument("--n-env", type=int, metavar="N", help=f"environments (default: {_SIMULATED['n_env']})")
     what.add_argument(
         "--sweep",
@@ -136,13 +145,24 @@ def parser() -> argparse.ArgumentParser:
     what.add_argument(
         "--runs", type=int, metavar="R", help=f"independent runs (default: {_SIMULATED['runs']}; of --replay: 1)"
     )
-    what.add_argument("--dt", type=float, metavar="S", help="step in seconds (default: the scene's, such as 0.01)")
-    what.add_argument("--seed", type=int, help=f"default: {_SIMULATED['seed']}; the same in every run")
+    what.add_argument("--dt", type=float, metavar="S", help="step [s] (default: the scene's, such as 0.01)")
+    what.add_argument(
+        "--seed",
+        type=int,
+        metavar="N",
+        help=f"of what is drawn at random, in every run (default: {_SIMULATED['seed']})",
+    )
     what.add_argument("--option", action="append", metavar="NAME=VALUE", help="an option of the simulator; repeatable")
     for name, meaning in _SHORTHANDS.items():
         what.add_argument(f"--{name}", action="append", metavar="X", help=f"{meaning}: short for --option {name}=X")
-    what.add_argument("--determinism", metavar="LEVEL", help="default: the engine as it ships; see --list for others")
-    what.add_argument("--timeout", type=float, metavar="S", help="end each run after S seconds (default: 0, never)")
+    what.add_argument(
+        "--determinism",
+        metavar="LEVEL",
+        help="what the engine has for it; see --list (default: default, the engine as it ships)",
+    )
+    what.add_argument(
+        "--timeout", type=float, metavar="S", help="end each run after so many seconds (default: 0, never)"
+    )
 
     how = p.add_argument_group("what is recorded")
     how.add_argument(
@@ -161,11 +181,21 @@ def parser() -> argparse.ArgumentParser:
         f"(default: {_SIMULATED['capture']})",
     )
     how.add_argument("--warmup", type=int, metavar="N", help=f"untimed steps first (default: {_SIMULATED['warmup']})")
-    how.add_argument("--timed-steps", type=int, metavar="N", help=f"default: {_SIMULATED['timed_steps']}")
     how.add_argument(
-        "--compression", choices=("none", "lz4", "zstd"), default="none", help="of the file's chunks (default: none)"
+        "--timed-steps", type=int, metavar="N", help=f"steps that are timed (default: {_SIMULATED['timed_steps']})"
     )
-    how.add_argument("--out", type=Path, metavar="DIR", help=f"default: {_OUT}/; of --replay: {_OUT_OF_REPLAYS}/")
+    how.add_argument(
+        "--compression",
+        choices=("none", "lz4", "zstd"),
+        default="none",
+        help="compression of the file's chunks (default: none)",
+    )
+    how.add_argument(
+        "--out",
+        type=Path,
+        metavar="DIR",
+        help=f"folder of the recordings (default: {_OUT}/; of --replay: {_OUT_OF_REPLAYS}/)",
+    )
 
     across = p.add_argument_group("where it is run")
     across.add_argument(
@@ -180,9 +210,20 @@ def parser() -> argparse.ArgumentParser:
     real.add_argument("--trials", type=Path, metavar="CSV", help="positions of the cubes: trial,cube,x,y[,z]")
     real.add_argument("--unit", choices=("m", "cm"), help="unit of the positions in the CSV")
     real.add_argument(
-        "--sample-time", type=float, metavar="S", help=f"when they were measured ({_MEASURED['sample_time']})"
+        "--sample-time",
+        type=float,
+        metavar="S",
+        help=f"when they were measured [s] (default: {_MEASURED['sample_time']})",
     )
     return p
+
+
+def _names() -> dict[str, tuple[str, ...]]:
+    from recorder.environments.specification import SPECIFICATIONS
+    from recorder.scenes.registry import scene_names
+    from recorder.simulators.registry import simulators
+
+    return {"sim": (*simulators(), REAL), "scene": scene_names(), "setup": tuple(SPECIFICATIONS)}
 
 
 def configure(arguments: argparse.Namespace) -> RunConfiguration:

@@ -5,10 +5,10 @@ from __future__ import annotations
 import importlib.util
 import os
 import re
-import shlex
 import shutil
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -38,6 +38,71 @@ def shell(line: str, folder: Path, environment: dict[str, str] | None = None) ->
         line, shell=True, cwd=folder, capture_output=True, text=True, timeout=300,
         env={**os.environ, **(environment or {}), "PATH": path},
     )  # fmt: skip
+
+
+FENCE = re.compile(r'^```(\w*)(?: title="([^"]+)")?\n(.*?)^```$', re.DOTALL | re.MULTILINE)
+
+
+def walk(page: Path, folder: Path, environment: dict[str, str]) -> int:
+    """Do what a page tells its reader, from top to bottom, in one folder; returns how many commands that were.
+
+    A block with a file's name as its title is written to that file. A console block is run, each line with the exit
+    code that a comment announces. What a text block behind it shows is printed, where ... stands for anything.
+    """
+    printed, n_command = "", 0
+    for language, title, text in FENCE.findall(page.read_text(encoding="utf-8")):
+        if title:
+            (folder / title).write_text(text, encoding="utf-8")
+        elif language == "console":
+            printed = ""
+            for line in text.strip().splitlines():
+                line, _, expected = line.partition("  # exit code ")
+                done = shell(line, folder, environment)
+                assert done.returncode == int(expected or 0), f"{line}\n{done.stdout}\n{done.stderr}"
+                printed += done.stdout
+                n_command += 1
+        elif language == "text":
+            assert shows(text, printed), f"{page.name} shows\n{text}\nand this was printed\n{printed}"
+            printed = ""
+    return n_command
+
+
+def shows(page: str, printed: str) -> bool:
+    """Whether a page shows what was printed, however wide its columns; "..." stands for anything."""
+    shown, real = (" ".join(text.split()) for text in (page, printed))
+    parts = [re.escape(part.strip()) for part in shown.split("...")]
+    return re.fullmatch(r"\s*" + r".*?".join(rf"{part}\s*" for part in parts), real, re.DOTALL) is not None
+
+
+def test_what_a_page_shows() -> None:
+    """Take a line that is not printed, or printed in another order, for a difference."""
+    assert shows("a  1\n...\nd", "a 1\nb 2\nc 3\nd\n")
+    assert shows("throughput  ...  1 of 2", "throughput 3.4 ± 1 1 of 2")
+    assert not shows("a\nb", "a\nc\nb")
+    assert not shows("a\n...\nb", "b\na")
+    assert not shows("a", "a b")
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(importlib.util.find_spec("setuptools") is None, reason="setuptools, which builds, is not installed")
+def test_the_tutorial(tmp_path: Path) -> None:
+    """Go through the tutorial in an empty folder: install its package, record, evaluate, and see what it shows."""
+    site = tmp_path / "site"
+    folder = tmp_path / "springs"
+    folder.mkdir()
+    path = os.pathsep.join(filter(None, [str(site), str(ROOT), os.environ.get("PYTHONPATH")]))
+    installing = {"TARGET": str(site), "NO_INDEX": "1", "NO_DEPS": "1", "NO_BUILD_ISOLATION": "0",
+                  "DISABLE_PIP_VERSION_CHECK": "1"}  # fmt: skip
+    environment = {"PYTHONPATH": path, **{f"PIP_{name}": value for name, value in installing.items()}}
+    assert walk(ROOT / "docs" / "tutorial.md", folder, environment) == 11
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("page", sorted((ROOT / "docs" / "how-to").glob("*.md")), ids=lambda page: page.stem)
+def test_the_how_tos(page: Path, tmp_path: Path) -> None:
+    """Do what a page of instructions says in a folder that has the sample recordings."""
+    (tmp_path / "recordings").symlink_to(ROOT / "recordings")
+    assert walk(page, tmp_path, {}) > 0
 
 
 @pytest.mark.slow
@@ -74,10 +139,11 @@ def test_the_adapter_of_the_guide(tmp_path: Path) -> None:
     info.mkdir()
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: ballistic\nVersion: 1.0\n")
     (info / "entry_points.txt").write_text(f"[gsb.simulators]\n{found[1].replace(chr(34), '')}\n")
+    environment = {"PYTHONPATH": os.pathsep.join([str(tmp_path), str(ROOT)])}
     for line in commands(guide):
-        done = shell(line, tmp_path, {"PYTHONPATH": str(tmp_path)})
+        done = shell(line, tmp_path, environment)
         assert done.returncode == 0, f"{line}\n{done.stderr}"
-    assert "ballistic" in shell("gsb-record --list", tmp_path, {"PYTHONPATH": str(tmp_path)}).stdout
+    assert "ballistic" in shell("gsb-record --list", tmp_path, environment).stdout
 
 
 def _figures():  # type: ignore[no-untyped-def]
@@ -137,10 +203,16 @@ def test_make_demo(tmp_path: Path) -> None:
     assert str(tmp_path / "demo" / "report" / "index.html") in done.stdout
 
 
-def test_the_help_shows_its_exit_codes() -> None:
-    """Document exit codes and examples in every command's help, and run the examples that need no file."""
-    for name in ("gsb-record", "gsb-eval", "gsb-audit", "gsb-check", "gsb-diff", "gsb-info", "gsb-share"):
-        done = subprocess.run([*command(name), "--help"], capture_output=True, text=True, timeout=60)
-        assert "exit codes:" in done.stdout
-        for line in done.stdout.split("examples:")[1].strip().splitlines():
-            assert shlex.split(line)[0] == name
+def test_how_to_cite() -> None:
+    """Name the version and the licence of the package, an author, and the format that the file is in."""
+    import schemas
+
+    text = (ROOT / "CITATION.cff").read_text(encoding="utf-8")
+    said = dict(re.findall(r"^([\w-]+): (.+)$", text, re.MULTILINE))
+    assert said["cff-version"] == "1.2.0"
+    assert said["version"] == schemas.__version__
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    assert (said["title"], said["license"]) == (project["name"], project["license"])
+    assert "Apache License" in (ROOT / "LICENSE").read_text(encoding="utf-8")
+    assert re.search(r"^authors:\n  - name: \S", text, re.MULTILINE)
+    assert said["message"]

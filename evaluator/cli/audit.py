@@ -60,17 +60,27 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument("files", nargs="+", type=local_path, metavar="FILE", help="recordings (.mcap)")
     p.add_argument("--runs", type=int, default=1, metavar="R", help="replays of each (default: 1; statistics want 6)")
     p.add_argument(
-        "--out", type=local_path, default=Path("audit"), metavar="DIR", help="of the replays (default: audit/)"
+        "--out", type=local_path, default=Path("audit"), metavar="DIR", help="folder of the replays (default: audit/)"
     )
     p.add_argument(
-        "--require", choices=_LEVELS, default=_LEVELS[-1], metavar="LEVEL", help="see below (default: %(default)s)"
+        "--require",
+        choices=_LEVELS,
+        default=_LEVELS[-1],
+        metavar="LEVEL",
+        help="weakest level that ends with 0; see below (default: %(default)s)",
     )
-    p.add_argument("--ulps", type=int, default=4, metavar="K", help="of the level within-ulps (default: %(default)s)")
+    p.add_argument(
+        "--ulps",
+        type=int,
+        default=4,
+        metavar="K",
+        help="largest distance of the level within-ulps (default: %(default)s)",
+    )
     p.add_argument(
         "--json", type=local_name, metavar="FILE", help="write the results as JSON; - for standard output, alone"
     )
     p.add_argument("--python", type=local_path, metavar="PATH", help="interpreter that makes the replays")
-    p.add_argument("--timeout", type=float, metavar="S", help="of each replay; 0: none (default: as below)")
+    p.add_argument("--timeout", type=float, metavar="S", help="limit of each replay [s]; 0: none (default: as below)")
     p.add_argument("--phases", metavar="LIST", help="timed, capture or both (default: those that were recorded)")
     p.add_argument(
         "--option", action="append", default=[], metavar="NAME=VALUE", help="instead of what was recorded; repeatable"

@@ -11,7 +11,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NoReturn
 
-import schemas
+from schemas.command_line import add_common
 from schemas.errors import ExitCode, GsbError
 from schemas.location import redacted, shown_argument
 
@@ -27,7 +27,7 @@ def new_parser(command: str, description: str, epilog: str) -> argparse.Argument
     p = _Parser(
         prog=command, description=description, epilog=epilog, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    p.add_argument("--version", action="version", version=f"gpusimbench {schemas.__version__}")
+    add_common(p)
     return p
 
 

@@ -47,7 +47,13 @@ def parser() -> argparse.ArgumentParser:
     )
     p.add_argument("files", nargs="+", type=place, metavar="FILE", help="recordings (.mcap), or addresses of them")
     p.add_argument("--reference", type=place, metavar="FILE", help="recording to compare positions with")
-    p.add_argument("--sample-time", type=float, default=5.0, metavar="S", help="simulated time (default: 5.0)")
+    p.add_argument(
+        "--sample-time",
+        type=float,
+        default=5.0,
+        metavar="S",
+        help="simulated time at which positions are read [s] (default: 5.0)",
+    )
     p.add_argument(
         "--json", type=local_name, metavar="FILE", help="write the results as JSON; - for standard output, alone"
     )

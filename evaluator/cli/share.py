@@ -44,18 +44,30 @@ def parser() -> argparse.ArgumentParser:
     for verb, what in (("pack", "copies with packed states"), ("unpack", "copies with states as they are")):
         v = verbs.add_parser(verb, help=what, description=f"Write {what}; every copy is checked against its source.")
         v.add_argument("files", nargs="+", type=local_path, metavar="FILE", help="recordings, or folders of them")
-        v.add_argument("--out", type=local_path, default=Path(f"{verb}ed"), metavar="DIR", help=f"default: {verb}ed")
+        v.add_argument(
+            "--out",
+            type=local_path,
+            default=Path(f"{verb}ed"),
+            metavar="DIR",
+            help=f"folder of the copies (default: {verb}ed)",
+        )
         if verb == "pack":
-            v.add_argument("--level", type=int, default=1, metavar="N", help="of Zstandard, 1 to 22 (default: 1)")
+            v.add_argument("--level", type=int, default=1, metavar="N", help="level of Zstandard, 1 to 22 (default: 1)")
     v = verbs.add_parser("recover", help="a whole file of one that was cut short", description=_RECOVER)
     v.add_argument("file", type=local_path, metavar="FILE", help="what a crash left, NAME.mcap.partial or another")
-    v.add_argument("--out", type=local_path, metavar="FILE", help="default: NAME.recovered.mcap, beside it")
+    v.add_argument(
+        "--out", type=local_path, metavar="FILE", help="the file to write (default: NAME.recovered.mcap, beside it)"
+    )
     v = verbs.add_parser("viewer", help="a file for viewers", description=_VIEWER)
     v.add_argument("file", type=local_path, metavar="FILE", help="a recording")
     v.add_argument("--env", type=int, action="append", metavar="E", help="environment to show; repeatable (default: 0)")
     v.add_argument("--rate", type=float, default=30.0, metavar="HZ", help="most poses a simulated second (default: 30)")
     v.add_argument(
-        "--spread", type=float, default=0.0, metavar="M", help="move environments at one place this far apart"
+        "--spread",
+        type=float,
+        default=0.0,
+        metavar="M",
+        help="move environments at one place this far apart [m] (default: 0)",
     )
     v.add_argument("--out", type=local_path, required=True, metavar="FILE", help="the file to write")
     v.add_argument(

@@ -1,0 +1,89 @@
+"""What the commands of recorder and evaluator have in common: options, and sections of their help."""
+
+from __future__ import annotations
+
+import argparse
+import textwrap
+
+import schemas
+from schemas.completion import SHELLS, Names, PrintCompletion
+
+_WIDTH = 118
+
+_VARIABLES = {
+    "CUDA_VISIBLE_DEVICES": "the first GPU that it names is the one that engines step on and whose memory is read",
+    "GSB_CACHE": "where results are kept without --cache (default: gpusimbench in $XDG_CACHE_HOME or ~/.cache)",
+    "GSB_ENVIRONMENTS": "where --setup makes environments (default: gpusimbench/environments in $XDG_DATA_HOME or "
+    "~/.local/share)",
+    "GSB_MADRONA_MODULE": "the simulator module of --sim madrona, where --option module=NAME does not say",
+    "OMP_NUM_THREADS": "threads that distances are computed with (default: as many as the process may use)",
+    "TMPDIR": "where a recording from elsewhere lies while it is verified; it needs room for all of it (default: /tmp)",
+}
+"""Variables of the environment that commands read."""
+
+_READS = {
+    "gsb-record": ("CUDA_VISIBLE_DEVICES", "GSB_ENVIRONMENTS", "GSB_MADRONA_MODULE"),
+    "gsb-audit": ("CUDA_VISIBLE_DEVICES", "GSB_ENVIRONMENTS", "GSB_MADRONA_MODULE"),
+    "gsb-eval": ("GSB_CACHE", "OMP_NUM_THREADS"),
+    "gsb-info": ("TMPDIR",),
+    "gsb-check": ("TMPDIR",),
+}
+"""Which of them each command reads."""
+
+_FILES = {
+    "gsb-record": (
+        "OUT/SIM-SCENE-nN-rR-TIME.mcap  run R, begun at TIME (UTC); SIM with its solver and level of determinism",
+        "OUT/NAME.mcap.partial  a run that is being made, or what a crash left of it, for gsb-share recover",
+    ),
+    "gsb-audit": ("OUT/NAME.mcap  a replay, a recording like any other",),
+    "gsb-eval": ("CACHE/  what was read and computed, by content and version; it may be deleted at any time",),
+}
+"""What commands leave on the disk without being told its name."""
+
+_SEE_ALSO = {
+    "gsb-record": "gsb-eval, which computes what the runs show; gsb-audit, which replays and compares; "
+    "docs/simulators.md; docs/timing.md",
+    "gsb-eval": "gsb-record, which makes recordings; gsb-check, which holds them against rules; docs/metrics.md; "
+    "docs/statistics.md",
+    "gsb-info": "gsb-check, which says rule by rule what is wrong; docs/check.md; schemas/README.md",
+    "gsb-check": "gsb-info, which shows one file; gsb-audit, which also runs it again; docs/check.md; "
+    "docs/strangers.md",
+    "gsb-diff": "gsb-audit, which replays first; gsb-eval, for sets of runs; docs/diff.md",
+    "gsb-audit": "gsb-record --replay, which only replays; gsb-diff, which shows where two part; docs/audit.md",
+    "gsb-share": "gsb-check, for what recover made; docs/share.md; docs/strangers.md",
+}
+"""Where each command's reader may go on."""
+
+
+def add_common(parser: argparse.ArgumentParser, names: Names = dict) -> None:
+    """Give a parser the options that every command has, and its help the sections on its environment and its kin.
+
+    names  see PrintCompletion
+    """
+    parser.add_argument(
+        "--version",
+        action="version",
+        version=f"gpusimbench {schemas.__version__}",
+        help="show the version of the package and exit",
+    )
+    parser.add_argument(
+        "--print-completion",
+        action=PrintCompletion,
+        names=names,
+        help=f"print a script that completes this command in {', '.join(SHELLS)}, and exit",
+    )
+    before, heading, examples = (parser.epilog or "").partition("\nexamples:\n")
+    parser.epilog = before + _kin(parser.prog) + heading + examples
+
+
+def _kin(command: str) -> str:
+    sections = {
+        "files": _FILES.get(command, ()),
+        "environment variables": [f"{name}  {_VARIABLES[name]}" for name in _READS.get(command, ())],
+        "see also": _SEE_ALSO[command].split("; ") if command in _SEE_ALSO else (),
+    }
+    return "".join(f"\n{title}:\n{''.join(map(_item, rows))}" for title, rows in sections.items() if rows)
+
+
+def _item(text: str) -> str:
+    return textwrap.fill(text, _WIDTH, initial_indent="  ", subsequent_indent="      ") + "\n"
