@@ -9,7 +9,7 @@ ENGINES     ?= calibration physx sapien
 ALL_ENGINES := calibration genesis isaaclab maniskill physx sapien
 export GSB_ENVIRONMENTS ?= $(abspath $(VENV))/environments
 
-.PHONY: help install demo test engines environments test-engines fast lint proto locks figures bench clean
+.PHONY: help install demo test engines environments test-engines fast lint proto locks figures site man bench clean
 
 help:
 	@echo "make demo   install, record 16 envs x 10 runs of inclined-collision with MuJoCo C, evaluate, write a report"
@@ -20,6 +20,8 @@ help:
 	@echo "make proto  rebuild the descriptor set after a change of schemas/proto"
 	@echo "make locks  pin the environments of simulators anew; INDEX=URL names a package index (PEP 503)"
 	@echo "make figures  redraw the tables and the picture of the documents from recordings/"
+	@echo "make site   the documents as a static site, with reference pages made of the code"
+	@echo "make man    manual pages of the commands"
 	@echo "make bench  every performance claim, measured here"
 
 $(VENV)/.installed-demo: pyproject.toml constraints.txt
@@ -78,6 +80,12 @@ figures: install
 	$(BIN)/python docs/make_figures.py
 	$(BIN)/python docs/make_h200.py
 	$(BIN)/python docs/make_physics.py
+
+site: $(VENV)/.installed-test
+	$(BIN)/python docs/build_site.py site
+
+man: install
+	$(BIN)/python docs/make_man.py man
 
 bench: $(VENV)/.installed-test
 	$(BIN)/python -m benchmarks.all
