@@ -10,6 +10,7 @@ import pytest
 
 from evaluator import open_recording
 from evaluator.recording import Recording
+from tests.conftest import call
 
 ROOT = Path(__file__).resolve().parent.parent
 FILES = sorted((ROOT / "recordings" / "h200").glob("*.mcap"))
@@ -60,3 +61,16 @@ def test_states_of_mjx_agree_where_fingerprints_do() -> None:
     for recording in found:
         positions = recording.state("cubes", "position")[-1]
         assert (positions == positions[:1]).all()
+
+
+@pytest.mark.parametrize("name", ["mjx-jax-run-to-run", "newton-xpbd-run-to-run"])
+def test_replays_on_another_machine_are_bit_identical(name: str) -> None:
+    """Hold the shipped replays against their originals, and see that another machine made them."""
+    original = ROOT / "recordings" / "h200" / f"{name}-inclined-collision-n16-r0.mcap"
+    replay = ROOT / "recordings" / "replays" / f"{name}-inclined-collision-n16-replayed.mcap"
+    done = call("gsb-diff", original, replay)
+    assert done.returncode == 0, done.stdout
+    assert "BIT-IDENTICAL" in done.stdout
+    there, here = (open_recording(path).provenance for path in (original, replay))
+    assert there.host["threads"] != here.host["threads"]
+    assert there.run_id != here.run_id
