@@ -15,6 +15,8 @@ from evaluator.recording import Recording
 _MOST_HASHES = 1 << 25
 """That are held at once, of all recordings together; environments beyond are left out, and that is said."""
 
+_MIXED = 3  # recordings whose environments are taken by turns
+
 _MOST_CHANGES = 4000
 """Steps at which the classes change that a page is given."""
 
@@ -110,11 +112,19 @@ def compared(recordings: Sequence[Recording]) -> Compared | str:
 
 
 def representatives(found: Compared, most: int) -> list[int]:
-    """Members that stand for the classes, the first of each class, in the order in which the classes split off."""
+    """Members that stand for the classes, the first of each class, in the order in which the classes split off.
+
+    Of classes that split off at one step, those of the same environment in the first few recordings are next to each
+    other, so that differences between runs and differences between environments are both among the first.
+    """
+
+    def turn(member: int) -> tuple[bool, int, int]:
+        recording = int(found.recording[member])
+        return recording >= _MIXED, int(found.env[member]), recording
+
     order: dict[int, None] = {}
     for _, classes, _ in _refined(found.hashes):
-        for first in np.sort(np.unique(classes, return_index=True)[1]):
-            order[int(first)] = None
+        order |= dict.fromkeys(sorted(np.unique(classes, return_index=True)[1].tolist(), key=turn))
         if len(order) >= most:
             break
     return list(order)[:most]

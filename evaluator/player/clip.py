@@ -58,6 +58,7 @@ class Clip:
 
     title     what they are of
     whose     "environments", or "environments of 10 runs"
+    numbers   what the parts of a track's short name are
     dt        simulator step [s]
     last_step of any recording
     tracks    none where there are no states
@@ -70,6 +71,7 @@ class Clip:
 
     title: str
     whose: str
+    numbers: str
     dt: float
     last_step: int
     tracks: tuple[Track, ...]
@@ -105,10 +107,10 @@ def make_clip(
     around = surroundings(recordings[0])
     tracks = _tracks(recordings, chosen, labels, rows, picked, budget)
     n_member = among.hashes.shape[1] if isinstance(among, Compared) else 0
-    c = recordings[0].configuration
+    last = int(max(steps[-1] for steps in rows))
     return Clip(
-        title or labels.title, labels.whose, c.dt, int(max(steps[-1] for steps in rows)), tracks, around, n_member,
-        seen, not_compared, tuple(_notes(recordings, labels, among, seen, tracks, rows, around)),
+        title or labels.title, labels.whose, labels.numbers, recordings[0].configuration.dt, last, tracks, around,
+        n_member, seen, not_compared, tuple(_notes(recordings, labels, among, seen, tracks, rows, around)),
     )  # fmt: skip
 
 

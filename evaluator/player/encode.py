@@ -33,6 +33,7 @@ def encode(clip: Clip) -> str:
     record = {
         "title": _text(clip.title),
         "whose": clip.whose,
+        "numbers": clip.numbers,
         "dt": clip.dt,
         "last": clip.last_step,
         "low": low,

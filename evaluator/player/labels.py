@@ -34,6 +34,12 @@ class Labels:
         source = self.sources[recording].removeprefix("run ")
         return f"{source}·{env}" if source else str(env)
 
+    @property
+    def numbers(self) -> str:
+        """What the parts of a short name are."""
+        source = "recording" if self.lettered else "run"
+        return f"{source} · environment" if self.sources[0] else "environment"
+
     def legend(self, recordings: Sequence[Recording]) -> str:
         """Which file has which letter."""
         pairs = zip(self.sources, recordings, strict=True)

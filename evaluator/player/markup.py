@@ -13,7 +13,7 @@ from markupsafe import Markup
 
 from evaluator.player.clip import Clip
 from evaluator.player.encode import RESOLUTION_M, RESOLUTION_QUATERNION, encode
-from evaluator.player.words import sentences
+from evaluator.player.words import distinct, sentences
 
 _HERE = Path(__file__).parent
 
@@ -44,7 +44,7 @@ def markup(clips: Sequence[Clip]) -> Markup:
     )  # fmt: skip
     return Markup(
         environment.get_template("player.html.j2").render(
-            clips=[(clip, sentences(clip), Markup(encode(clip))) for clip in clips],
+            clips=[(clip, distinct(clip), sentences(clip), Markup(encode(clip))) for clip in clips],
             resolution_mm=f"{RESOLUTION_M * 1e3:.2g}",
             resolution_quaternion=f"{RESOLUTION_QUATERNION:.0e}",
         )

@@ -81,6 +81,7 @@ class Player {
   }
 
   legend() {
+    this.part("legend").querySelector("legend").textContent = `Shown: ${this.clip.numbers}`;
     this.entries = this.clip.tracks.map((track, index) => {
       const box = made("input");
       box.type = "checkbox";
@@ -90,14 +91,14 @@ class Player {
         else this.hidden.add(index);
         this.paint();
       });
-      const swatch = made("span", track.short, "swatch");
+      const chip = made("span", track.short, "chip");
       const label = made("label");
       const about = made("small");
       label.append(made("bdi", track.label), about);
       box.id = label.htmlFor = `gsb-track-${Player.count++}`;
       const row = made("li");
-      row.append(box, swatch, label);
-      return { row, swatch, about };
+      row.append(box, chip, label);
+      return { row, chip, about };
     });
     this.part("legend").querySelector("ul").replaceChildren(...this.entries.map((entry) => entry.row));
   }
@@ -137,7 +138,7 @@ class Player {
     if (step === undefined || step === null) return;
     this.play(false);
     this.go(step);
-    this.part("loud").textContent = `${this.part("words").textContent}, ${this.part("moment").textContent}`;
+    this.part("loud").textContent = `${this.part("distinct").textContent}, ${this.part("moment").textContent}`;
   }
 
   go(step) {
@@ -186,7 +187,7 @@ class Player {
     const time = `step ${step} of ${clip.last}, ${fixed(step * clip.dt)} s`;
     const rows = tracks.map((track) => track.steps[clip.row(track, step)]);
     const old = [...new Set(rows.filter((row) => row !== step))];
-    this.part("words").textContent = words;
+    this.part("distinct").textContent = words;
     this.part("moment").textContent = old.length ? `${time}; drawn: the state of step ${old.join(" and ")}` : time;
     this.at.setAttribute("aria-valuetext", `${time}, ${words}`);
     this.part("before").disabled = this.split(-1) === undefined;
@@ -196,7 +197,7 @@ class Player {
 
   tellEach(leaders) {
     const { clip, step } = this;
-    this.entries.forEach(({ swatch, about }, index) => {
+    this.entries.forEach(({ chip, about }, index) => {
       const track = clip.tracks[index];
       const leader = leaders[index];
       const told = [];
@@ -209,8 +210,8 @@ class Player {
       const apart = track.apart[row];
       if (index > 0 && leader !== 0 && apart !== null)
         told.push(`${length(apart)} from ${clip.tracks[0].label} at most (${track.items[track.furthest[row]].name})`);
-      swatch.className = `swatch k${leader % 8}`;
-      swatch.textContent = clip.tracks[leader].short;
+      chip.className = `chip k${leader % 8}`;
+      chip.textContent = clip.tracks[leader].short;
       about.textContent = told.join("; ");
     });
   }

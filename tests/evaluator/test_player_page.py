@@ -98,7 +98,7 @@ def test_counts_are_those_of_the_recording(browser: Browser, recording: Recordin
     for at in (0, 1, 39, 40, 41, 59, 60, 99, 100):
         go(browser, at)
         expected = f"{counts[at]} distinct of 4" if counts[at] > 1 else "all 4 environments bit-identical so far"
-        assert text(browser, ".words").startswith(expected), at
+        assert text(browser, ".distinct").startswith(expected), at
         assert f"step {at} of 100" in text(browser, ".moment")
     assert browser.errors == []
     assert browser.requests == []
@@ -107,13 +107,13 @@ def test_counts_are_those_of_the_recording(browser: Browser, recording: Recordin
 def test_the_first_divergence_is_one_click_away(browser: Browser, page: Path) -> None:
     """Jump to the step at which bits part, and from split to split."""
     browser.open(page)
-    assert text(browser, ".words") == "all 4 environments bit-identical so far"
+    assert text(browser, ".distinct") == "all 4 environments bit-identical so far"
     browser.click("button.first")
     assert step(browser) == 40
-    assert text(browser, ".words") == "2 distinct of 4 environments so far"
+    assert text(browser, ".distinct") == "2 distinct of 4 environments so far"
     assert "drawn" not in text(browser, ".moment"), "every step around the divergence has its state"
     browser.click("button.back")
-    assert text(browser, ".words") == "all 4 environments bit-identical so far"
+    assert text(browser, ".distinct") == "all 4 environments bit-identical so far"
     browser.click("button.next")
     browser.click("button.next")
     assert step(browser) == 60
@@ -137,10 +137,10 @@ def test_colours_split_where_bits_split(browser: Browser, page: Path, dark: bool
     assert min(pixels(browser, colours[0]), pixels(browser, colours[1])) > 60, "both, though in the same place"
     go(browser, 100)
     assert pixels(browser, colours[2]) > 200
-    swatches = "[...document.querySelectorAll('.swatch')].map(s => s.className + ' ' + s.textContent)"
-    assert browser.evaluate(swatches) == ["swatch k0 0", "swatch k1 2", "swatch k2 3"]
+    chipes = "[...document.querySelectorAll('.chip')].map(s => s.className + ' ' + s.textContent)"
+    assert browser.evaluate(chipes) == ["chip k0 0", "chip k1 2", "chip k2 3"]
     go(browser, 0)
-    assert browser.evaluate(swatches) == ["swatch k0 0", "swatch k0 0", "swatch k0 0"]
+    assert browser.evaluate(chipes) == ["chip k0 0", "chip k0 0", "chip k0 0"]
 
 
 def test_the_keyboard_suffices(browser: Browser, page: Path) -> None:
@@ -298,7 +298,7 @@ def test_real_recordings_that_part(browser: Browser, tmp_path: Path) -> None:
     browser.open(written(tmp_path, recordings))
     browser.click("button.first")
     assert step(browser) == 1
-    assert text(browser, ".words") == "2 distinct of 32 environments of 2 recordings so far"
+    assert text(browser, ".distinct") == "2 distinct of 32 environments of 2 recordings so far"
     go(browser, 500)
     assert "ball of env 0 of a" in text(browser, ".outside")
     assert "a is mujoco-xeon-r0.mcap, b is mujoco-pyramidal-r0.mcap" in text(browser, ".notes")
@@ -310,7 +310,7 @@ def test_states_that_were_not_recorded_are_not_made_up(browser: Browser, tmp_pat
     path = SHIPPED / "h200" / "physx-spacing-0-inclined-collision-n16-r0.mcap"
     browser.open(written(tmp_path, [Recording(path)]))
     browser.click("button.first")
-    assert text(browser, ".words") == "2 distinct of 16 environments so far"
+    assert text(browser, ".distinct") == "2 distinct of 16 environments so far"
     assert text(browser, ".moment") == "step 72 of 500, 0.72 s; drawn: the state of step 0"
     go(browser, 250)
     assert text(browser, ".moment") == "step 250 of 500, 2.5 s"
@@ -331,6 +331,6 @@ def test_several_groups_share_one_player(browser: Browser, recording: Recording,
     assert step(browser) == 40
     choose(browser, ".clips", "1")
     assert step(browser) == 0
-    assert text(browser, ".words") == "all 3 environments bit-identical so far"
+    assert text(browser, ".distinct") == "all 3 environments bit-identical so far"
     assert browser.evaluate("document.querySelector('button.first').disabled")
     assert browser.errors == []
