@@ -26,7 +26,7 @@ _NOT_COMPARED_SHOWN = 4
 _RATE_HZ = 30.0
 _BEFORE, _BEHIND = 12, 24  # recorded rows around the first divergence, all of which are kept
 _POSE_BYTES = 20 * 4 / 3  # of an item: three float32 and four int16, in base64
-_MOST_ITEMS = 3000
+_MOST_ITEMS = 1000
 
 
 @dataclass(frozen=True)
@@ -176,7 +176,7 @@ def _tracks(
     picked: Sequence[tuple[int, range]],
     budget: int,
 ) -> tuple[Track, ...]:
-    n_item = max(len(items_of(recordings[r], e, [range(1)]).names) for r, e in {r: (r, e) for r, e in chosen}.values())
+    n_item = max(len(items_of(recordings[r], e, [range(1)]).bodies) for r, e in {r: (r, e) for r, e in chosen}.values())
     if not n_item or n_item > _MOST_ITEMS:
         raise NothingComparable(f"{recordings[0].path} has {n_item} bodies and links that could be shown")
     room = int(budget / (n_item * _POSE_BYTES * len(chosen)))
@@ -189,7 +189,7 @@ def _tracks(
         items = items_of(recordings[index], env, [coarse, *([window] if window else [])])
         rows = np.concatenate([np.array(coarse, dtype=np.int64), np.array(window, dtype=np.int64)])
         _, once = np.unique(rows, return_index=True)
-        kept = Items(items.names, items.groups, items.position[once], items.orientation[once])
+        kept = Items(items.bodies, items.position[once], items.orientation[once])
         at = steps[index][rows[once]]
         apart, furthest = _apart(found[0] if found else None, at, kept)
         found.append(Track(index, env, labels.track(index, env), labels.short(index, env), at, kept, apart, furthest))
@@ -200,7 +200,7 @@ def _apart(
     first: Track | None, steps: NDArray[np.int64], items: Items
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     apart, furthest = np.full(len(steps), np.nan), np.zeros(len(steps), dtype=np.int64)
-    if first is None or first.items.names != items.names:
+    if first is None or first.items.bodies != items.bodies:
         return apart, furthest
     _, mine, theirs = np.intersect1d(steps, first.steps, return_indices=True)
     distance = np.linalg.norm(items.position[mine] - first.items.position[theirs], axis=-1)
@@ -237,9 +237,9 @@ def _notes(
         kept = ", ".join(dict.fromkeys(f"{len(t.steps)} of {len(rows[t.recording])}" for t in tracks))
         near = ", around the first divergence all of them" if seen and seen.first_divergence is not None else ""
         notes.append(f"{kept} recorded states are in this page{near}")
-    shapeless = sum(
-        item not in around.bodies for item in zip(tracks[0].items.groups, tracks[0].items.names, strict=True)
-    )
+    if around.left_out:
+        notes.append(f"{around.left_out} shapes of the scene are not drawn: there are too many")
+    shapeless = sum(body not in around.bodies for body in tracks[0].items.bodies)
     if shapeless:
         notes.append(f"{shapeless} bodies have no shape that is known; a dot stands for each")
     for recording in recordings:

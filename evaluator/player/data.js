@@ -5,8 +5,9 @@ class Clip {
     Object.assign(this, JSON.parse(text));
     this.positions = new Float32Array(unpacked(this.positions));
     this.orientations = new Int16Array(unpacked(this.orientations));
-    for (const track of this.tracks)
-      for (const item of track.items) item.shapes.forEach(prepare);
+    for (const items of this.items)
+      for (const item of items) item.shapes.forEach(prepare);
+    for (const track of this.tracks) track.items = this.items[track.items];
     [...this.fixed, ...this.ground].forEach(prepare);
   }
 

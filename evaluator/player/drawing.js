@@ -1,6 +1,8 @@
 // Solids on a 2D canvas, back to front. Coordinates are metres in the environment's frame, z up.
 
 const VIEW_ANGLE = 0.6; // of the canvas's height [rad]
+const WIDE = 1.45; // width of a picture that is as high as it can be, in heights
+const MARGIN = 0.94; // of half a picture that what is looked at takes
 const NEAR = 0.02; // share of the camera's distance in front of which nothing is drawn
 const LIGHT = [0.36, -0.48, 0.8];
 const GRID = 0.1; // lines on the ground [m]
@@ -15,9 +17,25 @@ class Camera {
 
   reset() {
     this.target = plus(this.low, this.high).map((sum) => sum / 2);
-    this.distance = Math.max(0.05, 0.5 * Math.hypot(...minus(this.high, this.low))) / Math.tan(VIEW_ANGLE / 2) * 0.74;
     this.azimuth = -1.1;
     this.height = 0.5;
+    this.turned();
+    // as near as all corners of the box stay in the picture
+    const [side, top] = [WIDE * MARGIN, MARGIN].map((share) => share * Math.tan(VIEW_ANGLE / 2));
+    this.distance = Math.max(0.05, ...[0, 1, 2, 3, 4, 5, 6, 7].map((corner) => {
+      const v = minus([0, 1, 2].map((axis) => (corner >> axis & 1 ? this.high : this.low)[axis]), this.target);
+      const depth = dot(v, this.forward);
+      return Math.max(Math.abs(dot(v, this.right)) / side, Math.abs(dot(v, this.up)) / top) - depth;
+    }));
+  }
+
+  turned() {
+    const [ca, sa, ch, sh] = [
+      Math.cos(this.azimuth), Math.sin(this.azimuth), Math.cos(this.height), Math.sin(this.height),
+    ];
+    this.forward = [-ch * ca, -ch * sa, -sh];
+    this.right = [-sa, ca, 0];
+    this.up = [-sh * ca, -sh * sa, ch];
   }
 
   turn(right, up) {
@@ -29,15 +47,10 @@ class Camera {
 
   // fixes the view of a canvas of some size [pixel] for the pictures that follow
   look(width, height) {
-    const [ca, sa, ch, sh] = [
-      Math.cos(this.azimuth), Math.sin(this.azimuth), Math.cos(this.height), Math.sin(this.height),
-    ];
-    this.forward = [-ch * ca, -ch * sa, -sh];
-    this.right = [-sa, ca, 0];
-    this.up = [-sh * ca, -sh * sa, ch];
+    this.turned();
     this.eye = minus(this.target, this.forward.map((c) => c * this.distance));
     // a narrow picture shows as much to the left and right as a wide one
-    this.scale = Math.min(height, width / 1.45) / 2 / Math.tan(VIEW_ANGLE / 2);
+    this.scale = Math.min(height, width / WIDE) / 2 / Math.tan(VIEW_ANGLE / 2);
     this.middle = [width / 2, height / 2];
   }
 

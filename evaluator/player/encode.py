@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import json
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -30,6 +31,7 @@ def encode(clip: Clip) -> str:
     """The clip as JSON in ASCII, without <, > and &."""
     low, high = _bounds(clip)
     poses = _Poses()
+    kinds = list(dict.fromkeys(track.items.bodies for track in clip.tracks))
     record = {
         "title": _text(clip.title),
         "whose": clip.whose,
@@ -41,7 +43,8 @@ def encode(clip: Clip) -> str:
         "fixed": [_shape(shape) for shape in clip.around.fixed],
         "ground": [_shape(shape) for shape in clip.around.ground],
         "classes": _classes(clip),
-        "tracks": [_track(track, clip.around, poses) for track in clip.tracks],
+        "items": [_items(bodies, clip.around) for bodies in kinds],
+        "tracks": [_track(track, kinds.index(track.items.bodies), poses) for track in clip.tracks],
         "notes": [_text(note) for note in clip.notes],
         **poses.packed(),
     }
@@ -83,17 +86,19 @@ def _quaternions(orientation: NDArray[np.float64]) -> NDArray[np.int16]:
     return np.asarray(np.rint(unit / RESOLUTION_QUATERNION), dtype="<i2")
 
 
-def _track(track: Track, around: Surroundings, poses: _Poses) -> dict[str, Any]:
-    items = track.items
+def _items(bodies: tuple[tuple[str, str], ...], around: Surroundings) -> list[dict[str, Any]]:
+    return [
+        {"name": _text(body[1]), "shapes": [_shape(shape) for shape in around.bodies.get(body, ())]} for body in bodies
+    ]
+
+
+def _track(track: Track, kind: int, poses: _Poses) -> dict[str, Any]:
     return {
         "label": _text(track.label),
         "short": _text(track.short),
-        "items": [
-            {"name": _text(name), "shapes": [_shape(shape) for shape in around.bodies.get((group, name), ())]}
-            for group, name in zip(items.groups, items.names, strict=True)
-        ],
+        "items": kind,
         "steps": track.steps.tolist(),
-        "poses": [poses.add(p, q) for p, q in zip(items.position, items.orientation, strict=True)],
+        "poses": [poses.add(p, q) for p, q in zip(track.items.position, track.items.orientation, strict=True)],
         "apart": [None if math.isnan(metres) else float(f"{metres:.4g}") for metres in track.apart],
         "furthest": track.furthest.tolist(),
     }
@@ -121,7 +126,11 @@ def _classes(clip: Clip) -> dict[str, Any]:
 
 def _bounds(clip: Clip) -> tuple[list[float], list[float]]:
     """Corners of a box [m] with what stands still, what moves at first, and where most of it gets near by."""
-    begin = [_finite(track.items.position[0]) for track in clip.tracks]
+    begin = []
+    for track in clip.tracks:
+        reach = np.array([_reach(clip.around.bodies.get(body, ())) for body in track.items.bodies])[:, np.newaxis]
+        first = track.items.position[0]
+        begin += [_finite(first - reach), _finite(first + reach)]
     still = [shape.position + np.outer((-0.5, 0.5), np.resize(shape.size, 3)) for shape in clip.around.fixed]
     near = np.concatenate([*begin, *still, np.zeros((0, 3))])
     if not len(near):
@@ -138,6 +147,14 @@ def _bounds(clip: Clip) -> tuple[list[float], list[float]]:
             low = np.minimum(low, np.maximum(lowest, near.min(axis=0) - room))
             high = np.maximum(high, np.minimum(highest, near.max(axis=0) + room))
     return low.tolist(), high.tolist()
+
+
+def _reach(shapes: Sequence[Shape]) -> float:
+    """How far shapes are from their body's origin at most [m]; somewhat more where they are off it."""
+    return max(
+        (math.hypot(*s.position) + (math.hypot(*s.size) / 2 if s.kind == "box" else sum(s.size)) for s in shapes),
+        default=0.0,
+    )
 
 
 def _finite(positions: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -15,6 +15,7 @@ from evaluator.sharing.shapes import Shape, solids_of
 from schemas.configuration import sim_time_ns
 
 _PIECE_ROWS = 4096  # read at once, so that memory does not grow with the length of a run
+_MOST_SHAPES = 4000  # that are drawn in every picture
 _FLAT_M = 1e-3  # a thinner box is the ground
 
 __all__ = ["Items", "Shape", "Surroundings", "items_of", "recorded_steps", "surroundings"]
@@ -24,13 +25,12 @@ __all__ = ["Items", "Shape", "Surroundings", "items_of", "recorded_steps", "surr
 class Items:
     """What moves in an environment.
 
-    names, groups  one an item
-    position       shape [row, item, 3] [m], in the env's frame
-    orientation    shape [row, item, 4], wxyz
+    bodies       group and name of each item
+    position     shape [row, item, 3] [m], in the env's frame
+    orientation  shape [row, item, 4], wxyz
     """
 
-    names: tuple[str, ...]
-    groups: tuple[str, ...]
+    bodies: tuple[tuple[str, str], ...]
     position: NDArray[np.float64]
     orientation: NDArray[np.float64]
 
@@ -42,11 +42,13 @@ class Surroundings:
     fixed   shapes of the world, in the env's frame
     ground  those of them that are flat: planes
     bodies  shapes of what moves, by group and name
+    left_out  how many shapes more the scene has than are drawn
     """
 
     fixed: tuple[Shape, ...]
     ground: tuple[Shape, ...]
     bodies: dict[tuple[str, str], tuple[Shape, ...]]
+    left_out: int
 
 
 @dataclass(frozen=True)
@@ -82,7 +84,7 @@ def items_of(recording: Recording, env: int, rows: Sequence[range]) -> Items:
         for begin in range(r.start, r.stop, size)
     ]
     return Items(
-        parts[0].names, parts[0].groups,
+        parts[0].bodies,
         np.concatenate([p.position for p in parts]), np.concatenate([p.orientation for p in parts]),
     )  # fmt: skip
 
@@ -90,12 +92,17 @@ def items_of(recording: Recording, env: int, rows: Sequence[range]) -> Items:
 def surroundings(recording: Recording) -> Surroundings:
     """Shapes from the recording's scene; DamagedRecording where one is unreadable."""
     solids = solids_of(recording)
+    ends = np.cumsum([len(solid.shapes) for solid in solids], dtype=np.int64)
+    left_out = int(ends[-1]) if len(ends) else 0
+    solids = solids[: int(np.searchsorted(ends, _MOST_SHAPES, side="right"))]
+    left_out -= sum(len(solid.shapes) for solid in solids)
     fixed = [shape for solid in solids if not solid.group for shape in solid.shapes]
     ground = tuple(s for s in fixed if s.kind == "box" and min(s.size) < _FLAT_M)
     return Surroundings(
         tuple(s for s in fixed if s not in ground),
         ground,
         {(solid.group, solid.name): solid.shapes for solid in solids if solid.group},
+        left_out,
     )
 
 
@@ -113,8 +120,7 @@ def _absolute(frames: Sequence[Frame]) -> Items:
             links[frame.name] = position, orientation
         poses.append((position, orientation))
     return Items(
-        tuple(frame.name for frame in frames),
-        tuple(frame.group for frame in frames),
+        tuple((frame.group, frame.name) for frame in frames),
         np.stack([p for p, _ in poses], axis=1),
         np.stack([q for _, q in poses], axis=1),
     )

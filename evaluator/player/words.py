@@ -23,7 +23,7 @@ def distinct(clip: Clip) -> str:
 def first_divergence(clip: Clip) -> str:
     """The step and time at which the first of them part."""
     if clip.changes is None:
-        return f"not known: {clip.not_compared}"
+        return "not known: bits are not compared"
     if clip.n_member < 2:
         return "none: there is one environment"
     first = clip.changes.first_divergence

@@ -16,7 +16,7 @@ from evaluator.player.encode import RESOLUTION_M, RESOLUTION_QUATERNION, encode
 from evaluator.player.poses import items_of
 from evaluator.player.words import sentences
 from evaluator.recording import Recording
-from schemas.errors import NothingComparable, UsageError
+from schemas.errors import DamagedRecording, NothingComparable, UsageError
 from tests.conftest import call
 from tests.synthetic import grid, write_recording
 
@@ -47,7 +47,7 @@ def _start() -> NDArray[np.float64]:
 def unpacked(text: str) -> tuple[dict[str, Any], NDArray[np.float32], NDArray[np.float64]]:
     """A clip's JSON, its positions [pose, item, 3] and orientations [pose, item, 4]."""
     record = json.loads(text)
-    n_item = len(record["tracks"][0]["items"])
+    n_item = len(record["items"][0])
     positions = np.frombuffer(base64.b64decode(record["positions"]), "<f4").reshape(-1, n_item, 3)
     orientations = np.frombuffer(base64.b64decode(record["orientations"]), "<i2").reshape(-1, n_item, 4)
     return record, positions, orientations * RESOLUTION_QUATERNION
@@ -58,7 +58,7 @@ def test_poses_are_those_of_the_recording() -> None:
     recording = Recording(SHIPPED / "mujoco-amd-r0.mcap")
     record, positions, orientations = unpacked(encode(make_clip([recording], envs=[3])))
     (track,) = record["tracks"]
-    names = [item["name"] for item in track["items"]]
+    names = [item["name"] for item in record["items"][track["items"]]]
     for group, field in (("ball", "position"), ("cubes", "position")):
         state = recording.state(group, field)
         of_group = [names.index(name) for name in state.field.items]
@@ -176,10 +176,30 @@ def test_links_are_where_the_engine_has_them(tmp_path: Path) -> None:
         for joint, angle in zip(field.field.items, field.at_step(step)[1, :, 0], strict=True):
             data.joint(joint).qpos[0] = angle
         mujoco.mj_kinematics(model, data)
-        for index, name in enumerate(items.names):
+        for index, (_, name) in enumerate(items.bodies):
             body = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, name)
             if body >= 0:
                 compared += 1
                 assert np.allclose(items.position[row, index], data.xpos[body], atol=1e-6), name
                 assert abs(items.orientation[row, index] @ data.xquat[body]) == pytest.approx(1, abs=1e-6), name
     assert compared >= 4 * 8
+
+
+@pytest.mark.parametrize("size", [[0, 0, 0], [-1, 2, 3], [1e300, 1, 1], [1e-300] * 3])
+def test_shapes_of_strangers_stay_in_bounds(tmp_path: Path, size: list[float]) -> None:
+    """Draw at most some thousand shapes of any size, and say how many are left out; or refuse the file in words."""
+
+    def crowd(attachment: str, record: dict[str, Any]) -> None:
+        if attachment == "scene.json":
+            record["bodies"] += [{"name": f"wall {i}", "shape": {"kind": "box", "size": size}} for i in range(5000)]
+
+    path = write_recording(tmp_path, grid(1), change=crowd)
+    try:
+        clip = make_clip([Recording(path)])
+    except DamagedRecording as error:
+        assert "size" in str(error)
+        return
+    record, _, _ = unpacked(encode(clip))
+    assert len(record["fixed"]) + len(record["ground"]) <= 4000
+    assert np.isfinite([record["low"], record["high"]]).all()
+    assert any("shapes of the scene are not drawn" in note for note in clip.notes)
