@@ -98,7 +98,10 @@ def make_clip(
     rows = [recorded_steps(recording) for recording in recordings]
     for recording, steps in zip(recordings, rows, strict=True):
         if not steps.size:
-            raise NothingComparable(f"{recording.path} holds no states of bodies or joints; there is nothing to show")
+            why = f": {recording.status}: {recording.reason}" if recording.reason else ""
+            raise NothingComparable(
+                f"{recording.path} holds no states of bodies or joints; there is nothing to show{why}"
+            )
     among = compared(recordings)
     chosen = _chosen(recordings, among, envs)
     seen, not_compared = _changes(among, chosen)

@@ -19,7 +19,7 @@ class Camera {
     this.target = plus(this.low, this.high).map((sum) => sum / 2);
     this.azimuth = -1.1;
     this.height = 0.5;
-    this.turned();
+    this.face();
     // as near as all corners of the box stay in the picture
     const [side, top] = [WIDE * MARGIN, MARGIN].map((share) => share * Math.tan(VIEW_ANGLE / 2));
     this.distance = Math.max(0.05, ...[0, 1, 2, 3, 4, 5, 6, 7].map((corner) => {
@@ -29,7 +29,7 @@ class Camera {
     }));
   }
 
-  turned() {
+  face() {
     const [ca, sa, ch, sh] = [
       Math.cos(this.azimuth), Math.sin(this.azimuth), Math.cos(this.height), Math.sin(this.height),
     ];
@@ -47,7 +47,7 @@ class Camera {
 
   // fixes the view of a canvas of some size [pixel] for the pictures that follow
   look(width, height) {
-    this.turned();
+    this.face();
     this.eye = minus(this.target, this.forward.map((c) => c * this.distance));
     // a narrow picture shows as much to the left and right as a wide one
     this.scale = Math.min(height, width / WIDE) / 2 / Math.tan(VIEW_ANGLE / 2);

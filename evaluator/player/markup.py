@@ -21,7 +21,9 @@ _HERE = Path(__file__).parent
 @cache
 def script() -> str:
     """The script; it starts every player of the page, needs no network and is the same for all pages."""
-    parts = [(_HERE / name).read_text(encoding="utf-8") for name in ("data.js", "drawing.js", "player.js")]
+    parts = [
+        (_HERE / name).read_text(encoding="utf-8") for name in ("data.js", "drawing.js", "picture.js", "player.js")
+    ]
     return "\n".join(["(() => {", '"use strict";', *parts, "})();"])
 
 
