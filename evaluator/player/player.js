@@ -48,7 +48,7 @@ class Player {
   }
 
   legend() {
-    this.part("legend").querySelector("legend").textContent = `Shown: ${this.clip.numbers}`;
+    this.part("legend").querySelector("legend").textContent = `Shown, by ${this.clip.numbers}`;
     this.entries = this.clip.tracks.map((track, index) => {
       const box = made("input");
       box.type = "checkbox";
