@@ -108,6 +108,8 @@ def surroundings(recording: Recording) -> Surroundings:
 
 def _absolute(frames: Sequence[Frame]) -> Items:
     # a link's pose is relative to its parent, which comes before it
+    if not frames:
+        return Items((), np.empty((0, 0, 3)), np.empty((0, 0, 4)))
     links: dict[str, tuple[NDArray[np.float64], NDArray[np.float64]]] = {}
     poses = []
     for frame in frames:
