@@ -25,7 +25,10 @@ HEAVY = (
 
 @pytest.mark.parametrize(
     "module",
-    ["recorder.cli", *(f"evaluator.cli.{name}" for name in ("audit", "check", "diff", "eval", "info", "share"))],
+    [
+        "recorder.cli",
+        *(f"evaluator.cli.{name}" for name in ("audit", "check", "diff", "eval", "info", "share", "view")),
+    ],
 )
 @pytest.mark.parametrize("argument", ["--help", "--version"])
 def test_help_imports_nothing_heavy(module: str, argument: str) -> None:

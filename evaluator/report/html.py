@@ -1,4 +1,7 @@
-"""An evaluation as one HTML page that needs nothing but itself: no script, no network, no other file.
+"""An evaluation as one HTML page that needs nothing but itself: no network, no other file.
+
+One section has a script, the player's; the page's policy allows that text alone, and without it the page is whole.
+
 
 What recordings say is a stranger's text: the templates escape every value, figures escape their own.
 """
@@ -12,6 +15,8 @@ from pathlib import Path
 from markupsafe import Markup
 
 import schemas
+from evaluator.player.markup import policy
+from evaluator.player.playback import Playback, playback_of
 from evaluator.report.figures import palette
 from evaluator.report.page import (
     accumulation,
@@ -20,6 +25,7 @@ from evaluator.report.page import (
     deviations,
     guidelines,
     mechanics,
+    playback,
     provenance,
     published,
     radar,
@@ -36,6 +42,7 @@ from evaluator.results import Evaluation
 
 SECTIONS: tuple[Callable[[Source], Section | None], ...] = (
     variability.section,
+    playback.section,
     mechanics.section,
     throughput.section,
     scaling.section,
@@ -56,10 +63,17 @@ SECTIONS: tuple[Callable[[Source], Section | None], ...] = (
 def write_html(evaluation: Evaluation, folder: Path, *, published: bool, command: str) -> Path:
     """Write `index.html` into the folder, which is made where it is missing; returns the page's path.
 
-    A reader never meets half a page: it is written beside and then put in place. OSError where that cannot be done.
+    States are read again from the recordings, for the player. A reader never meets half a page: it is written beside
+    and then put in place. OSError where that cannot be done.
     """
     # Names of files may hold bytes that are no text; they are shown as escapes instead of failing the report.
-    content = render_html(evaluation, published=published, command=command).encode("utf-8", "backslashreplace")
+    text = render_html(
+        evaluation,
+        published=published,
+        command=command,
+        playback=playback_of(Source(evaluation, published, command).shown),
+    )
+    content = text.encode("utf-8", "backslashreplace")
     folder.mkdir(parents=True, exist_ok=True)
     page = folder / "index.html"
     unfinished = folder / f".index.html.{os.getpid()}"
@@ -71,13 +85,14 @@ def write_html(evaluation: Evaluation, folder: Path, *, published: bool, command
     return page
 
 
-def render_html(evaluation: Evaluation, *, published: bool, command: str) -> str:
+def render_html(evaluation: Evaluation, *, published: bool, command: str, playback: Playback | None = None) -> str:
     """The page's text.
 
     published  whether the paper's figures are shown as well, marked as the paper's
     command    that made the page, as a shell would take it
+    playback   environments in motion; without, the page has no script
     """
-    source = Source(evaluation, published, command)
+    source = Source(evaluation, published, command, playback)
     sections = [made for section in SECTIONS if (made := section(source)) is not None]
     templates = environment()
     common = {"evaluation": evaluation, "shown": source.shown, "hidden": source.hidden}
@@ -86,6 +101,9 @@ def render_html(evaluation: Evaluation, *, published: bool, command: str) -> str
         **common,
         **header(source),
         sections=list(zip(sections, bodies, strict=True)),
+        policy=Markup("; ".join(["default-src 'none'", "style-src 'unsafe-inline'", *_script_source(sections)])),
+        styles=[Markup(s.style) for s in sections if s.style],
+        scripts=[Markup(s.script) for s in sections if s.script],
         command=command,
         version=schemas.__version__,
         colours={
@@ -95,3 +113,8 @@ def render_html(evaluation: Evaluation, *, published: bool, command: str) -> str
         },
     )
     return page.lstrip()
+
+
+def _script_source(sections: list[Section]) -> list[str]:
+    scripts = [policy(s.script) for s in sections if s.script]
+    return [f"script-src {' '.join(scripts)}"] if scripts else []

@@ -21,6 +21,7 @@ from evaluator.metrics import variability
 from evaluator.metrics.density import HexGrid, marginal
 from evaluator.metrics.guidelines import guidelines
 from evaluator.metrics.radar import SimulatorResult, radar
+from evaluator.player.playback import playback_of
 from evaluator.reading import Unreadable
 from evaluator.recording import Recording
 from evaluator.report.html import render_html, write_html
@@ -380,7 +381,9 @@ def test_page_is_written_whole(several: Evaluation, tmp_path: Path) -> None:
     folder = tmp_path / "new" / "report"
     page = write_html(several, folder, published=False, command=COMMAND)
     assert page == folder / "index.html"
-    assert page.read_text(encoding="utf-8") == render(several)
+    playback = playback_of(several.results)
+    whole = render_html(several, published=False, command=COMMAND, playback=playback)
+    assert page.read_text(encoding="utf-8") == whole
     write_html(several, folder, published=True, command="gsb-eval 'caf\udce9.mcap'")
     assert [p.name for p in folder.iterdir()] == ["index.html"]
     assert published.SOURCE in page.read_text(encoding="utf-8")

@@ -150,6 +150,7 @@ def command_lines(path: Path, other: Path, out: Path) -> list[tuple[str, list[st
         ("share", ["unpack", str(path), "--out", str(out / "unpacked")]),
         ("share", ["recover", str(path), "--out", str(out / "recovered.mcap")]),
         ("share", ["viewer", str(path), "--out", str(out / "view.mcap")]),
+        ("view", [str(path), "--no-open", "--out", str(out / "view.html")]),
     ]
 
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
+from evaluator.player.playback import Playback
 from evaluator.results import Evaluation, GroupResult
 from evaluator.sweeps import swept_only
 
@@ -18,11 +19,13 @@ class Source:
     evaluation  that it shows
     published   whether the paper's figures are shown as well, marked as the paper's
     command     that made the page, as a shell would take it
+    playback    environments in motion; None where the page is to have none, and no script
     """
 
     evaluation: Evaluation
     published: bool
     command: str
+    playback: Playback | None = None
 
     @cached_property
     def shown(self) -> list[GroupResult]:
@@ -47,9 +50,13 @@ class Section:
     title    its heading
     link     its name in the list of sections; the title where it is empty
     context  what its template shows
+    style    that it needs beyond the page's, CSS
+    script   that it needs, JavaScript: the page's policy allows this text and no other
     """
 
     key: str
     title: str
     context: Mapping[str, Any]
     link: str = ""
+    style: str = ""
+    script: str = ""

@@ -1,0 +1,129 @@
+"""gsb-view: recordings in motion, in a page of their own or in a viewer that is installed."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from evaluator.cli.arguments import local_path
+from evaluator.cli.entry import complain, enter, new_parser, write
+from schemas.errors import ExitCode, UsageError
+from schemas.location import place
+
+if TYPE_CHECKING:
+    from evaluator.player.clip import Clip
+    from evaluator.player.programs import Program
+    from evaluator.recording import Recording
+
+_PROGRAMS = ("auto", "page", "rerun", "foxglove", "lichtblick")
+
+_EPILOG = """\
+The page is one file without a network: environments in 3D over simulated time, coloured by which of them are
+bit-identical so far, with a jump to the first divergence. Several files of one scene are drawn together.
+
+exit codes:
+  0  it is shown, or, without a display, it is said where the page is
+  1  the page cannot be written, or the program cannot be started
+  2  the command asks for something that cannot be
+  3  a file is damaged or no recording; or one is cut short or lost data, and what is there is shown
+  5  a file holds no states, so that there is nothing to show
+
+examples:
+  gsb-view recordings/h200/physx-spacing-0-inclined-collision-n16-r0.mcap
+  gsb-view recordings/mujoco-xeon-r0.mcap recordings/mujoco-pyramidal-r0.mcap --out view.html --no-open
+  gsb-view recordings/mujoco-amd-r0.mcap --with rerun --env 0 --env 3
+"""
+
+
+def parser() -> argparse.ArgumentParser:
+    """The command's arguments."""
+    p = new_parser("gsb-view", "Show environments of recordings in motion.", _EPILOG)
+    p.add_argument("files", nargs="+", type=place, metavar="FILE", help="recordings (.mcap), or addresses of them")
+    p.add_argument(
+        "--with", dest="program", choices=_PROGRAMS, default="auto",
+        help="what to open (default: rerun, Foxglove or Lichtblick where one is installed, else the page)",
+    )  # fmt: skip
+    p.add_argument(
+        "--env", type=int, action="append", default=[], metavar="E",
+        help="environment to show, of each file; repeatable (default: one of each bitwise class, the first that part)",
+    )  # fmt: skip
+    p.add_argument("--out", type=local_path, metavar="FILE.html", help="keep the page (default: in a temporary folder)")
+    p.add_argument("--no-open", action="store_true", help="write what would be opened, say where it is, and end")
+    p.add_argument(
+        "--spread", type=float, default=0.5, metavar="M",
+        help="for other programs: environments at one place are moved this far apart (default: 0.5)",
+    )  # fmt: skip
+    return p
+
+
+def run(arguments: argparse.Namespace, command: str) -> int:
+    """Read, write and open; returns the exit code."""
+    from evaluator.locations import expand
+    from evaluator.player.clip import make_clip
+    from evaluator.player.programs import Program, found
+    from evaluator.player.words import sentences
+    from evaluator.recording import Recording
+
+    out: Path | None = arguments.out
+    if out is not None and out.suffix not in (".html", ".htm"):
+        raise UsageError(f"--out names the page; call it .html instead of {out.name}")
+    if out is not None and arguments.program not in ("auto", "page"):
+        raise UsageError(f"--out keeps the page; with --with {arguments.program} there is none")
+    program = Program.PAGE if out is not None else found(arguments.program)
+    recordings = [Recording(path) for path in expand(arguments.files)]
+    clip = make_clip(recordings, envs=arguments.env)
+    for sentence in sentences(clip):
+        complain("gsb-view", sentence)
+    if program is Program.PAGE:
+        _page(clip, recordings, out, command, opened=not arguments.no_open)
+    else:
+        _elsewhere(program, clip, recordings, arguments.spread, started=not arguments.no_open)
+    lost = [r for r in recordings if r.status == "incomplete" or r.dropouts]
+    return int(ExitCode.DATA_LOST if lost else ExitCode.OK)
+
+
+def _page(clip: Clip, recordings: list[Recording], out: Path | None, command: str, *, opened: bool) -> None:
+    from evaluator.player.page import render_page
+    from evaluator.player.programs import open_page
+
+    path = out or _folder() / f"{Path(recordings[0].path.name).stem}.html"
+    write(path, render_page(clip, recordings, command=command))
+    _say(path)
+    if opened and not open_page(path):
+        complain("gsb-view", f"no browser can be opened from here; the page is {path}, open it in one")
+
+
+def _elsewhere(program: Program, clip: Clip, recordings: list[Recording], spread: float, *, started: bool) -> None:
+    from evaluator.player.programs import start
+    from evaluator.player.viewable import views
+
+    files = views(recordings, clip, _folder(), spread=spread)
+    for recording, file in zip(recordings, files, strict=True):
+        if file != recording.path:
+            complain("gsb-view", f"{recording.path} has nothing inside that {program.value} draws; a view was written")
+        _say(file)
+    if started:
+        start(program, files)
+
+
+def _folder() -> Path:
+    import tempfile
+
+    return Path(tempfile.mkdtemp(prefix="gsb-view-"))  # left there: what opens it reads it later
+
+
+def _say(path: Path) -> None:
+    from evaluator.report.text import printable
+
+    print(printable(str(path)), flush=True)
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Entry point of gsb-view."""
+    return enter(parser(), run, argv)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

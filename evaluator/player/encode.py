@@ -1,0 +1,167 @@
+"""A clip as JSON that a page may hold: numbers packed as base64, and no text that could end the element around it."""
+
+from __future__ import annotations
+
+import base64
+import json
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from evaluator.player.clip import Clip, Track
+from evaluator.player.poses import Shape, Surroundings
+from evaluator.report.text import printable
+
+RESOLUTION_M = 2.0**-17
+"""Positions are rounded to multiples of it, 0.0076 mm, and are float32."""
+
+RESOLUTION_QUATERNION = 1 / 32767
+"""The same of the components of orientations, which are int16."""
+
+_FAR_PERCENT = 10.0  # of positions, those furthest out, do not decide what the camera sees at first
+_GROWTH, _GROWTH_ALONE = 0.08, 0.5  # how far it looks beyond what is there at first, in diagonals of that
+_FAR_M = 1e5
+_LONGEST = 300  # characters of a name
+
+
+def encode(clip: Clip) -> str:
+    """The clip as JSON in ASCII, without <, > and &."""
+    low, high = _bounds(clip)
+    poses = _Poses()
+    kinds = list(dict.fromkeys(track.items.bodies for track in clip.tracks))
+    record = {
+        "title": _text(clip.title),
+        "whose": clip.whose,
+        "numbers": clip.numbers,
+        "dt": clip.dt,
+        "last": clip.last_step,
+        "low": low,
+        "high": high,
+        "fixed": [_shape(shape) for shape in clip.around.fixed],
+        "ground": [_shape(shape) for shape in clip.around.ground],
+        "classes": _classes(clip),
+        "items": [_items(bodies, clip.around) for bodies in kinds],
+        "tracks": [_track(track, kinds.index(track.items.bodies), poses) for track in clip.tracks],
+        "notes": [_text(note) for note in clip.notes],
+        **poses.packed(),
+    }
+    text = json.dumps(record, allow_nan=False, separators=(",", ":"))
+    return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
+
+
+class _Poses:
+    """Poses of all items of an environment at a step, each kept once: those of equal environments are the same."""
+
+    def __init__(self) -> None:
+        self._known: dict[bytes, int] = {}
+        self._positions: list[bytes] = []
+        self._orientations: list[bytes] = []
+
+    def add(self, position: NDArray[np.float64], orientation: NDArray[np.float64]) -> int:
+        """The number under which the poses are kept; positions [item, 3], orientations [item, 4]."""
+        where = (np.rint(position / RESOLUTION_M) * RESOLUTION_M).astype("<f4").tobytes()
+        how = _quaternions(orientation).tobytes()
+        number = self._known.setdefault(where + how, len(self._known))
+        if number == len(self._positions):
+            self._positions.append(where)
+            self._orientations.append(how)
+        return number
+
+    def packed(self) -> dict[str, str]:
+        """Everything that was added, in order: float32 x, y, z and int16 w, x, y, z, little-endian."""
+        return {
+            "positions": base64.b64encode(b"".join(self._positions)).decode(),
+            "orientations": base64.b64encode(b"".join(self._orientations)).decode(),
+        }
+
+
+def _quaternions(orientation: NDArray[np.float64]) -> NDArray[np.int16]:
+    # not finite or of no length: no rotation; the position says whether the item is drawn at all
+    length = np.linalg.norm(orientation, axis=-1, keepdims=True)
+    usable = np.isfinite(length) & (length > 0)
+    unit = np.where(usable, orientation / np.where(usable, length, 1.0), [1.0, 0.0, 0.0, 0.0])
+    return np.asarray(np.rint(unit / RESOLUTION_QUATERNION), dtype="<i2")
+
+
+def _items(bodies: tuple[tuple[str, str], ...], around: Surroundings) -> list[dict[str, Any]]:
+    return [
+        {"name": _text(body[1]), "shapes": [_shape(shape) for shape in around.bodies.get(body, ())]} for body in bodies
+    ]
+
+
+def _track(track: Track, kind: int, poses: _Poses) -> dict[str, Any]:
+    return {
+        "label": _text(track.label),
+        "short": _text(track.short),
+        "items": kind,
+        "steps": track.steps.tolist(),
+        "poses": [poses.add(p, q) for p, q in zip(track.items.position, track.items.orientation, strict=True)],
+        "apart": [None if math.isnan(metres) else float(f"{metres:.4g}") for metres in track.apart],
+        "furthest": track.furthest.tolist(),
+    }
+
+
+def _shape(shape: Shape) -> dict[str, Any]:
+    return {"kind": shape.kind, "size": shape.size, "at": shape.position, "turn": shape.orientation}
+
+
+def _classes(clip: Clip) -> dict[str, Any]:
+    if clip.changes is None:
+        return {"reason": _text(clip.not_compared)}
+    c = clip.changes
+    return {
+        "n": clip.n_member,
+        "steps": c.steps.tolist(),
+        "distinct": c.so_far.tolist(),
+        "instant": c.instant.tolist(),
+        "leader": c.leader.tolist(),
+        "size": c.size.tolist(),
+        "first": c.first_divergence,
+        "splits": c.splits.tolist(),
+    }
+
+
+def _bounds(clip: Clip) -> tuple[list[float], list[float]]:
+    """Corners of a box [m] with what stands still, what moves at first, and where most of it gets near by."""
+    begin = []
+    for track in clip.tracks:
+        reach = np.array([_reach(clip.around.bodies.get(body, ())) for body in track.items.bodies])[:, np.newaxis]
+        first = track.items.position[0]
+        begin += [_finite(first - reach), _finite(first + reach)]
+    still = [shape.position + np.outer((-0.5, 0.5), np.resize(shape.size, 3)) for shape in clip.around.fixed]
+    near = np.concatenate([*begin, *still, np.zeros((0, 3))])
+    if not len(near):
+        near = np.zeros((1, 3))
+    middle = near.mean(axis=0)
+    below = [np.array([[middle[0], middle[1], shape.position[2]]]) for shape in clip.around.ground]
+    near = np.clip(np.concatenate([near, *below]), -_FAR_M, _FAR_M)
+    low, high = near.min(axis=0), near.max(axis=0)
+    room = (_GROWTH if still else _GROWTH_ALONE) * float(np.linalg.norm(high - low))
+    for track in clip.tracks:
+        where = _finite(track.items.position)
+        if len(where):
+            lowest, highest = np.percentile(where, (_FAR_PERCENT, 100 - _FAR_PERCENT), axis=0)
+            low = np.minimum(low, np.maximum(lowest, near.min(axis=0) - room))
+            high = np.maximum(high, np.minimum(highest, near.max(axis=0) + room))
+    return low.tolist(), high.tolist()
+
+
+def _reach(shapes: Sequence[Shape]) -> float:
+    """How far shapes are from their body's origin at most [m]; somewhat more where they are off it."""
+    return max(
+        (math.hypot(*s.position) + (math.hypot(*s.size) / 2 if s.kind == "box" else sum(s.size)) for s in shapes),
+        default=0.0,
+    )
+
+
+def _finite(positions: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Of positions [..., 3], those that are finite, shape [n, 3]."""
+    return positions[np.isfinite(positions).all(axis=-1)]
+
+
+def _text(text: str) -> str:
+    shown = printable(text)
+    return shown if len(shown) <= _LONGEST else f"{shown[:_LONGEST]}..."

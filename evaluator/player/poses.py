@@ -1,0 +1,135 @@
+"""Where the bodies and links of an environment are, all in its own frame; the one module that knows who reads them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from evaluator.recording import Recording
+from evaluator.sharing.motion import ROBOT, Frame, Rows, frames_of, rows_at
+from evaluator.sharing.rotation import product
+from evaluator.sharing.shapes import Shape, solids_of
+from schemas.configuration import sim_time_ns
+
+_PIECE_ROWS = 4096  # read at once, so that memory does not grow with the length of a run
+_MOST_SHAPES = 4000  # that are drawn in every picture
+_FLAT_M = 1e-3  # a thinner box is the ground
+
+__all__ = ["Items", "Shape", "Surroundings", "items_of", "recorded_steps", "surroundings"]
+
+
+@dataclass(frozen=True)
+class Items:
+    """What moves in an environment.
+
+    bodies       group and name of each item
+    position     shape [row, item, 3] [m], in the env's frame
+    orientation  shape [row, item, 4], wxyz
+    """
+
+    bodies: tuple[tuple[str, str], ...]
+    position: NDArray[np.float64]
+    orientation: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Surroundings:
+    """What a recording's scene looks like.
+
+    fixed   shapes of the world, in the env's frame
+    ground  those of them that are flat: planes
+    bodies  shapes of what moves, by group and name
+    left_out  how many shapes more the scene has than are drawn
+    """
+
+    fixed: tuple[Shape, ...]
+    ground: tuple[Shape, ...]
+    bodies: dict[tuple[str, str], tuple[Shape, ...]]
+    left_out: int
+
+
+@dataclass(frozen=True)
+class _Window(Rows):
+    """Rows from `start` on."""
+
+    start: int = 0
+
+    @property
+    def picked(self) -> slice:
+        return slice(self.start, self.stop, self.every)
+
+
+def recorded_steps(recording: Recording) -> NDArray[np.int64]:
+    """Simulator steps of the rows that can be shown, shape [row]; empty where no state of a body or joint is there."""
+    c = recording.configuration
+    times = rows_at(recording, 1.0 / (c.dt * c.stride)).times
+    steps = np.rint(np.array(times, dtype=np.float64) / (c.dt * 1e9)).astype(np.int64)
+    if len(steps) and sim_time_ns(int(steps[-1]), c.dt) != times[-1]:
+        steps = steps[:0]  # times that no step of this length has; nothing of it could be placed
+    return steps
+
+
+def items_of(recording: Recording, env: int, rows: Sequence[range]) -> Items:
+    """The items of an environment at some rows, range after range.
+
+    DamagedRecording where fields are not of the format.
+    """
+    parts = [
+        _absolute(frames_of(recording, env, _Window(r.step, min(r.stop, begin + size), (), begin)))
+        for r in rows
+        for size in (r.step * max(1, _PIECE_ROWS // r.step),)
+        for begin in range(r.start, r.stop, size)
+    ]
+    return Items(
+        parts[0].bodies,
+        np.concatenate([p.position for p in parts]), np.concatenate([p.orientation for p in parts]),
+    )  # fmt: skip
+
+
+def surroundings(recording: Recording) -> Surroundings:
+    """Shapes from the recording's scene; DamagedRecording where one is unreadable."""
+    solids = solids_of(recording)
+    ends = np.cumsum([len(solid.shapes) for solid in solids], dtype=np.int64)
+    left_out = int(ends[-1]) if len(ends) else 0
+    solids = solids[: int(np.searchsorted(ends, _MOST_SHAPES, side="right"))]
+    left_out -= sum(len(solid.shapes) for solid in solids)
+    fixed = [shape for solid in solids if not solid.group for shape in solid.shapes]
+    ground = tuple(s for s in fixed if s.kind == "box" and min(s.size) < _FLAT_M)
+    return Surroundings(
+        tuple(s for s in fixed if s not in ground),
+        ground,
+        {(solid.group, solid.name): solid.shapes for solid in solids if solid.group},
+        left_out,
+    )
+
+
+def _absolute(frames: Sequence[Frame]) -> Items:
+    # a link's pose is relative to its parent, which comes before it
+    if not frames:
+        return Items((), np.empty((0, 0, 3)), np.empty((0, 0, 4)))
+    links: dict[str, tuple[NDArray[np.float64], NDArray[np.float64]]] = {}
+    poses = []
+    for frame in frames:
+        position, orientation = frame.position, frame.orientation
+        if frame.parent:
+            there, turned = links[frame.parent]
+            position = there + _rotated(turned, position)
+            orientation = product(turned, orientation)
+        if frame.group == ROBOT:
+            links[frame.name] = position, orientation
+        poses.append((position, orientation))
+    return Items(
+        tuple((frame.group, frame.name) for frame in frames),
+        np.stack([p for p, _ in poses], axis=1),
+        np.stack([q for _, q in poses], axis=1),
+    )
+
+
+def _rotated(quaternion: NDArray[np.float64], vector: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Vectors [row, 3] turned by unit quaternions [row, 4]."""
+    pure = np.concatenate([np.zeros((*vector.shape[:-1], 1)), vector], axis=-1)
+    turned = product(product(quaternion, pure), quaternion * np.array([1.0, -1.0, -1.0, -1.0]))
+    return turned[..., 1:]
