@@ -12,6 +12,7 @@ from evaluator.groups import GroupKey, labels, options_given
 from evaluator.metrics.guidelines import Guideline, guidelines
 from evaluator.metrics.radar import Axis, Radar, SimulatorResult, radar
 from evaluator.results import GroupResult, Metric, Reference
+from evaluator.soundness import faults
 from evaluator.sweeps import Sweep, swept_only
 
 AXIS_METRICS = {
@@ -212,8 +213,16 @@ def _contender(parts: _Parts, name: str, reference: Reference | None, *, at_max:
         run_to_run=value(Axis.RUN_TO_RUN, parts.group),
         fps_articulated=robot.metrics["fps"].value if robot else None,
         n_max_articulated=parts.robot.n_max if parts.robot else None,
+        barred=_barred(parts.group, parts.sweep.at_max if parts.sweep else None),
+        barred_articulated=_barred(robot),
     )
     return Contender(parts.group, parts.sweep, parts.robot, figures, why_not)
+
+
+def _barred(*found: GroupResult | None) -> str:
+    """Why what these show earns no pick."""
+    said = [f"{wrong} ({r.group.key.scene})" for r in found if r is not None and (wrong := faults(r))]
+    return "; ".join(said)
 
 
 def _never() -> Sweep:
