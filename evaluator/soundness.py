@@ -50,7 +50,7 @@ def _sunk(result: GroupResult) -> str:
         return ""
     if metric.value < 0.1:  # few enough to be counted one by one
         return f"{metric.extra['total']:,} of {metric.extra['of']:,} cubes sank"
-    return f"{metric.value:.3g} of {metric.extra['cubes']} cubes per env sank"
+    return f"{metric.value:.3g} of {metric.extra['of'] // metric.n} cubes per env sank"
 
 
 def _broken(result: GroupResult) -> str:

@@ -31,13 +31,16 @@ _FIGURE_TEXT: dict[str, str] = {
 class Guideline:
     """One row: a need and the simulator that meets it best among those compared.
 
-    need       what a user wants
-    pick       the simulator, exact ties joined by ", "; None where no pick can be made
-    rule       how the pick is made, in words
-    evidence   the numbers that decided, best first; None without a pick
-    reason     why no pick can be made; None with a pick
-    runner_up  who would be picked if the pick were not there; None where there is no other that qualifies
-    barred     simulators that have the figures and earn no pick, each with the reason
+    need          what a user wants
+    pick          the simulator, exact ties joined by ", "; None where no pick can be made
+    rule          how the pick is made, in words
+    evidence      the numbers that decided, best first; None without a pick
+    reason        why no pick can be made; None with a pick
+    runner_up     who would be picked if the pick were not there; None where there is no other that qualifies
+    ranking       simulators that qualify with the figures that decided, best first
+    disqualified  simulators that have the figures and do not qualify, with them
+    barred        simulators that have the figures and earn no pick, each with the reason
+    unmeasured    simulators that lack a figure
     """
 
     need: str
@@ -46,7 +49,10 @@ class Guideline:
     evidence: str | None
     reason: str | None
     runner_up: str | None = None
+    ranking: tuple[str, ...] = ()
+    disqualified: tuple[str, ...] = ()
     barred: tuple[str, ...] = ()
+    unmeasured: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -82,23 +88,24 @@ def guidelines(results: Results) -> list[Guideline]:
 
 def _apply(rule: _Rule, results: Results) -> Guideline:
     measured = [r for r in results if all(getattr(r, f) is not None for f in rule.figures)]
-    unmeasured = [r.name for r in results if r not in measured]
+    unmeasured = tuple(r.name for r in results if r not in measured)
     if len(measured) < 2:
         have = f"only {measured[0].name} has" if measured else "no simulator has"
-        return _no_pick(rule, f"{have} all the figures that the rule needs")
+        return _no_pick(rule, f"{have} all the figures that the rule needs", unmeasured)
     barred = tuple(f"{_figures(rule, r)}: {_bar(rule, r)}" for r in measured if _bar(rule, r))
     sound = [r for r in measured if not _bar(rule, r)]
     if not sound:
-        return _no_pick(rule, "every simulator that has the figures is barred", barred)
+        return _no_pick(rule, "every simulator that has the figures is barred", unmeasured, barred)
     qualified = rule.narrow(sound)
     if not qualified:
         figures = "; ".join(_figures(rule, r) for r in sound)
-        return _no_pick(rule, f"no simulator qualifies: {figures}", barred)
+        return _no_pick(rule, f"no simulator qualifies: {figures}", unmeasured, barred)
     scores = {r.name: rule.score(r, results) for r in qualified}
     ranked = sorted(qualified, key=lambda r: scores[r.name], reverse=True)
     best = scores[ranked[0].name]
-    evidence = [_figures(rule, r, results) for r in ranked]
-    disqualified = [_figures(rule, r) for r in sound if r not in qualified]
+    ranking = tuple(_figures(rule, r, results) for r in ranked)
+    evidence = list(ranking)
+    disqualified = tuple(_figures(rule, r) for r in sound if r not in qualified)
     if disqualified:
         evidence.append("do not qualify: " + ", ".join(disqualified))
     if barred:
@@ -107,11 +114,12 @@ def _apply(rule: _Rule, results: Results) -> Guideline:
         evidence.append("not measured: " + _shortened(unmeasured))
     pick = ", ".join(r.name for r in ranked if scores[r.name] == best)
     runner_up = next((_figures(rule, r, results) for r in ranked if scores[r.name] != best), None)
-    return Guideline(rule.need, pick, rule.words, "; ".join(evidence), None, runner_up, barred)
+    said = "; ".join(evidence)
+    return Guideline(rule.need, pick, rule.words, said, None, runner_up, ranking, disqualified, barred, unmeasured)
 
 
-def _no_pick(rule: _Rule, reason: str, barred: tuple[str, ...] = ()) -> Guideline:
-    return Guideline(rule.need, None, rule.words, None, reason, None, barred)
+def _no_pick(rule: _Rule, reason: str, unmeasured: tuple[str, ...], barred: tuple[str, ...] = ()) -> Guideline:
+    return Guideline(rule.need, None, rule.words, None, reason, barred=barred, unmeasured=unmeasured)
 
 
 def _bar(rule: _Rule, result: SimulatorResult) -> str:
