@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import io
+import re
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +11,7 @@ import pytest
 
 from evaluator.evaluate import evaluate_files
 from evaluator.price_list import Family, Price
+from evaluator.report.tables import print_tables
 from evaluator.soundness import faults
 from tests.synthetic import grid, write_recording
 
@@ -94,3 +97,17 @@ def test_sunk_cubes_are_a_fault(tmp_path: Path) -> None:
     assert not sound.sunk
     assert bad.sunk == "2.5 of 27 cubes per env sank"
     assert bad.sunk in str(bad)
+
+
+def test_prices_in_a_terminal(tmp_path: Path) -> None:
+    """Print ratios with intervals, and why a level has none."""
+    family(tmp_path)
+    for run in range(3):
+        write_recording(tmp_path, grid(2), run=run, determinism="bad", status="INVALID", reason="lost contacts",
+                        gpu_bytes=(0, 10**9))  # fmt: skip
+    stream = io.StringIO()
+    print_tables(evaluate_files(sorted(tmp_path.glob("*.mcap"))), stream)
+    shown = stream.getvalue()
+    assert "what determinism costs" in shown
+    assert re.search(r"full +1 of 2 +1 of 3 +0\.5 \[0\.\d+, 0\.\d+\] +2 \[2, 2\]", shown)
+    assert "synthetic, bad: no price: 3 of 3 runs are INVALID, so it has no price" in shown

@@ -34,8 +34,17 @@ def section(source: Source) -> Section | None:
     if compared.radar is None:
         return None
     panels = [*_panels(compared.contenders), _mechanics(compared.contenders)]
-    context = {"panels": [p for p in panels if p.svg], "empty": [p for p in panels if not p.svg]}
+    barred = [f"{c.figures.name}: {why}" for c in compared.contenders if (why := _bars(c))]
+    context = {"barred": barred, "panels": [p for p in panels if p.svg], "empty": [p for p in panels if not p.svg]}
     return Section("dots", "What the radar compares, with intervals", context, link="Values with intervals")
+
+
+def _bars(contender: Contender) -> str:
+    return contender.figures.barred or contender.figures.barred_articulated
+
+
+def _label(contender: Contender) -> str:
+    return f"{contender.figures.name} †" if _bars(contender) else contender.figures.name
 
 
 def _panels(contenders: tuple[Contender, ...]) -> Iterator[Picture]:
@@ -53,7 +62,7 @@ def _panels(contenders: tuple[Contender, ...]) -> Iterator[Picture]:
 
 
 def _dot(index: int, contender: Contender, axis: Axis) -> Dot | None:
-    name = contender.figures.name
+    name = _label(contender)
     if axis is Axis.PARALLELISM:
         if contender.sweep is None or contender.sweep.n_max is None:
             return None
@@ -81,7 +90,7 @@ def _why_no_interval(n: int, extra: dict[str, object]) -> str:
 def _mechanics(contenders: tuple[Contender, ...]) -> Picture:
     dots, missing = [], dict[str, list[str]]()
     for index, contender in enumerate(contenders):
-        name = contender.figures.name
+        name = _label(contender)
         found = contender.group.fidelity if contender.group else None
         if found is None or not found.rows:
             why_not = found.why_not if found else "no group of it ran under the shared conditions"

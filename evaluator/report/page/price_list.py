@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from evaluator.price_list import Cost, Family, Price
 from evaluator.report.page.section import Section, Source
+from evaluator.report.price_table import family_name
 from evaluator.results import GroupResult, Metric
 from evaluator.soundness import Faults, faults
 
@@ -29,10 +30,8 @@ def section(source: Source) -> Section | None:
 
 
 def _name(family: Family) -> str:
-    first = (family.base or family.prices[0].result).group
-    given = ", ".join(f"{n}={v}" for n, v in first.recordings[0].configuration.options.items())
-    name = f"{first.key.simulator} [{given}]" if given else first.key.simulator
-    return f"{name}, {first.key.scene}, {first.key.n_env} envs, {first.key.device or 'no device'}"
+    key = (family.base or family.prices[0].result).group.key
+    return f"{family_name(family)}, {key.scene}, {key.n_env} envs, {key.device or 'no device'}"
 
 
 def _rows(family: Family) -> list[Row]:
