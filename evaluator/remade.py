@@ -56,25 +56,32 @@ class AtMax:
 class Capability:
     """One row of the first table.
 
-    label  of the simulator with its settings, unique within the table
-    key    what the row's sweeps have in common
-    at     by scene, where there is a sweep
+    label      of the simulator with its settings, unique within the table
+    key        what the row's sweeps have in common
+    at         by scene, where there is a sweep
+    elsewhere  what its other groups show against it, each with the scene: sweeps capture no states that would
     """
 
     label: str
     key: GroupKey
     at: Mapping[str, AtMax] = field(default_factory=dict)
+    elsewhere: tuple[str, ...] = ()
 
 
-def capability(sweeps: Sequence[Sweep]) -> tuple[Capability, ...]:
-    """A row for each simulator with each set of settings that was asked for, in order of their labels."""
+def capability(sweeps: Sequence[Sweep], results: Sequence[GroupResult]) -> tuple[Capability, ...]:
+    """A row for each simulator with each set of settings that was asked for, in order of their labels.
+
+    results  all groups of the evaluation
+    """
     found: dict[GroupKey, dict[str, Sweep]] = {}
     for sweep in sweeps:
         if sweep.key.scene in CAPABILITY_SCENES:
             found.setdefault(settings_asked(_recordings(sweep)), {}).setdefault(sweep.key.scene, sweep)
     given = options_given(r for by_scene in found.values() for s in by_scene.values() for r in _recordings(s))
     rows = [
-        Capability(label, key, {scene: _at_max(sweep) for scene, sweep in by_scene.items()})
+        Capability(
+            label, key, {scene: _at_max(sweep) for scene, sweep in by_scene.items()}, _elsewhere(key, by_scene, results)
+        )
         for label, (key, by_scene) in zip(labels(list(found), given), found.items(), strict=True)
     ]
     return tuple(sorted(rows, key=lambda row: row.label))
@@ -84,6 +91,12 @@ def variability(results: Sequence[GroupResult]) -> tuple[GroupResult, ...]:
     """Rows of the second table: groups of its scene by published type, those without one last."""
     rows = [r for r in results if r.group.key.scene == VARIABILITY_SCENE and not is_instrument(r.group.key)]
     return tuple(sorted(rows, key=lambda r: (r.metrics["regime_published"].value or float("inf"), r.label)))
+
+
+def _elsewhere(key: GroupKey, by_scene: Mapping[str, Sweep], results: Sequence[GroupResult]) -> tuple[str, ...]:
+    swept = {p.result.label for sweep in by_scene.values() for p in sweep.points}
+    others = [r for r in results if r.label not in swept and settings_asked(r.group.recordings) == key]
+    return tuple(f"{r.group.key.scene}: {wrong}" for r in others if (wrong := faults(r)))
 
 
 def _recordings(sweep: Sweep) -> list[Summary]:

@@ -37,6 +37,7 @@ def capability_record(row: Capability) -> dict[str, Any]:
         "version": row.key.version,
         "device": row.key.device,
         "determinism": row.key.determinism,
+        "elsewhere": list(row.elsewhere),
         "scenes": {scene: _at_max(at) for scene, at in row.at.items()},
     }
 

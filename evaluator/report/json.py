@@ -51,7 +51,7 @@ def to_json(evaluation: Evaluation) -> dict[str, Any]:
         "compared": [contender_record(contender) for contender in comparison.contenders],
         "guidelines": [vars(g) for g in comparison.guidelines],
         "price_list": [family_record(family) for family in evaluation.price_list],
-        "capability": [capability_record(row) for row in capability(evaluation.sweeps)],
+        "capability": [capability_record(row) for row in capability(evaluation.sweeps, evaluation.results)],
     }
     plain: dict[str, Any] = values_of(document)
     return plain

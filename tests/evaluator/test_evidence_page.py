@@ -82,7 +82,7 @@ def source(evaluation: Evaluation, *, published: bool = False) -> Source:
 
 def test_limits_are_told_apart(swept: Evaluation) -> None:
     """Tell a limit of memory from one of validity, and both from a sweep that nothing ended."""
-    rows = {row.label: row.at["free-fall"] for row in capability(swept.sweeps)}
+    rows = {row.label: row.at["free-fall"] for row in capability(swept.sweeps, swept.results)}
     assert {name: (at.n_max, at.limit) for name, at in rows.items()} == {
         "genesis": (128, Limit.MEMORY),
         "mjx": (128, Limit.INVALID),
@@ -104,6 +104,21 @@ def test_capability_table(swept: Evaluation) -> None:
     text = render_html(swept, published=False, command="c")
     assert "validity, not memory" in text
     assert 'class="paper"' not in text
+
+
+def test_faults_of_other_scenes_stand_beside_speed(tmp_path: Path) -> None:
+    """Name cubes that sank in another scene beside the sweep of the same engine and options, and of no other."""
+    for solver, height in (("a", 0.03), ("b", -1.0)):
+        write_sweep(tmp_path, (64, 128), simulator="warp", scene="free-fall", options={"solver": solver})
+        final = grid(2)
+        final[:, :9, 2] = height
+        write_recording(tmp_path, final, simulator="warp", options={"solver": solver}, gpu_bytes=(0, 10**9))
+    evaluation = evaluate_files(sorted(tmp_path.glob("*.mcap")))
+    rows = capability(evaluation.sweeps, evaluation.results)
+    sunk = ("inclined-collision: 9 of 27 cubes per env sank",)
+    assert [(row.label, row.elsewhere) for row in rows] == [("warp [solver=a]", ()), ("warp [solver=b]", sunk)]
+    assert sunk[0] in render_html(evaluation, published=False, command="c")
+    assert [one["elsewhere"] for one in to_json(evaluation)["capability"]] == [[], list(sunk)]
 
 
 def test_variability_table(swept: Evaluation) -> None:

@@ -56,7 +56,7 @@ class VariabilityRow:
 
 def section(source: Source) -> Section | None:
     """None where nothing here is of the published scenes."""
-    capability = remade.capability(source.evaluation.sweeps)
+    capability = remade.capability(source.evaluation.sweeps, source.evaluation.results)
     shown = [r for r in remade.variability(source.evaluation.results) if r in source.shown]
     rows = [_row(r, source, first=_is_first(r, shown)) for r in shown]
     if not capability and not rows:
