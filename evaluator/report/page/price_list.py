@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from evaluator.price_list import Cost, Family, Price
 from evaluator.report.page.section import Section, Source
 from evaluator.report.price_table import family_name
-from evaluator.results import GroupResult, Metric
+from evaluator.results import GroupResult
 from evaluator.soundness import Faults, faults
 
 
@@ -25,7 +25,7 @@ def section(source: Source) -> Section | None:
     families = source.evaluation.price_list
     if not families:
         return None
-    context = {"families": [(_name(f), _rows(f)) for f in families], "cost": cost, "refused": _refused}
+    context = {"families": [(_name(f), _rows(f)) for f in families], "cost": cost}
     return Section("prices", "What determinism costs", context, link="Price list")
 
 
@@ -48,8 +48,3 @@ def cost(found: Cost) -> tuple[str, str]:
         return value, found.no_interval
     low, high = found.ci95
     return value, f"[{low:.3g}, {high:.3g}]"
-
-
-def _refused(metric: Metric, result: GroupResult) -> bool:
-    """Whether there is nothing to say but that no run is complete."""
-    return metric.value is None and not result.group.complete
