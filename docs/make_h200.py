@@ -8,6 +8,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from evaluator.evaluate import evaluate_files
+from evaluator.price_list import DEFAULT, price_list
 from evaluator.report.numbers import distance
 from evaluator.results import Evaluation, GroupResult
 from evaluator.sweeps import Sweep
@@ -61,15 +62,15 @@ def _outcome(result: GroupResult) -> str:
 def verdicts(evaluation: Evaluation) -> str:
     """Who repeats itself, and what each level of determinism costs, as a Markdown table."""
     results = [r for r in evaluation.results if r.group.key.scene == _SCENE]
-    default = {_who(r): r.metrics["fps"].value for r in results if r.group.key.determinism == "default"}
+    prices = {p.result.label: p.speed.ratio for family in price_list(results) for p in family.prices}
     lines = [
         "| simulator | determinism | distinct envs | envs differ from step | distinct runs | type | W1 envs [cm] "
         "| W1 runs [cm] | env-steps/s | of default | what else |",
         "| --- | --- | --- | --- | --- | --- | --- | --- | --- | --- | --- |",
     ]
-    for result in sorted(results, key=lambda r: (_who(r), r.group.key.determinism != "default")):
+    for result in sorted(results, key=lambda r: (_who(r), r.group.key.determinism != DEFAULT)):
         fps, first = result.metrics["fps"].value, result.metrics["distinct_envs"].extra.get("first_difference_step")
-        base = default.get(_who(result))
+        ratio = 1.0 if result.group.key.determinism == DEFAULT else prices.get(result.label)
         cells = [
             f"{_who(result)} {result.group.key.version}".strip(),
             result.group.key.determinism,
@@ -80,7 +81,7 @@ def verdicts(evaluation: Evaluation) -> str:
             _value(result, "w1_parallel"),
             _value(result, "w1_run_to_run"),
             _NONE if fps is None else f"{fps:,.0f}",
-            _NONE if fps is None or not base else f"{fps / base:.2f}",
+            _NONE if fps is None or ratio is None else f"{ratio:.2f}",
             _outcome(result),
         ]
         lines.append(f"| {' | '.join(cells)} |")

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-import json
 import math
-from collections.abc import Callable, Hashable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Hashable, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import TypeVar
 
-from evaluator.groups import GroupKey, labels, options_given
+from evaluator.groups import GroupKey, is_instrument, labels, options_given, settings_asked
 from evaluator.metrics.guidelines import Guideline, guidelines
 from evaluator.metrics.radar import Axis, Radar, SimulatorResult, radar
 from evaluator.results import GroupResult, Metric, Reference
+from evaluator.soundness import faults
 from evaluator.sweeps import Sweep, swept_only
 
 AXIS_METRICS = {
@@ -37,6 +37,7 @@ class Contender:
     robot    the same of a scene with a robot
     figures  that enter radar and guidelines
     why_not  by axis, where a figure is missing
+    metrics  by axis, where a figure is of a metric
     """
 
     group: GroupResult | None
@@ -44,6 +45,7 @@ class Contender:
     robot: Sweep | None
     figures: SimulatorResult
     why_not: dict[Axis, str]
+    metrics: Mapping[Axis, Metric] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -70,8 +72,9 @@ class _Parts:
 
     @property
     def key(self) -> GroupKey:
-        found = self.group.group.key if self.group else (self.sweep or self.robot or _never()).key
-        return _settings(found)
+        if self.group:
+            return settings_asked(self.group.group.recordings)
+        return _swept_settings(self.sweep or self.robot or _never())
 
 
 def compare(results: Sequence[GroupResult], sweeps: Sequence[Sweep], reference: Reference | None) -> Comparison:
@@ -85,9 +88,9 @@ def compare(results: Sequence[GroupResult], sweeps: Sequence[Sweep], reference: 
     Settings of one simulator are no choice between simulators, and what says of itself that it is an instrument is not
     ranked at all.
     """
-    aside = dict.fromkeys(r.group.key.simulator for r in results if _is_instrument(r.group.key))
-    results = [r for r in results if not _is_instrument(r.group.key)]
-    sweeps = [s for s in sweeps if not _is_instrument(s.key)]
+    aside = dict.fromkeys(r.group.key.simulator for r in results if is_instrument(r.group.key))
+    results = [r for r in results if not is_instrument(r.group.key)]
+    sweeps = [s for s in sweeps if not is_instrument(s.key)]
     notes = [f"radar and guidelines leave out instruments: {', '.join(aside)}"] if aside and results else []
 
     ended = [s for s in sweeps if s.n_max is not None]
@@ -101,9 +104,9 @@ def compare(results: Sequence[GroupResult], sweeps: Sequence[Sweep], reference: 
 
     found = [_Parts(group=r) for r in groups]
     for sweep in simple:
-        _join(found, sweep.key, "sweep").sweep = sweep
+        _join(found, sweep, "sweep").sweep = sweep
     for sweep in robots:
-        _join(found, sweep.key, "robot").robot = sweep
+        _join(found, sweep, "robot").robot = sweep
     if len({parts.key.simulator for parts in found}) < 2:
         return Comparison(notes=tuple(notes))
     given = options_given(r for result in results for r in result.group.recordings)
@@ -117,11 +120,6 @@ def compare(results: Sequence[GroupResult], sweeps: Sequence[Sweep], reference: 
     if others:
         notes.append(f"radar and guidelines leave out what ran under other conditions: {', '.join(others)}")
     return Comparison(contenders, radar(figures), tuple(guidelines(figures)), tuple(notes))
-
-
-def _is_instrument(key: GroupKey) -> bool:
-    # a control with a known answer, as its adapter declares it among its switches
-    return bool(key.switches) and json.loads(key.switches).get("instrument") is True
 
 
 def _shared(items: Sequence[_T], key: Callable[[_T], GroupKey], merit: Callable[[_T], int] = lambda _: 0) -> list[_T]:
@@ -160,16 +158,14 @@ def _conditions(key: GroupKey) -> Hashable:
     return (key.device, key.scene, key.scene_hash, key.n_env, key.dt, key.warmup, key.timed_steps)
 
 
-def _settings(key: GroupKey) -> GroupKey:
-    # what is the same simulator in another scene, at another number of environments, under another protocol
-    return replace(
-        key, scene="", scene_hash="", n_env=0, dt=0.0, seed=0, warmup=0, timed_steps=0, layout="", origins=""
-    )
+def _swept_settings(sweep: Sweep) -> GroupKey:
+    return settings_asked([r for point in sweep.points for r in point.recordings])
 
 
-def _join(found: list[_Parts], key: GroupKey, part: str) -> _Parts:
+def _join(found: list[_Parts], sweep: Sweep, part: str) -> _Parts:
+    key = _swept_settings(sweep)
     for parts in found:
-        if parts.key == _settings(key) and getattr(parts, part) is None:
+        if parts.key == key and getattr(parts, part) is None:
             return parts
     found.append(_Parts())
     return found[-1]
@@ -184,6 +180,7 @@ def _names(found: Sequence[_Parts], given: set[str]) -> list[str]:
 def _contender(parts: _Parts, name: str, reference: Reference | None, *, at_max: bool) -> Contender:
     speed = parts.sweep.at_max if parts.sweep else None if at_max else parts.group
     why_not: dict[Axis, str] = {}
+    metrics: dict[Axis, Metric] = {}
 
     def value(axis: Axis, result: GroupResult | None) -> float | None:
         if result is None:
@@ -196,6 +193,7 @@ def _contender(parts: _Parts, name: str, reference: Reference | None, *, at_max:
         if metric.value is None or not math.isfinite(metric.value):
             why_not[axis] = metric.why_not or "it is not finite"
             return None
+        metrics[axis] = metric
         return metric.value
 
     robot = parts.robot.at_max if parts.robot else None
@@ -212,8 +210,16 @@ def _contender(parts: _Parts, name: str, reference: Reference | None, *, at_max:
         run_to_run=value(Axis.RUN_TO_RUN, parts.group),
         fps_articulated=robot.metrics["fps"].value if robot else None,
         n_max_articulated=parts.robot.n_max if parts.robot else None,
+        barred=_barred(parts.group, parts.sweep.at_max if parts.sweep else None),
+        barred_articulated=_barred(robot),
     )
-    return Contender(parts.group, parts.sweep, parts.robot, figures, why_not)
+    return Contender(parts.group, parts.sweep, parts.robot, figures, why_not, metrics)
+
+
+def _barred(*found: GroupResult | None) -> str:
+    """Why what these show earns no pick."""
+    said = [f"{wrong} ({r.group.key.scene})" for r in found if r is not None and (wrong := faults(r))]
+    return "; ".join(said)
 
 
 def _never() -> Sweep:

@@ -17,8 +17,9 @@ from evaluator.comparison import compare
 from evaluator.density_maps import reference_density, shared_map, with_cloud
 from evaluator.fidelity import fidelity
 from evaluator.groups import Group, group, labels, options_given, status_notes
+from evaluator.price_list import price_list
 from evaluator.reading import Read, Reader, Unreadable
-from evaluator.results import Evaluation, GroupResult, Metric, Reference
+from evaluator.results import Evaluation, GroupResult, Metric, Reference, RunSpread
 from evaluator.run_data import RunData
 from evaluator.summary import Summary
 from evaluator.sweeps import find_sweeps
@@ -99,6 +100,7 @@ def evaluate(
         comparison=comparison,
         maps=maps,
         notes=(*notes, *comparison.notes),
+        price_list=price_list(results),
     )
 
 
@@ -195,6 +197,7 @@ def _evaluate_group(
         validity=validity_of(group),
         fidelity=fidelity(label, [run.physics for run in runs]),
         notes=tuple(_notes(group, runs, reference, sample_time)),
+        spreads=tuple(RunSpread(r.recording.configuration.run_index, r.spread, r.no_spread) for r in runs),
     )
     result = replace(result, notes=(*result.notes, *_warnings(result)))
     return _Found(result, runs, planar)

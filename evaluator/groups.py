@@ -209,6 +209,23 @@ def asked(recording: Described) -> GroupKey:
     return replace(known, device=json.dumps(machine), options=_canonical(recording.configuration.options))
 
 
+def settings_asked(recordings: Sequence[Described]) -> GroupKey:
+    """What some runs of one group or sweep have in common with those of another scene, step or number of environments.
+
+    With the options that were given: those in force, such as sizes of buffers, may follow from the scene.
+    """
+    recording = next((r for r in recordings if r.simulation), recordings[0])
+    return replace(
+        key_of(recording), options=_canonical(recording.configuration.options), scene="", scene_hash="", n_env=0,
+        dt=0.0, seed=0, warmup=0, timed_steps=0, layout="", origins="",
+    )  # fmt: skip
+
+
+def is_instrument(key: GroupKey) -> bool:
+    """Whether this is a control with a known answer, as its adapter declares it among its switches."""
+    return bool(key.switches) and json.loads(key.switches).get("instrument") is True
+
+
 def labels(keys: Sequence[GroupKey], given: Collection[str] = ()) -> list[str]:
     """A short unique name for each key: the simulator, and what tells it from its others in the same scene.
 

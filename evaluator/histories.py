@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evaluator.metrics.identity import distinct_over_time
+from evaluator.metrics.split_tree import SplitTree, split_tree
 from evaluator.streams import Fingerprints
 
 
@@ -22,6 +23,7 @@ class Histories:
     at_step     distinct environments at that very row, shape [row]
     so_far      distinct environments by all rows up to that one, shape [row]
     first_step  the first step at which any two environments differ; None where none do
+    tree        which environments left which, and when
     """
 
     steps: NDArray[np.int64]
@@ -30,6 +32,7 @@ class Histories:
     at_step: NDArray[np.int64]
     so_far: NDArray[np.int64]
     first_step: int | None
+    tree: SplitTree
 
     @property
     def n_distinct(self) -> int:
@@ -54,4 +57,5 @@ def histories_of(fingerprints: Fingerprints) -> Histories:
         at_step=counted.instant,
         so_far=counted.histories,
         first_step=int(fingerprints.steps[apart[0]]) if len(apart) else None,
+        tree=split_tree(fingerprints.steps, counted),
     )

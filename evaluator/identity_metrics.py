@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 
 from evaluator.histories import Histories
 from evaluator.metrics.divergence import FIT_LIMIT_M
-from evaluator.metrics.identity import DistinctOverTime, distinct_over_time
+from evaluator.metrics.identity import changes, distinct_over_time
 from evaluator.metrics.levels import Verdict, verdict
+from evaluator.metrics.split_tree import split_tree
 from evaluator.over_runs import NO_RUN, Runs, mean_over_runs
 from evaluator.results import Metric, not_computed
 from evaluator.run_data import RunData
@@ -51,6 +52,7 @@ def _distinct_envs(runs: Runs, method: str) -> Metric:
             "classes": [h.classes.tolist() for h in found],
             "first_difference_step": min((h.first_step for h in found if h.first_step is not None), default=None),
             "over_time": _most_distinct(found),
+            "tree": found[0].tree,
         },
     )
 
@@ -75,7 +77,8 @@ def _distinct_runs(runs: Runs, method: str) -> Metric:
         extra={
             "classes": over_time.classes.tolist(),
             "first_difference_step": first,
-            "over_time": _over_time(found[0].steps, over_time),
+            "over_time": _over_time(found[0].steps, over_time.instant, over_time.histories),
+            "tree": split_tree(found[0].steps, over_time),
         },
     )
 
@@ -170,20 +173,18 @@ def growth(runs: Runs) -> Metric:
     return mean_over_runs(name, unit, "lower", [fit.rate for fit in fitted], method=method, extra=extra)
 
 
-def _over_time(steps: NDArray[np.int64], counted: DistinctOverTime) -> dict[str, list[int]]:
+def _over_time(
+    steps: NDArray[np.int64], instant: NDArray[np.int64], histories: NDArray[np.int64]
+) -> dict[str, list[int]]:
     # where either count changes
-    rows = counted.changes
-    return {
-        "step": steps[rows].tolist(),
-        "at_step": counted.instant[rows].tolist(),
-        "histories": counted.histories[rows].tolist(),
-    }
+    rows = changes(instant, histories)
+    return {"step": steps[rows].tolist(), "at_step": instant[rows].tolist(), "histories": histories[rows].tolist()}
 
 
 def _most_distinct(found: Sequence[Histories]) -> dict[str, list[int]]:
     # of the run with the most environments that differ
     most = max(found, key=lambda h: h.n_distinct)
-    return _over_time(most.steps, DistinctOverTime(most.at_step, most.so_far, most.classes))
+    return _over_time(most.steps, most.at_step, most.so_far)
 
 
 def _no_positions(runs: Runs) -> str:

@@ -22,6 +22,18 @@ SIMULATOR_VERSIONS = {
 }
 
 
+NAMES = {
+    "genesis": "Genesis",
+    "isaaclab": "Isaac Lab",
+    "madrona": "Madrona",
+    "maniskill": "ManiSkill",
+    "mjx": "MJX",
+    "warp": "MuJoCo Warp",
+    "playground": "Playground",
+}
+"""The paper's simulators, by their names in recordings."""
+
+
 @dataclass(frozen=True)
 class AtLargest:
     """Throughput and memory at the largest number of environments that a simulator sustained.

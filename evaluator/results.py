@@ -12,6 +12,7 @@ from evaluator.fidelity import Fidelity
 from evaluator.groups import Group
 from evaluator.metrics.density import Density, HexGrid
 from evaluator.reading import Unreadable
+from evaluator.spread import Spread
 from evaluator.summary import Summary
 from evaluator.validity import Validity
 from schemas.location import Place
@@ -19,6 +20,7 @@ from schemas.location import Place
 if TYPE_CHECKING:
     from evaluator.accumulation import Accumulation
     from evaluator.comparison import Comparison
+    from evaluator.price_list import Family
     from evaluator.sweeps import Sweep
 
 SCHEMA_VERSION = 1
@@ -75,6 +77,19 @@ class Cloud:
 
 
 @dataclass(frozen=True)
+class RunSpread:
+    """How the environments of one run moved apart.
+
+    run      its index
+    spread   None where it cannot be said, and `why_not` says why
+    """
+
+    run: int
+    spread: Spread | None
+    why_not: str
+
+
+@dataclass(frozen=True)
 class GroupResult:
     """All that was found for one group.
 
@@ -87,6 +102,7 @@ class GroupResult:
     validity         contacts, buffers, overflow, actions
     fidelity         whether the states keep to mechanics
     notes            sentences that a reader must see beside the numbers
+    spreads          of the complete runs
     """
 
     group: Group[Summary]
@@ -98,6 +114,7 @@ class GroupResult:
     validity: Validity
     fidelity: Fidelity
     notes: tuple[str, ...]
+    spreads: tuple[RunSpread, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -148,6 +165,7 @@ class Evaluation:
     accumulation how variability of sweeps goes with the number of environments
     comparison   of simulators: radar and guidelines
     maps         by scene; none for a scene whose positions were not recorded or lie too far apart
+    price_list   what levels of determinism cost
     notes        about the set as a whole
     """
 
@@ -161,3 +179,4 @@ class Evaluation:
     comparison: Comparison
     maps: dict[str, Map]
     notes: tuple[str, ...] = ()
+    price_list: tuple[Family, ...] = ()

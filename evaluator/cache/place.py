@@ -13,6 +13,7 @@ from evaluator.metrics.board import Board
 from evaluator.metrics.divergence import GrowthFit
 from evaluator.metrics.levels import Level, Verdict, Worst
 from evaluator.metrics.memory import Checkpoints
+from evaluator.metrics.split_tree import Branch, SplitTree
 from evaluator.metrics.variability import ParallelVariability
 from evaluator.physics.facts import Check, Measured, NotMeasured, PhysicsFacts
 from evaluator.positions import Positions
@@ -35,7 +36,7 @@ from schemas.provenance import Buffer, Counter, Deviation, OverflowBit, Provenan
 _CLASSES = (
     Summary, CountSummary, BitSummary, OverflowSummary, ActionStream, Board, RunConfiguration, Provenance, ReplayOf,
     Simulation, Deviation, StateField, Buffer, Counter, OverflowBit, RunData, Histories, Positions, Checkpoints, Sunk,
-    Stamp, Reader, Spread, GrowthFit, Verdict, Worst, Level, PhysicsFacts,
+    Stamp, Reader, SplitTree, Branch, Spread, GrowthFit, Verdict, Worst, Level, PhysicsFacts,
     Measured, NotMeasured, Check, ParallelVariability, Transport, Gap, GapTo, SummaryBlock,
     MatchedPoint, MatchedVariability, Interval,
 )  # fmt: skip

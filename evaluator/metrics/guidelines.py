@@ -13,6 +13,8 @@ Results = Sequence[SimulatorResult]
 # "Large parallelism" is within this factor of the largest N_env^max that any simulator sustains.
 LARGE_FACTOR = 4
 
+_NAMED = 4  # simulators that lack a figure
+
 _FIGURE_TEXT: dict[str, str] = {
     "fps": "{:.4g} FPS",
     "n_max": "N_env^max {}",
@@ -29,11 +31,16 @@ _FIGURE_TEXT: dict[str, str] = {
 class Guideline:
     """One row: a need and the simulator that meets it best among those compared.
 
-    need       what a user wants
-    pick       the simulator, exact ties joined by ", "; None where no pick can be made
-    rule       how the pick is made, in words
-    evidence   the numbers that decided, best first; None without a pick
-    reason     why no pick can be made; None with a pick
+    need          what a user wants
+    pick          the simulator, exact ties joined by ", "; None where no pick can be made
+    rule          how the pick is made, in words
+    evidence      the numbers that decided, best first; None without a pick
+    reason        why no pick can be made; None with a pick
+    runner_up     who would be picked if the pick were not there; None where there is no other that qualifies
+    ranking       simulators that qualify with the figures that decided, best first
+    disqualified  simulators that have the figures and do not qualify, with them
+    barred        simulators that have the figures and earn no pick, each with the reason
+    unmeasured    simulators that lack a figure
     """
 
     need: str
@@ -41,6 +48,11 @@ class Guideline:
     rule: str
     evidence: str | None
     reason: str | None
+    runner_up: str | None = None
+    ranking: tuple[str, ...] = ()
+    disqualified: tuple[str, ...] = ()
+    barred: tuple[str, ...] = ()
+    unmeasured: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -64,7 +76,8 @@ def guidelines(results: Results) -> list[Guideline]:
 
     The needs are those of GPUSimBench; the paper gives picks and no rule, so the rules are this
     project's own. A simulator that lacks a figure that a rule names is left out of that rule and
-    listed. One simulator alone is no comparison and yields no pick.
+    listed. So is one that is barred: INVALID runs, sunk cubes or broken mechanics make a figure no
+    merit, whatever it is. One simulator alone is no comparison and yields no pick.
 
     Raises:
         ValueError: two results of the same name.
@@ -75,29 +88,49 @@ def guidelines(results: Results) -> list[Guideline]:
 
 def _apply(rule: _Rule, results: Results) -> Guideline:
     measured = [r for r in results if all(getattr(r, f) is not None for f in rule.figures)]
-    unmeasured = [r.name for r in results if r not in measured]
+    unmeasured = tuple(r.name for r in results if r not in measured)
     if len(measured) < 2:
         have = f"only {measured[0].name} has" if measured else "no simulator has"
-        return _no_pick(rule, f"{have} all the figures that the rule needs")
-    qualified = rule.narrow(measured)
+        return _no_pick(rule, f"{have} all the figures that the rule needs", unmeasured)
+    barred = tuple(f"{_figures(rule, r)}: {_bar(rule, r)}" for r in measured if _bar(rule, r))
+    sound = [r for r in measured if not _bar(rule, r)]
+    if not sound:
+        return _no_pick(rule, "every simulator that has the figures is barred", unmeasured, barred)
+    qualified = rule.narrow(sound)
     if not qualified:
-        figures = "; ".join(_figures(rule, r) for r in measured)
-        return _no_pick(rule, f"no simulator qualifies: {figures}")
+        figures = "; ".join(_figures(rule, r) for r in sound)
+        return _no_pick(rule, f"no simulator qualifies: {figures}", unmeasured, barred)
     scores = {r.name: rule.score(r, results) for r in qualified}
     ranked = sorted(qualified, key=lambda r: scores[r.name], reverse=True)
     best = scores[ranked[0].name]
-    evidence = [_figures(rule, r, results) for r in ranked]
-    disqualified = [_figures(rule, r) for r in measured if r not in qualified]
+    ranking = tuple(_figures(rule, r, results) for r in ranked)
+    evidence = list(ranking)
+    disqualified = tuple(_figures(rule, r) for r in sound if r not in qualified)
     if disqualified:
         evidence.append("do not qualify: " + ", ".join(disqualified))
+    if barred:
+        evidence.append("barred: " + ", ".join(barred))
     if unmeasured:
-        evidence.append("not measured: " + ", ".join(unmeasured))
+        evidence.append("not measured: " + _shortened(unmeasured))
     pick = ", ".join(r.name for r in ranked if scores[r.name] == best)
-    return Guideline(rule.need, pick, rule.words, "; ".join(evidence), None)
+    runner_up = next((_figures(rule, r, results) for r in ranked if scores[r.name] != best), None)
+    said = "; ".join(evidence)
+    return Guideline(rule.need, pick, rule.words, said, None, runner_up, ranking, disqualified, barred, unmeasured)
 
 
-def _no_pick(rule: _Rule, reason: str) -> Guideline:
-    return Guideline(rule.need, None, rule.words, None, reason)
+def _no_pick(rule: _Rule, reason: str, unmeasured: tuple[str, ...], barred: tuple[str, ...] = ()) -> Guideline:
+    return Guideline(rule.need, None, rule.words, None, reason, barred=barred, unmeasured=unmeasured)
+
+
+def _bar(rule: _Rule, result: SimulatorResult) -> str:
+    """Why a simulator earns no pick by a rule; a robot's figures are not those of loose bodies."""
+    articulated = all(figure.endswith("articulated") for figure in rule.figures)
+    return result.barred_articulated if articulated else result.barred
+
+
+def _shortened(names: Sequence[str]) -> str:
+    more = len(names) - _NAMED
+    return ", ".join(names) if more <= 1 else f"{', '.join(names[:_NAMED])} and {more} more"
 
 
 def _figures(rule: _Rule, result: SimulatorResult, results: Results | None = None) -> str:

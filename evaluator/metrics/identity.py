@@ -47,18 +47,22 @@ class DistinctOverTime:
     instant    distinct samples at that row alone, shape [row]; falls where samples meet again
     histories  distinct samples by all rows up to that one, shape [row]; never falls
     classes    class of every sample by all rows, shape [sample]
+    departures where classes fall apart, shape [departure, 4]: the row; the lowest sample of those that leave; the
+               lowest of those that they leave; how many leave. By row, then sample. Of a class, the part with its
+               lowest sample stays
     """
 
     instant: npt.NDArray[np.int64]
     histories: npt.NDArray[np.int64]
     classes: npt.NDArray[np.int64]
+    departures: npt.NDArray[np.int64]
 
-    @property
-    def changes(self) -> npt.NDArray[np.int64]:
-        """Rows at which either count is not what it was at the row before, and row 0, shape [change]."""
-        both = np.stack([self.instant, self.histories], axis=1)
-        moved = (both[1:] != both[:-1]).any(axis=1)
-        return np.flatnonzero(np.concatenate([np.ones(min(len(both), 1), dtype=bool), moved]))
+
+def changes(instant: npt.NDArray[np.int64], histories: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
+    """Rows at which either count is not what it was at the row before, and row 0, shape [change]."""
+    both = np.stack([instant, histories], axis=1)
+    moved = (both[1:] != both[:-1]).any(axis=1)
+    return np.flatnonzero(np.concatenate([np.ones(min(len(both), 1), dtype=bool), moved]))
 
 
 def distinct_over_time(hashes: npt.NDArray[np.uint64]) -> DistinctOverTime:
@@ -79,13 +83,25 @@ def distinct_over_time(hashes: npt.NDArray[np.uint64]) -> DistinctOverTime:
     instant = np.ones(n_row, dtype=np.int64)
     histories = np.ones(n_row, dtype=np.int64)
     classes = np.zeros(n_sample, dtype=np.int64)
+    departures = [np.zeros((0, 4), dtype=np.int64)]
     count = 1
     for row, now in enumerate(hashes):
         if (now != now[:1]).any():
             labels = by_first_appearance(now) if now.ndim == 1 else bitwise_classes(now)
             instant[row] = labels.max() + 1
             if count < n_sample:
-                classes = by_first_appearance((classes * n_sample + labels).astype(np.uint64))
-                count = int(classes.max()) + 1
+                finer = by_first_appearance((classes * n_sample + labels).astype(np.uint64))
+                if int(finer.max()) + 1 > count:
+                    departures.append(_departures(row, classes, finer))
+                classes, count = finer, int(finer.max()) + 1
         histories[row] = count
-    return DistinctOverTime(instant, histories, classes)
+    return DistinctOverTime(instant, histories, classes, np.concatenate(departures))
+
+
+def _departures(row: int, classes: npt.NDArray[np.int64], finer: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
+    """What leaves what where classes become finer ones; both are numbered in order of first appearance."""
+    _, lowest = np.unique(classes, return_index=True)
+    _, first, sizes = np.unique(finer, return_index=True, return_counts=True)
+    stayed_with = lowest[classes[first]]
+    leaves = first != stayed_with
+    return np.column_stack([np.full(leaves.sum(), row), first[leaves], stayed_with[leaves], sizes[leaves]])

@@ -35,6 +35,8 @@ class SimulatorResult:
     run_to_run        run-to-run variability [cm]
     fps_articulated   throughput at n_max_articulated, articulated robot [env steps / s]
     n_max_articulated largest sustained number of envs, articulated robot
+    barred            why its figures of simple bodies earn no pick, in words; empty where nothing speaks against it
+    barred_articulated  the same of its figures of an articulated robot
     """
 
     name: str
@@ -46,10 +48,12 @@ class SimulatorResult:
     run_to_run: float | None = None
     fps_articulated: float | None = None
     n_max_articulated: int | None = None
+    barred: str = ""
+    barred_articulated: str = ""
 
     def __post_init__(self) -> None:
         for field, value in vars(self).items():
-            if field == "name" or value is None:
+            if value is None or isinstance(value, str):
                 continue
             lowest = 1 if field.startswith("n_max") else 0
             if not (math.isfinite(value) and value >= lowest):

@@ -7,8 +7,17 @@ from typing import Any
 
 from evaluator.document import dump, values_of
 from evaluator.metrics.memory_model import MemoryModel
+from evaluator.remade import capability
+from evaluator.report.evidence_json import (
+    capability_record,
+    contender_record,
+    divergence_records,
+    family_record,
+    faults_record,
+)
 from evaluator.report.fidelity import fidelity_record
 from evaluator.results import SCHEMA_VERSION, Evaluation, GroupResult, Metric
+from evaluator.soundness import faults
 from evaluator.summary import Summary
 from evaluator.sweeps import SOURCES, Sweep, SweepPoint
 from evaluator.validity import Validity
@@ -39,7 +48,10 @@ def to_json(evaluation: Evaluation) -> dict[str, Any]:
             name: {axis.value: value for axis, value in axes.items()}
             for name, axes in (comparison.radar.values if comparison.radar else {}).items()
         },
+        "compared": [contender_record(contender) for contender in comparison.contenders],
         "guidelines": [vars(g) for g in comparison.guidelines],
+        "price_list": [family_record(family) for family in evaluation.price_list],
+        "capability": [capability_record(row) for row in capability(evaluation.sweeps, evaluation.results)],
     }
     plain: dict[str, Any] = values_of(document)
     return plain
@@ -69,6 +81,8 @@ def _group(result: GroupResult) -> dict[str, Any]:
         "runs": result.group.outcomes,
         "metrics": {name: _metric(metric) for name, metric in result.metrics.items()},
         "validity": _validity(result.validity),
+        "faults": faults_record(faults(result)),
+        "divergence": divergence_records(result),
         "physics": fidelity_record(result.fidelity),
         "deviations": [vars(d) for d in _deviations(result)],
         "notes": list(result.notes),

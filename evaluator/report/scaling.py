@@ -54,7 +54,7 @@ def beside_published(sweeps: Sequence[Sweep]) -> Iterator[SceneSweeps]:
 def _charts(sweeps: Sequence[Sweep], paper: dict[str, AtLargest]) -> Iterator[Chart]:
     speed = [Foreign(name, at.n_env_max, at.fps) for name, at in paper.items()]
     curves = [_curve(i, s, "fps") for i, s in enumerate(sweeps)]
-    yield _chart("throughput", "throughput [env steps/s]", _steps, curves, speed)
+    yield _chart("throughput", "throughput [env steps/s]", steps_label, curves, speed)
     for metric, said in _MEMORY.items():
         memory = [Foreign(name, at.n_env_max, at.memory_gb * 1e9) for name, at in paper.items()]
         curves = [_curve(i, s, metric) for i, s in enumerate(sweeps) if s.memory == metric]
@@ -81,7 +81,8 @@ def _curve(index: int, sweep: Sweep, name: str) -> Curve:
     )
 
 
-def _steps(value: float) -> str:
+def steps_label(value: float) -> str:
+    """A number of steps or environments as a tick's label."""
     for scale, letter in ((1e9, "G"), (1e6, "M"), (1e3, "k")):
         if value >= scale:
             return f"{value / scale:g}{letter}"

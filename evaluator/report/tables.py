@@ -9,11 +9,13 @@ from rich.table import Table
 from rich.text import Text
 
 from evaluator.fidelity import Verdict
+from evaluator.metrics.radar import SimulatorResult
 from evaluator.metrics.regime import REGIME_MEANING
 from evaluator.report import words
 from evaluator.report.accumulation import print_accumulation
 from evaluator.report.console import make_console, plain_table
 from evaluator.report.numbers import NONE, distance, interval, mean_sd
+from evaluator.report.price_table import print_prices
 from evaluator.report.sweep_tables import print_sweeps
 from evaluator.report.text import printable
 from evaluator.results import Evaluation, GroupResult, Metric
@@ -45,6 +47,7 @@ def print_tables(evaluation: Evaluation, stream: IO[str]) -> None:
         print_sweeps(console, scene, [s for s in evaluation.sweeps if s.key.scene == scene])
         for found in (a for a in evaluation.accumulation if a.scene == scene):
             print_accumulation(console, found)
+    print_prices(console, evaluation.price_list)
     _print_notes(console, evaluation)
     _print_guidelines(console, evaluation)
 
@@ -215,4 +218,11 @@ def _print_guidelines(console: Console, evaluation: Evaluation) -> None:
     for guideline in picked:
         table.add_row(Text(guideline.need), Text(printable(guideline.pick or "")), Text(guideline.rule))
     console.print(table)
+    barred = {f"{c.figures.name}: {why}" for c in evaluation.comparison.contenders if (why := _barred(c.figures))}
+    for line in sorted(barred):
+        console.print(printable(f"  barred from picks: {line}"), style="dim")
     console.print()
+
+
+def _barred(figures: SimulatorResult) -> str:
+    return "; ".join(dict.fromkeys(part for part in (figures.barred, figures.barred_articulated) if part))

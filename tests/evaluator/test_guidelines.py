@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
 from evaluator.metrics.guidelines import Guideline, guidelines
@@ -109,3 +111,49 @@ def test_refuses_repeated_names() -> None:
     """Refuse two results of one name."""
     with pytest.raises(ValueError, match="more than one"):
         guidelines([PUBLISHED[0], PUBLISHED[0]])
+
+
+def barred(name: str, **why: str) -> list[SimulatorResult]:
+    """The published figures, one simulator of which earns no pick."""
+    return [replace(r, **why) if r.name == name else r for r in PUBLISHED]
+
+
+def test_sunk_cubes_bar_a_pick() -> None:
+    """Pick the runner-up of a simulator that is barred, and show who was barred and why."""
+    sound = row(PUBLISHED, "large parallelism with simple agents")
+    found = row(barred("Madrona", barred="9 of 27 cubes per env sank"), "large parallelism with simple agents")
+    assert sound.pick == "Madrona"
+    assert found.pick == "Isaac Lab"  # whose N_env^max is the largest of what is left
+    assert found.evidence is not None
+    assert "barred: Madrona (N_env^max 262144, 4.811e+05 FPS): 9 of 27 cubes per env sank" in found.evidence
+    assert found.barred == ("Madrona (N_env^max 262144, 4.811e+05 FPS): 9 of 27 cubes per env sank",)
+
+
+def test_bars_of_loose_bodies_and_of_robots_are_two() -> None:
+    """Let cubes that sank say nothing of a robot, and the other way round."""
+    need = "large parallelism with articulated robots"
+    assert row(barred("Genesis", barred="cubes sank"), need).pick == "Genesis"
+    assert row(barred("Genesis", barred_articulated="2 of 3 runs are INVALID"), need).pick == "MuJoCo Warp"
+
+
+def test_everyone_barred_is_no_pick() -> None:
+    """Make no pick where nobody is left, and keep the reasons."""
+    found = guidelines([replace(r, barred="broken") for r in PUBLISHED])[0]
+    assert found.pick is None
+    assert found.reason == "every simulator that has the figures is barred"
+    assert len(found.barred) == len(PUBLISHED)
+
+
+def test_runner_up() -> None:
+    """Name who comes next with its numbers, and nobody where nobody else qualifies."""
+    found = row(PUBLISHED, "sim-to-real, contact-rich, single run")
+    assert found.runner_up == "Playground (EMD to real 3.38 cm)"
+    assert row(PUBLISHED, "large parallelism with simple agents").runner_up is None
+
+
+def test_many_unmeasured_are_counted() -> None:
+    """Name a few simulators that lack a figure, and count the others."""
+    others = [SimulatorResult(f"S{i}", fps=1.0) for i in range(9)]
+    evidence = row([*PUBLISHED, *others], "sim-to-real, contact-rich, single run").evidence
+    assert evidence is not None
+    assert evidence.endswith("not measured: S0, S1, S2, S3 and 5 more")

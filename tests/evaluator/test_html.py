@@ -209,7 +209,8 @@ def test_every_group_and_metric_appears(several: Evaluation) -> None:
         assert all(name in text for name in group.metrics)
     assert "a note on the whole set" in text
     assert all(g.need in text and g.rule in text for g in several.comparison.guidelines)
-    assert all((g.evidence or g.reason or "") in text for g in several.comparison.guidelines)
+    for guideline in several.comparison.guidelines:
+        assert all(said in text for said in (*guideline.ranking, *guideline.disqualified, guideline.reason or ""))
 
 
 def test_values_have_sensible_digits(several: Evaluation) -> None:
@@ -346,15 +347,17 @@ def test_provenance_is_complete(alone: Evaluation, recorded: Summary) -> None:
 
 
 def test_published_figures_are_marked_as_the_papers(several: Evaluation) -> None:
-    """Show the paper's figures only when asked, under its name, away from the results."""
+    """Show the paper's figures only when asked, under its name, and beside results in rows marked as the paper's."""
     assert published.SOURCE not in render(several)
     text = Page(render(several, published=True)).text
     assert "These are the paper's figures, not results of this report." in text
     assert published.SOURCE in text
     start = text.index(published.SOURCE)
+    marked = re.compile(r'<tr class="paper">.*?</tr>', re.DOTALL)
+    results = marked.sub("", render(several, published=True)).partition(published.SOURCE)[0]
     for row in published.VARIABILITY:
         assert text.index(str(row.w1_real), start) > start
-        assert row.simulator not in text[:start]
+        assert str(row.w1_real) not in results
     assert "11,124,000" in text[start:]
     assert "not supported" in text[start:]
 

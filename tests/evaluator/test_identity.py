@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from evaluator.metrics.identity import bitwise_classes, count_distinct, distinct_over_time
+from evaluator.metrics.identity import bitwise_classes, changes, count_distinct, distinct_over_time
 
 
 def test_classes_in_order_of_appearance() -> None:
@@ -81,13 +81,17 @@ def test_samples_that_meet_again() -> None:
     found = distinct_over_time(hashes)
     assert found.instant.tolist() == [1, 2, 2, 2, 1]
     assert found.histories.tolist() == [1, 2, 2, 3, 3]
-    assert found.changes.tolist() == [0, 1, 3, 4]
+    assert changes(found.instant, found.histories).tolist() == [0, 1, 3, 4]
 
 
 def test_distinct_over_no_time() -> None:
     """Count nothing over no rows, and refuse what has no samples."""
     empty = distinct_over_time(np.zeros((0, 3), dtype=np.uint64))
-    assert (len(empty.instant), empty.changes.tolist(), empty.classes.tolist()) == (0, [], [0, 0, 0])
+    assert (len(empty.instant), changes(empty.instant, empty.histories).tolist(), empty.classes.tolist()) == (
+        0,
+        [],
+        [0, 0, 0],
+    )
     for shape in ((3,), (3, 0), (1, 1, 1, 1)):
         with pytest.raises(ValueError, match="hashes"):
             distinct_over_time(np.zeros(shape, dtype=np.uint64))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -14,7 +16,8 @@ LARGEST = 128
 """Rows that are drawn at most; larger matrices are drawn in blocks."""
 
 _NAMED = 20
-_LEFT, _TOP = 48.0, 8.0
+_LEFT, _TOP = 48.0, 18.0
+_LETTER = 9.0  # width of a class that has room for its letter
 _SIDE_LEAST, _SIDE_LIMIT = 128.0, 280.0
 
 
@@ -34,27 +37,61 @@ def in_blocks(matrix: NDArray[np.float64]) -> tuple[NDArray[np.float64], int]:
     return np.asarray(np.maximum.reduceat(rows, starts, axis=1)), block
 
 
-def matrix_map(matrix: NDArray[np.float64], *, of: str, name: str) -> str:
+def by_class(classes: Sequence[int]) -> NDArray[np.int64]:
+    """Places of rows ordered so that those of a class stand together, classes and their members by first place."""
+    return np.argsort(np.asarray(classes), kind="stable").astype(np.int64)
+
+
+def grouped(n: int, classes: Sequence[int]) -> bool:
+    """Whether classes put rows together: neither all alike nor all different, and the rows are drawn one by one."""
+    return len(classes) == n and 1 < len(set(classes)) < n <= LARGEST
+
+
+def letter(number: int) -> str:
+    """Name of a class: A to Z, then AA, AB, ..."""
+    name = ""
+    while number >= 0:
+        name = chr(ord("A") + number % 26) + name
+        number = number // 26 - 1
+    return name
+
+
+def matrix_map(
+    matrix: NDArray[np.float64],
+    *,
+    of: str,
+    name: str,
+    classes: Sequence[int] = (),
+    names: Sequence[int] | None = None,
+) -> str:
     """Heat map from 0 to the matrix's own largest value.
 
-    matrix  [cm], shape [n, n]; the diagonal is zero by definition and left blank
-    of      what rows and columns are: "env" or "run"
-    name    of the group, for the picture's label
+    matrix   [cm], shape [n, n]; the diagonal is zero by definition and left blank
+    of       what rows and columns are: "env" or "run"
+    name     of the group, for the picture's label
+    classes  of the rows by their bits, numbered in order of first appearance; where they put rows together (see
+             `grouped`), rows and columns are ordered by them, with a line between classes and a letter above each
+    names    of the rows, as readers know them; their places where it is None
 
     Cells that are exactly zero are hatched in a grey outside the scale (see `hatch`); the smallest nonzero value is the
     scale's lowest colour. Cells that are not finite have a red edge.
     """
-    drawn, block = in_blocks(np.asarray(matrix, dtype=np.float64))
+    values = np.asarray(matrix, dtype=np.float64)
+    order = by_class(classes) if grouped(len(values), classes) else np.arange(len(values))
+    drawn, block = in_blocks(values[np.ix_(order, order)])
     n = len(drawn)
+    shown = [names[i] if names is not None else i for i in order.tolist()]
     side = min(_SIDE_LIMIT, max(_SIDE_LEAST, 36.0 * n))
     size = side / max(n, 1)
     largest = float(drawn[np.isfinite(drawn)].max(initial=0.0))
     kinds = _kinds(drawn, largest, blank_diagonal=block == 1)
-    cells = _titled(kinds, drawn, size, of) if n <= _NAMED else _merged(kinds, size)
+    cells = _titled(kinds, drawn, size, of, shown) if n <= _NAMED else _merged(kinds, size)
     bottom = _TOP + side
-    middles = [(str(i * block), (i + 0.5) * size) for i in axis.index_ticks(n)]
+    # rows out of order are named one by one, as far as there is room
+    ticks = range(0, n, -(-n // _NAMED)) if grouped(len(values), classes) else axis.index_ticks(n)
+    middles = [(str(shown[i * block]), (i + 0.5) * size) for i in ticks]
     return figure(
-        _LEFT + side + 92,
+        _LEFT + side + 104,
         bottom + 38,
         f"Matrix of distances between {of}s of {name}. {caption(matrix, of=of)}",
         *cells,
@@ -63,8 +100,23 @@ def matrix_map(matrix: NDArray[np.float64], *, of: str, name: str) -> str:
         *(axis.bottom(_LEFT + at, bottom, label) for label, at in middles),
         text(of, _LEFT + side / 2, bottom + 32, class_="mid"),
         text(of, 11, _TOP + side / 2, class_="mid", rotate=-90),
+        *(_boundaries([classes[i] for i in order], size, side) if grouped(len(values), classes) else ()),
         *_bar(largest, side),
     )
+
+
+def _boundaries(classes: Sequence[int], size: float, side: float) -> list[str]:
+    """A line between classes, and the letter of each where there is room."""
+    starts = [i for i in range(len(classes)) if i == 0 or classes[i] != classes[i - 1]]
+    drawn = []
+    for start, end in zip(starts, [*starts[1:], len(classes)], strict=True):
+        at, width = start * size, (end - start) * size
+        if start:
+            drawn.append(element("line", x1=_LEFT + at, x2=_LEFT + at, y1=_TOP - 4, y2=_TOP + side, class_="boundary"))
+            drawn.append(element("line", x1=_LEFT, x2=_LEFT + side, y1=_TOP + at, y2=_TOP + at, class_="boundary"))
+        if width >= _LETTER:
+            drawn.append(text(letter(classes[start]), _LEFT + at + width / 2, _TOP - 6, class_="small mid"))
+    return drawn
 
 
 def hatch() -> str:
@@ -133,7 +185,9 @@ def _merged(kinds: list[list[str]], size: float) -> list[str]:
     return [element("path", d="".join(paths[kind]), class_=f"cell {kind}") for kind in sorted(paths)]
 
 
-def _titled(kinds: list[list[str]], matrix: NDArray[np.float64], size: float, of: str) -> list[str]:
+def _titled(
+    kinds: list[list[str]], matrix: NDArray[np.float64], size: float, of: str, names: Sequence[int]
+) -> list[str]:
     """Every cell by itself, with its value for a pointer."""
     cells = []
     for i, row in enumerate(kinds):
@@ -142,7 +196,9 @@ def _titled(kinds: list[list[str]], matrix: NDArray[np.float64], size: float, of
                 value = float(matrix[i, j])
                 said = f"{distance(value)} cm" if np.isfinite(value) else "not finite"
                 path = _cell(i, j, 1, size)
-                cells.append(element("path", title(f"{of} {i}, {of} {j}: {said}"), d=path, class_=f"cell {kind}"))
+                cells.append(
+                    element("path", title(f"{of} {names[i]}, {of} {names[j]}: {said}"), d=path, class_=f"cell {kind}")
+                )
     return cells
 
 

@@ -1,32 +1,102 @@
-"""Distances between the environments of a run, and between runs, pair by pair."""
+"""Distances between the environments of a run, and between runs, pair by pair, by classes of bits."""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 import numpy as np
 from markupsafe import Markup
 from numpy.typing import NDArray
 
 from evaluator.report.figures import matrix
-from evaluator.report.page.picture import Picture
+from evaluator.report.figures.tree import in_ranges
+from evaluator.report.page.picture import Numbers, Picture
 from evaluator.report.page.section import Section, Source
 from evaluator.results import GroupResult
+
+_CLASSES = 12  # that a caption names
+_PARTS = 8  # ranges of members that it names of each
 
 
 def section(source: Source) -> Section:
     """The matrices of every group."""
+    numbers = {id(r): number for number, r in enumerate(source.evaluation.results)}
     context = {
-        "parallel_matrices": [_matrix(r, r.parallel_matrix, "env", "w1_parallel") for r in source.shown],
-        "run_matrices": [_matrix(r, r.run_matrix, "run", "w1_run_to_run") for r in source.shown],
+        "parallel_matrices": [_envs(r, f"matrix-envs-{numbers[id(r)]}") for r in source.shown],
+        "run_matrices": [_runs(r, f"matrix-runs-{numbers[id(r)]}") for r in source.shown],
         "hatch": Markup(matrix.hatch()),
     }
     return Section("consistency", "Consistency matrices", context)
 
 
-def _matrix(result: GroupResult, values: NDArray[np.float64] | None, of: str, name: str) -> Picture:
+def _envs(result: GroupResult, key: str) -> Picture:
+    metric = result.metrics["distinct_envs"]
+    classes = metric.extra["classes"][0] if metric.value is not None and "classes" in metric.extra else ()
+    values = result.parallel_matrix
+    names = range(len(values)) if values is not None else ()
+    return _matrix(result, values, "env", "w1_parallel", classes, metric.why_not, names, key)
+
+
+def _runs(result: GroupResult, key: str) -> Picture:
+    metric = result.metrics["distinct_runs"]
+    classes = metric.extra["classes"] if metric.value is not None and "classes" in metric.extra else ()
+    names = [r.configuration.run_index for r in result.group.complete]
+    return _matrix(result, result.run_matrix, "run", "w1_run_to_run", classes, metric.why_not, names, key)
+
+
+def _matrix(
+    result: GroupResult,
+    values: NDArray[np.float64] | None,
+    of: str,
+    name: str,
+    classes: Sequence[int],
+    no_classes: str,
+    names: Sequence[int],
+    key: str,
+) -> Picture:
     if values is None:
         metric = result.metrics.get(name)
         why_not = (metric.why_not or metric.extra.get("no_matrix")) if metric else ""
         why_not = why_not or "it was not computed"
         return Picture(result.label, f"No matrix: {why_not}.", None)
-    svg = Markup(matrix.matrix_map(values, of=of, name=result.label))
-    return Picture(result.label, matrix.caption(values, of=of), svg)
+    if len(names) != len(values):
+        names = range(len(values))
+    svg = Markup(matrix.matrix_map(values, of=of, name=result.label, classes=classes, names=names))
+    said = f"{matrix.caption(values, of=of)} {_order(len(values), of, classes, no_classes, names)}"
+    return Picture(result.label, said, svg, key, _numbers(values, of, classes, names))
+
+
+def _order(n: int, of: str, classes: Sequence[int], no_classes: str, names: Sequence[int]) -> str:
+    """What order the rows stand in, and which of them are the same by bits."""
+    if n < 2:
+        return ""
+    if len(classes) != n:
+        return f"In original order: {no_classes or 'classes of bits are not known'}."
+    count = len(set(classes))
+    if count == 1:
+        return f"All {n} {of}s are bit-identical at every captured step."
+    if count == n:
+        return f"In original order: each {of} is a class of its own by its bits."
+    if not matrix.grouped(n, classes):
+        return f"In original order, {count} classes of bits: larger matrices are drawn in blocks."
+    said = []
+    for number in range(min(count, _CLASSES)):
+        members = [names[i] for i, one in enumerate(classes) if one == number]
+        plural = "s" if len(members) > 1 else ""
+        said.append(f"class {matrix.letter(number)}: {of}{plural} {in_ranges(members, at_most=_PARTS)}")
+    if count > _CLASSES:
+        said.append(f"and {count - _CLASSES} more classes")
+    return f"Ordered by class of bits: {'; '.join(said)}."
+
+
+def _numbers(values: NDArray[np.float64], of: str, classes: Sequence[int], names: Sequence[int]) -> Numbers:
+    """The cells that are drawn, row by row in the order in which they are drawn."""
+    order = matrix.by_class(classes) if matrix.grouped(len(values), classes) else np.arange(len(values))
+    drawn, block = matrix.in_blocks(np.asarray(values, dtype=np.float64)[np.ix_(order, order)])
+    shown = [f"{of} {names[i]}" for i in order[::block].tolist()]
+    titles = (f"distance [cm], {of}", *shown)
+    return Numbers(titles, [(one, *map(_cell, row)) for one, row in zip(shown, drawn.tolist(), strict=True)])
+
+
+def _cell(value: float) -> float | None:
+    return float(f"{value:.6g}") if np.isfinite(value) else None

@@ -1,24 +1,100 @@
-"""Parameters of a scene that engines could not honour."""
+"""Parameters of a scene that engines could not honour: parameter by engine, and every statement with its reason."""
 
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from evaluator.report.figures.matrix import letter
 from evaluator.report.page.section import Section, Source
-from evaluator.results import Evaluation
+from evaluator.results import Evaluation, GroupResult
 from schemas.provenance import Deviation
+
+_SHORT = 12
+"""Characters of a cell; what is longer stands below the matrix, under a letter."""
+
+
+@dataclass(frozen=True)
+class Matrix:
+    """The deviations of one scene.
+
+    columns  simulators that deviate in the same way, with the groups that are meant where others of theirs do not
+    rows     a parameter, what the scene wants, and for each column what it has instead; empty where no deviation is
+             stated
+    legend   letters that stand for words
+    """
+
+    scene: str
+    columns: list[tuple[list[str], list[str]]]
+    rows: list[tuple[str, str, list[str]]]
+    legend: list[tuple[str, str]]
 
 
 def section(source: Source) -> Section:
-    """Every deviation, with the groups that it holds for."""
-    return Section(
-        "deviations", "Deviations from the scene", {"deviations": _deviations(source.evaluation)}, link="Deviations"
-    )
+    """A matrix for each scene, and below it every statement in the adapter's own words."""
+    found = _deviations(source.evaluation)
+    matrices = [_matrix(scene, results) for scene, results in _scenes(source.evaluation).items()]
+    context = {"deviations": found, "matrices": [m for m in matrices if m.rows]}
+    return Section("deviations", "Deviations from the scene", context, link="Deviations")
+
+
+def _stated(result: GroupResult) -> tuple[Deviation, ...] | None:
+    """What a group's engine states; None where no run came so far."""
+    simulation = next((r.simulation for r in result.group.recordings if r.simulation), None)
+    return tuple(dict.fromkeys(simulation.deviations)) if simulation else None
+
+
+def _scenes(evaluation: Evaluation) -> dict[str, list[GroupResult]]:
+    found: dict[str, list[GroupResult]] = {}
+    for result in evaluation.results:
+        found.setdefault(result.group.key.scene, []).append(result)
+    return found
+
+
+def _matrix(scene: str, results: Sequence[GroupResult]) -> Matrix:
+    alike: dict[frozenset[_Stated], list[GroupResult]] = {}
+    for result in results:
+        stated = _stated(result)
+        if stated is not None:
+            key = frozenset((d.parameter, d.wanted, d.used) for d in stated)
+            alike.setdefault(key, []).append(result)
+    wanted = sorted({(parameter, value) for stated in alike for parameter, value, _ in stated})
+    letters: dict[str, str] = {}
+    rows = [
+        (parameter, _short(value, letters), [_used(stated, parameter, value, letters) for stated in alike])
+        for parameter, value in wanted
+    ]
+    return Matrix(scene, _columns(list(alike.values())), rows, [(letter, said) for said, letter in letters.items()])
+
+
+_Stated = tuple[str, str, str]
+
+
+def _columns(found: Sequence[Sequence[GroupResult]]) -> list[tuple[list[str], list[str]]]:
+    simulators = [list(dict.fromkeys(r.group.key.simulator for r in results)) for results in found]
+    counts = Counter(name for names in simulators for name in names)
+    return [
+        (names, [r.label for r in results if counts[r.group.key.simulator] > 1])
+        for names, results in zip(simulators, found, strict=True)
+    ]
+
+
+def _used(stated: frozenset[_Stated], parameter: str, wanted: str, letters: dict[str, str]) -> str:
+    used = sorted(used for name, value, used in stated if (name, value) == (parameter, wanted))
+    return "; ".join(_short(one, letters) for one in used)
+
+
+def _short(said: str, letters: dict[str, str]) -> str:
+    if len(said) <= _SHORT:
+        return said
+    return letters.setdefault(said, f"({letter(len(letters)).lower()})")
 
 
 def _deviations(evaluation: Evaluation) -> list[tuple[Deviation, list[str]]]:
     """Every parameter that was not honoured, once, with the groups that it holds for."""
     found: dict[Deviation, list[str]] = {}
     for result in evaluation.results:
-        simulation = next((r.simulation for r in result.group.recordings if r.simulation), None)
-        for deviation in dict.fromkeys(simulation.deviations if simulation else ()):
+        for deviation in _stated(result) or ():
             found.setdefault(deviation, []).append(result.label)
     return list(found.items())

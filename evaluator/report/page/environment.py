@@ -34,6 +34,7 @@ def environment() -> jinja2.Environment:
         figure=numbers.figure,
         pairs=lambda record: list(_pairs(record)),
         power=_power_of_two,
+        power_or_count=_power_or_count,
     )
     made.globals.update(words=words, sources=SOURCES, status_of=shown_status)
     return made
@@ -53,6 +54,10 @@ def _interval(metric: Metric) -> str:
 
 def _power_of_two(count: int) -> Markup:
     return Markup("2<sup>{}</sup>").format(count.bit_length() - 1)
+
+
+def _power_or_count(count: int) -> Markup | str:
+    return f"{count:,}" if count & (count - 1) else _power_of_two(count)
 
 
 def _pairs(record: dict[str, Any], prefix: str = "") -> Iterator[tuple[str, str]]:

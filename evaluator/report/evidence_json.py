@@ -1,0 +1,135 @@
+"""Price list, capability, divergence and what is compared, as JSON."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from evaluator.comparison import Contender
+from evaluator.fidelity import Verdict
+from evaluator.metrics.divergence import FIT_LIMIT_M, first_reaching
+from evaluator.price_list import Cost, Family, Price
+from evaluator.remade import AtMax, Capability
+from evaluator.results import GroupResult, Metric, RunSpread
+from evaluator.soundness import Faults, faults
+
+
+def family_record(family: Family) -> dict[str, Any]:
+    """A configuration under all its levels of determinism."""
+    first = family.base or family.prices[0].result
+    return {
+        "simulator": first.group.key.simulator,
+        "scene": first.group.key.scene,
+        "n_env": first.group.key.n_env,
+        "device": first.group.key.device,
+        "options": first.group.recordings[0].configuration.options,
+        "default": _level(family.base) if family.base else None,
+        "levels": [_price(price) for price in family.prices],
+    }
+
+
+def capability_record(row: Capability) -> dict[str, Any]:
+    """A simulator at its N_env^max, by scene."""
+    return {
+        "label": row.label,
+        "simulator": row.key.simulator,
+        "version": row.key.version,
+        "device": row.key.device,
+        "determinism": row.key.determinism,
+        "elsewhere": list(row.elsewhere),
+        "scenes": {scene: _at_max(at) for scene, at in row.at.items()},
+    }
+
+
+def divergence_records(result: GroupResult) -> list[dict[str, Any]]:
+    """How the environments of each complete run moved apart."""
+    return [_spread(one) for one in result.spreads]
+
+
+def contender_record(contender: Contender) -> dict[str, Any]:
+    """What radar, dot plots and guidelines are made of; a value that is missing has its reason."""
+    checked = contender.group.fidelity if contender.group else None
+    return {
+        "name": contender.figures.name,
+        "group": contender.group.label if contender.group else None,
+        "sweep": contender.sweep.label if contender.sweep else None,
+        "sweep_with_robot": contender.robot.label if contender.robot else None,
+        "n_max": contender.figures.n_max,
+        "values": {axis.value: _value(metric) for axis, metric in contender.metrics.items()},
+        "why_not": {axis.value: why_not for axis, why_not in contender.why_not.items()},
+        "checks_broken": len(checked.of(Verdict.BROKEN)) if checked and checked.rows else None,
+        "checks_held": len(checked.of(Verdict.HELD)) if checked and checked.rows else None,
+        "barred": contender.figures.barred,
+        "barred_with_robot": contender.figures.barred_articulated,
+    }
+
+
+def faults_record(found: Faults) -> dict[str, str]:
+    """What speaks against a group, each empty where nothing was found."""
+    return vars(found)
+
+
+def _level(result: GroupResult) -> dict[str, Any]:
+    return {
+        "group": result.label,
+        "determinism": result.group.key.determinism,
+        "runs": result.group.outcomes,
+        "distinct_envs": result.metrics["distinct_envs"].value,
+        "distinct_runs": result.metrics["distinct_runs"].value,
+        "faults": faults_record(faults(result)),
+    }
+
+
+def _price(price: Price) -> dict[str, Any]:
+    costs = {"throughput_of_default": _cost(price.speed), "memory_of_default": _cost(price.memory)}
+    return {**_level(price.result), "in_force": list(price.differs), **costs}
+
+
+def _cost(cost: Cost) -> dict[str, Any]:
+    return {"ratio": cost.ratio, "ci95": cost.ci95, "why_not": cost.why_not, "interval_why_not": cost.no_interval}
+
+
+def _at_max(at: AtMax) -> dict[str, Any]:
+    return {
+        "n_max": at.n_max,
+        "fps": _value(at.fps) if at.fps else None,
+        "memory": _value(at.memory) if at.memory else None,
+        "limit": at.limit.name.lower(),
+        "ends": at.ends,
+        "contacts_per_env": at.contacts,
+        "faults": faults_record(at.faults),
+    }
+
+
+def _value(metric: Metric) -> dict[str, Any]:
+    return {
+        "metric": metric.name,
+        "value": metric.value,
+        "unit": metric.unit,
+        "sd": metric.sd,
+        "ci95": metric.ci95,
+        "n": metric.n,
+        "why_not": metric.why_not,
+        "interval_why_not": metric.extra.get("interval_why_not", ""),
+    }
+
+
+def _spread(one: RunSpread) -> dict[str, Any]:
+    found = one.spread
+    if found is None:
+        return {"run": one.run, "why_not": one.why_not}
+    times, largest = np.array(found.times), np.array([np.nan if v is None else v for v in found.largest])
+    apart = np.flatnonzero(largest > 0)
+    return {
+        "run": one.run,
+        "why_not": "",
+        "recorded_steps": len(found.steps),
+        "first_apart_s": float(times[apart[0]]) if len(apart) else None,
+        "reaches_limit_s": first_reaching(times, largest, FIT_LIMIT_M),
+        "limit_m": FIT_LIMIT_M,
+        "largest_at_end_m": found.largest[-1],
+        "rms_at_end_m": found.rms[-1],
+        "fit": found.fit,
+        "no_fit": found.no_fit,
+    }

@@ -1,0 +1,186 @@
+"""How environments, and runs, come apart: since which step, how fast, and which left which."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from markupsafe import Markup
+from numpy.typing import NDArray
+
+from evaluator.metrics.divergence import FIT_LIMIT_M, first_reaching
+from evaluator.metrics.split_tree import SplitTree
+from evaluator.report import words
+from evaluator.report.figures import divergence as chart
+from evaluator.report.figures.tree import members, tree_chart, window
+from evaluator.report.numbers import NONE
+from evaluator.report.page.picture import Numbers, Picture
+from evaluator.report.page.section import Section, Source
+from evaluator.results import GroupResult, RunSpread, not_computed
+
+_MM = 1e3
+_CURVES = ("run", "simulated time [s]", "largest distance [m]", "rms distance [m]")
+_BRANCHES = ("lowest", "left", "at step", "simulated time [s]", "left together", "stayed together", "that stayed")
+
+
+@dataclass(frozen=True)
+class Onset:
+    """One group's row: since when anything differs, and how it grows.
+
+    envs, runs  first step and time at which the first bit differs; "never", or why it is not known
+    doubling    median time in which the largest distance doubles [s], or a dash with the reason in `no_doubling`
+    to_1mm      earliest time of a run at which it reaches 1 mm [s]; a dash where it never does
+    """
+
+    result: GroupResult
+    envs: str
+    runs: str
+    doubling: str
+    no_doubling: str
+    to_1mm: str
+
+
+def section(source: Source) -> Section | None:
+    """A row for every group whose states were captured; figures for those in which anything came apart."""
+    told = [r for r in source.shown if r.metrics["distinct_envs"].value is not None or _spreads(r)]
+    if not told:
+        return None
+    apart = [(r, found) for r in told if (found := list(_pictures(source, r)))]
+    context = {
+        "onsets": [_onset(r) for r in told],
+        "apart": apart,
+        "limit": f"{FIT_LIMIT_M * _MM:g} mm",
+    }
+    return Section("divergence", "How environments and runs come apart", context, link="Divergence")
+
+
+def _spreads(result: GroupResult) -> list[RunSpread]:
+    return [s for s in result.spreads if s.spread is not None]
+
+
+def _onset(result: GroupResult) -> Onset:
+    rate = result.metrics.get("divergence_rate", not_computed("divergence_rate", "1/s", "lower", "it was not computed"))
+    reached = [t for s in _spreads(result) if (t := _reaches(s)) is not None]
+    return Onset(
+        result,
+        _first(result, "distinct_envs"),
+        _first(result, "distinct_runs"),
+        words.doubling(rate),
+        rate.why_not,
+        f"{min(reached):g}" if reached else NONE,
+    )
+
+
+def _first(result: GroupResult, name: str) -> str:
+    metric = result.metrics[name]
+    if metric.value is None:
+        return f"not known: {metric.why_not}"
+    step = metric.extra.get("first_difference_step")
+    return "never" if step is None else f"step {step}, {step * result.group.key.dt:g} s"
+
+
+def _reaches(found: RunSpread) -> float | None:
+    if found.spread is None:
+        return None
+    return first_reaching(np.array(found.spread.times), _values(found.spread.largest), FIT_LIMIT_M)
+
+
+def _values(found: Sequence[float | None]) -> NDArray[np.float64]:
+    return np.array([np.nan if v is None else v for v in found])
+
+
+def _pictures(source: Source, result: GroupResult) -> Iterator[Picture]:
+    number = source.evaluation.results.index(result)
+    growth = _growth(result, f"divergence-{number}")
+    trees = [_tree(result, of, f"tree-{of}s-{number}") for of in ("env", "run")]
+    if growth.svg or any(tree is not None and tree.svg for tree in trees):
+        yield growth
+        yield from (tree for tree in trees if tree is not None)
+
+
+def _growth(result: GroupResult, key: str) -> Picture:
+    label = "distance between environments"
+    curves = list(_curves(result))
+    if not curves:
+        why_not = result.spreads[0].why_not if result.spreads else "no run is complete"
+        return Picture(label, f"No curve: {why_not}.", None)
+    step = result.metrics["distinct_envs"].extra.get("first_difference_step")
+    onset = None if step is None else step * result.group.key.dt
+    svg = chart.divergence_chart(curves, onset=onset, name=result.label)
+    if not svg:
+        return Picture(label, "No curve: no recorded position differs between environments.", None)
+    rows = [
+        (c.label, *(round(float(v), 12) if np.isfinite(v) else None for v in (c.times[i], c.largest[i], c.rms[i])))
+        for c in curves
+        for i in chart.shown_rows(c)
+    ]
+    return Picture(label, _said(curves), Markup(svg), key, Numbers(_CURVES, rows))
+
+
+def _curves(result: GroupResult) -> Iterator[chart.Curve]:
+    """One for all runs whose distances are the same."""
+    alike: dict[tuple[object, ...], list[RunSpread]] = {}
+    for one in _spreads(result):
+        assert one.spread is not None
+        alike.setdefault((one.spread.steps, one.spread.largest, one.spread.rms), []).append(one)
+    for index, found in enumerate(alike.values()):
+        spread = found[0].spread
+        assert spread is not None
+        runs = f"run{'s' if len(found) > 1 else ''} {', '.join(str(one.run) for one in found)}"
+        times = np.array(spread.times)
+        yield chart.Curve(index, runs, times, _values(spread.largest), _values(spread.rms), spread.fit)
+
+
+def _said(curves: Sequence[chart.Curve]) -> str:
+    points, ends = len(curves[0].times), [float(c.largest[-1]) for c in curves if np.isfinite(c.largest[-1])]
+    said = [
+        "Thick: the largest distance of a body from where it is in environment 0. Thin: root mean square, all pairs."
+    ]
+    fits = [c for c in curves if c.fit]
+    if fits and fits[0].fit:
+        one = fits[0].fit
+        doubling = f", doubling in {one.doubling_time:.2g} s" if one.doubling_time else ""
+        said.append(
+            f"Dashed: the exponential through {fits[0].label}, {one.rate:.3g} per s{doubling}, fitted in the shaded "
+            f"window from {one.begin:g} to {one.end:g} s (R² {one.r_squared:.2f}, {one.points} points)."
+        )
+    elif points < 20:
+        said.append(f"Positions were recorded at {points} steps, too few for a growth rate.")
+    if ends and max(ends) > 1:
+        said.append("A body that left the board falls on, which makes distances of metres.")
+    return " ".join(said)
+
+
+def _tree(result: GroupResult, of: str, key: str) -> Picture | None:
+    metric = result.metrics[f"distinct_{of}s"]
+    tree: SplitTree | None = metric.extra.get("tree") if metric.value is not None else None
+    runs = [r.configuration.run_index for r in result.group.complete]
+    label = "environments" + (f" of run {runs[0]}" if of == "env" and runs else "") if of == "env" else "runs"
+    if tree is None:
+        return Picture(label, f"No tree: {metric.why_not}.", None) if metric.value is None else None
+    names = runs if of == "run" else range(len(metric.extra["classes"][0]))
+    dt = result.group.key.dt
+    svg = tree_chart(tree, dt=dt, of=of, names=names, label=result.label)
+    if not svg:
+        return Picture(label, f"No tree: no two {of}s differ in any bit.", None)
+    rows = [
+        (
+            names[b.sample], "" if b.parent is None else names[tree.branches[b.parent].sample], b.step, b.step * dt,
+            b.left, b.stayed, members(b, of, names),
+        )
+        for b in tree.branches
+    ]  # fmt: skip
+    return Picture(label, _tree_said(tree, of, dt), Markup(svg), key, Numbers(_BRANCHES, rows))
+
+
+def _tree_said(tree: SplitTree, of: str, dt: float) -> str:
+    first, last = tree.branches[1].step, tree.branches[-1].step
+    begin, end = window(tree)
+    when = f"at step {first}" if first == last else f"between steps {first} and {last}"
+    said = f"{len(tree.branches) + tree.not_kept} histories, which split {when} of {tree.last_step}."
+    if end - begin < tree.last_step - tree.first_step:
+        said += f" The axis covers {begin * dt:.3g} to {end * dt:.3g} s: nothing splits before or after."
+    if tree.not_kept:
+        said += f" {tree.not_kept} branches that left later are not drawn."
+    return said

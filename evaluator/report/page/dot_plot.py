@@ -1,0 +1,138 @@
+"""Raw values of what is compared, each with its interval: a panel for every axis of the radar, and for mechanics."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+
+from markupsafe import Markup
+
+from evaluator.comparison import Contender
+from evaluator.fidelity import Verdict
+from evaluator.metrics.radar import LOWER_IS_BETTER, Axis
+from evaluator.report.figures.axis import tick_label
+from evaluator.report.figures.dot_plot import Dot, dot_plot, is_logarithmic
+from evaluator.report.numbers import figure, interval
+from evaluator.report.page.picture import Numbers, Picture
+from evaluator.report.page.section import Section, Source
+from evaluator.report.scaling import steps_label
+
+_UNITS = {
+    Axis.THROUGHPUT: "env-steps/s",
+    Axis.PARALLELISM: "envs",
+    Axis.MEMORY: "GB",
+    Axis.EMD_TO_REAL: "cm",
+    Axis.PARALLEL: "cm",
+    Axis.RUN_TO_RUN: "cm",
+}
+_TITLES = ("group", "value", "low", "high", "note")
+_MECHANICS = "broken checks of mechanics"
+
+
+def section(source: Source) -> Section | None:
+    """None where there is no radar."""
+    compared = source.evaluation.comparison
+    if compared.radar is None:
+        return None
+    panels = [*_panels(compared.contenders), _mechanics(compared.contenders)]
+    barred = [f"{c.figures.name}: {why}" for c in compared.contenders if (why := _bars(c))]
+    context = {"barred": barred, "panels": [p for p in panels if p.svg], "empty": [p for p in panels if not p.svg]}
+    return Section("dots", "What the radar compares, with intervals", context, link="Values with intervals")
+
+
+def _bars(contender: Contender) -> str:
+    return contender.figures.barred or contender.figures.barred_articulated
+
+
+def _label(contender: Contender) -> str:
+    return f"{contender.figures.name} †" if _bars(contender) else contender.figures.name
+
+
+def _panels(contenders: tuple[Contender, ...]) -> Iterator[Picture]:
+    for axis in Axis:
+        dots, missing = [], dict[str, list[str]]()
+        for index, contender in enumerate(contenders):
+            dot = _dot(index, contender, axis)
+            if dot is None:
+                missing.setdefault(contender.why_not.get(axis, "it was not measured"), []).append(
+                    contender.figures.name
+                )
+            else:
+                dots.append(dot)
+        yield _picture(axis.value, _UNITS[axis], dots, missing, larger=axis not in LOWER_IS_BETTER)
+
+
+def _dot(index: int, contender: Contender, axis: Axis) -> Dot | None:
+    name = _label(contender)
+    if axis is Axis.PARALLELISM:
+        if contender.sweep is None or contender.sweep.n_max is None:
+            return None
+        sweep, n_max = contender.sweep, contender.sweep.n_max
+        following = next((p.n_env for p in sweep.points if p.n_env > n_max), None)
+        said = f"{name}: {n_max:,}; {sweep.ends}"
+        if following is None:
+            return Dot(index, name, float(n_max), open=True, said=said)
+        return Dot(index, name, float(n_max), float(n_max), float(following), said=said)
+    metric = contender.metrics.get(axis)
+    if metric is None or metric.value is None:
+        return None
+    low, high = metric.ci95 or (None, None)
+    why_not = "" if metric.ci95 else f", no interval: {_why_no_interval(metric.n, metric.extra)}"
+    said = (
+        f"{name}: {figure(metric.value, metric.unit)} {metric.unit} {interval(metric) if metric.ci95 else ''}{why_not}"
+    )
+    return Dot(index, name, metric.value, low, high, said=said)
+
+
+def _why_no_interval(n: int, extra: dict[str, object]) -> str:
+    return "one run" if n == 1 else str(extra.get("interval_why_not") or "none was computed")
+
+
+def _mechanics(contenders: tuple[Contender, ...]) -> Picture:
+    dots, missing = [], dict[str, list[str]]()
+    for index, contender in enumerate(contenders):
+        name = _label(contender)
+        found = contender.group.fidelity if contender.group else None
+        if found is None or not found.rows:
+            why_not = found.why_not if found else "no group of it ran under the shared conditions"
+            missing.setdefault(why_not, []).append(name)
+            continue
+        broken = found.of(Verdict.BROKEN)
+        said = ", ".join(row.check.title for row in broken) or f"all {len(found.of(Verdict.HELD))} that were made hold"
+        dots.append(Dot(index, name, float(len(broken)), said=f"{name}: {said}"))
+    return _picture(_MECHANICS, "checks", dots, missing, larger=False)
+
+
+def _picture(what: str, unit: str, dots: list[Dot], missing: dict[str, list[str]], *, larger: bool) -> Picture:
+    key = f"dots-{what.lower().replace(' ', '-')}"
+    absent = _absent(missing)
+    if not dots:
+        return Picture(what, f"Nothing to show: {absent}.", None)
+    tick = steps_label if unit in ("env-steps/s", "envs") else tick_label
+    svg = dot_plot(dots, value=f"{what} [{unit}]", tick=tick, best_first=larger)
+    rows = [(d.label, d.value, d.low, d.high, d.said) for d in dots]
+    return Picture(what, _said(what, dots, absent, larger=larger), Markup(svg), key, Numbers(_TITLES, rows))
+
+
+def _said(what: str, dots: list[Dot], absent: str, *, larger: bool) -> str:
+    said = [f"{'Larger' if larger else 'Smaller'} is better; best on top."]
+    if is_logarithmic(dots):
+        said.append("Logarithmic axis.")
+    zeros = sum(d.value == 0 for d in dots)
+    if zeros:
+        said.append(f"Open circle: exactly 0 ({zeros}).")
+    if what == Axis.PARALLELISM.value:
+        said.append("Whisker: up to the next number that was tried, where no run was complete. Arrow: none failed.")
+    elif what != _MECHANICS and (alone := sum(d.low is None and d.value > 0 for d in dots)):
+        said.append(f"No whisker, no interval ({alone}): too few runs, or none that differ.")
+    if absent:
+        said.append(f"Not here: {absent}.")
+    return " ".join(said)
+
+
+def _absent(missing: dict[str, list[str]]) -> str:
+    return "; ".join(f"{_few(names)} ({why})" for why, names in missing.items())
+
+
+def _few(names: Iterable[str]) -> str:
+    found = list(names)
+    return ", ".join(found) if len(found) <= 3 else f"{len(found)} groups"

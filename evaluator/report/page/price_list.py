@@ -1,0 +1,50 @@
+"""What determinism costs: every level beside the default of the same configuration."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from evaluator.price_list import Cost, Family, Price
+from evaluator.report.page.section import Section, Source
+from evaluator.report.price_table import family_name
+from evaluator.results import GroupResult
+from evaluator.soundness import Faults, faults
+
+
+@dataclass(frozen=True)
+class Row:
+    """One group of a family; `price` is None for the default itself."""
+
+    result: GroupResult
+    price: Price | None
+    faults: Faults
+
+
+def section(source: Source) -> Section | None:
+    """None where no two groups differ in determinism alone."""
+    families = source.evaluation.price_list
+    if not families:
+        return None
+    context = {"families": [(_name(f), _rows(f)) for f in families], "cost": cost}
+    return Section("prices", "What determinism costs", context, link="Price list")
+
+
+def _name(family: Family) -> str:
+    key = (family.base or family.prices[0].result).group.key
+    return f"{family_name(family)}, {key.scene}, {key.n_env} envs, {key.device or 'no device'}"
+
+
+def _rows(family: Family) -> list[Row]:
+    base = [Row(family.base, None, faults(family.base))] if family.base else []
+    return [*base, *(Row(p.result, p, faults(p.result)) for p in family.prices)]
+
+
+def cost(found: Cost) -> tuple[str, str]:
+    """A ratio and its interval, in three digits."""
+    if found.ratio is None:
+        return "", found.why_not
+    value = f"× {found.ratio:.3g}"
+    if found.ci95 is None:
+        return value, found.no_interval
+    low, high = found.ci95
+    return value, f"[{low:.3g}, {high:.3g}]"

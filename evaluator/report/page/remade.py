@@ -1,0 +1,166 @@
+"""The published tables, made again from these recordings, in the paper's layout."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from evaluator import published, remade
+from evaluator.groups import GroupKey
+from evaluator.price_list import DEFAULT
+from evaluator.published import AtLargest, Variability
+from evaluator.report import numbers, words
+from evaluator.report.page.section import Section, Source
+from evaluator.results import GroupResult, Metric
+from evaluator.soundness import Faults, faults
+
+_SPEED = {"free-fall": 1e4, "franka": 1e6}
+_EXPONENT = {"free-fall": 4, "franka": 6}
+_GB = 1e9
+_LEAST = 5e-3  # of a printed distance [cm]: two decimals round it to 0.00
+
+
+@dataclass(frozen=True)
+class Figure:
+    """A value as the paper prints it, its interval, and what the printed digits hide; or why there is none."""
+
+    value: str = ""
+    interval: str = ""
+    note: str = ""
+    why_not: str = ""
+
+
+@dataclass(frozen=True)
+class CapabilityCell:
+    """One simulator in one scene; `why_not` where there is no sweep."""
+
+    at: remade.AtMax | None
+    fps: Figure
+    memory: Figure
+    paper: AtLargest | None
+    why_not: str = ""
+
+
+@dataclass(frozen=True)
+class VariabilityRow:
+    """One group of the second table, with the paper's row of its simulator."""
+
+    result: GroupResult
+    real: Figure
+    parallel: Figure
+    run_to_run: Figure
+    faults: Faults
+    paper: Variability | None
+
+
+def section(source: Source) -> Section | None:
+    """None where nothing here is of the published scenes."""
+    capability = remade.capability(source.evaluation.sweeps, source.evaluation.results)
+    shown = [r for r in remade.variability(source.evaluation.results) if r in source.shown]
+    rows = [_row(r, source, first=_is_first(r, shown)) for r in shown]
+    if not capability and not rows:
+        return None
+    paper = {r.simulator: r for r in published.SCALING} if source.published else {}
+    default, others = [
+        [r for r in rows if (r.result.group.key.determinism == DEFAULT) is which] for which in (True, False)
+    ]
+    context = {
+        "capability": [(row, _settings(row.key), list(_cells(row, paper))) for row in capability],
+        "scenes": remade.CAPABILITY_SCENES,
+        "exponents": _EXPONENT,
+        "variability": default,
+        "levels": others,
+        "missing": _missing(source),
+        "no_real": _no_real(source),
+        "paper": source.published,
+    }
+    return Section("remade", "The published tables, re-made", context, link="Published tables, re-made")
+
+
+def _settings(key: GroupKey) -> str:
+    given = ", ".join(f"{name}={value}" for name, value in json.loads(key.options).items())
+    level = "" if key.determinism == DEFAULT else f"determinism {key.determinism}"
+    return "; ".join(part for part in (key.version or "no version", given, level, key.device) if part)
+
+
+def _cells(row: remade.Capability, paper: dict[str, published.Scaling]) -> Iterator[CapabilityCell]:
+    told = paper.get(published.NAMES.get(row.key.simulator, ""))
+    for scene in remade.CAPABILITY_SCENES:
+        foreign = None if told is None else told.free_fall if scene == "free-fall" else told.franka
+        at = row.at.get(scene)
+        if at is None:
+            why_not = f"no sweep of {scene} among these recordings"
+            yield CapabilityCell(None, Figure(), Figure(), foreign, why_not)
+        else:
+            yield CapabilityCell(at, _scaled(at.fps, 1 / _SPEED[scene], 3), _memory(at.memory), foreign)
+
+
+def _memory(metric: Metric | None) -> Figure:
+    if metric is None:
+        return _scaled(None, 1.0, 1)
+    scale = words.BYTES[metric.unit] / _GB
+    found = _scaled(metric, scale, 1)
+    if metric.unit == "GB" or metric.value is None:
+        return found
+    return Figure(found.value, found.interval, "of the host: it ran on the CPU")
+
+
+def _scaled(metric: Metric | None, scale: float, decimals: int) -> Figure:
+    if metric is None:
+        return Figure(why_not="no run is complete")
+    if metric.value is None:
+        return Figure(why_not=metric.why_not)
+    value = f"{metric.value * scale:.{decimals}f}"
+    note = f"{metric.value * scale:.2g}" if float(value) == 0 else ""
+    if metric.ci95 is None:
+        return Figure(value, _no_interval(metric), note)
+    low, high = (f"{end * scale:.{decimals}f}" for end in metric.ci95)
+    return Figure(value, f"[{low}, {high}]", note)
+
+
+def _no_interval(metric: Metric) -> str:
+    if metric.n == 1:
+        return "one run"
+    return str(metric.extra.get("interval_why_not") or "no interval")
+
+
+def _is_first(result: GroupResult, shown: list[GroupResult]) -> bool:
+    return next(r for r in shown if r.group.key.simulator == result.group.key.simulator) is result
+
+
+def _no_real(source: Source) -> str:
+    """Why no group has a distance to real trials; empty where some has."""
+    reference = source.evaluation.reference
+    if reference is None:
+        return source.evaluation.reference_note
+    return "" if reference.measured else "the reference is another simulation, not measured"
+
+
+def _row(result: GroupResult, source: Source, *, first: bool) -> VariabilityRow:
+    name = published.NAMES.get(result.group.key.simulator)
+    beside = source.published and first
+    told = next((r for r in published.VARIABILITY if r.simulator == name), None) if beside else None
+    real, parallel, between = (result.metrics[n] for n in ("w1_real", "w1_parallel", "w1_run_to_run"))
+    distance = Figure("–") if _no_real(source) else _printed(real, 3)
+    return VariabilityRow(result, distance, _printed(parallel, 2), _printed(between, 2), faults(result), told)
+
+
+def _printed(metric: Metric, decimals: int) -> Figure:
+    """Mean and SD [cm] with the paper's decimals, and what those hide of a small value."""
+    if metric.value is None:
+        return Figure(why_not=metric.why_not)
+    value = f"{metric.value:.{decimals}f}"
+    if metric.sd is not None:
+        value += f" ± {metric.sd:.{decimals}f}"
+    note = ""
+    if metric.value < _LEAST:
+        note = "exactly 0" if metric.value == 0 else f"not 0: {numbers.distance(metric.value)}"
+    interval = numbers.interval(metric) if metric.ci95 else "" if metric.value == 0 else _no_interval(metric)
+    return Figure(value, interval, note)
+
+
+def _missing(source: Source) -> list[str]:
+    """The paper's simulators of which nothing is here."""
+    there = {r.group.key.simulator for r in source.evaluation.results if r.group.complete}
+    return [name for simulator, name in published.NAMES.items() if simulator not in there]
