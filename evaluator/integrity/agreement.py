@@ -3,9 +3,14 @@
 from __future__ import annotations
 
 import math
+import reprlib
 from typing import Any
 
 _TOLERANCE = 1e-9  # of numbers up to 1, and relative to larger ones
+
+
+_REPR = reprlib.Repr()
+_REPR.maxstring = 100  # of a stranger
 
 
 def difference(expected: Any, data: memoryview) -> str:
@@ -35,8 +40,12 @@ def _first(expected: Any, found: Any, path: str) -> str:
                 if what := _first(wanted, there, f"{where}."):
                     return what
             elif not _same(wanted, there):
-                return f"{where} is {there!r}, and should be {wanted!r}"
+                return f"{where} is {_short(there)}, and should be {_short(wanted)}"
     return ""
+
+
+def _short(value: Any) -> str:
+    return repr(value) if isinstance(value, float) else _REPR.repr(value)
 
 
 def _same(wanted: Any, there: Any) -> bool:

@@ -65,9 +65,11 @@ class _Check:
             elif self._ended and topic != LOG_TOPIC:
                 self._add(f"{topic} is missing")
         if LOG_TOPIC in there:
-            self._check_log()
+            with self._problems.skipping(Kind.view, path=self._recording.path):
+                self._check_log()
         for view in views:
-            with self._problems.noting(Kind.view, path=self._recording.path):
+            # states and messages that cannot be read are told as what they are
+            with self._problems.skipping(Kind.view, path=self._recording.path):
                 self._check_messages(view)
 
     def _view(self, env: int) -> RecordedView:

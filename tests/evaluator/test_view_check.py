@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
@@ -80,6 +81,11 @@ def added(message: Any) -> None:
     message.entities.add(frame_id="world", id="wall").cubes.add()
 
 
+def endless(message: Any) -> None:
+    """A line of the log is a megabyte long."""
+    message.message = "x" * (1 << 20)
+
+
 def quiet(message: Any) -> None:
     """A line of the log says something else."""
     message.message = "all is well"
@@ -110,6 +116,7 @@ CHANGES = {
     "larger": (changing(SCENE, "SceneUpdate", larger, 0), "entities[3].cubes[0].size.x"),
     "added": (changing(SCENE, "SceneUpdate", added, 0), "entities has 31 entries, not 30"),
     "quiet": (changing(LOG, "Log", quiet), "line 3 of /state/view/log/000000: message is 'all is well'"),
+    "endless": (changing(LOG, "Log", endless), "message is 'xxx"),
     "without_last": (without_last, "has 25 messages, and the states are of 26 such times"),
     "later": (later, "has a message at 0.001 s instead of 0 s"),
     "twice": (twice, "has 2 messages, not one"),
@@ -123,11 +130,19 @@ def test_a_view_that_lies(name: str, small: Path, tmp_path: Path) -> None:
     found = examine(rewritten(small, tmp_path / "lie.mcap", change)).problems
     assert set(found.kinds()) == {Kind.view}
     assert any(told in what for what in found.of(Kind.view)), found.of(Kind.view)
+    assert all(len(what) < 400 for what in found.of(Kind.view))
 
 
 def test_a_copy_by_another_tool(small: Path, tmp_path: Path) -> None:
     """Find nothing in a view that the official library wrote again without a change."""
     assert not examine(rewritten(small, tmp_path / "copy.mcap", list)).problems.kinds()
+
+
+def test_what_is_shown_of_a_file(small: Path) -> None:
+    """Say on one screen which environment viewers show, and in JSON."""
+    assert "view        environment 0; for Foxglove" in call("gsb-info", small).stdout
+    (told,) = json.loads(call("gsb-info", small, "--json", "-").stdout)["files"]
+    assert told["view"] == [0]
 
 
 def test_the_command_says_it(small: Path, tmp_path: Path) -> None:
