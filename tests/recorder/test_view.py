@@ -385,3 +385,19 @@ def test_rerun_reads_it(plain: Path, tmp_path: Path) -> None:
         assert f"{topic}: " in stats
     shown = rerun("rrd", "print", "-vvv", "--entity", TRANSFORMS.format(0), tmp_path / "plain.rrd")
     assert "Transform3D:child_frame" in shown
+
+
+def test_a_blueprint_for_rerun(plain: Path, tmp_path: Path) -> None:
+    """Make a blueprint of a recording, which rerun takes for one of that file."""
+    pytest.importorskip("rerun", reason="rerun is not installed: pip install rerun-sdk")
+    assert RERUN is not None
+    target = tmp_path / "plain.rbl"
+    for command in (
+        [sys.executable, ROOT / "viewers" / "rerun_blueprint.py", plain, target],
+        [RERUN, "rrd", "verify", target],
+        [RERUN, "rrd", "print", "-vvv", target],
+    ):
+        done = subprocess.run(list(map(str, command)), capture_output=True, text=True, timeout=120)
+        assert done.returncode == 0, done.stderr
+    for kind in ("Boxes3D:half_sizes", "Ellipsoids3D:half_sizes", "TransformAxes3D:axis_length", plain.stem):
+        assert kind in done.stdout
