@@ -56,8 +56,10 @@ class _Check:
             with self._problems.noting(Kind.view, path=self._recording.path):
                 views.append(self._view(env))
                 types |= views[-1].types
+        made = {view.env for view in views}
         for topic in there:
-            if topic not in types:
+            # of an environment that has no view at all, that was said
+            if topic not in types and (parts := topics.parse_view(topic)) and parts.env in made:
                 self._add(f"nothing is known of {topic}, and nothing vouches for it")
         for topic in types:
             if topic in there:
