@@ -14,6 +14,7 @@ from schemas import topics
 from schemas.errors import GsbError, NotARecording
 from schemas.fields import StateField
 from schemas.provenance import Provenance, Simulation
+from schemas.view.recorded import LOG_TOPIC
 
 _T = TypeVar("_T")
 
@@ -87,6 +88,7 @@ class Inspection:
     counters     names by phase
     hashes       steps with state hashes, by phase
     overflowed   buffers and limits that were run into; None where the engine does not tell
+    view         environments that viewers show of the file, as it is
     """
 
     path: str
@@ -114,6 +116,7 @@ class Inspection:
     gates: tuple[str, ...] = ()
     overflowed: tuple[str, ...] | None = None
     dropouts: tuple[str, ...] = ()
+    view: tuple[int, ...] = ()
     attachments: dict[str, int] = field(default_factory=dict)
     doubtful: tuple[str, ...] = ()
     unread: tuple[str, ...] = ()
@@ -191,8 +194,14 @@ def _streams(recording: Recording, scan: Scan) -> dict[str, Any]:
         "gates": read(lambda: tuple(f"{e.phase}: {e.text}" for e in recording.events if e.kind == "GATE"), _NONE),
         "overflowed": read(lambda: _overflowed(recording), None),
         "dropouts": read(lambda: recording.dropouts, _NONE),
+        "view": tuple(sorted(_shown(scan))),
     }
     return {**said, "unread": tuple(unread)}
+
+
+def _shown(scan: Scan) -> set[int]:
+    found = (topics.parse_view(topic) for topic in scan.streams if topic != LOG_TOPIC)
+    return {parts.env for parts in found if parts is not None}
 
 
 def _phases(recording: Recording) -> dict[str, float]:

@@ -230,7 +230,7 @@ class Recording:
         for topic, channel in self._container.channels.items():
             if parts := topics.parse_state(topic):
                 self._check_metadata(parts, channel)
-            elif topic != topics.RUN_END:
+            elif topics.has_digest(topic):
                 for content in self._container.in_sequence(topic):
                     digest.message(topic, content)
         return digest

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 from contextlib import AbstractContextManager, nullcontext
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -35,7 +36,8 @@ sweeps:
 replays:
   --replay FILE makes the run of a recording again, here: its configuration, which passes the same checks as arguments,
   and nothing else. What it asks for is printed first. The scene has to be the same; --option (and --impl, --device...)
-  replaces what was recorded, and the new recording says so; --runs, --phases, --timeout, --python and --out are yours.
+  replaces what was recorded, and the new recording says so; --runs, --phases, --view-env, --timeout, --python and --out
+  are yours.
   gsb-audit FILE does this, and says whether the same came out.
 
 clusters:
@@ -85,6 +87,8 @@ _SIMULATED: dict[str, Any] = {
     "steps": None,
     "stride": 1,
     "capture": CAPTURE_MODES[0],
+    "view_env": (),
+    "no_view": False,
     "warmup": 100,
     "timed_steps": 1000,
     "ray": None,
@@ -96,7 +100,8 @@ _MEASURED: dict[str, Any] = {"scene": "inclined-collision", "trials": None, "uni
 """The same for real trials."""
 
 _REPLAYED: dict[str, Any] = {
-    "runs": 1, "option": (), "timeout": 0.0, "phases": None, "ray": None, "ray_resource": None,
+    "runs": 1, "option": (), "timeout": 0.0, "phases": None, "view_env": (), "no_view": False,
+    "ray": None, "ray_resource": None,
 }  # fmt: skip
 """The same for replays; and so are the options that are short for --option."""
 
@@ -180,6 +185,14 @@ def parser() -> argparse.ArgumentParser:
         help="lossless: write while stepping, and wait where the disk is slower; memory: write after the last step "
         f"(default: {_SIMULATED['capture']})",
     )
+    how.add_argument(
+        "--view-env",
+        type=int,
+        action="append",
+        metavar="E",
+        help="environment that viewers such as Foxglove and rerun show; repeatable, up to 4 times (default: 0)",
+    )
+    how.add_argument("--no-view", action="store_true", default=None, help="write nothing for viewers")
     how.add_argument("--warmup", type=int, metavar="N", help=f"untimed steps first (default: {_SIMULATED['warmup']})")
     how.add_argument(
         "--timed-steps", type=int, metavar="N", help=f"steps that are timed (default: {_SIMULATED['timed_steps']})"
@@ -229,12 +242,13 @@ def _names() -> dict[str, tuple[str, ...]]:
 def configure(arguments: argparse.Namespace) -> RunConfiguration:
     """The configuration that the arguments ask for; UsageError where it cannot be."""
     with shielded():  # an import that is interrupted shows as one that is broken
-        from recorder.plan import check_dt
+        from recorder.plan import check_dt, view_of
         from recorder.scenes.registry import make_scene
 
     scene = make_scene(arguments.scene)
     dt = scene.dt if arguments.dt is None else arguments.dt
     check_dt(dt)
+    phases = _phases(arguments.phases)
     configuration = RunConfiguration(
         simulator=arguments.sim,
         scene=arguments.scene,
@@ -244,13 +258,14 @@ def configure(arguments: argparse.Namespace) -> RunConfiguration:
         stride=arguments.stride,
         warmup=arguments.warmup,
         timed_steps=arguments.timed_steps,
-        phases=_phases(arguments.phases),
+        phases=phases,
         seed=arguments.seed,
         compression=arguments.compression,
         options=_options(arguments),
         determinism=arguments.determinism,
         timeout=arguments.timeout,
         capture=arguments.capture,
+        view=view_of(arguments.view_env, off=arguments.no_view, phases=phases),
     )
     check_configuration(configuration)
     return configuration
@@ -338,7 +353,7 @@ def replay(arguments: argparse.Namespace, argv: tuple[str, ...]) -> int:
     """Make the run of a recording again; returns the exit code."""
     with shielded():
         from recorder.environments.choice import check_known
-        from recorder.plan import check_runs
+        from recorder.plan import check_runs, view_of
         from recorder.progress import say
         from recorder.replay import announcement, check_scene, origin, read_source, replayed, shown
         from recorder.scenes.registry import make_scene
@@ -353,6 +368,8 @@ def replay(arguments: argparse.Namespace, argv: tuple[str, ...]) -> int:
         timeout=arguments.timeout,
         compression=arguments.compression,
     )
+    view = view_of(arguments.view_env, off=arguments.no_view, phases=configuration.phases)
+    configuration = replace(configuration, view=view)
     try:
         check_scene(source, make_scene(configuration.scene))
         check_configuration(configuration)

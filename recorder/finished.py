@@ -104,9 +104,9 @@ def matching(found: Iterable[Finished], wanted: RunConfiguration, where: str = "
 
     where  machine and software that they must be of (`where_am_i`); empty: of any
 
-    The number of environments, the run's number, the file's compression and the time limit make no difference, and a
-    complete one goes before another. An interrupted run is to be made again, and so is one that failed for a cause that
-    is not known, or that timed out before the time that it would get now.
+    The number of environments, the run's number, the file's compression and view, and the time limit make no
+    difference, and a complete one goes before another. An interrupted run is to be made again, and so is one that
+    failed for a cause that is not known, or that timed out before the time that it would get now.
     """
     places: dict[Place, Finished] = {}
     for run in found:
@@ -119,7 +119,7 @@ def matching(found: Iterable[Finished], wanted: RunConfiguration, where: str = "
 
 def _alike(one: RunConfiguration, other: RunConfiguration) -> bool:
     indifferent: dict[str, Any] = {
-        "n_env": 1, "run_index": 0, "compression": "none", "timeout": 0.0, "capture": "lossless",
+        "n_env": 1, "run_index": 0, "compression": "none", "timeout": 0.0, "capture": "lossless", "view": (),
     }  # fmt: skip
     return replace(one, **indifferent) == replace(other, **indifferent)
 

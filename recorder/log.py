@@ -27,6 +27,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from recorder.capture.sink import Sink
 from recorder.capture.states import StateWriter
+from recorder.capture.view import ViewWriter
 from recorder.failure import cause_of
 from recorder.interruption import postponed
 from recorder.plan import check, utc_now
@@ -36,7 +37,7 @@ from recorder.probes.software import describe_software, package_list
 from recorder.scenes.base import Scene
 from schemas import topics
 from schemas.configuration import RunConfiguration
-from schemas.errors import DataLost, UsageError
+from schemas.errors import DamagedRecording, DataLost, UsageError
 from schemas.fields import StateField
 from schemas.mcap_writer import COMPRESSIONS
 from schemas.messages import message_class
@@ -67,6 +68,8 @@ class RecordingWriter:
     deviations     parameters of the scene that were not honoured
     env_origins    origin of each environment [m]; empty where all are at zero
     attachments    files worth keeping: name -> (media type, bytes)
+    view           environments that viewers such as Foxglove and rerun show, at most 4; where there is nothing to show,
+                   because no state is a position, nothing is written for viewers
 
     UsageError for a configuration that cannot be.
     """
@@ -95,6 +98,7 @@ class RecordingWriter:
         env_origins: Sequence[tuple[float, float, float]] = (),
         compression: str = "none",
         attachments: Mapping[str, tuple[str, bytes]] | None = None,
+        view: Sequence[int] = (0,),
     ) -> None:
         self.path = Path(path)
         self._scene = scene if isinstance(scene, Scene) else None
@@ -113,6 +117,7 @@ class RecordingWriter:
             seed=seed,
             run_index=run_index,
             compression=compression,
+            view=tuple(view),
             options={name: str(value) for name, value in options.items()},
         )
         self._simulation = Simulation(
@@ -194,11 +199,24 @@ class RecordingWriter:
         try:
             for name, (media_type, data) in attached.items():
                 self._sink.attach(name, media_type, data)
-            self._states = StateWriter(self._sink, self._simulation.fields, n_env=c.n_env, dt=c.dt, stride=c.stride)
+            self._states = StateWriter(
+                self._sink, self._simulation.fields, n_env=c.n_env, dt=c.dt, stride=c.stride, view=self._view()
+            )
         except BaseException:
             self._sink.abandon()
             raise
         return self
+
+    def _view(self) -> ViewWriter | None:
+        s = self._simulation
+        if not self._configuration.view:
+            return None
+        try:
+            return ViewWriter(
+                self._sink, self._configuration, fields=s.fields, scene=self._scene, env_origins=s.env_origins
+            )
+        except DamagedRecording:
+            return None
 
     def append(self, *arrays: ArrayLike) -> None:
         """The state after one step, or after several: one array a field, [env, item, width] or with a step axis first.

@@ -6,12 +6,13 @@ import errno
 import os
 import re
 import tempfile
+from collections.abc import Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 
 from schemas import PARTIAL
-from schemas.configuration import CAPTURE_MODES, MAX_ENVS, OPTIONAL_PHASES, RunConfiguration
+from schemas.configuration import CAPTURE_MODES, MAX_ENVS, MAX_VIEW, OPTIONAL_PHASES, RunConfiguration
 from schemas.errors import DataLost, GsbError, UsageError
 
 MIN_DT = 1e-6
@@ -55,12 +56,35 @@ def check(configuration: RunConfiguration) -> None:
         )
     if c.capture not in CAPTURE_MODES:
         raise UsageError(f"--capture is {' or '.join(CAPTURE_MODES)}, not '{c.capture}'")
+    if len(c.view) > MAX_VIEW or len(set(c.view)) < len(c.view):
+        raise UsageError(f"--view-env names at most {MAX_VIEW} environments, each once, not {_listed(c.view)}")
+    if not all(0 <= env < c.n_env for env in c.view):
+        raise UsageError(f"--view-env is from 0 to {c.n_env - 1}, as --n-env is {c.n_env}, not {_listed(c.view)}")
     unknown = set(c.phases) - set(OPTIONAL_PHASES)
     if unknown or not c.phases or len(set(c.phases)) < len(c.phases):
         raise UsageError(
             f"--phases takes {' and '.join(OPTIONAL_PHASES)}, comma separated, each at most once, "
             f"not '{','.join(c.phases)}'"
         )
+
+
+def view_of(envs: Sequence[int], *, off: bool, phases: Sequence[str]) -> tuple[int, ...]:
+    """Environments that a recording has a view of: those asked for, or the first, where states are captured.
+
+    off  none is wanted
+
+    UsageError for an answer that contradicts another.
+    """
+    captured = "capture" in phases
+    if envs and off:
+        raise UsageError("--view-env names environments for the view that --no-view leaves out; give one of them")
+    if envs and not captured:
+        raise UsageError("--view-env is of captured states, and --phases has no capture")
+    return () if off or not captured else tuple(envs) or (0,)
+
+
+def _listed(envs: tuple[int, ...]) -> str:
+    return ", ".join(map(str, envs))
 
 
 def check_runs(count: int) -> None:

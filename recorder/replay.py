@@ -175,7 +175,8 @@ def replayed(
     options  that the user has otherwise; others stay as recorded
     phases   None: as recorded
 
-    The time limit and the compression are no part of what a run computes, and are the user's. UsageError where the
+    The time limit and the compression are no part of what a run computes, and are the user's. So is the view, and none
+    is asked for here. UsageError where the
     recording names code to be loaded and the user does not, and for a phase that it has not.
     """
     c = source.configuration
@@ -190,7 +191,7 @@ def replayed(
         raise UsageError(f"--phases {','.join(phases)}: {source.path} has only {','.join(c.phases)}")
     return replace(
         c, run_index=0, options={**c.options, **options}, phases=c.phases if phases is None else phases,
-        timeout=timeout, compression=compression,
+        timeout=timeout, compression=compression, view=(),
     )  # fmt: skip
 
 

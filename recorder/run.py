@@ -38,6 +38,7 @@ from recorder.capture.memory import MemoryWriter
 from recorder.capture.sink import Sink
 from recorder.capture.states import StateWriter, declare_fingerprints, row_bytes, write_fingerprints
 from recorder.capture.stepping import CaptureClock, step_and_capture
+from recorder.capture.view import LogWriter, ViewWriter
 from recorder.capture.writing import Block, Writing
 from recorder.engine import Engine
 from recorder.environment import apply_environment
@@ -55,7 +56,7 @@ from recorder.simulators.evidence import Evidence
 from recorder.simulators.registry import find_simulator
 from schemas import FORMAT, topics
 from schemas.configuration import RunConfiguration
-from schemas.errors import DataLost, GsbError
+from schemas.errors import DamagedRecording, DataLost, GsbError
 from schemas.fingerprint import fingerprint
 from schemas.messages import enum_values, message_class
 from schemas.provenance import ENGINE_LOG, PACKAGES, PROVENANCE, SCENE, SIMULATION, Provenance, ReplayOf, Simulation
@@ -116,6 +117,7 @@ class Run:
         self._reserved = reserved
         self._problems: list[tuple[str, str]] = []  # cause and sentence of each gate that fired
         self._writer: StateWriter | None = None
+        self._shown_log: LogWriter | None = None
         self._events = enum_values("gsb.v1.EventKind")
 
     def record(self) -> Outcome:
@@ -129,6 +131,8 @@ class Run:
             if log := self._log():
                 sink.attach(ENGINE_LOG, "text/plain", log)
             last_step = max(0, self._writer.last_recorded_step) if self._writer else 0
+            if self._shown_log:
+                self._shown_log.status(status, reason)
             sink.finish(status, reason, cause=cause, last_step=last_step, peak_rss_bytes=peak_rss_bytes())
         except BaseException:
             sink.abandon()
@@ -184,6 +188,8 @@ class Run:
             if scene is not None:
                 sink.attach(SCENE, "application/json", scene.to_json().encode())
             sink.channel(topics.RUN_EVENT, "gsb.v1.Event")
+            if configuration.view:
+                self._shown_log = LogWriter(sink)
 
         memory = MemoryWriter(sink, MemorySampler(gpus), len(gpus))
         try:
@@ -341,7 +347,10 @@ class Run:
 
     def _capture(self, sink: Sink, simulator: Simulator, description: Description) -> None:
         c = self._configuration
-        writer = self._writer = StateWriter(sink, description.fields, n_env=c.n_env, dt=c.dt, stride=c.stride)
+        view = self._view(sink, simulator.scene, description) if c.view else None
+        writer = self._writer = StateWriter(
+            sink, description.fields, n_env=c.n_env, dt=c.dt, stride=c.stride, view=view
+        )
         if simulator.scene.actions is not None:
             declare_actions(sink, simulator.scene.actions, n_env=c.n_env)
         counted = EvidenceWriter(sink, description, "capture", dt=c.dt, stride=1, workers=writer.workers)
@@ -420,6 +429,15 @@ class Run:
         self._ask_gates(sink, "capture", simulator)
         if not problems:
             self._write_action_stream(sink, "capture", simulator, 0, c.steps)
+
+    def _view(self, sink: Sink, scene: Scene, description: Description) -> ViewWriter | None:
+        try:
+            return ViewWriter(
+                sink, self._configuration, fields=description.fields, scene=scene, env_origins=description.env_origins
+            )
+        except DamagedRecording as error:  # a scene of somebody else's, of which states can be recorded all the same
+            self.event(sink, "NOTE", "capture", f"nothing was written for viewers: {error}")
+            return None
 
     def _prepare(self, simulator: Simulator, first_step: int, n_step: int) -> Actions | None:
         scene, c = simulator.scene, self._configuration
@@ -503,6 +521,8 @@ class Run:
             text=text,
         )
         sink.write(topics.RUN_EVENT, message.SerializeToString())
+        if self._shown_log:
+            self._shown_log.event(kind, message)
 
 
 def _reason(error: BaseException, phase: str) -> str:

@@ -1,4 +1,4 @@
-"""Rebuilds gsb_v1.binpb from proto/gsb/v1/*.proto (``make proto``). A test holds the two together."""
+"""Rebuilds the descriptor sets beside this module from proto/ (``make proto``). A test holds the two together."""
 
 from __future__ import annotations
 
@@ -6,17 +6,28 @@ from pathlib import Path
 
 HERE = Path(__file__).resolve().parent
 
+PACKAGES = {"gsb": "gsb_v1.binpb", "foxglove": "foxglove.binpb"}
+"""Folders of proto/, and what is made of each."""
 
-def build(target: Path) -> None:
-    """Write the descriptor set of all .proto files, comments included, to `target`."""
+
+def build(target: Path, package: str = "gsb") -> None:
+    """Write the descriptor set of a package's .proto files to `target`.
+
+    Ours have their comments. Foxglove's, whose types viewers know, have none, and are together with all they refer to.
+    """
+    from importlib.resources import files
+
     from grpc_tools import protoc
 
     root = HERE / "proto"
-    sources = sorted(str(p.relative_to(root)) for p in root.rglob("*.proto"))
-    arguments = ["protoc", f"-I{root}", "--include_source_info", f"--descriptor_set_out={target}", *sources]
+    sources = sorted(str(p.relative_to(root)) for p in (root / package).rglob("*.proto"))
+    kept = "--include_source_info" if package == "gsb" else "--include_imports"
+    google = f"-I{files('grpc_tools') / '_proto'}"
+    arguments = ["protoc", f"-I{root}", google, kept, f"--descriptor_set_out={target}", *sources]
     if protoc.main(arguments) != 0:
         raise SystemExit("protoc failed")
 
 
 if __name__ == "__main__":
-    build(HERE / "gsb_v1.binpb")
+    for package, name in PACKAGES.items():
+        build(HERE / name, package)

@@ -16,6 +16,9 @@ CAPTURE_MODES = ("lossless", "memory")
 
 MAX_ENVS = 1 << 24
 
+MAX_VIEW = 4
+"""Environments that a recording has a view of, at most."""
+
 EPOCH_NS = 1_000_000_000
 """log_time of simulated time zero: zero itself reads as "no time" in some tools."""
 
@@ -40,6 +43,7 @@ class RunConfiguration:
     determinism  level that the simulator was asked for; "default" leaves the engine as it ships
     timeout      the run is ended after so many seconds; 0: never
     capture      one of CAPTURE_MODES
+    view         environments whose captured states are written as what viewers draw, too
     """
 
     simulator: str
@@ -58,10 +62,11 @@ class RunConfiguration:
     determinism: str = "default"
     timeout: float = 0.0
     capture: str = CAPTURE_MODES[0]
+    view: tuple[int, ...] = ()
 
     def to_json(self) -> dict[str, Any]:
         """As plain JSON values."""
-        return {**asdict(self), "phases": list(self.phases)}
+        return {**asdict(self), "phases": list(self.phases), "view": list(self.view)}
 
     @classmethod
     def from_json(cls, record: dict[str, Any]) -> RunConfiguration:
@@ -73,10 +78,11 @@ class RunConfiguration:
         if not set(phases) <= set(OPTIONAL_PHASES):
             raise DamagedRecording(f"phases are not among {OPTIONAL_PHASES}: {phases}")
         timed = "timed" in phases
+        n_env = checks.whole(record, "n_env", 1, MAX_ENVS)
         return cls(
             simulator=checks.text(record, "simulator"),
             scene=checks.text(record, "scene"),
-            n_env=checks.whole(record, "n_env", 1, MAX_ENVS),
+            n_env=n_env,
             dt=checks.number(record, "dt", 1e-9, 1e9),
             steps=checks.whole(record, "steps", 1, checks.MAX_COUNT),
             stride=checks.whole(record, "stride", 1, checks.MAX_COUNT, default=1),
@@ -90,6 +96,7 @@ class RunConfiguration:
             determinism=checks.text(record, "determinism", default="default"),
             timeout=checks.number(record, "timeout", 0, 1e9) if "timeout" in record else 0.0,
             capture=checks.text(record, "capture", default=CAPTURE_MODES[0]),
+            view=tuple(checks.whole({"view": env}, "view", 0, n_env - 1) for env in checks.items(record, "view")),
         )
 
 

@@ -10,6 +10,9 @@ RUN_END = "/run/end"
 RUN_DROPOUT = "/run/dropout"
 MEMORY_HOST = "/memory/host"
 
+VIEW = "view"
+"""No group of states has this name: /state/view/... is what viewers draw, which is made of states (schemas.view)."""
+
 _ACTION = re.compile(r"/action/([a-z0-9_]+)/([0-9]{1,9})")
 _COUNT = re.compile(r"/count/([a-z0-9_]+)/([a-z0-9_]+)")
 _STATE = re.compile(r"/state/([a-z0-9_]+)/([a-z0-9_]+)/([0-9]{1,9})")
@@ -22,6 +25,13 @@ class StateTopic(NamedTuple):
     group: str
     field: str
     env_start: int
+
+
+class ViewTopic(NamedTuple):
+    """Parts of a view's topic: what it shows, such as "scene", and of which environment."""
+
+    kind: str
+    env: int
 
 
 class ActionTopic(NamedTuple):
@@ -39,7 +49,26 @@ def state(group: str, field: str, env_start: int) -> str:
 def parse_state(topic: str) -> StateTopic | None:
     """Parts of a state topic, or None where the topic is another."""
     match = _STATE.fullmatch(topic)
-    return StateTopic(match[1], match[2], int(match[3])) if match else None
+    return StateTopic(match[1], match[2], int(match[3])) if match and match[1] != VIEW else None
+
+
+def view(kind: str, env: int) -> str:
+    """Topic of a part of the view of an environment."""
+    return f"/state/{VIEW}/{kind}/{env:0{_ENV_DIGITS}d}"
+
+
+def parse_view(topic: str) -> ViewTopic | None:
+    """Parts of a view's topic, or None where the topic is another."""
+    match = _STATE.fullmatch(topic)
+    return ViewTopic(match[2], int(match[3])) if match and match[1] == VIEW else None
+
+
+def has_digest(topic: str) -> bool:
+    """Whether the messages of a topic have a digest in the end record, as they are.
+
+    States have one by field, whatever their encoding; a view follows from them; the end record is where digests are.
+    """
+    return topic != RUN_END and _STATE.fullmatch(topic) is None
 
 
 def action(name: str, env_start: int) -> str:

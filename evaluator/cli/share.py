@@ -82,7 +82,7 @@ _RECOVER = (
 )
 _VIEWER = (
     "Write some environments as messages that Foxglove and rerun draw: shapes once, poses over simulated time, events. "
-    "Needs the package foxglove-schemas-protobuf."
+    "Recordings have them of environment 0 already, unless they are older or were made with --no-view."
 )
 
 

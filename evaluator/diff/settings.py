@@ -16,7 +16,7 @@ _UNSET = "(unset)"
 _LONGEST = 200
 _DEEPEST = 4
 _DIGITS = 12  # of a digest that is shown
-_OF_THE_RUN = ("run_index",)
+_OF_THE_RUN = ("run_index", "view")
 _TOLD_ELSEWHERE = (PROVENANCE, SIMULATION, PACKAGES, ENGINE_LOG, "entropy.txt")
 
 

@@ -13,6 +13,7 @@ from evaluator.integrity.problem import OF_STREAMS, WHOLE_CONTENT, Kind, Problem
 from evaluator.integrity.scan import Scan, scan
 from evaluator.integrity.streams import check_streams
 from evaluator.integrity.summary import check_summary
+from evaluator.integrity.view import check_view
 from evaluator.locations import fetched
 from evaluator.recording import Recording
 from schemas.container import Container
@@ -130,6 +131,8 @@ def _examine(path: Path, named: Place, *, verify: bool) -> Integrity:
             check_library(path, found, problems)
         if recording is not None:
             check_streams(recording, problems)
+            with problems.noting(Kind.view, path=named):
+                check_view(path, recording, found, problems)
         else:
             problems.skip(not_opened, *OF_STREAMS)
         with problems.noting(Kind.stream, Kind.digest, Kind.content_hash, Kind.state_hash, path=path):

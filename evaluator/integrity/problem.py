@@ -37,6 +37,7 @@ class Kind(Enum):
     clock = "a clock runs backwards, or a phase has no end"
     contradiction = "two parts of the file say what cannot both be"
     dropout = "the recorder says that data was lost"
+    view = "what viewers are told to draw is not what the states say"
     observer = "the states of the timed phase and of the capture phase differ at the same step"
 
 
@@ -54,6 +55,7 @@ OF_STREAMS = (
     Kind.clock,
     Kind.contradiction,
     Kind.dropout,
+    Kind.view,
     Kind.observer,
 )
 """Kinds that are found by reading a recording's streams."""

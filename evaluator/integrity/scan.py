@@ -62,7 +62,7 @@ class Scan:
     streams      by topic
     attachments  by name: content, in place; of two of one name the first
     doubtful     names of attachments that are not what was recorded
-    digest       of the messages of all streams but states and the end record, as they lie in the file
+    digest       of the messages of all streams that have one (topics.has_digest), as they lie in the file
     ends         contents of the messages on /run/end
     compressions of chunks, with how many chunks have each; "" where they are not compressed
     stored, unpacked  bytes of all chunks in the file, and decompressed
@@ -227,9 +227,9 @@ class _Walk:
             self._problems.add(Kind.end, f"a message of {channel.topic} lies behind the end record")
         if channel.topic == topics.RUN_END:
             found.ends.append(bytes(content))
-        elif topics.parse_state(channel.topic) is None:
+        elif topics.has_digest(channel.topic):
             found.digest.message(channel.topic, content)
-        else:
+        elif topics.parse_state(channel.topic) is not None:
             with self._problems.noting(Kind.stream):
                 stream.encodings.add(state_header(content).encoding)
         return number, log_time

@@ -10,7 +10,7 @@ from evaluator.inspection import Array, Inspection, Memory, Rate
 from evaluator.integrity.problem import REMARKS, Kind
 from evaluator.plain import brief, plain
 from evaluator.report.text import printable
-from schemas.configuration import RunConfiguration
+from schemas.configuration import MAX_VIEW, RunConfiguration
 from schemas.provenance import REAL, Provenance, Simulation
 
 _WIDTH = 80
@@ -192,6 +192,9 @@ def _inside(found: Inspection) -> Iterator[tuple[str, str | tuple[str, ...]]]:
         yield "overflow", "; ".join(found.overflowed) or "no buffer was run into, by the engine's word"
     for lost in found.dropouts:
         yield "LOST", lost
+    if found.view:
+        shown = ", ".join(map(str, found.view[:MAX_VIEW]))
+        yield "view", f"environment {shown}; for Foxglove, Lichtblick and rerun, which take the file as it is"
     yield "attached", ", ".join(found.attachments) or "nothing"
     if found.container:
         chunks = ", ".join(f"{count} {name}" for name, count in found.container.chunks.items()) or "none"

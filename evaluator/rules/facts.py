@@ -198,7 +198,8 @@ def _engine(file: Integrity) -> dict[str, Any]:
 
 
 def _asked(file: Integrity) -> dict[str, Any]:
-    return {name: value for name, value in _configuration(file).to_json().items() if name != "run_index"}
+    of_the_run = ("run_index", "view")
+    return {name: value for name, value in _configuration(file).to_json().items() if name not in of_the_run}
 
 
 def _recorder(file: Integrity) -> dict[str, Any]:

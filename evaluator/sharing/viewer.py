@@ -9,13 +9,16 @@ from pathlib import Path
 
 from evaluator.recording import Recording
 from evaluator.sharing.copying import LIBRARY
-from evaluator.sharing.motion import Rows, frames_of, rows_at
-from evaluator.sharing.shapes import Solid, Vector, solids_of
 from evaluator.sharing.target import new_file
-from evaluator.sharing.view_writer import ShownEnv, ViewWriter
-from schemas.configuration import EPOCH_NS
-from schemas.errors import UsageError
+from evaluator.sharing.view_writer import Shown, ViewWriter
+from schemas.configuration import EPOCH_NS, sim_time_ns
+from schemas.errors import DamagedRecording, UsageError
 from schemas.mcap_writer import McapWriter
+from schemas.view.env_view import EnvView
+from schemas.view.motion import Frame, Motion, one_of
+from schemas.view.shapes import Solid, Vector, solids_of
+
+_LAST_NS = 1 << 62
 
 
 @dataclass(frozen=True)
@@ -58,32 +61,47 @@ def write_view(source: Path, path: Path, *, envs: Sequence[int], rate: float, sp
     for env in envs:
         if not 0 <= env < n_env:
             raise UsageError(f"--env is a number from 0 to {n_env - 1} in {source}, not {env}")
-    rows = rows_at(recording, rate)
-    if not rows.times:
-        raise UsageError(f"{source} holds no states of bodies or joints; there is nothing to show")
     chosen = tuple(dict.fromkeys(envs))
-    shown = tuple(
-        ShownEnv(env, place, frames_of(recording, env, rows))
-        for env, place in zip(chosen, _places(recording, chosen, spread), strict=True)
-    )
-    solids = solids_of(recording)
+    views = _views(recording, chosen, spread)
+    rows = _rows(recording, views[0].motion, rate)
+    times = _times(recording, views[0].motion, rows)
+    if not times:
+        raise UsageError(f"{source} holds no states of bodies or joints; there is nothing to show")
+    shown = tuple((view, _frames(recording, view, rows)) for view in views)
     with new_file(path) as target:
         writer = ViewWriter(McapWriter(target.stream, profile="", library=LIBRARY, compression="zstd"))
-        writer.scene(shown, solids)
+        writer.scene(views)
         writer.events(recording)
-        for row, time in enumerate(rows.times):
+        for row, time in enumerate(times):
             writer.row(shown, row, EPOCH_NS + time)
-        text = writer.about(recording, shown)
+        text = writer.about(recording, views)
         writer.finish()
+    solids = views[0].solids
     return View(
-        path, len(shown) * sum(bool(solid.shapes) for solid in solids), sum(len(env.frames) for env in shown),
-        len(rows.times), _seconds(rows), tuple(_notes(recording, shown, solids)), text,
+        path, len(shown) * sum(bool(solid.shapes) for solid in solids), sum(len(frames) for _, frames in shown),
+        len(times), (times[-1] - times[0]) * 1e-9, tuple(_notes(recording, shown, solids)), text,
         recording.status == "incomplete",
     )  # fmt: skip
 
 
-def _places(recording: Recording, envs: Sequence[int], spread: float) -> list[Vector]:
+def _views(recording: Recording, envs: Sequence[int], spread: float) -> tuple[EnvView, ...]:
     origins = recording.simulation.env_origins if recording.simulation else ()
+    places = _places(origins, envs, spread)
+    try:
+        solids = solids_of(recording.scene)
+        return tuple(
+            EnvView(
+                env, place,
+                Motion(recording.fields, recording.scene, origin=origins[env] if origins else (0.0, 0.0, 0.0)), solids,
+            )
+            for env, place in zip(envs, places, strict=True)
+        )  # fmt: skip
+    except DamagedRecording as error:
+        said = str(error).removeprefix(f"{recording.path}: ")
+        raise DamagedRecording(f"{recording.path}: {said}") from None
+
+
+def _places(origins: Sequence[Vector], envs: Sequence[int], spread: float) -> list[Vector]:
     places: list[Vector] = []
     taken: dict[Vector, int] = {}
     for env in envs:
@@ -94,20 +112,40 @@ def _places(recording: Recording, envs: Sequence[int], spread: float) -> list[Ve
     return places
 
 
-def _seconds(rows: Rows) -> float:
-    return (rows.times[-1] - rows.times[0]) * 1e-9
+def _rows(recording: Recording, motion: Motion, rate: float) -> slice:
+    # at most `rate` times a simulated second; none where a field has none
+    stop = min((len(recording.state(field.group, field.field)) for field in motion.fields), default=0)
+    c = recording.configuration
+    return slice(0, stop, one_of(rate, dt=c.dt, stride=c.stride))
 
 
-def _notes(recording: Recording, envs: Sequence[ShownEnv], solids: Sequence[Solid]) -> list[str]:
+def _times(recording: Recording, motion: Motion, rows: slice) -> tuple[int, ...]:
+    if not rows.stop:
+        return ()
+    field = motion.fields[0]
+    steps = recording.state(field.group, field.field).steps[rows]
+    times = tuple(sim_time_ns(int(step), recording.configuration.dt) for step in steps)
+    if times and times[-1] > _LAST_NS:
+        raise DamagedRecording(f"{recording.path}: {times[-1]} ns is no time that a run lasts")
+    return times
+
+
+def _frames(recording: Recording, view: EnvView, rows: slice) -> tuple[Frame, ...]:
+    states = [recording.state(field.group, field.field)[rows, view.number] for field in view.motion.fields]
+    return view.motion.frames(states)
+
+
+def _notes(recording: Recording, shown: Sequence[Shown], solids: Sequence[Solid]) -> list[str]:
     notes = []
+    parts = shown[0][0].motion.parts
     drawn = {solid.name for solid in solids if solid.shapes}
-    bare = [frame.name for frame in envs[0].frames if frame.name not in drawn]
+    bare = [part.name for part in parts if part.name not in drawn]
     if bare:
         notes.append(f"no shape in the scene for {', '.join(bare[:5])}: only frames are shown")
-    moving = {frame.group for frame in envs[0].frames}
+    moving = {part.group for part in parts}
     for group in dict.fromkeys(field.group for field in recording.fields):
         if group not in moving:
             notes.append(f"the group {group} has no positions, and no robot that its joints belong to: it is not shown")
-    if len({env.place for env in envs}) < len(envs):
+    if len({view.place for view, _ in shown}) < len(shown):
         notes.append("environments at the same place are drawn into each other; --spread puts them side by side")
     return notes

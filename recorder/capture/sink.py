@@ -22,6 +22,7 @@ from schemas.digest import ContentDigest, content_hash
 from schemas.errors import DataLost, UsageError
 from schemas.mcap_writer import McapWriter, Part
 from schemas.messages import embedded_schema, enum_values, message_class
+from schemas.view import foxglove
 
 
 class Sink:
@@ -71,10 +72,17 @@ class Sink:
 
     def channel(self, topic: str, message: str, metadata: dict[str, str] | None = None) -> None:
         """Declare a topic and the message type that it carries."""
+        self._declare(topic, message, embedded_schema(message), metadata or {})
+
+    def view_channel(self, topic: str, message: str) -> None:
+        """Declare a topic of the view, and which of Foxglove's message types it carries."""
+        self._declare(topic, message, foxglove.embedded_schema(message), {})
+
+    def _declare(self, topic: str, message: str, schema: bytes, metadata: dict[str, str]) -> None:
         with self._disk():
             if message not in self._schemas:
-                self._schemas[message] = self._writer.schema(message, "protobuf", embedded_schema(message))
-            self._channels[topic] = self._writer.channel(topic, self._schemas[message], metadata or {})
+                self._schemas[message] = self._writer.schema(message, "protobuf", schema)
+            self._channels[topic] = self._writer.channel(topic, self._schemas[message], metadata)
 
     def write(self, topic: str, data: bytes, *, sim_ns: int | None = None) -> None:
         """A serialised message on a declared topic.
@@ -96,6 +104,15 @@ class Sink:
         """
         with self._disk():
             self._message(topic, parts, EPOCH_NS + sim_ns)
+
+    def view(self, topic: str, data: bytes, *, log_time: int | None = None) -> None:
+        """A serialised message of the view; no digest covers it, since it follows from what others cover.
+
+        log_time  [ns]; None for lines of the log, which are placed by the time since the recording's beginning
+        """
+        now = EPOCH_NS + time.perf_counter_ns() - self._began_ns
+        with self._disk():
+            self._message(topic, data, now if log_time is None else log_time)
 
     def flush(self) -> None:
         """Hand all that was written to the operating system: only a crash of the machine can lose it now."""

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recorder.capture.sink import Sink
+from recorder.capture.view import ViewWriter
 from recorder.capture.workers import Workers
 from recorder.interruption import shielded
 from recorder.simulators.captured import Captured, Held, States
@@ -73,6 +74,8 @@ class _Piece(NamedTuple):
 class _Writing(NamedTuple):
     """Rows that other threads make messages of.
 
+    first_row  number of the first of them in the recording
+    columns    their states, by range of environments
     last_step  the last of them
     time       simulated time of the first [ns]
     places     number of the range of environments, and of the field, of each message
@@ -80,6 +83,8 @@ class _Writing(NamedTuple):
     digesting  one for each field; the arrays are needed until all have come
     """
 
+    first_row: int
+    columns: Sequence[States]
     last_step: int
     time: int
     places: list[tuple[int, int]]
@@ -97,9 +102,19 @@ class StateWriter:
     last_recorded_step  last step whose state is in the file; rows held back for a full block are not yet
     fields              what is written
     workers             the threads
+    view                what viewers draw of each block that was written; None: nothing
     """
 
-    def __init__(self, sink: Sink, fields: Sequence[StateField], *, n_env: int, dt: float, stride: int) -> None:
+    def __init__(
+        self,
+        sink: Sink,
+        fields: Sequence[StateField],
+        *,
+        n_env: int,
+        dt: float,
+        stride: int,
+        view: ViewWriter | None = None,
+    ) -> None:
         self._sink = sink
         self.fields = tuple(fields)
         self._n_env = n_env
@@ -112,6 +127,7 @@ class StateWriter:
         self._held_first = 0
         self._buffers: dict[int, States] = {}  # by first environment
         self.workers = Workers(alone=row_bytes(n_env, fields) * self._rows < _ALONE_BYTES)
+        self._view = view
         self.last_step = -1
         self.last_recorded_step = -1
         for field in self.fields:
@@ -186,6 +202,8 @@ class StateWriter:
         columns = held[0] if len(held) == 1 else [_joined(parts) for parts in zip(*held, strict=True)]
         places = [(column, field) for column in range(len(self._starts)) for field in range(len(self.fields))]
         return _Writing(
+            first_row=self._held_first // self._stride,
+            columns=columns,
             last_step=self._held_first + (rows - 1) * self._stride,
             time=sim_time_ns(self._held_first, self._dt),
             places=places,
@@ -201,6 +219,8 @@ class StateWriter:
         except Exception as error:  # digests and bytes have parted: this file cannot get a good end any more
             what = str(error) or type(error).__name__
             raise DataLost(f"writing stopped: {what}; what was written is in {self._sink.partial}") from error
+        if self._view is not None:
+            self._view.rows(writing.first_row, writing.columns, env_block(self._n_env))
 
     def _write_blocks(self, writing: _Writing) -> None:
         for (column, index), parts in zip(writing.places, writing.blocks, strict=True):

@@ -18,10 +18,10 @@ from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
 from evaluator import open_recording
-from evaluator.sharing.rotation import about_z, product, rotate
-from evaluator.sharing.shapes import links_of
 from evaluator.sharing.viewer import write_view
 from schemas.errors import DamagedRecording, NotARecording, UsageError
+from schemas.view.rotation import about_z, product, rotate
+from schemas.view.shapes import links_of
 from tests.evaluator.test_share_pack import share
 from tests.synthetic import grid, write_recording
 from tests.test_docs import ROOT
@@ -243,16 +243,14 @@ def test_names_of_strangers(tmp_path: Path) -> None:
     assert "env0/\\xd800\\x1b[2J" in {e.id for e in found["/scene"][0][1].entities}
 
 
-def test_the_package_is_optional(tmp_path: Path) -> None:
-    """Say what to install where the message definitions are missing."""
+def test_it_needs_no_other_package(tmp_path: Path) -> None:
+    """Write a view where the messages' own package is not installed."""
     code = (
         "import sys\nsys.modules['foxglove_schemas_protobuf'] = None\nfrom evaluator.cli.share import main\n"
         f"sys.exit(main(['viewer', {str(SHIPPED)!r}, '--out', {str(tmp_path / 'v.mcap')!r}]))"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
-    assert done.returncode == 2
-    assert "pip install 'gpusimbench[view]'" in done.stderr
-    assert not list(tmp_path.iterdir())
+    assert done.returncode == 0, done.stderr
 
 
 def test_the_command(tmp_path: Path) -> None:
@@ -309,4 +307,4 @@ def test_a_strangers_robot(robot: dict[str, Any], message: str, tmp_path: Path) 
 
     source = write_recording(tmp_path, None, change=change)
     with pytest.raises(DamagedRecording, match=message):
-        links_of(open_recording(source))
+        links_of(open_recording(source).scene)

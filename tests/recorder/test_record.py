@@ -50,7 +50,7 @@ def test_provenance_is_complete(small: Path) -> None:
     assert simulation.switches["precision"] == "float64"
     assert {d.parameter for d in simulation.deviations} >= {"304 steel.restitution", "smooth wood.static_friction"}
     assert recording.configuration == RunConfiguration(
-        "mujoco", "inclined-collision", n_env=4, dt=0.01, steps=100, warmup=10, timed_steps=20
+        "mujoco", "inclined-collision", n_env=4, dt=0.01, steps=100, warmup=10, timed_steps=20, view=(0,)
     )
 
 

@@ -1,4 +1,4 @@
-"""What a recording's scene looks like: the shapes of its bodies and links, from scene.json."""
+"""What a scene looks like: the shapes of its bodies and links, from scene.json."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
-from evaluator.recording import Recording
 from schemas import checks
 from schemas.errors import DamagedRecording
 
@@ -63,27 +62,21 @@ class Link:
     joint: str
 
 
-def solids_of(recording: Recording) -> tuple[Solid, ...]:
+def solids_of(scene: dict[str, Any]) -> tuple[Solid, ...]:
     """Every body and link with a shape that is known here, in order; DamagedRecording where one is unreadable."""
-    try:
-        return (*_bodies(recording.scene), *_links(recording.scene))
-    except DamagedRecording as error:
-        raise DamagedRecording(f"{recording.path}: {error}") from None
+    return (*_bodies(scene), *_links(scene))
 
 
-def links_of(recording: Recording) -> tuple[Link, ...]:
+def links_of(scene: dict[str, Any]) -> tuple[Link, ...]:
     """The links of the scene's robot, parents first; empty without one. DamagedRecording where one is unreadable."""
-    try:
-        links = tuple(_link(link) for link in checks.objects(checks.mapping(recording.scene, "robot"), "links"))
-        if len(links) > _MAX_LINKS:
-            raise DamagedRecording(f"a robot of {len(links)} links; at most {_MAX_LINKS} are drawn")
-        known = {""}
-        for link in links:
-            if link.parent not in known or link.name in known:
-                raise DamagedRecording(f"the link {link.name!r} is there twice, or before its parent")
-            known.add(link.name)
-    except DamagedRecording as error:
-        raise DamagedRecording(f"{recording.path}: {error}") from None
+    links = tuple(_link(link) for link in checks.objects(checks.mapping(scene, "robot"), "links"))
+    if len(links) > _MAX_LINKS:
+        raise DamagedRecording(f"a robot of {len(links)} links; at most {_MAX_LINKS} are drawn")
+    known = {""}
+    for link in links:
+        if link.parent not in known or link.name in known:
+            raise DamagedRecording(f"the link {link.name!r} is there twice, or before its parent")
+        known.add(link.name)
     return links
 
 

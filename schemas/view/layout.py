@@ -8,13 +8,13 @@ from collections.abc import Sequence
 NAME = "foxglove-layout.json"
 
 
-def layout(*, scene: str, log: str, poses: Sequence[str], root: str) -> str:
+def layout(*, scenes: Sequence[str], log: str, poses: Sequence[str], root: str) -> str:
     """The layout as JSON.
 
-    scene, log, poses  topics; poses are there, and hidden
-    root               the frame that the camera stays with
+    scenes, log, poses  topics; poses are there, and hidden
+    root                the frame that the camera stays with
     """
-    topics = {scene: {"visible": True}, **{topic: {"visible": False} for topic in poses}}
+    topics = {**dict.fromkeys(scenes, {"visible": True}), **dict.fromkeys(poses, {"visible": False})}
     camera = {
         "perspective": True, "distance": 1.5, "phi": 60, "thetaOffset": 45, "targetOffset": [0.0, 0.0, 0.0],
         "target": [0, 0, 0], "targetOrientation": [0, 0, 0, 1], "fovy": 45, "near": 0.01, "far": 1000,

@@ -1,0 +1,84 @@
+"""One environment in a view: what its things look like, and where they are."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from schemas.configuration import EPOCH_NS
+from schemas.printable import printable
+from schemas.view import foxglove
+from schemas.view.motion import ROBOT, Frame, Motion
+from schemas.view.shapes import IDENTITY, Solid, Vector
+
+ROOT = "world"
+
+_FIXED: tuple[foxglove.Colour, ...] = ((0.55, 0.55, 0.58),)
+_BODY: tuple[foxglove.Colour, ...] = ((0.84, 0.65, 0.38), (0.70, 0.50, 0.27))  # neighbours differ
+_LINK: tuple[foxglove.Colour, ...] = ((0.92, 0.92, 0.92), (0.75, 0.77, 0.80))
+
+
+class EnvView:
+    """An environment, drawn in a frame of its own.
+
+    number  of the environment
+    place   where it stands in the root frame [m]
+    motion  of what moves in it
+    solids  that are drawn
+    """
+
+    def __init__(self, number: int, place: Vector, motion: Motion, solids: Sequence[Solid]) -> None:
+        self.number = number
+        self.place = place
+        self.motion = motion
+        self.solids = tuple(solids)
+        # links have no poses of their own, since they are relative to each other
+        self.groups = tuple(dict.fromkeys(part.group for part in motion.parts if part.group != ROBOT))
+        self._names = [(self.frame(part.parent), self.frame(part.name)) for part in motion.parts]
+
+    @property
+    def name(self) -> str:
+        """Of its frame, and the begin of others."""
+        return f"env{self.number}"
+
+    def frame(self, name: str) -> str:
+        """The frame of a body or link; with an empty name, the environment's own."""
+        return f"{self.name}/{printable(name)}" if name else self.name
+
+    def entities(self) -> list[Any]:
+        """What things look like, as SceneEntity; who moves takes its shapes along."""
+        there = {part.name for part in self.motion.parts}
+        made = []
+        for index, solid in enumerate(self.solids):
+            if not solid.shapes or (solid.group and solid.name not in there):
+                continue
+            tones = _FIXED if not solid.group else _LINK if solid.group == ROBOT else _BODY
+            frame = self.frame(solid.name if solid.group else "")
+            colour = tones[index % len(tones)]
+            made.append(foxglove.entity(EPOCH_NS, frame, self.frame(solid.name), solid.shapes, colour))
+        return made
+
+    def transforms(self, frames: Sequence[Frame], row: int, time_ns: int) -> list[Any]:
+        """Where its frame and those of everything that moves in it are at a time [ns], as FrameTransform."""
+        return [
+            foxglove.transform(time_ns, ROOT, self.name, self.place, IDENTITY),
+            *(
+                foxglove.transform(time_ns, *names, frame.position[row].tolist(), frame.orientation[row].tolist())
+                for names, frame in zip(self._names, frames, strict=True)
+            ),
+        ]
+
+    def poses(self, frames: Sequence[Frame], row: int, time_ns: int) -> dict[str, Any]:
+        """Poses of the bodies of each group in the environment's frame, as PosesInFrame."""
+        return {
+            group: foxglove.poses(
+                time_ns,
+                self.name,
+                (
+                    foxglove.pose(frame.position[row].tolist(), frame.orientation[row].tolist())
+                    for frame in frames
+                    if frame.part.group == group
+                ),
+            )
+            for group in self.groups
+        }

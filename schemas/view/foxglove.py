@@ -1,0 +1,126 @@
+"""Messages that viewers draw, by Foxglove's public definitions, from the descriptor set of schemas/proto/foxglove."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from functools import cache
+from importlib.resources import files
+from typing import Any
+
+import numpy as np
+from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
+
+from schemas.view.rotation import rotate
+from schemas.view.shapes import IDENTITY, Shape, Vector
+
+Colour = tuple[float, float, float]
+
+DESCRIPTOR_SET = "foxglove.binpb"
+_NS = 1_000_000_000
+
+
+@cache
+def _files() -> dict[str, Any]:
+    # by name, each behind those that it refers to
+    data = (files("schemas") / DESCRIPTOR_SET).read_bytes()
+    return {file.name: file for file in descriptor_pb2.FileDescriptorSet.FromString(data).file}
+
+
+@cache
+def _pool() -> descriptor_pool.DescriptorPool:
+    pool = descriptor_pool.DescriptorPool()
+    for file in _files().values():
+        pool.Add(file)
+    return pool
+
+
+@cache
+def message_class(name: str) -> Any:
+    """The class of a message by its full name, such as "foxglove.SceneUpdate"."""
+    return message_factory.GetMessageClass(_pool().FindMessageTypeByName(name))
+
+
+@cache
+def embedded_schema(name: str) -> bytes:
+    """The FileDescriptorSet that a file carries for a message: its definition and all that it refers to."""
+    wanted = {_pool().FindMessageTypeByName(name).file.name}
+    for file in reversed(_files().values()):
+        wanted.update(file.dependency if file.name in wanted else ())
+    chosen = [file for file in _files().values() if file.name in wanted]
+    return bytes(descriptor_pb2.FileDescriptorSet(file=chosen).SerializeToString())
+
+
+def stamp(timestamp: Any, time_ns: int) -> None:
+    """Fill a Timestamp [ns]."""
+    timestamp.seconds, timestamp.nanos = divmod(time_ns, _NS)
+
+
+def pose(position: Iterable[float], orientation: Iterable[float]) -> Any:
+    """A Pose from a position [m] and a quaternion wxyz."""
+    made = message_class("foxglove.Pose")()
+    _set_pose(made.position, made.orientation, position, orientation)
+    return made
+
+
+def _set_pose(vector: Any, rotation: Any, position: Iterable[float], orientation: Iterable[float]) -> None:
+    vector.x, vector.y, vector.z = position
+    rotation.w, rotation.x, rotation.y, rotation.z = orientation
+
+
+def poses(time_ns: int, frame: str, made: Iterable[Any]) -> Any:
+    """Poses in a frame at a time [ns]."""
+    message = message_class("foxglove.PosesInFrame")(frame_id=frame)
+    stamp(message.timestamp, time_ns)
+    message.poses.extend(made)
+    return message
+
+
+def transform(time_ns: int, parent: str, child: str, position: Iterable[float], orientation: Iterable[float]) -> Any:
+    """Where a frame is in its parent's at a time [ns]."""
+    made = message_class("foxglove.FrameTransform")(parent_frame_id=parent, child_frame_id=child)
+    stamp(made.timestamp, time_ns)
+    _set_pose(made.translation, made.rotation, position, orientation)
+    return made
+
+
+def log(level: str, text: str, unix_ns: int) -> Any:
+    """A line of a log, of a level such as "ERROR", at a time of the calendar [ns]."""
+    message = message_class("foxglove.Log")(level=level, message=text, name="gsb")
+    stamp(message.timestamp, unix_ns)
+    return message
+
+
+def entity(time_ns: int, frame: str, name: str, shapes: Sequence[Shape], colour: Colour) -> Any:
+    """What moves with a frame, from a time [ns] on for good."""
+    made = message_class("foxglove.SceneEntity")(frame_id=frame, id=name, frame_locked=True)
+    stamp(made.timestamp, time_ns)
+    for shape in shapes:
+        _ADD[shape.kind](made, shape, colour)
+    return made
+
+
+def _add_box(entity: Any, shape: Shape, colour: Colour) -> None:
+    _place(entity.cubes.add(), shape.position, shape.orientation, shape.size, colour)
+
+
+def _add_sphere(entity: Any, shape: Shape, colour: Colour) -> None:
+    _place(entity.spheres.add(), shape.position, shape.orientation, (2 * shape.size[0],) * 3, colour)
+
+
+def _add_capsule(entity: Any, shape: Shape, colour: Colour) -> None:
+    radius, length = shape.size
+    tube = entity.cylinders.add(bottom_scale=1.0, top_scale=1.0)
+    _place(tube, shape.position, shape.orientation, (2 * radius, 2 * radius, length), colour)
+    for end in (-length / 2, length / 2):
+        centre = np.array(shape.position) + rotate(np.array(shape.orientation), np.array([0.0, 0.0, end]))
+        _place(entity.spheres.add(), centre.tolist(), IDENTITY, (2 * radius,) * 3, colour)
+
+
+def _place(primitive: Any, position: Vector, orientation: Vector, size: Vector, colour: Colour) -> None:
+    primitive.pose.CopyFrom(pose(position, orientation))
+    primitive.size.x, primitive.size.y, primitive.size.z = size
+    primitive.color.r, primitive.color.g, primitive.color.b = colour
+    primitive.color.a = 1.0
+
+
+_ADD = {"box": _add_box, "sphere": _add_sphere, "capsule": _add_capsule}

@@ -1,0 +1,110 @@
+"""The view that a recording has: which messages on which topics follow from its states, scene and layout.
+
+Whoever writes a recording makes them, and whoever checks one makes them again. No digest covers them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from schemas import topics
+from schemas.configuration import EPOCH_NS, sim_time_ns
+from schemas.errors import DamagedRecording
+from schemas.fields import StateField
+from schemas.view import foxglove
+from schemas.view.env_view import ROOT, EnvView
+from schemas.view.layout import layout
+from schemas.view.motion import Motion, one_of
+from schemas.view.shapes import solids_of
+
+RATE = 30.0
+"""Most poses a second of simulated time [Hz]."""
+
+METADATA = "gsb-view"
+"""Name of the metadata record with the layout: an attachment would have a digest, and change the content hash."""
+
+LOG_TOPIC = topics.view("log", 0)
+LOG_TYPE = "foxglove.Log"
+
+
+class ViewMessage(NamedTuple):
+    """A message of a view, and its log_time [ns]."""
+
+    topic: str
+    log_time: int
+    message: Any
+
+
+class RecordedView:
+    """One environment's part of the view.
+
+    env      its number
+    types    message type by topic
+    one_of   of so many recorded rows one is shown, the first of them
+
+    DamagedRecording where fields or scene are not of the format, or hold nothing to show.
+    """
+
+    def __init__(
+        self,
+        env: int,
+        *,
+        fields: Sequence[StateField],
+        scene: Mapping[str, Any],
+        env_origins: Sequence[Sequence[float]],
+        dt: float,
+        stride: int,
+    ) -> None:
+        origin = tuple(env_origins[env]) if env_origins else (0.0, 0.0, 0.0)
+        motion = Motion(fields, dict(scene), origin=origin)
+        if not motion.parts:
+            raise DamagedRecording("the states are of no bodies or joints that could be shown")
+        if any(field.group == topics.VIEW for field in fields):
+            raise DamagedRecording(f"the group {topics.VIEW!r} of states has the name that topics of views begin with")
+        self.env = env
+        self.one_of = one_of(RATE, dt=dt, stride=stride)
+        self._shown = EnvView(env, origin, motion, solids_of(dict(scene)))
+        self._dt, self._stride = dt, stride
+        self._scene, self._transforms = topics.view("scene", env), topics.view("transforms", env)
+        self._poses = {group: topics.view(f"{group}_poses", env) for group in self._shown.groups}
+        self.types = {
+            self._scene: "foxglove.SceneUpdate",
+            self._transforms: "foxglove.FrameTransforms",
+            **dict.fromkeys(self._poses.values(), "foxglove.PosesInFrame"),
+        }
+
+    @property
+    def fields(self) -> tuple[StateField, ...]:
+        """Whose states are needed, in this order."""
+        return self._shown.motion.fields
+
+    def scene(self) -> ViewMessage:
+        """What things look like, once."""
+        update = foxglove.message_class("foxglove.SceneUpdate")(entities=self._shown.entities())
+        return ViewMessage(self._scene, EPOCH_NS, update)
+
+    def rows(self, rows: Sequence[int], states: Sequence[NDArray[np.floating]]) -> Iterator[ViewMessage]:
+        """Where everything is at some rows of the recording, from an array [row, item, width] of each of `fields`."""
+        frames = self._shown.motion.frames(states)
+        for at, row in enumerate(rows):
+            time = EPOCH_NS + sim_time_ns(row * self._stride, self._dt)
+            transforms = foxglove.message_class("foxglove.FrameTransforms")()
+            transforms.transforms.extend(self._shown.transforms(frames, at, time))
+            yield ViewMessage(self._transforms, time, transforms)
+            for group, poses in self._shown.poses(frames, at, time).items():
+                yield ViewMessage(self._poses[group], time, poses)
+
+
+def layout_of(views: Sequence[RecordedView]) -> str:
+    """The Foxglove layout of a recording, JSON."""
+    by_type: dict[str, list[str]] = {}
+    for view in views:
+        for topic, kind in view.types.items():
+            by_type.setdefault(kind, []).append(topic)
+    return layout(
+        scenes=by_type["foxglove.SceneUpdate"], log=LOG_TOPIC, poses=by_type.get("foxglove.PosesInFrame", ()), root=ROOT
+    )

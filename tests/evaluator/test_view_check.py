@@ -1,0 +1,252 @@
+"""A view that does not say what the states say is found, whatever of it was changed and however well."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from google.protobuf import descriptor_pb2
+from hypothesis import given
+from hypothesis import strategies as st
+from mcap.records import Channel, Header, Message, Metadata, Schema
+from mcap.stream_reader import StreamReader
+from mcap.writer import Writer
+
+from evaluator.integrity import examine
+from evaluator.integrity.agreement import difference
+from evaluator.integrity.problem import Kind
+from evaluator.rules.findings import check
+from evaluator.rules.rule import load_rules
+from schemas.errors import ExitCode
+from schemas.view import foxglove
+from tests.conftest import call
+from tests.evaluator.damaged import rewritten
+
+POSES, TRANSFORMS, SCENE = "/state/view/cubes_poses/000000", "/state/view/transforms/000000", "/state/view/scene/000000"
+LOG = "/state/view/log/000000"
+
+Messages = list[tuple[str, int, int, bytes]]
+
+
+def parsed(kind: str, data: bytes) -> Any:
+    """A message of Foxglove."""
+    return foxglove.message_class(f"foxglove.{kind}").FromString(data)
+
+
+def changing(topic: str, kind: str, change: Callable[[Any], None], number: int = 3) -> Callable[[Messages], Messages]:
+    """One message of a topic with something changed in it."""
+
+    def one(messages: Messages) -> Iterable[tuple[str, int, int, bytes]]:
+        for name, sequence, time, data in messages:
+            if name == topic and sequence == number:
+                message = parsed(kind, data)
+                change(message)
+                data = message.SerializeToString()
+            yield name, sequence, time, data
+
+    return lambda messages: list(one(messages))
+
+
+def moved(message: Any) -> None:
+    """A cube is a micrometre higher than it was."""
+    message.poses[5].position.z += 1e-6
+
+
+def swapped(message: Any) -> None:
+    """A quaternion begins with x."""
+    q = message.transforms[4].rotation
+    q.x, q.y, q.z, q.w = q.w, q.x, q.y, q.z
+
+
+def renamed(message: Any) -> None:
+    """A frame hangs on another one."""
+    message.transforms[2].parent_frame_id = "world"
+
+
+def stamped(message: Any) -> None:
+    """A viewer would draw it at another time."""
+    message.transforms[0].timestamp.nanos += 1
+
+
+def larger(message: Any) -> None:
+    """A cube is twice as large."""
+    message.entities[3].cubes[0].size.x *= 2
+
+
+def added(message: Any) -> None:
+    """There is a wall that nobody simulated."""
+    message.entities.add(frame_id="world", id="wall").cubes.add()
+
+
+def endless(message: Any) -> None:
+    """A line of the log is a megabyte long."""
+    message.message = "x" * (1 << 20)
+
+
+def quiet(message: Any) -> None:
+    """A line of the log says something else."""
+    message.message = "all is well"
+
+
+def without_last(messages: Messages) -> Messages:
+    """The last row is not shown."""
+    last = max(sequence for topic, sequence, _, _ in messages if topic == POSES)
+    return [m for m in messages if (m[0], m[1]) != (POSES, last)]
+
+
+def later(messages: Messages) -> Messages:
+    """Everything moves a millisecond later."""
+    return [(t, n, time + (t == POSES) * 1_000_000, data) for t, n, time, data in messages]
+
+
+def twice(messages: Messages) -> Messages:
+    """The scene is there a second time."""
+    (scene,) = (m for m in messages if m[0] == SCENE)
+    return [*messages[:-1], (SCENE, 1, scene[2], scene[3]), messages[-1]]
+
+
+CHANGES = {
+    "moved": (changing(POSES, "PosesInFrame", moved), "/state/view/cubes_poses/000000 at 0.12 s: poses[5].position.z"),
+    "swapped": (changing(TRANSFORMS, "FrameTransforms", swapped), "transforms[4].rotation.x"),
+    "renamed": (changing(TRANSFORMS, "FrameTransforms", renamed), "'world', and should be 'env0'"),
+    "stamped": (changing(TRANSFORMS, "FrameTransforms", stamped), "transforms[0].timestamp.nanos"),
+    "larger": (changing(SCENE, "SceneUpdate", larger, 0), "entities[3].cubes[0].size.x"),
+    "added": (changing(SCENE, "SceneUpdate", added, 0), "entities has 31 entries, not 30"),
+    "quiet": (changing(LOG, "Log", quiet), "line 3 of /state/view/log/000000: message is 'all is well'"),
+    "endless": (changing(LOG, "Log", endless), "message is 'xxx"),
+    "without_last": (without_last, "has 25 messages, and the states are of 26 such times"),
+    "later": (later, "has a message at 0.001 s instead of 0 s"),
+    "twice": (twice, "has 2 messages, not one"),
+}
+
+
+@pytest.mark.parametrize("name", CHANGES)
+def test_a_view_that_lies(name: str, small: Path, tmp_path: Path) -> None:
+    """Find any part of a view that is not what the states say, in a file whose every checksum is right."""
+    change, told = CHANGES[name]
+    found = examine(rewritten(small, tmp_path / "lie.mcap", change)).problems
+    assert set(found.kinds()) == {Kind.view}
+    assert any(told in what for what in found.of(Kind.view)), found.of(Kind.view)
+    assert all(len(what) < 400 for what in found.of(Kind.view))
+
+
+def test_a_copy_by_another_tool(small: Path, tmp_path: Path) -> None:
+    """Find nothing in a view that the official library wrote again without a change."""
+    assert not examine(rewritten(small, tmp_path / "copy.mcap", list)).problems.kinds()
+
+
+def test_what_is_shown_of_a_file(small: Path) -> None:
+    """Say on one screen which environment viewers show, and in JSON."""
+    assert "view        environment 0; for Foxglove" in call("gsb-info", small).stdout
+    (told,) = json.loads(call("gsb-info", small, "--json", "-").stdout)["files"]
+    assert told["view"] == [0]
+
+
+def test_the_command_says_it(small: Path, tmp_path: Path) -> None:
+    """Name the rule, say what to do, and end with 3."""
+    lie = rewritten(small, tmp_path / "lie.mcap", CHANGES["moved"][0])
+    report = check([examine(lie)], [load_rules("integrity-1")])
+    assert {finding.rule.id for finding in report.findings} == {"view"}
+    done = call("gsb-check", lie)
+    assert done.returncode == ExitCode.DATA_LOST
+    assert "error view: /state/view/cubes_poses/000000 at 0.12 s" in done.stdout
+    assert "Trust the states" in done.stdout
+
+
+def redeclared(
+    source: Path, target: Path, schema: Callable[[Any], Any] = lambda r: r, channel: Callable[[Any], Any] = lambda r: r
+) -> Path:
+    """A copy by the official library with other schemas or channels."""
+    with source.open("rb") as stream, target.open("wb") as out:
+        writer = Writer(out, enable_data_crcs=True)
+        schemas: dict[int, int] = {}
+        channels: dict[int, int] = {}
+        attachments = []
+        for record in StreamReader(stream, validate_crcs=True).records:
+            match record:
+                case Header():
+                    writer.start(record.profile, record.library)
+                case Schema() if record.id not in schemas:
+                    made = schema(record)
+                    schemas[record.id] = writer.register_schema(made.name, made.encoding, made.data)
+                case Channel() if record.id not in channels:
+                    made = channel(record)
+                    channels[record.id] = writer.register_channel(
+                        made.topic, made.message_encoding, schemas[made.schema_id], made.metadata
+                    )
+                case Message():
+                    writer.add_message(
+                        channels[record.channel_id], record.log_time, record.data, record.publish_time, record.sequence
+                    )
+                case Metadata():
+                    writer.add_metadata(record.name, record.metadata)
+                case _ if type(record).__name__ == "Attachment":
+                    attachments.append(record)
+        for record in attachments:
+            writer.add_attachment(record.create_time, record.log_time, record.name, record.media_type, record.data)
+        writer.finish()
+    return target
+
+
+def test_another_definition_of_a_type(small: Path, tmp_path: Path) -> None:
+    """Find a definition by which viewers would read x where y was written."""
+
+    def other(record: Any) -> Any:
+        if record.name == "foxglove.PosesInFrame":
+            files = descriptor_pb2.FileDescriptorSet.FromString(record.data)
+            (vector,) = (m for f in files.file for m in f.message_type if m.name == "Vector3")
+            vector.field[0].name, vector.field[1].name = "y", "x"
+            record.data = files.SerializeToString()
+        return record
+
+    found = examine(redeclared(small, tmp_path / "other.mcap", schema=other)).problems
+    assert found.of(Kind.view) == ("the definition of foxglove.PosesInFrame in the file is not the public one",)
+
+
+@pytest.mark.parametrize(
+    ("topic", "told"),
+    [
+        ("/state/view/ghosts/000000", "nothing is known of /state/view/ghosts/000000"),
+        ("/state/view/cubes_poses/000001", "/state/view/cubes_poses/000000 is missing"),
+        ("/state/view/cubes_poses/000004", "it shows environment 4, of 4"),
+    ],
+)
+def test_other_topics(topic: str, told: str, small: Path, tmp_path: Path) -> None:
+    """Vouch for no topic that is not made of the states, and miss those that should be there."""
+
+    def other(record: Any) -> Any:
+        record.topic = topic if record.topic == POSES else record.topic
+        return record
+
+    found = examine(redeclared(small, tmp_path / "other.mcap", channel=other)).problems
+    assert set(found.kinds()) == {Kind.view}
+    assert any(told in what for what in found.of(Kind.view)), found.of(Kind.view)
+
+
+def test_more_environments_than_any_recorder_shows(small: Path, tmp_path: Path) -> None:
+    """Look into none of a view of very many environments."""
+
+    def other(record: Any) -> Any:
+        if "/view/" in record.topic and record.topic != LOG:
+            record.topic = f"{record.topic[:-6]}{record.id % 7:06d}"
+        return record
+
+    found = examine(redeclared(small, tmp_path / "other.mcap", channel=other)).problems
+    assert any("no recorder shows more than 4" in what or "shows environment" in what for what in found.of(Kind.view))
+
+
+@given(st.floats(), st.floats(allow_nan=False, allow_infinity=False, min_value=-10, max_value=10))
+def test_numbers_within_what_a_sine_is_worth(value: float, change: float) -> None:
+    """Take a number for the same up to 1e-9, NaN for NaN, and nothing else."""
+    expected, found = (foxglove.message_class("foxglove.Vector3")(x=x, y=1) for x in (value, value + change * 1e-9))
+    same = value != value or abs(found.x - value) <= 1e-9 * max(1, abs(value)) or found.x == value
+    assert (difference(expected, memoryview(found.SerializeToString())) == "") == same
+
+
+def test_what_is_no_message() -> None:
+    """Say that bytes are no message of the type."""
+    said = difference(foxglove.message_class("foxglove.Log")(), memoryview(b"\xff\xff"))
+    assert said.startswith("it is no foxglove.Log")

@@ -1,0 +1,124 @@
+"""Messages for viewers: the public definitions, and the same messages however rows come."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from google.protobuf import descriptor_pb2
+from hypothesis import given
+from hypothesis import strategies as st
+
+import schemas
+from recorder.scenes.registry import make_scene
+from schemas.build_descriptors import build
+from schemas.errors import DamagedRecording
+from schemas.fields import body_field
+from schemas.topics import has_digest, parse_state, parse_view, view
+from schemas.view import foxglove
+from schemas.view.motion import Motion, one_of
+from schemas.view.recorded import RecordedView
+
+TYPES = ("SceneUpdate", "FrameTransforms", "PosesInFrame", "Log")
+
+
+def fields_of(descriptor: Any, seen: dict[str, Any]) -> dict[str, Any]:
+    """Everything that a message consists of, down to its numbers: by full name."""
+    if descriptor.full_name not in seen:
+        seen[descriptor.full_name] = {
+            f.name: (f.number, f.type, f.is_repeated, f.message_type and f.message_type.full_name,
+                     f.enum_type and {v.name: v.number for v in f.enum_type.values})
+            for f in descriptor.fields
+        }  # fmt: skip
+        for field in descriptor.fields:
+            if field.message_type is not None:
+                fields_of(field.message_type, seen)
+    return seen
+
+
+@pytest.mark.parametrize("name", TYPES)
+def test_the_definitions_are_the_public_ones(name: str) -> None:
+    """Define what Foxglove's own package defines, to the last field of the last message."""
+    module = pytest.importorskip(f"foxglove_schemas_protobuf.{name}_pb2")
+    ours = foxglove.message_class(f"foxglove.{name}").DESCRIPTOR
+    assert fields_of(ours, {}) == fields_of(getattr(module, name).DESCRIPTOR, {})
+
+
+def test_the_descriptor_set_is_that_of_the_definitions(tmp_path: Path) -> None:
+    """Hold the descriptor set to its .proto files; make proto rebuilds it."""
+    pytest.importorskip("grpc_tools")
+    build(tmp_path / "new.binpb", "foxglove")
+    kept = Path(schemas.__file__).with_name(foxglove.DESCRIPTOR_SET)
+    ours, new = (descriptor_pb2.FileDescriptorSet.FromString(p.read_bytes()) for p in (kept, tmp_path / "new.binpb"))
+    assert [f for f in ours.file if f.package == "foxglove"] == [f for f in new.file if f.package == "foxglove"]
+
+
+@pytest.mark.parametrize("name", TYPES)
+def test_a_schema_stands_alone(name: str) -> None:
+    """Embed all that a definition refers to, and nothing else."""
+    files = descriptor_pb2.FileDescriptorSet.FromString(foxglove.embedded_schema(f"foxglove.{name}")).file
+    known: set[str] = set()
+    for file in files:
+        assert set(file.dependency) <= known
+        known.add(file.name)
+    assert len(files) == {"Log": 2, "SceneUpdate": 4}.get(name, 3)
+
+
+def test_topics_of_a_view() -> None:
+    """Know topics of a view from those of states; neither has a digest of its messages."""
+    topic = view("cubes_poses", 3)
+    assert topic == "/state/view/cubes_poses/000003"
+    assert parse_view(topic) == ("cubes_poses", 3)
+    assert parse_state(topic) is None
+    assert parse_view("/state/cubes/position/000003") is None
+    assert [has_digest(t) for t in (topic, "/state/cubes/position/000003", "/run/end", "/run/event")] == [False] * 3 + [
+        True
+    ]
+
+
+FIELDS = tuple(body_field("cubes", name, "float64", ("cube_0_0_0", "b")) for name in ("orientation", "position"))
+
+
+def recorded_view(stride: int) -> RecordedView:
+    """Of the second of two environments."""
+    scene = json.loads(make_scene("inclined-collision").to_json())
+    return RecordedView(1, fields=FIELDS, scene=scene, env_origins=[(0, 0, 0), (1, 2, 3)], dt=0.01, stride=stride)
+
+
+@given(st.lists(st.integers(1, 50), min_size=1, max_size=6), st.integers(1, 7))
+def test_blocks_make_no_difference(sizes: list[int], stride: int) -> None:
+    """Show the same rows at the same times, however long the blocks are that they come in."""
+    shown = recorded_view(stride)
+    states = [np.random.default_rng(5).normal(size=(sum(sizes), 2, f.width)) for f in shown.fields]
+    begin, found = 0, []
+    for size in sizes:
+        first = -begin % shown.one_of
+        rows = range(begin + first, begin + size, shown.one_of)
+        found += list(shown.rows(rows, [s[begin : begin + size][first :: shown.one_of] for s in states]))
+        begin += size
+    whole = list(shown.rows(range(0, begin, shown.one_of), [s[:: shown.one_of] for s in states]))
+    assert [m.message.SerializeToString() for m in found] == [m.message.SerializeToString() for m in whole]
+    assert [m.log_time for m in found] == [m.log_time for m in whole]
+    times = sorted({m.log_time for m in whole})
+    assert all(later - earlier >= 1e9 / 30 - 1 for earlier, later in zip(times, times[1:], strict=False))
+
+
+@given(st.floats(1e-3, 1e3), st.floats(1e-6, 1), st.integers(1, 100))
+def test_no_more_rows_than_asked_for(rate: float, dt: float, stride: int) -> None:
+    """Show as many rows as the rate allows, and no more."""
+    step = one_of(rate, dt=dt, stride=stride) * dt * stride
+    assert step >= 1 / rate * (1 - 1e-6)
+    assert one_of(rate, dt=dt, stride=stride) == 1 or step - dt * stride < 1 / rate * (1 + 1e-6)
+
+
+def test_states_that_are_not_of_the_format() -> None:
+    """Refuse fields whose numbers would be drawn as what they are not."""
+    scene: dict[str, Any] = {}
+    other = body_field("cubes", "orientation", "float64", ("b", "cube_0_0_0"))
+    with pytest.raises(DamagedRecording, match="cubes/orientation is not of this format"):
+        Motion((FIELDS[1], other), scene)
+    with pytest.raises(DamagedRecording, match="no bodies or joints"):
+        RecordedView(0, fields=(), scene=scene, env_origins=(), dt=0.1, stride=1)
