@@ -1,0 +1,91 @@
+"""Where bodies lie at the sample time: density maps with marginals, on one extent, grid and scale for a scene."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from markupsafe import Markup
+from numpy.typing import NDArray
+
+from evaluator.metrics.density import Density, marginal
+from evaluator.report.figures import density_map
+from evaluator.report.page.picture import Picture
+from evaluator.report.page.section import Section, Source
+from evaluator.results import Evaluation, GroupResult, Map, Reference
+
+Marginals = tuple[NDArray[np.int64], NDArray[np.int64]]
+
+
+@dataclass(frozen=True)
+class SceneMaps:
+    """The density maps of one scene.
+
+    scale     of the colours, shared by all; None where there is no map
+    bin_cm    width of a hexagon [cm]
+    pictures  a map for the reference and each group, or why there is none
+    """
+
+    scene: str
+    scale: Markup | None
+    bin_cm: str
+    pictures: list[Picture]
+
+
+def section(source: Source) -> Section:
+    """The maps of every scene."""
+    return Section("density", "Density maps", {"maps": list(_maps(source.evaluation, source.shown))})
+
+
+def _maps(evaluation: Evaluation, shown: list[GroupResult]) -> Iterator[SceneMaps]:
+    for scene in dict.fromkeys(r.group.key.scene for r in shown):
+        results = [r for r in shown if r.group.key.scene == scene]
+        missing = [
+            Picture(r.label, f"No map: {_why_no_cloud(r, evaluation)}.", None) for r in results if r.cloud is None
+        ]
+        shared = evaluation.maps.get(scene)
+        if shared is None:
+            yield SceneMaps(scene, None, "", missing)
+            continue
+        scale = Markup(density_map.count_scale(shared.max_count))
+        bin_cm = f"{shared.grid.bin_m * 100:g}"
+        yield SceneMaps(scene, scale, bin_cm, [*_scene_maps(results, evaluation.reference, shared), *missing])
+
+
+def _scene_maps(results: list[GroupResult], reference: Reference | None, shared: Map) -> Iterator[Picture]:
+    shown: list[tuple[str, Density, Marginals]] = []
+    if reference is not None and reference.density is not None and reference.scene == results[0].group.key.scene:
+        shown.append((f"reference: {reference.label}", reference.density, _sides(reference, shared)))
+    shown += [(r.label, r.cloud.density, r.cloud.marginals) for r in results if r.cloud is not None]
+    share_max = max((_largest_share(density, sides) for _, density, sides in shown), default=1.0)
+    board = _board(results[0])
+    for label, density, sides in shown:
+        svg = density_map.density_map(density, sides, shared, name=label, share_max=share_max, board=board)
+        yield Picture(label, density_map.caption(density), Markup(svg))
+
+
+def _sides(reference: Reference, shared: Map) -> Marginals:
+    x, y = reference.positions[..., 0], reference.positions[..., 1]
+    return marginal(x, shared.edges[0]), marginal(y, shared.edges[1])
+
+
+def _largest_share(density: Density, sides: Marginals) -> float:
+    n_point = int(density.counts.sum()) + density.off_map
+    return max(float(density_map.shares(counts, n_point).max(initial=0.0)) for counts in sides)
+
+
+def _why_no_cloud(result: GroupResult, evaluation: Evaluation) -> str:
+    metric = result.metrics.get("w1_parallel")
+    if metric and metric.value is not None and result.group.key.scene not in evaluation.maps:
+        return "the groups of this scene lie too far apart for one map"
+    return metric.why_not if metric and metric.why_not else "no positions were recorded at the sample time"
+
+
+def _board(result: GroupResult) -> density_map.Outline | None:
+    """The board that the scene names, where its description can be read."""
+    board = result.group.recordings[0].board if result.group.recordings else None
+    if board is None:
+        return None
+    (x, y), (length, width) = board.centre[:2], board.size[:2]
+    return density_map.Outline(x - length / 2, x + length / 2, y - width / 2, y + width / 2)

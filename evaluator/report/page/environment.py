@@ -1,0 +1,67 @@
+"""Templates of the page: every value is escaped, and its characters can be shown."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import jinja2
+from markupsafe import Markup
+
+from evaluator.groups import shown_status
+from evaluator.report import numbers, words
+from evaluator.report.text import printable
+from evaluator.results import Metric
+from evaluator.sweeps import SOURCES
+
+_DEPTH = 3
+
+
+def environment() -> jinja2.Environment:
+    """What renders the templates beside this module; what recordings say is a stranger's text."""
+    made = jinja2.Environment(
+        loader=jinja2.FileSystemLoader(Path(__file__).parent / "templates"),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        finalize=_visible,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    made.filters.update(
+        mean_sd=numbers.mean_sd,
+        interval=_interval,
+        figure=numbers.figure,
+        pairs=lambda record: list(_pairs(record)),
+        power=_power_of_two,
+    )
+    made.globals.update(words=words, sources=SOURCES, status_of=shown_status)
+    return made
+
+
+def _visible(value: Any) -> Any:
+    """Text without characters that a page cannot hold; markup of our own is left alone."""
+    return printable(value) if isinstance(value, str) and not isinstance(value, Markup) else value
+
+
+def _interval(metric: Metric) -> str:
+    if metric.ci95 is not None:
+        return numbers.interval(metric)
+    why_not = metric.extra.get("interval_why_not") or ("one run" if metric.n == 1 else "")
+    return f"no interval: {why_not}" if why_not else "no interval"
+
+
+def _power_of_two(count: int) -> Markup:
+    return Markup("2<sup>{}</sup>").format(count.bit_length() - 1)
+
+
+def _pairs(record: dict[str, Any], prefix: str = "") -> Iterator[tuple[str, str]]:
+    """Names and values of a record; nested ones with dotted names down to a depth that can be read, lists as text."""
+    for key in record:
+        value, name = record[key], f"{prefix}{key}"
+        if isinstance(value, dict) and value and prefix.count(".") < _DEPTH:
+            yield from _pairs(value, f"{name}.")
+        elif isinstance(value, (list, tuple)):
+            yield name, ", ".join(str(v) for v in value) or "none"
+        else:
+            yield name, "none" if value is None or value in ("", {}) else str(value)

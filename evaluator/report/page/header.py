@@ -1,0 +1,42 @@
+"""What a reader must know before any figure: what was evaluated, and which files have problems."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+from evaluator.groups import shown_status, status_notes
+from evaluator.report.page.section import Source
+from evaluator.results import Evaluation
+
+
+@dataclass(frozen=True)
+class Problem:
+    """A file that a reader must know about: its name, what is wrong, and why."""
+
+    name: str
+    kind: str
+    reason: str
+
+
+def header(source: Source) -> dict[str, Any]:
+    """What the head of the page shows."""
+    evaluation = source.evaluation
+    notes = [(r.label, note) for r in evaluation.results for note in r.notes if note not in status_notes(r.group)]
+    return {
+        "problems": list(_problems(evaluation)),
+        "notes": [("", note) for note in evaluation.notes] + notes,
+        "n_recording": sum(len(r.group.recordings) for r in evaluation.results),
+    }
+
+
+def _problems(evaluation: Evaluation) -> Iterator[Problem]:
+    for failure in evaluation.unreadable:
+        yield Problem(failure.path.name, "could not be read", str(failure.error))
+    for result in evaluation.results:
+        for recording in result.group.recordings:
+            if recording.status != "complete":
+                yield Problem(recording.path.name, shown_status(recording), recording.reason)
+            for lost in recording.dropouts:
+                yield Problem(recording.path.name, "lost data", lost)

@@ -1,0 +1,55 @@
+"""What the page is made of: sections, each of a title and a template with what it shows."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+from evaluator.results import Evaluation, GroupResult
+from evaluator.sweeps import swept_only
+
+
+@dataclass(frozen=True)
+class Source:
+    """What a page is made from.
+
+    evaluation  that it shows
+    published   whether the paper's figures are shown as well, marked as the paper's
+    command     that made the page, as a shell would take it
+    """
+
+    evaluation: Evaluation
+    published: bool
+    command: str
+
+    @cached_property
+    def shown(self) -> list[GroupResult]:
+        """Groups that are shown one by one."""
+        return [r for r in self.evaluation.results if r.label not in self._swept]
+
+    @cached_property
+    def hidden(self) -> list[GroupResult]:
+        """Groups that are points of a sweep and captured no states."""
+        return [r for r in self.evaluation.results if r.label in self._swept]
+
+    @cached_property
+    def _swept(self) -> set[str]:
+        return swept_only(self.evaluation.results, self.evaluation.sweeps)
+
+
+@dataclass(frozen=True)
+class Section:
+    """One section.
+
+    key      its anchor, and the name of its template
+    title    its heading
+    link     its name in the list of sections; the title where it is empty
+    context  what its template shows
+    """
+
+    key: str
+    title: str
+    context: Mapping[str, Any]
+    link: str = ""
