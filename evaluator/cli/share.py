@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from evaluator.cli import share_set
+from evaluator.cli import share_leaderboard, share_set
 from evaluator.cli.arguments import local_path
 from evaluator.cli.entry import complain, enter, new_parser
 from schemas import PARTIAL
@@ -26,7 +26,7 @@ exit codes:
   3  a file is damaged or no recording, or cut short (which recover is for, and ends with 0); what could be written was;
      verify: a file is missing, changed or damaged
   4  verify: the parts of the set do not agree, or a recording breaks a rule
-  5  card, verify: there is no recording
+  5  card, verify: there is no recording; leaderboard: nothing has a place
 
 examples:
   gsb-share pack recordings/*.mcap --out packed
@@ -35,6 +35,7 @@ examples:
   gsb-share viewer recordings/mujoco-amd-r0.mcap --env 0 --env 3 --spread 1 --out view.mcap
   gsb-share card dataset --title 'Cube stacks' --licence CC-BY-4.0 --author 'Doe, Jane; Some University'
   gsb-share verify hf://datasets/someone/cube-stacks
+  gsb-share leaderboard recordings recordings/h200 --out board
 """
 
 
@@ -43,7 +44,7 @@ def parser() -> argparse.ArgumentParser:
     p = new_parser(
         "gsb-share",
         "Make recordings smaller without changing what they hold, make whole files of what a crash left, and files for "
-        "Foxglove and other viewers; describe and check sets of recordings. No recording is changed "
+        "Foxglove and other viewers; describe, check and rank sets of recordings. No recording is changed "
         "or overwritten.",
         _EPILOG,
     )
@@ -69,6 +70,7 @@ def parser() -> argparse.ArgumentParser:
         "--layout", type=local_path, metavar="FILE", help="write the attached Foxglove layout to a file, too"
     )
     share_set.add_verbs(verbs)
+    share_leaderboard.add_verb(verbs)
     return p
 
 
@@ -91,6 +93,7 @@ def run(arguments: argparse.Namespace, command: str) -> int:
         "viewer": _viewer,
         "card": share_set.card,
         "verify": share_set.verify,
+        "leaderboard": share_leaderboard.leaderboard,
     }
     return verbs[arguments.verb](arguments)
 
