@@ -84,7 +84,7 @@ def test_a_sweep_has_one_place(runs: Path, tmp_path: Path) -> None:
 
 
 def test_who_has_no_place(runs: Path, tmp_path: Path) -> None:
-    """Rank no INVALID run, none that breaks a rule, none whose cubes fell through the floor; and say why."""
+    """Rank no INVALID run, none that breaks a rule, none whose states are not those of mechanics; and say why."""
     good = grid(2)
     write(runs, good, simulator="good", elapsed_s=5.0, steps=500, dt=0.01)
     write(runs, good, simulator="invalid", status="INVALID", reason="buffer overflow", cause="BUFFER")
@@ -101,7 +101,7 @@ def test_who_has_no_place(runs: Path, tmp_path: Path) -> None:
     assert "1 of 2 runs INVALID: buffer overflow" in why["invalid"]
     assert "integrity-1" in why["unsaid"]
     assert "no memory" in why["failed"]
-    assert "through the floor" in why["sunk"]
+    assert "cubes through the floor, per env (27 of 27)" in why["sunk"]
     assert "timed phase" in why["untimed"]
     page = (tmp_path / "board" / "index.html").read_text()
     assert all(reason in page for reason in ("buffer overflow", "no memory", "through the floor"))

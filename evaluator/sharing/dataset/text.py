@@ -64,11 +64,11 @@ def verification_lines(verification: Verification) -> Iterator[str]:
         kinds = Counter(finding.kind.word for finding in verification.findings)
         yield "NOT as its manifest says: " + ", ".join(f"{count} {kind}" for kind, count in kinds.items())
         theirs = manifest.written_by.get("gpusimbench", "")
-        if theirs != __version__:
+        if theirs and theirs != __version__:
             yield f"it was written by gpusimbench {theirs}; {__version__}, which is used here, may compute otherwise"
         return
     yield (
-        f"{verification.bytes / 1e6:.1f} MB have the digests of {'manifest.json'} and SHA256SUMS; "
+        f"{verification.bytes / 1e6:.1f} MB have the digests of manifest.json and SHA256SUMS; "
         f"{_count(verification.recordings, 'recording')} have their content hashes and keep the rules of integrity-1; "
         f"every value of {' and '.join(verification.tables)} follows from them"
         if verification.recordings
