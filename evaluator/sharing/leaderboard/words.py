@@ -33,6 +33,8 @@ def repeats(row: Row) -> list[str]:
 def _distinct(what: str, metric: Metric) -> str:
     if metric.value is None:
         return f"{what}: {metric.why_not}"
+    if metric.value == 1:
+        return f"all {metric.n} {what} alike"
     since = metric.extra.get("first_difference_step")
     return f"{metric.value:.0f} of {metric.n} {what} distinct" + ("" if since is None else f", from step {since}")
 
