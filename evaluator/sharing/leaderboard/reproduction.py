@@ -37,7 +37,7 @@ class Replay:
 class Reproduction:
     """Replays of the recordings of one group.
 
-    originals   complete runs of the group that captured states
+    originals   complete runs of the group that captured states and are no replays
     reproduced  how many of them have a replay that agrees
     replays     by the content hash of the original, of those that have any
     """
@@ -85,7 +85,11 @@ def replays_of(files: Sequence[Read]) -> dict[str, tuple[Replay, ...]]:
 
 def reproduction(group: Sequence[Summary], replays: dict[str, tuple[Replay, ...]]) -> Reproduction:
     """What replays say of the complete runs of a group."""
-    captured = [r.content_hash for r in group if r.usable and "capture" in r.configuration.phases]
+    captured = [
+        r.content_hash
+        for r in group
+        if r.usable and "capture" in r.configuration.phases and r.provenance.replay_of is None
+    ]
     return Reproduction(
         originals=len(captured),
         reproduced=sum(any(replay.agrees for replay in replays.get(one, ())) for one in captured),
