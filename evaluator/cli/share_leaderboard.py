@@ -25,7 +25,9 @@ def add_verb(verbs: Any) -> None:
     v = verbs.add_parser("leaderboard", help="a page that ranks simulators", description=_LEADERBOARD)
     v.add_argument("sets", nargs="+", type=place, metavar="SET", help="recordings, folders of them, addresses")
     v.add_argument("--out", type=local_path, required=True, metavar="DIR", help="for index.html and its data")
-    v.add_argument("--title", default="Leaderboard of robot simulators", metavar="TEXT", help="of the page")
+    v.add_argument(
+        "--title", default="Leaderboard of robot simulators", metavar="TEXT", help="of the page (default: %(default)s)"
+    )
     v.add_argument("--sample-time", type=float, default=5.0, metavar="S", help="simulated time (default: 5.0)")
     v.add_argument("--cache", type=local_path, metavar="DIR", help="where to keep results (default: as gsb-eval)")
     v.add_argument("--no-cache", action="store_true", help="compute everything anew and keep nothing")
