@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
-from schemas.errors import GsbError
+from schemas.errors import GsbError, Unreachable
 from schemas.location import Location, Place
 
 MAX_FILES = 10_000
@@ -34,14 +34,18 @@ def expand(places: Sequence[Place], *, copies: bool = False) -> list[Place]:
 
 
 @contextmanager
-def fetched(location: Location) -> Iterator[Path]:
+def fetched(location: Location, *, size: int | None = None) -> Iterator[Path]:
     """A copy of a file on this machine's disk, gone afterwards; what is mapped of it stays readable.
+
+    size  that it must have, or nothing of it is fetched; None for any
 
     GsbError where there is no room for it; Unreachable where it cannot be had.
     """
     from schemas.remote import RemoteFile
 
     source = RemoteFile(location)
+    if size is not None and source.size != size:
+        raise Unreachable(f"{location} has {source.size} bytes, not {size}")
     with tempfile.TemporaryDirectory(prefix="gpusimbench-", ignore_cleanup_errors=True) as folder:
         free = shutil.disk_usage(folder).free
         if source.size > free:

@@ -22,7 +22,18 @@ from schemas import topics
 from schemas.configuration import RunConfiguration
 from schemas.fields import StateField, body_field
 from schemas.messages import message_class
-from schemas.provenance import PROVENANCE, SCENE, SIMULATION, Buffer, Counter, OverflowBit, Provenance, Simulation
+from schemas.provenance import (
+    PACKAGES,
+    PROVENANCE,
+    SCENE,
+    SIMULATION,
+    Buffer,
+    Counter,
+    OverflowBit,
+    Provenance,
+    ReplayOf,
+    Simulation,
+)
 
 
 def cubes_field(dtype: str, *, frame: str = "world") -> StateField:
@@ -109,6 +120,9 @@ def write_recording(
     environment: dict[str, str] | None = None,
     run_id: str | None = None,
     path_of: Callable[[NDArray[Any], int], NDArray[Any]] | None = None,
+    whole: bool = False,
+    cpu: str = "test",
+    replay_of: ReplayOf | None = None,
 ) -> Path:
     """A recording whose cubes lie still until the last step and end at `final` [m], shape [env, 27, 3].
 
@@ -119,6 +133,7 @@ def write_recording(
     clocks     seconds of "build", "compile_timed", "compile_capture"
     built      False: the run ended before its simulator was there, and says nothing of it
     change     called with the name and content of each JSON attachment; may change it in place, or return other text
+    whole      says all that the rules of integrity-1 ask of provenance
     path_of    called with the initial positions and a step before the last; returns the positions then
     """
     n_env = n_env if final is None else len(final)
@@ -137,8 +152,10 @@ def write_recording(
         ("test",),
         configuration,
         gpus=gpus,
-        host={"cpu": "test"},
+        host={"cpu": cpu, **({"usable_threads": 2, "memory_bytes": 10**9, "system": "Linux"} if whole else {})},
+        software={"python": "3", "recorder": {"version": "1"}, "packages": {"mcap": "1"}} if whole else {},
         environment=environment or {},
+        replay_of=replay_of,
     )
     described = make_scene(scene)
     about = Description(
@@ -162,6 +179,8 @@ def write_recording(
             changed = change(attachment, record)
             text = changed if isinstance(changed, str) else json.dumps(record)
         sink.attach(attachment, "application/json", text.encode())
+    if whole:
+        sink.attach(PACKAGES, "text/plain", b"mcap==1\n")
     if not built:
         return sink.finish(status, reason, last_step=0, peak_rss_bytes=0, cause=cause)
     for what, seconds in (clocks or {}).items():

@@ -19,6 +19,7 @@ from evaluator.physics.facts import Check, Measured, NotMeasured, PhysicsFacts
 from evaluator.positions import Positions
 from evaluator.reading import Reader
 from evaluator.run_data import RunData
+from evaluator.sharing.dataset.checkup import Checkup
 from evaluator.sinking import Sunk
 from evaluator.spread import Spread
 from evaluator.stamp import Stamp
@@ -38,7 +39,7 @@ _CLASSES = (
     Simulation, Deviation, StateField, Buffer, Counter, OverflowBit, RunData, Histories, Positions, Checkpoints, Sunk,
     Stamp, Reader, SplitTree, Branch, Spread, GrowthFit, Verdict, Worst, Level, PhysicsFacts,
     Measured, NotMeasured, Check, ParallelVariability, Transport, Gap, GapTo, SummaryBlock,
-    MatchedPoint, MatchedVariability, Interval,
+    MatchedPoint, MatchedVariability, Interval, Checkup,
 )  # fmt: skip
 
 

@@ -1,4 +1,4 @@
-"""gsb-share: recordings made smaller, whole again, or ready for a viewer."""
+"""gsb-share: recordings made smaller, whole again, ready for a viewer, and sets of them described and checked."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from evaluator.cli import share_leaderboard, share_set
 from evaluator.cli.arguments import local_path
 from evaluator.cli.entry import complain, enter, new_parser
 from schemas import PARTIAL
@@ -19,16 +20,22 @@ if TYPE_CHECKING:
 
 _EPILOG = """\
 exit codes:
-  0  every file was written
+  0  every file was written; verify: the set is what its manifest says
   1  a file could not be written
   2  the command asks for something that cannot be
-  3  a file is damaged or no recording, or cut short (which recover is for, and ends with 0); what could be written was
+  3  a file is damaged or no recording, or cut short (which recover is for, and ends with 0); what could be written was;
+     verify: a file is missing, changed or damaged
+  4  verify: the parts of the set do not agree, or a recording breaks a rule
+  5  card, verify: there is no recording; leaderboard: nothing has a place
 
 examples:
   gsb-share pack recordings/*.mcap --out packed
   gsb-share unpack packed/*.mcap --out unpacked
   gsb-share recover runs/mujoco-r3.mcap.partial
   gsb-share viewer recordings/mujoco-amd-r0.mcap --env 0 --env 3 --spread 1 --out view.mcap
+  gsb-share card dataset --title 'Cube stacks' --licence CC-BY-4.0 --author 'Doe, Jane; Some University'
+  gsb-share verify hf://datasets/someone/cube-stacks
+  gsb-share leaderboard recordings recordings/h200 --out board
 """
 
 
@@ -37,7 +44,8 @@ def parser() -> argparse.ArgumentParser:
     p = new_parser(
         "gsb-share",
         "Make recordings smaller without changing what they hold, make whole files of what a crash left, and files for "
-        "Foxglove and other viewers. No file is changed or overwritten.",
+        "Foxglove and other viewers; describe, check and rank sets of recordings. No recording is changed "
+        "or overwritten.",
         _EPILOG,
     )
     verbs = p.add_subparsers(dest="verb", required=True, metavar="VERB")
@@ -73,6 +81,8 @@ def parser() -> argparse.ArgumentParser:
     v.add_argument(
         "--layout", type=local_path, metavar="FILE", help="write the attached Foxglove layout to a file, too"
     )
+    share_set.add_verbs(verbs)
+    share_leaderboard.add_verb(verbs)
     return p
 
 
@@ -93,6 +103,9 @@ def run(arguments: argparse.Namespace, command: str) -> int:
         "unpack": _pack,
         "recover": _recover,
         "viewer": _viewer,
+        "card": share_set.card,
+        "verify": share_set.verify,
+        "leaderboard": share_leaderboard.leaderboard,
     }
     return verbs[arguments.verb](arguments)
 

@@ -42,14 +42,10 @@ def write_parquet(evaluation: Evaluation, folder: Path) -> list[Path]:
     metrics.parquet  a row for each metric of each group; an interval where it has one
     runs.parquet     a row for each recording that could be read
     """
-    pl = polars()
+    tables = frames(evaluation)
     folder.mkdir(parents=True, exist_ok=True)
     paths = []
-    for name, columns, rows in (
-        (METRICS, _METRICS, _metric_rows(evaluation)),
-        (RUNS, _RUNS, _run_rows(evaluation)),
-    ):
-        table = pl.DataFrame(list(rows), schema={column: getattr(pl, kind) for column, kind in columns.items()})
+    for name, table in tables.items():
         unfinished = folder / f"{name}.partial"
         try:
             table.write_parquet(unfinished)
@@ -60,12 +56,24 @@ def write_parquet(evaluation: Evaluation, folder: Path) -> list[Path]:
     return paths
 
 
+def frames(evaluation: Evaluation) -> dict[str, Any]:
+    """Both tables as data frames of polars, by the name of their file; UsageError without polars."""
+    pl = polars()
+    return {
+        name: pl.DataFrame(list(rows), schema={column: getattr(pl, kind) for column, kind in columns.items()})
+        for name, columns, rows in (
+            (METRICS, _METRICS, _metric_rows(evaluation)),
+            (RUNS, _RUNS, _run_rows(evaluation)),
+        )
+    }
+
+
 def polars() -> Any:
     """The package that writes them; UsageError where it is not installed."""
     try:
         import polars as pl
     except ImportError:
-        raise UsageError("--tables needs the package polars: pip install 'gpusimbench[tables]'") from None
+        raise UsageError("tables need the package polars: pip install 'gpusimbench[tables]'") from None
     return pl
 
 

@@ -1,0 +1,65 @@
+"""The verb of gsb-share that ranks simulators: leaderboard."""
+
+from __future__ import annotations
+
+import argparse
+from typing import TYPE_CHECKING, Any
+
+from evaluator.cli.arguments import local_path
+from evaluator.cli.entry import complain
+from evaluator.cli.share_set import check_time, print_line
+from schemas.errors import UsageError
+from schemas.location import place
+
+if TYPE_CHECKING:
+    from evaluator.work import Work
+
+_LEADERBOARD = (
+    "Write a page that ranks simulators within each scene and device, from recordings alone: there is no way to type a "
+    "number in."
+)
+
+
+def add_verb(verbs: Any) -> None:
+    """Add the verb's arguments."""
+    v = verbs.add_parser("leaderboard", help="a page that ranks simulators", description=_LEADERBOARD)
+    v.add_argument("sets", nargs="+", type=place, metavar="SET", help="recordings, folders of them, addresses")
+    v.add_argument("--out", type=local_path, required=True, metavar="DIR", help="for index.html and its data")
+    v.add_argument(
+        "--title", default="Leaderboard of robot simulators", metavar="TEXT", help="of the page (default: %(default)s)"
+    )
+    v.add_argument("--sample-time", type=float, default=5.0, metavar="S", help="simulated time (default: 5.0)")
+    v.add_argument("--cache", type=local_path, metavar="DIR", help="where to keep results (default: as gsb-eval)")
+    v.add_argument("--no-cache", action="store_true", help="compute everything anew and keep nothing")
+
+
+def leaderboard(arguments: argparse.Namespace) -> int:
+    """Write a leaderboard; returns the exit code."""
+    from evaluator.sharing.leaderboard.make import make_leaderboard
+    from evaluator.sharing.leaderboard.text import leaderboard_lines
+
+    check_time(arguments.sample_time)
+    if not arguments.title.strip() or not arguments.title.isprintable():
+        raise UsageError("--title is a line of text")
+    done = make_leaderboard(
+        arguments.sets,
+        arguments.out,
+        title=arguments.title.strip(),
+        sample_time=arguments.sample_time,
+        work=_work(arguments),
+    )
+    for line in leaderboard_lines(done):
+        print_line(line)
+    for path, error in done.unreadable:
+        complain("gsb-share", f"{path} is left out: {error}")
+    return int(done.exit_code)
+
+
+def _work(arguments: argparse.Namespace) -> Work:
+    from evaluator.cache.place import default_folder, open_store
+    from evaluator.work import Work
+
+    folder = None if arguments.no_cache else arguments.cache or default_folder()
+    if arguments.cache and arguments.cache.exists() and not arguments.cache.is_dir():
+        raise UsageError(f"--cache is a folder, and {arguments.cache} is none")
+    return Work(store=open_store(folder) if folder else None)

@@ -1,0 +1,1 @@
+"""A ranking of simulators that follows from recordings, and from nothing else."""

@@ -1,0 +1,60 @@
+"""The recordings of a leaderboard: found, checked and read, each once."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+from evaluator.cache.known_files import read_all
+from evaluator.locations import expand
+from evaluator.reading import Reader, Unreadable
+from evaluator.sharing.dataset.checkup import DAMAGED, Checkup, check_up
+from evaluator.sharing.dataset.contents import LookedAt, is_recording
+from evaluator.sharing.dataset.folder import find
+from evaluator.stamp import stamp_of
+from evaluator.work import Work
+from schemas.errors import DamagedRecording, NothingComparable
+from schemas.location import Place
+
+
+def recordings_of(places: Sequence[Place]) -> list[Place]:
+    """Files as they are, those of folders and of the folders below them, and those that addresses stand for; each once.
+
+    NothingComparable where there are none.
+    """
+    found: dict[object, Place] = {}
+    for place in expand(places):
+        for path in _inside(place) if isinstance(place, Path) and place.is_dir() else (place,):
+            found.setdefault(path.resolve() if isinstance(path, Path) else path, path)
+    if not found:
+        raise NothingComparable("there is no recording (*.mcap) in what was named: nothing to rank")
+    return list(found.values())
+
+
+def _inside(folder: Path) -> Iterator[Path]:
+    yield from (folder / path for path in find(folder).files if is_recording(path))
+
+
+def gather(places: Sequence[Place], sample_time: float, work: Work) -> list[LookedAt]:
+    """Check and read every recording, in order of the places; what was found before is taken from the work's store."""
+    looked_at = []
+    for place, read in zip(places, read_all(places, Reader(sample_time), work), strict=True):
+        checkup = _checked(place, work)
+        if checkup.outcome == DAMAGED and not isinstance(read, Unreadable):
+            read = Unreadable(place, DamagedRecording("; ".join(checkup.findings)))
+        looked_at.append(LookedAt(str(place), checkup, read))
+    return looked_at
+
+
+def _checked(place: Place, work: Work) -> Checkup:
+    stamp = stamp_of(place) if work.store else None
+    if work.store is None or stamp is None:
+        return check_up(place, place.name)
+    key = work.store.key(check_up, stamp)
+    known = work.store.get(key)
+    if isinstance(known, Checkup):
+        return known
+    checkup = check_up(place, place.name)
+    if stamp_of(place) == stamp:  # it is still the file that was looked at
+        work.store.put(key, checkup)
+    return checkup

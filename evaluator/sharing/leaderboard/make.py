@@ -1,0 +1,82 @@
+"""gsb-share leaderboard: from recordings to a page."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+
+from evaluator.evaluate import evaluate
+from evaluator.reading import Read
+from evaluator.sharing.dataset.contents import LookedAt
+from evaluator.sharing.leaderboard.board import Board
+from evaluator.sharing.leaderboard.document import KIND, dump_csv, dump_json
+from evaluator.sharing.leaderboard.gathering import gather, recordings_of
+from evaluator.sharing.leaderboard.page import render
+from evaluator.sharing.leaderboard.reproduction import replays_of
+from evaluator.sharing.leaderboard.standing import sections
+from evaluator.work import Work
+from schemas import PARTIAL, checks
+from schemas.errors import DamagedRecording, GsbError, UsageError
+from schemas.location import Place
+
+PAGE, JSON, CSV = "index.html", "leaderboard.json", "leaderboard.csv"
+
+
+def make_leaderboard(places: Sequence[Place], folder: Path, *, title: str, sample_time: float, work: Work) -> Board:
+    """Read recordings, and write the page and its data into a folder; files of another kind there are not overwritten.
+
+    sample_time  simulated time at which positions are compared [s]
+    """
+    _check_free(folder)
+    found = recordings_of(places)
+    made = board(gather(found, sample_time, work), title=title, sample_time=sample_time, work=work)
+    if work.store is not None:
+        work.store.prune()
+    for name, text in ((PAGE, render(made)), (CSV, dump_csv(made)), (JSON, dump_json(made))):
+        _put(folder / name, text)
+    return made
+
+
+def board(looked_at: Sequence[LookedAt], *, title: str, sample_time: float, work: Work) -> Board:
+    """The leaderboard of some recordings."""
+    evaluation = evaluate([one.read for one in looked_at], sample_time=sample_time, work=work)
+    counted = {str(r.path) for result in evaluation.results for r in result.group.recordings}
+    reads = [one.read for one in looked_at if isinstance(one.read, Read) and str(one.read.summary.path) in counted]
+    return Board(
+        title=title,
+        sample_time=sample_time,
+        sections=sections(evaluation, {one.name: one.checkup for one in looked_at}, replays_of(reads)),
+        unreadable=tuple((str(file.path), str(file.error)) for file in evaluation.unreadable),
+        notes=evaluation.notes,
+        recordings=len(counted),
+    )
+
+
+def _check_free(folder: Path) -> None:
+    there = [name for name in (PAGE, JSON, CSV) if (folder / name).exists()]
+    if folder.exists() and not folder.is_dir():
+        raise UsageError(f"--out is a folder, and {folder} is none")
+    if there and not _is_ours(folder / JSON):
+        raise UsageError(
+            f"{folder} has {', '.join(there)} that no leaderboard wrote; they are left as they are: name another folder"
+        )
+
+
+def _is_ours(path: Path) -> bool:
+    try:
+        return checks.load(path.name, path.read_bytes()).get("kind") == KIND
+    except (OSError, DamagedRecording):
+        return False
+
+
+def _put(path: Path, text: str) -> None:
+    partial = path.with_name(f".{path.name}.{os.getpid()}{PARTIAL}")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        partial.write_bytes(text.encode("utf-8", "backslashreplace"))
+        partial.replace(path)
+    except OSError as error:
+        raise GsbError(f"cannot write {path}: {error.strerror}") from None
+    finally:
+        partial.unlink(missing_ok=True)

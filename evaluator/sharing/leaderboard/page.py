@@ -1,0 +1,46 @@
+"""A leaderboard as one HTML page that needs nothing but itself: no script, no network, no other file.
+
+What recordings say is a stranger's text: the template escapes every value.
+"""
+
+from __future__ import annotations
+
+import jinja2
+from markupsafe import Markup
+
+import schemas
+from evaluator.metrics.regime import REGIME_MEANING
+from evaluator.report import numbers
+from evaluator.report import words as report_words
+from evaluator.report.text import printable
+from evaluator.sharing.leaderboard import words
+from evaluator.sharing.leaderboard.board import Board
+
+
+def render(board: Board) -> str:
+    """The page's text; the same recordings give the same page."""
+    environment = jinja2.Environment(
+        loader=jinja2.ChoiceLoader([
+            jinja2.PackageLoader("evaluator.sharing", "templates"),
+            jinja2.PackageLoader("evaluator.report.page", "templates"),  # the style of the report
+        ]),
+        undefined=jinja2.StrictUndefined,
+        autoescape=True,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+        finalize=lambda value: printable(value) if type(value) is str else value,
+    )  # fmt: skip
+    environment.filters |= {
+        "short": words.short,
+        "mean_sd": numbers.mean_sd,
+        "interval": numbers.interval,
+        "amount": report_words.amount,
+    }
+    return environment.get_template("leaderboard.html.j2").render(
+        board=board,
+        words=words,
+        types=sorted(REGIME_MEANING.items()),
+        version=schemas.__version__,
+        colours={"light": Markup(""), "dark": Markup(""), "rules": Markup("")},
+    )

@@ -1,0 +1,287 @@
+"""Ranking simulators from recordings alone: who has a place and why not, what was reproduced, and nothing typed in."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import re
+import shutil
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from evaluator.cache.place import open_store
+from evaluator.cli.share import main, parser
+from evaluator.recording import Recording
+from evaluator.sharing.dataset import checkup
+from evaluator.sharing.leaderboard import gathering
+from evaluator.work import Work
+from schemas.provenance import ReplayOf
+from tests.conftest import call
+from tests.evaluator.test_share_card import HOSTILE
+from tests.synthetic import grid, write_recording, write_sweep
+from tests.test_docs import ROOT, commands, shell
+
+
+def made(folder: Path, *sets: Path | str, code: int = 0) -> dict[str, Any]:
+    """The document of a leaderboard of some recordings."""
+    out = folder / "board"
+    assert main(["leaderboard", *map(str, sets), "--out", str(out), "--no-cache"]) == code
+    found: dict[str, Any] = json.loads((out / "leaderboard.json").read_text())
+    return found
+
+
+def rows(document: dict[str, Any]) -> dict[str, dict[str, Any]]:
+    """All rows by simulator and number of environments."""
+    return {f"{row['simulator']} {row['n_env']}": row for section in document["sections"] for row in section["rows"]}
+
+
+@pytest.fixture
+def runs(tmp_path: Path) -> Path:
+    """A folder for recordings."""
+    (tmp_path / "runs").mkdir()
+    return tmp_path / "runs"
+
+
+def write(folder: Path, final: Any = None, **keywords: Any) -> Path:
+    """A recording that keeps every rule of integrity-1."""
+    return write_recording(folder, final, **{"whole": True, **keywords})
+
+
+def test_places_are_by_throughput_within_scene_and_device(runs: Path, tmp_path: Path) -> None:
+    """Rank within a scene, a step and a device alone, the fastest first."""
+    write(runs, simulator="slow", elapsed_s=2.0)
+    write(runs, simulator="fast", elapsed_s=1.0)
+    write(runs, simulator="elsewhere", elapsed_s=9.0, gpu_bytes=(10, 20))
+    write(runs, simulator="other-scene", elapsed_s=9.0, scene="free-fall")
+    write(runs, simulator="other-step", elapsed_s=9.0, dt=0.5)
+    document = made(tmp_path, runs)
+    places = {
+        tuple(row["simulator"] for row in s["rows"]): [row["place"] for row in s["rows"]] for s in document["sections"]
+    }
+    assert places == {
+        ("fast", "slow"): [1, 2], ("elsewhere",): [1], ("other-scene",): [1], ("other-step",): [1],
+    }  # fmt: skip
+
+
+def test_a_sweep_has_one_place(runs: Path, tmp_path: Path) -> None:
+    """Give a simulator the place of the point at which it is fastest, with N_env^max and why it ends."""
+    write_sweep(runs, (16, 64, 256, 1024), runs=1, fails=1024, whole=True, simulator="swept")
+    write(runs, simulator="one", n_env=16, elapsed_s=16.0, gpu_bytes=(10, 20))
+    document = made(tmp_path, runs)
+    found = rows(document)
+    assert [row["simulator"] for row in found.values() if row["place"]] == ["swept", "one"]
+    best = next(row for row in found.values() if row["place"] == 1)
+    assert best["n_env_max"] == 256
+    assert "device memory" in best["sweep_ends"]
+    page = (tmp_path / "board" / "index.html").read_text()
+    assert "failed (device memory) at 1,024" in page
+    assert "2 other points" in page
+
+
+def test_who_has_no_place(runs: Path, tmp_path: Path) -> None:
+    """Rank no INVALID run, none that breaks a rule, none whose states are not those of mechanics; and say why."""
+    good = grid(2)
+    write(runs, good, simulator="good", elapsed_s=5.0, steps=500, dt=0.01)
+    write(runs, good, simulator="invalid", status="INVALID", reason="buffer overflow", cause="BUFFER")
+    write(runs, good, simulator="invalid", run=1)
+    write(runs, good, simulator="unsaid", whole=False)
+    write(runs, None, simulator="failed", status="FAILED", reason="no memory")
+    sunk = good.copy()
+    sunk[..., 2] = -1.0
+    write(runs, sunk, simulator="sunk", steps=500, dt=0.01)
+    write(runs, good, simulator="untimed", elapsed_s=None)
+    found = {row["simulator"]: row for row in rows(made(tmp_path, runs)).values()}
+    assert found["good"]["place"] == 1
+    why = {name: row["no_place"] for name, row in found.items() if row["place"] is None}
+    assert "1 of 2 runs INVALID: buffer overflow" in why["invalid"]
+    assert "integrity-1" in why["unsaid"]
+    assert "no memory" in why["failed"]
+    assert "cubes through the floor, per env (27 of 27)" in why["sunk"]
+    assert "timed phase" in why["untimed"]
+    page = (tmp_path / "board" / "index.html").read_text()
+    assert all(reason in page for reason in ("buffer overflow", "no memory", "through the floor"))
+
+
+def test_damaged_recordings_are_left_out(runs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Compute nothing from a damaged file, name it, and end with 3."""
+    write(runs, simulator="good")
+    data = bytearray(write(runs, grid(2), simulator="bad", name="bad.mcap").read_bytes())
+    data[len(data) // 2] ^= 1
+    (runs / "bad.mcap").write_bytes(data)
+    document = made(tmp_path, runs, code=3)
+    assert list(rows(document)) == ["good 1"]
+    assert [Path(one["file"]).name for one in document["unreadable"]] == ["bad.mcap"]
+    assert "bad.mcap is left out" in capsys.readouterr().err
+    assert "bad.mcap" in (tmp_path / "board" / "index.html").read_text()
+
+
+def test_copies_count_once(runs: Path, tmp_path: Path) -> None:
+    """Count a run once, however often its file is there, named or packed otherwise."""
+    path = write(runs, grid(2), name="a.mcap")
+    (runs / "below").mkdir()
+    shutil.copy(path, runs / "below" / "copy.mcap")
+    assert main(["pack", str(path), "--out", str(runs / "packed")]) == 0
+    (row,) = rows(made(tmp_path, runs, path)).values()
+    assert len(row["recordings"]) == 1
+    assert row["runs"]["complete"] == 1
+
+
+def replay(folder: Path, original: Path, final: Any, **keywords: Any) -> Path:
+    """A recording that says that it replays another."""
+    opened = Recording(original)
+    of = ReplayOf(opened.provenance.run_id, opened.content_hash)
+    return write(folder, final, **{"replay_of": of, **keywords})
+
+
+def test_reproduced_is_what_a_replay_shows(runs: Path, tmp_path: Path) -> None:
+    """Count replays whose states are the original's bits, and the kinds of machines that they are from."""
+    good = grid(2)
+    original = write(runs, good, name="original.mcap", cpu="A")
+    replay(runs, original, good, cpu="B")
+    replay(runs, original, good, cpu="C")
+    replay(runs, original, good, cpu="A")
+    other = good.copy()
+    other[0, 0, 0] = np.nextafter(other[0, 0, 0], 1)
+    replay(runs, original, other, cpu="D")
+    document = made(tmp_path, runs)
+    row = next(
+        row for section in document["sections"] for row in section["rows"]
+        if any(entry["name"] == "original.mcap" for entry in row["recordings"])
+    )  # fmt: skip
+    found = row["reproduction"]
+    assert found["reproduced"] == 1
+    (replays,) = found["replays"].values()
+    assert sorted((one["machine"][0], one["agrees"], one["other_machine"]) for one in replays) == [
+        ("A", True, False), ("B", True, True), ("C", True, True), ("D", False, True),
+    ]  # fmt: skip
+    page = (tmp_path / "board" / "index.html").read_text()
+    assert "1 of 1 reproduced bitwise, by 3 recordings on 3 kinds of machine, 2 other than its own" in page
+
+
+@pytest.mark.parametrize("wrong", ["content_hash", "run_id"])
+def test_a_replay_of_something_else_does_not_count(runs: Path, tmp_path: Path, wrong: str) -> None:
+    """Ignore a replay whose original, by run and content hash, is not among the recordings."""
+    original = write(runs, grid(2))
+    opened = Recording(original)
+    told = {"run_id": opened.provenance.run_id, "content_hash": opened.content_hash, wrong: "0" * 64}
+    write(runs, grid(2), replay_of=ReplayOf(**told), cpu="B")
+    assert all(not row["reproduction"]["replays"] for row in rows(made(tmp_path, runs)).values())
+
+
+def test_what_an_audit_wrote_does_not_count(runs: Path, tmp_path: Path) -> None:
+    """Take no file beside the recordings for an argument: an audit's document changes nothing."""
+    path = write(runs, grid(2))
+    before = made(tmp_path, runs)
+    (runs / "audit.json").write_text(
+        json.dumps({"schema_version": 1, "audits": [{"originals": [{"content_hash": Recording(path).content_hash}],
+                                                     "level": "bit-identical", "meets_requirement": True}]})
+    )  # fmt: skip
+    assert made(tmp_path, runs) == before
+
+
+def test_no_number_can_be_typed_in() -> None:
+    """Have no option of the command that a figure of a row could come from."""
+    verb = parser()._subparsers._group_actions[0].choices["leaderboard"]  # type: ignore[union-attr,index]
+    options = {option for action in verb._actions for option in action.option_strings}
+    assert options == {"-h", "--help", "--out", "--title", "--sample-time", "--cache", "--no-cache"}
+
+
+def test_a_real_replay_counts(small: Path, tmp_path: Path) -> None:
+    """Record, replay with the recorder, and find the original reproduced."""
+    done = call("gsb-record", "--replay", small, "--out", tmp_path / "replays")
+    assert done.returncode == 0, done.stderr
+    document = made(tmp_path, small, tmp_path / "replays")
+    (row,) = rows(document).values()
+    assert row["reproduction"]["reproduced"] == 1
+    assert [entry["replay_of"] for entry in row["recordings"]].count("") == 1
+
+
+class _Page(HTMLParser):
+    """Tags, and attributes that load or run something."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.tags: set[str] = set()
+        self.loaded: list[str] = []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.add(tag)
+        self.loaded += [str(value) for name, value in attrs if name in ("src", "href") or name.startswith("on")]
+
+
+def test_text_of_strangers_is_text(runs: Path, tmp_path: Path) -> None:
+    """Show names of simulators and reasons as text in the page, and as no formula in a spreadsheet."""
+    write(runs, simulator=HOSTILE, name="<b>.mcap")
+    for number, first in enumerate("=+-@"):
+        write(runs, simulator=f"{first}1+cmd|' /C calc'!A0", elapsed_s=float(number + 2), name=f"{first}x.mcap")
+    write(runs, simulator="failed", status="FAILED", reason=HOSTILE)
+    made(tmp_path, runs)
+    page = _Page()
+    text = (tmp_path / "board" / "index.html").read_text()
+    page.feed(text)
+    assert not page.tags & {"script", "img", "iframe", "link", "form", "object"}
+    assert all(re.fullmatch(r"#s\d+|#how|leaderboard\.(json|csv)", target) for target in page.loaded), page.loaded
+    assert "\x1b" not in text
+    assert "default-src 'none'" in text
+    table = list(csv.DictReader(io.StringIO((tmp_path / "board" / "leaderboard.csv").read_text())))
+    assert len(table) == 6
+    for row in table:
+        assert not any(value.startswith(("=", "+", "-", "@", "\t", "\r")) for value in row.values())
+
+
+def test_the_same_recordings_give_the_same_bytes(runs: Path, tmp_path: Path) -> None:
+    """Write the same page, table and document again; and over its own files, but over nobody else's."""
+    write(runs, grid(2))
+    made(tmp_path, runs)
+    first = {path.name: path.read_bytes() for path in (tmp_path / "board").iterdir()}
+    assert set(first) == {"index.html", "leaderboard.json", "leaderboard.csv"}
+    made(tmp_path, runs)
+    assert {path.name: path.read_bytes() for path in (tmp_path / "board").iterdir()} == first
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "index.html").write_text("mine")
+    assert main(["leaderboard", str(runs), "--out", str(tmp_path / "mine")]) == 2
+    assert (tmp_path / "mine" / "index.html").read_text() == "mine"
+
+
+def test_nothing_to_rank(tmp_path: Path) -> None:
+    """End with 5 where there are no recordings, or none has a place."""
+    assert main(["leaderboard", str(tmp_path), "--out", str(tmp_path / "board")]) == 5
+    write(tmp_path, status="FAILED", reason="no memory")
+    assert main(["leaderboard", str(tmp_path), "--out", str(tmp_path / "board"), "--no-cache"]) == 5
+
+
+def test_what_is_known_is_not_checked_again(runs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Check a file once, and again when it is another one."""
+    path = write(runs, grid(2))
+    work = Work(store=open_store(tmp_path / "cache"))
+    monkeypatch.setattr("evaluator.stamp._SETTLED_NS", -(10**12))  # as if it had been written long ago
+    calls: list[Path] = []
+    real = checkup.examine
+    monkeypatch.setattr(checkup, "examine", lambda given: calls.append(given) or real(given))  # type: ignore[func-returns-value]
+    (first,) = gathering.gather([path], 5.0, work)
+    (second,) = gathering.gather([path], 5.0, work)
+    assert calls == [path]
+    assert first.checkup == second.checkup
+    assert first.summary == second.summary
+    data = bytearray(path.read_bytes())
+    data[len(data) // 2] ^= 1
+    path.write_bytes(data)
+    (again,) = gathering.gather([path], 5.0, work)
+    assert again.checkup.outcome == "damaged"
+
+
+def test_the_commands_of_the_page(tmp_path: Path) -> None:
+    """Run every command that docs/dataset.md shows, on a recording that ships."""
+    (tmp_path / "recordings").mkdir()
+    shutil.copy(ROOT / "recordings" / "mujoco-amd-r0.mcap", tmp_path / "recordings")
+    lines = commands(ROOT / "docs" / "dataset.md")
+    assert len(lines) >= 5
+    for line in lines:
+        done = shell(line, tmp_path)
+        assert done.returncode == 0, f"{line}\n{done.stdout}\n{done.stderr}"
+    assert (tmp_path / "board" / "index.html").exists()
