@@ -48,3 +48,23 @@ def fisher(first: tuple[int, int], second: tuple[int, int]) -> float:
 
     possible = [ways(k) for k in range(max(0, odd - n2), min(odd, n1) + 1)]
     return sum(w for w in possible if w <= ways(a)) / math.comb(n1 + n2, odd)
+
+
+def least_fisher(odd: int, n1: int, n2: int) -> float:
+    """The smallest p-value of `fisher` for so many odd runs among n1 and n2, however they fell."""
+    ends = {max(0, odd - n2), min(odd, n1)}
+    return min(fisher((k, n1), (odd - k, n2)) for k in ends)
+
+
+def able_to_reject(least: Sequence[float], alpha: float) -> list[bool]:
+    """Which tests a family consists of: those that can be rejected at all (Tarone 1990).
+
+    A test of few runs has a smallest p-value. What lies above alpha / K can never be rejected by a family of K, so it
+    need not make the others' p-values larger; K is the smallest number that at most K tests can reach.
+
+    Args:
+        least: the smallest p-value of each test, known before any is made.
+        alpha: chance of any false alarm.
+    """
+    reach = next((k for k in range(1, len(least) + 1) if sum(p <= alpha / k for p in least) <= k), 1)
+    return [p <= alpha / reach for p in least]

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from evaluator.groups import group, status_notes
 from evaluator.reading import Unreadable
 from evaluator.run_data import RunData
-from evaluator.statistics.families import holm
+from evaluator.statistics.families import able_to_reject, holm
 from evaluator.versus.finding import FAILING, Axis, Change, Finding, Question, Settings
 from evaluator.versus.matching import Pair, check_across, match
 from evaluator.versus.measures import MEASURES
@@ -52,7 +52,7 @@ class Result:
     alone       groups without a partner: side, label, reason
     unreadable  side and file
     settings    what counts
-    tests       statistical comparisons that count, which p-values are adjusted for
+    tests       statistical comparisons that count and could show something, which p-values are adjusted for
     lost        recordings that were cut short or lost data
     notes       about the sets as a whole
     """
@@ -117,7 +117,7 @@ def compare(base: Side, head: Side, settings: Settings, work: Work, across: Coll
     if measured:
         notes.append("real trials are left out")
     return Result(
-        tuple(_compared(draft, found, tests, settings) for draft, found in zip(drafts, findings, strict=True)),
+        tuple(_compared(draft, found) for draft, found in zip(drafts, findings, strict=True)),
         matching.alone,
         tuple((name, u) for name, side in (("base", base), ("head", head)) for u in side.unreadable),
         settings,
@@ -172,35 +172,42 @@ def _answered(drafts: Sequence[Sequence[Finding | _Asked]], settings: Settings) 
     """
     asked = [item for draft in drafts for item in draft if isinstance(item, _Asked)]
     verdicts: dict[int, Finding] = {}
-    families = [[a for a in asked if counts(a.axis, settings) is counted] for counted in (True, False)]
-    for family in families:
-        found = [a.question(settings.alpha / len(family)) for a in family]
-        adjusted = holm([f.p_value if f.p_value is not None else 1.0 for f in found])
-        for one, finding, p in zip(family, found, adjusted, strict=True):
-            change = finding.change if p <= settings.alpha else Change.UNCLEAR
+    tests = 0
+    for counted in (True, False):
+        family = [a for a in asked if counts(a.axis, settings) is counted]
+        able = able_to_reject([a.question.least_p for a in family], settings.alpha)
+        level = settings.alpha / max(sum(able), 1)
+        found = [a.question(level) for a in family]
+        adjusted = iter(holm([f.p_value or 0.0 for f, can in zip(found, able, strict=True) if can]))
+        for one, finding, can in zip(family, found, able, strict=True):
+            p = next(adjusted) if can else None
+            change = finding.change if p is not None and p <= settings.alpha else Change.UNCLEAR
             verdicts[id(one)] = replace(finding, p_adjusted=p, change=change)
-    return [[verdicts[id(i)] if isinstance(i, _Asked) else i for i in draft] for draft in drafts], len(families[0])
+        tests += sum(able) if counted else 0
+    return [[verdicts[id(i)] if isinstance(i, _Asked) else i for i in draft] for draft in drafts], tests
 
 
-def _compared(draft: _Draft, findings: list[Finding], tests: int, settings: Settings) -> Compared:
+def _compared(draft: _Draft, findings: list[Finding]) -> Compared:
     notes = [
         f"{name}: {note}"
         for name, side in (("base", draft.pair.base), ("head", draft.pair.head))
         for note in status_notes(side)
     ]
     return Compared(
-        draft.pair, draft.order, tuple(findings), tuple(_warnings(draft, findings, tests, settings)), tuple(notes)
+        draft.pair, draft.order, tuple(findings), tuple(_warnings(draft, findings)), tuple(notes)
     )  # fmt: skip
 
 
-def _warnings(draft: _Draft, findings: Sequence[Finding], tests: int, settings: Settings) -> list[str]:
+def _warnings(draft: _Draft, findings: Sequence[Finding]) -> list[str]:
     order, pair = draft.order, draft.pair
     lines = []
     if not pair.same_machine:
         lines.append("base and head were recorded on different machines: speed and memory are not compared")
     clocked = any(f.axis is Axis.THROUGHPUT and f.p_value is not None for f in findings)
     if clocked and not order.known:
-        lines.append("the recordings do not say in which order they were made: drift of the machine cannot be told from a change")
+        lines.append(
+            "the recordings do not say in which order they were made: drift of the machine cannot be told from a change"
+        )
     elif clocked and not order.interleaved:
         lines.append(
             f"base and head were not recorded in turn ({order.text}): drift of the machine cannot be told from a change"
@@ -211,19 +218,18 @@ def _warnings(draft: _Draft, findings: Sequence[Finding], tests: int, settings: 
         lines.append(
             f"{order.n[0]} complete runs of base and {order.n[1]} of head are few: {FEW_RUNS} a side are advised"
         )
-    lines += _blind(findings, tests, settings)
+    lines += _blind(findings)
     return lines
 
 
-def _blind(findings: Sequence[Finding], tests: int, settings: Settings) -> list[str]:
+def _blind(findings: Sequence[Finding]) -> list[str]:
     """Which comparisons could have shown nothing, whatever the runs had been."""
-    level = settings.alpha / max(tests, 1)
     found: dict[float, list[str]] = {}
     for f in findings:
-        if f.least_p is not None and f.least_p > level and counts(f.axis, settings):
+        if f.least_p is not None and f.p_adjusted is None:
             found.setdefault(f.least_p, []).append(f.title)
     return [
-        f"too few runs to show any change, however large, of: {', '.join(titles)} (smallest p {least:.2g}, needed "
-        f"{level:.2g} for {tests} comparisons at once)"
+        f"too few runs for so many comparisons at once to show any change of {', '.join(titles)}, however large "
+        f"(smallest p possible: {least:.2g})"
         for least, titles in found.items()
     ]

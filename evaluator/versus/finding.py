@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
+from typing import Protocol
 
 
 class Axis(Enum):
@@ -79,10 +79,12 @@ class Finding:
     ratio       head / base; None where there is none
     ci95        of the ratio, of this comparison alone; None where there is none
     p_value     of this comparison alone; None where the verdict is no statistic
-    p_adjusted  for all comparisons of the invocation (Holm); verdicts are by this one
+    p_adjusted  for all comparisons of the invocation (Holm); verdicts are by this one; None where so few runs could
+                show nothing, whatever they had been
     least_p     the smallest p-value that so many runs can give
     n           runs of base and of head
-    method      how it was compared
+    method      what is compared
+    test        how it was tested; empty where nothing was
     note        what a reader must see beside it
     why_not     why it is not compared
     """
@@ -103,6 +105,7 @@ class Finding:
     least_p: float | None = None
     n: tuple[int, int] = (0, 0)
     method: str = ""
+    test: str = ""
     note: str = ""
     why_not: str = ""
 
@@ -113,9 +116,20 @@ class Finding:
         return self.axis in settings.gates and self.change in FAILING
 
 
-Question = Callable[[float], Finding]
-"""A test that is still to be made: it takes the level that one comparison of all has to reach, and gives the finding
-with its p-value, and as its change what a difference would be."""
+class Question(Protocol):
+    """A test that is still to be made."""
+
+    @property
+    def least_p(self) -> float:
+        """The smallest p-value that it can give, whatever the runs had been: known before it is made."""
+        ...
+
+    def __call__(self, level: float) -> Finding:
+        """The finding with its p-value, and as its change what a difference would be.
+
+        level  that one comparison of all has to reach
+        """
+        ...
 
 
 @dataclass(frozen=True)

@@ -9,10 +9,13 @@ from evaluator.versus import words
 from evaluator.versus.compare import Compared, Result
 from evaluator.versus.finding import Change
 
-_ROWS = 200  # of a table; a comment may have 65,536 characters
+_ROOM = 40_000  # characters for details, and rows of the first table: a comment may have 65,536 characters
+_ROWS = 40
 _LENGTH = 300
 
 _ADDRESS = re.compile(r"(?<=[A-Za-z])\.(?=\S)")
+
+_PLAIN = ".,-()/;%'\"?"  # punctuation that is no structure where it cannot begin a line
 
 _HELD, _FAILED = ":white_check_mark:", ":x:"
 
@@ -27,9 +30,8 @@ def markdown(result: Result, command: str) -> str:
     for side, label, why in result.alone:
         parts += [f"- without a partner: {code(label)} of {side}: {safe(why)}"]
     parts += [f"- {safe(note)}" for note in result.notes]
-    for compared in result.compared:
-        parts += ["", *_folded(compared, result)]
-    parts += ["", *(f"<sub>{safe(line)}</sub><br>" for line in (*words.legend(result), words.settings_line(result)))]
+    parts += _all_folded(result)
+    parts += ["", *(f"<sub>{safe(line)}</sub><br>" for line in _legend(result))]
     return "\n".join([*parts, "", f"<sub>{code(command)}</sub>", ""])
 
 
@@ -54,7 +56,7 @@ def _safe(character: str) -> str:
         return " "
     if not character.isprintable():
         return f"&#92;x{ord(character):02x}"
-    if character in string.punctuation and character not in ".,-":
+    if character in string.punctuation and character not in _PLAIN:
         # a mention or an address is looked for in what was rendered, so a space of no width parts them
         return f"&#{ord(character)};" + ("\u200b" if character in "@#" else "")
     return character
@@ -81,6 +83,24 @@ def _differing(result: Result) -> list[str]:
     return [*lines, ""]
 
 
+def _legend(result: Result) -> list[str]:
+    return [*words.methods(result.compared), *words.legend(result), words.settings_line(result)]
+
+
+def _all_folded(result: Result) -> list[str]:
+    """Details of as many configurations as a comment has room for, those that fail first."""
+    ordered = sorted(result.compared, key=lambda one: not any(f.fails(result.settings) for f in one.findings))
+    lines: list[str] = []
+    room = _ROOM
+    for index, compared in enumerate(ordered):
+        folded = ["", *_folded(compared, result)]
+        room -= sum(map(len, folded)) + len(folded)
+        if room < 0:
+            return [*lines, "", f"and {len(ordered) - index} more configurations, which have no room here"]
+        lines += folded
+    return lines
+
+
 def _folded(compared: Compared, result: Result) -> list[str]:
     failing = sum(finding.fails(result.settings) for finding in compared.findings)
     mark = f"{_FAILED} {failing}" if failing else _HELD
@@ -91,7 +111,7 @@ def _folded(compared: Compared, result: Result) -> list[str]:
     told = [finding for finding in compared.findings if finding.change is not Change.NOT_COMPARED]
     lines += [_row(*(safe(cell) for cell in words.cells(finding, result))) for finding in told]
     lines += ["", *(f"- :warning: {safe(warning)}" for warning in compared.warnings)]
-    lines += [f"- {safe(line)}" for line in (*words.remarks(compared), *words.methods([compared]))]
+    lines += [f"- {safe(line)}" for line in (*words.tests(compared), *words.remarks(compared))]
     return [*lines, "", "</details>"]
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from evaluator.fidelity import Fidelity, FidelityRow, Verdict, fidelity
 from evaluator.over_runs import Runs
 from evaluator.physics.facts import Check, Measured
-from evaluator.statistics.families import fisher
+from evaluator.statistics.families import fisher, least_fisher
 from evaluator.versus.finding import Axis, Change, Direction, Finding, Question, not_compared
 
 _NAME, _TITLE = "mechanics", "checks of mechanics"
@@ -62,14 +62,18 @@ class _Counted:
     base: tuple[int, int]
     head: tuple[int, int]
 
+    @property
+    def least_p(self) -> float:
+        """See Question."""
+        return least_fisher(self.base[0] + self.head[0], self.base[1], self.head[1])
+
     def __call__(self, level: float) -> Finding:
         """See Question."""
-        n1, n2 = self.base[1], self.head[1]
         return replace(
             self.finding,
             p_value=fisher(self.base, self.head),
-            least_p=min(fisher((0, n1), (n2, n2)), fisher((n1, n1), (0, n2))),
-            method=f"{self.finding.method}; Fisher's exact test of runs in which it is broken",
+            least_p=self.least_p,
+            test="Fisher's exact test of runs in which it is broken",
         )
 
 

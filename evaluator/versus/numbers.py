@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evaluator.over_runs import Runs
-from evaluator.statistics.exchange import Shift, compare_means
+from evaluator.statistics.exchange import Shift, compare_means, least_p
 from evaluator.versus.finding import Axis, Change, Finding, Question, Settings, not_compared
 from evaluator.versus.measures import Measure
 from evaluator.versus.schedule import Schedule, schedule
@@ -49,7 +49,7 @@ def compare_numbers(
     finding = Finding(
         axis, name, title, Change.SAME, measure.direction, measure.unit,
         base=_mean(one), head=_mean(other), ratio=_ratio(_mean(one), _mean(other)), n=order.n,
-        method=f"{measure.method}; mean over runs",
+        method=measure.method,
     )  # fmt: skip
     if np.ptp(one) == 0.0 and np.ptp(other) == 0.0:
         if one[0] == other[0]:
@@ -73,6 +73,11 @@ class _Asked:
     finding: Finding
     settings: Settings
 
+    @property
+    def least_p(self) -> float:
+        """See Question."""
+        return least_p(self.order.head, [0] * len(self.order.head))
+
     def __call__(self, level: float) -> Finding:
         """See Question."""
         logs = bool((self.values > 0).all())
@@ -91,7 +96,7 @@ class _Asked:
             if logs and found.low is not None and found.high is not None
             else None
         )
-        kind = "geometric mean over runs" if logs else "mean over runs"
+        kind = "geometric means over runs" if logs else "means over runs"
         return replace(
             self.finding,
             change=_towards(self.measure, base, base * ratio if logs and ratio else head, self.settings),
@@ -101,7 +106,7 @@ class _Asked:
             ci95=bounds,
             p_value=found.p_value,
             least_p=found.least_p,
-            method=f"{self.measure.method}, {kind}; {_exchanged(found, blocks)}",
+            test=f"{kind}; {_exchanged(found, blocks)}",
         )
 
 

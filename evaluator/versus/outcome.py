@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from evaluator.group_metrics import positions
 from evaluator.metrics.variability import run_to_run_variability
 from evaluator.over_runs import Runs
-from evaluator.statistics.exchange import compare_distances
+from evaluator.statistics.exchange import compare_distances, least_p
 from evaluator.versus.finding import Axis, Change, Finding, Question, Settings, not_compared
 from evaluator.work import Work
 
@@ -64,18 +64,26 @@ class _Asked:
     finding: Finding
     settings: Settings
 
+    @property
+    def least_p(self) -> float:
+        """See Question."""
+        return least_p(self._head, [0] * sum(self.finding.n))
+
+    @property
+    def _head(self) -> list[bool]:
+        return [False] * self.finding.n[0] + [True] * self.finding.n[1]
+
     def __call__(self, level: float) -> Finding:
         """See Question; whole runs are exchanged with any other, since no clock is in what they compute."""
-        n = self.finding.n
-        found = compare_distances(self.matrix_cm, np.arange(sum(n)) >= n[0])
+        found = compare_distances(self.matrix_cm, self._head)
         how = f"all {found.n} ways" if found.exhaustive else f"{found.n - 1} ways drawn with seed {found.seed}"
         return replace(
             self.finding,
             change=Change.CHANGED if found.difference > self.settings.outcome_cm else Change.SMALL,
             p_value=found.p_value,
             least_p=found.least_p,
-            method=f"{self.finding.method}; excess between sides over that within: {found.difference:.3g} cm; "
-            f"permutation test, whole runs exchanged ({how})",
+            test=f"permutation test, whole runs exchanged with any other ({how})",
+            note=f"further apart than runs of one side by {found.difference:.3g} cm",
         )
 
 

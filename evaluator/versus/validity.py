@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 from evaluator.groups import Group
 from evaluator.report.words import trouble
-from evaluator.statistics.families import fisher
+from evaluator.statistics.families import fisher, least_fisher
 from evaluator.summary import Summary
 from evaluator.versus.finding import Axis, Change, Direction, Finding, Question
 from evaluator.versus.matching import Pair
@@ -42,6 +42,11 @@ class _Counted:
     base: tuple[int, int]
     head: tuple[int, int]
 
+    @property
+    def least_p(self) -> float:
+        """See Question."""
+        return least_fisher(self.base[0] + self.head[0], self.base[1], self.head[1])
+
     def __call__(self, level: float) -> Finding:
         """See Question."""
         (bad, n1), (worse, n2) = self.base, self.head
@@ -49,8 +54,8 @@ class _Counted:
             self.finding,
             change=Change.REGRESSION if worse / n2 > bad / n1 else Change.IMPROVEMENT,
             p_value=fisher(self.base, self.head),
-            least_p=min(fisher((0, n1), (n2, n2)), fisher((n1, n1), (0, n2))),
-            method=f"{self.finding.method}; Fisher's exact test of those that did not",
+            least_p=self.least_p,
+            test="Fisher's exact test of runs that are not",
         )
 
 

@@ -31,7 +31,7 @@ def title(finding: Finding) -> str:
 def verdict(finding: Finding, result: Result) -> str:
     """The verdict; capitals where it fails a gate, and a word where its axis does not decide."""
     if finding.change is Change.UNCLEAR:
-        return "~"
+        return "~" if finding.p_adjusted is not None else "~ (too few runs)"
     small = finding.change is Change.SMALL
     word = f"differs, below {_threshold(finding, result)}" if small else finding.change.value
     if finding.fails(result.settings):
@@ -73,14 +73,24 @@ def runs(compared: Compared) -> str:
 
 
 def methods(compared: Sequence[Compared]) -> list[str]:
-    """How each thing was compared, which way is better, and in how many runs; what shares a method shares a line."""
-    found: dict[str, list[str]] = {}
+    """What each finding is of, and which way is better; each once."""
+    lines = []
     for f in (f for one in compared for f in one.findings if f.change is not Change.NOT_COMPARED):
         better = "" if f.direction is Direction.NEITHER or not f.unit else f" ({f.direction.value} is better)"
-        titles = found.setdefault(f"{f.method}; n = {f.n[0]} and {f.n[1]}", [])
-        if f.title + better not in titles:
-            titles.append(f.title + better)
-    return [f"{', '.join(titles)}: {method}" for method, titles in found.items()]
+        lines.append(f"{f.title}{better}: {f.method}")
+    return list(dict.fromkeys(lines))
+
+
+def tests(compared: Compared) -> list[str]:
+    """How findings were tested, and of how many runs where these are not all; what shares a test shares a line."""
+    found: dict[str, list[str]] = {}
+    for f in compared.findings:
+        n = f"n = {f.n[0]} and {f.n[1]}"
+        if f.test:
+            found.setdefault(f"{f.test}, {n}", []).append(f.title)
+        elif f.change is not Change.NOT_COMPARED and f.n != compared.order.n and f.name != "complete_runs":
+            found.setdefault(n, []).append(f.title)
+    return [f"{', '.join(titles)}: {test}" for test, titles in found.items()]
 
 
 def remarks(compared: Compared) -> list[str]:
@@ -98,9 +108,10 @@ def legend(result: Result) -> list[str]:
     findings, lines = result.findings, []
     if result.tests:
         alpha = _percent(result.settings.alpha)
+        tests = _count(result.tests, "statistical comparison")
         lines.append(
-            f"p: adjusted for the {_count(result.tests, 'statistical comparison')} that count (Holm), so that any "
-            f"false alarm among them has a chance of at most {alpha}; intervals are of one comparison alone"
+            f"p: adjusted for the {tests} that count and could show something (Holm), so that any false alarm among "
+            f"them has a chance of at most {alpha}; intervals are of one comparison alone"
         )
     if any(f.change is Change.UNCLEAR for f in findings):
         lines.append("~: not distinguishable by so many runs; what the interval holds is possible")

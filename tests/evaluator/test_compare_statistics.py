@@ -13,7 +13,7 @@ from scipy import stats
 
 from evaluator.statistics import exchange
 from evaluator.statistics.exchange import compare_distances, compare_means, count_dealings, dealings, least_p
-from evaluator.statistics.families import fisher, holm
+from evaluator.statistics.families import able_to_reject, fisher, holm, least_fisher
 from evaluator.versus.schedule import neighbours
 
 ABBA = [False, True, True, False]
@@ -177,6 +177,31 @@ def test_fisher_refuses_what_is_no_count() -> None:
     for first, second in (((2, 1), (0, 1)), ((0, 0), (0, 1))):
         with pytest.raises(ValueError, match="not counts"):
             fisher(first, second)
+
+
+@given(st.integers(1, 6), st.integers(1, 6), st.data())
+def test_no_table_is_below_the_least_p(n1: int, n2: int, data: st.DataObject) -> None:
+    """Find the smallest p of all tables with these margins."""
+    odd = data.draw(st.integers(0, n1 + n2))
+    tables = [((k, n1), (odd - k, n2)) for k in range(max(0, odd - n2), min(odd, n1) + 1)]
+    assert least_fisher(odd, n1, n2) == min(fisher(*table) for table in tables)
+
+
+@given(st.lists(st.sampled_from([0.5, 0.1, 0.03, 0.01, 0.002, 0.0001]), max_size=30))
+def test_a_family_has_only_tests_that_can_be_rejected(least: list[float]) -> None:
+    """Keep tests that reach the level of their family, and leave none out that would reach it with the others in."""
+    able = able_to_reject(least, 0.05)
+    family = [p for p, can in zip(least, able, strict=True) if can]
+    assert all(p <= 0.05 / len(family) for p in family)
+    # the next best, with all that are as good: they could not be rejected together
+    out = [p for p, can in zip(least, able, strict=True) if not can]
+    assert all(p > 0.05 / (len(family) + out.count(p)) for p in out)
+
+
+def test_few_runs_of_one_configuration_do_not_hide_another() -> None:
+    """Leave out a hundred tests that nothing could reject, beside one that could be."""
+    assert able_to_reject([0.5] * 100 + [0.01], 0.05) == [False] * 100 + [True]
+    assert able_to_reject([], 0.05) == []
 
 
 @pytest.mark.parametrize(
