@@ -36,7 +36,7 @@ exit codes:
   2  the command asks for something that cannot be
   3  a file is damaged, cut short or no recording, or a recording lost data; no gate failed in the rest
   4  a gate failed, whatever else is true of other files
-  5  nothing could be compared
+  5  nothing could be compared, or by too few runs to show anything
 
 examples:
   gsb-compare base/ head/

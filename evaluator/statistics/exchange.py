@@ -14,7 +14,10 @@ MOST_DEALINGS = 20_000
 """Up to so many dealings are all looked at."""
 
 DRAWN = 9_999
-"""Of more, so many are drawn."""
+"""Of more, so many are drawn; fewer of very many runs, whose dealings take as much memory as MOST_CELLS."""
+
+MOST_CELLS = 20_000_000
+_FEWEST_DRAWN = 999
 
 _TIE = 1e-9  # dealings that are equal in exact arithmetic may differ in the last bits
 
@@ -72,7 +75,7 @@ def least_p(head: npt.ArrayLike, blocks: npt.ArrayLike) -> float:
     sides = _sides(head, blocks)
     mirrored = all(2 * int(side.sum()) == len(side) for side in sides)
     count = count_dealings(head, blocks)
-    return (1 + mirrored) / count if count <= MOST_DEALINGS else 1 / (1 + DRAWN)
+    return (1 + mirrored) / count if count <= MOST_DEALINGS else 1 / (1 + _drawn(sum(map(len, sides))))
 
 
 def dealings(head: npt.ArrayLike, blocks: npt.ArrayLike, *, seed: int = 0) -> Dealings:
@@ -90,10 +93,11 @@ def dealings(head: npt.ArrayLike, blocks: npt.ArrayLike, *, seed: int = 0) -> De
     members = [np.flatnonzero(labels == block) for block in np.unique(labels)]
     if count_dealings(observed, labels) > MOST_DEALINGS:
         rng = np.random.default_rng(seed)
-        drawn = np.empty((DRAWN + 1, len(observed)), dtype=bool)
+        count = _drawn(len(observed))
+        drawn = np.empty((count + 1, len(observed)), dtype=bool)
         drawn[0] = observed
         for inside in members:
-            drawn[1:, inside] = rng.permuted(np.tile(observed[inside], (DRAWN, 1)), axis=1)
+            drawn[1:, inside] = rng.permuted(np.tile(observed[inside], (count, 1)), axis=1)
         return Dealings(drawn, exhaustive=False, seed=seed)
     choices = [list(combinations(inside.tolist(), int(observed[inside].sum()))) for inside in members]
     found = np.zeros((math.prod(map(len, choices)), len(observed)), dtype=bool)
@@ -191,6 +195,10 @@ def compare_distances(matrix: npt.ArrayLike, head: npt.ArrayLike, *, seed: int =
     count = count_dealings(observed, labels)
     least = (1 + (n1 == n2)) / count if dealt.exhaustive else 1 / len(apart)
     return Shift(float(apart[0]), None, None, reached / len(apart), least, len(apart), dealt.exhaustive, dealt.seed)
+
+
+def _drawn(runs: int) -> int:
+    return min(DRAWN, max(_FEWEST_DRAWN, MOST_CELLS // runs))
 
 
 def _coefficients(dealt: Bools, observed: Bools, labels: Ints) -> Floats:

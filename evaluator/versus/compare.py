@@ -77,12 +77,22 @@ class Result:
 
     @property
     def comparable(self) -> bool:
-        """Whether anything was compared on an axis that counts, beyond how runs ended."""
+        """Whether anything was decided on an axis that counts, beyond how runs ended."""
         return any(
-            f.change is not Change.NOT_COMPARED and counts(f.axis, self.settings)
+            f.decided and counts(f.axis, self.settings)
             for f in self.findings
             if f.name != "complete_runs" or f.change in FAILING
         )
+
+    @property
+    def undecided(self) -> list[Axis]:
+        """Axes that count, of which there is a configuration where nothing was decided."""
+        found = []
+        for axis in (axis for axis in Axis if counts(axis, self.settings)):
+            each = [[f.decided for f in one.findings if f.axis is axis] for one in self.compared]
+            if any(not any(decided) for decided in each):
+                found.append(axis)
+        return found
 
     @property
     def exit_code(self) -> ExitCode:

@@ -109,6 +109,12 @@ class Finding:
     note: str = ""
     why_not: str = ""
 
+    @property
+    def decided(self) -> bool:
+        """Whether it was compared, and by enough runs to show anything."""
+        few = self.change is Change.UNCLEAR and self.p_adjusted is None
+        return self.change is not Change.NOT_COMPARED and not few
+
     def fails(self, settings: Settings) -> bool:
         """Whether it fails a gate."""
         if settings.expect_same:

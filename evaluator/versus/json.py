@@ -21,6 +21,7 @@ def dump_json(result: Result) -> str:
             "schema_version": SCHEMA_VERSION,
             "verdict": words.headline(result),
             "exit_code": int(result.exit_code),
+            "undecided": [axis.value for axis in result.undecided],
             "settings": {
                 "alpha": settings.alpha,
                 "threshold": settings.threshold,

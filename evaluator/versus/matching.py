@@ -64,7 +64,7 @@ def match(base: Groups, head: Groups, across: Collection[str] = ()) -> Matching:
         for name, (one, other) in zip(names, found, strict=True)
     )
     alone = [
-        (side, label, _why(group, others, across))
+        (side, f"{label}, {group.key.scene}, {group.key.n_env} envs", _why(group, others, across))
         for side, groups, rest, others in (("base", base, left, head), ("head", head, right, base))
         for group, label in zip(groups, labels([g.key for g in groups], given), strict=True)
         if group in rest
@@ -84,16 +84,14 @@ def _unique(
     left: list[Group[Summary]], right: list[Group[Summary]], rule: Callable[[Group[Summary]], Hashable]
 ) -> list[tuple[Group[Summary], Group[Summary]]]:
     """Take those out of both lists whose key no other has."""
-    keys = [rule(g) for g in left], [rule(g) for g in right]
-    found = []
-    for group in list(left):
-        key = rule(group)
-        if keys[0].count(key) == keys[1].count(key) == 1:
-            other = next(g for g in right if rule(g) == key)
-            if _one_scene(group, other):
-                found.append((group, other))
-                left.remove(group)
-                right.remove(other)
+    alike: dict[Hashable, tuple[list[Group[Summary]], list[Group[Summary]]]] = {}
+    for side, groups in enumerate((left, right)):
+        for group in groups:
+            alike.setdefault(rule(group), ([], []))[side].append(group)
+    found = [(a[0], b[0]) for a, b in alike.values() if len(a) == len(b) == 1 and _one_scene(a[0], b[0])]
+    for group, other in found:
+        left.remove(group)
+        right.remove(other)
     return found
 
 

@@ -19,6 +19,9 @@ Values = NDArray[np.float64]
 
 _SPEED: Final = (Axis.THROUGHPUT, Axis.MEMORY, Axis.BUILD)
 
+_MOST = 1e100
+"""A file may hold any number; the ratio of larger ones, or of those below its inverse, is none."""
+
 _LEAST_BYTES = 1_000_000
 """A change of fewer bytes matters to nobody, however large it is in proportion."""
 
@@ -42,8 +45,8 @@ def compare_numbers(
         [r for r in base if measure.of(r) is not None], [r for r in head if measure.of(r) is not None]
     )  # fmt: skip
     values = np.array([measure.of(run) for run in order.runs], dtype=np.float64)
-    if not np.isfinite(values).all() or (values < 0).any():
-        return not_compared(axis, name, title, "a run has a value that is negative or not finite")
+    if not ((values == 0) | ((values > 1 / _MOST) & (values < _MOST))).all():
+        return not_compared(axis, name, title, "a run has a value that is negative, not finite or beyond all measure")
     second = np.array(order.head)
     one, other = values[~second], values[second]
     finding = Finding(

@@ -44,7 +44,7 @@ def compare_outcomes(base: Runs, head: Runs, settings: Settings, work: Work) -> 
     bounds = "" if found.exactness == "exact" else " (upper bounds)"
     finding = Finding(
         Axis.PHYSICS, _NAME, _TITLE, Change.SAME, unit="cm", n=n, method=f"{_METHOD}{bounds}",
-        said=("", _apart(found.matrix_cm, n)),
+        said=_apart(found.matrix_cm, n),
     )  # fmt: skip
     alike = [len({run.tobytes() for run in side}) == 1 for side in (one, other)]
     if all(alike):
@@ -87,11 +87,13 @@ class _Asked:
         )
 
 
-def _apart(matrix: NDArray[np.float64], n: tuple[int, int]) -> str:
-    """Mean distance between the sides, and within each."""
-    parts = [f"{matrix[: n[0], n[0] :].mean():.3g} cm between"]
-    for name, rows in (("base", slice(0, n[0])), ("head", slice(n[0], None))):
-        within = matrix[rows, rows]
-        if len(within) > 1:
-            parts.append(f"{within.sum() / (len(within) * (len(within) - 1)):.3g} within {name}")
-    return ", ".join(parts)
+def _apart(matrix: NDArray[np.float64], n: tuple[int, int]) -> tuple[str, str]:
+    """Mean distance within each side, and between the two [cm]."""
+    within = [_within(matrix[rows, rows]) for rows in (slice(0, n[0]), slice(n[0], None))]
+    between = f"{matrix[: n[0], n[0] :].mean():.3g} apart"
+    return within[0], f"{within[1]}, {between}" if within[1] else between
+
+
+def _within(matrix: NDArray[np.float64]) -> str:
+    runs = len(matrix)
+    return f"{matrix.sum() / (runs * (runs - 1)):.3g} within" if runs > 1 else ""

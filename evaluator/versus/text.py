@@ -13,10 +13,12 @@ from evaluator.versus import words
 from evaluator.versus.compare import Compared, Result
 from evaluator.versus.finding import Change
 
+_COLUMNS = 4  # of a usual table's width: others are narrower here
+
 
 def print_result(result: Result, stream: IO[str]) -> None:
     """Print it; what a stranger's recording says is printed as text, never as markup."""
-    console = make_console(stream, columns=len(words.TITLES) - 1)
+    console = make_console(stream, columns=_COLUMNS)
     for compared in result.compared:
         _print_configuration(console, compared, result)
     for side, label, why in result.alone:

@@ -17,9 +17,9 @@ def cells(finding: Finding, result: Result) -> tuple[str, ...]:
     base, head = (
         _amount(value, said, finding) for value, said in zip((finding.base, finding.head), finding.said, strict=True)
     )
-    interval = f"[{finding.ci95[0]:.3f}, {finding.ci95[1]:.3f}]" if finding.ci95 else NONE
+    interval = f"[{_times(finding.ci95[0])}, {_times(finding.ci95[1])}]" if finding.ci95 else NONE
     p = NONE if finding.p_adjusted is None else f"{finding.p_adjusted:.2g}"
-    ratio = NONE if finding.ratio is None else f"{finding.ratio:.3f}"
+    ratio = NONE if finding.ratio is None else _times(finding.ratio)
     return title(finding), base, head, ratio, interval, p, verdict(finding, result)
 
 
@@ -52,10 +52,13 @@ def headline(result: Result) -> str:
     if not result.comparable:
         return "NOTHING COMPARED"
     where = _count(len(result.compared), "configuration")
-    if settings.expect_same:
-        return f"NO DIFFERENCE found in {where}"
-    gained = ", ".join(dict.fromkeys(f.axis.value for f in result.findings if f.change is Change.IMPROVEMENT))
-    return f"NO REGRESSION found in {where}" + (f"; improved: {gained}" if gained else "")
+    parts = [f"NO {'DIFFERENCE' if settings.expect_same else 'REGRESSION'} found in {where}"]
+    gained = dict.fromkeys(f.axis.value for f in result.findings if f.change is Change.IMPROVEMENT)
+    if gained:
+        parts.append(f"improved: {', '.join(gained)}")
+    if result.undecided:
+        parts.append(f"not decided everywhere: {', '.join(axis.value for axis in result.undecided)}")
+    return "; ".join(parts)
 
 
 def heading(compared: Compared) -> str:
@@ -135,6 +138,10 @@ def _threshold(finding: Finding, result: Result) -> str:
         return f"{result.settings.outcome_cm:g} cm"
     tiny = finding.base is not None and finding.head is not None and result.settings.matters(finding.base, finding.head)
     return "1 MB" if tiny and finding.unit == "B" else _percent(result.settings.threshold)
+
+
+def _times(ratio: float) -> str:
+    return f"{ratio:.3f}" if 0.001 <= ratio < 1000 else f"{ratio:.3g}"
 
 
 def _percent(share: float) -> str:

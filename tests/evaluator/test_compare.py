@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from evaluator.cli.compare import main
 from schemas.provenance import PROVENANCE
 from tests import test_start_up as start_up
-from tests.synthetic import grid, write_recording
+from tests.synthetic import Shown, grid, write_recording
 
 ROOT = Path(__file__).resolve().parents[2]
 RECORDINGS = ROOT / "recordings"
@@ -134,10 +134,11 @@ def test_drift_that_turns_cancel(tmp_path: Path, capsys: pytest.CaptureFixture[s
 
 
 def test_few_runs_are_said_to_be_few(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Warn that three runs a side can show nothing, with the smallest p there is."""
+    """Exit 5 for three runs a side, which can show nothing, and warn with the smallest p there is."""
     sides = write_sides(tmp_path, timed()[:3], timed(2.0)[:3], "ABBAAB")
     code, document = compared(*sides, capsys=capsys)
-    assert (code, finding(document, "fps")["least_p"]) == (0, 0.1)
+    assert (code, finding(document, "fps")["least_p"], finding(document, "fps")["p_adjusted"]) == (5, 0.1, None)
+    assert "throughput" in document["undecided"]
     assert any("smallest p possible: 0.1" in line for line in document["compared"][0]["warnings"])
 
 
@@ -183,6 +184,27 @@ def test_runs_that_fail_now(tmp_path: Path, capsys: pytest.CaptureFixture[str]) 
     assert (code, finding(document, "complete_runs")["change"]) == (0, "improvement")
     code, document = compared(*write_sides(tmp_path / "both", bad, bad), capsys=capsys)
     assert (code, finding(document, "complete_runs")["change"]) == (0, "not distinguishable")
+
+
+def test_contacts_that_are_lost(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Exit 4 for steps that are fast because they drop their contacts; a count beyond all measure is not compared."""
+
+    def counted(values: Sequence[float]) -> list[dict[str, Any]]:
+        return [
+            {**run, "shown": Shown(counts={"timed": {"contacts": np.full((1, 1), value)}})}  # type: ignore[arg-type]
+            for run, value in zip(timed(), values, strict=True)
+        ]
+
+    sides = write_sides(tmp_path / "lost", counted([27] * 6), counted([13] * 6))
+    code, document = compared(*sides, capsys=capsys)
+    assert (code, finding(document, "contacts")["change"], finding(document, "contacts")["p_value"]) == (
+        4,
+        "changed",
+        None,
+    )
+    sides = write_sides(tmp_path / "absurd", counted([1e-300] * 6), counted([1.0] * 6))
+    code, document = compared(*sides, capsys=capsys)
+    assert (code, finding(document, "contacts")["change"]) == (0, "not compared")
 
 
 def test_head_that_never_starts(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

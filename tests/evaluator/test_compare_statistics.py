@@ -122,6 +122,14 @@ def test_more_dealings_than_can_be_looked_at_are_drawn(monkeypatch: pytest.Monke
     assert drawn == compare_means(values, head, [0] * 16)
 
 
+def test_very_many_runs_take_no_more_memory(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Draw fewer dealings of more runs."""
+    monkeypatch.setattr(exchange, "MOST_CELLS", 100_000)
+    head = ABBA * 25
+    assert dealings(head, [0] * 100).head.shape == (1001, 100)
+    assert least_p(head, [0] * 100) == 1 / 1001
+
+
 def test_distances_that_are_known() -> None:
     """Find two clusters apart with the smallest p there is, and one cluster not."""
     places = np.array([0.0, 0.1, 0.2, 5.0, 5.1, 5.2])
