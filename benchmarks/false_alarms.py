@@ -6,7 +6,7 @@ is `evaluator.versus.compare`, which gsb-compare calls with what it read from fi
 
     python -m benchmarks.false_alarms                                   the tables, from the runs in false_alarms.csv
     python -m benchmarks.false_alarms --record 1200 --out runs/         records them (half an hour)
-    python -m benchmarks.false_alarms --read same=runs/ changed=other/  writes false_alarms.csv from recordings
+    python -m benchmarks.false_alarms --read same=runs/ rk4-base=a/ ...  writes false_alarms.csv from recordings
 """
 
 from __future__ import annotations
@@ -39,13 +39,14 @@ CSV = Path(__file__).resolve().parent / "false_alarms.csv"
 CONFIGURATION = ("--sim", "mujoco", "--scene", "free-fall", "--n-env", "4", "--phases", "timed", "--warmup", "50")
 TIMED_STEPS, N_ENV = 400, 4
 IN_TURN, IN_A_ROW = "ABBA", "AB"
+CHANGES = {"cone": "`cone`: `pyramidal` -> `elliptic`", "rk4": "`integrator`: `implicitfast` -> `RK4`"}
 PER_SET = 12
 SIMULATED = 100
 
 
 @dataclass(frozen=True)
 class Run:
-    """One line of the CSV: `arm` is "same", or "base" and "head" of a real change."""
+    """One line of the CSV: `arm` is "same", or one of CHANGES with "-base" or "-head"."""
 
     arm: str
     created_utc: str
@@ -170,10 +171,12 @@ def tables(runs: Sequence[Run]) -> Iterator[str]:
             for factor in (1.05, 1.1, 1.2)
         ]
         yield f"| {deviation:.1%} | {' | '.join(cells)} |"
-    changed = [run for run in runs if run.arm != "same"]
-    if changed:
+    changes = [name for name in CHANGES if any(run.arm == f"{name}-base" for run in runs)]
+    if changes:
         yield ""
-        yield from _real_change(changed)
+        yield "| change, recorded in turn | runs | throughput of head / base | sets of 6 a side: slower in |"
+        yield "| --- | --- | --- | --- |"
+        yield from (_real_change(runs, name) for name in changes)
 
 
 def _simulated(deviation: float, count: int) -> list[Run]:
@@ -187,15 +190,17 @@ def _simulated(deviation: float, count: int) -> list[Run]:
     ]
 
 
-def _real_change(runs: Sequence[Run]) -> Iterator[str]:
-    base, head = ([run for run in runs if run.arm == arm] for arm in ("base", "head"))
-    ratio = np.exp(np.mean(np.log([r.fps for r in head])) - np.mean(np.log([r.fps for r in base])))
-    seen = []
+def _real_change(runs: Sequence[Run], name: str) -> str:
+    base, head = ([run for run in runs if run.arm == f"{name}-{side}"] for side in ("base", "head"))
+    whole = compare(_side(base, "base"), _side(head, "head"), Settings(), HERE).findings[0]
     half = PER_SET // 2
-    for begin in range(0, min(len(base), len(head)) - half + 1, half):
-        seen.append(gsb_compare(Settings())(base[begin : begin + half], head[begin : begin + half]))
-    count = f"{len(base)} and {len(head)} runs"
-    yield f"A real change, {count}, throughput of head / base {ratio:.3f}: seen in {share(seen)}"
+    seen = [
+        gsb_compare(Settings())(base[begin : begin + half], head[begin : begin + half])
+        for begin in range(0, min(len(base), len(head)) - half + 1, half)
+    ]
+    low, high = whole.ci95 or (0.0, 0.0)
+    found = f"{whole.ratio:.3f} [{low:.3f}, {high:.3f}]"
+    return f"| {CHANGES[name]} | {len(base)} and {len(head)} | {found} | {share(seen)} |"
 
 
 def _mean(runs: Sequence[Run]) -> float:

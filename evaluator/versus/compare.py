@@ -127,7 +127,7 @@ def compare(base: Side, head: Side, settings: Settings, work: Work, across: Coll
     if measured:
         notes.append("real trials are left out")
     return Result(
-        tuple(_compared(draft, found) for draft, found in zip(drafts, findings, strict=True)),
+        tuple(_compared(draft, found, settings.alpha) for draft, found in zip(drafts, findings, strict=True)),
         matching.alone,
         tuple((name, u) for name, side in (("base", base), ("head", head)) for u in side.unreadable),
         settings,
@@ -188,7 +188,9 @@ def _answered(drafts: Sequence[Sequence[Finding | _Asked]], settings: Settings) 
         able = able_to_reject([a.question.least_p for a in family], settings.alpha)
         level = settings.alpha / max(sum(able), 1)
         found = [a.question(level) for a in family]
-        adjusted = iter(holm([f.p_value or 0.0 for f, can in zip(found, able, strict=True) if can]))
+        adjusted = iter(
+            holm([1.0 if f.p_value is None else f.p_value for f, can in zip(found, able, strict=True) if can])
+        )
         for one, finding, can in zip(family, found, able, strict=True):
             p = next(adjusted) if can else None
             change = finding.change if p is not None and p <= settings.alpha else Change.UNCLEAR
@@ -197,18 +199,18 @@ def _answered(drafts: Sequence[Sequence[Finding | _Asked]], settings: Settings) 
     return [[verdicts[id(i)] if isinstance(i, _Asked) else i for i in draft] for draft in drafts], tests
 
 
-def _compared(draft: _Draft, findings: list[Finding]) -> Compared:
+def _compared(draft: _Draft, findings: list[Finding], alpha: float) -> Compared:
     notes = [
         f"{name}: {note}"
         for name, side in (("base", draft.pair.base), ("head", draft.pair.head))
         for note in status_notes(side)
     ]
     return Compared(
-        draft.pair, draft.order, tuple(findings), tuple(_warnings(draft, findings)), tuple(notes)
+        draft.pair, draft.order, tuple(findings), tuple(_warnings(draft, findings, alpha)), tuple(notes)
     )  # fmt: skip
 
 
-def _warnings(draft: _Draft, findings: Sequence[Finding]) -> list[str]:
+def _warnings(draft: _Draft, findings: Sequence[Finding], alpha: float) -> list[str]:
     order, pair = draft.order, draft.pair
     lines = []
     if not pair.same_machine:
@@ -228,18 +230,17 @@ def _warnings(draft: _Draft, findings: Sequence[Finding]) -> list[str]:
         lines.append(
             f"{order.n[0]} complete runs of base and {order.n[1]} of head are few: {FEW_RUNS} a side are advised"
         )
-    lines += _blind(findings)
-    return lines
+    return [*lines, *_blind(findings, alpha)]
 
 
-def _blind(findings: Sequence[Finding]) -> list[str]:
+def _blind(findings: Sequence[Finding], alpha: float) -> list[str]:
     """Which comparisons could have shown nothing, whatever the runs had been."""
     found: dict[float, list[str]] = {}
     for f in findings:
         if f.least_p is not None and f.p_adjusted is None:
             found.setdefault(f.least_p, []).append(f.title)
     return [
-        f"too few runs for so many comparisons at once to show any change of {', '.join(titles)}, however large "
-        f"(smallest p possible: {least:.2g})"
+        f"too few runs{'' if least > alpha else ' for so many comparisons at once'} to show any change of "
+        f"{', '.join(titles)}, however large (smallest p possible: {least:.2g})"
         for least, titles in found.items()
     ]

@@ -133,6 +133,20 @@ def test_drift_that_turns_cancel(tmp_path: Path, capsys: pytest.CaptureFixture[s
     assert any("not recorded in turn" in line for line in document["compared"][0]["warnings"])
 
 
+def test_orders_that_are_worse_than_others(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Warn where one side always came first, and where all recordings are of one second."""
+    _, document = compared(*write_sides(tmp_path / "first", timed(), timed(), "AB" * 6), capsys=capsys)
+    assert document["compared"][0]["interleaved"]
+    assert any("one side always came first" in line for line in document["compared"][0]["warnings"])
+    for side in ("base", "head"):
+        (tmp_path / side).mkdir()
+        for run in timed():
+            write_recording(tmp_path / side, None, change=stamped(0), **run)
+    _, document = compared(tmp_path / "base", tmp_path / "head", capsys=capsys)
+    assert not document["compared"][0]["interleaved"]
+    assert any("do not say in which order" in line for line in document["compared"][0]["warnings"])
+
+
 def test_few_runs_are_said_to_be_few(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Exit 5 for three runs a side, which can show nothing, and warn with the smallest p there is."""
     sides = write_sides(tmp_path, timed()[:3], timed(2.0)[:3], "ABBAAB")
