@@ -5,7 +5,7 @@ order A B B A. Nothing differs between the two, so every alarm is a false one. S
 is `evaluator.versus.compare`, which gsb-compare calls with what it read from files.
 
     python -m benchmarks.false_alarms                                   the tables, from the runs in false_alarms.csv
-    python -m benchmarks.false_alarms --record 1200 --out runs/         records them (half an hour)
+    python -m benchmarks.false_alarms --record 1200 --out runs/         records them (under an hour)
     python -m benchmarks.false_alarms --read same=runs/ rk4-base=a/ ...  writes false_alarms.csv from recordings
 """
 
