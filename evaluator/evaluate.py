@@ -62,7 +62,7 @@ def evaluate(
     """
     files = list(files)
     failures = [f for f in files if isinstance(f, Unreadable)]
-    distinct, notes = _without_copies([f for f in files if isinstance(f, Read)], failures)
+    distinct, notes = without_copies([f for f in files if isinstance(f, Read)], failures)
     readable = [r.summary for r in distinct]
     data = {r.summary.provenance.run_id: r.run for r in distinct if r.run}
 
@@ -104,7 +104,8 @@ def evaluate(
     )
 
 
-def _without_copies(files: Sequence[Read], failures: list[Unreadable]) -> tuple[list[Read], list[str]]:
+def without_copies(files: Sequence[Read], failures: list[Unreadable]) -> tuple[list[Read], list[str]]:
+    """Each run once, with notes on its copies; a file that is no copy but says so is added to the failures."""
     seen: dict[str, Read] = {}
     notes: list[str] = []
     # of a whole file and one that was cut short, the whole one stays

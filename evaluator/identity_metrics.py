@@ -89,7 +89,7 @@ def identical_steps(one: Runs, other: Runs) -> int:
     Groups of different scenes, steps, environment counts or layouts are not compared.
     """
     runs = [*one, *other]
-    if not (one and other) or len({_comparable(r) for r in runs}) > 1:
+    if not (one and other) or len({comparable(r) for r in runs}) > 1:
         return 0
     found = [r.histories for r in runs if r.histories]
     if len(found) < len(runs):
@@ -98,7 +98,8 @@ def identical_steps(one: Runs, other: Runs) -> int:
     return count if len({h.until(count) for h in found}) == 1 else 0
 
 
-def _comparable(run: RunData) -> tuple[Any, ...]:
+def comparable(run: RunData) -> tuple[Any, ...]:
+    """What two runs must have in common for their states to be compared by bits."""
     c, simulation = run.recording.configuration, run.recording.simulation
     scene = simulation.scene.get("sha256") if simulation else None
     return (str(scene), c.n_env, c.dt, c.seed if run.recording.action_names else 0, run.recording.fields)

@@ -1,0 +1,253 @@
+"""How often gsb-compare raises a false alarm, and what it sees: real runs of MuJoCo C on a machine that others use.
+
+Runs of one configuration, made one after another, are dealt to sets of twelve, and each set to base and head in the
+order A B B A. Nothing differs between the two, so every alarm is a false one. Sets do not overlap. What compares them
+is `evaluator.versus.compare`, which gsb-compare calls with what it read from files.
+
+    python -m benchmarks.false_alarms                                   the tables, from the runs in false_alarms.csv
+    python -m benchmarks.false_alarms --record 1200 --out runs/         records them (under an hour)
+    python -m benchmarks.false_alarms --read same=runs/ rk4-base=a/ ...  writes false_alarms.csv from recordings
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import subprocess
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from scipy import stats
+
+from evaluator.histories import Histories
+from evaluator.metrics.memory import Checkpoints
+from evaluator.physics.facts import PhysicsFacts
+from evaluator.reading import Read, Reader
+from evaluator.run_data import RunData
+from evaluator.summary import Summary
+from evaluator.versus.compare import compare
+from evaluator.versus.finding import Settings
+from evaluator.versus.sides import Side
+from evaluator.work import HERE
+from schemas.configuration import RunConfiguration
+from schemas.provenance import Provenance, Simulation
+
+CSV = Path(__file__).resolve().parent / "false_alarms.csv"
+CONFIGURATION = ("--sim", "mujoco", "--scene", "free-fall", "--n-env", "4", "--phases", "timed", "--warmup", "50")
+TIMED_STEPS, N_ENV = 400, 4
+IN_TURN, IN_A_ROW = "ABBA", "AB"
+CHANGES = {"cone": "`cone`: `pyramidal` -> `elliptic`", "rk4": "`integrator`: `implicitfast` -> `RK4`"}
+PER_SET = 12
+SIMULATED = 100
+
+
+@dataclass(frozen=True)
+class Run:
+    """One line of the CSV: `arm` is "same", or one of CHANGES with "-base" or "-head"."""
+
+    arm: str
+    created_utc: str
+    elapsed_s: float
+    host_baseline: int
+    host_peak: int
+
+    @property
+    def fps(self) -> float:
+        """Throughput [env-steps/s]."""
+        return N_ENV * TIMED_STEPS / self.elapsed_s
+
+
+Rule = Callable[[Sequence[Run], Sequence[Run]], bool]
+
+
+def record(count: int, folder: Path) -> None:
+    """Make runs of one configuration, one after another."""
+    command = [sys.executable, "-m", "recorder.cli", *CONFIGURATION, "--timed-steps", str(TIMED_STEPS)]
+    subprocess.run([*command, "--runs", str(count), "--out", str(folder)], check=True)
+
+
+def read(arms: dict[str, Path]) -> None:
+    """Write the CSV from recordings, in the order in which they were made."""
+    reader = Reader(5.0, verify=False)
+    rows = []
+    for arm, folder in arms.items():
+        for path in folder.glob("*.mcap"):
+            found = reader(path)
+            if not isinstance(found, Read) or not found.run or not found.run.elapsed_s or not found.run.host:
+                raise SystemExit(f"{path} is no complete run with a timed phase")
+            host = found.run.host
+            created = found.summary.provenance.created_utc
+            rows.append((created, arm, f"{found.run.elapsed_s:.9f}", host.baseline, host.peak))
+    with CSV.open("w", newline="") as stream:
+        writer = csv.writer(stream, lineterminator="\n")
+        writer.writerow(("created_utc", "arm", "elapsed_s", "host_baseline_bytes", "host_peak_bytes"))
+        writer.writerows(sorted(rows))
+
+
+def kept() -> list[Run]:
+    """The runs of the CSV."""
+    with CSV.open(newline="") as stream:
+        rows = list(csv.reader(stream))[1:]
+    return [Run(arm, created, float(s), int(low), int(high)) for created, arm, s, low, high in rows]
+
+
+def sets(runs: Sequence[Run], order: str, size: int = PER_SET) -> Iterator[tuple[list[Run], list[Run]]]:
+    """Base and head of each set of consecutive runs: dealt in turn, or the first half and the second."""
+    for begin in range(0, len(runs) - size + 1, size):
+        one = runs[begin : begin + size]
+        letters = (order * size)[:size] if order == IN_TURN else "A" * (size // 2) + "B" * (size // 2)
+        yield (
+            [run for run, letter in zip(one, letters, strict=True) if letter == "A"],
+            [run for run, letter in zip(one, letters, strict=True) if letter == "B"],
+        )
+
+
+def gsb_compare(settings: Settings) -> Rule:
+    """Whether gsb-compare ends with a gate that failed."""
+    return lambda base, head: bool(compare(_side(base, "base"), _side(head, "head"), settings, HERE).failing)
+
+
+def slower_by_5_percent(base: Sequence[Run], head: Sequence[Run]) -> bool:
+    """What many a CI does: the mean of head is slower than that of base by more than 5 %."""
+    return _mean(head) < 0.95 * _mean(base)
+
+
+def t_test(base: Sequence[Run], head: Sequence[Run]) -> bool:
+    """Welch's t-test at 5 %, head slower."""
+    found = stats.ttest_ind([run.fps for run in base], [run.fps for run in head], equal_var=False)
+    return bool(found.pvalue < 0.05 and found.statistic > 0)
+
+
+def slowed(runs: Sequence[Run], factor: float) -> list[Run]:
+    """The same runs, had each taken so many times as long."""
+    return [Run(r.arm, r.created_utc, r.elapsed_s * factor, r.host_baseline, r.host_peak) for r in runs]
+
+
+def share(alarms: Sequence[bool]) -> str:
+    """How many of how many, with the 95 % interval of Clopper and Pearson."""
+    k, n = sum(alarms), len(alarms)
+    low = stats.beta.ppf(0.025, k, n - k + 1) if k else 0.0
+    high = stats.beta.ppf(0.975, k + 1, n - k) if k < n else 1.0
+    return f"{k} of {n}: {k / n:.1%} [{low:.1%}, {high:.1%}]"
+
+
+def tables(runs: Sequence[Run]) -> Iterator[str]:
+    """Lines of the tables, as docs/compare.md has them."""
+    same = [run for run in runs if run.arm == "same"]
+    rules: dict[str, Rule] = {
+        "gsb-compare": gsb_compare(Settings()),
+        "gsb-compare --threshold 0": gsb_compare(Settings(threshold=0.0)),
+        "gsb-compare --expect-same": gsb_compare(Settings(expect_same=True)),
+        "mean slower by 5 %": slower_by_5_percent,
+        "t-test at 5 %, slower": t_test,
+    }
+    spread = np.std(np.log([run.fps for run in same]), ddof=1)
+    yield f"{len(same)} runs of one configuration; SD of the logarithm of the throughput {spread:.2f}"
+    yield ""
+    yield "| false alarms | in turn, A B B A | one after the other, A...A B...B |"
+    yield "| --- | --- | --- |"
+    for name, rule in rules.items():
+        cells = [share([rule(*pair) for pair in sets(same, order)]) for order in (IN_TURN, IN_A_ROW)]
+        yield f"| `{name}` | {' | '.join(cells)} |" if name.startswith("gsb") else f"| {name} | {' | '.join(cells)} |"
+    yield ""
+    yield "| head made slower by | 6 runs a side: seen in | 12 runs a side: seen in |"
+    yield "| --- | --- | --- |"
+    for factor in (1.05, 1.1, 1.2, 1.5):
+        cells = [
+            share([gsb_compare(Settings())(base, slowed(head, factor)) for base, head in sets(same, IN_TURN, size)])
+            for size in (PER_SET, 2 * PER_SET)
+        ]
+        yield f"| {factor - 1:.0%} | {' | '.join(cells)} |"
+    yield ""
+    yield "| simulated: SD of a run's throughput | slower by 5 % | by 10 % | by 20 % |"
+    yield "| --- | --- | --- | --- |"
+    for deviation in (0.005, 0.02, 0.05, 0.1):
+        drawn = _simulated(deviation, SIMULATED * PER_SET)
+        cells = [
+            share([gsb_compare(Settings())(base, slowed(head, factor)) for base, head in sets(drawn, IN_TURN)])
+            for factor in (1.05, 1.1, 1.2)
+        ]
+        yield f"| {deviation:.1%} | {' | '.join(cells)} |"
+    changes = [name for name in CHANGES if any(run.arm == f"{name}-base" for run in runs)]
+    if changes:
+        yield ""
+        yield "| change, recorded in turn | runs | throughput of head / base | sets of 6 a side: slower in |"
+        yield "| --- | --- | --- | --- |"
+        yield from (_real_change(runs, name) for name in changes)
+
+
+def _simulated(deviation: float, count: int) -> list[Run]:
+    """Runs that never were: logarithms of a normal law, with no drift, and one amount of memory."""
+    noise = np.random.default_rng(0).normal(scale=deviation, size=count)
+    return [
+        Run(
+            "simulated", f"2026-01-01T{i // 3600:02}:{i // 60 % 60:02}:{i % 60:02}Z", float(np.exp(n)), 10**8, 2 * 10**8
+        )
+        for i, n in enumerate(noise)
+    ]
+
+
+def _real_change(runs: Sequence[Run], name: str) -> str:
+    base, head = ([run for run in runs if run.arm == f"{name}-{side}"] for side in ("base", "head"))
+    whole = compare(_side(base, "base"), _side(head, "head"), Settings(), HERE).findings[0]
+    half = PER_SET // 2
+    seen = [
+        gsb_compare(Settings())(base[begin : begin + half], head[begin : begin + half])
+        for begin in range(0, min(len(base), len(head)) - half + 1, half)
+    ]
+    low, high = whole.ci95 or (0.0, 0.0)
+    found = f"{whole.ratio:.3f} [{low:.3f}, {high:.3f}]"
+    return f"| {CHANGES[name]} | {len(base)} and {len(head)} | {found} | {share(seen)} |"
+
+
+def _mean(runs: Sequence[Run]) -> float:
+    return float(np.mean([run.fps for run in runs]))
+
+
+def _side(runs: Sequence[Run], name: str) -> Side:
+    return Side(tuple(_read(run, f"{name}-{index:04d}") for index, run in enumerate(runs)), (), ())
+
+
+def _read(run: Run, run_id: str) -> Read:
+    """What the reader would have made of the run's recording."""
+    configuration = RunConfiguration(
+        "mujoco", "free-fall", N_ENV, 0.01, 500, warmup=50, timed_steps=TIMED_STEPS, phases=("timed",)
+    )
+    # runs of one second are in the order of their ids
+    provenance = Provenance(run_id, run.created_utc, (), configuration, host={"cpu": "one", "usable_threads": 2})
+    simulation = Simulation("4.0.0", "cpu", {}, {}, (), (), {"sha256": "one"})
+    summary = Summary(
+        Path(f"{run_id}.mcap"), "complete", "", "", run_id, provenance, simulation, (), (), {}, {}, {}, None
+    )  # fmt: skip
+    none: Histories | None = None
+    host = Checkpoints(baseline=run.host_baseline, peak=run.host_peak)
+    why = "no states were captured"
+    return Read(
+        summary,
+        RunData(
+            summary, run.elapsed_s, None, host, None, None, {}, None, 0.0, none, None, None, why, None, None, why, None,
+            why, None, why, PhysicsFacts("free-fall", N_ENV, (), (), why),
+        ),
+    )  # fmt: skip
+
+
+def main() -> None:
+    """Record, read, or print the tables."""
+    p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    p.add_argument("--record", type=int, metavar="N", help="make N runs")
+    p.add_argument("--out", type=Path, default=Path("false-alarms"), metavar="DIR", help="of --record")
+    p.add_argument("--read", nargs="+", metavar="ARM=DIR", help="write the CSV from the recordings of folders")
+    arguments = p.parse_args()
+    if arguments.record:
+        record(arguments.record, arguments.out)
+    elif arguments.read:
+        read({arm: Path(folder) for arm, folder in (part.split("=", 1) for part in arguments.read)})
+    else:
+        print("\n".join(tables(kept())))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,186 @@
+"""gsb-compare: did head change speed, memory, physics or determinism? Two sets of recordings, for CI."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from typing import TYPE_CHECKING
+
+from evaluator.cli.arguments import local_name, local_path
+from evaluator.cli.entry import complain, enter, new_parser, write
+from evaluator.cli.json_target import check_target, write_json
+from schemas.errors import UsageError
+from schemas.location import Place, place
+
+if TYPE_CHECKING:
+    from evaluator.versus.finding import Settings
+
+_GATES = "throughput,memory,physics,validity,determinism"
+
+_EPILOG = f"""\
+What was asked for the same on both sides is compared: scene, environments, step, simulator, options, machine. Versions,
+packages and what follows from them may differ. Record the two in turn (A B B A ...), at least six runs each.
+
+axes, and what fails their gate:
+  throughput   head is slower; that it is faster never fails
+  memory       head takes more memory of the device, of the engine's allocator, or of the host
+  physics      a check of mechanics held for base and is broken for head; cubes end elsewhere
+  validity     runs fail or are invalid that did not; steps have another number of contacts
+  determinism  environments or runs were bit-identical, and are not any more
+  bits         the states of head are not those of base, bit for bit (not a gate by default)
+  build        building or compiling takes longer (not a gate by default)
+
+exit codes:
+  0  no gate failed
+  1  the results cannot be written
+  2  the command asks for something that cannot be
+  3  a file is damaged, cut short or no recording, or a recording lost data; no gate failed in the rest
+  4  a gate failed, whatever else is true of other files
+  5  nothing could be compared, or by too few runs to show anything
+
+examples:
+  gsb-compare base/ head/
+  gsb-compare base/ head/ --gate {_GATES},bits --json result.json
+  gsb-compare --base main-*.mcap --head branch-*.mcap --markdown summary.md --junit report.xml
+  gsb-compare first/ again/ --expect-same
+  gsb-compare elliptic/ pyramidal/ --across cone
+"""
+
+
+def parser() -> argparse.ArgumentParser:
+    """The command's arguments."""
+    p = new_parser(
+        "gsb-compare",
+        "Compare two sets of recordings: whether head is slower, takes more memory, has other physics, fails, or lost "
+        "its determinism, with few false alarms.",
+        _EPILOG,
+    )
+    p.add_argument("sets", nargs="*", type=place, metavar="SET", help="base and head: folders of recordings, or files")
+    p.add_argument("--base", nargs="+", type=place, default=[], metavar="FILE", help="instead of the first SET")
+    p.add_argument("--head", nargs="+", type=place, default=[], metavar="FILE", help="instead of the second SET")
+    p.add_argument(
+        "--across", action="append", default=[], metavar="KEY",
+        help="an option that may differ, or simulator, determinism, warmup, timed_steps; repeatable",
+    )  # fmt: skip
+    p.add_argument("--gate", default=_GATES, metavar="LIST", help="axes that decide (default: %(default)s)")
+    p.add_argument(
+        "--alpha", type=float, default=0.05, help="chance of any false alarm in an invocation (default: %(default)s)"
+    )
+    p.add_argument(
+        "--threshold", type=_share, default=0.05, metavar="5%", help="smallest change of an amount that counts"
+    )
+    p.add_argument(
+        "--outcome", type=float, default=0.01, metavar="CM",
+        help="smallest change of where cubes end that counts (default: %(default)s)",
+    )  # fmt: skip
+    p.add_argument(
+        "--expect-same", action="store_true", help="base and head are one thing: any difference on any axis fails"
+    )
+    p.add_argument("--sample-time", type=float, default=5.0, metavar="S", help="simulated time (default: 5.0)")
+    p.add_argument(
+        "--json", type=local_name, metavar="FILE", help="write the results as JSON; - for standard output, alone"
+    )
+    p.add_argument("--markdown", type=local_path, metavar="FILE", help="write a comment for a pull request")
+    p.add_argument("--junit", type=local_path, metavar="FILE", help="write a JUnit report: configurations by axes")
+    p.add_argument("--no-verify", action="store_true", help="skip the digests; CRCs of what is read are still checked")
+    p.add_argument(
+        "--cache", type=local_path, metavar="DIR", help="where to keep results (default: the user's cache folder)"
+    )
+    p.add_argument("--no-cache", action="store_true", help="read everything anew and keep nothing")
+    return p
+
+
+def run(arguments: argparse.Namespace, command: str) -> int:
+    """Compare and print; returns the exit code."""
+    settings = _settings(arguments)
+    for target in (arguments.json, arguments.markdown, arguments.junit):
+        check_target(str(target) if target else None)
+    base, head = _given(arguments)
+
+    from evaluator.cache.place import default_folder, open_store
+    from evaluator.reading import Reader
+    from evaluator.versus.compare import compare
+    from evaluator.versus.sides import places_of, read_sides
+    from evaluator.work import Work
+
+    if arguments.cache and arguments.cache.exists() and not arguments.cache.is_dir():
+        raise UsageError(f"--cache is a folder, and {arguments.cache} is none")
+    folder = None if arguments.no_cache else arguments.cache or default_folder()
+    work = Work(store=open_store(folder) if folder else None)
+    reader = Reader(arguments.sample_time, verify=not arguments.no_verify)
+    sides = read_sides(places_of(base, "base"), places_of(head, "head"), reader, work)
+    result = compare(*sides, settings, work, arguments.across)
+    if work.store:
+        work.store.prune()
+    for _, failure in result.unreadable:
+        complain("gsb-compare", str(failure.error))
+
+    if arguments.json != "-":
+        from evaluator.versus.text import print_result
+
+        print_result(result, sys.stdout)
+    if arguments.json:
+        from evaluator.versus.json import dump_json
+
+        write_json(arguments.json, dump_json(result))
+    if arguments.markdown:
+        from evaluator.versus.markdown import markdown
+
+        write(arguments.markdown, markdown(result, command))
+    if arguments.junit:
+        from evaluator.versus.junit import junit
+
+        write(arguments.junit, junit(result))
+    return int(result.exit_code)
+
+
+def _given(arguments: argparse.Namespace) -> tuple[list[Place], list[Place]]:
+    sets: list[Place] = list(arguments.sets)
+    base = arguments.base or sets[:1]
+    head = arguments.head or (sets[1:2] if not arguments.base else sets[:1])
+    if not base or not head or len(sets) + bool(arguments.base) + bool(arguments.head) != 2:
+        raise UsageError("give base and head: two folders or files, or --base FILE... and --head FILE...")
+    return base, head
+
+
+def _settings(arguments: argparse.Namespace) -> Settings:
+    from evaluator.versus.finding import Axis, Settings
+
+    if not 0 < arguments.alpha < 1:
+        raise UsageError(f"--alpha is a probability between 0 and 1, not {arguments.alpha:g}")
+    if not 0 <= arguments.outcome < float("inf"):
+        raise UsageError(f"--outcome is a distance in cm, at least 0, not {arguments.outcome:g}")
+    if not 0 < arguments.sample_time < float("inf"):
+        raise UsageError(f"--sample-time is a time in seconds above 0, not {arguments.sample_time}")
+    axes = {axis.value: axis for axis in Axis}
+    named = [name.strip() for name in arguments.gate.split(",") if name.strip()]
+    unknown = [name for name in named if name not in axes]
+    if unknown or not named:
+        raise UsageError(f"--gate takes some of {', '.join(axes)}, comma separated, not '{arguments.gate}'")
+    return Settings(
+        alpha=arguments.alpha,
+        threshold=arguments.threshold,
+        outcome_cm=arguments.outcome,
+        gates=frozenset(axes[name] for name in named),
+        expect_same=arguments.expect_same,
+    )
+
+
+def _share(text: str) -> float:
+    number, percent, rest = text.partition("%")
+    try:
+        share = float(number) / (100.0 if percent else 1.0)
+    except ValueError:
+        share = -1.0
+    if rest.strip() or not 0 <= share < float("inf"):
+        raise argparse.ArgumentTypeError(f"'{text}' is no share, such as 5% or 0.05")
+    return share
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Entry point of gsb-compare."""
+    return enter(parser(), run, argv)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

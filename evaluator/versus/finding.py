@@ -1,0 +1,166 @@
+"""What a comparison finds: one statement about one thing of one configuration."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from enum import Enum
+from typing import Protocol
+
+
+class Axis(Enum):
+    """What is asked of a change; the value is its name as a gate."""
+
+    THROUGHPUT = "throughput"
+    MEMORY = "memory"
+    BUILD = "build"
+    PHYSICS = "physics"
+    VALIDITY = "validity"
+    DETERMINISM = "determinism"
+    BITS = "bits"
+
+
+DEFAULT_GATES = frozenset({Axis.THROUGHPUT, Axis.MEMORY, Axis.PHYSICS, Axis.VALIDITY, Axis.DETERMINISM})
+
+
+class Direction(Enum):
+    """Which way is better."""
+
+    HIGHER = "higher"
+    LOWER = "lower"
+    NEITHER = "neither"
+
+    def judged(self, *, rises: bool) -> Change:
+        """What a difference is that is large enough to matter."""
+        if self is Direction.NEITHER:
+            return Change.CHANGED
+        return Change.IMPROVEMENT if rises == (self is Direction.HIGHER) else Change.REGRESSION
+
+
+class Change(Enum):
+    """What head is beside base.
+
+    REGRESSION     worse
+    IMPROVEMENT    better
+    CHANGED        another, of which neither is better
+    SMALL          another, by less than matters
+    SAME           the same, for certain
+    UNCLEAR        not to be told apart by so many runs
+    NOT_COMPARED   there is a reason why not
+    """
+
+    REGRESSION = "regression"
+    IMPROVEMENT = "improvement"
+    CHANGED = "changed"
+    SMALL = "below threshold"
+    SAME = "same"
+    UNCLEAR = "not distinguishable"
+    NOT_COMPARED = "not compared"
+
+
+FAILING = frozenset({Change.REGRESSION, Change.CHANGED})
+"""What fails a gate."""
+
+DIFFERENT = FAILING | {Change.IMPROVEMENT, Change.SMALL}
+"""What fails where both sets are said to be of one thing."""
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One statement.
+
+    axis        that it belongs to
+    name, title of what is compared, for programs and for people
+    change      the verdict
+    direction   which way is better
+    unit        of base and head; "B" for bytes, empty for counts and words
+    base, head  means over runs; None where words say it
+    said        base and head in words; empty where the numbers say it
+    ratio       head / base; None where there is none
+    ci95        of the ratio, of this comparison alone; None where there is none
+    p_value     of this comparison alone; None where the verdict is no statistic
+    p_adjusted  for all comparisons of the invocation (Holm); verdicts are by this one; None where so few runs could
+                show nothing, whatever they had been
+    least_p     the smallest p-value that so many runs can give
+    n           runs of base and of head
+    method      what is compared
+    test        how it was tested; empty where nothing was
+    note        what a reader must see beside it
+    why_not     why it is not compared
+    """
+
+    axis: Axis
+    name: str
+    title: str
+    change: Change
+    direction: Direction = Direction.NEITHER
+    unit: str = ""
+    base: float | None = None
+    head: float | None = None
+    said: tuple[str, str] = ("", "")
+    ratio: float | None = None
+    ci95: tuple[float, float] | None = None
+    p_value: float | None = None
+    p_adjusted: float | None = None
+    least_p: float | None = None
+    n: tuple[int, int] = (0, 0)
+    method: str = ""
+    test: str = ""
+    note: str = ""
+    why_not: str = ""
+
+    @property
+    def decided(self) -> bool:
+        """Whether it was compared, and by enough runs to show anything."""
+        few = self.change is Change.UNCLEAR and self.p_adjusted is None
+        return self.change is not Change.NOT_COMPARED and not few
+
+    def fails(self, settings: Settings) -> bool:
+        """Whether it fails a gate."""
+        if settings.expect_same:
+            return self.change in DIFFERENT
+        return self.axis in settings.gates and self.change in FAILING
+
+
+class Question(Protocol):
+    """A test that is still to be made."""
+
+    @property
+    def least_p(self) -> float:
+        """The smallest p-value that it can give, whatever the runs had been: known before it is made."""
+        ...
+
+    def __call__(self, level: float) -> Finding:
+        """The finding with its p-value, and as its change what a difference would be.
+
+        level  that one comparison of all has to reach
+        """
+        ...
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What counts.
+
+    alpha        chance of any false alarm among the statistical comparisons of an invocation
+    threshold    smallest relative change that matters: 0.05 is a factor of 1.05, up or down
+    outcome_cm   smallest change of where cubes end that matters [cm]
+    gates        axes that decide
+    expect_same  base and head are claimed to be one thing: every difference counts, whatever its axis and direction
+    """
+
+    alpha: float = 0.05
+    threshold: float = 0.05
+    outcome_cm: float = 0.01
+    gates: frozenset[Axis] = DEFAULT_GATES
+    expect_same: bool = False
+
+    def matters(self, one: float, other: float) -> bool:
+        """Whether two positive amounts are apart by more than the threshold, whichever is taken for the other's."""
+        low, high = sorted((one, other))
+        return low <= 0 < high or (low > 0 and math.log(high / low) > math.log1p(self.threshold) * (1 + 1e-12))
+
+
+def not_compared(axis: Axis, name: str, title: str, why: str) -> Finding:
+    """A finding without a verdict, and the reason."""
+    return Finding(axis, name, title, Change.NOT_COMPARED, why_not=why)

@@ -1,0 +1,98 @@
+"""What is compared as a number of each run, and which way is better."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from evaluator import cost_metrics as costs
+from evaluator.metrics.throughput import frames_per_second
+from evaluator.over_runs import NO_RUN, Runs
+from evaluator.results import Metric, not_computed
+from evaluator.run_data import RunData
+from evaluator.versus.finding import Axis, Direction
+
+
+@dataclass(frozen=True)
+class Measure:
+    """One number of each run.
+
+    unit     "B" for bytes
+    of       its value of one run; None where the run does not tell
+    metric   the same as gsb-eval has it, which knows why there is no value
+    method   in words
+    """
+
+    axis: Axis
+    name: str
+    title: str
+    unit: str
+    direction: Direction
+    of: Callable[[RunData], float | None]
+    metric: Callable[[Runs], Metric]
+    method: str
+
+    def why_not(self, runs: Runs) -> str:
+        """Why these runs have no value; empty where they have one."""
+        found = self.metric(runs)
+        return found.why_not if found.value is None else ""
+
+
+def _fps(run: RunData) -> float | None:
+    c = run.recording.configuration
+    return frames_per_second(c.n_env, c.timed_steps, run.elapsed_s) if run.elapsed_s else None
+
+
+def _compiled(run: RunData) -> float | None:
+    return next((run.compile_s[phase] for phase in ("timed", "capture") if phase in run.compile_s), None)
+
+
+def contacts_of(run: RunData) -> float | None:
+    """Contacts of an environment at a step: of the timed phase, or else of the captured steps."""
+    counts = run.recording.counts
+    found = next(
+        (counts[phase]["contacts"] for phase in ("timed", "capture") if "contacts" in counts.get(phase, {})), None
+    )
+    return found.mean if found else None
+
+
+def _contacts(runs: Runs) -> Metric:
+    name = "contacts"
+    values = [value for run in runs if (value := contacts_of(run)) is not None]
+    if not values:
+        return not_computed(name, "", "neither", "contacts were not counted" if runs else NO_RUN)
+    return Metric(name, sum(values) / len(values), "", "neither", method="mean over runs", n=len(values))
+
+
+MEASURES = (
+    Measure(
+        Axis.THROUGHPUT, "fps", "throughput", "env-steps/s", Direction.HIGHER, _fps, costs.throughput,
+        "N_env * N_step / T_step of the timed phase",
+    ),
+    Measure(
+        Axis.MEMORY, "memory_peak_increment", "GPU memory increment", "B", Direction.LOWER,
+        lambda run: run.gpu.peak_increment if run.gpu else None, costs.memory_peak_increment,
+        "largest reading of the timed phase minus the baseline, the whole device",
+    ),
+    Measure(
+        Axis.MEMORY, "allocator_peak", "peak of the engine's allocator", "B", Direction.LOWER,
+        lambda run: run.allocator, costs.allocator_peak, "as the engine's own allocator kept it",
+    ),
+    Measure(
+        Axis.MEMORY, "host_memory_peak_increment", "host memory increment", "B", Direction.LOWER,
+        lambda run: run.host.peak_increment if run.host else None, costs.host_memory_peak_increment,
+        "largest resident set of the timed phase minus the baseline",
+    ),
+    Measure(
+        Axis.BUILD, "build_time", "time to build", "s", Direction.LOWER,
+        lambda run: run.build_s, costs.build_time, "import of the engine, loading, allocation",
+    ),
+    Measure(
+        Axis.BUILD, "compile_time", "time to compile", "s", Direction.LOWER, _compiled, costs.compile_time,
+        "compilation of what the timed (or else the capture) phase runs",
+    ),
+    Measure(
+        Axis.VALIDITY, "contacts", "contacts of an env", "", Direction.NEITHER, contacts_of, _contacts,
+        "mean over environments and counted steps",
+    ),
+)  # fmt: skip

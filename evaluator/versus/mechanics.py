@@ -1,0 +1,87 @@
+"""Checks of mechanics: which held for base and are broken for head, and the other way round."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from evaluator.fidelity import Fidelity, FidelityRow, Verdict, fidelity
+from evaluator.over_runs import Runs
+from evaluator.physics.facts import Check, Measured
+from evaluator.statistics.families import fisher, least_fisher
+from evaluator.versus.finding import Axis, Change, Direction, Finding, Question, not_compared
+
+_NAME, _TITLE = "mechanics", "checks of mechanics"
+
+
+def compare_mechanics(base: Runs, head: Runs, *, certain: bool) -> Sequence[Finding | Question]:
+    """A finding for each check whose verdict changed, and one for all where none did; empty without states.
+
+    certain  all runs of a side are bit-identical, so that one speaks for all; otherwise it is counted in how many runs
+             a check is broken, and tested whether that is another share
+    """
+    if not any("capture" in r.recording.configuration.phases for r in (*base, *head)):
+        return ()
+    one, other = (fidelity("", [r.physics for r in runs]) for runs in (base, head))
+    if why := "; ".join(dict.fromkeys(f.why_not for f in (one, other) if f.why_not)):
+        return (not_compared(Axis.PHYSICS, _NAME, _TITLE, why),)
+    rows = {row.check: row for row in other.rows}
+    both = [(row, rows[row.check]) for row in one.rows if row.check.demanded and row.check in rows]
+    judged = [pair for pair in both if all(row.verdict is not Verdict.NOT_APPLICABLE for row in pair)]
+    if not judged:
+        return (not_compared(Axis.PHYSICS, _NAME, _TITLE, "no check applies to both sides"),)
+    changed = [_changed(a, b, base, head, certain=certain) for a, b in judged if a.verdict is not b.verdict]
+    return changed or (_unchanged(one, other, (len(base), len(head))),)
+
+
+def _unchanged(one: Fidelity, other: Fidelity, n: tuple[int, int]) -> Finding:
+    held = [
+        f"{len(f.of(Verdict.HELD))} of {len(f.of(Verdict.HELD)) + len(f.of(Verdict.BROKEN))} held" for f in (one, other)
+    ]
+    method = "verdicts of gsb-eval --physics; those that apply to both sides are the same"
+    return Finding(
+        Axis.PHYSICS, _NAME, _TITLE, Change.SAME, Direction.HIGHER, said=(held[0], held[1]), n=n, method=method
+    )  # fmt: skip
+
+
+def _changed(one: FidelityRow, other: FidelityRow, base: Runs, head: Runs, *, certain: bool) -> Finding | Question:
+    worse = other.verdict is Verdict.BROKEN
+    counts = _broken(one.check, base), _broken(one.check, head)
+    finding = Finding(
+        Axis.PHYSICS, f"mechanics.{one.check.key}", one.check.title,
+        Change.REGRESSION if worse else Change.IMPROVEMENT, Direction.HIGHER, said=(_said(one), _said(other)),
+        n=(counts[0][1], counts[1][1]), method="verdict of gsb-eval --physics over all runs",
+        note=f"broken in {counts[0][0]} of {counts[0][1]} runs of base, {counts[1][0]} of {counts[1][1]} of head",
+    )  # fmt: skip
+    return finding if certain else _Counted(finding, *counts)
+
+
+@dataclass(frozen=True)
+class _Counted:
+    finding: Finding
+    base: tuple[int, int]
+    head: tuple[int, int]
+
+    @property
+    def least_p(self) -> float:
+        """See Question."""
+        return least_fisher(self.base[0] + self.head[0], self.base[1], self.head[1])
+
+    def __call__(self, level: float) -> Finding:
+        """See Question."""
+        return replace(
+            self.finding,
+            p_value=fisher(self.base, self.head),
+            least_p=self.least_p,
+            test="Fisher's exact test of runs in which it is broken",
+        )
+
+
+def _said(row: FidelityRow) -> str:
+    return f"BROKEN {row.broken} of {row.count}" if row.verdict is Verdict.BROKEN else row.verdict.value
+
+
+def _broken(check: Check, runs: Runs) -> tuple[int, int]:
+    """In how many runs a check is broken, of how many that were measured."""
+    facts = [fact for run in runs for fact in run.physics.facts if fact.check is check and isinstance(fact, Measured)]
+    return sum(fact.broken > 0 for fact in facts), len(facts)

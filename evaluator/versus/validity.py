@@ -1,0 +1,64 @@
+"""Runs that did not end well, and whether there are more of them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from evaluator.groups import Group
+from evaluator.report.words import trouble
+from evaluator.statistics.families import fisher, least_fisher
+from evaluator.summary import Summary
+from evaluator.versus.finding import Axis, Change, Direction, Finding, Question
+from evaluator.versus.matching import Pair
+
+
+def compare_validity(pair: Pair) -> Finding | Question:
+    """Complete runs of either side.
+
+    A side without any other is told apart from one with some as a fact; two sides with some, by their shares.
+    """
+    counts = [(len(g.recordings) - len(g.complete), len(g.recordings)) for g in (pair.base, pair.head)]
+    (bad, n1), (worse, n2) = counts
+    finding = Finding(
+        Axis.VALIDITY, "complete_runs", "complete runs", Change.SAME, Direction.HIGHER,
+        base=float(n1 - bad), head=float(n2 - worse), n=(n1, n2), said=(_said(pair.base), _said(pair.head)),
+        method="runs that ended well and lost no data",
+    )  # fmt: skip
+    if bad and worse:
+        return _Counted(finding, (bad, n1), (worse, n2))
+    if not bad and not worse:
+        return finding
+    chance = fisher((bad, n1), (worse, n2))
+    return replace(
+        finding,
+        change=Change.REGRESSION if worse else Change.IMPROVEMENT,
+        note=f"runs that fail with one probability on both sides are dealt as unevenly in {chance:.2g} of all cases",
+    )
+
+
+@dataclass(frozen=True)
+class _Counted:
+    finding: Finding
+    base: tuple[int, int]
+    head: tuple[int, int]
+
+    @property
+    def least_p(self) -> float:
+        """See Question."""
+        return least_fisher(self.base[0] + self.head[0], self.base[1], self.head[1])
+
+    def __call__(self, level: float) -> Finding:
+        """See Question."""
+        (bad, n1), (worse, n2) = self.base, self.head
+        return replace(
+            self.finding,
+            change=Change.REGRESSION if worse / n2 > bad / n1 else Change.IMPROVEMENT,
+            p_value=fisher(self.base, self.head),
+            least_p=self.least_p,
+            test="Fisher's exact test of runs that are not",
+        )
+
+
+def _said(group: Group[Summary]) -> str:
+    found = f"{len(group.complete)} of {len(group.recordings)}"
+    return f"{found}; {said}" if (said := trouble(group)) else found

@@ -1,0 +1,424 @@
+"""gsb-compare as a user calls it, on recordings whose answer is known."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from evaluator.cli.compare import main
+from schemas.provenance import PROVENANCE
+from tests import test_start_up as start_up
+from tests.synthetic import Shown, grid, write_recording
+
+ROOT = Path(__file__).resolve().parents[2]
+RECORDINGS = ROOT / "recordings"
+TURNS = "ABBAABBAABBA"
+NOISE = np.array([0.01, -0.02, 0.015, -0.005, 0.0, 0.02])
+EXPECT_SAME = "--expect-same"
+
+
+def stamped(second: int, host: dict[str, Any] | None = None) -> Any:
+    """A change of the provenance: made at that second, on that host."""
+
+    def change(name: str, record: dict[str, Any]) -> None:
+        if name == PROVENANCE:
+            record["created_utc"] = f"2026-01-01T00:{second // 60:02d}:{second % 60:02d}Z"
+            record["host"] = host or record["host"]
+
+    return change
+
+
+def write_sides(
+    folder: Path, base: Sequence[dict[str, Any]], head: Sequence[dict[str, Any]], order: str = TURNS, **common: Any
+) -> tuple[Path, Path]:
+    """Two folders of recordings that were made in that order, a second apart; one dictionary a run."""
+    sides = {"A": list(base), "B": list(head)}
+    folders = {"A": folder / "base", "B": folder / "head"}
+    for place in folders.values():
+        place.mkdir(parents=True)
+    counted = {"A": 0, "B": 0}
+    for second, letter in enumerate(order):
+        keywords = {"final": None, **common, **sides[letter][counted[letter]]}
+        host = keywords.pop("host", None)
+        write_recording(folders[letter], run=counted[letter], change=stamped(second, host), **keywords)
+        counted[letter] += 1
+    assert counted == {name: len(side) for name, side in sides.items()}
+    return folders["A"], folders["B"]
+
+
+def timed(factor: float = 1.0, **more: Any) -> list[dict[str, Any]]:
+    """Six runs that take about a second, times a factor."""
+    return [{"elapsed_s": factor * float(np.exp(noise)), **more} for noise in NOISE]
+
+
+def compared(*arguments: object, capsys: pytest.CaptureFixture[str]) -> tuple[int, dict[str, Any]]:
+    """Exit code and JSON of the command."""
+    code = main([*map(str, arguments), "--json", "-", "--no-cache"])
+    found: dict[str, Any] = json.loads(capsys.readouterr().out)
+    assert found["exit_code"] == code
+    return code, found
+
+
+def finding(document: dict[str, Any], name: str, index: int = 0) -> dict[str, Any]:
+    """The finding of that name."""
+    (found,) = [f for f in document["compared"][index]["findings"] if f["name"] == name]
+    return dict(found)
+
+
+def test_head_that_is_slower(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Exit 4 for a fifth more time, and give ratio, interval and p."""
+    code, document = compared(*write_sides(tmp_path, timed(), timed(1.2)), capsys=capsys)
+    fps = finding(document, "fps")
+    assert (code, fps["change"], fps["fails"]) == (4, "regression", True)
+    assert fps["ratio"] == pytest.approx(1 / 1.2)
+    assert fps["ci95"][0] < fps["ratio"] < fps["ci95"][1] < 1
+    assert fps["p_value"] == pytest.approx(2 / 64)  # of six pairs
+    assert document["compared"][0]["order"] == TURNS
+    assert document["verdict"].startswith("REGRESSION: throughput")
+
+
+def test_head_that_is_faster_never_fails(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Exit 0 for a gain, however large, and say so; only who expects the same is told otherwise."""
+    sides = write_sides(tmp_path, timed(), timed(0.2))
+    code, document = compared(*sides, capsys=capsys)
+    assert (code, finding(document, "fps")["change"]) == (0, "improvement")
+    code, document = compared(*sides, EXPECT_SAME, capsys=capsys)
+    assert (code, document["verdict"].split(":")[0]) == (4, "NOT THE SAME")
+
+
+def test_a_certain_change_below_the_threshold(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Show a change of 1 % that is certain, but let it pass; the threshold may be smaller."""
+    quiet = [{"elapsed_s": 1.0 + 1e-5 * i} for i in range(6)]
+    slower = [{"elapsed_s": 1.01 + 1e-5 * i} for i in range(6)]
+    sides = write_sides(tmp_path, quiet, slower)
+    code, document = compared(*sides, capsys=capsys)
+    assert (code, finding(document, "fps")["change"]) == (0, "below threshold")
+    code, document = compared(*sides, "--threshold", "0.5%", capsys=capsys)
+    assert (code, finding(document, "fps")["change"]) == (4, "regression")
+
+
+def test_noise_is_no_change(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Exit 0 for the same runs in another order, with the interval around one."""
+    mixed = [timed()[i] for i in (3, 1, 5, 0, 2, 4)]
+    sides = write_sides(tmp_path, timed(), mixed)
+    for arguments in ((), (EXPECT_SAME,)):
+        code, document = compared(*sides, *arguments, capsys=capsys)
+        fps = finding(document, "fps")
+        assert (code, fps["change"]) == (0, "not distinguishable")
+        assert fps["ci95"][0] < 1 < fps["ci95"][1]
+
+
+def test_drift_that_turns_cancel(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """See 10 % through a clock that slows by half on the way, and warn where base came wholly before head."""
+    order = TURNS * 2
+    times = {"A": [], "B": []}  # type: ignore[var-annotated]
+    for i, letter in enumerate(order):
+        times[letter].append({"elapsed_s": (1 + i / len(order) / 2) * (1.1 if letter == "B" else 1.0)})
+    code, document = compared(*write_sides(tmp_path / "turns", times["A"], times["B"], order), capsys=capsys)
+    fps = finding(document, "fps")
+    assert (code, fps["change"]) == (4, "regression")
+    assert fps["ratio"] == pytest.approx(1 / 1.1, rel=0.01)
+    assert "blocks of neighbours" in fps["test"]
+
+    sides = write_sides(tmp_path / "row", timed(), timed(), "AAAAAABBBBBB")
+    _, document = compared(*sides, capsys=capsys)
+    assert not document["compared"][0]["interleaved"]
+    assert any("not recorded in turn" in line for line in document["compared"][0]["warnings"])
+
+
+def test_orders_that_are_worse_than_others(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Warn where one side always came first, and where all recordings are of one second."""
+    _, document = compared(*write_sides(tmp_path / "first", timed(), timed(), "AB" * 6), capsys=capsys)
+    assert document["compared"][0]["interleaved"]
+    assert any("one side always came first" in line for line in document["compared"][0]["warnings"])
+    for side in ("base", "head"):
+        (tmp_path / side).mkdir()
+        for run in timed():
+            write_recording(tmp_path / side, None, change=stamped(0), **run)
+    _, document = compared(tmp_path / "base", tmp_path / "head", capsys=capsys)
+    assert not document["compared"][0]["interleaved"]
+    assert any("do not say in which order" in line for line in document["compared"][0]["warnings"])
+
+
+def test_few_runs_are_said_to_be_few(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Exit 5 for three runs a side, which can show nothing, and warn with the smallest p there is."""
+    sides = write_sides(tmp_path, timed()[:3], timed(2.0)[:3], "ABBAAB")
+    code, document = compared(*sides, capsys=capsys)
+    assert (code, finding(document, "fps")["least_p"], finding(document, "fps")["p_adjusted"]) == (5, 0.1, None)
+    assert "throughput" in document["undecided"]
+    assert any("smallest p possible: 0.1" in line for line in document["compared"][0]["warnings"])
+
+
+def test_equal_bytes_are_no_statistics(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Say that memory is the same, or another, where every run of a side has one value; a megabyte is nothing."""
+    gpu = (10**9, 10**9 + 800_000_000)
+    for name, more, change, code in (
+        ("same", 0, "same", 0), ("more", 100_000_000, "regression", 4), ("less", -100_000_000, "improvement", 0),
+        ("hardly", 30_000_000, "below threshold", 0),
+    ):  # fmt: skip
+        sides = write_sides(tmp_path / name, timed(gpu_bytes=gpu), timed(gpu_bytes=(gpu[0], gpu[1] + more)))
+        found, document = compared(*sides, capsys=capsys)
+        memory = finding(document, "memory_peak_increment")
+        assert (found, memory["change"], memory["p_value"]) == (code, change, None), name
+        assert memory["ratio"] == pytest.approx((800_000_000 + more) / 800_000_000)
+    little = write_sides(
+        tmp_path / "little", timed(host_bytes=(10**8, 10**8 + 1000)), timed(host_bytes=(10**8, 10**8 + 9000))
+    )
+    code, document = compared(*little, capsys=capsys)
+    assert (code, finding(document, "host_memory_peak_increment")["change"]) == (0, "below threshold")
+
+
+def test_memory_that_was_none(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Compare amounts where a logarithm cannot be had: from nothing to 50 MB, in some runs or in all."""
+    none = timed(host_bytes=(10**8, 10**8))
+    some = timed(host_bytes=(10**8, 15 * 10**7))
+    code, document = compared(*write_sides(tmp_path / "all", none, some), capsys=capsys)
+    host = finding(document, "host_memory_peak_increment")
+    assert (code, host["change"], host["ratio"]) == (4, "regression", None)
+    some[0]["host_bytes"] = (10**8, 10**8 + 49_000_000)
+    code, document = compared(*write_sides(tmp_path / "most", none, some), capsys=capsys)
+    host = finding(document, "host_memory_peak_increment")
+    assert (code, host["change"], host["p_value"]) == (4, "regression", pytest.approx(2 / 216))
+
+
+def test_runs_that_fail_now(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Exit 4 for a run of head that is invalid, and 0 where it was one of base."""
+    bad = [*timed()[:5], {**timed()[5], "status": "INVALID", "reason": "contacts were dropped", "cause": "BUFFER"}]
+    code, document = compared(*write_sides(tmp_path / "worse", timed(), bad), capsys=capsys)
+    assert (code, finding(document, "complete_runs")["change"]) == (4, "regression")
+    assert "1 INVALID" in finding(document, "complete_runs")["said"]["head"]
+    code, document = compared(*write_sides(tmp_path / "better", bad, timed()), capsys=capsys)
+    assert (code, finding(document, "complete_runs")["change"]) == (0, "improvement")
+    code, document = compared(*write_sides(tmp_path / "both", bad, bad), capsys=capsys)
+    assert (code, finding(document, "complete_runs")["change"]) == (0, "not distinguishable")
+
+
+def test_contacts_that_are_lost(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Exit 4 for steps that are fast because they drop their contacts; a count beyond all measure is not compared."""
+
+    def counted(values: Sequence[float]) -> list[dict[str, Any]]:
+        return [
+            {**run, "shown": Shown(counts={"timed": {"contacts": np.full((1, 1), value)}})}  # type: ignore[arg-type]
+            for run, value in zip(timed(), values, strict=True)
+        ]
+
+    sides = write_sides(tmp_path / "lost", counted([27] * 6), counted([13] * 6))
+    code, document = compared(*sides, capsys=capsys)
+    assert (code, finding(document, "contacts")["change"], finding(document, "contacts")["p_value"]) == (
+        4,
+        "changed",
+        None,
+    )
+    sides = write_sides(tmp_path / "absurd", counted([1e-300] * 6), counted([1.0] * 6))
+    code, document = compared(*sides, capsys=capsys)
+    assert (code, finding(document, "contacts")["change"]) == (0, "not compared")
+
+
+def test_head_that_never_starts(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Find the partner of a group of which nothing was built, and exit 4."""
+    dead = [{"built": False, "status": "FAILED", "reason": "no memory", "cause": "DEVICE_MEMORY"}] * 6
+    code, document = compared(*write_sides(tmp_path, timed(), dead), capsys=capsys)
+    assert (code, finding(document, "complete_runs")["change"]) == (4, "regression")
+    assert finding(document, "fps")["why_not"] == "no run of this group is complete"
+
+
+def spread(seed: int, by: float = 0.0) -> Any:
+    """Final positions of four environments, each its own draw, cubes moved along x."""
+    final = grid(4) + 0.003 * np.random.default_rng(seed).normal(size=(4, 27, 3))
+    final[..., 0] += by
+    return final
+
+
+def test_outcomes_of_runs_that_differ(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Tell a shift of 1 cm from what runs of one law do, and say nothing where there is none."""
+    base = [{"final": spread(i)} for i in range(6)]
+    for name, by, code, change in (("shifted", 0.01, 4, "changed"), ("same", 0.0, 0, "not distinguishable")):
+        head = [{"final": spread(i, by)} for i in range(6, 12)]
+        found, document = compared(*write_sides(tmp_path / name, base, head, elapsed_s=None), capsys=capsys)
+        outcome = finding(document, "outcome")
+        assert (found, outcome["change"]) == (code, change)
+        assert finding(document, "fps")["why_not"] == "the timed phase was left out"
+        assert "differ among themselves" in finding(document, "states")["why_not"]
+    assert outcome["least_p"] == 2 / 924
+
+
+def test_outcomes_to_the_bit(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Say for certain that bits are the same or are not, and gate bits only where that is asked for."""
+    base = [{"final": grid(3)}] * 2
+    _, document = compared(*write_sides(tmp_path / "same", base, base, "ABBA"), EXPECT_SAME, capsys=capsys)
+    assert finding(document, "outcome")["change"] == finding(document, "states")["change"] == "same"
+    assert document["exit_code"] == 0
+    nudged = grid(3)
+    nudged[..., 2] = np.nextafter(nudged[..., 2], 1)  # heights are no part of the outcome
+    sides = write_sides(tmp_path / "bits", base, [{"final": nudged}] * 2, "ABBA")
+    code, document = compared(*sides, capsys=capsys)
+    states = finding(document, "states")
+    assert (code, states["change"], states["gated"]) == (0, "changed", False)
+    assert states["said"]["head"] == "differ from step 5 on"
+    for arguments in ((EXPECT_SAME,), ("--gate", "bits")):
+        code, document = compared(*sides, *arguments, capsys=capsys)
+        assert (code, finding(document, "states")["fails"]) == (4, True)
+
+
+def test_determinism_that_is_lost(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Exit 4 where environments and runs were bit-identical and are not, and 0 the other way round."""
+    alike, apart = [{"final": grid(4)}] * 3, [{"final": spread(i)} for i in range(3)]
+    code, document = compared(*write_sides(tmp_path / "lost", alike, apart, "ABBAAB"), capsys=capsys)
+    assert code == 4
+    for name in ("distinct_envs", "distinct_runs"):
+        assert finding(document, name)["change"] == "regression"
+    code, document = compared(
+        *write_sides(tmp_path / "won", apart, alike, "ABBAAB"), "--gate", "determinism", capsys=capsys
+    )
+    assert code == 0
+    assert finding(document, "distinct_runs")["change"] == "improvement"
+
+
+def test_another_machine(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Leave out speed and memory of other machines, and still compare bits."""
+    head = timed(9.0, host={"cpu": "another"}, final=grid(2))
+    code, document = compared(*write_sides(tmp_path, timed(final=grid(2)), head), capsys=capsys)
+    assert code == 0
+    assert not document["compared"][0]["same_machine"]
+    assert "different machines" in finding(document, "fps")["why_not"]
+    assert finding(document, "states")["change"] == "same"
+
+
+def test_what_has_no_partner(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """List groups that only one side has, exit 5 where that is all, and allow a difference that was named."""
+    base, head = write_sides(tmp_path, timed(), timed(options={"cone": "pyramidal"}))
+    code, document = compared(base, head, capsys=capsys)
+    assert (code, document["verdict"], document["compared"]) == (5, "NOTHING COMPARED", [])
+    assert {one["side"] for one in document["without_partner"]} == {"base", "head"}
+    assert "nothing on the other side" in document["without_partner"][0]["reason"]
+    code, document = compared(base, head, "--across", "cone", capsys=capsys)
+    assert code == 0
+    assert document["compared"][0]["differs"] == ["cone: unset -> pyramidal"]
+    write_recording(base, None, change=stamped(99), environment={"XLA_FLAGS": "--x"})
+    write_recording(base, None, change=stamped(99), environment={"XLA_FLAGS": "--y"})
+    code, document = compared(base, head, "--across", "cone", capsys=capsys)
+    assert code == 5
+    assert "several groups" in document["without_partner"][0]["reason"]
+
+
+def test_versions_are_what_is_compared(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Pair groups whose environment variables and options in force differ, and say what does."""
+    head = timed(environment={"XLA_FLAGS": "--new"}, switches={"precision": "high"})
+    code, document = compared(*write_sides(tmp_path, timed(), head), capsys=capsys)
+    assert code == 0
+    assert set(document["compared"][0]["differs"]) == {"XLA_FLAGS: unset -> --new", "precision: unset -> high"}
+
+
+def test_the_exit_codes_of_files(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Exit 3 for a damaged file or a run that was cut short, 4 where a gate fails beside it."""
+    base, head = write_sides(tmp_path / "good", timed(), timed())
+    (base / "broken.mcap").write_bytes(b"\x89MCAP0\r\n" + bytes(100))
+    code, document = compared(base, head, capsys=capsys)
+    assert (code, document["unreadable"][0]["side"]) == (3, "base")
+    assert finding(document, "fps")["change"] == "not distinguishable"
+    base, head = write_sides(tmp_path / "slow", timed(), timed(2.0))
+    write_recording(base, None, end=False, change=stamped(99))
+    code, document = compared(base, head, capsys=capsys)
+    assert (code, finding(document, "fps")["change"]) == (4, "regression")
+    assert "6 of 7" in finding(document, "complete_runs")["said"]["base"]
+    assert compared(base, head, "--gate", "bits", capsys=capsys)[0] == 3
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        (), ("one",), ("one", "two", "three"), ("one", "--base", "a", "--head", "b"), ("--base", "a"),
+        ("base", "head", "--gate", "speed"), ("base", "head", "--gate", ","), ("base", "head", "--alpha", "1"),
+        ("base", "head", "--outcome", "-1"), ("base", "head", "--across", "nothing"), ("base", "base"),
+        ("base", "empty"), ("base", "head", "--json", "x.mcap"), ("base", "head", "--junit", "nowhere/x.xml"),
+    ],
+    ids=" ".join,
+)  # fmt: skip
+def test_wrong_usage(
+    arguments: tuple[str, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Exit 2 with one line that says what to do."""
+    write_sides(tmp_path, timed()[:1], timed()[:1], "AB")
+    (tmp_path / "empty").mkdir()
+    monkeypatch.chdir(tmp_path)
+    assert main([*arguments, "--no-cache"]) == 2
+    shown = capsys.readouterr()
+    assert shown.err.startswith("gsb-compare: ")
+    assert len(shown.err.splitlines()) == 1
+    assert not shown.out
+
+
+def test_lists_of_files(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Take lists of files, in any order, with the same result; a copy counts once."""
+    base, head = write_sides(tmp_path, timed(), timed(1.3))
+    (base / "copy.mcap").write_bytes(sorted(base.glob("*.mcap"))[0].read_bytes())
+    _, folders = compared(base, head, capsys=capsys)
+    assert folders["compared"][0]["base"]["complete"] == 6
+    files = [sorted(side.glob("*.mcap"), reverse=True) for side in (base, head)]
+    _, lists = compared("--head", *files[1], "--base", *files[0], capsys=capsys)
+    assert lists["compared"][0]["findings"] == folders["compared"][0]["findings"]
+
+
+def test_shipped_recordings(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Call another friction cone a change of physics, and two machines of one engine the same to the bit."""
+    amd, xeon, other = (
+        sorted(RECORDINGS.glob(f"mujoco-{name}-*.mcap")) for name in ("amd", "xeon", "pyramidal")
+    )  # fmt: skip
+    code, document = compared("--base", *amd, "--head", *other, "--across", "cone", capsys=capsys)
+    assert (code, finding(document, "outcome")["change"]) == (4, "changed")
+    assert finding(document, "states")["said"]["head"] == "differ from step 1 on"
+    assert [f["axis"] for f in document["compared"][0]["findings"] if f["fails"]] == ["physics"]
+    code, document = compared("--base", *amd, "--head", *xeon, EXPECT_SAME, capsys=capsys)
+    assert (code, finding(document, "states")["said"]["head"]) == (0, "bit-identical at 501 steps")
+
+
+def test_the_help_imports_nothing_heavy() -> None:
+    """Print help and version without loading a numerical library or a file format."""
+    for argument in ("--help", "--version"):
+        start_up.test_help_imports_nothing_heavy("evaluator.cli.compare", argument)
+    start_up.test_evaluation_needs_no_simulator("evaluator.versus.compare")
+
+
+MIRRORED = {"regression": "improvement", "improvement": "regression"}
+
+
+@settings(max_examples=15)
+@given(
+    st.lists(st.floats(0.8, 1.25), min_size=6, max_size=6),
+    st.lists(st.floats(0.8, 1.25), min_size=6, max_size=6),
+    st.sampled_from([TURNS, "AAAAAABBBBBB", "AABBAABBAABB"]),
+    st.sampled_from([0, 5 * 10**6, 5 * 10**7]),
+)
+def test_exchanging_base_and_head_mirrors_every_verdict(
+    tmp_path_factory: pytest.TempPathFactory, base: list[float], head: list[float], order: str, more: int
+) -> None:
+    """Turn every regression into an improvement and leave all else, and do not mind the order of files."""
+    from evaluator.reading import Reader
+    from evaluator.versus.compare import compare
+    from evaluator.versus.finding import Settings
+    from evaluator.versus.sides import places_of, read_sides
+    from evaluator.work import HERE
+
+    folder = tmp_path_factory.mktemp("mirror")
+    bad = {"status": "INVALID", "reason": "overflow", "cause": "BUFFER"}
+    one, other = write_sides(
+        folder,
+        [{"elapsed_s": s, "host_bytes": (10**8, 10**8 + 10**8)} for s in base],
+        [{"elapsed_s": s, "host_bytes": (10**8, 10**8 + 10**8 + more), **(bad if s > 1.2 else {})} for s in head],
+        order,
+    )
+    places = places_of([one], "base"), places_of([other], "head")
+    results = [
+        compare(*read_sides(a, b, Reader(5.0), HERE), Settings(), HERE)
+        for a, b in (places, (places[0][::-1], places[1][::-1]), (places[1], places[0]))
+    ]
+    forth, shuffled, back = ([(f.name, f.change.value) for f in result.findings] for result in results)
+    assert shuffled == forth
+    assert back == [(name, MIRRORED.get(change, change)) for name, change in forth]

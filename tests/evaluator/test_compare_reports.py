@@ -1,0 +1,245 @@
+"""How gsb-compare shows what it found: table, Markdown, JUnit; its document and its workflow."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+import xml.etree.ElementTree as ET
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from markdown_it import MarkdownIt
+
+from evaluator.cli.compare import main
+from evaluator.versus.markdown import code, safe
+from schemas.provenance import PROVENANCE, SIMULATION
+from tests.evaluator.test_compare import ROOT, compared, finding, stamped, timed, write_sides
+from tests.synthetic import grid, write_recording
+from tests.test_docs import command
+
+DOCUMENT = ROOT / "docs" / "compare.md"
+WORKFLOW = ROOT / "examples" / "github-actions" / "simulator-regression.yml"
+HOSTILE = (
+    "@team | `x` <script>alert(1)</script> [a](http://b.c) **b** #1 ![i](j) www.e.com :x: "
+    "\x1b[31m\x00\u202e\ufffe &amp; |\n\n# h"
+)
+ELEMENTS = frozenset(
+    ("p", "strong", "table", "thead", "tbody", "tr", "th", "td", "details", "summary", "code", "ul", "li", "sub", "br")
+)
+
+
+@pytest.fixture
+def path(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
+    """A PATH on which gsb-compare is, whether or not it is installed."""
+    programs = tmp_path / "programs"
+    programs.mkdir()
+    (programs / "gsb-compare").write_text(f'#!/bin/sh\nexec {sys.executable} -m evaluator.cli.compare "$@"\n')
+    (programs / "gsb-compare").chmod(0o755)
+    return os.pathsep.join([str(programs), str(Path(command("gsb-eval")[0]).parent), os.environ["PATH"]])
+
+
+def run(line: str, folder: Path, path: str, **environment: str) -> subprocess.CompletedProcess[str]:
+    """Run lines as a step of a workflow does: in bash, which ends with the first that fails."""
+    return subprocess.run(
+        ["bash", "-e", "-c", line], cwd=folder, capture_output=True, text=True, timeout=300,
+        env={**os.environ, "PATH": path, "PYTHONPATH": str(ROOT), **environment},
+    )  # fmt: skip
+
+
+def hostile(second: int) -> Any:
+    """A change that puts text that others would obey wherever a recording has text that is shown."""
+
+    def change(name: str, record: dict[str, Any]) -> None:
+        stamped(second)(name, record)
+        if name == PROVENANCE:
+            record["configuration"] |= {"simulator": HOSTILE, "scene": HOSTILE}
+            record["software"] = {"packages": {HOSTILE: HOSTILE}, "recorder": {"commit": HOSTILE}}
+        if name == SIMULATION:
+            record |= {"version": HOSTILE, "options": {HOSTILE: HOSTILE}}
+
+    return change
+
+
+def write_hostile(folder: Path) -> tuple[Path, Path]:
+    """Two sides whose every text is hostile; head is slower, has a run that failed, and a group without a partner."""
+    for second, (side, elapsed) in enumerate([("base", 1.0), ("head", 2.0), ("head", 2.0), ("base", 1.0)]):
+        (folder / side).mkdir(exist_ok=True)
+        write_recording(folder / side, None, elapsed_s=elapsed, change=hostile(second), name=f"{second}.mcap")
+    write_recording(folder / "head", None, change=hostile(4), status="FAILED", reason=HOSTILE, name="failed.mcap")
+    write_recording(folder / "head", None, change=hostile(5), n_env=3, name="alone.mcap")
+    (folder / "head" / "@all|<b>.mcap").write_bytes(b"no recording")
+    return folder / "base", folder / "head"
+
+
+def test_the_table(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Print what differs, each number's direction, method and runs, and the verdict last."""
+    sides = write_sides(tmp_path, timed(host_bytes=(10**8, 2 * 10**8)), timed(1.2, host_bytes=(10**8, 2 * 10**8)))
+    assert main([*map(str, sides), "--no-cache"]) == 4
+    shown = capsys.readouterr().out
+    lines = shown.splitlines()
+    assert lines[0] == "synthetic, inclined-collision, 1 env, dt 1 s"
+    assert lines[1] == "  6 complete runs of base, 6 of head, in the order ABBAABBAABBA (A base, B head)"
+    assert re.search(
+        r"^throughput \[env-steps/s\] +\d+ +\d+ +0\.833 +\[0\.\d{3}, 0\.\d{3}\] +0\.031 +REGRESSION", shown, re.M
+    )
+    assert re.search(r"^host memory increment +100\.0 MB +100\.0 MB +1\.000 +- +- +same$", shown, re.M)
+    assert "how: throughput (higher is better): N_env * N_step / T_step" in shown
+    assert "(all 64 ways); the interval inverts it, n = 6 and 6" in " ".join(shown.split())
+    assert lines[-1] == "REGRESSION: throughput (1 finding in 1 configuration)"
+
+
+def test_a_check_of_mechanics_that_is_broken_now(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Exit 4 where cubes went through the floor, and 0 where they do not any more."""
+    sunk = grid(2)
+    sunk[..., 2] = -0.5
+    sides = write_sides(tmp_path, [{"final": grid(2)}] * 2, [{"final": sunk}] * 2, "ABBA", elapsed_s=None)
+    code_, document = compared(*sides, capsys=capsys)
+    sank = finding(document, "mechanics.sank")
+    assert (code_, sank["change"], sank["said"]["base"], sank["p_value"]) == (4, "regression", "held", None)
+    assert sank["said"]["head"].startswith("BROKEN 4 of 4")
+    code_, document = compared(*sides[::-1], capsys=capsys)
+    assert finding(document, "mechanics.sank")["change"] == "improvement"
+
+
+def test_a_check_that_some_runs_break(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Count runs where they differ: one of six that breaks a check is no regression, all six are."""
+    rng = np.random.default_rng(2)
+
+    def final(broken: bool) -> dict[str, Any]:
+        found = grid(2) + 0.001 * rng.normal(size=(2, 27, 3))
+        found[:, :, 2] = -0.5 if broken else 0.03
+        return {"final": found}
+
+    base = [final(False) for _ in range(6)]
+    for count, change, p in ((1, "not distinguishable", 1.0), (6, "regression", 2 / 924)):
+        head = [final(i < count) for i in range(6)]
+        _, document = compared(*write_sides(tmp_path / str(count), base, head, elapsed_s=None), capsys=capsys)
+        sank = finding(document, "mechanics.sank")
+        assert (sank["change"], sank["p_value"]) == (change, pytest.approx(p))
+        assert f"{count} of 6 of head" in sank["note"]
+
+
+def test_markdown_of_hostile_text(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Render what strangers wrote as text: no element, link, mention or line of its own comes of it."""
+    target = tmp_path / "summary.md"
+    assert main([*map(str, write_hostile(tmp_path)), "--markdown", str(target), "--no-cache"]) == 4
+    capsys.readouterr()
+    text = target.read_text(encoding="utf-8")
+    first, *_ = text.splitlines()
+    assert first.startswith(":x: **gsb-compare: REGRESSION&#58; throughput, validity")
+    assert not any(c in text for c in "\x00\x1b\u202e\ufffe")
+    assert not re.search(r"@\w|#\d|www\.|http:", text.replace("&#", ""))
+    page = MarkdownIt("commonmark", {"html": True}).enable("table").render(text)
+    assert set(re.findall(r"<([a-z]+)", page)) <= ELEMENTS
+    assert "&lt;script&gt;" in page
+    for row in re.findall(r"<tr>(.*?)</tr>", page, re.DOTALL):
+        assert len(re.findall("<t[hd]", row)) in (7, 8)
+
+
+def test_text_is_never_markup() -> None:
+    """Escape all that Markdown or HTML reads, show what is invisible, and bound the length."""
+    assert safe("a|b\nc") == "a&#124;b c"
+    assert safe("\x1b\u202e") == "&#92;x1b&#92;x202e"
+    assert safe("0.95, v1.2") == "0.95, v1.2"
+    assert "\u200b" in safe("@team")
+    assert code("x") == "<code>x</code>"
+    assert len(safe("x" * 1000)) < 400
+    renderer = MarkdownIt("commonmark")
+    for text in ("*a*", "_a_", "`a`", "<b>", "&lt;", "[a](b)", "# a", "1. a", "\\", "~~a~~", "> a", "---", "+ a", "=="):
+        rendered = renderer.render(f"x {safe(text)} x").replace("\u200b", "")
+        assert re.sub(r"<p>x (.*) x</p>\n", r"\1", rendered) == text.replace("&", "&amp;").replace("<", "&lt;").replace(
+            ">", "&gt;"
+        )
+
+
+def test_junit_of_hostile_text(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Write XML 1.0 that any parser takes: a case for each axis, failures, what was skipped, and files as errors."""
+    target = tmp_path / "report.xml"
+    assert main([*map(str, write_hostile(tmp_path)), "--junit", str(target), "--no-cache"]) == 4
+    capsys.readouterr()
+    text = target.read_text(encoding="utf-8")
+    assert not re.search("[^\t\n\r\u0020-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]", text)
+    suites = ET.fromstring(text)
+    cases = {case.get("name"): case for case in suites.iter("testcase")}
+    assert cases["throughput"].find("failure") is not None
+    assert cases["validity"].find("failure") is not None
+    assert cases["memory"].find("skipped") is not None
+    assert [case.get("classname") for case in suites.iter("testcase") if case.find("error") is not None] == ["head"]
+    for name, kind in (("failures", "failure"), ("errors", "error"), ("skipped", "skipped"), ("tests", "testcase")):
+        assert int(suites.get(name, "")) == len(list(suites.iter(kind)))
+    assert "<script>alert(1)</script>" in (cases["throughput"].get("classname") or "")
+
+
+def test_the_terminal_of_hostile_text(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Print no control character of a stranger's."""
+    assert main([*map(str, write_hostile(tmp_path)), "--no-cache"]) == 4
+    shown = capsys.readouterr()
+    assert "\x1b" not in shown.out + shown.err
+    assert "\x00" not in shown.out + shown.err
+    assert "<script>" in shown.out
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="this system has no full device")
+@pytest.mark.parametrize("target", ["--json", "--markdown", "--junit"])
+def test_a_report_that_cannot_be_written(target: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Exit 1 with one line where a report cannot be written."""
+    sides = write_sides(tmp_path, timed()[:1], timed()[:1], "AB")
+    assert main([*map(str, sides), target, "/dev/full", "--no-cache"]) == 1
+    assert capsys.readouterr().err.startswith("gsb-compare: cannot write /dev/full: ")
+
+
+def test_the_document_shows_what_is_printed(tmp_path: Path, path: str) -> None:
+    """Run every command of docs/compare.md; where it shows an output, that is the output."""
+    page = DOCUMENT.read_text(encoding="utf-8")
+    found = re.findall(r"^```console\n(.*?)\n```\n(?:\n```text\n(.*?)\n```)?", page, re.DOTALL | re.MULTILINE)
+    assert len(found) >= 2
+    (tmp_path / "recordings").symlink_to(ROOT / "recordings")
+    for line, expected in found:
+        done = run(line, tmp_path, path)
+        assert done.returncode in (0, 4), done.stderr
+        if expected:
+            assert "\n".join(text.rstrip() for text in done.stdout.splitlines()).strip() == expected
+
+
+def test_the_document_shows_the_workflow() -> None:
+    """Lead from the document to the workflow."""
+    assert str(WORKFLOW.relative_to(ROOT)) in DOCUMENT.read_text(encoding="utf-8")
+
+
+def test_the_workflow_works(tmp_path: Path, path: str) -> None:
+    """Parse the workflow, and run its steps that record, compare and show, with small numbers."""
+    yaml = pytest.importorskip("yaml")
+    document = yaml.safe_load(WORKFLOW.read_text(encoding="utf-8"))
+    assert set(document) == {"name", True, "permissions", "jobs"}  # YAML 1.1 reads "on" as true
+    job = document["jobs"]["compare"]
+    steps = {step["name"]: step for step in job["steps"] if "name" in step}
+    for side in ("base", "head"):
+        (tmp_path / f"env-{side}").symlink_to(sys.prefix)
+    environment = {
+        **job["env"], "N_ENV": "2", "PAIRS": "2", "GITHUB_STEP_SUMMARY": str(tmp_path / "shown.md"),
+        "RECORD": "--scene inclined-collision --steps 20 --warmup 5 --timed-steps 20",
+    }  # fmt: skip
+    for name in ("Record base and head in turn", "Compare", "Show the comparison"):
+        done = run(steps[name]["run"], tmp_path, path, **environment)
+        assert done.returncode == 0, done.stdout + done.stderr
+    assert [len(list((tmp_path / "recordings" / side).glob("*.mcap"))) for side in ("base", "head")] == [2, 2]
+    assert (tmp_path / "shown.md").read_text(encoding="utf-8").startswith(":white_check_mark: **gsb-compare")
+    assert ET.parse(tmp_path / "report.xml").getroot().get("failures") == "0"
+    assert steps["Show the comparison"]["if"] == steps["Keep recordings and reports"]["if"] == "always()"
+    kept = [name.rstrip("/") for name in job["steps"][-1]["with"]["path"].split()]
+    assert kept == ["recordings", "report.xml", "result.json"]
+    assert all((tmp_path / name).exists() for name in kept)
+
+
+@pytest.mark.slow
+def test_the_documents_figures_are_those_of_the_runs() -> None:
+    """Find every line of the benchmark's tables in docs/compare.md."""
+    from benchmarks.false_alarms import kept, tables
+
+    page = DOCUMENT.read_text(encoding="utf-8")
+    for line in tables(kept()):
+        assert line in page
