@@ -32,6 +32,7 @@ PLACES = {
     "benchmarks/README.md": "project/benchmarks.md",
     "recordings/README.md": "project/recordings.md",
     "recordings/h200/README.md": "project/recordings-h200.md",
+    "recordings/replays/README.md": "project/recordings-replays.md",
     "schemas/README.md": "reference/format.md",
     "examples/ballistic-simulator/README.md": "examples/ballistic-simulator.md",
     "examples/log_your_own/README.md": "examples/log_your_own.md",

@@ -25,6 +25,7 @@ _READS = {
     "gsb-record": ("CUDA_VISIBLE_DEVICES", "GSB_ENVIRONMENTS", "GSB_MADRONA_MODULE"),
     "gsb-audit": ("CUDA_VISIBLE_DEVICES", "GSB_ENVIRONMENTS", "GSB_MADRONA_MODULE"),
     "gsb-eval": ("GSB_CACHE", "OMP_NUM_THREADS"),
+    "gsb-compare": ("GSB_CACHE", "OMP_NUM_THREADS"),
     "gsb-info": ("TMPDIR",),
     "gsb-check": ("TMPDIR",),
 }
@@ -50,7 +51,9 @@ _SEE_ALSO = {
     "docs/strangers.md",
     "gsb-diff": "gsb-audit, which replays first; gsb-eval, for sets of runs; docs/diff.md",
     "gsb-audit": "gsb-record --replay, which only replays; gsb-diff, which shows where two part; docs/audit.md",
-    "gsb-share": "gsb-check, for what recover made; docs/share.md; docs/strangers.md",
+    "gsb-compare": "gsb-eval, for one set; gsb-diff, for two files; docs/compare.md; docs/how-to/ci.md",
+    "gsb-view": "gsb-diff, which says in numbers where two part; gsb-share viewer; docs/view.md; docs/viewers.md",
+    "gsb-share": "gsb-check, for what recover made; docs/share.md; docs/dataset.md; docs/strangers.md",
 }
 """Where each command's reader may go on."""
 

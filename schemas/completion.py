@@ -11,7 +11,12 @@ SHELLS = ("bash", "zsh", "fish", "tcsh")
 
 Names = Callable[[], Mapping[str, tuple[str, ...]]]
 
-_PATTERNS = {"FILE": ("*.mcap", "*.mcap.partial"), "CSV": ("*.csv",), "FILE.svg": ("*.svg",)}
+_PATTERNS = {
+    "FILE": ("*.mcap", "*.mcap.partial"),
+    "SET": ("*.mcap", "*.mcap.partial"),
+    "CSV": ("*.csv",),
+    "FILE.svg": ("*.svg",),
+}
 """Names of files that an argument takes, by its metavar. A FILE is a recording where its help does not say "write"."""
 
 

@@ -27,7 +27,7 @@ HEAVY = (
     "module",
     [
         "recorder.cli",
-        *(f"evaluator.cli.{name}" for name in ("audit", "check", "diff", "eval", "info", "share", "view")),
+        *(f"evaluator.cli.{name}" for name in ("audit", "check", "compare", "diff", "eval", "info", "share", "view")),
     ],
 )
 @pytest.mark.parametrize("argument", ["--help", "--version"])

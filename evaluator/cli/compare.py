@@ -67,7 +67,11 @@ def parser() -> argparse.ArgumentParser:
         "--alpha", type=float, default=0.05, help="chance of any false alarm in an invocation (default: %(default)s)"
     )
     p.add_argument(
-        "--threshold", type=_share, default=0.05, metavar="5%", help="smallest change of an amount that counts"
+        "--threshold",
+        type=_share,
+        default=0.05,
+        metavar="5%",
+        help="smallest change of an amount that counts (default: 0.05, which is 5%%)",
     )
     p.add_argument(
         "--outcome", type=float, default=0.01, metavar="CM",

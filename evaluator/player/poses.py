@@ -9,13 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evaluator.recording import Recording
-from evaluator.sharing.motion import ROBOT, Frame, Rows, frames_of, rows_at
-from evaluator.sharing.rotation import product
-from evaluator.sharing.shapes import Shape, solids_of
 from schemas.configuration import sim_time_ns
+from schemas.errors import DamagedRecording
+from schemas.view.motion import ROBOT, Frame, Motion
+from schemas.view.rotation import product
+from schemas.view.shapes import Shape, Solid, solids_of
 
 _PIECE_ROWS = 4096  # read at once, so that memory does not grow with the length of a run
 _MOST_SHAPES = 4000  # that are drawn in every picture
+_LAST_NS = 1 << 62
 _FLAT_M = 1e-3  # a thinner box is the ground
 
 __all__ = ["Items", "Shape", "Surroundings", "items_of", "recorded_steps", "surroundings"]
@@ -51,24 +53,16 @@ class Surroundings:
     left_out: int
 
 
-@dataclass(frozen=True)
-class _Window(Rows):
-    """Rows from `start` on."""
-
-    start: int = 0
-
-    @property
-    def picked(self) -> slice:
-        return slice(self.start, self.stop, self.every)
-
-
 def recorded_steps(recording: Recording) -> NDArray[np.int64]:
-    """Simulator steps of the rows that can be shown, shape [row]; empty where no state of a body or joint is there."""
-    c = recording.configuration
-    times = rows_at(recording, 1.0 / (c.dt * c.stride)).times
-    steps = np.rint(np.array(times, dtype=np.float64) / (c.dt * 1e9)).astype(np.int64)
-    if len(steps) and sim_time_ns(int(steps[-1]), c.dt) != times[-1]:
-        steps = steps[:0]  # times that no step of this length has; nothing of it could be placed
+    """Simulator steps of the rows that can be shown, shape [row]; empty where no state of a body or joint is there.
+
+    DamagedRecording where fields or steps are not of the format.
+    """
+    arrays = [recording.state(field.group, field.field) for field in _motion(recording, 0).fields]
+    stop = min(map(len, arrays), default=0)
+    steps = np.asarray(arrays[0].steps[:stop], dtype=np.int64) if stop else np.empty(0, dtype=np.int64)
+    if len(steps) and sim_time_ns(int(steps[-1]), recording.configuration.dt) > _LAST_NS:
+        raise DamagedRecording(f"{recording.path}: step {steps[-1]} is later than a run lasts")
     return steps
 
 
@@ -77,8 +71,9 @@ def items_of(recording: Recording, env: int, rows: Sequence[range]) -> Items:
 
     DamagedRecording where fields are not of the format.
     """
+    motion = _motion(recording, env)
     parts = [
-        _absolute(frames_of(recording, env, _Window(r.step, min(r.stop, begin + size), (), begin)))
+        _absolute(_frames(recording, motion, env, slice(begin, min(r.stop, begin + size), r.step)))
         for r in rows
         for size in (r.step * max(1, _PIECE_ROWS // r.step),)
         for begin in range(r.start, r.stop, size)
@@ -91,7 +86,7 @@ def items_of(recording: Recording, env: int, rows: Sequence[range]) -> Items:
 
 def surroundings(recording: Recording) -> Surroundings:
     """Shapes from the recording's scene; DamagedRecording where one is unreadable."""
-    solids = solids_of(recording)
+    solids = _solids(recording)
     ends = np.cumsum([len(solid.shapes) for solid in solids], dtype=np.int64)
     left_out = int(ends[-1]) if len(ends) else 0
     solids = solids[: int(np.searchsorted(ends, _MOST_SHAPES, side="right"))]
@@ -106,6 +101,30 @@ def surroundings(recording: Recording) -> Surroundings:
     )
 
 
+def _motion(recording: Recording, env: int) -> Motion:
+    origins = recording.simulation.env_origins if recording.simulation else ()
+    try:
+        return Motion(recording.fields, recording.scene, origin=origins[env] if origins else (0.0, 0.0, 0.0))
+    except DamagedRecording as error:
+        raise _named(recording, error) from None
+
+
+def _frames(recording: Recording, motion: Motion, env: int, rows: slice) -> tuple[Frame, ...]:
+    return motion.frames([recording.state(field.group, field.field)[rows, env] for field in motion.fields])
+
+
+def _solids(recording: Recording) -> tuple[Solid, ...]:
+    try:
+        return solids_of(recording.scene)
+    except DamagedRecording as error:
+        raise _named(recording, error) from None
+
+
+def _named(recording: Recording, error: DamagedRecording) -> DamagedRecording:
+    """The same, with the file that it is about."""
+    return DamagedRecording(f"{recording.path}: {str(error).removeprefix(f'{recording.path}: ')}")
+
+
 def _absolute(frames: Sequence[Frame]) -> Items:
     # a link's pose is relative to its parent, which comes before it
     if not frames:
@@ -114,15 +133,15 @@ def _absolute(frames: Sequence[Frame]) -> Items:
     poses = []
     for frame in frames:
         position, orientation = frame.position, frame.orientation
-        if frame.parent:
-            there, turned = links[frame.parent]
+        if frame.part.parent:
+            there, turned = links[frame.part.parent]
             position = there + _rotated(turned, position)
             orientation = product(turned, orientation)
-        if frame.group == ROBOT:
-            links[frame.name] = position, orientation
+        if frame.part.group == ROBOT:
+            links[frame.part.name] = position, orientation
         poses.append((position, orientation))
     return Items(
-        tuple((frame.group, frame.name) for frame in frames),
+        tuple((frame.part.group, frame.part.name) for frame in frames),
         np.stack([p for p, _ in poses], axis=1),
         np.stack([q for _, q in poses], axis=1),
     )
