@@ -85,9 +85,9 @@ def compare(results: Sequence[GroupResult], sweeps: Sequence[Sweep], reference: 
     Settings of one simulator are no choice between simulators, and what says of itself that it is an instrument is not
     ranked at all.
     """
-    aside = dict.fromkeys(r.group.key.simulator for r in results if _is_instrument(r.group.key))
-    results = [r for r in results if not _is_instrument(r.group.key)]
-    sweeps = [s for s in sweeps if not _is_instrument(s.key)]
+    aside = dict.fromkeys(r.group.key.simulator for r in results if is_instrument(r.group.key))
+    results = [r for r in results if not is_instrument(r.group.key)]
+    sweeps = [s for s in sweeps if not is_instrument(s.key)]
     notes = [f"radar and guidelines leave out instruments: {', '.join(aside)}"] if aside and results else []
 
     ended = [s for s in sweeps if s.n_max is not None]
@@ -119,8 +119,8 @@ def compare(results: Sequence[GroupResult], sweeps: Sequence[Sweep], reference: 
     return Comparison(contenders, radar(figures), tuple(guidelines(figures)), tuple(notes))
 
 
-def _is_instrument(key: GroupKey) -> bool:
-    # a control with a known answer, as its adapter declares it among its switches
+def is_instrument(key: GroupKey) -> bool:
+    """Whether it is a control with a known answer, as its adapter declares it among its switches."""
     return bool(key.switches) and json.loads(key.switches).get("instrument") is True
 
 

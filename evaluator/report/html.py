@@ -1,10 +1,12 @@
-"""An evaluation as one HTML page that needs nothing but itself: no script, no network, no other file.
+"""An evaluation as one HTML page that needs nothing but itself: no network, no other file.
 
-What recordings say is a stranger's text: the templates escape every value, figures escape their own.
+What recordings say is a stranger's text: the templates escape every value, figures escape their own. The page's policy
+allows its own scripts by their digests and nothing else, and without them it lacks only its buttons.
 """
 
 from __future__ import annotations
 
+import json
 import os
 from collections.abc import Callable
 from pathlib import Path
@@ -12,7 +14,7 @@ from pathlib import Path
 from markupsafe import Markup
 
 import schemas
-from evaluator.report.figures import palette
+from evaluator.report.figures import palette, style
 from evaluator.report.page import (
     accumulation,
     consistency,
@@ -25,16 +27,19 @@ from evaluator.report.page import (
     radar,
     recordings,
     scaling,
+    summary,
     throughput,
     validity,
     variability,
 )
 from evaluator.report.page.environment import environment
 from evaluator.report.page.header import header
+from evaluator.report.page.scripts import policy, script
 from evaluator.report.page.section import Section, Source
 from evaluator.results import Evaluation
 
 SECTIONS: tuple[Callable[[Source], Section | None], ...] = (
+    summary.section,
     variability.section,
     mechanics.section,
     throughput.section,
@@ -78,7 +83,8 @@ def render_html(evaluation: Evaluation, *, published: bool, command: str) -> str
     command    that made the page, as a shell would take it
     """
     source = Source(evaluation, published, command)
-    sections = [made for section in SECTIONS if (made := section(source)) is not None]
+    sections = sections_of(source)
+    scripts = [script("download.js")]
     templates = environment()
     common = {"evaluation": evaluation, "shown": source.shown, "hidden": source.hidden}
     bodies = [Markup(templates.get_template(f"{s.key}.html.j2").render(**common, **s.context)) for s in sections]
@@ -91,7 +97,15 @@ def render_html(evaluation: Evaluation, *, published: bool, command: str) -> str
         colours={
             "light": Markup(palette.variables(dark=False)),
             "dark": Markup(palette.variables(dark=True)),
-            "rules": Markup(palette.rules()),
+            "figures": Markup(style.css()),
         },
+        figure_rules=json.dumps(style.resolved()),
+        scripts=scripts,
+        policy=policy(scripts),
     )
     return page.lstrip()
+
+
+def sections_of(source: Source) -> list[Section]:
+    """The sections that have something to say."""
+    return [made for section in SECTIONS if (made := section(source)) is not None]
