@@ -34,6 +34,7 @@ examples:
   gsb-eval recordings/*.mcap --html report/ --published
   gsb-eval recordings/*.mcap --reference trials.mcap --json results.json
   gsb-eval recordings/*.mcap --tables tables/ --ray local
+  gsb-eval recordings/*.mcap --figures figures/
 """
 
 
@@ -53,6 +54,7 @@ def parser() -> argparse.ArgumentParser:
     )
     p.add_argument("--html", type=local_path, metavar="DIR", help="write a report to DIR/index.html")
     p.add_argument("--tables", type=local_path, metavar="DIR", help="write metrics.parquet and runs.parquet")
+    p.add_argument("--figures", type=local_path, metavar="DIR", help="write each figure as SVG, PDF and CSV")
     p.add_argument("--physics", action="store_true", help="show each check of mechanics, with what it allows")
     p.add_argument("--published", action="store_true", help="show the paper's figures beside, marked as such")
     p.add_argument("--no-verify", action="store_true", help="skip the digests; CRCs of what is read are still checked")
@@ -78,6 +80,10 @@ def run(arguments: argparse.Namespace, command: str) -> int:
         from evaluator.report.parquet import polars
 
         polars()  # before anything is computed
+    if arguments.figures:
+        from evaluator.report.paper.pdf import reportlab
+
+        reportlab()
     with ExitStack() as stack:
         work = _work(arguments, stack)
         reader = Reader(arguments.sample_time, verify=not arguments.no_verify)
@@ -160,6 +166,16 @@ def _present(evaluation: Evaluation, arguments: argparse.Namespace, command: str
                 print(f"table: {table}", file=sys.stderr if arguments.json == "-" else sys.stdout)
         except OSError as error:
             raise GsbError(f"cannot write tables to {arguments.tables}: {error.strerror}") from None
+    if arguments.figures:
+        from evaluator.report.paper.figures import write_figures
+
+        try:
+            written = write_figures(evaluation, arguments.figures, published=arguments.published)
+        except OSError as error:
+            raise GsbError(f"cannot write figures to {arguments.figures}: {error.strerror}") from None
+        count = sum(path.suffix == ".pdf" for path in written)
+        said = f"figures: {count} in {arguments.figures}, listed in {written[-1]}"
+        print(said, file=sys.stderr if arguments.json == "-" else sys.stdout)
     if arguments.html:
         from evaluator.report.html import write_html
 

@@ -52,7 +52,7 @@ def _charts(sweeps: Sequence[Sweep], paper: dict[str, AtLargest], key: str) -> I
     for metric, said in _MEMORY.items():
         memory = [Foreign(name, at.n_env_max, at.memory_gb * 1e9) for name, at in paper.items()]
         if metric == _DEVICE or not paper:
-            yield _chart(f"{said} [B]", words.size, sweeps, metric, memory, f"{key}-{file_name(said)}")
+            yield _chart(said, words.size, sweeps, metric, memory, f"{key}-{file_name(said)}")
 
 
 def _chart(
@@ -62,8 +62,9 @@ def _chart(
     of_metric = [(i, s) for i, s in enumerate(sweeps) if metric not in _MEMORY or s.memory == metric]
     curves = [_curve(i, s, metric) for i, s in of_metric]
     svg = scaling_chart(curves, value=value, tick=tick, foreign=foreign)
+    title = f"{value} [B]" if metric in _MEMORY else value
     numbers = Numbers(
-        ("sweep", "environments", value, "95 % low", "95 % high", "complete runs", "memory model [B]", "what"),
+        ("sweep", "environments", title, "95 % low", "95 % high", "complete runs", "memory model [B]", "what"),
         [*(row for _, sweep in of_metric for row in _rows(sweep, metric)),
          *((one.label, one.n_env, one.value, None, None, None, None, "published") for one in foreign)],
     )  # fmt: skip

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, fields, is_dataclass
 from functools import cached_property
 from typing import Any
 
+from evaluator.report.page.picture import Picture
 from evaluator.results import Evaluation, GroupResult
 from evaluator.sweeps import swept_only
 
@@ -53,3 +54,19 @@ class Section:
     title: str
     context: Mapping[str, Any]
     link: str = ""
+
+    def pictures(self) -> Iterator[Picture]:
+        """All figures among what its template shows, in order."""
+        yield from _found(self.context.values())
+
+
+def _found(values: Iterable[Any]) -> Iterator[Picture]:
+    for value in values:
+        if isinstance(value, Picture):
+            yield value
+        elif isinstance(value, Mapping):
+            yield from _found(value.values())
+        elif isinstance(value, list | tuple):
+            yield from _found(value)
+        elif is_dataclass(value) and type(value).__module__.startswith("evaluator.report."):
+            yield from _found(getattr(value, field.name) for field in fields(value))
