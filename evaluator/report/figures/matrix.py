@@ -54,7 +54,7 @@ def matrix_map(matrix: NDArray[np.float64], *, of: str, name: str) -> str:
     bottom = _TOP + side
     middles = [(str(i * block), (i + 0.5) * size) for i in axis.index_ticks(n)]
     return figure(
-        _LEFT + side + 92,
+        _LEFT + side + 106,
         bottom + 38,
         f"Matrix of distances between {of}s of {name}. {caption(matrix, of=of)}",
         *cells,

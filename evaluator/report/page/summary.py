@@ -25,6 +25,11 @@ class Speed:
         """Throughput [env steps/s]."""
         return self.result.metrics["fps"].value or 0.0
 
+    @property
+    def broken(self) -> bool:
+        """Whether a check of mechanics is broken in its group."""
+        return bool(self.result.fidelity.of(Verdict.BROKEN))
+
 
 @dataclass(frozen=True)
 class SimulatorSummary:
