@@ -215,6 +215,10 @@ class Browser:
         answer = self._send("Page.captureScreenshot", format="png", captureBeyondViewport=whole, **clip)
         path.write_bytes(base64.b64decode(answer["data"]))
 
+    def save_to(self, folder: Path) -> None:
+        """Put what pages save as files into a folder, without asking."""
+        self._send("Page.setDownloadBehavior", behavior="allow", downloadPath=str(folder))
+
     def pdf(self, path: Path) -> None:
         """Write the page as it is printed."""
         path.write_bytes(base64.b64decode(self._send("Page.printToPDF", printBackground=True)["data"]))

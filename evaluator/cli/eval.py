@@ -21,6 +21,8 @@ if TYPE_CHECKING:
     from evaluator.summary import Summary
     from evaluator.work import Work
 
+_FORMATS = ("parquet", "csv", "md", "tex")
+
 _EPILOG = """\
 exit codes:
   0  every file was read and every recording is complete, failed or invalid by its own word
@@ -34,6 +36,7 @@ examples:
   gsb-eval recordings/*.mcap --html report/ --published
   gsb-eval recordings/*.mcap --reference trials.mcap --json results.json
   gsb-eval recordings/*.mcap --tables tables/ --ray local
+  gsb-eval recordings/*.mcap --figures figures/ --tables tables/ --format csv,md,tex
 """
 
 
@@ -59,6 +62,15 @@ def parser() -> argparse.ArgumentParser:
     )
     p.add_argument("--html", type=local_path, metavar="DIR", help="write a report to DIR/index.html")
     p.add_argument("--tables", type=local_path, metavar="DIR", help="write metrics.parquet and runs.parquet")
+    p.add_argument(
+        "--format",
+        type=_formats,
+        default=("parquet",),
+        metavar="LIST",
+        help="with --tables: any of parquet, csv, md, tex, with commas between; all but parquet write the report's "
+        "tables, a file each (default: parquet)",
+    )
+    p.add_argument("--figures", type=local_path, metavar="DIR", help="write each figure as SVG, PDF and CSV")
     p.add_argument("--physics", action="store_true", help="show each check of mechanics, with what it allows")
     p.add_argument("--published", action="store_true", help="show the paper's figures beside, marked as such")
     p.add_argument("--no-verify", action="store_true", help="skip the digests; CRCs of what is read are still checked")
@@ -68,6 +80,14 @@ def parser() -> argparse.ArgumentParser:
     )
     p.add_argument("--no-cache", action="store_true", help="compute everything anew and keep nothing")
     return p
+
+
+def _formats(text: str) -> tuple[str, ...]:
+    """Formats of tables, each once."""
+    names = tuple(dict.fromkeys(part.strip() for part in text.split(",")))
+    if unknown := [name for name in names if name not in _FORMATS]:
+        raise argparse.ArgumentTypeError(f"no format of tables: {', '.join(unknown)}; known: {', '.join(_FORMATS)}")
+    return names
 
 
 def run(arguments: argparse.Namespace, command: str) -> int:
@@ -80,10 +100,16 @@ def run(arguments: argparse.Namespace, command: str) -> int:
     if not 0 < arguments.sample_time < float("inf"):
         raise UsageError(f"--sample-time is a time in seconds above 0, not {arguments.sample_time}")
     check_target(arguments.json)
-    if arguments.tables:
+    if arguments.format != ("parquet",) and not arguments.tables:
+        raise UsageError("--format says what --tables DIR writes; give both")
+    if arguments.tables and "parquet" in arguments.format:
         from evaluator.report.parquet import polars
 
         polars()  # before anything is computed
+    if arguments.figures:
+        from evaluator.report.paper.pdf import reportlab
+
+        reportlab()
     with ExitStack() as stack:
         work = _work(arguments, stack)
         reader = Reader(arguments.sample_time, verify=not arguments.no_verify)
@@ -159,13 +185,28 @@ def _present(evaluation: Evaluation, arguments: argparse.Namespace, command: str
         if arguments.json:
             write(Path(arguments.json), dump_json(evaluation))
     if arguments.tables:
+        from evaluator.report.paper.tables import write_tables
+        from evaluator.report.paper.text_table import Format
         from evaluator.report.parquet import write_parquet
 
+        formats = [Format(name) for name in arguments.format]
         try:
-            for table in write_parquet(evaluation, arguments.tables):
+            tables = write_parquet(evaluation, arguments.tables) if Format.PARQUET in formats else []
+            tables += write_tables(evaluation, arguments.tables, formats, published=arguments.published)
+            for table in tables:
                 print(f"table: {table}", file=sys.stderr if arguments.json == "-" else sys.stdout)
         except OSError as error:
             raise GsbError(f"cannot write tables to {arguments.tables}: {error.strerror}") from None
+    if arguments.figures:
+        from evaluator.report.paper.figures import write_figures
+
+        try:
+            written = write_figures(evaluation, arguments.figures, published=arguments.published)
+        except OSError as error:
+            raise GsbError(f"cannot write figures to {arguments.figures}: {error.strerror}") from None
+        count = sum(path.suffix == ".pdf" for path in written)
+        said = f"figures: {count} in {arguments.figures}, listed in {written[-1]}"
+        print(said, file=sys.stderr if arguments.json == "-" else sys.stdout)
     if arguments.html:
         from evaluator.report.html import write_html
 

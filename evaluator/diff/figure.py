@@ -18,10 +18,8 @@ _MARKS = ((1e-3, "1 mm"), (1e-2, "1 cm"))
 _MARKED_POINTS = 40  # more would hide the line
 
 _STYLE = """
-:root { --page: #ffffff; --ink: #1b1f24; --quiet: #57606a; --rule: #c9d0d8; --alert: #8f1d14; LIGHT }
-@media (prefers-color-scheme: dark) {
-  :root { --page: #14171b; --ink: #e4e8ec; --quiet: #a3adb8; --rule: #3b444e; --alert: #ffb0a6; DARK }
-}
+:root { LIGHT }
+@media (prefers-color-scheme: dark) { :root { DARK } }
 svg { background: var(--page); }
 svg text { fill: var(--ink); font: 12px system-ui, sans-serif; }
 svg .small { font-size: 10.5px; fill: var(--quiet); }

@@ -7,6 +7,7 @@ import hashlib
 from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import jinja2
 from markupsafe import Markup
@@ -14,6 +15,7 @@ from markupsafe import Markup
 from evaluator.player.clip import Clip
 from evaluator.player.encode import RESOLUTION_M, RESOLUTION_QUATERNION, encode
 from evaluator.player.words import distinct, sentences
+from evaluator.report.text import printable
 
 _HERE = Path(__file__).parent
 
@@ -38,11 +40,16 @@ def policy(text: str) -> str:
     return f"'sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}'"
 
 
+def _visible(value: Any) -> Any:
+    """Text without characters that a page cannot hold; markup of our own is left alone."""
+    return printable(value) if isinstance(value, str) and not isinstance(value, Markup) else value
+
+
 def markup(clips: Sequence[Clip]) -> Markup:
     """A player of these clips, one at a time; without scripts, what it would show in words."""
     environment = jinja2.Environment(
         loader=jinja2.FileSystemLoader(_HERE), autoescape=True, undefined=jinja2.StrictUndefined,
-        trim_blocks=True, lstrip_blocks=True,
+        trim_blocks=True, lstrip_blocks=True, finalize=_visible,
     )  # fmt: skip
     return Markup(
         environment.get_template("player.html.j2").render(

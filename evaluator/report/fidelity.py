@@ -13,7 +13,7 @@ from evaluator.report.console import make_console, plain_table
 from evaluator.report.numbers import NONE
 from evaluator.report.text import printable
 
-_TITLES = ("check", "measured", "range", "allowed", "tolerance", "verdict")
+TITLES = ("check", "measured", "range", "allowed", "tolerance", "verdict")
 _AT_REST = "at rest at the sample time (mechanics does not demand it)"
 _NUMBERS = ("measured", "range", "allowed", "tolerance")
 
@@ -28,7 +28,7 @@ def print_fidelity(found: Sequence[Fidelity], stream: IO[str]) -> None:
         for title, rows in _parts(one):
             if title:
                 console.print(title)
-            table = plain_table(*_TITLES)
+            table = plain_table(*TITLES)
             for row in rows:
                 style = "bold" if row.broken else ""
                 table.add_row(*(Text(printable(cell), style=style) for cell in cells(row)))
@@ -135,8 +135,8 @@ def _parts(one: Fidelity) -> list[tuple[str, list[FidelityRow]]]:
 
 
 def _table(name: str, told: Sequence[FidelityRow]) -> Markup:
-    aligned = [Markup(' class="num"') if title in _NUMBERS else Markup("") for title in _TITLES]
-    columns = zip(aligned, _TITLES, strict=True)
+    aligned = [Markup(' class="num"') if title in _NUMBERS else Markup("") for title in TITLES]
+    columns = zip(aligned, TITLES, strict=True)
     head = Markup("").join(Markup('<th scope="col"{}>{}</th>').format(how, title) for how, title in columns)
     rows = []
     for row in told:

@@ -1,13 +1,12 @@
 """An evaluation as one HTML page that needs nothing but itself: no network, no other file.
 
-One section has a script, the player's; the page's policy allows that text alone, and without it the page is whole.
-
-
-What recordings say is a stranger's text: the templates escape every value, figures escape their own.
+What recordings say is a stranger's text: the templates escape every value, figures escape their own. The page's policy
+allows its own scripts by their digests and nothing else, and without them it lacks only its buttons.
 """
 
 from __future__ import annotations
 
+import json
 import os
 from collections.abc import Callable
 from pathlib import Path
@@ -15,9 +14,8 @@ from pathlib import Path
 from markupsafe import Markup
 
 import schemas
-from evaluator.player.markup import policy
 from evaluator.player.playback import Playback, playback_of
-from evaluator.report.figures import palette
+from evaluator.report.figures import palette, style
 from evaluator.report.page import (
     accumulation,
     consistency,
@@ -35,16 +33,19 @@ from evaluator.report.page import (
     recordings,
     remade,
     scaling,
+    summary,
     throughput,
     validity,
     variability,
 )
 from evaluator.report.page.environment import environment
 from evaluator.report.page.header import header
+from evaluator.report.page.scripts import policy, script
 from evaluator.report.page.section import Section, Source
 from evaluator.results import Evaluation
 
 SECTIONS: tuple[Callable[[Source], Section | None], ...] = (
+    summary.section,
     remade.section,
     variability.section,
     playback.section,
@@ -98,10 +99,11 @@ def render_html(evaluation: Evaluation, *, published: bool, command: str, playba
 
     published  whether the paper's figures are shown as well, marked as the paper's
     command    that made the page, as a shell would take it
-    playback   environments in motion; without, the page has no script
+    playback   environments in motion; None where the page is to have none
     """
     source = Source(evaluation, published, command, playback)
-    sections = [made for section in SECTIONS if (made := section(source)) is not None]
+    sections = sections_of(source)
+    scripts = [script("download.js"), *(Markup(s.script) for s in sections if s.script)]
     templates = environment()
     common = {"evaluation": evaluation, "shown": source.shown, "hidden": source.hidden}
     bodies = [Markup(templates.get_template(f"{s.key}.html.j2").render(**common, **s.context)) for s in sections]
@@ -109,20 +111,21 @@ def render_html(evaluation: Evaluation, *, published: bool, command: str, playba
         **common,
         **header(source),
         sections=list(zip(sections, bodies, strict=True)),
-        policy=Markup("; ".join(["default-src 'none'", "style-src 'unsafe-inline'", *_script_source(sections)])),
         styles=[Markup(s.style) for s in sections if s.style],
-        scripts=[Markup(s.script) for s in sections if s.script],
         command=command,
         version=schemas.__version__,
         colours={
             "light": Markup(palette.variables(dark=False)),
             "dark": Markup(palette.variables(dark=True)),
-            "rules": Markup(palette.rules()),
+            "figures": Markup(style.css()),
         },
+        figure_rules=json.dumps(style.resolved()),
+        scripts=scripts,
+        policy=policy(scripts),
     )
     return page.lstrip()
 
 
-def _script_source(sections: list[Section]) -> list[str]:
-    scripts = [policy(s.script) for s in sections if s.script]
-    return [f"script-src {' '.join(scripts)}"] if scripts else []
+def sections_of(source: Source) -> list[Section]:
+    """The sections that have something to say."""
+    return [made for section in SECTIONS if (made := section(source)) is not None]

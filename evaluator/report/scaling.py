@@ -9,20 +9,14 @@ from markupsafe import Markup
 
 from evaluator.published import SCALING, AtLargest
 from evaluator.report import words
+from evaluator.report.csv import Cell
 from evaluator.report.figures import lines
 from evaluator.report.figures.scaling import Curve, Foreign, scaling_chart
+from evaluator.report.page.picture import Numbers, Picture, file_name
 from evaluator.sweeps import Sweep
 
 _DEVICE, _HOST = "memory_peak_increment", "host_memory_peak_increment"
 _MEMORY = {_DEVICE: "device memory increment", _HOST: "host memory increment"}
-
-
-@dataclass(frozen=True)
-class Chart:
-    """A figure with its words; `svg` is empty where there is nothing to draw."""
-
-    title: str
-    svg: Markup
 
 
 @dataclass(frozen=True)
@@ -31,15 +25,15 @@ class SceneSweeps:
 
     scene: str
     sweeps: list[tuple[Markup, Sweep]]
-    charts: list[Chart]
+    charts: list[Picture]
 
 
 def scene_sweeps(sweeps: Sequence[Sweep]) -> Iterator[SceneSweeps]:
     """By scene, in order."""
-    for scene in dict.fromkeys(s.key.scene for s in sweeps):
+    for nth, scene in enumerate(dict.fromkeys(s.key.scene for s in sweeps)):
         of_scene = [s for s in sweeps if s.key.scene == scene]
         marked = [(Markup(lines.swatch(i)), s) for i, s in enumerate(of_scene)]
-        yield SceneSweeps(scene, marked, [c for c in _charts(of_scene, {}) if c.svg])
+        yield SceneSweeps(scene, marked, [c for c in _charts(of_scene, {}, file_name("scaling", nth, scene)) if c.svg])
 
 
 def beside_published(sweeps: Sequence[Sweep]) -> Iterator[SceneSweeps]:
@@ -48,22 +42,44 @@ def beside_published(sweeps: Sequence[Sweep]) -> Iterator[SceneSweeps]:
         of_scene = [s for s in sweeps if s.key.scene == scene]
         marked = [(Markup(lines.swatch(i)), s) for i, s in enumerate(of_scene)]
         points = {r.simulator: at for r in SCALING if (at := r.free_fall if scene == "free-fall" else r.franka)}
-        yield SceneSweeps(scene, marked, [c for c in _charts(of_scene, points) if c.svg])
+        charts = _charts(of_scene, points, f"published-{scene}")
+        yield SceneSweeps(scene, marked, [c for c in charts if c.svg])
 
 
-def _charts(sweeps: Sequence[Sweep], paper: dict[str, AtLargest]) -> Iterator[Chart]:
+def _charts(sweeps: Sequence[Sweep], paper: dict[str, AtLargest], key: str) -> Iterator[Picture]:
     speed = [Foreign(name, at.n_env_max, at.fps) for name, at in paper.items()]
-    curves = [_curve(i, s, "fps") for i, s in enumerate(sweeps)]
-    yield _chart("throughput", "throughput [env steps/s]", steps_label, curves, speed)
+    yield _chart("throughput [env steps/s]", steps_label, sweeps, "fps", speed, f"{key}-throughput")
     for metric, said in _MEMORY.items():
         memory = [Foreign(name, at.n_env_max, at.memory_gb * 1e9) for name, at in paper.items()]
-        curves = [_curve(i, s, metric) for i, s in enumerate(sweeps) if s.memory == metric]
         if metric == _DEVICE or not paper:
-            yield _chart(said, said, words.size, curves, memory)
+            yield _chart(said, words.size, sweeps, metric, memory, f"{key}-{file_name(said)}")
 
 
-def _chart(title: str, value: str, tick: Callable[[float], str], curves: list[Curve], foreign: list[Foreign]) -> Chart:
-    return Chart(title, Markup(scaling_chart(curves, value=value, tick=tick, foreign=foreign)))
+def _chart(
+    value: str, tick: Callable[[float], str], sweeps: Sequence[Sweep], metric: str, foreign: list[Foreign], key: str
+) -> Picture:
+    """A metric of the sweeps that have it, and the published points; without a picture where nothing is measured."""
+    of_metric = [(i, s) for i, s in enumerate(sweeps) if metric not in _MEMORY or s.memory == metric]
+    curves = [_curve(i, s, metric) for i, s in of_metric]
+    svg = scaling_chart(curves, value=value, tick=tick, foreign=foreign)
+    title = f"{value} [B]" if metric in _MEMORY else value
+    numbers = Numbers(
+        ("sweep", "environments", title, "95 % low", "95 % high", "complete runs", "memory model [B]", "what"),
+        [*(row for _, sweep in of_metric for row in _rows(sweep, metric)),
+         *((one.label, one.n_env, one.value, None, None, None, None, "published") for one in foreign)],
+    )  # fmt: skip
+    return Picture(value, "", Markup(svg) if svg else None, key, numbers)
+
+
+def _rows(sweep: Sweep, name: str) -> Iterator[tuple[Cell, ...]]:
+    model = sweep.models.get(name)
+    for point in sweep.points:
+        metric = point.result.metrics[name]
+        scale = words.BYTES.get(metric.unit, 1.0)
+        value, low, high = (None if v is None else v * scale for v in (metric.value, *(metric.ci95 or (None, None))))
+        what = "N_env^max" if point.n_env == sweep.n_max else "" if point.complete else "; ".join(point.causes)
+        modelled = model.at(point.n_env) if model else None
+        yield sweep.label, point.n_env, value, low, high, point.complete, modelled, what
 
 
 def _curve(index: int, sweep: Sweep, name: str) -> Curve:

@@ -24,7 +24,7 @@ def print_sweeps(console: Console, scene: str, sweeps: Sequence[Sweep]) -> None:
     )  # fmt: skip
     for sweep in sweeps:
         for index, point in enumerate(sweep.points):
-            cells = (sweep.label if index == 0 else "", f"{point.n_env:,}", *_cells(sweep, point))
+            cells = (sweep.label if index == 0 else "", f"{point.n_env:,}", *point_cells(sweep, point))
             table.add_row(*(Text(printable(cell)) for cell in cells))
     console.print(table)
     for sweep in sweeps:
@@ -38,7 +38,8 @@ def print_sweeps(console: Console, scene: str, sweeps: Sequence[Sweep]) -> None:
     console.print()
 
 
-def _cells(sweep: Sweep, point: SweepPoint) -> tuple[str, ...]:
+def point_cells(sweep: Sweep, point: SweepPoint) -> tuple[str, ...]:
+    """Throughput, memory, contacts and runs at one number of environments."""
     runs = ", ".join(filter(None, (f"{point.complete} of {len(point.recordings)} complete", *point.causes)))
     return (
         mean_sd(point.result.metrics["fps"]),

@@ -12,6 +12,7 @@ from evaluator.player.encode import encode
 from evaluator.player.markup import script
 from evaluator.player.playback import BUDGET_BYTES, playback_of
 from evaluator.report.html import write_html
+from evaluator.report.page.scripts import script as download
 from evaluator.results import Evaluation
 from tests.browser import Browser, needs_chromium
 from tests.evaluator.test_html import Page
@@ -69,23 +70,24 @@ def test_files_that_went_away_are_named(tmp_path: Path) -> None:
     assert found.clips == ()
     assert str(path) in found.not_shown[0].reason
     text = write_html(evaluation, tmp_path / "report", published=False, command="gsb-eval").read_text()
-    assert "script-src" not in text
-    assert "<script" not in text
+    assert "gsb-player" not in text
     assert "<bdi>gone</bdi>" in text[text.index('id="playback"') :]
 
 
-def test_the_page_has_one_script_and_no_other_file(evaluation: Evaluation, tmp_path: Path) -> None:
-    """Hold nothing that runs but the player's script, which the policy names by its hash."""
+def test_the_page_has_two_scripts_and_no_other_file(evaluation: Evaluation, tmp_path: Path) -> None:
+    """Hold nothing that runs but our own scripts, which the policy names by their hashes."""
     text = write_html(evaluation, tmp_path, published=False, command="gsb-eval").read_text(encoding="utf-8")
     scripts = re.findall(r"<script([^>]*)>(.*?)</script>", text, re.DOTALL)
-    assert [s for kind, s in scripts if not kind] == [script()]
+    assert [s for kind, s in scripts if not kind] == [download("download.js"), script()]
     assert {kind for kind, _ in scripts if kind} == {' type="application/json" class="clip"'}
     for tag, attributes in Page(text).tags:
         assert tag not in {"link", "iframe", "object", "embed", "img", "base", "form"}
         assert not any(name.startswith("on") or name == "src" for name in attributes)
     (policy,) = re.findall(r'Content-Security-Policy" content="([^"]*)"', text.replace("&#39;", "'"))
     assert re.fullmatch(
-        r"default-src 'none'; style-src 'unsafe-inline'; script-src 'sha256-[A-Za-z0-9+/]{43}='", policy
+        r"default-src 'none'; script-src( 'sha256-[A-Za-z0-9+/]{43}='){2}; style-src 'unsafe-inline'; "
+        r"base-uri 'none'; form-action 'none'",
+        policy,
     )
 
 

@@ -9,8 +9,23 @@ import numpy as np
 import pytest
 
 from evaluator.metrics.density import HexGrid, marginal
+from evaluator.metrics.divergence import GrowthFit
 from evaluator.metrics.radar import SimulatorResult, radar
-from evaluator.report.figures import axis, density_map, lines, matrix, palette, radar_chart, scaling, svg
+from evaluator.metrics.split_tree import Branch, SplitTree
+from evaluator.report.figures import (
+    axis,
+    density_map,
+    divergence,
+    dot_plot,
+    lines,
+    matrix,
+    palette,
+    radar_chart,
+    scaling,
+    style,
+    svg,
+    tree,
+)
 from evaluator.results import Map
 
 GRID = HexGrid((-0.1, 0.7, -0.3, 0.3), 0.02)
@@ -167,7 +182,7 @@ def test_radar_leaves_gaps_open() -> None:
         SimulatorResult("b", fps=2.0, w1_real=2.0, parallel=0.0, run_to_run=1.0),
     ]
     root = ET.fromstring(radar_chart.radar_chart(radar(compared)))
-    assert len(list(root.iter("circle"))) == 4
+    assert len(list(root.iter("circle"))) == 4 + 1  # and one in the legend
     words = [e.text for e in root.iter("text")]
     assert words.count("not measured") == 2
     assert words.count("no difference") == 1
@@ -264,8 +279,8 @@ def test_scaling_curves() -> None:
     )
     root = draw_scaling([curve, scaling.Curve(1, "other", ((1.0, 5.0),)), scaling.Curve(2, "empty", ())])
     marks = [e for e in root.iter("circle") if e.get("class") == "g0"]
-    assert len(marks) == 3
-    across = [float(e.get("cx", "")) for e in marks]
+    assert len(marks) == 3 + 1  # and one in the legend
+    across = [float(e.get("cx", "")) for e in marks[:3]]
     assert across[1] - across[0] == pytest.approx(across[2] - across[1], abs=0.05)
     assert classes(root).count("g0 end-ring") == 1
     assert classes(root).count("cross") == 1
@@ -291,3 +306,72 @@ def test_published_points_are_marked_as_foreign() -> None:
     assert classes(root).count("foreign") == 4
     heights = sorted(float(e.get("y", "")) for e in root.iter("text") if (e.text or "").startswith("engine"))
     assert min(np.diff(heights)) >= 12
+
+
+FIGURES = ["matrix", "map", "scale", "radar", "scaling", "classes", "dots", "divergence", "tree"]
+
+
+def every_figure() -> list[str]:
+    """One of each kind, with all that it can show."""
+    values = np.array([[0.0, 0.0, np.nan], [0.0, 0.0, 3.0], [np.nan, 3.0, 0.0]])
+    points = np.array([[0.1, 0.0]] * 10 + [[0.3, 0.1]])
+    sides = (marginal(points[:, 0], EDGES[0]), marginal(points[:, 1], EDGES[1]))
+    board = density_map.Outline(0.0, 0.6, -0.3, 0.3)
+    compared = [SimulatorResult("a", fps=1.0, parallel=0.0), SimulatorResult("b", fps=2.0, parallel=0.0)]
+    curve = scaling.Curve(0, "a", ((1.0, 10.0), (2.0, 20.0)), model=lambda n: 10 * n, n_max=2, failed=4)
+    times = np.arange(1.0, 9.0) / 10
+    grown = 1e-6 * np.exp(8 * times)
+    apart = divergence.Curve(0, "a", times, grown, grown / 2, GrowthFit(8.0, 1.0, 8, 0.1, 0.8))
+    split = SplitTree((Branch(0, None, 0, 4, 2, (0, 1)), Branch(2, 0, 5, 2, 2, (2, 3))), 0, 0, 10)
+    return [
+        matrix.matrix_map(values, of="env", name=HOSTILE),
+        density_map.density_map(GRID.bin(points), sides, Map(GRID, EDGES, 10), name="a", share_max=1.0, board=board),
+        density_map.count_scale(10),
+        radar_chart.radar_chart(radar(compared)),
+        scaling.scaling_chart([curve], value=HOSTILE, tick=str, foreign=[scaling.Foreign("x", 2.0, 5.0)]),
+        matrix.matrix_map(values, of="env", name="a", classes=[0, 0, 1]),
+        dot_plot.dot_plot(
+            [dot_plot.Dot(0, HOSTILE, 0.0), dot_plot.Dot(1, "b", 2.0, 1.0, 3.0, open=True)], value="v", tick=str
+        ),
+        divergence.divergence_chart([apart], onset=0.2, name=HOSTILE),
+        tree.tree_chart(split, dt=0.01, of="env", names=range(4), label=HOSTILE),
+    ]
+
+
+@pytest.mark.parametrize("drawn", every_figure(), ids=FIGURES)
+def test_figures_stand_alone(drawn: str) -> None:
+    """Leave a page with colours in every element: no style sheet, no variable, nothing from outside."""
+    text = style.standalone(drawn, matrix.hatch())
+    root = ET.fromstring(text.encode())
+    name = "{http://www.w3.org/2000/svg}"
+    assert root.tag == f"{name}svg"
+    assert {"width", "height", "viewBox"} <= set(root.attrib)
+    assert "style" not in {key for e in root.iter() for key in e.attrib}
+    assert "var(" not in text
+    assert {c for e in root.iter() for c in (e.get("class") or "").split()} <= style.classes() | {"cell", "ring"}
+    for one in root.iter():
+        if one.tag in {f"{name}{tag}" for tag in ("rect", "path", "circle", "line", "text")}:
+            assert one.get("fill") or one.get("stroke"), one.attrib
+        for value in one.attrib.values():
+            assert "url(" not in value or value == "url(#hatch)"
+    if "url(#hatch)" in text:
+        assert [e.get("id") for e in root.iter(f"{name}pattern")] == ["hatch"]
+
+
+def test_rules_are_css() -> None:
+    """Give pages the rules that files are resolved from, with the later one winning."""
+    assert "svg .edge { stroke: var(--edge); stroke-width: 1.2; stroke-dasharray: 5 3; fill: none; }" in style.css()
+    drawn = svg.figure(
+        10, 10, "a", svg.text("x", 1, 2, class_="small end"), svg.element("path", d="M0 0", class_="g1 line")
+    )
+    root = ET.fromstring(style.standalone(drawn, matrix.hatch()))
+    shown = root.find("{*}text")
+    line = root.find("{*}path")
+    assert shown is not None
+    assert line is not None
+    assert [shown.get(k) for k in ("font-size", "text-anchor", "fill")] == [
+        "10.5",
+        "end",
+        palette.theme(dark=False)["quiet"],
+    ]
+    assert (line.get("fill"), line.get("stroke")) == ("none", palette.GROUPS_LIGHT[1])

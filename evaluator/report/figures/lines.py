@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from evaluator.report.figures.palette import GROUPS_LIGHT
-from evaluator.report.figures.svg import closed_path, element
+from evaluator.report.figures.svg import closed_path, element, number, text
 
 _DASHES = ("", "7 3", "2 3", "9 3 2 3")
 _MARKS = 4
+_ROW, _SWATCH, _LETTER = 16.0, 40.0, 6.2
 
 
 def mark(index: int, x: float, y: float) -> str:
@@ -32,6 +35,23 @@ def swatch(index: int) -> str:
     return element(
         "svg", path(index, "M1 8H33"), mark(index, 17, 8), viewBox="0 0 34 16", class_="swatch", aria_hidden="true"
     )
+
+
+def legend(labels: Sequence[tuple[int, str]], x: float, y: float, width: float) -> tuple[str, float]:
+    """Names of series below a figure, and the height that they take; a name without room loses its middle.
+
+    labels  index and name of each
+    """
+    columns = 2 if all(len(label) * _LETTER < width / 2 - _SWATCH for _, label in labels) else 1
+    room = int((width / columns - _SWATCH) / _LETTER)
+    drawn = []
+    for i, (index, label) in enumerate(labels):
+        left, middle = x + (i % columns) * width / columns, y + _ROW * (i // columns) + _ROW / 2
+        shown = label if len(label) <= room else f"{label[: room // 2]}\u2026{label[1 - room + room // 2 :]}"
+        drawn.append(path(index, f"M{number(left)} {number(middle)}h32"))
+        drawn.append(mark(index, left + 16, middle))
+        drawn.append(text(shown, left + _SWATCH, middle + 3.7, class_="small"))
+    return element("g", *drawn) if drawn else "", _ROW * -(-len(labels) // columns)
 
 
 def colour_class(index: int) -> str:

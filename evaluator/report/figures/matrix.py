@@ -91,7 +91,7 @@ def matrix_map(
     ticks = range(0, n, -(-n // _NAMED)) if grouped(len(values), classes) else axis.index_ticks(n)
     middles = [(str(shown[i * block]), (i + 0.5) * size) for i in ticks]
     return figure(
-        _LEFT + side + 104,
+        _LEFT + side + 106,
         bottom + 38,
         f"Matrix of distances between {of}s of {name}. {caption(matrix, of=of)}",
         *cells,

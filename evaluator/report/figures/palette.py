@@ -1,4 +1,4 @@
-"""Colours: one scale for values, one set for groups, each for a light and a dark page.
+"""Colours: of the page, one scale for values, one set for groups, each for a light and a dark page.
 
 The scale's control points lie in OKLCH (lightness, chroma, hue), where equal steps of lightness look equal. Lightness
 rises evenly from end to end while the hue turns from indigo by teal to yellow: the order survives in grey print and in
@@ -28,6 +28,17 @@ CONTROL_POINTS = (
 _LIGHT_ENDS = (0.82, 0.0)
 _DARK_ENDS = (0.26, 1.0)
 
+_LIGHT = {
+    "page": "#ffffff", "ink": "#1b1f24", "quiet": "#57606a", "rule": "#c9d0d8", "panel": "#f5f7f9", "link": "#0a5ea8",
+    "alert": "#8f1d14", "alert-panel": "#fdf0ee", "board": "#eceae4", "edge": "#8a8372", "bar": "#7b8794",
+    "zero": "#e3e6ea", "zero-line": "#7b8794",
+}  # fmt: skip
+_DARK = {
+    "page": "#14171b", "ink": "#e4e8ec", "quiet": "#a3adb8", "rule": "#3b444e", "panel": "#1c2126", "link": "#7fbcff",
+    "alert": "#ffb0a6", "alert-panel": "#36201e", "board": "#22241f", "edge": "#8f8871", "bar": "#8a97a5",
+    "zero": "#2b3138", "zero-line": "#8a97a5",
+}  # fmt: skip
+
 GROUPS_LIGHT = ("#0a5ea8", "#b8470a", "#0d7a52", "#9c2f78", "#6d6200", "#5a46b0", "#a02834", "#3d5a66")
 GROUPS_DARK = ("#6db6ff", "#ff9d5c", "#4fd09c", "#f08fce", "#d6c84a", "#b3a4ff", "#ff8f93", "#a9c4d0")
 
@@ -52,18 +63,23 @@ def scale(*, dark: bool) -> list[str]:
     return [colour(low + (high - low) * step / (LEVELS - 1)) for step in range(LEVELS)]
 
 
-def variables(*, dark: bool) -> str:
-    """The colours as CSS custom properties: --q0 .. for values, --g0 .. for groups."""
+def theme(*, dark: bool) -> dict[str, str]:
+    """All colours by name: those of the page, q0 .. for values, g0 .. for groups."""
+    named = _DARK if dark else _LIGHT
     groups = GROUPS_DARK if dark else GROUPS_LIGHT
-    named = {f"q{i}": c for i, c in enumerate(scale(dark=dark))} | {f"g{i}": c for i, c in enumerate(groups)}
-    return " ".join(f"--{name}: {value};" for name, value in named.items())
+    values = {f"q{i}": c for i, c in enumerate(scale(dark=dark))}
+    return named | values | {f"g{i}": c for i, c in enumerate(groups)}
+
+
+def variables(*, dark: bool) -> str:
+    """The same as CSS custom properties."""
+    return " ".join(f"--{name}: {value};" for name, value in theme(dark=dark).items())
 
 
 def rules() -> str:
-    """The classes that figures use, as CSS."""
-    values = [f".q{i} {{ fill: var(--q{i}); stroke: var(--q{i}); }}" for i in range(LEVELS)]
-    groups = [f".g{i} {{ fill: var(--g{i}); stroke: var(--g{i}); }}" for i in range(len(GROUPS_LIGHT))]
-    return "\n".join(values + groups)
+    """The classes of values and groups, as CSS."""
+    names = [*(f"q{i}" for i in range(LEVELS)), *(f"g{i}" for i in range(len(GROUPS_LIGHT)))]
+    return "\n".join(f".{name} {{ fill: var(--{name}); stroke: var(--{name}); }}" for name in names)
 
 
 def _srgb(lightness: float, chroma: float, hue: float) -> NDArray[np.float64]:

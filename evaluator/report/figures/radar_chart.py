@@ -25,14 +25,16 @@ def radar_chart(radar: Radar) -> str:
     ]
     rings = [element("path", d=closed_path(_at(i, r) for i in range(len(axes))), class_="faint ring") for r in _RINGS]
     drawn = [_line(i, [values[axis] for axis in axes]) for i, values in enumerate(radar.values.values())]
+    legend, below = lines.legend(list(enumerate(radar.values)), 10, _HEIGHT + 4, _WIDTH - 20)
     return figure(
         _WIDTH,
-        _HEIGHT,
+        _HEIGHT + below + 6,
         f"Radar of {len(radar.values)} groups on {len(axes)} axes; the values stand in the table beside it",
         *rings,
         *spokes,
         *drawn,
         *(_label(i, axis, radar) for i, axis in enumerate(axes)),
+        legend,
     )
 
 

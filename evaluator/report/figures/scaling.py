@@ -73,10 +73,12 @@ def scaling_chart(
     bottom, right = _TOP + _FLOOR, _LEFT + _SIDE
     columns = [(n, place(n, up[0])[0]) for n in axis.power_ticks(*across)]
     rows = [(v, place(across[0], v)[1]) for v in axis.log_ticks(*up)]
+    named = [(curve.index, curve.label) for curve in curves if curve.points]
+    legend, below = lines.legend(named, _LEFT, _HEIGHT + 2, _SIDE)
     said = f"{value} against the number of environments: {len(curves)} sweeps; the values stand in the table below"
     return figure(
         _WIDTH,
-        _HEIGHT,
+        _HEIGHT + below + 4,
         said,
         *(element("line", x1=x, x2=x, y1=_TOP, y2=bottom, class_="faint") for _, x in columns),
         *(element("line", x1=_LEFT, x2=right, y1=y, y2=y, class_="faint") for _, y in rows),
@@ -87,6 +89,7 @@ def scaling_chart(
         text(value, 12, _TOP + _FLOOR / 2, class_="mid", rotate=-90),
         *(_curve(curve, place) for curve in curves),
         *_foreign(foreign, place),
+        legend,
     )
 
 

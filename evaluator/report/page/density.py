@@ -10,10 +10,13 @@ from markupsafe import Markup
 from numpy.typing import NDArray
 
 from evaluator.metrics.density import Density, marginal
+from evaluator.report.csv import Cell
 from evaluator.report.figures import density_map
-from evaluator.report.page.picture import Picture
+from evaluator.report.page.picture import Numbers, Picture, file_name
 from evaluator.report.page.section import Section, Source
 from evaluator.results import Evaluation, GroupResult, Map, Reference
+
+_DIGITS = 9  # nanometres: the grid's own rounding is not told
 
 Marginals = tuple[NDArray[np.int64], NDArray[np.int64]]
 
@@ -22,13 +25,13 @@ Marginals = tuple[NDArray[np.int64], NDArray[np.int64]]
 class SceneMaps:
     """The density maps of one scene.
 
-    scale     of the colours, shared by all; None where there is no map
+    scale     of the colours, shared by all, as a picture; None where there is no map
     bin_cm    width of a hexagon [cm]
     pictures  a map for the reference and each group, or why there is none
     """
 
     scene: str
-    scale: Markup | None
+    scale: Picture | None
     bin_cm: str
     pictures: list[Picture]
 
@@ -39,7 +42,7 @@ def section(source: Source) -> Section:
 
 
 def _maps(evaluation: Evaluation, shown: list[GroupResult]) -> Iterator[SceneMaps]:
-    for scene in dict.fromkeys(r.group.key.scene for r in shown):
+    for index, scene in enumerate(dict.fromkeys(r.group.key.scene for r in shown)):
         results = [r for r in shown if r.group.key.scene == scene]
         missing = [
             Picture(r.label, f"No map: {_why_no_cloud(r, evaluation)}.", None) for r in results if r.cloud is None
@@ -48,21 +51,42 @@ def _maps(evaluation: Evaluation, shown: list[GroupResult]) -> Iterator[SceneMap
         if shared is None:
             yield SceneMaps(scene, None, "", missing)
             continue
-        scale = Markup(density_map.count_scale(shared.max_count))
+        drawn = Markup(density_map.count_scale(shared.max_count))
+        key = file_name("density-scale", index, scene)
+        scale = Picture(f"Colours of {scene}", "positions in a hexagon, logarithmic", drawn, key)
         bin_cm = f"{shared.grid.bin_m * 100:g}"
-        yield SceneMaps(scene, scale, bin_cm, [*_scene_maps(results, evaluation.reference, shared), *missing])
+        yield SceneMaps(scene, scale, bin_cm, [*_scene_maps(index, results, evaluation.reference, shared), *missing])
 
 
-def _scene_maps(results: list[GroupResult], reference: Reference | None, shared: Map) -> Iterator[Picture]:
+def _scene_maps(nth: int, results: list[GroupResult], reference: Reference | None, shared: Map) -> Iterator[Picture]:
+    scene = results[0].group.key.scene
     shown: list[tuple[str, Density, Marginals]] = []
-    if reference is not None and reference.density is not None and reference.scene == results[0].group.key.scene:
+    if reference is not None and reference.density is not None and reference.scene == scene:
         shown.append((f"reference: {reference.label}", reference.density, _sides(reference, shared)))
     shown += [(r.label, r.cloud.density, r.cloud.marginals) for r in results if r.cloud is not None]
     share_max = max((_largest_share(density, sides) for _, density, sides in shown), default=1.0)
     board = _board(results[0])
-    for label, density, sides in shown:
+    for index, (label, density, sides) in enumerate(shown):
         svg = density_map.density_map(density, sides, shared, name=label, share_max=share_max, board=board)
-        yield Picture(label, density_map.caption(density), Markup(svg))
+        key = file_name("density", nth, index, scene, label)
+        yield Picture(label, density_map.caption(density), Markup(svg), key, _numbers(density, sides, shared))
+
+
+def _numbers(density: Density, sides: Marginals, shared: Map) -> Numbers:
+    """Every hexagon, every strip of the marginals that holds a position, and what lies off the map."""
+    rows: list[tuple[Cell, ...]] = [
+        ("hexagon", round(float(x), _DIGITS), round(float(y), _DIGITS), int(count))
+        for (x, y), count in zip(density.centres, density.counts, strict=True)
+    ]
+    for axis, (counts, edges) in enumerate(zip(sides, shared.edges, strict=True)):
+        for count, middle in zip(counts, (edges[:-1] + edges[1:]) / 2, strict=True):
+            if count:
+                at = round(float(middle), _DIGITS)
+                rows.append(
+                    ("strip along x", at, None, int(count)) if axis == 0 else ("strip along y", None, at, int(count))
+                )
+    rows.append(("off the map", None, None, density.off_map))
+    return Numbers(("what", "x of its middle [m]", "y of its middle [m]", "positions"), rows)
 
 
 def _sides(reference: Reference, shared: Map) -> Marginals:

@@ -11,6 +11,7 @@ from markupsafe import Markup
 
 from evaluator.groups import shown_status
 from evaluator.report import numbers, words
+from evaluator.report.page.picture import LARGEST_CSV, Picture
 from evaluator.report.text import printable
 from evaluator.results import Metric
 from evaluator.sweeps import SOURCES
@@ -35,6 +36,7 @@ def environment() -> jinja2.Environment:
         pairs=lambda record: list(_pairs(record)),
         power=_power_of_two,
         power_or_count=_power_or_count,
+        page_csv=_page_csv,
     )
     made.globals.update(words=words, sources=SOURCES, status_of=shown_status)
     return made
@@ -50,6 +52,12 @@ def _interval(metric: Metric) -> str:
         return numbers.interval(metric)
     why_not = metric.extra.get("interval_why_not") or ("one run" if metric.n == 1 else "")
     return f"no interval: {why_not}" if why_not else "no interval"
+
+
+def _page_csv(picture: Picture) -> str:
+    """A picture's numbers as a page carries them, with its own line ends; empty where there are none, or too many."""
+    text = picture.numbers.csv()
+    return text.replace("\r\n", "\n") if len(text) <= LARGEST_CSV else ""
 
 
 def _power_of_two(count: int) -> Markup:

@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from markupsafe import Markup
 
-Cell = str | int | float | None
+from evaluator.report.csv import Cell, to_csv
+
+LARGEST_CSV = 256_000
+"""Characters of a figure's numbers that a page carries; more of them are left to `gsb-eval --figures`."""
+
+_LONGEST_NAME = 80
 
 
 @dataclass(frozen=True)
@@ -16,6 +22,10 @@ class Numbers:
 
     titles: Sequence[str] = ()
     rows: Sequence[Sequence[Cell]] = ()
+
+    def csv(self) -> str:
+        """The table as CSV; empty where there is none."""
+        return to_csv(self.titles, self.rows) if self.titles else ""
 
 
 @dataclass(frozen=True)
@@ -34,3 +44,14 @@ class Picture:
     svg: Markup | None
     key: str = ""
     numbers: Numbers = field(default_factory=Numbers)
+
+    @property
+    def file_name(self) -> str:
+        """What its files are called, without the ending: letters, digits and hyphens, whatever the key says."""
+        return file_name(self.key)
+
+
+def file_name(*words: object) -> str:
+    """Words as one name of a file, without an ending; what a stranger wrote names no folder and is not long."""
+    plain = re.sub(r"[^a-z0-9]+", "-", "-".join(map(str, words)).lower()).strip("-")
+    return plain[:_LONGEST_NAME].strip("-") or "figure"

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, fields, is_dataclass
 from functools import cached_property
 from typing import Any
 
 from evaluator.player.playback import Playback
+from evaluator.report.page.picture import Picture
 from evaluator.results import Evaluation, GroupResult
 from evaluator.sweeps import swept_only
 
@@ -19,7 +20,7 @@ class Source:
     evaluation  that it shows
     published   whether the paper's figures are shown as well, marked as the paper's
     command     that made the page, as a shell would take it
-    playback    environments in motion; None where the page is to have none, and no script
+    playback    environments in motion; None where the page is to have none
     """
 
     evaluation: Evaluation
@@ -60,3 +61,19 @@ class Section:
     link: str = ""
     style: str = ""
     script: str = ""
+
+    def pictures(self) -> Iterator[Picture]:
+        """All figures among what its template shows, in order."""
+        yield from _found(self.context.values())
+
+
+def _found(values: Iterable[Any]) -> Iterator[Picture]:
+    for value in values:
+        if isinstance(value, Picture):
+            yield value
+        elif isinstance(value, Mapping):
+            yield from _found(value.values())
+        elif isinstance(value, list | tuple):
+            yield from _found(value)
+        elif is_dataclass(value) and type(value).__module__.startswith("evaluator.report."):
+            yield from _found(getattr(value, field.name) for field in fields(value))

@@ -1,0 +1,143 @@
+"""What the recordings say, in a few lines: who is fastest, whose bits agree, what is invalid, what cannot be said."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+from evaluator.fidelity import Verdict
+from evaluator.groups import is_instrument, shown_status
+from evaluator.report.page.section import Section, Source
+from evaluator.results import Evaluation, GroupResult
+
+
+@dataclass(frozen=True)
+class Speed:
+    """The fastest group of a simulator in one scene on one device; its runs are complete and valid."""
+
+    scene: str
+    device: str
+    result: GroupResult
+
+    @property
+    def fps(self) -> float:
+        """Throughput [env steps/s]."""
+        return self.result.metrics["fps"].value or 0.0
+
+    @property
+    def broken(self) -> bool:
+        """Whether a check of mechanics is broken in its group."""
+        return bool(self.result.fidelity.of(Verdict.BROKEN))
+
+
+@dataclass(frozen=True)
+class SimulatorSummary:
+    """One simulator over all its groups.
+
+    instrument  whether it is a control with a known answer, which is not ranked
+    speeds      by scene and device
+    tested      groups of which more than one environment or run was compared by bits
+    same        groups among them of which all environments of a run and all runs are bit-identical
+    same_runs   those of which all runs are, though environments of a run differ
+    runs        recordings; `troubled` of them by how they ended
+    broken      groups in which some check of mechanics is broken; `checked` of which any could be made
+    """
+
+    name: str
+    versions: tuple[str, ...]
+    instrument: bool
+    speeds: tuple[Speed, ...]
+    tested: int
+    same: int
+    same_runs: int
+    runs: int
+    troubled: dict[str, int]
+    broken: int
+    checked: int
+
+
+@dataclass(frozen=True)
+class Fastest:
+    """Of the simulators that were timed in one scene on one device: the fastest, and the next."""
+
+    first: Speed
+    second: Speed
+
+
+def section(source: Source) -> Section | None:
+    """None where no group is left."""
+    evaluation = source.evaluation
+    if not evaluation.results:
+        return None
+    simulators = [
+        _of(name, [r for r in evaluation.results if r.group.key.simulator == name])
+        for name in dict.fromkeys(r.group.key.simulator for r in evaluation.results)
+    ]
+    fastest = list(_fastest(simulators))
+    context = {"simulators": simulators, "fastest": fastest, "no_reference": _no_reference(evaluation)}
+    return Section("summary", "What these recordings say", context, link="Summary")
+
+
+def _of(name: str, results: Sequence[GroupResult]) -> SimulatorSummary:
+    tested = [r for r in results if any(_compared(r, of) for of in ("distinct_envs", "distinct_runs"))]
+    troubled: dict[str, int] = {}
+    recordings = [one for r in results for one in r.group.recordings]
+    for one in recordings:
+        if not one.usable:
+            how = "lost data" if one.status == "complete" else shown_status(one)
+            troubled[how] = troubled.get(how, 0) + 1
+    return SimulatorSummary(
+        name,
+        tuple(dict.fromkeys(r.group.key.version for r in results if r.group.key.version)),
+        all(is_instrument(r.group.key) for r in results),
+        tuple(_speeds(results)),
+        len(tested),
+        sum(_alike(r, "distinct_envs") and _alike(r, "distinct_runs") for r in tested),
+        sum(
+            _compared(r, "distinct_runs") and _alike(r, "distinct_runs") and not _alike(r, "distinct_envs")
+            for r in tested
+        ),
+        len(recordings),
+        troubled,
+        sum(bool(r.fidelity.of(Verdict.BROKEN)) for r in results),
+        sum(bool(r.fidelity.of(Verdict.BROKEN) or r.fidelity.of(Verdict.HELD)) for r in results),
+    )
+
+
+def _compared(result: GroupResult, metric: str) -> bool:
+    found = result.metrics[metric]
+    return found.value is not None and found.n > 1
+
+
+def _alike(result: GroupResult, metric: str) -> bool:
+    # a single one differs from no other
+    return not _compared(result, metric) or result.metrics[metric].value == 1
+
+
+def _speeds(results: Sequence[GroupResult]) -> Iterator[Speed]:
+    best: dict[tuple[str, str], Speed] = {}
+    for result in results:
+        key = result.group.key
+        one = Speed(key.scene, key.device, result)
+        known = best.get((key.scene, key.device))
+        if result.metrics["fps"].value is not None and (known is None or one.fps > known.fps):
+            best[key.scene, key.device] = one
+    yield from (best[at] for at in sorted(best))
+
+
+def _fastest(simulators: Sequence[SimulatorSummary]) -> Iterator[Fastest]:
+    timed: dict[tuple[str, str], list[Speed]] = {}
+    for simulator in simulators:
+        for speed in () if simulator.instrument else simulator.speeds:
+            timed.setdefault((speed.scene, speed.device), []).append(speed)
+    for at in sorted(timed):
+        first, *others = sorted(timed[at], key=lambda speed: -speed.fps)
+        if others:
+            yield Fastest(first, others[0])
+
+
+def _no_reference(evaluation: Evaluation) -> str:
+    """Why distances to real trials are missing; empty where they are not."""
+    if evaluation.reference is None:
+        return evaluation.reference_note
+    return "" if evaluation.reference.measured else "the reference is another simulation, not measured"

@@ -1,0 +1,1 @@
+"""What of an evaluation goes into a paper: figures and tables as files."""

@@ -1,0 +1,67 @@
+"""Every figure of the report as files for a paper: SVG, PDF and the numbers that it draws."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+
+from evaluator.report.figures.matrix import hatch
+from evaluator.report.figures.style import standalone
+from evaluator.report.html import sections_of
+from evaluator.report.page.picture import Picture
+from evaluator.report.page.section import Source
+from evaluator.report.paper import latex
+from evaluator.report.paper.pdf import to_pdf
+from evaluator.report.text import printable
+from evaluator.results import Evaluation
+
+INDEX = "figures.tex"
+
+HEAD = """\
+% Figures of an evaluation by gpusimbench; needs \\usepackage{graphicx}, pdfLaTeX or a newer engine.
+% Each file lies beside this one; its SVG and the numbers that it draws have the same name.
+"""
+
+
+def write_figures(evaluation: Evaluation, folder: Path, *, published: bool) -> list[Path]:
+    """Write all figures that have something to show; returns the files' paths, `figures.tex` last.
+
+    NAME.svg, NAME.pdf  light theme; a white ground in the SVG, none in the PDF
+    NAME.csv            what it draws, where it says so
+    figures.tex         a figure environment for each, to be taken apart
+
+    Raises:
+        UsageError: reportlab is not installed.
+        OSError: the folder or a file cannot be written.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    paths, environments = [], [HEAD]
+    for name, picture in named(_pictures(Source(evaluation, published, ""))):
+        svg = standalone(str(picture.svg), hatch())
+        paths += [folder / f"{name}.svg", folder / f"{name}.pdf"]
+        paths[-2].write_text(svg, encoding="utf-8", errors="backslashreplace")
+        paths[-1].write_bytes(to_pdf(svg, printable(picture.label)))
+        if numbers := picture.numbers.csv():
+            paths.append(folder / f"{name}.csv")
+            paths[-1].write_bytes(numbers.encode("utf-8"))
+        environments.append(latex.figure(name, ". ".join(filter(None, (picture.label, picture.caption)))))
+    paths.append(folder / INDEX)
+    paths[-1].write_text("\n".join(environments), encoding="utf-8")
+    return paths
+
+
+def named(pictures: Iterable[Picture]) -> Iterator[tuple[str, Picture]]:
+    """Pictures with the names of their files, no name twice."""
+    taken: set[str] = set()
+    for picture in pictures:
+        name, number = picture.file_name, 1
+        while name in taken:
+            number += 1
+            name = f"{picture.file_name}-{number}"
+        taken.add(name)
+        yield name, picture
+
+
+def _pictures(source: Source) -> Iterator[Picture]:
+    for section in sections_of(source):
+        yield from (picture for picture in section.pictures() if picture.svg and picture.key)

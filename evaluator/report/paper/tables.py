@@ -1,0 +1,159 @@
+"""The report's main tables as files: what its page and the terminal show, a row for each group."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
+
+from evaluator.published import SCALING, SOURCE, VARIABILITY, AtLargest
+from evaluator.report import accumulation, fidelity, words
+from evaluator.report.numbers import NONE, interval, mean_sd
+from evaluator.report.page.picture import file_name
+from evaluator.report.page.section import Source
+from evaluator.report.paper.text_table import WRITERS, Format, TextTable
+from evaluator.report.sweep_tables import point_cells
+from evaluator.results import Evaluation, GroupResult, Metric
+from evaluator.sweeps import Sweep
+
+_VARIABILITY = (
+    "group", "scene", "envs x runs", "EMD to reference [cm]", "95 % of EMD", "parallel [cm]", "95 % of parallel",
+    "run-to-run [cm]", "95 % of run-to-run", "distinct envs", "distinct runs", "published type", "not complete",
+)  # fmt: skip
+_THROUGHPUT = (
+    "group", "scene", "device", "envs x runs", "throughput [env steps/s]", "95 %", "GPU memory increment [GB]",
+    "host memory increment [MB]", "build; compile [s]", "not complete",
+)  # fmt: skip
+_LARGEST = (
+    "sweep",
+    "scene",
+    "version",
+    "device",
+    "N_env^max",
+    "throughput [env steps/s]",
+    "memory increment",
+    "why it ends",
+)
+_POINTS = (
+    "sweep",
+    "scene",
+    "envs",
+    "throughput [env steps/s]",
+    "memory increment",
+    "contacts per env: mean / max",
+    "runs",
+)
+_AT_LARGEST = ("simulator", "N_env^max", "throughput [env steps/s]", "memory increment [GB]")
+_GUIDELINES = ("need", "pick", "rule", "evidence")
+
+
+def write_tables(evaluation: Evaluation, folder: Path, formats: Iterable[Format], *, published: bool) -> list[Path]:
+    """Write every table that has a row in each of the formats, Parquet aside; returns the paths.
+
+    Raises:
+        OSError: the folder or a file cannot be written.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    paths = []
+    for table in tables(evaluation, published=published):
+        for wanted in formats:
+            if wanted in WRITERS:
+                paths.append(folder / f"{table.key}.{wanted.value}")
+                content = WRITERS[wanted](table).encode("utf-8", "backslashreplace")
+                paths[-1].write_bytes(content)
+    return paths
+
+
+def tables(evaluation: Evaluation, *, published: bool) -> Iterator[TextTable]:
+    """All tables that have a row."""
+    shown = Source(evaluation, published, "").shown
+    when = f"positions at t = {evaluation.sample_time:g} s"
+    swept = evaluation.sweeps
+    found = [
+        TextTable("variability", f"Variability, {when}; mean ± SD", _VARIABILITY, [*map(_variability, shown)]),
+        TextTable("throughput", "Complete runs; mean ± SD", _THROUGHPUT, [*map(_throughput, shown)]),
+        TextTable("scaling-largest", "How far sweeps over environments go", _LARGEST, [*map(_largest, swept)]),
+        TextTable("scaling-points", "Every point of the sweeps", _POINTS, [*_points(swept)]),
+        *_accumulation(evaluation),
+        TextTable("physics", "Checks of mechanics", ("group", *fidelity.TITLES), [*_physics(shown)]),
+        TextTable("guidelines", "Which group for which need", _GUIDELINES, [*_guidelines(evaluation)]),
+    ]  # fmt: skip
+    yield from (table for table in [*found, *(_published() if published else ())] if table.rows)
+
+
+def _variability(result: GroupResult) -> tuple[str, ...]:
+    key, metrics = result.group.key, result.metrics
+    distances = [metrics[name] for name in ("w1_real", "w1_parallel", "w1_run_to_run")]
+    return (
+        result.label, key.scene, _size(result),
+        *(cell for metric in distances for cell in (mean_sd(metric), interval(metric))),
+        _of(metrics["distinct_envs"]), _of(metrics["distinct_runs"]), words.regime(metrics["regime_published"]),
+        words.trouble(result.group) or NONE,
+    )  # fmt: skip
+
+
+def _throughput(result: GroupResult) -> tuple[str, ...]:
+    key, metrics = result.group.key, result.metrics
+    return (
+        result.label, key.scene, key.device or NONE, _size(result), mean_sd(metrics["fps"]), interval(metrics["fps"]),
+        mean_sd(metrics["memory_peak_increment"]), mean_sd(metrics["host_memory_peak_increment"]),
+        words.preparation(metrics), words.trouble(result.group) or NONE,
+    )  # fmt: skip
+
+
+def _size(result: GroupResult) -> str:
+    return f"{result.group.key.n_env} x {len(result.group.complete)}"
+
+
+def _of(metric: Metric) -> str:
+    return NONE if metric.value is None else f"{metric.value:.0f} of {metric.n}"
+
+
+def _largest(sweep: Sweep) -> tuple[str, ...]:
+    best = sweep.at_max
+    return (
+        sweep.label, sweep.key.scene, sweep.key.version or NONE, sweep.key.device or NONE,
+        NONE if sweep.n_max is None else f"{sweep.n_max:,}",
+        mean_sd(best.metrics["fps"]) if best else NONE, words.amount(best.metrics[sweep.memory]) if best else NONE,
+        sweep.ends,
+    )  # fmt: skip
+
+
+def _points(sweeps: Sequence[Sweep]) -> Iterator[tuple[str, ...]]:
+    for sweep in sweeps:
+        for point in sweep.points:
+            yield (sweep.label, sweep.key.scene, f"{point.n_env:,}", *point_cells(sweep, point))
+
+
+def _accumulation(evaluation: Evaluation) -> Iterator[TextTable]:
+    for number, found in enumerate(evaluation.accumulation):
+        caption = f"{found.scene}, {found.label}: variability against the number of environments, W1 [cm]"
+        key = file_name("accumulation", number, found.label)
+        yield TextTable(key, caption, accumulation.TITLES, [*accumulation.rows(found)])
+
+
+def _physics(results: Sequence[GroupResult]) -> Iterator[tuple[str, ...]]:
+    for result in results:
+        for row in result.fidelity.rows:
+            if not row.reason or row.count:
+                yield (result.label, *fidelity.cells(row))
+
+
+def _guidelines(evaluation: Evaluation) -> Iterator[tuple[str, ...]]:
+    for one in evaluation.comparison.guidelines:
+        yield one.need, one.pick or f"none: {one.reason}", one.rule, one.evidence or NONE
+
+
+def _published() -> Iterator[TextTable]:
+    rows: list[tuple[str, ...]] = [
+        (r.simulator, str(r.regime), str(r.w1_real), str(r.parallel), str(r.run_to_run)) for r in VARIABILITY
+    ]
+    titles = ("simulator", "type", "EMD to real [cm]", "parallel [cm]", "run-to-run [cm]")
+    yield TextTable("published-variability", f"Not results of this evaluation: {SOURCE}", titles, rows)
+    for name in ("free_fall", "franka"):
+        found = [(r.simulator, *_at(at)) for r in SCALING if (at := getattr(r, name))]
+        key = f"published-{name.replace('_', '-')}"
+        yield TextTable(key, f"Not results of this evaluation: {SOURCE}", _AT_LARGEST, found)
+
+
+def _at(at: AtLargest) -> tuple[str, str, str]:
+    return f"{at.n_env_max:,}", f"{at.fps:,.0f}", f"{at.memory_gb:.1f}"

@@ -1,0 +1,247 @@
+"""The HTML report in a real browser: what a reader sees, reaches by keyboard, saves and prints."""
+
+from __future__ import annotations
+
+import csv
+import shutil
+import subprocess
+import xml.etree.ElementTree as ET
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from evaluator.evaluate import evaluate_files
+from evaluator.report.figures import matrix, palette, style
+from evaluator.report.html import sections_of, write_html
+from evaluator.report.page.picture import Picture
+from evaluator.report.page.section import Source
+from evaluator.results import Evaluation
+from tests.browser import Browser, needs_chromium
+from tests.conftest import wait_for
+from tests.synthetic import grid, write_recording, write_sweep
+
+pytestmark = needs_chromium
+
+HOSTILE = "'><script>document.title='taken'</script><b onclick=x>=cmd|' /C calc'!A0"
+PAPER = 739
+"""Width of a sheet between its margins, US letter as Chromium prints [CSS pixel]."""
+
+FOCUSABLE = """[...document.querySelectorAll('a[href], button:not(:disabled), select, input, summary, [tabindex="0"]')]
+    .filter(e => e.checkVisibility({contentVisibilityAuto: true}) && !e.closest('[hidden]'))"""
+
+FOLDED = "document.querySelector('section[aria-labelledby=provenance] details')"
+
+
+@pytest.fixture(scope="module")
+def evaluation(tmp_path_factory: pytest.TempPathFactory) -> Evaluation:
+    """Simulators with states, one of a hostile name; two sweeps; a file that is none."""
+    folder = tmp_path_factory.mktemp("recordings")
+    rng = np.random.default_rng(3)
+    for number, name in enumerate(("one", "two", HOSTILE)):
+        for run in range(2):
+            final = rng.uniform(0.0, 0.3, size=(3, 27, 3)) if number else grid(3)
+            write_recording(folder, final, run=run, simulator=name, name=f"{number}-{run}.mcap", elapsed_s=1.0 + run)
+    write_recording(folder, grid(3), simulator="bad", status="INVALID", reason=HOSTILE, name="bad.mcap")
+    write_sweep(folder, (1, 4, 16), simulator="one", scene="free-fall", fails=16)
+    write_sweep(folder, (1, 4, 16), simulator="two", scene="free-fall", allocator_peak=3 * 10**9)
+    (folder / "no-recording.mcap").write_bytes(b"none")
+    return evaluate_files(sorted(folder.glob("*.mcap")))
+
+
+@pytest.fixture(scope="module")
+def page(evaluation: Evaluation, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Its report, with everything that a report can have."""
+    return write_html(evaluation, tmp_path_factory.mktemp("page"), published=True, command=f"gsb-eval {HOSTILE}")
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    """One browser for all of them."""
+    with Browser() as found:
+        yield found
+
+
+@pytest.mark.parametrize("dark", [False, True], ids=["light", "dark"])
+@pytest.mark.parametrize("width", [320, 768, 1280, 1920])
+def test_the_page_fits(browser: Browser, page: Path, width: int, dark: bool) -> None:
+    """Scroll sideways in regions for tables alone, ask for nothing, and give the console no reason to complain."""
+    browser.open(page, width=width, dark=dark)
+    assert browser.evaluate("document.documentElement.scrollWidth") <= width
+    beyond = f"""[...document.querySelectorAll('body *')].filter(e => !e.closest('.scroll, svg, .skip')
+        && e.getBoundingClientRect().right > {width} + 0.5).map(e => e.outerHTML.slice(0, 80))"""
+    assert browser.evaluate(beyond) == []
+    assert (browser.errors, browser.requests) == ([], [])
+    assert browser.evaluate("document.title") == "Simulator evaluation"
+
+
+def test_the_page_can_be_read_at_four_hundred_per_cent(browser: Browser, page: Path) -> None:
+    """Lay the page out anew where a reader zooms in (WCAG 1.4.10), with no text cut off."""
+    browser.open(page, width=1280, zoom=4)
+    assert browser.evaluate("document.documentElement.scrollWidth") <= 320
+    cut = """[...document.querySelectorAll('p, li, h1, h2, h3, h4, dd, dt, summary, a, button, pre')]
+        .filter(e => e.checkVisibility() && !e.closest('.scroll, .loud') && e.scrollWidth > e.clientWidth + 1
+                     && getComputedStyle(e).display !== 'inline').map(e => e.outerHTML.slice(0, 80))"""
+    assert browser.evaluate(cut) == []
+
+
+def test_every_link_has_its_target(browser: Browser, page: Path) -> None:
+    """Lead from every link to a place in the page, the first to the results."""
+    browser.open(page)
+    links = browser.evaluate("[...document.querySelectorAll('a')].map(a => a.getAttribute('href'))")
+    assert links[0] == "#results"
+    assert len(links) > 12
+    assert browser.evaluate(f"{links!r}.filter(l => !document.querySelector('[id=\"' + l.slice(1) + '\"]'))") == []
+
+
+def test_the_page_is_named_for_those_who_cannot_see_it(browser: Browser, page: Path) -> None:
+    """Give headings in order without a gap, figures and regions a name, and every head of a table its scope."""
+    browser.open(page)
+    levels = browser.evaluate("[...document.querySelectorAll('h1,h2,h3,h4,h5')].map(h => +h.tagName[1])")
+    assert levels[0] == 1
+    assert levels.count(1) == 1
+    assert all(below - above <= 1 for above, below in zip(levels, levels[1:], strict=False))
+    assert browser.evaluate("document.documentElement.lang") == "en"
+    unnamed = """[...document.querySelectorAll('svg:not([aria-hidden]), [role=region], nav, button')]
+        .filter(e => !e.getAttribute('aria-label') && !(e.matches('button') && e.textContent.trim())).length"""
+    assert browser.evaluate(unnamed) == 0
+    assert browser.evaluate("[...document.querySelectorAll('svg:not([aria-hidden])')].every(e => e.role === 'img')")
+    assert browser.evaluate("[...document.querySelectorAll('th')].every(e => e.scope || !e.textContent.trim())")
+
+
+def test_tab_reaches_everything_in_order(browser: Browser, page: Path) -> None:
+    """Go through all links, regions, buttons and folded parts in the order of the page, and out of it again."""
+    browser.open(page)
+    expected = browser.evaluate(f"window.all = {FOCUSABLE}; all.length")
+    assert expected > 40
+    reached = []
+    for _ in range(expected):
+        browser.key("Tab")
+        reached.append(browser.evaluate("all.indexOf(document.activeElement)"))
+    assert reached == list(range(expected))
+    assert browser.evaluate("getComputedStyle(document.activeElement).outlineStyle") != "none"
+    browser.key("Tab")
+    assert browser.evaluate("all.indexOf(document.activeElement)") <= 0  # none is a trap
+
+
+def test_keys_work(browser: Browser, page: Path) -> None:
+    """Skip to the results, and unfold a part, without a mouse."""
+    browser.open(page)
+    browser.key("Tab")
+    assert browser.evaluate("document.activeElement.getBoundingClientRect().left >= 0")
+    browser.key("Enter")
+    assert browser.evaluate("document.activeElement.id") == "results"
+    browser.evaluate(f"{FOLDED}.querySelector('summary').focus()")
+    browser.key("Enter")
+    assert browser.evaluate(f"{FOLDED}.open")
+
+
+def offered(evaluation: Evaluation) -> list[Picture]:
+    """Figures that the page can save."""
+    return [p for s in sections_of(Source(evaluation, True, "")) for p in s.pictures() if p.svg and p.key]
+
+
+@pytest.mark.parametrize("dark", [False, True], ids=["light", "dark"])
+def test_figures_are_saved(browser: Browser, page: Path, evaluation: Evaluation, tmp_path: Path, dark: bool) -> None:
+    """Save what Python writes: the same SVG whatever the theme, and the same numbers."""
+    browser.open(page, dark=dark)
+    browser.save_to(tmp_path)
+    pictures = {p.file_name: p for p in offered(evaluation)}
+    names = browser.evaluate("[...document.querySelectorAll('figure[data-file]')].map(f => f.dataset.file)")
+    assert names == list(pictures)
+    for name in (names[0], next(n for n in names if n.startswith("scaling")), names[-1]):
+        for ending in ("svg", "csv"):
+            button = f'figure[data-file="{name}"] button[value="{ending}"]'
+            if not browser.evaluate(f"!!document.querySelector({button!r})"):
+                assert not pictures[name].numbers.titles
+                continue
+            browser.evaluate(f"document.querySelector({button!r}).focus()")
+            browser.key("Enter")
+            saved = tmp_path / f"{name}.{ending}"
+            wait_for(saved.exists)
+            content = saved.read_bytes()
+            if ending == "csv":
+                assert content.decode() == pictures[name].numbers.csv()
+                rows = list(csv.reader(content.decode().splitlines()))
+                assert len(rows) == 1 + len(pictures[name].numbers.rows)
+                assert not any(cell.startswith(("=", "+", "@")) for row in rows for cell in row)
+            else:
+                wanted = style.standalone(str(pictures[name].svg), matrix.hatch())
+                assert ET.canonicalize(content.decode()) == ET.canonicalize(wanted)
+    assert browser.errors == []
+
+
+def test_saved_figures_show_alone(browser: Browser, evaluation: Evaluation, tmp_path: Path) -> None:
+    """Open a file by itself: no error, no request, and its text in the light theme's ink on white."""
+    picture = next(p for p in offered(evaluation) if p.key.startswith("scaling"))
+    path = tmp_path / "alone.svg"
+    path.write_text(style.standalone(str(picture.svg), matrix.hatch()), encoding="utf-8")
+    browser.open(path, dark=True)
+    assert (browser.errors, browser.requests) == ([], [])
+    red, green, blue = (int(palette.theme(dark=False)["ink"][i : i + 2], 16) for i in (1, 3, 5))
+    assert browser.evaluate("getComputedStyle(document.querySelector('text')).fill") == f"rgb({red}, {green}, {blue})"
+
+
+def test_other_scripts_are_refused(browser: Browser, page: Path, tmp_path: Path) -> None:
+    """Run the page's own script alone: one letter more, a handler or another script is refused by the policy."""
+    text = page.read_text(encoding="utf-8")
+    spoilt = tmp_path / "index.html"
+    bad = '<script>document.title = "taken"</script><img src="https://x.example/a" onerror="document.title = 1">'
+    spoilt.write_text(text.replace("</body>", bad + "</body>").replace("// Saves", "// saves"), encoding="utf-8")
+    browser.open(spoilt)
+    assert browser.evaluate("document.title") == "Simulator evaluation"
+    assert browser.evaluate("document.querySelector('.files').hidden")
+    assert len(browser.errors) >= 3
+
+
+def test_the_page_works_without_scripts(browser: Browser, page: Path) -> None:
+    """Show everything but the buttons, which would do nothing."""
+    browser.open(page, scripts=False)
+    assert browser.evaluate("document.querySelectorAll('.files').length") > 8
+    assert browser.evaluate("[...document.querySelectorAll('.files')].every(e => !e.checkVisibility())")
+    assert browser.evaluate("[...document.querySelectorAll('main h2, main table, figure svg')].length") > 20
+    browser.evaluate(f"{FOLDED}.querySelector('summary').focus()")
+    browser.key("Enter")
+    assert browser.evaluate(f"{FOLDED}.open")
+    assert browser.errors == []
+
+
+@pytest.mark.parametrize("dark", [False, True], ids=["light", "dark"])
+def test_print_shows_everything(browser: Browser, page: Path, dark: bool) -> None:
+    """Cut no table off at the right, unfold all but provenance, leave out what paper cannot do, print on white."""
+    browser.open(page, width=PAPER, printed=True, dark=dark)
+    cut: Any = browser.evaluate(
+        f"""[...document.querySelectorAll('table, figure, pre, p')].filter(e => e.checkVisibility()
+            && e.getBoundingClientRect().right > {PAPER} + 1).map(e => e.outerHTML.slice(0, 200))"""
+    )
+    assert cut == []
+    hidden = "[...document.querySelectorAll('nav, .files, .skip')].every(e => !e.checkVisibility())"
+    assert browser.evaluate(hidden)
+    folded = "section:not([aria-labelledby=provenance]) details:not(.keys) > :not(summary)"
+    assert browser.evaluate(f"[...document.querySelectorAll('{folded}')].every(e => e.checkVisibility())")
+    assert browser.evaluate("getComputedStyle(document.documentElement).backgroundColor") == "rgb(255, 255, 255)"
+
+
+def test_the_print_is_whole(browser: Browser, page: Path, tmp_path: Path) -> None:
+    """Print every heading and every recording's name."""
+    browser.open(page)
+    browser.pdf(tmp_path / "page.pdf")
+    if shutil.which("pdftotext") is None:
+        pytest.skip("no pdftotext to read PDF with")
+    done = subprocess.run(["pdftotext", str(tmp_path / "page.pdf"), "-"], capture_output=True, text=True, check=True)
+    browser.open(page)
+    printed = "".join(done.stdout.split())
+    for heading in browser.evaluate("[...document.querySelectorAll('h2')].map(h => h.textContent)"):
+        assert "".join(heading.split()) in printed, heading
+    for name in ("0-0.mcap", "bad.mcap", "no-recording.mcap"):
+        assert name in printed
+
+
+def test_nothing_moves(browser: Browser, page: Path) -> None:
+    """Animate nothing, for those who asked for less motion and for all others."""
+    browser.open(page, still=True)
+    moving = """[...document.querySelectorAll('*')].filter(e => { const s = getComputedStyle(e);
+        return s.animationName !== 'none' || parseFloat(s.transitionDuration) > 0; }).length"""
+    assert browser.evaluate(moving) == 0
