@@ -10,6 +10,7 @@ import re
 from pathlib import Path
 
 from evaluator.evaluate import evaluate_files
+from evaluator.report.figures import palette, style
 from evaluator.report.figures.svg import text
 from evaluator.report.html import render_html
 from evaluator.report.tables import print_tables
@@ -42,9 +43,7 @@ def with_table(readme: str, shown: str) -> str:
 def picture(evaluation: Evaluation) -> str:
     """The report's density maps beside each other, as one SVG that follows the page's light or dark theme."""
     page = render_html(evaluation, published=False, command="")
-    style = re.search(r"<style>(.*?)</style>", page, re.DOTALL)
     maps = re.findall(r"<svg [^>]*Density map of.*?</svg>", page, re.DOTALL)
-    assert style is not None
     assert maps
     parts, left, height = [], 0.0, 0.0
     for one, result in zip(maps, evaluation.results, strict=True):
@@ -58,8 +57,14 @@ def picture(evaluation: Evaluation) -> str:
         left, height = left + width + _GAP, max(height, tall + _TITLE)
     return (
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {left - _GAP:g} {height:g}">'
-        f"<style>{style[1]}</style>{''.join(parts)}</svg>\n"
+        f"<style>\n{_style()}\n</style>{''.join(parts)}</svg>\n"
     )
+
+
+def _style() -> str:
+    light, dark = palette.variables(dark=False), palette.variables(dark=True)
+    font = "--font: system-ui, sans-serif;"
+    return f":root {{ {font} {light} }}\n@media (prefers-color-scheme: dark) {{ :root {{ {dark} }} }}\n{style.css()}"
 
 
 def main() -> None:

@@ -32,6 +32,8 @@ def _options(parser: argparse.ArgumentParser) -> list[argparse.Action]:
 
 def _says(text: str, default: object) -> bool:
     shown = {str(default), f"{default:g}"} if isinstance(default, float) else {str(default)}
+    if isinstance(default, tuple):
+        shown = {",".join(map(str, default))}
     return any(re.search(rf"default:? .*?(?<![\w.]){re.escape(value)}(?![\w.])", text) for value in shown)
 
 

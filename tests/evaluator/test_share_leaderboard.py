@@ -84,7 +84,7 @@ def test_a_sweep_has_one_place(runs: Path, tmp_path: Path) -> None:
 
 
 def test_who_has_no_place(runs: Path, tmp_path: Path) -> None:
-    """Rank no INVALID run, none that breaks a rule, none whose states are not those of mechanics; and say why."""
+    """Rank no INVALID run, none that breaks a rule or mechanics, no instrument; and say why."""
     good = grid(2)
     write(runs, good, simulator="good", elapsed_s=5.0, steps=500, dt=0.01)
     write(runs, good, simulator="invalid", status="INVALID", reason="buffer overflow", cause="BUFFER")
@@ -95,6 +95,7 @@ def test_who_has_no_place(runs: Path, tmp_path: Path) -> None:
     sunk[..., 2] = -1.0
     write(runs, sunk, simulator="sunk", steps=500, dt=0.01)
     write(runs, good, simulator="untimed", elapsed_s=None)
+    write(runs, good, simulator="ruler", switches={"instrument": True}, elapsed_s=0.1)
     found = {row["simulator"]: row for row in rows(made(tmp_path, runs)).values()}
     assert found["good"]["place"] == 1
     why = {name: row["no_place"] for name, row in found.items() if row["place"] is None}
@@ -103,6 +104,7 @@ def test_who_has_no_place(runs: Path, tmp_path: Path) -> None:
     assert "no memory" in why["failed"]
     assert "cubes through the floor, per env (27 of 27)" in why["sunk"]
     assert "timed phase" in why["untimed"]
+    assert "instrument" in why["ruler"]
     page = (tmp_path / "board" / "index.html").read_text()
     assert all(reason in page for reason in ("buffer overflow", "no memory", "through the floor"))
 

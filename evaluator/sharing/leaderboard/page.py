@@ -12,6 +12,7 @@ import schemas
 from evaluator.metrics.regime import REGIME_MEANING
 from evaluator.report import numbers
 from evaluator.report import words as report_words
+from evaluator.report.figures import palette
 from evaluator.report.text import printable
 from evaluator.sharing.leaderboard import words
 from evaluator.sharing.leaderboard.board import Board
@@ -42,5 +43,9 @@ def render(board: Board) -> str:
         words=words,
         types=sorted(REGIME_MEANING.items()),
         version=schemas.__version__,
-        colours={"light": Markup(""), "dark": Markup(""), "rules": Markup("")},
+        colours={
+            "light": Markup(palette.variables(dark=False)),
+            "dark": Markup(palette.variables(dark=True)),
+            "figures": "",
+        },
     )
