@@ -102,7 +102,7 @@ def _elsewhere(program: Program, clip: Clip, recordings: list[Recording], spread
     files = views(recordings, clip, _folder(), spread=spread)
     for recording, file in zip(recordings, files, strict=True):
         if file != recording.path:
-            complain("gsb-view", f"{recording.path} has nothing inside that {program.value} draws; a view was written")
+            complain("gsb-view", f"{recording.path} has not all of these inside for {program.value}; a view was written")
         _say(file)
     if started:
         start(program, files)
