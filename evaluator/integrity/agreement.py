@@ -49,7 +49,7 @@ def _short(value: Any) -> str:
 
 
 def _same(wanted: Any, there: Any) -> bool:
-    if not isinstance(wanted, float):
+    if not isinstance(wanted, float) or not isinstance(there, float):
         return bool(wanted == there)
     if math.isnan(wanted) or math.isnan(there):
         return math.isnan(wanted) and math.isnan(there)

@@ -158,7 +158,7 @@ def _made(view: RecordedView, rows: range, arrays: Sequence[StateArray]) -> Iter
 
 
 def _same_definition(data: bytes, kind: str) -> bool:
-    # names, numbers, types and defaults of all fields, of the message and of whatever it refers to; nothing else is drawn
+    # names, numbers, types and defaults of all fields, of the message and of what it refers to; nothing else is drawn
     if len(data) > _SCHEMA_BYTES:
         return False
     try:

@@ -23,7 +23,7 @@ def envs_inside(path: Path) -> set[int]:
 
 
 def views(recordings: Sequence[Recording], clip: Clip, folder: Path, *, spread: float) -> list[Path]:
-    """Each recording itself, where its environments of the clip are in the view inside, or a file with them in the folder.
+    """Each recording itself, where its view has all its environments of the clip, or a file with them in the folder.
 
     Nobody is shown other environments than the clip is said to show.
     """

@@ -84,7 +84,7 @@ def test_a_viewer_that_is_installed_is_given_a_view(tmp_path: Path, asked: str) 
     source = diverging(tmp_path, name="four.mcap")
     done = view(source, "--with", asked, PATH=f"{tmp_path}:/usr/bin:/bin", DISPLAY=":9", TMPDIR=str(tmp_path))
     assert done.returncode == 0, done.stderr
-    assert "has not all of these inside for rerun; a view was written" in done.stderr
+    assert "lacks some of these for rerun; a view was written" in done.stderr
     wait_for(given.exists)
     made = Path(given.read_text().strip())
     assert done.stdout == f"{made}\n"
