@@ -43,7 +43,7 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument("files", nargs="+", type=place, metavar="FILE", help="recordings (.mcap), or addresses of them")
     p.add_argument(
         "--with", dest="program", choices=_PROGRAMS, default="auto",
-        help="what to open (default: auto: rerun, Foxglove or Lichtblick if one is installed, else the page)",
+        help="what to open (default: auto: rerun, Foxglove or Lichtblick where one is installed, else the page)",
     )  # fmt: skip
     p.add_argument(
         "--env", type=int, action="append", default=[], metavar="E",
@@ -102,7 +102,7 @@ def _elsewhere(program: Program, clip: Clip, recordings: list[Recording], spread
     files = views(recordings, clip, _folder(), spread=spread)
     for recording, file in zip(recordings, files, strict=True):
         if file != recording.path:
-            complain("gsb-view", f"{recording.path} has nothing inside that {program.value} draws; a view was written")
+            complain("gsb-view", f"{recording.path} lacks some of these for {program.value}; a view was written")
         _say(file)
     if started:
         start(program, files)

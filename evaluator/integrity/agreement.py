@@ -49,8 +49,10 @@ def _short(value: Any) -> str:
 
 
 def _same(wanted: Any, there: Any) -> bool:
-    if not isinstance(wanted, float):
+    if not isinstance(wanted, float) or not isinstance(there, float):
         return bool(wanted == there)
     if math.isnan(wanted) or math.isnan(there):
         return math.isnan(wanted) and math.isnan(there)
-    return bool(wanted == there or abs(wanted - there) <= _TOLERANCE * max(1.0, abs(wanted)))
+    if math.isinf(wanted) or math.isinf(there):  # a tolerance relative to it would take every number
+        return wanted == there
+    return abs(wanted - there) <= _TOLERANCE * max(1.0, abs(wanted))

@@ -96,8 +96,9 @@ class _Check:
     def _check_messages(self, view: RecordedView) -> None:
         expected = {topic: self._messages(topic) for topic in view.types}
         scene, *others = view.types
-        if self._ended and len(self._container.messages(scene)) != 1:
-            self._add(f"{scene} has {len(self._container.messages(scene))} messages, not one")
+        count = len(self._container.messages(scene))
+        if count > 1 or (self._ended and not count):
+            self._add(f"{scene} has {count} messages, not one")
         self._compare(view.scene(), next(expected[scene], None))
         arrays = [self._recording.state(field.group, field.field) for field in view.fields]
         rows = range(0, min(map(len, arrays)), view.one_of)
@@ -157,7 +158,7 @@ def _made(view: RecordedView, rows: range, arrays: Sequence[StateArray]) -> Iter
 
 
 def _same_definition(data: bytes, kind: str) -> bool:
-    # names, numbers and types of all fields, of the message and of whatever it refers to; nothing else is drawn
+    # names, numbers, types and defaults of all fields, of the message and of what it refers to; nothing else is drawn
     if len(data) > _SCHEMA_BYTES:
         return False
     try:
@@ -167,16 +168,25 @@ def _same_definition(data: bytes, kind: str) -> bool:
     return _reached(found, kind) == _reached(FileDescriptorSet.FromString(foxglove.embedded_schema(kind)), kind)
 
 
-def _reached(files: Any, kind: str) -> dict[str, set[tuple[Any, ...]]]:
-    messages = {f".{file.package}.{message.name}": message for file in files.file for message in file.message_type}
-    reached: dict[str, set[tuple[Any, ...]]] = {}
+def _reached(files: Any, kind: str) -> dict[str, list[tuple[Any, ...]]]:
+    # each definition of a name, since a viewer may take any of them
+    definitions: dict[str, list[tuple[str, Any]]] = {}
+    for file in files.file:
+        for message in file.message_type:
+            definitions.setdefault(f".{file.package}.{message.name}", []).append((file.syntax, message))
+    reached: dict[str, list[tuple[Any, ...]]] = {}
     waiting = [f".{kind}"]
     while waiting:
         name = waiting.pop()
-        if name in reached or name not in messages:
+        if name in reached or name not in definitions:
             continue
-        message = messages[name]
-        reached[name] = {(f.name, f.number, f.type, f.label, f.type_name) for f in message.field}
-        reached[name] |= {(enum.name, v.name, v.number) for enum in message.enum_type for v in enum.value}
-        waiting += [field.type_name for field in message.field if field.type_name]
+        reached[name] = [(syntax, *_members(message)) for syntax, message in definitions[name]]
+        waiting += [f.type_name for _, message in definitions[name] for f in message.field if f.type_name]
     return reached
+
+
+def _members(message: Any) -> tuple[set[tuple[Any, ...]], set[tuple[Any, ...]]]:
+    return (
+        {(f.name, f.number, f.type, f.label, f.type_name, f.default_value) for f in message.field},
+        {(enum.name, value.name, value.number) for enum in message.enum_type for value in enum.value},
+    )

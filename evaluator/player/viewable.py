@@ -1,4 +1,4 @@
-"""Files that other viewers draw: recordings that have a view inside, and views made of those that have none."""
+"""Files that other viewers draw: recordings that have a view of what is shown inside, and views made of others."""
 
 from __future__ import annotations
 
@@ -8,28 +8,33 @@ from pathlib import Path
 from evaluator.player.clip import Clip
 from evaluator.recording import Recording
 from evaluator.sharing.viewer import write_view
+from schemas import topics
 from schemas.container import Container
 from schemas.errors import UsageError
 
-_DRAWN = ("SceneUpdate", "FrameTransforms", "PosesInFrame")
+_DRAWN = "foxglove.SceneUpdate"  # with which an environment's poses come
 
 
-def has_view(path: Path) -> bool:
-    """Whether a file has messages that Foxglove and rerun draw."""
-    container = Container(path)
-    return any(channel.message.removeprefix("foxglove.") in _DRAWN for channel in container.channels.values())
+def envs_inside(path: Path) -> set[int]:
+    """Environments that a recording has a view of inside, which Foxglove and rerun draw."""
+    channels = Container(path).channels.values()
+    parts = [topics.parse_view(channel.topic) for channel in channels if channel.message == _DRAWN]
+    return {part.env for part in parts if part is not None}
 
 
 def views(recordings: Sequence[Recording], clip: Clip, folder: Path, *, spread: float) -> list[Path]:
-    """Each recording itself, where it has a view inside, or a file in the folder with its environments of the clip."""
+    """Each recording itself, where its view has all its environments of the clip, or a file with them in the folder.
+
+    Nobody is shown other environments than the clip is said to show.
+    """
     found = []
     for index, recording in enumerate(recordings):
         if not isinstance(recording.path, Path):
             raise UsageError(f"{recording.path} is elsewhere; other programs are given files of this machine: copy it")
-        if has_view(recording.path):
+        envs = [track.env for track in clip.tracks if track.recording == index] or [0]
+        if envs_inside(recording.path).issuperset(envs):
             found.append(recording.path)
             continue
-        envs = [track.env for track in clip.tracks if track.recording == index] or [0]
         target = folder / f"{index}-{recording.path.stem}-view.mcap"
         found.append(write_view(recording.path, target, envs=envs, rate=30.0, spread=spread).path)
     return found

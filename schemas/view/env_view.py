@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
 from schemas.configuration import EPOCH_NS
@@ -34,29 +34,35 @@ class EnvView:
         self.solids = tuple(solids)
         # links have no poses of their own, since they are relative to each other
         self.groups = tuple(dict.fromkeys(part.group for part in motion.parts if part.group != ROBOT))
-        self._names = [(self.frame(part.parent), self.frame(part.name)) for part in motion.parts]
+        frames = [f"{self.name}/{name}" for name in _distinct(part.name for part in motion.parts)]
+        self._frames = {(p.group, p.name): frame for p, frame in zip(motion.parts, frames, strict=True)}
+        self._by_name = {p.name: frame for p, frame in zip(motion.parts, frames, strict=True)}
+        parents = [self._frames[ROBOT, part.parent] if part.parent else self.name for part in motion.parts]
+        self._names = list(zip(parents, frames, strict=True))
 
     @property
     def name(self) -> str:
         """Of its frame, and the begin of others."""
         return f"env{self.number}"
 
-    def frame(self, name: str) -> str:
-        """The frame of a body or link; with an empty name, the environment's own."""
-        return f"{self.name}/{printable(name)}" if name else self.name
-
     def entities(self) -> list[Any]:
         """What things look like, as SceneEntity; who moves takes its shapes along."""
-        there = {part.name for part in self.motion.parts}
         made = []
-        for index, solid in enumerate(self.solids):
-            if not solid.shapes or (solid.group and solid.name not in there):
+        names = _distinct(solid.name for solid in self.solids)  # of two entities of one name, viewers draw the second
+        for index, (solid, name) in enumerate(zip(self.solids, names, strict=True)):
+            frame = self._frame_of(solid)
+            if not solid.shapes or frame is None:
                 continue
             tones = _FIXED if not solid.group else _LINK if solid.group == ROBOT else _BODY
-            frame = self.frame(solid.name if solid.group else "")
             colour = tones[index % len(tones)]
-            made.append(foxglove.entity(EPOCH_NS, frame, self.frame(solid.name), solid.shapes, colour))
+            made.append(foxglove.entity(EPOCH_NS, frame, f"{self.name}/{name}", solid.shapes, colour))
         return made
+
+    def _frame_of(self, solid: Solid) -> str | None:
+        # a program that logs its states may call a group otherwise than its scene does
+        if not solid.group:
+            return self.name
+        return self._frames.get((solid.group, solid.name), self._by_name.get(solid.name))
 
     def transforms(self, frames: Sequence[Frame], row: int, time_ns: int) -> list[Any]:
         """Where its frame and those of everything that moves in it are at a time [ns], as FrameTransform."""
@@ -82,3 +88,14 @@ class EnvView:
             )
             for group in self.groups
         }
+
+
+def _distinct(names: Iterable[str]) -> Iterator[str]:
+    """Names for viewers, none empty and none twice: who would have another's gets a number."""
+    taken = set()
+    for number, name in enumerate(names):
+        shown = printable(name)
+        while not shown or shown in taken:
+            shown += f"#{number}"
+        taken.add(shown)
+        yield shown

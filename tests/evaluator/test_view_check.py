@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
@@ -236,6 +237,59 @@ def test_more_environments_than_any_recorder_shows(small: Path, tmp_path: Path) 
 
     found = examine(redeclared(small, tmp_path / "other.mcap", channel=other)).problems
     assert any("no recorder shows more than 4" in what or "shows environment" in what for what in found.of(Kind.view))
+
+
+def test_a_definition_with_defaults(small: Path, tmp_path: Path) -> None:
+    """Find a definition by which a number that was not written, since it is 0, would be read as another."""
+
+    def other(record: Any) -> Any:
+        if record.name == "foxglove.PosesInFrame":
+            files = descriptor_pb2.FileDescriptorSet.FromString(record.data)
+            (file,) = (f for f in files.file if any(m.name == "Vector3" for m in f.message_type))
+            file.syntax = "proto2"
+            (vector,) = (m for m in file.message_type if m.name == "Vector3")
+            vector.field[0].default_value = "5"
+            record.data = files.SerializeToString()
+        return record
+
+    found = examine(redeclared(small, tmp_path / "other.mcap", schema=other)).problems
+    assert found.of(Kind.view) == ("the definition of foxglove.PosesInFrame in the file is not the public one",)
+
+
+def test_a_definition_twice(small: Path, tmp_path: Path) -> None:
+    """Find a type that is defined twice, of which a viewer may take the other one."""
+
+    def other(record: Any) -> Any:
+        if record.name == "foxglove.PosesInFrame":
+            files = descriptor_pb2.FileDescriptorSet.FromString(record.data)
+            (file,) = (f for f in files.file if any(m.name == "Vector3" for m in f.message_type))
+            first = descriptor_pb2.FileDescriptorProto()
+            first.CopyFrom(file)
+            first.name = "foxglove/Other.proto"
+            first.message_type[0].field[0].number = 9
+            made = descriptor_pb2.FileDescriptorSet(file=[first, *files.file])
+            record.data = made.SerializeToString()
+        return record
+
+    found = examine(redeclared(small, tmp_path / "other.mcap", schema=other)).problems
+    assert found.of(Kind.view) == ("the definition of foxglove.PosesInFrame in the file is not the public one",)
+
+
+@pytest.mark.parametrize("there", [5.0, -math.inf, math.nan])
+def test_a_body_that_is_nowhere(there: float) -> None:
+    """Take no place for one that is not finite."""
+    expected, found = (foxglove.message_class("foxglove.Vector3")(x=x) for x in (math.inf, there))
+    assert difference(expected, memoryview(found.SerializeToString())).startswith("x is ")
+
+
+def test_two_scenes_of_a_run_that_was_cut_short(small: Path, tmp_path: Path) -> None:
+    """Find a second scene in a recording without an end, too."""
+
+    def unended(messages: Messages) -> Messages:
+        return [m for m in twice(messages) if m[0] != "/run/end"]
+
+    found = examine(rewritten(small, tmp_path / "lie.mcap", unended)).problems
+    assert found.of(Kind.view) == (f"{SCENE} has 2 messages, not one",)
 
 
 @given(st.floats(), st.floats(allow_nan=False, allow_infinity=False, min_value=-10, max_value=10))

@@ -122,3 +122,22 @@ def test_states_that_are_not_of_the_format() -> None:
         Motion((FIELDS[1], other), scene)
     with pytest.raises(DamagedRecording, match="no bodies or joints"):
         RecordedView(0, fields=(), scene=scene, env_origins=(), dt=0.1, stride=1)
+
+
+def test_things_of_one_name() -> None:
+    """Give everything that moves a frame of its own, and all that is drawn an entity, whatever they are called."""
+    box = {"kind": "box", "size": [1, 1, 1]}
+    bodies = [("", "wall"), ("", "wall"), ("one", "a"), ("two", "a"), ("two", ""), ("two", "\x1b"), ("two", "\\x1b")]
+    scene = {"bodies": [{"name": n, "group": g, "shape": box, **({"mass": 1.0} if g else {})} for g, n in bodies]}
+    fields = [body_field("one", "position", "float64", ("a",)),
+              body_field("two", "position", "float64", ("a", "", "\x1b", "\\x1b"))]  # fmt: skip
+    view = RecordedView(0, fields=fields, scene=scene, env_origins=(), dt=0.01, stride=1)
+    states = [np.zeros((1, 1, 3)), np.zeros((1, 4, 3))]
+    transforms = next(view.rows([0], states)).message.transforms
+    frames = [t.child_frame_id for t in transforms]
+    assert frames[:3] == ["env0", "env0/a", "env0/a#1"]
+    assert len(set(frames)) == len(frames) == 6
+    assert all(t.parent_frame_id == "env0" for t in transforms[1:])
+    entities = view.scene().message.entities
+    assert len({entity.id for entity in entities}) == len(entities) == 7
+    assert [entity.frame_id for entity in entities] == ["env0", "env0", *frames[1:]]

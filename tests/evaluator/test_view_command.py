@@ -84,7 +84,7 @@ def test_a_viewer_that_is_installed_is_given_a_view(tmp_path: Path, asked: str) 
     source = diverging(tmp_path, name="four.mcap")
     done = view(source, "--with", asked, PATH=f"{tmp_path}:/usr/bin:/bin", DISPLAY=":9", TMPDIR=str(tmp_path))
     assert done.returncode == 0, done.stderr
-    assert "has nothing inside that rerun draws; a view was written" in done.stderr
+    assert "lacks some of these for rerun; a view was written" in done.stderr
     wait_for(given.exists)
     made = Path(given.read_text().strip())
     assert done.stdout == f"{made}\n"
@@ -92,6 +92,18 @@ def test_a_viewer_that_is_installed_is_given_a_view(tmp_path: Path, asked: str) 
         [sys.executable, "-c", _ENVS, str(made)], capture_output=True, text=True, check=True, timeout=60
     )
     assert info.stdout.strip() == "0,2,3"
+
+
+def test_a_viewer_is_given_the_environments_that_are_named(small: Path, tmp_path: Path) -> None:
+    """Give a program the recording where its view is of what is shown, and else a view of that."""
+    given = program(tmp_path, "rerun")
+    for env, itself in ((0, True), (2, False)):
+        done = view(small, "--with", "rerun", "--env", env, "--no-open", PATH=f"{tmp_path}:/usr/bin:/bin")
+        assert done.returncode == 0, done.stderr
+        assert f"Shown: env {env}." in done.stderr
+        assert (done.stdout.strip() == str(small)) is itself
+        assert ("a view was written" in done.stderr) is not itself
+    assert not given.exists()
 
 
 _ENVS = """
