@@ -247,7 +247,7 @@ def _notes(
         notes.append(f"{shapeless} bodies have no shape that is known; a dot stands for each")
     for recording in recordings:
         if recording.status != "complete":
-            notes.append(f"{recording.path.name}: {recording.status}: {recording.reason}")
+            notes.append(f"recording {recording.path.name} is {recording.status}: {recording.reason}")
     if any(recording.scene != recordings[0].scene for recording in recordings[1:]):
         notes.append("the recordings describe the scene differently; it is drawn as the first one says")
     return notes
