@@ -43,7 +43,7 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument("files", nargs="+", type=place, metavar="FILE", help="recordings (.mcap), or addresses of them")
     p.add_argument(
         "--with", dest="program", choices=_PROGRAMS, default="auto",
-        help="what to open (default: auto: rerun, Foxglove or Lichtblick where one is installed, else the page)",
+        help="what to open (default: auto, which is Foxglove or Lichtblick where one is installed, else the page)",
     )  # fmt: skip
     p.add_argument(
         "--env", type=int, action="append", default=[], metavar="E",

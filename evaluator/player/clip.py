@@ -228,6 +228,8 @@ def _notes(
             f"{len(tracks)} environments are shown, of {seen.so_far[-1]} bitwise classes in the end; those that split "
             "off first come first"
         )
+    if any(recording.action_names for recording in recordings):
+        notes.append("environments of one run were given different actions, so they part by design")
     if isinstance(among, Compared) and among.left_out:
         notes.append(among.left_out)
     if seen is not None and not seen.complete:
@@ -247,7 +249,7 @@ def _notes(
         notes.append(f"{shapeless} bodies have no shape that is known; a dot stands for each")
     for recording in recordings:
         if recording.status != "complete":
-            notes.append(f"{recording.path.name}: {recording.status}: {recording.reason}")
+            notes.append(f"recording {recording.path.name} is {recording.status}: {recording.reason}")
     if any(recording.scene != recordings[0].scene for recording in recordings[1:]):
         notes.append("the recordings describe the scene differently; it is drawn as the first one says")
     return notes

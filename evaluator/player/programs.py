@@ -46,10 +46,12 @@ def command_of(program: Program) -> str | None:
 def found(asked: str) -> Program:
     """What is meant: a program by name, or with "auto" the first that is installed and has a display to draw on.
 
+    Never rerun unless it is named: without a blueprint it draws nothing of a recording.
+
     UsageError where the program that is asked for is not installed.
     """
     if asked == "auto":
-        installed = (p for p in Program if p is Program.PAGE or command_of(p))
+        installed = (p for p in Program if p is not Program.RERUN and (p is Program.PAGE or command_of(p)))
         return next(installed) if has_display() else Program.PAGE
     program = Program(asked)
     if program is not Program.PAGE and command_of(program) is None:

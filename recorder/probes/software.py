@@ -48,9 +48,11 @@ def describe_software() -> dict[str, Any]:
 
 
 def package_list() -> str:
-    """Every installed distribution, one "name==version" a line."""
-    names = {(d.metadata["Name"] or "?", d.version) for d in metadata.distributions()}
-    return "".join(f"{name}=={version}\n" for name, version in sorted(names, key=lambda n: n[0].lower()))
+    """Every installed distribution, one "name==version" a line; of several versions of one, that which is imported."""
+    versions: dict[str, str] = {}
+    for found in metadata.distributions():  # in the order in which Python looks for modules
+        versions.setdefault(found.metadata["Name"] or "?", found.version)
+    return "".join(f"{name}=={versions[name]}\n" for name in sorted(versions, key=lambda n: (n.lower(), n)))
 
 
 def _version(distribution: str) -> str | None:

@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 
-from tests.conftest import wait_for
+from tests.conftest import call, wait_for
 from tests.evaluator.test_player_clip import diverging
 from tests.synthetic import grid, write_recording
 
@@ -77,14 +77,14 @@ def test_the_page_is_opened_in_the_browser(tmp_path: Path) -> None:
     assert not given.exists()
 
 
-@pytest.mark.parametrize("asked", ["auto", "rerun"])
-def test_a_viewer_that_is_installed_is_given_a_view(tmp_path: Path, asked: str) -> None:
+@pytest.mark.parametrize(("asked", "name"), [("auto", "foxglove"), ("rerun", "rerun")])
+def test_a_viewer_that_is_installed_is_given_a_view(tmp_path: Path, asked: str, name: str) -> None:
     """Write views of the environments that are shown for a program that draws no recordings, and start it with them."""
-    given = program(tmp_path, "rerun")
+    given = program(tmp_path, name)
     source = diverging(tmp_path, name="four.mcap")
     done = view(source, "--with", asked, PATH=f"{tmp_path}:/usr/bin:/bin", DISPLAY=":9", TMPDIR=str(tmp_path))
     assert done.returncode == 0, done.stderr
-    assert "lacks some of these for rerun; a view was written" in done.stderr
+    assert f"lacks some of these for {name}; a view was written" in done.stderr
     wait_for(given.exists)
     made = Path(given.read_text().strip())
     assert done.stdout == f"{made}\n"
@@ -92,6 +92,15 @@ def test_a_viewer_that_is_installed_is_given_a_view(tmp_path: Path, asked: str) 
         [sys.executable, "-c", _ENVS, str(made)], capture_output=True, text=True, check=True, timeout=60
     )
     assert info.stdout.strip() == "0,2,3"
+
+
+def test_rerun_is_not_taken_unasked(tmp_path: Path) -> None:
+    """Write the page where rerun alone is installed, since rerun would draw nothing."""
+    given = program(tmp_path, "rerun")
+    done = view(PARTING, "--no-open", PATH=f"{tmp_path}:/usr/bin:/bin", DISPLAY=":9", TMPDIR=str(tmp_path))
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.endswith(".html\n")
+    assert not given.exists()
 
 
 def test_a_viewer_is_given_the_environments_that_are_named(small: Path, tmp_path: Path) -> None:
@@ -138,7 +147,7 @@ def test_exit_codes(tmp_path: Path) -> None:
     out = ("--no-open", "--out", tmp_path / "view.html")
     expected: list[tuple[tuple[Any, ...], int, str]] = [
         ((without, *out), 5, "holds no states"),
-        ((short, *out), 3, "incomplete"),
+        ((short, *out), 3, "Recording short.mcap.partial is incomplete"),
         ((nothing, *out), 3, "not an MCAP file"),
         ((PARTING, other, *out), 2, "one time step"),
         ((PARTING, "--env", 16, *out), 2, "no environment 16: it has 0 to 15"),
@@ -153,6 +162,17 @@ def test_exit_codes(tmp_path: Path) -> None:
         assert said in done.stderr, (arguments, done.stderr)
         assert "Traceback" not in done.stderr
     assert view(short, *out).stdout.endswith("view.html\n"), "what is there is shown all the same"
+
+
+def test_environments_that_part_by_design(tmp_path: Path) -> None:
+    """Say where environments were told to do different things, so that nobody takes that for a fault."""
+    brief = ("--n-env", 2, "--runs", 1, "--steps", 5, "--phases", "capture")
+    assert call("gsb-record", "--sim", "mujoco", "--scene", "franka", *brief, "--out", tmp_path).returncode == 0
+    (source,) = tmp_path.glob("*.mcap")
+    done = view(source, "--out", tmp_path / "view.html", "--no-open")
+    assert done.returncode == 0, done.stderr
+    assert "the first part at step 1" in done.stderr
+    assert "Environments of one run were given different actions, so they part by design." in done.stderr
 
 
 def test_the_guide_shows_what_happens(tmp_path: Path) -> None:

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import os
+import sys
 from pathlib import Path
 
 import pytest
 
 from evaluator import open_recording
 from recorder.environment import apply_environment
+from recorder.probes.software import package_list
 from schemas.errors import UsageError
 from tests.conftest import SMALL, Command
 
@@ -112,3 +114,13 @@ def test_other_variables_stay_as_the_user_set_them(monkeypatch: pytest.MonkeyPat
     monkeypatch.delenv("GSB_TEST_TWO", raising=False)
     apply_environment({"GSB_TEST_ONE": "engine", "GSB_TEST_TWO": "engine"})
     assert (os.environ["GSB_TEST_ONE"], os.environ.pop("GSB_TEST_TWO")) == ("user", "engine")
+
+
+def test_a_package_of_two_versions(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """List the version that Python imports, where a folder later on the path has another."""
+    for place, version in (("near", "2.0"), ("far", "1.0")):
+        info = tmp_path / place / f"gsb_twice-{version}.dist-info"
+        info.mkdir(parents=True)
+        (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: gsb-twice\nVersion: {version}\n")
+    monkeypatch.setattr("sys.path", [str(tmp_path / "near"), str(tmp_path / "far"), *sys.path])
+    assert [line for line in package_list().splitlines() if line.startswith("gsb-twice")] == ["gsb-twice==2.0"]
