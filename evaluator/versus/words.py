@@ -58,6 +58,8 @@ def headline(result: Result) -> str:
         parts.append(f"improved: {', '.join(gained)}")
     if result.undecided:
         parts.append(f"not decided everywhere: {', '.join(axis.value for axis in result.undecided)}")
+    if result.alone:
+        parts.append(f"{_count(len(result.alone), 'configuration')} without a partner")
     return "; ".join(parts)
 
 
