@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from evaluator.fidelity import Verdict
-from evaluator.groups import GroupKey, shown_status
+from evaluator.groups import GroupKey, is_instrument, shown_status
 from evaluator.results import Evaluation, GroupResult, Metric
 from evaluator.sharing.dataset.checkup import BROKEN, Checkup
 from evaluator.sharing.leaderboard.reproduction import Replay, Reproduction, reproduction
@@ -165,6 +165,8 @@ def _entry(recording: Summary, checkup: Checkup) -> Entry:
 
 
 def _no_place(result: GroupResult, entries: Sequence[Entry]) -> str:
+    if is_instrument(result.group.key):
+        return "it says of itself that it is an instrument with known answers, and no engine"
     outcomes = result.group.outcomes
     if outcomes["invalid"]:
         reasons = dict.fromkeys(e.reason for e in entries if e.status.startswith("INVALID"))
