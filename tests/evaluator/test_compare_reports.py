@@ -168,6 +168,7 @@ def test_text_is_never_markup() -> None:
     assert safe("\x1b\u202e") == "&#92;x1b&#92;x202e"
     assert safe("0.95, v1.2") == "0.95, v1.2"
     assert "\u200b" in safe("@team")
+    assert safe("see gh-12, and-3") == "see gh-\u200b12, and-3"
     assert code("x") == "<code>x</code>"
     assert len(safe("x" * 1000)) < 400
     renderer = MarkdownIt("commonmark")
