@@ -227,9 +227,8 @@ def _warnings(draft: _Draft, findings: Sequence[Finding], alpha: float) -> list[
     elif clocked and order.one_first and max(order.n) > 1:
         lines.append(f"one side always came first ({order.text}): a steady drift favours one; A B B A cancels it")
     if 0 < min(order.n) < FEW_RUNS:
-        lines.append(
-            f"{order.n[0]} complete runs of base and {order.n[1]} of head are few: {FEW_RUNS} a side are advised"
-        )
+        what = "complete run" if order.n[0] == 1 else "complete runs"
+        lines.append(f"{order.n[0]} {what} of base and {order.n[1]} of head are few: {FEW_RUNS} a side are advised")
     return [*lines, *_blind(findings, alpha)]
 
 

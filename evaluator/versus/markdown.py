@@ -15,6 +15,8 @@ _LENGTH = 300
 
 _ADDRESS = re.compile(r"(?<=[A-Za-z])\.(?=\S)")
 
+_ISSUE = re.compile(r"(?i)(?<=\bGH-)(?=\d)")
+
 _PLAIN = ".,-()/;%'\"?"  # punctuation that is no structure where it cannot begin a line
 
 _HELD, _FAILED = ":white_check_mark:", ":x:"
@@ -43,7 +45,7 @@ def safe(text: str) -> str:
     """
     shown = text if len(text) <= _LENGTH else f"{text[: _LENGTH - 3]}..."
     # a point behind a letter may be part of an address, others are of numbers and sentences
-    return _ADDRESS.sub("&#46;", "".join(map(_safe, shown)))
+    return _ISSUE.sub("\u200b", _ADDRESS.sub("&#46;", "".join(map(_safe, shown))))
 
 
 def code(text: str) -> str:

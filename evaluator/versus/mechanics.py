@@ -15,10 +15,10 @@ _NAME, _TITLE = "mechanics", "checks of mechanics"
 
 
 def compare_mechanics(base: Runs, head: Runs, *, certain: bool) -> Sequence[Finding | Question]:
-    """A finding for each check whose verdict changed, and one for all where none did; empty without states.
+    """A finding for each check that could have changed, and one for all where none could; empty without states.
 
-    certain  all runs of a side are bit-identical, so that one speaks for all; otherwise it is counted in how many runs
-             a check is broken, and tested whether that is another share
+    certain  all runs of a side are bit-identical, so that one speaks for all, and a check has changed where its verdict
+             has; otherwise it is counted in how many runs a check is broken, and tested whether that is another share
     """
     if not any("capture" in r.recording.configuration.phases for r in (*base, *head)):
         return ()
@@ -30,8 +30,8 @@ def compare_mechanics(base: Runs, head: Runs, *, certain: bool) -> Sequence[Find
     judged = [pair for pair in both if all(row.verdict is not Verdict.NOT_APPLICABLE for row in pair)]
     if not judged:
         return (not_compared(Axis.PHYSICS, _NAME, _TITLE, "no check applies to both sides"),)
-    changed = [_changed(a, b, base, head, certain=certain) for a, b in judged if a.verdict is not b.verdict]
-    return changed or (_unchanged(one, other, (len(base), len(head))),)
+    found = [_found(a, b, base, head, certain=certain) for a, b in judged]
+    return [one for one in found if one is not None] or (_unchanged(one, other, (len(base), len(head))),)
 
 
 def _unchanged(one: Fidelity, other: Fidelity, n: tuple[int, int]) -> Finding:
@@ -44,14 +44,20 @@ def _unchanged(one: Fidelity, other: Fidelity, n: tuple[int, int]) -> Finding:
     )  # fmt: skip
 
 
-def _changed(one: FidelityRow, other: FidelityRow, base: Runs, head: Runs, *, certain: bool) -> Finding | Question:
-    worse = other.verdict is Verdict.BROKEN
-    counts = _broken(one.check, base), _broken(one.check, head)
+def _found(one: FidelityRow, other: FidelityRow, base: Runs, head: Runs, *, certain: bool) -> Finding | Question | None:
+    """The finding or the question of a check; None where it could not have changed.
+
+    Which tests are made must not depend on how broken runs fell to the sides, or their p-values mean nothing: a check
+    that only some runs of all break is asked, also where both sides have such runs.
+    """
+    counts = (bad, n1), (worse, n2) = _broken(one.check, base), _broken(one.check, head)
+    if (one.verdict is other.verdict) if certain else (bad + worse in (0, n1 + n2)):
+        return None
     finding = Finding(
         Axis.PHYSICS, f"mechanics.{one.check.key}", one.check.title,
-        Change.REGRESSION if worse else Change.IMPROVEMENT, Direction.HIGHER, said=(_said(one), _said(other)),
-        n=(counts[0][1], counts[1][1]), method="verdict of gsb-eval --physics over all runs",
-        note=f"broken in {counts[0][0]} of {counts[0][1]} runs of base, {counts[1][0]} of {counts[1][1]} of head",
+        Change.REGRESSION if worse * n1 > bad * n2 else Change.IMPROVEMENT, Direction.HIGHER,
+        said=(_said(one), _said(other)), n=(n1, n2), method="verdict of gsb-eval --physics over all runs",
+        note=f"broken in {bad} of {n1} runs of base, {worse} of {n2} of head",
     )  # fmt: skip
     return finding if certain else _Counted(finding, *counts)
 

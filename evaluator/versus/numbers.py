@@ -61,7 +61,7 @@ def compare_numbers(
             return replace(
                 finding,
                 change=_towards(measure, one[0], other[0], settings),
-                note="every run of a side has this very value",
+                note=f"every run of a side has this very value; {_by_chance(order)}",
             )
     return _Asked(measure, order, values, finding, settings)
 
@@ -92,8 +92,9 @@ class _Asked:
         one, other = self.values[~second], self.values[second]
         center = _geometric if logs else _mean
         base, head = center(one), center(other)
-        # within blocks of unequal sizes, the shift is no difference of these means
+        # within blocks of unequal sizes, the shift is no difference of these means: what was tested decides
         ratio = math.exp(found.difference) if logs else _ratio(base, head)
+        shifted = base * math.exp(found.difference) if logs else base + found.difference
         bounds = (
             (math.exp(found.low), math.exp(found.high))
             if logs and found.low is not None and found.high is not None
@@ -102,7 +103,7 @@ class _Asked:
         kind = "geometric means over runs" if logs else "means over runs"
         return replace(
             self.finding,
-            change=_towards(self.measure, base, base * ratio if logs and ratio else head, self.settings),
+            change=_towards(self.measure, base, shifted, self.settings),
             base=base,
             head=head,
             ratio=ratio,
@@ -111,6 +112,11 @@ class _Asked:
             least_p=found.least_p,
             test=f"{kind}; {_exchanged(found, blocks)}",
         )
+
+
+def _by_chance(order: Schedule) -> str:
+    """How often two values that fell to runs whatever their side would part them like this."""
+    return f"runs dealt at random part them so in {least_p(order.head, [0] * len(order.head)):.2g} of all cases"
 
 
 def _exchanged(found: Shift, blocks: tuple[int, ...]) -> str:

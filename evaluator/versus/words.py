@@ -58,6 +58,8 @@ def headline(result: Result) -> str:
         parts.append(f"improved: {', '.join(gained)}")
     if result.undecided:
         parts.append(f"not decided everywhere: {', '.join(axis.value for axis in result.undecided)}")
+    if result.alone:
+        parts.append(f"{_count(len(result.alone), 'configuration')} without a partner")
     return "; ".join(parts)
 
 
@@ -113,8 +115,8 @@ def legend(result: Result) -> list[str]:
         alpha = _percent(result.settings.alpha)
         tests = _count(result.tests, "statistical comparison")
         lines.append(
-            f"p: adjusted for the {tests} that count and could show something (Holm), so that any false alarm among "
-            f"them has a chance of at most {alpha}; intervals are of one comparison alone"
+            f"p: adjusted for {tests} on axes that count, of enough runs to show something (Holm), so that any false "
+            f"alarm among them has a chance of at most {alpha}; intervals are of one comparison alone"
         )
     if any(f.change is Change.UNCLEAR for f in findings):
         lines.append("~: not distinguishable by so many runs; what the interval holds is possible")

@@ -168,6 +168,7 @@ def test_equal_bytes_are_no_statistics(tmp_path: Path, capsys: pytest.CaptureFix
         memory = finding(document, "memory_peak_increment")
         assert (found, memory["change"], memory["p_value"]) == (code, change, None), name
         assert memory["ratio"] == pytest.approx((800_000_000 + more) / 800_000_000)
+        assert ("in 0.0022 of all cases" in memory["note"]) is (name != "same")
     little = write_sides(
         tmp_path / "little", timed(host_bytes=(10**8, 10**8 + 1000)), timed(host_bytes=(10**8, 10**8 + 9000))
     )
@@ -298,6 +299,10 @@ def test_what_has_no_partner(tmp_path: Path, capsys: pytest.CaptureFixture[str])
     assert (code, document["verdict"], document["compared"]) == (5, "NOTHING COMPARED", [])
     assert {one["side"] for one in document["without_partner"]} == {"base", "head"}
     assert "nothing on the other side" in document["without_partner"][0]["reason"]
+    more = write_recording(base, None, n_env=9, change=stamped(98))
+    code, document = compared(base, head, "--across", "cone", capsys=capsys)
+    assert (code, document["verdict"].rpartition("; ")[2]) == (0, "1 configuration without a partner")
+    more.unlink()
     code, document = compared(base, head, "--across", "cone", capsys=capsys)
     assert code == 0
     assert document["compared"][0]["differs"] == ["cone: unset -> pyramidal"]

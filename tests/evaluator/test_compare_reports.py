@@ -123,6 +123,28 @@ def test_a_check_that_some_runs_break(tmp_path: Path, capsys: pytest.CaptureFixt
         assert f"{count} of 6 of head" in sank["note"]
 
 
+def test_checks_are_tested_however_broken_runs_fell(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Ask of a check that runs of both sides break, as of one that runs of one side do: the family is one."""
+    rng = np.random.default_rng(3)
+
+    def final(broken: bool) -> dict[str, Any]:
+        found = grid(2) + 0.001 * rng.normal(size=(2, 27, 3))
+        found[:, :, 2] = -0.5 if broken else 0.03
+        return {"final": found}
+
+    for broken_base, broken_head, change, p in (
+        (1, 1, "not distinguishable", 1.0), (1, 6, "regression", 14 / 924), (6, 1, "improvement", 14 / 924),
+    ):  # fmt: skip
+        base, head = ([final(i < count) for i in range(6)] for count in (broken_base, broken_head))
+        sides = write_sides(tmp_path / f"{broken_base}-{broken_head}", base, head, elapsed_s=None)
+        _, document = compared(*sides, "--outcome", "1e9", capsys=capsys)
+        sank = finding(document, "mechanics.sank")
+        assert (sank["change"], sank["p_value"]) == (change, pytest.approx(p))
+    base, head = ([final(True) for _ in range(6)] for _ in range(2))
+    _, document = compared(*write_sides(tmp_path / "every", base, head, elapsed_s=None), capsys=capsys)
+    assert finding(document, "mechanics")["change"] == "same"
+
+
 def test_markdown_of_hostile_text(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Render what strangers wrote as text: no element, link, mention or line of its own comes of it."""
     target = tmp_path / "summary.md"
@@ -146,6 +168,7 @@ def test_text_is_never_markup() -> None:
     assert safe("\x1b\u202e") == "&#92;x1b&#92;x202e"
     assert safe("0.95, v1.2") == "0.95, v1.2"
     assert "\u200b" in safe("@team")
+    assert safe("see gh-12, and-3") == "see gh-\u200b12, and-3"
     assert code("x") == "<code>x</code>"
     assert len(safe("x" * 1000)) < 400
     renderer = MarkdownIt("commonmark")

@@ -84,7 +84,7 @@ def test_a_sweep_has_one_place(runs: Path, tmp_path: Path) -> None:
 
 
 def test_who_has_no_place(runs: Path, tmp_path: Path) -> None:
-    """Rank no INVALID run, none that breaks a rule or mechanics, no instrument; and say why."""
+    """Rank no INVALID run, none that breaks a rule, none whose states are not those of mechanics; and say why."""
     good = grid(2)
     write(runs, good, simulator="good", elapsed_s=5.0, steps=500, dt=0.01)
     write(runs, good, simulator="invalid", status="INVALID", reason="buffer overflow", cause="BUFFER")
@@ -95,7 +95,7 @@ def test_who_has_no_place(runs: Path, tmp_path: Path) -> None:
     sunk[..., 2] = -1.0
     write(runs, sunk, simulator="sunk", steps=500, dt=0.01)
     write(runs, good, simulator="untimed", elapsed_s=None)
-    write(runs, good, simulator="ruler", switches={"instrument": True}, elapsed_s=0.1)
+    write(runs, good, simulator="control", elapsed_s=0.1, steps=500, dt=0.01, switches={"instrument": True})
     found = {row["simulator"]: row for row in rows(made(tmp_path, runs)).values()}
     assert found["good"]["place"] == 1
     why = {name: row["no_place"] for name, row in found.items() if row["place"] is None}
@@ -104,7 +104,7 @@ def test_who_has_no_place(runs: Path, tmp_path: Path) -> None:
     assert "no memory" in why["failed"]
     assert "cubes through the floor, per env (27 of 27)" in why["sunk"]
     assert "timed phase" in why["untimed"]
-    assert "instrument" in why["ruler"]
+    assert "instrument" in why["control"]
     page = (tmp_path / "board" / "index.html").read_text()
     assert all(reason in page for reason in ("buffer overflow", "no memory", "through the floor"))
 
@@ -173,6 +173,28 @@ def test_a_replay_of_something_else_does_not_count(runs: Path, tmp_path: Path, w
     told = {"run_id": opened.provenance.run_id, "content_hash": opened.content_hash, wrong: "0" * 64}
     write(runs, grid(2), replay_of=ReplayOf(**told), cpu="B")
     assert all(not row["reproduction"]["replays"] for row in rows(made(tmp_path, runs)).values())
+
+
+def test_a_replay_that_shows_nothing_does_not_count(runs: Path, tmp_path: Path) -> None:
+    """Take for a reproduction no replay that is of another simulator or scene, or that breaks a rule."""
+    original = write(runs, grid(2), name="original.mcap", simulator="mine")
+    replay(runs, original, grid(2), simulator="another", cpu="B")
+    replay(runs, original, grid(2), simulator="mine", scene="free-fall", cpu="C")
+    replay(runs, original, grid(2), simulator="mine", cpu="D", whole=False)
+    found = [row["reproduction"]["reproduced"] for row in rows(made(tmp_path, runs)).values()]
+    assert found
+    assert not any(found)
+
+
+def test_nobody_takes_the_place_of_a_run(runs: Path, tmp_path: Path) -> None:
+    """Count neither of two recordings of one run id with other contents, whichever name comes first."""
+    write(runs, grid(2), name="b.mcap", run_id="one", simulator="theirs")
+    write(runs, grid(2), name="a.mcap", run_id="one", simulator="theirs", elapsed_s=0.001)
+    write(runs, grid(2), name="c.mcap", simulator="other")
+    document = made(tmp_path, runs, code=3)
+    assert [row["simulator"] for row in rows(document).values()] == ["other"]
+    assert [Path(one["file"]).name for one in document["unreadable"]] == ["a.mcap", "b.mcap"]
+    assert all("neither counts" in one["why"] for one in document["unreadable"])
 
 
 def test_what_an_audit_wrote_does_not_count(runs: Path, tmp_path: Path) -> None:

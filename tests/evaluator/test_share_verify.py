@@ -57,6 +57,7 @@ def test_a_set_is_what_it_says(made: Path, capsys: pytest.CaptureFixture[str]) -
     said = capsys.readouterr().out
     assert "2 recordings have their content hashes" in said
     assert "every value of metrics.parquet and runs.parquet follows" in said
+    assert "not looked at: whether what README.md and CITATION.cff say follows from the recordings" in said
     assert findings(made, capsys, 0) == []
 
 
@@ -173,6 +174,14 @@ def test_a_table_that_somebody_else_wrote_may_be_right(
         table = pl.read_parquet(made / "metrics.parquet").with_columns(pl.col("value") * factor)
         write_table(copy, table, compression="uncompressed")
         assert main(["verify", str(copy), *arguments]) == code, capsys.readouterr().out
+
+
+@pytest.mark.parametrize("name", ["set[1]", "set=1", "*"])
+def test_a_folder_may_have_any_name(name: str, made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Read the tables of the folder that was named, and take its name for no pattern."""
+    shutil.copytree(made, tmp_path / name)
+    write_table(tmp_path / name, pl.read_parquet(made / "metrics.parquet"), compression="uncompressed")
+    assert findings(tmp_path / name, capsys, 0) == []
 
 
 @pytest.mark.parametrize(

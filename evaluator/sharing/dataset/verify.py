@@ -9,8 +9,10 @@ from pathlib import Path
 
 from evaluator.report.parquet import METRICS, RUNS, frames, polars
 from evaluator.results import Evaluation
+from evaluator.sharing.dataset.card import CARD
 from evaluator.sharing.dataset.checksums import CHECKSUMS, read_sums
 from evaluator.sharing.dataset.checkup import BROKEN, DAMAGED
+from evaluator.sharing.dataset.citation import CITATION
 from evaluator.sharing.dataset.contents import (
     LookedAt,
     evaluate_set,
@@ -74,6 +76,9 @@ class _Verifier:
     def verify(self) -> Verification:
         self._checksums()
         self._names()
+        self._unchecked.append(
+            f"whether what {CARD} and {CITATION} say follows from the recordings: look at the tables"
+        )
         looked_at = [one for file in self._manifest.files if (one := self._look_at(file)) is not None]
         asked = [file for file in self._manifest.files if is_recording(file.path)]
         if len(looked_at) == len(asked):

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from evaluator.cache.known_files import read_all
 from evaluator.locations import expand
-from evaluator.reading import Reader, Unreadable
+from evaluator.reading import Read, Reader, Unreadable
 from evaluator.sharing.dataset.checkup import DAMAGED, Checkup, check_up
 from evaluator.sharing.dataset.contents import LookedAt, is_recording
 from evaluator.sharing.dataset.folder import find
@@ -44,6 +44,31 @@ def gather(places: Sequence[Place], sample_time: float, work: Work) -> list[Look
             read = Unreadable(place, DamagedRecording("; ".join(checkup.findings)))
         looked_at.append(LookedAt(str(place), checkup, read))
     return looked_at
+
+
+def without_doubles(reads: Sequence[Read | Unreadable]) -> list[Read | Unreadable]:
+    """All of them; those of one run id with several contents as damaged, each: which was changed nobody can tell.
+
+    Otherwise the name of a file would decide which of them counts, and its author chooses that.
+    """
+    contents: dict[str, set[str]] = {}
+    for read in reads:
+        if isinstance(read, Read) and read.summary.content_hash:
+            contents.setdefault(read.summary.provenance.run_id, set()).add(read.summary.content_hash)
+    return [
+        read
+        if isinstance(read, Unreadable) or len(contents.get(read.summary.provenance.run_id, ())) < 2
+        else _double(read)
+        for read in reads
+    ]
+
+
+def _double(read: Read) -> Unreadable:
+    why = (
+        f"another recording has its run id, {read.summary.provenance.run_id}, and another content: one of them was "
+        "changed, and neither counts; leave that one out"
+    )
+    return Unreadable(read.summary.path, DamagedRecording(why))
 
 
 def _checked(place: Place, work: Work) -> Checkup:

@@ -8,10 +8,11 @@ from pathlib import Path
 
 from evaluator.evaluate import evaluate
 from evaluator.reading import Read
+from evaluator.sharing.dataset.checkup import WHOLE
 from evaluator.sharing.dataset.contents import LookedAt
 from evaluator.sharing.leaderboard.board import Board
 from evaluator.sharing.leaderboard.document import KIND, dump_csv, dump_json
-from evaluator.sharing.leaderboard.gathering import gather, recordings_of
+from evaluator.sharing.leaderboard.gathering import gather, recordings_of, without_doubles
 from evaluator.sharing.leaderboard.page import render
 from evaluator.sharing.leaderboard.reproduction import replays_of
 from evaluator.sharing.leaderboard.standing import sections
@@ -40,13 +41,14 @@ def make_leaderboard(places: Sequence[Place], folder: Path, *, title: str, sampl
 
 def board(looked_at: Sequence[LookedAt], *, title: str, sample_time: float, work: Work) -> Board:
     """The leaderboard of some recordings."""
-    evaluation = evaluate([one.read for one in looked_at], sample_time=sample_time, work=work)
+    evaluation = evaluate(without_doubles([one.read for one in looked_at]), sample_time=sample_time, work=work)
     counted = {str(r.path) for result in evaluation.results for r in result.group.recordings}
     reads = [one.read for one in looked_at if isinstance(one.read, Read) and str(one.read.summary.path) in counted]
+    whole = {one.checkup.content_hash for one in looked_at if one.checkup.outcome == WHOLE}
     return Board(
         title=title,
         sample_time=sample_time,
-        sections=sections(evaluation, {one.name: one.checkup for one in looked_at}, replays_of(reads)),
+        sections=sections(evaluation, {one.name: one.checkup for one in looked_at}, replays_of(reads, whole)),
         unreadable=tuple((str(file.path), str(file.error)) for file in evaluation.unreadable),
         notes=evaluation.notes,
         recordings=len(counted),

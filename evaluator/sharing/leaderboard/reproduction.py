@@ -6,7 +6,7 @@ original is computed, from state hashes that were held against the states.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 from evaluator.plain import brief
@@ -67,14 +67,17 @@ class Reproduction:
         return sum(map(len, self.replays.values()))
 
 
-def replays_of(files: Sequence[Read]) -> dict[str, tuple[Replay, ...]]:
-    """Replays by the content hash of what they replay; only of recordings that are among the files, each once."""
+def replays_of(files: Sequence[Read], whole: Collection[str]) -> dict[str, tuple[Replay, ...]]:
+    """Replays by the content hash of what they replay; only of recordings that are among the files, each once.
+
+    whole  content hashes of recordings that keep every rule; others reproduce nothing
+    """
     known = {(f.summary.provenance.run_id, f.summary.content_hash): f for f in files if f.summary.content_hash}
     found: dict[str, dict[str, Replay]] = {}
     for file in known.values():
         of = file.summary.provenance.replay_of
         original = known.get((of.run_id, of.content_hash)) if of else None
-        if of is None or original is None or original is file:
+        if of is None or original is None or original is file or file.summary.content_hash not in whole:
             continue
         ours, theirs = machine_of(file.summary), machine_of(original.summary)
         found.setdefault(of.content_hash, {})[file.summary.content_hash] = Replay(
@@ -107,11 +110,15 @@ def machine_of(summary: Summary) -> str:
 def _agree(original: RunData | None, replay: RunData | None) -> bool | None:
     if original is None or replay is None or original.histories is None or replay.histories is None:
         return None
-    if original.recording.fields != replay.recording.fields:
-        return None
-    if original.recording.configuration.n_env != replay.recording.configuration.n_env:
+    if _kind(original.recording) != _kind(replay.recording):
         return None
     rows = len(original.histories.steps)
     if len(replay.histories.steps) < rows:
         return None
     return original.histories.until(rows) == replay.histories.until(rows)
+
+
+def _kind(recording: Summary) -> tuple[object, ...]:
+    # a replay may be of other options and on another device, and not of another simulator, scene or step
+    c = recording.configuration
+    return recording.fields, c.simulator, c.scene, c.n_env, c.dt

@@ -166,7 +166,7 @@ def _entry(recording: Summary, checkup: Checkup) -> Entry:
 
 def _no_place(result: GroupResult, entries: Sequence[Entry]) -> str:
     if is_instrument(result.group.key):
-        return "an instrument with known answers, and no simulator"
+        return "it says of itself that it is an instrument with known answers, and no engine"
     outcomes = result.group.outcomes
     if outcomes["invalid"]:
         reasons = dict.fromkeys(e.reason for e in entries if e.status.startswith("INVALID"))
