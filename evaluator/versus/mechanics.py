@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
 
 from evaluator.fidelity import Fidelity, FidelityRow, Verdict, fidelity
 from evaluator.over_runs import Runs
 from evaluator.physics.facts import Check, Measured
-from evaluator.statistics.families import fisher, least_fisher
+from evaluator.versus.counted import Counted
 from evaluator.versus.finding import Axis, Change, Direction, Finding, Question, not_compared
 
 _NAME, _TITLE = "mechanics", "checks of mechanics"
@@ -59,28 +58,7 @@ def _found(one: FidelityRow, other: FidelityRow, base: Runs, head: Runs, *, cert
         said=(_said(one), _said(other)), n=(n1, n2), method="verdict of gsb-eval --physics over all runs",
         note=f"broken in {bad} of {n1} runs of base, {worse} of {n2} of head",
     )  # fmt: skip
-    return finding if certain else _Counted(finding, *counts)
-
-
-@dataclass(frozen=True)
-class _Counted:
-    finding: Finding
-    base: tuple[int, int]
-    head: tuple[int, int]
-
-    @property
-    def least_p(self) -> float:
-        """See Question."""
-        return least_fisher(self.base[0] + self.head[0], self.base[1], self.head[1])
-
-    def __call__(self, level: float) -> Finding:
-        """See Question."""
-        return replace(
-            self.finding,
-            p_value=fisher(self.base, self.head),
-            least_p=self.least_p,
-            test="Fisher's exact test of runs in which it is broken",
-        )
+    return finding if certain else Counted(finding, *counts, of="in which it is broken")
 
 
 def _said(row: FidelityRow) -> str:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 from evaluator.groups import Group
 from evaluator.report.words import trouble
-from evaluator.statistics.families import fisher, least_fisher
+from evaluator.statistics.families import fisher
 from evaluator.summary import Summary
+from evaluator.versus.counted import Counted
 from evaluator.versus.finding import Axis, Change, Direction, Finding, Question
 from evaluator.versus.matching import Pair
 
@@ -25,7 +26,8 @@ def compare_validity(pair: Pair) -> Finding | Question:
         method="runs that ended well and lost no data",
     )  # fmt: skip
     if bad and worse:
-        return _Counted(finding, (bad, n1), (worse, n2))
+        change = Change.REGRESSION if worse / n2 > bad / n1 else Change.IMPROVEMENT
+        return Counted(replace(finding, change=change), (bad, n1), (worse, n2), of="that are not")
     if not bad and not worse:
         return finding
     chance = fisher((bad, n1), (worse, n2))
@@ -34,29 +36,6 @@ def compare_validity(pair: Pair) -> Finding | Question:
         change=Change.REGRESSION if worse else Change.IMPROVEMENT,
         note=f"runs that fail with one probability on both sides are dealt as unevenly in {chance:.2g} of all cases",
     )
-
-
-@dataclass(frozen=True)
-class _Counted:
-    finding: Finding
-    base: tuple[int, int]
-    head: tuple[int, int]
-
-    @property
-    def least_p(self) -> float:
-        """See Question."""
-        return least_fisher(self.base[0] + self.head[0], self.base[1], self.head[1])
-
-    def __call__(self, level: float) -> Finding:
-        """See Question."""
-        (bad, n1), (worse, n2) = self.base, self.head
-        return replace(
-            self.finding,
-            change=Change.REGRESSION if worse / n2 > bad / n1 else Change.IMPROVEMENT,
-            p_value=fisher(self.base, self.head),
-            least_p=self.least_p,
-            test="Fisher's exact test of runs that are not",
-        )
 
 
 def _said(group: Group[Summary]) -> str:
