@@ -146,6 +146,16 @@ def test_the_index_is_latex(written: Path) -> None:
     assert r"\input" not in text
 
 
+def test_captions_stand_alone(written: Path) -> None:
+    """Caption no two figures alike, and name the scene of each sweep, map, matrix and tree."""
+    text = (written / INDEX).read_text(encoding="utf-8")
+    found = dict(zip(*(re.findall(p, text) for p in (r"\\label\{fig:(.*)\}", r"\\caption\{(.*)\}")), strict=True))
+    assert len(set(found.values())) == len(found)
+    for name, caption in found.items():
+        if name.startswith(("scaling", "published", "density", "matrix", "tree", "divergence")):
+            assert any(scene in caption for scene in ("inclined-collision", "free-fall", "franka")), name
+
+
 def assert_balanced(text: str) -> None:
     """Braces of LaTeX close as they open, escaped ones aside, and every formula ends where it began."""
     depth = 0

@@ -10,13 +10,14 @@ from typing import Any
 from evaluator.groups import shown_status, status_notes
 from evaluator.report.page.section import Source
 from evaluator.results import Evaluation
+from schemas.location import Location
 
 
 @dataclass(frozen=True)
 class Problem:
     """A file that a reader must know about, what is wrong, and why."""
 
-    path: Path
+    path: Path | Location
     kind: str
     reason: str
 
