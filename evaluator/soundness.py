@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from evaluator.fidelity import Verdict
-from evaluator.groups import shown_status
+from evaluator.groups import settings_asked, shown_status
 from evaluator.physics.facts import Check
 from evaluator.results import GroupResult
 
@@ -33,6 +34,13 @@ class Faults:
 def faults(result: GroupResult) -> Faults:
     """What the recordings of a group show against it."""
     return Faults(_invalid(result), _sunk(result), _broken(result))
+
+
+def faults_in_other_scenes(result: GroupResult, results: Sequence[GroupResult]) -> tuple[str, ...]:
+    """What the same settings show against them in other scenes, each with the scene."""
+    key, scene = settings_asked(result.group.recordings), result.group.key.scene
+    others = [r for r in results if r.group.key.scene != scene and settings_asked(r.group.recordings) == key]
+    return tuple(dict.fromkeys(f"{r.group.key.scene}: {wrong}" for r in others if (wrong := faults(r))))
 
 
 def _invalid(result: GroupResult) -> str:

@@ -33,7 +33,9 @@ def scene_sweeps(sweeps: Sequence[Sweep]) -> Iterator[SceneSweeps]:
     for nth, scene in enumerate(dict.fromkeys(s.key.scene for s in sweeps)):
         of_scene = [s for s in sweeps if s.key.scene == scene]
         marked = [(Markup(lines.swatch(i)), s) for i, s in enumerate(of_scene)]
-        yield SceneSweeps(scene, marked, [c for c in _charts(of_scene, {}, file_name("scaling", nth, scene)) if c.svg])
+        yield SceneSweeps(
+            scene, marked, [c for c in _charts(scene, of_scene, {}, file_name("scaling", nth, scene)) if c.svg]
+        )
 
 
 def beside_published(sweeps: Sequence[Sweep]) -> Iterator[SceneSweeps]:
@@ -42,21 +44,28 @@ def beside_published(sweeps: Sequence[Sweep]) -> Iterator[SceneSweeps]:
         of_scene = [s for s in sweeps if s.key.scene == scene]
         marked = [(Markup(lines.swatch(i)), s) for i, s in enumerate(of_scene)]
         points = {r.simulator: at for r in SCALING if (at := r.free_fall if scene == "free-fall" else r.franka)}
-        charts = _charts(of_scene, points, f"published-{scene}")
+        charts = _charts(scene, of_scene, points, f"published-{scene}")
         yield SceneSweeps(scene, marked, [c for c in charts if c.svg])
 
 
-def _charts(sweeps: Sequence[Sweep], paper: dict[str, AtLargest], key: str) -> Iterator[Picture]:
+def _charts(scene: str, sweeps: Sequence[Sweep], paper: dict[str, AtLargest], key: str) -> Iterator[Picture]:
+    about = f"{scene}, sweeps over the number of environments" + (", with the paper's points" if paper else "")
     speed = [Foreign(name, at.n_env_max, at.fps) for name, at in paper.items()]
-    yield _chart("throughput [env steps/s]", steps_label, sweeps, "fps", speed, f"{key}-throughput")
+    yield _chart("throughput [env steps/s]", steps_label, sweeps, "fps", speed, f"{key}-throughput", about)
     for metric, said in _MEMORY.items():
         memory = [Foreign(name, at.n_env_max, at.memory_gb * 1e9) for name, at in paper.items()]
         if metric == _DEVICE or not paper:
-            yield _chart(said, words.size, sweeps, metric, memory, f"{key}-{file_name(said)}")
+            yield _chart(said, words.size, sweeps, metric, memory, f"{key}-{file_name(said)}", about)
 
 
 def _chart(
-    value: str, tick: Callable[[float], str], sweeps: Sequence[Sweep], metric: str, foreign: list[Foreign], key: str
+    value: str,
+    tick: Callable[[float], str],
+    sweeps: Sequence[Sweep],
+    metric: str,
+    foreign: list[Foreign],
+    key: str,
+    about: str,
 ) -> Picture:
     """A metric of the sweeps that have it, and the published points; without a picture where nothing is measured."""
     of_metric = [(i, s) for i, s in enumerate(sweeps) if metric not in _MEMORY or s.memory == metric]
@@ -68,7 +77,7 @@ def _chart(
         [*(row for _, sweep in of_metric for row in _rows(sweep, metric)),
          *((one.label, one.n_env, one.value, None, None, None, None, "published") for one in foreign)],
     )  # fmt: skip
-    return Picture(value, "", Markup(svg) if svg else None, key, numbers)
+    return Picture(value, "", Markup(svg) if svg else None, key, numbers, about)
 
 
 def _rows(sweep: Sweep, name: str) -> Iterator[tuple[Cell, ...]]:

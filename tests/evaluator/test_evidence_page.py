@@ -144,6 +144,19 @@ def test_paper_rows_only_when_asked(swept: Evaluation) -> None:
     assert render_html(swept, published=True, command="c").count('<tr class="paper">') == 5
 
 
+def test_paper_row_stands_beside_the_default(tmp_path: Path) -> None:
+    """Put the paper's row beside the default level, whichever of the levels comes first by type and name."""
+    for run in range(2):
+        apart = grid(2)
+        apart[1, 0, 0] += 0.01 * (1 + run)
+        for level, final in (("default", apart), ("all", grid(2))):
+            write_recording(tmp_path, final, run=run, simulator="warp", determinism=level)
+    section = remade.section(source(evaluate_files(sorted(tmp_path.glob("*.mcap"))), published=True))
+    assert section is not None
+    assert [row.paper.simulator for row in section.context["variability"] if row.paper] == ["MuJoCo Warp"]
+    assert not any(row.paper for row in section.context["levels"])
+
+
 def test_nothing_of_the_published_scenes_is_no_section(apart: Evaluation) -> None:
     """Leave the section out where nothing is of the paper's scenes."""
     elsewhere = tuple(
@@ -272,7 +285,9 @@ def test_deviations_are_a_matrix(apart: Evaluation) -> None:
 
 def test_hostile_names_stay_text(apart: Evaluation) -> None:
     """Escape what recordings say in every new section."""
-    assert "<script" not in render_html(apart, published=True, command="c")
+    text = render_html(apart, published=True, command="c")
+    assert HOSTILE not in text
+    assert "&lt;script&gt;alert(1)" in text
 
 
 def test_figures_have_names_of_their_own(apart: Evaluation, swept: Evaluation) -> None:

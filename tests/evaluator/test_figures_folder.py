@@ -140,9 +140,20 @@ def test_the_index_is_latex(written: Path) -> None:
     assert_balanced(text)
     assert set(re.findall(r"\\([a-zA-Z]+)", text.removeprefix(HEAD))) <= {
         "begin", "end", "centering", "includegraphics", "linewidth", "caption", "label", "textbackslash", "textless",
-        "textgreater", "textasciitilde", "textquotesingle", "textquotedbl", "times", "pm", "textasciicircum", "dots",
+        "textgreater", "textasciitilde", "textquotesingle", "textquotedblright", "times", "pm", "textasciicircum",
+        "dots",
     }  # fmt: skip
     assert r"\input" not in text
+
+
+def test_captions_stand_alone(written: Path) -> None:
+    """Caption no two figures alike, and name the scene of each sweep, map, matrix and tree."""
+    text = (written / INDEX).read_text(encoding="utf-8")
+    found = dict(zip(*(re.findall(p, text) for p in (r"\\label\{fig:(.*)\}", r"\\caption\{(.*)\}")), strict=True))
+    assert len(set(found.values())) == len(found)
+    for name, caption in found.items():
+        if name.startswith(("scaling", "published", "density", "matrix", "tree", "divergence")):
+            assert any(scene in caption for scene in ("inclined-collision", "free-fall", "franka")), name
 
 
 def assert_balanced(text: str) -> None:
@@ -164,7 +175,7 @@ def test_any_text_is_harmless_latex(text: str) -> None:
     assert not re.search(r"(?<!\\)[#%&_]", found)
     assert all(c.isascii() or ord(c) <= 0x17F for c in found)
     assert set(re.findall(r"\\([a-zA-Z]+)", found)) <= {
-        "textbackslash", "textasciicircum", "textasciitilde", "textless", "textgreater", "textbar", "textquotedbl",
+        "textbackslash", "textasciicircum", "textasciitilde", "textless", "textgreater", "textbar", "textquotedblright",
         "textasciigrave", "textquotesingle", "pm", "times", "le", "ge", "mu", "circ", "to", "dots",
     }  # fmt: skip
 
@@ -173,6 +184,12 @@ def test_signs_are_signs() -> None:
     """Set plus-minus, the minus sign, thin spaces and superscripts as LaTeX has them."""
     assert latex.escape("1\u2009±\u20092 × 10⁻³") == r"1\,$\pm$\,2 $\times$ 10$^{-}$$^{3}$"
     assert latex.escape("\u4e2d \u2212") == "[U+4E2D] $-$"
+
+
+def test_no_sign_needs_other_fonts() -> None:
+    """Set straight quotes and letters by what LaTeX's default font encoding, OT1, has; others show as numbers."""
+    assert latex.escape('"a" éßşů') == r"\textquotedblright{}a\textquotedblright{} éßşů"
+    assert latex.escape("Þęđħ") == "[U+00DE][U+0119][U+0111][U+0127]"
 
 
 def test_text_comes_out(tmp_path: Path) -> None:

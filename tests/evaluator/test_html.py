@@ -295,6 +295,7 @@ def test_problems_stand_above_the_results(several: Evaluation, recorded: Summary
     assert "chunk 7 fails its CRC" in before
     assert recorded.path.name in before
     assert "failed : the engine ran out of memory" in before
+    assert "2 files with problems" in text[: text.index("What these recordings say")]
     assert "Files with problems" not in Page(render(replace(several, unreadable=()))).text
 
 

@@ -12,7 +12,7 @@ from evaluator.report.html import render_html
 from evaluator.report.page import summary
 from evaluator.report.page.section import Source
 from evaluator.results import Evaluation
-from tests.synthetic import grid, write_recording
+from tests.synthetic import grid, write_recording, write_sweep
 
 
 def evaluate(folder: Path) -> Evaluation:
@@ -61,3 +61,19 @@ def test_the_page_begins_with_them(tmp_path: Path) -> None:
     assert "an instrument, not ranked" in plain
     assert "2 INVALID (buffer)" in plain
     assert "No distance to reality: no reference" in plain
+
+
+def test_faults_elsewhere_stand_beside_a_first_place(tmp_path: Path) -> None:
+    """Say beside the fastest, and the next, that cubes of the same settings sank, here or in another scene."""
+    for simulator, speed in (("fast", 4e5), ("slow", 1e5)):
+        write_sweep(tmp_path, (64, 128), simulator=simulator, scene="free-fall", speed=speed)
+        final = grid(2)
+        final[:, :9, 2] = -1.0 if simulator == "fast" else 0.03
+        write_recording(tmp_path, final, simulator=simulator, gpu_bytes=(0, 10**9), elapsed_s=1.0 + (speed > 2e5))
+    text = render_html(evaluate_files(sorted(tmp_path.glob("*.mcap"))), published=False, command="")
+    said = [re.sub(r"<[^>]*>", "", line) for line in text.splitlines() if line.startswith("<li>Fastest in")]
+    swept, collided = sorted(said)
+    assert re.search(r"fast.*The same settings in inclined-collision: 9 of 27 cubes per env sank\. Next: slow", swept)
+    assert "sank" not in swept.partition("Next")[2]
+    assert "what mechanics demands" not in collided.partition("Next")[0]
+    assert "what mechanics demands" in collided.partition("Next")[2]

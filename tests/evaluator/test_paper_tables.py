@@ -53,6 +53,29 @@ def test_tables_say_what_was_evaluated(evaluation: Evaluation) -> None:
     assert not any(table.key.startswith("published") for table in tables(evaluation, published=False))
 
 
+def test_what_the_page_alone_had(tmp_path: Path) -> None:
+    """Give rows to the capability table and to the price list, with what limits and why there is no price."""
+    write_sweep(tmp_path, (64, 128, 256), simulator="warp", scene="free-fall", fails=256)
+    for run in range(3):
+        for level, slower, more in (("default", 1.0, {}), ("slow", 4.0, {}), ("bad", 1.0, {"status": "INVALID"})):
+            write_recording(
+                tmp_path, grid(2), run=run, determinism=level, elapsed_s=slower + run / 100, gpu_bytes=(0, 10**9),
+                switches={"mode": level}, reason="because", **more,
+            )  # fmt: skip
+    evaluation = evaluate_files(sorted(tmp_path.glob("*.mcap")))
+    found = {table.key: table for table in tables(evaluation, published=False)}
+    ((simulator, scene, n_max, *_, limit, _, _),) = found["capability"].rows
+    assert (simulator, scene, n_max) == ("warp", "free-fall", "128")
+    assert limit.startswith("memory: failed at 256")
+    rows = [dict(zip(found["prices"].titles, row, strict=True)) for row in found["prices"].rows]
+    said = {row["level"]: (row["throughput of the default's"][:5], row["why no price"]) for row in rows}
+    assert said["default"] == ("1", "-")
+    assert said["slow"] == ("0.252", "-")
+    assert said["bad"][0] == "-"
+    assert "INVALID" in said["bad"][1]
+    assert rows[-1]["in force beside the default"] == "mode=slow"
+
+
 def test_formats_are_files(evaluation: Evaluation, tmp_path: Path) -> None:
     """Write each table in each format, and nothing for Parquet, which has tables of its own."""
     paths = write_tables(evaluation, tmp_path / "out", [Format.CSV, Format.MARKDOWN, Format.PARQUET], published=False)

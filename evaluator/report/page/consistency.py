@@ -63,7 +63,8 @@ def _matrix(
         names = range(len(values))
     svg = Markup(matrix.matrix_map(values, of=of, name=result.label, classes=classes, names=names))
     said = f"{matrix.caption(values, of=of)} {_order(len(values), of, classes, no_classes, names)}"
-    return Picture(result.label, said, svg, key, _numbers(values, of, classes, names))
+    about = f"Distances between {of}s, {result.group.key.scene}"
+    return Picture(result.label, said, svg, key, _numbers(values, of, classes, names), about)
 
 
 def _order(n: int, of: str, classes: Sequence[int], no_classes: str, names: Sequence[int]) -> str:

@@ -69,7 +69,8 @@ def _scene_maps(nth: int, results: list[GroupResult], reference: Reference | Non
     for index, (label, density, sides) in enumerate(shown):
         svg = density_map.density_map(density, sides, shared, name=label, share_max=share_max, board=board)
         key = file_name("density", nth, index, scene, label)
-        yield Picture(label, density_map.caption(density), Markup(svg), key, _numbers(density, sides, shared))
+        numbers = _numbers(density, sides, shared)
+        yield Picture(label, density_map.caption(density), Markup(svg), key, numbers, f"Density map, {scene}")
 
 
 def _numbers(density: Density, sides: Marginals, shared: Map) -> Numbers:

@@ -115,7 +115,11 @@ def _growth(result: GroupResult, key: str) -> Picture:
         for c in curves
         for i in chart.shown_rows(c)
     ]
-    return Picture(label, _said(curves), Markup(svg), key, Numbers(_CURVES, rows))
+    return Picture(label, _said(curves), Markup(svg), key, Numbers(_CURVES, rows), _about(result))
+
+
+def _about(result: GroupResult) -> str:
+    return f"{result.label}, {result.group.key.scene}"
 
 
 def _curves(result: GroupResult) -> Iterator[chart.Curve]:
@@ -171,7 +175,8 @@ def _tree(result: GroupResult, of: str, key: str) -> Picture | None:
         )
         for b in tree.branches
     ]  # fmt: skip
-    return Picture(label, _tree_said(tree, of, dt), Markup(svg), key, Numbers(_BRANCHES, rows))
+    about = f"{_about(result)}, which left which"
+    return Picture(label, _tree_said(tree, of, dt), Markup(svg), key, Numbers(_BRANCHES, rows), about)
 
 
 def _tree_said(tree: SplitTree, of: str, dt: float) -> str:

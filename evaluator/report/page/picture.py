@@ -37,6 +37,7 @@ class Picture:
     svg      None where there is nothing to draw
     key      names the figure's files, unique within a page; empty: it has none
     numbers  what it draws
+    about    what the page says above it and around it, for a caption that stands alone: kind of figure, scene, group
     """
 
     label: str
@@ -44,6 +45,12 @@ class Picture:
     svg: Markup | None
     key: str = ""
     numbers: Numbers = field(default_factory=Numbers)
+    about: str = ""
+
+    @property
+    def title(self) -> str:
+        """What it is, where no page stands around it."""
+        return f"{self.about}: {self.label}" if self.about else self.label
 
     @property
     def file_name(self) -> str:

@@ -58,6 +58,8 @@ def section(source: Source) -> Section | None:
     """None where nothing here is of the published scenes."""
     capability = remade.capability(source.evaluation.sweeps, source.evaluation.results)
     shown = [r for r in remade.variability(source.evaluation.results) if r in source.shown]
+    # beside the default, if there is one: the paper tells of no other level, and others are folded away
+    shown.sort(key=lambda r: r.group.key.determinism != DEFAULT)
     rows = [_row(r, source, first=_is_first(r, shown)) for r in shown]
     if not capability and not rows:
         return None

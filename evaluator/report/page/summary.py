@@ -3,21 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from evaluator.fidelity import Verdict
 from evaluator.groups import is_instrument, shown_status
 from evaluator.report.page.section import Section, Source
 from evaluator.results import Evaluation, GroupResult
+from evaluator.soundness import faults_in_other_scenes
 
 
 @dataclass(frozen=True)
 class Speed:
-    """The fastest group of a simulator in one scene on one device; its runs are complete and valid."""
+    """The fastest group of a simulator in one scene on one device; its runs are complete and valid.
+
+    elsewhere  what the same settings show against them in other scenes; of the fastest and the next alone
+    """
 
     scene: str
     device: str
     result: GroupResult
+    elsewhere: tuple[str, ...] = ()
 
     @property
     def fps(self) -> float:
@@ -73,7 +78,12 @@ def section(source: Source) -> Section | None:
         _of(name, [r for r in evaluation.results if r.group.key.simulator == name])
         for name in dict.fromkeys(r.group.key.simulator for r in evaluation.results)
     ]
-    fastest = list(_fastest(simulators))
+    fastest = [
+        Fastest(
+            *(replace(s, elsewhere=faults_in_other_scenes(s.result, evaluation.results)) for s in (f.first, f.second))
+        )
+        for f in _fastest(simulators)
+    ]
     context = {"simulators": simulators, "fastest": fastest, "no_reference": _no_reference(evaluation)}
     return Section("summary", "What these recordings say", context, link="Summary")
 

@@ -40,11 +40,11 @@ def write_figures(evaluation: Evaluation, folder: Path, *, published: bool) -> l
         svg = standalone(str(picture.svg), hatch())
         paths += [folder / f"{name}.svg", folder / f"{name}.pdf"]
         paths[-2].write_text(svg, encoding="utf-8", errors="backslashreplace")
-        paths[-1].write_bytes(to_pdf(svg, printable(picture.label)))
+        paths[-1].write_bytes(to_pdf(svg, printable(picture.title)))
         if numbers := picture.numbers.csv():
             paths.append(folder / f"{name}.csv")
             paths[-1].write_bytes(numbers.encode("utf-8"))
-        environments.append(latex.figure(name, ". ".join(filter(None, (picture.label, picture.caption)))))
+        environments.append(latex.figure(name, ". ".join(filter(None, (picture.title, picture.caption)))))
     paths.append(folder / INDEX)
     paths[-1].write_text("\n".join(environments), encoding="utf-8")
     return paths

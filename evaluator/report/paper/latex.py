@@ -7,7 +7,7 @@ from evaluator.report.text import printable
 _SPECIAL = {
     "\\": r"\textbackslash{}", "{": r"\{", "}": r"\}", "$": r"\$", "&": r"\&", "#": r"\#", "%": r"\%", "_": r"\_",
     "^": r"\textasciicircum{}", "~": r"\textasciitilde{}", "<": r"\textless{}", ">": r"\textgreater{}",
-    "|": r"\textbar{}", '"': r"\textquotedbl{}", "`": r"\textasciigrave{}", "'": r"\textquotesingle{}",
+    "|": r"\textbar{}", '"': r"\textquotedblright{}", "`": r"\textasciigrave{}", "'": r"\textquotesingle{}",
 }  # fmt: skip
 
 _SIGNS = {
@@ -19,7 +19,9 @@ _SIGNS = {
 _RAISED = dict(
     zip("\u2070\u00b9\u00b2\u00b3\u2074\u2075\u2076\u2077\u2078\u2079\u207a\u207b", "0123456789+-", strict=True)
 )
-_LAST_LATIN = 0x17F  # what LaTeX knows without a package, and most of it with its old font encoding
+_LAST_LATIN = 0x17F  # what LaTeX knows without a package
+_NEEDS_T1 = frozenset("ÐðÞþĄąĐđĘęĮįŊŋŲų")  # errors with LaTeX's default fonts
+_UNKNOWN = frozenset("ĦħĸĿŀŉŦŧſ")  # errors with any
 
 
 def escape(text: str) -> str:
@@ -36,7 +38,8 @@ def _letter(c: str) -> str:
         return f"$^{{{_RAISED[c]}}}$"
     if c.isspace():
         return " "
-    return c if c.isascii() or (c.isalpha() and ord(c) <= _LAST_LATIN) else f"[U+{ord(c):04X}]"
+    known = c.isalpha() and ord(c) <= _LAST_LATIN and c not in _NEEDS_T1 | _UNKNOWN
+    return c if c.isascii() or known else f"[U+{ord(c):04X}]"
 
 
 def figure(file_name: str, caption: str) -> str:

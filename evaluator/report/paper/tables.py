@@ -5,14 +5,18 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
+from evaluator.price_list import Family
 from evaluator.published import SCALING, SOURCE, VARIABILITY, AtLargest
+from evaluator.remade import AtMax, Capability, capability
 from evaluator.report import accumulation, fidelity, words
 from evaluator.report.numbers import NONE, interval, mean_sd
 from evaluator.report.page.picture import file_name
 from evaluator.report.page.section import Source
 from evaluator.report.paper.text_table import WRITERS, Format, TextTable
+from evaluator.report.price_table import family_name, ratio
 from evaluator.report.sweep_tables import point_cells
 from evaluator.results import Evaluation, GroupResult, Metric
+from evaluator.soundness import faults
 from evaluator.sweeps import Sweep
 
 _VARIABILITY = (
@@ -42,6 +46,14 @@ _POINTS = (
     "contacts per env: mean / max",
     "runs",
 )
+_CAPABILITY = (
+    "simulator", "scene", "N_env^max", "throughput [env steps/s]", "95 %", "memory increment", "what limits N",
+    "what speaks against it", "in other scenes",
+)  # fmt: skip
+_PRICES = (
+    "group", "scene", "envs", "device", "level", "in force beside the default", "distinct envs", "distinct runs",
+    "throughput of the default's", "memory increment of the default's", "what speaks against it", "why no price",
+)  # fmt: skip
 _AT_LARGEST = ("simulator", "N_env^max", "throughput [env steps/s]", "memory increment [GB]")
 _GUIDELINES = ("need", "pick", "rule", "evidence")
 
@@ -73,7 +85,11 @@ def tables(evaluation: Evaluation, *, published: bool) -> Iterator[TextTable]:
         TextTable("throughput", "Complete runs; mean ± SD", _THROUGHPUT, [*map(_throughput, shown)]),
         TextTable("scaling-largest", "How far sweeps over environments go", _LARGEST, [*map(_largest, swept)]),
         TextTable("scaling-points", "Every point of the sweeps", _POINTS, [*_points(swept)]),
+        TextTable("capability", "Parallel capability, the published table re-made", _CAPABILITY, [
+            *_capability(capability(swept, evaluation.results))
+        ]),
         *_accumulation(evaluation),
+        TextTable("prices", "What determinism costs, with 95 % intervals", _PRICES, [*_prices(evaluation.price_list)]),
         TextTable("physics", "Checks of mechanics", ("group", *fidelity.TITLES), [*_physics(shown)]),
         TextTable("guidelines", "Which group for which need", _GUIDELINES, [*_guidelines(evaluation)]),
     ]  # fmt: skip
@@ -122,6 +138,36 @@ def _points(sweeps: Sequence[Sweep]) -> Iterator[tuple[str, ...]]:
     for sweep in sweeps:
         for point in sweep.points:
             yield (sweep.label, sweep.key.scene, f"{point.n_env:,}", *point_cells(sweep, point))
+
+
+def _capability(rows: Sequence[Capability]) -> Iterator[tuple[str, ...]]:
+    for row in rows:
+        for scene, at in row.at.items():
+            yield row.label, scene, *_at_max(at), "; ".join(row.elsewhere) or NONE
+
+
+def _at_max(at: AtMax) -> tuple[str, ...]:
+    if at.n_max is None or at.fps is None or at.memory is None:
+        return NONE, NONE, NONE, NONE, f"{at.limit.value}: {at.ends}", NONE
+    limit = f"{at.limit.value}: {at.ends}" if at.sweep.limited else at.limit.value
+    return f"{at.n_max:,}", mean_sd(at.fps), interval(at.fps), words.amount(at.memory), limit, str(at.faults) or NONE
+
+
+def _prices(families: Sequence[Family]) -> Iterator[tuple[str, ...]]:
+    for family in families:
+        name = family_name(family)
+        if family.base is not None:
+            yield *_level(name, family.base), "1", "1", str(faults(family.base)) or NONE, NONE
+        for price in family.prices:
+            own = _level(name, price.result, ", ".join(price.differs) or NONE)
+            against = str(faults(price.result)) or NONE
+            yield *own, ratio(price.speed), ratio(price.memory), against, price.speed.why_not or NONE
+
+
+def _level(name: str, result: GroupResult, differs: str = NONE) -> tuple[str, ...]:
+    key, metrics = result.group.key, result.metrics
+    distinct = _of(metrics["distinct_envs"]), _of(metrics["distinct_runs"])
+    return name, key.scene, str(key.n_env), key.device or NONE, key.determinism, differs, *distinct
 
 
 def _accumulation(evaluation: Evaluation) -> Iterator[TextTable]:
