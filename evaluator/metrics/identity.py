@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -65,6 +66,30 @@ def changes(instant: npt.NDArray[np.int64], histories: npt.NDArray[np.int64]) ->
     return np.flatnonzero(np.concatenate([np.ones(min(len(both), 1), dtype=bool), moved]))
 
 
+def refined(
+    hashes: npt.NDArray[np.uint64],
+) -> Iterator[tuple[npt.NDArray[np.int64], int, int]]:
+    """The classes of samples by all rows up to each row, in order of first appearance.
+
+    Yields for every row the class of each sample, shape [sample]; how many classes there are; and how many distinct
+    samples that row alone has.
+
+    hashes  as for `distinct_over_time`
+    """
+    n_sample = hashes.shape[1]
+    classes = np.zeros(n_sample, dtype=np.int64)
+    count = 1
+    for now in hashes:
+        instant = 1
+        if (now != now[:1]).any():
+            labels = by_first_appearance(now) if now.ndim == 1 else bitwise_classes(now)
+            instant = int(labels.max()) + 1
+            if count < n_sample:
+                classes = by_first_appearance((classes * n_sample + labels).astype(np.uint64))
+                count = int(classes.max()) + 1
+        yield classes, count, instant
+
+
 def distinct_over_time(hashes: npt.NDArray[np.uint64]) -> DistinctOverTime:
     """Count distinct samples at each row and along their histories.
 
@@ -85,15 +110,10 @@ def distinct_over_time(hashes: npt.NDArray[np.uint64]) -> DistinctOverTime:
     classes = np.zeros(n_sample, dtype=np.int64)
     departures = [np.zeros((0, 4), dtype=np.int64)]
     count = 1
-    for row, now in enumerate(hashes):
-        if (now != now[:1]).any():
-            labels = by_first_appearance(now) if now.ndim == 1 else bitwise_classes(now)
-            instant[row] = labels.max() + 1
-            if count < n_sample:
-                finer = by_first_appearance((classes * n_sample + labels).astype(np.uint64))
-                if int(finer.max()) + 1 > count:
-                    departures.append(_departures(row, classes, finer))
-                classes, count = finer, int(finer.max()) + 1
+    for row, (finer, now_count, instant[row]) in enumerate(refined(hashes)):
+        if now_count > count:
+            departures.append(_departures(row, classes, finer))
+        classes, count = finer, now_count
         histories[row] = count
     return DistinctOverTime(instant, histories, classes, np.concatenate(departures))
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from evaluator.metrics.divergence import by_first_appearance
+from evaluator.metrics.identity import refined
 from evaluator.recording import Recording
 
 _MOST_HASHES = 1 << 25
@@ -123,7 +123,7 @@ def representatives(found: Compared, most: int) -> list[int]:
         return recording >= _MIXED, int(found.env[member]), recording
 
     order: dict[int, None] = {}
-    for _, classes, _ in _refined(found.hashes):
+    for _, classes, _, _ in _changed(found.hashes):
         order |= dict.fromkeys(sorted(np.unique(classes, return_index=True)[1].tolist(), key=turn))
         if len(order) >= most:
             break
@@ -134,8 +134,7 @@ def changes(found: Compared, shown: Sequence[int]) -> Changes:
     """The classes of some members over time, among all members."""
     kept: list[tuple[Any, ...]] = []
     complete, before = True, 0
-    for row, classes, instant in _refined(found.hashes):
-        count = int(classes.max()) + 1
+    for row, classes, count, instant in _changed(found.hashes):
         if len(kept) >= _MOST_CHANGES:
             complete = False
             if count == before:
@@ -152,24 +151,12 @@ def changes(found: Compared, shown: Sequence[int]) -> Changes:
     )
 
 
-def _refined(hashes: NDArray[np.uint64]) -> Iterator[tuple[int, NDArray[np.int64], int]]:
-    """Rows at which the classes by all rows so far, or the number of distinct hashes, change; the first is one.
-
-    Yields the row, the class of each member in order of first appearance, and the distinct hashes of that row alone.
-    """
-    n_member = hashes.shape[1]
-    classes = np.zeros(n_member, dtype=np.int64)
+def _changed(hashes: NDArray[np.uint64]) -> Iterator[tuple[int, NDArray[np.int64], int, int]]:
+    """Rows of `refined` at which either count is not what it was at the row before, with their numbers; and row 0."""
     before = (0, 0)
-    for row, now in enumerate(hashes):
-        count, instant = before[0] or 1, 1
-        if (now != now[0]).any():
-            labels = by_first_appearance(now)
-            instant = int(labels.max()) + 1
-            if count < n_member:
-                classes = by_first_appearance((classes * n_member + labels).astype(np.uint64))
-                count = int(classes.max()) + 1
+    for row, (classes, count, instant) in enumerate(refined(hashes)):
         if (count, instant) != before:
-            yield row, classes, instant
+            yield row, classes, count, instant
         before = (count, instant)
 
 

@@ -11,10 +11,12 @@ from markupsafe import Markup
 import schemas
 from evaluator.player.clip import Clip
 from evaluator.player.labels import labels_of
-from evaluator.player.markup import markup, policy, script, style
+from evaluator.player.markup import markup, script, style
 from evaluator.player.words import distinct, first_divergence
 from evaluator.recording import Recording
 from evaluator.report.figures import palette
+from evaluator.report.page.scripts import allowed
+from evaluator.report.templating import page_templates
 from evaluator.report.text import printable
 
 _HERE = Path(__file__).parent
@@ -28,15 +30,12 @@ def render_page(clip: Clip, recordings: Sequence[Recording], *, command: str) ->
     page_style = (_HERE / "page.css").read_text(encoding="utf-8")
     dark = f"@media (prefers-color-scheme: dark) {{ :root {{ {palette.variables(dark=True)} }} }}"
     styles = "\n".join([f":root {{ {palette.variables(dark=False)} }}", dark, page_style, style()])
-    environment = jinja2.Environment(
-        loader=jinja2.FileSystemLoader(_HERE), autoescape=True, undefined=jinja2.StrictUndefined,
-        trim_blocks=True, lstrip_blocks=True,
-    )  # fmt: skip
+    environment = page_templates(jinja2.FileSystemLoader(_HERE))
     sources = labels_of(recordings).sources
     return environment.get_template("page.html.j2").render(
         title=clip.title,
         policy=Markup(
-            f"default-src 'none'; script-src {policy(script())}; style-src {policy(styles)}; "
+            f"default-src 'none'; script-src {allowed(script())}; style-src {allowed(styles)}; "
             "base-uri 'none'; form-action 'none'"
         ),
         style=Markup(styles),

@@ -12,7 +12,7 @@ from evaluator.recording import Recording
 from schemas.configuration import sim_time_ns
 from schemas.errors import DamagedRecording
 from schemas.view.motion import ROBOT, Frame, Motion
-from schemas.view.rotation import product
+from schemas.view.rotation import product, rotate
 from schemas.view.shapes import Shape, Solid, solids_of
 
 _PIECE_ROWS = 4096  # read at once, so that memory does not grow with the length of a run
@@ -135,7 +135,7 @@ def _absolute(frames: Sequence[Frame]) -> Items:
         position, orientation = frame.position, frame.orientation
         if frame.part.parent:
             there, turned = links[frame.part.parent]
-            position = there + _rotated(turned, position)
+            position = there + rotate(turned, position)
             orientation = product(turned, orientation)
         if frame.part.group == ROBOT:
             links[frame.part.name] = position, orientation
@@ -145,10 +145,3 @@ def _absolute(frames: Sequence[Frame]) -> Items:
         np.stack([p for p, _ in poses], axis=1),
         np.stack([q for _, q in poses], axis=1),
     )
-
-
-def _rotated(quaternion: NDArray[np.float64], vector: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Vectors [row, 3] turned by unit quaternions [row, 4]."""
-    pure = np.concatenate([np.zeros((*vector.shape[:-1], 1)), vector], axis=-1)
-    turned = product(product(quaternion, pure), quaternion * np.array([1.0, -1.0, -1.0, -1.0]))
-    return turned[..., 1:]

@@ -9,6 +9,7 @@ from typing import Any
 from evaluator.inspection import Array, Inspection, Memory, Rate
 from evaluator.integrity.problem import REMARKS, Kind
 from evaluator.plain import brief, plain
+from evaluator.report.numbers import plural
 from evaluator.report.text import printable
 from schemas.configuration import MAX_VIEW, RunConfiguration
 from schemas.provenance import REAL, Provenance, Simulation
@@ -90,9 +91,9 @@ def _what(p: Provenance, s: Simulation | None) -> Iterator[tuple[str, str]]:
     digest = str(brief(s.scene.get("sha256", "")))[:12] if s else ""
     yield "scene", f"{c.scene} ({f'sha256 {digest}' if digest else 'without a description'})"
     if c.simulator == REAL:
-        yield "size", f"{_counted(c.n_env, 'trial')}, measured at {c.dt:g} s"
+        yield "size", f"{plural(c.n_env, 'trial')}, measured at {c.dt:g} s"
     else:
-        yield "size", f"{_counted(c.n_env, 'environment')}, dt {c.dt:g} s, seed {c.seed}"
+        yield "size", f"{plural(c.n_env, 'environment')}, dt {c.dt:g} s, seed {c.seed}"
         yield "protocol", "; ".join(_asked(c))
         yield "determinism", c.determinism + (" (the engine as it ships)" if c.determinism == "default" else "")
     given = c.options
@@ -110,11 +111,7 @@ def _asked(c: RunConfiguration) -> Iterator[str]:
         yield f"{c.warmup} warm-up and {c.timed_steps} timed steps"
     if "capture" in c.phases:
         kept = f"every {c.stride}th" if c.stride > 1 else "each"
-        yield f"{_counted(c.steps, 'captured step')}, {kept} kept"
-
-
-def _counted(count: int, what: str) -> str:
-    return f"{count} {what}{'' if count == 1 else 's'}"
+        yield f"{plural(c.steps, 'captured step')}, {kept} kept"
 
 
 def _pairs(values: dict[str, Any], given: dict[str, str]) -> str:

@@ -41,3 +41,8 @@ def interval(metric: Metric) -> str:
         return NONE
     low, high = metric.ci95
     return f"[{figure(low, metric.unit)}, {figure(high, metric.unit)}]"
+
+
+def plural(number: int, what: str) -> str:
+    """A number of things, a single one without the s."""
+    return f"{number} {what}{'' if number == 1 else 's'}"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from evaluator.report.numbers import NONE, figure
+from evaluator.report.numbers import NONE, figure, plural
 from evaluator.report.words import size
 from evaluator.versus.compare import Compared, Result, counts
 from evaluator.versus.finding import Axis, Change, Direction, Finding
@@ -48,10 +48,10 @@ def headline(result: Result) -> str:
         what = "NOT THE SAME" if settings.expect_same else "REGRESSION"
         if not settings.expect_same and all(f.change is Change.CHANGED for f in failing):
             what = "CHANGED"
-        return f"{what}: {axes} ({_count(len(failing), 'finding')} in {_count(len(result.compared), 'configuration')})"
+        return f"{what}: {axes} ({plural(len(failing), 'finding')} in {plural(len(result.compared), 'configuration')})"
     if not result.comparable:
         return "NOTHING COMPARED"
-    where = _count(len(result.compared), "configuration")
+    where = plural(len(result.compared), "configuration")
     parts = [f"NO {'DIFFERENCE' if settings.expect_same else 'REGRESSION'} found in {where}"]
     gained = dict.fromkeys(f.axis.value for f in result.findings if f.change is Change.IMPROVEMENT)
     if gained:
@@ -59,7 +59,7 @@ def headline(result: Result) -> str:
     if result.undecided:
         parts.append(f"not decided everywhere: {', '.join(axis.value for axis in result.undecided)}")
     if result.alone:
-        parts.append(f"{_count(len(result.alone), 'configuration')} without a partner")
+        parts.append(f"{plural(len(result.alone), 'configuration')} without a partner")
     return "; ".join(parts)
 
 
@@ -74,7 +74,7 @@ def runs(compared: Compared) -> str:
     """How many runs, and in which order they were made."""
     one, other = compared.order.n
     order = f", in the order {compared.order.text} (A base, B head)" if one and other and compared.order.known else ""
-    return f"{_count(one, 'complete run')} of base, {other} of head{order}"
+    return f"{plural(one, 'complete run')} of base, {other} of head{order}"
 
 
 def methods(compared: Sequence[Compared]) -> list[str]:
@@ -113,7 +113,7 @@ def legend(result: Result) -> list[str]:
     findings, lines = result.findings, []
     if result.tests:
         alpha = _percent(result.settings.alpha)
-        tests = _count(result.tests, "statistical comparison")
+        tests = plural(result.tests, "statistical comparison")
         lines.append(
             f"p: adjusted for {tests} on axes that count, of enough runs to show something (Holm), so that any false "
             f"alarm among them has a chance of at most {alpha}; intervals are of one comparison alone"
@@ -158,7 +158,3 @@ def _amount(value: float | None, said: str, finding: Finding) -> str:
     if finding.unit == "B":
         return size(value, "#.4g")
     return f"{value:.3g}" if finding.unit == "s" else figure(value, finding.unit)
-
-
-def _count(number: int, what: str) -> str:
-    return f"{number} {what}{'' if number == 1 else 's'}"

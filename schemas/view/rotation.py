@@ -24,8 +24,8 @@ def product(first: NDArray[Any], then: NDArray[Any]) -> NDArray[np.float64]:
 
 
 def rotate(quaternion: NDArray[Any], vector: NDArray[Any]) -> NDArray[np.float64]:
-    """A vector [3] turned by one quaternion [4]."""
-    w, v = quaternion[0], quaternion[1:]
+    """Vectors [..., 3] turned by unit quaternions [..., 4]."""
+    w, v = quaternion[..., :1], quaternion[..., 1:]
     cross = np.cross(v, vector)
     turned: NDArray[np.float64] = np.asarray(vector + 2 * w * cross + 2 * np.cross(v, cross), dtype=np.float64)
     return turned

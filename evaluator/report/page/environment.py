@@ -12,7 +12,7 @@ from markupsafe import Markup
 from evaluator.groups import shown_status
 from evaluator.report import numbers, words
 from evaluator.report.page.picture import LARGEST_CSV, Picture
-from evaluator.report.text import printable
+from evaluator.report.templating import page_templates
 from evaluator.results import Metric
 from evaluator.sweeps import SOURCES
 
@@ -21,14 +21,7 @@ _DEPTH = 3
 
 def environment() -> jinja2.Environment:
     """What renders the templates beside this module; what recordings say is a stranger's text."""
-    made = jinja2.Environment(
-        loader=jinja2.FileSystemLoader(Path(__file__).parent / "templates"),
-        autoescape=True,
-        undefined=jinja2.StrictUndefined,
-        finalize=_visible,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
+    made = page_templates(jinja2.FileSystemLoader(Path(__file__).parent / "templates"))
     made.filters.update(
         mean_sd=numbers.mean_sd,
         interval=_interval,
@@ -40,11 +33,6 @@ def environment() -> jinja2.Environment:
     )
     made.globals.update(words=words, sources=SOURCES, status_of=shown_status)
     return made
-
-
-def _visible(value: Any) -> Any:
-    """Text without characters that a page cannot hold; markup of our own is left alone."""
-    return printable(value) if isinstance(value, str) and not isinstance(value, Markup) else value
 
 
 def _interval(metric: Metric) -> str:

@@ -87,8 +87,8 @@ def card(
         hub_licence=HUB_NAMES.get(publication.licence, "other"),
         tags=KEYWORDS,
         size=next((name for limit, name in _SIZES if len(looked_at) < limit), "100K<n<1M"),
-        count=_counted(len(looked_at), "recording"),
-        groups=_counted(len(results), "group"),
+        count=numbers.plural(len(looked_at), "recording"),
+        groups=numbers.plural(len(results), "group"),
         megabytes=f"{size / 1e6:.1f}",
         identity=identity,
         problems=problems(looked_at),
@@ -147,10 +147,6 @@ def _row(result: GroupResult) -> Row:
 
 def _of(metric: Metric) -> str:
     return numbers.NONE if metric.value is None else f"{metric.value:.0f} of {metric.n}"
-
-
-def _counted(number: int, what: str) -> str:
-    return f"{number} {what}{'' if number == 1 else 's'}"
 
 
 def machines(held: Sequence[Summary]) -> list[Machine]:

@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Iterator
 
 from evaluator.document import dump
+from evaluator.report.numbers import plural
 from evaluator.sharing.dataset.checkup import DAMAGED
 from evaluator.sharing.dataset.publish import Published
 from evaluator.sharing.dataset.verification import Verification
@@ -23,7 +24,7 @@ def published_lines(published: Published) -> Iterator[str]:
     outcomes = Counter(one.checkup.outcome for one in published.looked_at)
     groups = len(published.evaluation.results)
     yield (
-        f"{_count(len(manifest.recordings), 'recording')} in {_count(groups, 'group')}, "
+        f"{plural(len(manifest.recordings), 'recording')} in {plural(groups, 'group')}, "
         f"{sum(file.sum.bytes for file in manifest.files) / 1e6:.1f} MB: "
         + ", ".join(f"{count} {outcome}" for outcome, count in sorted(outcomes.items(), key=lambda item: -item[1]))
     )
@@ -42,7 +43,7 @@ def warnings_of(published: Published) -> Iterator[str]:
             key = (one_found.what, one_found.text, one_found.where)
             found[key] = found.get(key, 0) + 1
     for (what, text, where), count in list(found.items())[:_MOST_PERSONAL]:
-        yield f"look before you publish: {_count(count, 'recording')} with a {what}, {text}, in {where}"
+        yield f"look before you publish: {plural(count, 'recording')} with a {what}, {text}, in {where}"
     if len(found) > _MOST_PERSONAL:
         yield f"and {len(found) - _MOST_PERSONAL} more of this kind"
 
@@ -51,7 +52,7 @@ def verification_lines(verification: Verification) -> Iterator[str]:
     """Everything that was found, and what it comes to."""
     manifest = verification.manifest
     yield (
-        f"{manifest.title}: {_count(len(manifest.sums) + 2, 'file')}, {_count(len(manifest.recordings), 'recording')}, "
+        f"{manifest.title}: {plural(len(manifest.sums) + 2, 'file')}, {plural(len(manifest.recordings), 'recording')}, "
         f"licence {manifest.licence}, written by gpusimbench {manifest.written_by.get('gpusimbench', '?')}"
     )
     for finding in verification.findings[:_MOST_FINDINGS]:
@@ -69,7 +70,7 @@ def verification_lines(verification: Verification) -> Iterator[str]:
         return
     yield (
         f"{verification.bytes / 1e6:.1f} MB have the digests of manifest.json and SHA256SUMS; "
-        f"{_count(verification.recordings, 'recording')} have their content hashes and keep the rules of integrity-1; "
+        f"{plural(verification.recordings, 'recording')} have their content hashes and keep the rules of integrity-1; "
         f"every value of {' and '.join(verification.tables)} follows from them"
         if verification.recordings
         else "there is no recording in it: nothing to verify"
@@ -95,7 +96,3 @@ def dump_verification(verification: Verification) -> str:
         "findings": [{"kind": f.kind.word, "path": f.path, "said": f.said} for f in verification.findings],
         "not_looked_at": list(verification.unchecked),
     })  # fmt: skip
-
-
-def _count(number: int, what: str) -> str:
-    return f"{number} {what}{'' if number == 1 else 's'}"

@@ -13,25 +13,19 @@ from evaluator.metrics.regime import REGIME_MEANING
 from evaluator.report import numbers
 from evaluator.report import words as report_words
 from evaluator.report.figures import palette
-from evaluator.report.text import printable
+from evaluator.report.templating import page_templates
 from evaluator.sharing.leaderboard import words
 from evaluator.sharing.leaderboard.board import Board
 
 
 def render(board: Board) -> str:
     """The page's text; the same recordings give the same page."""
-    environment = jinja2.Environment(
-        loader=jinja2.ChoiceLoader([
+    environment = page_templates(
+        jinja2.ChoiceLoader([
             jinja2.PackageLoader("evaluator.sharing", "templates"),
             jinja2.PackageLoader("evaluator.report.page", "templates"),  # the style of the report
-        ]),
-        undefined=jinja2.StrictUndefined,
-        autoescape=True,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        keep_trailing_newline=True,
-        finalize=lambda value: printable(value) if type(value) is str else value,
-    )  # fmt: skip
+        ])
+    ).overlay(keep_trailing_newline=True)  # fmt: skip
     environment.filters |= {
         "short": words.short,
         "mean_sd": numbers.mean_sd,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 
 from evaluator.report import words as report_words
+from evaluator.report.numbers import plural
 from evaluator.results import Metric
 from evaluator.sharing.dataset.checkup import BROKEN
 from evaluator.sharing.leaderboard.reproduction import Reproduction
@@ -74,8 +75,8 @@ def reproduced(found: Reproduction) -> str:
     if not found.reproduced:
         compared = any(r.agrees is False for replays in found.replays.values() for r in replays)
         how = "with other states" if compared else "without states to compare"
-        return f"replayed by {_count(found.count, 'recording')}, {how}"
-    by = f"by {_count(len(found.agreeing), 'recording')} on {_count(found.machines, 'kind')} of machine"
+        return f"replayed by {plural(found.count, 'recording')}, {how}"
+    by = f"by {plural(len(found.agreeing), 'recording')} on {plural(found.machines, 'kind')} of machine"
     where = "none other than its own" if not found.elsewhere else f"{found.elsewhere} other than its own"
     return f"{found.reproduced} of {found.originals} reproduced bitwise, {by}, {where}"
 
@@ -89,7 +90,3 @@ def settings(row: Row) -> list[str]:
 def _brief(value: object) -> str:
     text = value if isinstance(value, str) else json.dumps(value, sort_keys=True)
     return text if len(text) <= 60 else f"{text[:57]}..."
-
-
-def _count(number: int, what: str) -> str:
-    return f"{number} {what}{'' if number == 1 else 's'}"
