@@ -1,4 +1,8 @@
-"""MJX (jax) with nothing around it: python -m benchmarks.bare_mjx MODEL N_ENV WARMUP STEPS 0 0."""
+"""MJX (jax) with nothing around it, on the work of a recording: python -m benchmarks.bare_mjx RECORDING.
+
+One compiled ``jax.lax.scan`` of mjx.step with the recording's model, initial state, environments, warm-up, timed steps
+and actions. The actions are drawn on the host and lie on the device before the clock is read.
+"""
 
 from __future__ import annotations
 
@@ -6,28 +10,53 @@ import os
 import sys
 import time
 from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks.work import Done, Work
+from evaluator.metrics.throughput import frames_per_second
 
 
 def main() -> None:
-    """Step and print env-steps/s."""
+    """Step and print."""
     os.environ.setdefault("XLA_PYTHON_CLIENT_PREALLOCATE", "false")
     import jax
-    import mujoco
     from mujoco import mjx
 
-    n_env, warmup, steps = map(int, sys.argv[2:5])
-    model = mjx.put_model(mujoco.MjModel.from_xml_string(Path(sys.argv[1]).read_text()))
-    data = jax.vmap(lambda _: mjx.make_data(model))(jax.numpy.arange(n_env))
-    step = jax.vmap(mjx.step, in_axes=(None, 0))
+    from recorder.simulators.mjx import physics
 
-    def rollout(count: int) -> object:
-        return jax.jit(lambda d: jax.lax.scan(lambda d, _: (step(model, d), None), d, length=count)[0])
+    work = Work(Path(sys.argv[1]), physics.MjxOptions)
+    asked = work.asked
+    device = jax.devices()[0]
+    model = physics.load(
+        work.scene, n_env=asked.n_env, dt=asked.dt, seed=asked.seed, options=work.options, impl="jax"
+    )  # fmt: skip
+    on_device, first = model.put(device), model.first_data(device)
+    state = jax.vmap(lambda _: first)(jax.numpy.arange(asked.n_env))
+    step = jax.vmap(mjx.step, (None, 0))
 
-    compiled = {count: rollout(count).lower(data).compile() for count in (warmup, steps)}  # type: ignore[attr-defined]
-    data = jax.block_until_ready(compiled[warmup](data))
+    def actions(first_step: int, n_step: int) -> Any:
+        drawn = work.actions(first_step, n_step)
+        return None if drawn is None else jax.block_until_ready(jax.device_put(drawn, device))
+
+    def body(data: Any, ctrl: Any) -> Any:
+        return step(on_device, data if ctrl is None else data.replace(ctrl=ctrl)), None
+
+    def compiled(n_step: int) -> Any:
+        def rollout(data: Any, ctrls: Any) -> Any:
+            return jax.lax.scan(body, data, ctrls, length=n_step)[0]
+
+        return jax.jit(rollout, donate_argnums=0).lower(state, actions(0, n_step)).compile()
+
+    if asked.warmup:
+        state = jax.block_until_ready(compiled(asked.warmup)(state, actions(0, asked.warmup)))
+    rollout, given = compiled(asked.timed_steps), actions(asked.warmup, asked.timed_steps)
     began = time.perf_counter()
-    jax.block_until_ready(compiled[steps](data))
-    print(n_env * steps / (time.perf_counter() - began))
+    state = jax.block_until_ready(rollout(state, given))
+    rate = frames_per_second(asked.n_env, asked.timed_steps, time.perf_counter() - began)
+    same = work.same_states(model.compiled, *jax.device_get((state.qpos, state.qvel)))
+    Done(rate, same, float(np.mean(jax.device_get(model.count(state)["contacts"])))).show()
 
 
 if __name__ == "__main__":

@@ -2,9 +2,12 @@
 
 usage: python -m benchmarks.engine_best --sim warp|mjx [--scene free-fall] [--n-env 1024] [--steps 500] [--rounds 3]
 
-All three run the same model (the recording's scene.xml), with the recording's buffer sizes, warm-up and number of
-steps. The speed tools (mjwarp-testspeed, mjx-testspeed) start from a state of their own choosing, and mjwarp-testspeed
-needs a GPU; where one cannot run, the line says so.
+The bare loop does the recording's own work: its model, buffer sizes, initial state, warm-up, steps and actions. How
+equal the work was is printed: environments that end in the same state, bit for bit, and contacts of the last step.
+
+The speed tools (mjwarp-testspeed, mjx-testspeed) do other work: the recording's model (scene.xml) with the same number
+of environments and steps, but from states of their own, without a warm-up and without the scene's actions. Their ratio
+is no claim. mjwarp-testspeed needs a GPU; where a tool cannot run, the line says so.
 """
 
 from __future__ import annotations
@@ -18,6 +21,7 @@ import tempfile
 from pathlib import Path
 
 from benchmarks.machine import machine, spread
+from benchmarks.work import Done
 from evaluator import open_recording
 from evaluator.metrics.throughput import frames_per_second
 from evaluator.recording import Recording
@@ -50,15 +54,10 @@ def buffers_of(recording: Recording) -> dict[str, int]:
     return {buffer.name: buffer.asked for buffer in recording.simulation.buffers}
 
 
-def bare(sim: str, model: Path, recording: Recording, steps: int) -> float:
-    """Env-steps/s of a loop that does nothing but step, in a process of its own."""
-    sizes = buffers_of(recording)
-    given = [str(sizes.get(name, 0)) for name in ("nconmax", "njmax")]
-    arguments = [str(model), str(recording.configuration.n_env), str(WARMUP), str(steps), *given]
-    done = subprocess.run(
-        [sys.executable, "-m", f"benchmarks.bare_{sim}", *arguments], check=True, capture_output=True, text=True
-    )
-    return float(done.stdout.split()[-1])
+def bare(sim: str, recording: Recording) -> Done:
+    """A loop that does nothing but step, in a process of its own."""
+    command = [sys.executable, "-m", f"benchmarks.bare_{sim}", str(recording.path)]
+    return Done.read(subprocess.run(command, check=True, capture_output=True, text=True).stdout)
 
 
 def tool(sim: str, model: Path, recording: Recording, steps: int) -> float | None:
@@ -91,7 +90,8 @@ def main() -> None:
     p.add_argument("--rounds", type=int, default=3)
     a = p.parse_args()
     ours: list[float] = []
-    loops: list[float] = []
+    loops: list[Done] = []
+    contacts: list[float] = []
     tools: list[float] = []
     device = ""
     with tempfile.TemporaryDirectory() as name:
@@ -102,19 +102,24 @@ def main() -> None:
             device = recording.simulation.device
             ours.append(frames_per_second(a.n_env, a.steps, recording.timing["timed"].elapsed_s))
             model = model_of(recording, folder)
-            loops.append(bare(a.sim, model, recording, a.steps))
+            loops.append(bare(a.sim, recording))
+            contacts.append(float(recording.counts["timed"]["contacts"].mean[-1]))
             found = tool(a.sim, model, recording, a.steps)
             tools += [] if found is None else [found]
     print(f"machine                        {machine()}, device {device}")
     print(f"rounds                         {a.rounds}, {a.sim}, {a.scene}, {a.n_env} envs, {a.steps} steps")
     print(f"recorder, timed [env-steps/s]  {spread(ours, 0)}")
-    print(f"bare loop                      {spread(loops, 0)}")
-    ratios = [x / y for x, y in zip(ours, loops, strict=True)]
+    rates = [loop.env_steps_per_s for loop in loops]
+    print(f"bare loop, same work           {spread(rates, 0)}")
+    ratios = [x / y for x, y in zip(ours, rates, strict=True)]
     print(f"ratio recorder / bare          {spread(ratios)}   claim: at least 0.98")
+    print(f"same final states, of {a.n_env:5}    {spread([float(loop.same_states) for loop in loops], 0)}")
+    print(f"contacts an env, recorder      {spread(contacts, 2)}")
+    print(f"contacts an env, bare loop     {spread([loop.contacts for loop in loops], 2)}")
     if len(tools) == len(ours):
         print(f"the engine's speed tool        {spread(tools, 0)}")
         ratios = [x / y for x, y in zip(ours, tools, strict=True)]
-        print(f"ratio recorder / tool          {spread(ratios)}   claim: at least 1")
+        print(f"ratio recorder / tool          {spread(ratios)}   other states, no actions: no claim")
     else:
         print("the engine's speed tool        does not run here (mjwarp-testspeed needs a GPU)")
 

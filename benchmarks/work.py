@@ -1,0 +1,70 @@
+"""What the timed phase of a recording did, for a peer that is to do the same work."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from evaluator import open_recording
+from recorder.options import parse_options
+from recorder.scenes.registry import make_scene
+from schemas.fingerprint import fingerprint
+
+
+@dataclass(frozen=True)
+class Done:
+    """What a peer did.
+
+    env_steps_per_s  of its timed steps
+    same_states      environments whose final state is that of the recording, bit for bit
+    contacts         of the last step, mean over environments
+    """
+
+    env_steps_per_s: float
+    same_states: int
+    contacts: float
+
+    def show(self) -> None:
+        """Print for ``read``."""
+        print(json.dumps(asdict(self)))
+
+    @classmethod
+    def read(cls, printed: str) -> Done:
+        """What ``show`` printed last."""
+        return cls(**json.loads(printed.splitlines()[-1]))
+
+
+class Work:
+    """The work of one recording: scene, model options, environments, steps and actions."""
+
+    def __init__(self, path: Path, options: type) -> None:
+        """options  dataclass of the simulator's options"""
+        recording = open_recording(path)
+        assert recording.simulation is not None
+        self.asked = recording.configuration
+        self.scene = make_scene(self.asked.scene)
+        self.options = parse_options(self.asked.simulator, options, self.asked.options)
+        self.buffers = {buffer.name: buffer.asked for buffer in recording.simulation.buffers}
+        hashes = recording.fingerprints("timed")
+        assert hashes is not None
+        self._final = hashes.hashes[-1]
+
+    def actions(self, first_step: int, n_step: int) -> NDArray[np.float32] | None:
+        """Actions of the steps that follow state `first_step`, [step, env, action]; None where the scene has none."""
+        if self.scene.actions is None:
+            return None
+        return self.scene.actions.draw(
+            self.asked.seed, n_env=self.asked.n_env, first_step=first_step, n_step=n_step
+        )  # fmt: skip
+
+    def same_states(self, compiled: Any, qpos: NDArray[np.floating], qvel: NDArray[np.floating]) -> int:
+        """Environments that are, bit for bit, where the timed phase of the recording ended.
+
+        compiled  recorder.simulators.mujoco.model.MjcfModel
+        """
+        return int((fingerprint(compiled.split(qpos, qvel)) == self._final).sum())
