@@ -4,18 +4,18 @@ VENV   ?= .venv
 BIN    := $(VENV)/bin
 OUT    ?= demo
 JOBS   ?= 2
-# Simulators whose environments make test sets up; make engines has them all, with minutes of kernel builds.
+# Simulators whose environments make test-all sets up; make engines has them all, with minutes of kernel builds.
 ENGINES     ?= calibration physx sapien
 ALL_ENGINES := calibration genesis isaaclab maniskill physx sapien
 export GSB_ENVIRONMENTS ?= $(abspath $(VENV))/environments
 
-.PHONY: help install demo test engines environments test-engines fast lint proto locks figures site man bench clean
+.PHONY: help install demo test test-all engines environments test-engines lint proto locks figures site man bench clean
 
 help:
 	@echo "make demo   install, record 16 envs x 10 runs of inclined-collision with MuJoCo C, evaluate, write a report"
-	@echo "make test   install what is missing and run every check and test"
+	@echo "make test   install what is missing, run style, types, import contracts and the quick tests"
+	@echo "make test-all  every check and test: engines, clusters, kills, limits, every command of the documents"
 	@echo "make engines  the same with every simulator that has an environment of its own: gigabytes, and minutes of builds"
-	@echo "make fast   the same without the slow tests"
 	@echo "make lint   style, types and the import contract"
 	@echo "make proto  rebuild the descriptor set after a change of schemas/proto"
 	@echo "make locks  pin the environments of simulators anew; INDEX=URL names a package index (PEP 503)"
@@ -47,13 +47,16 @@ lint: $(VENV)/.installed-test
 	$(BIN)/lint-imports
 
 # Files of tests are spread over JOBS processes, in their order; those that mind what runs beside them come after.
-test: lint environments
+test: lint
+	$(BIN)/python -m pytest -m 'not slow and not alone' -n $(JOBS) --dist loadfile --no-loadscope-reorder
+
+test-all: lint environments
 	$(BIN)/python -m pytest -m 'not alone' -n $(JOBS) --dist loadfile --no-loadscope-reorder
 	$(BIN)/python -m pytest -m alone
 	$(MAKE) test-engines
 
 engines:
-	$(MAKE) test ENGINES="$(ALL_ENGINES)"
+	$(MAKE) test-all ENGINES="$(ALL_ENGINES)"
 
 environments: $(VENV)/.installed-test
 	for engine in $(ENGINES); do $(BIN)/gsb-record --setup $$engine || exit; done
@@ -66,9 +69,6 @@ test-engines: environments
 	    --disable-pip-version-check --target "$$tools" -c constraints.txt pytest hypothesis && touch "$$tools/.whole"; } || exit; \
 	  PYTHONPATH="$(CURDIR):$$tools" "$$python" -P -m pytest tests/recorder/test_$$engine.py || exit; \
 	done
-
-fast: lint
-	$(BIN)/python -m pytest -m 'not slow'
 
 proto: $(VENV)/.installed-test
 	$(BIN)/python schemas/build_descriptors.py
