@@ -10,6 +10,7 @@ from pathlib import Path
 
 from schemas.errors import GsbError, Unreachable
 from schemas.location import Location, Place
+from schemas.writing import write_pieces
 
 MAX_FILES = 10_000
 """An address that stands for more files is refused."""
@@ -55,9 +56,7 @@ def fetched(location: Location, *, size: int | None = None) -> Iterator[Path]:
             )
         copy = Path(folder, "copy.mcap")
         try:
-            with copy.open("wb") as stream:
-                for piece in source.pieces():
-                    stream.write(piece)
+            write_pieces(copy, source.pieces())
         except OSError as error:
             raise GsbError(f"cannot copy {location} to {folder}: {error.strerror}") from None
         yield copy

@@ -22,6 +22,7 @@ from recorder.plan import release
 from schemas.configuration import RunConfiguration
 from schemas.errors import ExitCode, GsbError
 from schemas.provenance import ReplayOf
+from schemas.writing import create
 
 Progress = Callable[[str, int, int], None]
 
@@ -209,7 +210,7 @@ def _follow(
     end = _End()
     environment = interpreter.environment(scratch)
     reader, writer = os.pipe()
-    with os.fdopen(reader) as reports, tempfile.TemporaryFile() as given, (scratch / _OUTPUT).open("wb") as printed:
+    with os.fdopen(reader) as reports, tempfile.TemporaryFile() as given, create(scratch / _OUTPUT) as printed:
         given.write(json.dumps(task).encode())
         given.seek(0)
         try:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import errno
-import os
 import re
 import tempfile
 from collections.abc import Sequence
@@ -14,15 +12,13 @@ from pathlib import Path
 from schemas import PARTIAL
 from schemas.configuration import CAPTURE_MODES, MAX_ENVS, MAX_VIEW, OPTIONAL_PHASES, RunConfiguration
 from schemas.errors import DataLost, GsbError, UsageError
+from schemas.writing import Taken, create, give_name
 
 MIN_DT = 1e-6
 """Shortest step [s]: times are recorded in whole nanoseconds, and a step is to be off by no more than a thousandth."""
 
 MAX_TIMEOUT = 1e9
 """Longest time limit [s]."""
-
-_NO_LINKS = {errno.EPERM, errno.EOPNOTSUPP, errno.ENOTSUP, errno.ENOSYS, errno.EMLINK, errno.EXDEV}
-"""What os.link fails with on a file system without hard links."""
 
 
 def check_dt(dt: float) -> None:
@@ -135,23 +131,9 @@ def publish(path: Path) -> None:
     """
     partial = partial_of(path)
     try:
-        os.link(partial, path)  # unlike rename, never replaces a file
-    except FileExistsError:
-        raise _taken(path, partial) from None
-    except OSError as error:
-        if error.errno not in _NO_LINKS:
-            raise
-        # Other recorders stay away from a name whose .partial exists, so a look before is enough.
-        if path.exists():
-            raise _taken(path, partial) from None
-        os.rename(partial, path)
-    else:
-        os.unlink(partial)
-    folder = os.open(path.parent, os.O_RDONLY)
-    try:
-        os.fsync(folder)
-    finally:
-        os.close(folder)
+        give_name(partial, path)
+    except Taken:
+        raise DataLost(f"{path} appeared meanwhile; this run is in {partial}") from None
 
 
 def release(path: Path) -> Path | None:
@@ -179,7 +161,7 @@ def prepare_folder(folder: Path) -> None:
 def _take(path: Path) -> bool:
     partial = partial_of(path)
     try:
-        partial.open("xb").close()
+        create(partial).close()
     except FileExistsError:
         return False
     except OSError as error:
@@ -189,10 +171,6 @@ def _take(path: Path) -> bool:
         partial.unlink()
         return False
     return True
-
-
-def _taken(path: Path, partial: Path) -> DataLost:
-    return DataLost(f"{path} appeared meanwhile; this run is in {partial}")
 
 
 def _unwritable(folder: Path, error: OSError) -> GsbError:

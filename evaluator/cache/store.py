@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import os
-import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
@@ -13,12 +12,14 @@ from typing import Any
 
 from evaluator.cache.codec import Codec
 from evaluator.cache.version import code_version
+from schemas import PARTIAL
+from schemas.errors import GsbError
+from schemas.writing import write_file
 
 MAX_BYTES = 1 << 30
 """What a store may take; beyond it, what was used longest ago is deleted."""
 
 _SUFFIX = ".result"
-_UNFINISHED = ".tmp"
 _DIGEST = 32  # bytes of SHA-256 before each document: what a disk or a hand changed is no result
 _ABANDONED_S = 3600
 
@@ -70,21 +71,14 @@ class Store:
     def put(self, key: str, result: Any) -> None:
         """Keep a result. One that cannot be written is not kept: the next evaluation computes it again."""
         path = self._path(key)
-        with suppress(OSError):
+        document = self._codec.encode(result)
+        with suppress(OSError, GsbError):
             path.parent.mkdir(parents=True, exist_ok=True)
-            with tempfile.NamedTemporaryFile(dir=path.parent, suffix=_UNFINISHED, delete=False) as file:
-                try:
-                    document = self._codec.encode(result)
-                    file.write(hashlib.sha256(document).digest() + document)
-                    file.close()
-                    Path(file.name).replace(path)
-                except BaseException:
-                    Path(file.name).unlink()
-                    raise
+            write_file(path, hashlib.sha256(document).digest() + document, durable=False)
 
     def prune(self, limit: int = MAX_BYTES) -> None:
         """Delete what others left undone, and what was used longest ago, until the folder holds `limit` bytes."""
-        for path in self._folder.glob(f"*/*{_UNFINISHED}"):
+        for path in self._folder.glob(f"*/.*{PARTIAL}"):
             with suppress(OSError):
                 if time.time() - path.stat().st_mtime > _ABANDONED_S:
                     path.unlink()

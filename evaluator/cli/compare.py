@@ -7,10 +7,11 @@ import sys
 from typing import TYPE_CHECKING
 
 from evaluator.cli.arguments import local_name, local_path
-from evaluator.cli.entry import complain, enter, new_parser, write
+from evaluator.cli.entry import complain, enter, new_parser
 from evaluator.cli.json_target import check_target, write_json
 from schemas.errors import UsageError
 from schemas.location import Place, place
+from schemas.writing import write_file
 
 if TYPE_CHECKING:
     from evaluator.versus.finding import Settings
@@ -130,11 +131,11 @@ def run(arguments: argparse.Namespace, command: str) -> int:
     if arguments.markdown:
         from evaluator.versus.markdown import markdown
 
-        write(arguments.markdown, markdown(result, command))
+        write_file(arguments.markdown, markdown(result, command))
     if arguments.junit:
         from evaluator.versus.junit import junit
 
-        write(arguments.junit, junit(result))
+        write_file(arguments.junit, junit(result))
     return int(result.exit_code)
 
 

@@ -8,10 +8,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from evaluator.cli.arguments import local_name, local_path
-from evaluator.cli.entry import complain, enter, new_parser, write
+from evaluator.cli.entry import complain, enter, new_parser
 from evaluator.cli.json_target import check_target
 from schemas.errors import ExitCode, UsageError
 from schemas.location import place
+from schemas.writing import write_file
 
 if TYPE_CHECKING:
     from evaluator.diff.result import Difference
@@ -67,7 +68,7 @@ def run(arguments: argparse.Namespace, command: str) -> int:
 
         drawn = figure_of(found)
         if drawn:
-            write(arguments.plot, drawn)
+            write_file(arguments.plot, drawn)
         else:
             complain("gsb-diff", f"no difference to draw; {arguments.plot} was not written")
     if arguments.json == "-":
@@ -81,7 +82,7 @@ def run(arguments: argparse.Namespace, command: str) -> int:
     if arguments.json:
         from evaluator.diff.json import dump_json
 
-        write(Path(arguments.json), dump_json(found))
+        write_file(Path(arguments.json), dump_json(found))
     return _exit_code(found)
 
 

@@ -8,7 +8,6 @@ import os
 import shlex
 import sys
 from collections.abc import Callable
-from pathlib import Path
 from typing import NoReturn
 
 from schemas.command_line import add_common
@@ -69,11 +68,3 @@ def complain(command: str, message: str) -> None:
     from evaluator.report.text import printable
 
     print(f"{command}: {printable(redacted(message))}", file=sys.stderr)
-
-
-def write(path: Path, text: str) -> None:
-    """Write a result's text; GsbError where the file cannot be written."""
-    try:
-        path.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise GsbError(f"cannot write {path}: {error.strerror}") from None

@@ -9,10 +9,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from evaluator.cli.arguments import local_name, local_path
-from evaluator.cli.entry import complain, enter, new_parser, write
+from evaluator.cli.entry import complain, enter, new_parser
 from evaluator.cli.json_target import check_target
-from schemas.errors import ExitCode, GsbError, NothingComparable, UsageError
+from schemas.errors import ExitCode, NothingComparable, UsageError
 from schemas.location import Place, place
+from schemas.writing import write_file, write_files
 
 if TYPE_CHECKING:
     from evaluator.mapping import Mapper
@@ -183,37 +184,30 @@ def _present(evaluation: Evaluation, arguments: argparse.Namespace, command: str
         if arguments.published:
             print_published(sys.stdout)
         if arguments.json:
-            write(Path(arguments.json), dump_json(evaluation))
+            write_file(Path(arguments.json), dump_json(evaluation))
     if arguments.tables:
-        from evaluator.report.paper.tables import write_tables
+        from evaluator.report.paper.tables import text_tables
         from evaluator.report.paper.text_table import Format
-        from evaluator.report.parquet import write_parquet
+        from evaluator.report.parquet import parquet_tables
 
         formats = [Format(name) for name in arguments.format]
-        try:
-            tables = write_parquet(evaluation, arguments.tables) if Format.PARQUET in formats else []
-            tables += write_tables(evaluation, arguments.tables, formats, published=arguments.published)
-            for table in tables:
-                print(f"table: {table}", file=sys.stderr if arguments.json == "-" else sys.stdout)
-        except OSError as error:
-            raise GsbError(f"cannot write tables to {arguments.tables}: {error.strerror}") from None
+        tables = parquet_tables(evaluation) if Format.PARQUET in formats else {}
+        tables |= text_tables(evaluation, formats, published=arguments.published)
+        paths = {arguments.tables / name: content for name, content in tables.items()}
+        write_files(paths)
+        for table in paths:
+            print(f"table: {table}", file=sys.stderr if arguments.json == "-" else sys.stdout)
     if arguments.figures:
         from evaluator.report.paper.figures import write_figures
 
-        try:
-            written = write_figures(evaluation, arguments.figures, published=arguments.published)
-        except OSError as error:
-            raise GsbError(f"cannot write figures to {arguments.figures}: {error.strerror}") from None
+        written = write_figures(evaluation, arguments.figures, published=arguments.published)
         count = sum(path.suffix == ".pdf" for path in written)
         said = f"figures: {count} in {arguments.figures}, listed in {written[-1]}"
         print(said, file=sys.stderr if arguments.json == "-" else sys.stdout)
     if arguments.html:
         from evaluator.report.html import write_html
 
-        try:
-            page = write_html(evaluation, arguments.html, published=arguments.published, command=command)
-        except OSError as error:
-            raise GsbError(f"cannot write the report to {arguments.html}: {error.strerror}") from None
+        page = write_html(evaluation, arguments.html, published=arguments.published, command=command)
         print(f"report: {page}", file=sys.stderr if arguments.json == "-" else sys.stdout)
 
 

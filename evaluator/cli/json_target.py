@@ -5,9 +5,9 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from evaluator.cli.entry import write
 from schemas import PARTIAL
 from schemas.errors import UsageError
+from schemas.writing import write_file
 
 
 def check_target(target: str | None) -> None:
@@ -27,4 +27,4 @@ def write_json(target: str, text: str) -> None:
     if target == "-":
         sys.stdout.write(text)
     else:
-        write(Path(target), text)
+        write_file(Path(target), text)

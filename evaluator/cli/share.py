@@ -178,8 +178,8 @@ def _told(done: Recovered) -> Iterator[str]:
 
 def _viewer(arguments: argparse.Namespace) -> int:
     from evaluator.report.text import printable
-    from evaluator.sharing.target import check_free, new_file
     from evaluator.sharing.viewer import write_view
+    from schemas.writing import check_free, write_new
 
     if arguments.layout:
         if arguments.layout.resolve() == arguments.out.resolve():
@@ -189,8 +189,7 @@ def _viewer(arguments: argparse.Namespace) -> int:
         arguments.file, arguments.out, envs=tuple(arguments.env or (0,)), rate=arguments.rate, spread=arguments.spread
     )
     if arguments.layout:
-        with new_file(arguments.layout) as target:
-            target.stream.write(done.layout.encode())
+        write_new(arguments.layout, done.layout.encode())
     for note in done.notes:
         complain("gsb-share", note)
     shown = f"{done.shapes} shapes, {done.frames} moving frames at {done.times} times in {done.seconds:g} s"

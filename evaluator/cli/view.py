@@ -8,9 +8,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from evaluator.cli.arguments import local_path
-from evaluator.cli.entry import complain, enter, new_parser, write
+from evaluator.cli.entry import complain, enter, new_parser
 from schemas.errors import ExitCode, UsageError
 from schemas.location import place
+from schemas.writing import write_file
 
 if TYPE_CHECKING:
     from evaluator.player.clip import Clip
@@ -89,7 +90,7 @@ def _page(clip: Clip, recordings: list[Recording], out: Path | None, command: st
     from evaluator.player.programs import open_page
 
     path = out or _folder() / f"{Path(recordings[0].path.name).stem}.html"
-    write(path, render_page(clip, recordings, command=command))
+    write_file(path, render_page(clip, recordings, command=command))
     _say(path)
     if opened and not open_page(path):
         complain("gsb-view", f"no browser can be opened from here; the page is {path}, open it in one")

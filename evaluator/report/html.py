@@ -7,7 +7,6 @@ allows its own scripts by their digests and nothing else, and without them it la
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Callable
 from pathlib import Path
 
@@ -43,6 +42,7 @@ from evaluator.report.page.header import header
 from evaluator.report.page.scripts import policy, script
 from evaluator.report.page.section import Section, Source
 from evaluator.results import Evaluation
+from schemas.writing import write_files
 
 SECTIONS: tuple[Callable[[Source], Section | None], ...] = (
     summary.section,
@@ -72,25 +72,17 @@ SECTIONS: tuple[Callable[[Source], Section | None], ...] = (
 def write_html(evaluation: Evaluation, folder: Path, *, published: bool, command: str) -> Path:
     """Write `index.html` into the folder, which is made where it is missing; returns the page's path.
 
-    States are read again from the recordings, for the player. A reader never meets half a page: it is written beside
-    and then put in place. OSError where that cannot be done.
+    States are read again from the recordings, for the player. GsbError where it cannot be written; an earlier page is
+    left as it was.
     """
-    # Names of files may hold bytes that are no text; they are shown as escapes instead of failing the report.
     text = render_html(
         evaluation,
         published=published,
         command=command,
         playback=playback_of(Source(evaluation, published, command).shown),
     )
-    content = text.encode("utf-8", "backslashreplace")
-    folder.mkdir(parents=True, exist_ok=True)
     page = folder / "index.html"
-    unfinished = folder / f".index.html.{os.getpid()}"
-    try:
-        unfinished.write_bytes(content)
-        os.replace(unfinished, page)
-    finally:
-        unfinished.unlink(missing_ok=True)
+    write_files({page: text})
     return page
 
 

@@ -7,9 +7,9 @@ Tables of several evaluations, of several laboratories, are read as one::
 
 from __future__ import annotations
 
+import io
 import json
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 from evaluator.report.text import printable
@@ -36,24 +36,18 @@ _RUNS = {
 }  # fmt: skip
 
 
-def write_parquet(evaluation: Evaluation, folder: Path) -> list[Path]:
-    """Write both tables to a folder, which is made if need be; UsageError without polars, OSError where it cannot be.
+def parquet_tables(evaluation: Evaluation) -> dict[str, bytes]:
+    """Both tables as Parquet, by the name of their file; UsageError without polars.
 
     metrics.parquet  a row for each metric of each group; an interval where it has one
     runs.parquet     a row for each recording that could be read
     """
-    tables = frames(evaluation)
-    folder.mkdir(parents=True, exist_ok=True)
-    paths = []
-    for name, table in tables.items():
-        unfinished = folder / f"{name}.partial"
-        try:
-            table.write_parquet(unfinished)
-            unfinished.replace(folder / name)
-        finally:
-            unfinished.unlink(missing_ok=True)
-        paths.append(folder / name)
-    return paths
+    found = {}
+    for name, table in frames(evaluation).items():
+        stream = io.BytesIO()
+        table.write_parquet(stream)
+        found[name] = stream.getvalue()
+    return found
 
 
 def frames(evaluation: Evaluation) -> dict[str, Any]:

@@ -12,11 +12,11 @@ from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.records import Attachment, Channel, Metadata, Schema
 
-from evaluator.sharing.target import Target
 from schemas import FORMAT, __version__, topics
 from schemas.errors import DamagedRecording
 from schemas.mcap_writer import McapWriter
 from schemas.records import Record
+from schemas.writing import Target
 
 LIBRARY = f"gpusimbench {__version__}"
 

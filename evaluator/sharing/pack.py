@@ -7,11 +7,11 @@ from pathlib import Path
 
 from evaluator.recording import Recording
 from evaluator.sharing.copying import Change, Copier
-from evaluator.sharing.target import new_file
 from schemas.blocks import pack_state, unpack_state
 from schemas.container import Container
 from schemas.errors import DamagedRecording, DataLost
 from schemas.records import read_records
+from schemas.writing import new_file
 
 
 @dataclass(frozen=True)

@@ -7,12 +7,12 @@ from pathlib import Path
 
 from evaluator.recording import Recording
 from evaluator.sharing.copying import Copier
-from evaluator.sharing.target import new_file
 from schemas import topics
 from schemas.container import Container
 from schemas.errors import DamagedRecording, RecordingError, UsageError
 from schemas.mcap_writer import MAGIC
 from schemas.records import read_records
+from schemas.writing import new_file
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,6 @@ from pathlib import Path
 
 from evaluator.recording import Recording
 from evaluator.sharing.copying import LIBRARY
-from evaluator.sharing.target import new_file
 from evaluator.sharing.view_writer import Shown, ViewWriter
 from schemas.configuration import EPOCH_NS, sim_time_ns
 from schemas.errors import DamagedRecording, UsageError
@@ -17,6 +16,7 @@ from schemas.mcap_writer import McapWriter
 from schemas.view.env_view import EnvView
 from schemas.view.motion import Frame, Motion, one_of
 from schemas.view.shapes import Solid, Vector, solids_of
+from schemas.writing import new_file
 
 _LAST_NS = 1 << 62
 

@@ -23,6 +23,7 @@ from schemas.errors import DataLost, UsageError
 from schemas.mcap_writer import McapWriter, Part
 from schemas.messages import embedded_schema, enum_values, message_class
 from schemas.view import foxglove
+from schemas.writing import create, reopen
 
 
 class Sink:
@@ -40,7 +41,7 @@ class Sink:
             raise UsageError(f"{path} exists already; recordings are never overwritten")
         try:
             # closed by finish or abandon
-            self._stream = self.partial.open("r+b" if reserved else "xb", buffering=0)  # noqa: SIM115
+            self._stream = reopen(self.partial) if reserved else create(self.partial)
         except FileExistsError:
             raise UsageError(f"{self.partial} exists already; another recorder may be writing it") from None
         except OSError as error:

@@ -16,6 +16,7 @@ from schemas import PARTIAL
 from schemas.container import Container
 from schemas.errors import GsbError, RecordingError
 from schemas.provenance import PROVENANCE, Provenance
+from schemas.writing import reopen
 
 Read = Callable[[str, int, int], bytes]
 """Bytes of a file on the node: its path, an offset, a number of bytes."""
@@ -76,7 +77,7 @@ def _copy(task: Task, file: Remote, source: str, folder: Path, read: Read, stop:
     partial = partial_of(path)
     try:
         digest = hashlib.sha256()
-        with partial.open("r+b", buffering=0) as stream:
+        with reopen(partial) as stream:
             offset = 0
             while offset < file.size:
                 if stop():

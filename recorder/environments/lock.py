@@ -20,6 +20,7 @@ from packaging.tags import Tag
 from packaging.utils import InvalidWheelFilename, canonicalize_name, parse_wheel_filename
 
 from recorder.environments.specification import SPECIFICATIONS, Specification
+from schemas.writing import write_file
 
 _HEAD = """\
 # Made by recorder/environments/lock.py from {source}: not to be edited.
@@ -115,7 +116,7 @@ def main() -> int:
     arguments = p.parse_args()
     for name in arguments.simulators:
         specification = SPECIFICATIONS[name]
-        specification.requirements.write_text(lock(specification, arguments.index))
+        write_file(specification.requirements, lock(specification, arguments.index))
         sys.stderr.write(f"{specification.requirements.name}\n")
     return 0
 

@@ -21,6 +21,7 @@ from recorder.probes.software import NUMERIC_PACKAGES
 from recorder.progress import say
 from recorder.simulators.registry import find_simulator
 from schemas.errors import GsbError, UsageError
+from schemas.writing import open_lock
 
 _ELSEWHERE = ("PYTHONPATH", "PYTHONHOME", "VIRTUAL_ENV", "PIP_USER", "PIP_TARGET", "PIP_PREFIX", "PIP_ROOT")
 """Variables that would lead Python or pip into another environment."""
@@ -203,7 +204,7 @@ def _alone(simulator: str) -> Iterator[None]:
     folder = store()
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        lock = (folder / f".{simulator}.lock").open("w")
+        lock = open_lock(folder / f".{simulator}.lock")
     except OSError as error:
         raise GsbError(f"cannot write to {folder}: {error.strerror}; name another with GSB_ENVIRONMENTS") from None
     with lock:

@@ -10,6 +10,7 @@ from pathlib import Path
 
 from recorder.environments.specification import SPECIFICATIONS
 from schemas.errors import UsageError
+from schemas.writing import write_file
 
 FOLDER_VARIABLE = "GSB_ENVIRONMENTS"
 """Environment variable that says where they lie."""
@@ -52,7 +53,7 @@ class Prepared:
 
     def write(self) -> None:
         """Say that it is finished."""
-        (self.folder / MANIFEST).write_text(json.dumps(asdict(self), indent=1) + "\n")
+        write_file(self.folder / MANIFEST, json.dumps(asdict(self), indent=1) + "\n")
 
 
 def store() -> Path:

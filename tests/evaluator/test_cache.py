@@ -259,7 +259,7 @@ def test_a_file_read_elsewhere_is_not_kept(tmp_path: Path, small_set: list[Path]
 def test_what_killed_processes_left_goes(tmp_path: Path) -> None:
     """Delete unfinished files of an hour ago, and leave those of now."""
     (tmp_path / "ab").mkdir()
-    old, new = tmp_path / "ab" / "old.tmp", tmp_path / "ab" / "new.tmp"
+    old, new = tmp_path / "ab" / ".gsb-old.partial", tmp_path / "ab" / ".gsb-new.partial"
     for path in (old, new):
         path.write_text("")
     os.utime(old, (0, 0))

@@ -103,7 +103,7 @@ def test_nothing_usable(gsb_eval: Command, tmp_path: Path) -> None:
         (("SMALL", "--sample-time", "nan"), 2, "--sample-time is a time"),
         (("SMALL", "--reference", "missing.mcap"), 3, "No such file"),
         (("SMALL", "--json", "no/such/folder/r.json"), 2, "in no folder that exists"),
-        (("SMALL", "--html", "/proc/report"), 1, "cannot write the report"),
+        (("SMALL", "--html", "/proc/report"), 1, "cannot write /proc/report/index.html"),
         ((), 2, "FILE"),
     ],
 )

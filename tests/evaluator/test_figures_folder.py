@@ -303,4 +303,4 @@ def test_the_command_writes_them(tmp_path: Path, capsys: pytest.CaptureFixture[s
     assert said in capsys.readouterr().out
     (tmp_path / "file").write_text("")
     assert main([str(path), "--figures", str(tmp_path / "file" / "out")]) == 1
-    assert "cannot write figures to" in capsys.readouterr().err
+    assert f"cannot write {tmp_path / 'file' / 'out'}/" in capsys.readouterr().err

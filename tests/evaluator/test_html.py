@@ -30,7 +30,7 @@ from evaluator.report.html import render_html, write_html
 from evaluator.report.page.scripts import script
 from evaluator.results import Cloud, Evaluation, GroupResult, Map, Metric, Reference, not_computed
 from evaluator.summary import Summary, summarise
-from schemas.errors import DamagedRecording
+from schemas.errors import DamagedRecording, GsbError
 from tests.synthetic import write_recording, write_sweep
 
 ROOT = Path(__file__).parents[2]
@@ -423,7 +423,7 @@ def test_failed_write_leaves_the_old_page(several: Evaluation, tmp_path: Path, m
         raise OSError("no space left")
 
     monkeypatch.setattr(os, "replace", refuse)
-    with pytest.raises(OSError, match="no space"):
+    with pytest.raises(GsbError, match="no space"):
         write_html(several, tmp_path, published=True, command=COMMAND)
     assert page.read_bytes() == before
     assert [p.name for p in tmp_path.iterdir()] == ["index.html"]

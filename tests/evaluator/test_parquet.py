@@ -13,7 +13,7 @@ import pytest
 from evaluator.cli.eval import main
 from evaluator.evaluate import evaluate_files
 from evaluator.report.json import to_json
-from evaluator.report.parquet import METRICS, RUNS, write_parquet
+from evaluator.report.parquet import METRICS, RUNS, parquet_tables
 from schemas.errors import UsageError
 from schemas.provenance import PROVENANCE
 from tests.conftest import Command
@@ -48,7 +48,7 @@ def test_tables_of_several_evaluations_are_one(tmp_path: Path) -> None:
     for name, elapsed in (("a", 1.0), ("b", 2.0)):
         (tmp_path / name).mkdir()
         files = [write_recording(tmp_path / name, grid(2), run=run, elapsed_s=elapsed) for run in range(2)]
-        write_parquet(evaluate_files(files), tmp_path / name)
+        (tmp_path / name / METRICS).write_bytes(parquet_tables(evaluate_files(files))[METRICS])
     fps = pl.scan_parquet(tmp_path / "*" / METRICS).filter(pl.col("metric") == "fps")
     found = fps.group_by("simulator").agg(pl.col("value").max() / pl.col("value").min()).collect()
     assert found["value"].to_list() == [pytest.approx(2.0)]
@@ -65,8 +65,7 @@ def test_strange_texts_and_seeds(tmp_path: Path) -> None:
 
     path = write_recording(folder, grid(1), status="FAILED", reason="a\x1b[2J", change=seeded)
     evaluation = evaluate_files([path])
-    _, runs = write_parquet(evaluation, tmp_path / "out")
-    (row,) = pl.read_parquet(runs).iter_rows(named=True)
+    (row,) = pl.read_parquet(parquet_tables(evaluation)[RUNS]).iter_rows(named=True)
     assert row["file"].endswith(f"caf\\xdce9/{path.name}")
     assert (row["reason"], row["seed"], row["status"]) == ("a\\x1b[2J", str(2**64 - 1), "failed")
 
@@ -75,8 +74,8 @@ def test_values_that_are_none(tmp_path: Path) -> None:
     """Leave a value that could not be computed empty, with the reason beside it."""
     path = write_recording(tmp_path, np.full((2, 27, 3), np.nan))
     evaluation = evaluate_files([path])
-    metrics, _ = write_parquet(evaluation, tmp_path)
-    row = pl.read_parquet(metrics).row(by_predicate=pl.col("metric") == "w1_parallel", named=True)
+    metrics = pl.read_parquet(parquet_tables(evaluation)[METRICS])
+    row = metrics.row(by_predicate=pl.col("metric") == "w1_parallel", named=True)
     told = to_json(evaluation)["groups"][0]["metrics"]["w1_parallel"]
     assert (row["value"], row["why_not"]) == (None, told["why_not"])
     assert row["why_not"]
@@ -86,8 +85,7 @@ def test_without_the_package(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, sm
     """Say what to install, and write nothing."""
     monkeypatch.setitem(sys.modules, "polars", None)
     with pytest.raises(UsageError, match=r"pip install 'gpusimbench\[tables\]'"):
-        write_parquet(evaluate_files([small]), tmp_path / "out")
-    assert not (tmp_path / "out").exists()
+        parquet_tables(evaluate_files([small]))
     assert main([str(tmp_path / "missing.mcap"), "--tables", str(tmp_path / "out")]) == 2  # and reads no file
 
 
@@ -96,4 +94,5 @@ def test_a_folder_that_cannot_be_made(tmp_path: Path, small: Path, gsb_eval: Com
     (tmp_path / "file").write_text("")
     done = gsb_eval(small, "--tables", tmp_path / "file" / "out")
     assert done.returncode == 1
-    assert done.stderr == f"gsb-eval: cannot write tables to {tmp_path / 'file' / 'out'}: Not a directory\n"
+    table = tmp_path / "file" / "out" / METRICS
+    assert done.stderr == f"gsb-eval: cannot write {table}: Not a directory\n"

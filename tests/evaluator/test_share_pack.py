@@ -16,10 +16,10 @@ from mcap.reader import make_reader
 from evaluator import open_recording
 from evaluator.sharing.copying import Copier
 from evaluator.sharing.pack import pack, unpack
-from evaluator.sharing.target import new_file
 from schemas.blocks import pack_state
 from schemas.errors import DamagedRecording, DataLost, UsageError
 from schemas.records import read_records
+from schemas.writing import new_file
 from tests.synthetic import grid, write_recording
 from tests.test_docs import ROOT, commands
 

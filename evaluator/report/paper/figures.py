@@ -14,6 +14,7 @@ from evaluator.report.paper import latex
 from evaluator.report.paper.pdf import to_pdf
 from evaluator.report.text import printable
 from evaluator.results import Evaluation
+from schemas.writing import write_files
 
 INDEX = "figures.tex"
 
@@ -32,22 +33,20 @@ def write_figures(evaluation: Evaluation, folder: Path, *, published: bool) -> l
 
     Raises:
         UsageError: reportlab is not installed.
-        OSError: the folder or a file cannot be written.
+        GsbError: a file cannot be written; those of an earlier time are as they were.
     """
-    folder.mkdir(parents=True, exist_ok=True)
-    paths, environments = [], [HEAD]
+    files: dict[Path, bytes | str] = {}
+    environments = [HEAD]
     for name, picture in named(_pictures(Source(evaluation, published, ""))):
         svg = standalone(str(picture.svg), hatch())
-        paths += [folder / f"{name}.svg", folder / f"{name}.pdf"]
-        paths[-2].write_text(svg, encoding="utf-8", errors="backslashreplace")
-        paths[-1].write_bytes(to_pdf(svg, printable(picture.title)))
+        files[folder / f"{name}.svg"] = svg
+        files[folder / f"{name}.pdf"] = to_pdf(svg, printable(picture.title))
         if numbers := picture.numbers.csv():
-            paths.append(folder / f"{name}.csv")
-            paths[-1].write_bytes(numbers.encode("utf-8"))
+            files[folder / f"{name}.csv"] = numbers
         environments.append(latex.figure(name, ". ".join(filter(None, (picture.title, picture.caption)))))
-    paths.append(folder / INDEX)
-    paths[-1].write_text("\n".join(environments), encoding="utf-8")
-    return paths
+    files[folder / INDEX] = "\n".join(environments)
+    write_files(files)
+    return list(files)
 
 
 def named(pictures: Iterable[Picture]) -> Iterator[tuple[str, Picture]]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from pathlib import Path
 
 from evaluator.price_list import Family
 from evaluator.published import SCALING, SOURCE, VARIABILITY, AtLargest
@@ -58,21 +57,14 @@ _AT_LARGEST = ("simulator", "N_env^max", "throughput [env steps/s]", "memory inc
 _GUIDELINES = ("need", "pick", "rule", "evidence")
 
 
-def write_tables(evaluation: Evaluation, folder: Path, formats: Iterable[Format], *, published: bool) -> list[Path]:
-    """Write every table that has a row in each of the formats, Parquet aside; returns the paths.
-
-    Raises:
-        OSError: the folder or a file cannot be written.
-    """
-    folder.mkdir(parents=True, exist_ok=True)
-    paths = []
-    for table in tables(evaluation, published=published):
-        for wanted in formats:
-            if wanted in WRITERS:
-                paths.append(folder / f"{table.key}.{wanted.value}")
-                content = WRITERS[wanted](table).encode("utf-8", "backslashreplace")
-                paths[-1].write_bytes(content)
-    return paths
+def text_tables(evaluation: Evaluation, formats: Iterable[Format], *, published: bool) -> dict[str, bytes]:
+    """Every table that has a row in each of the formats, Parquet aside, by the name of its file."""
+    return {
+        f"{table.key}.{wanted.value}": WRITERS[wanted](table).encode("utf-8", "backslashreplace")
+        for table in tables(evaluation, published=published)
+        for wanted in formats
+        if wanted in WRITERS
+    }
 
 
 def tables(evaluation: Evaluation, *, published: bool) -> Iterator[TextTable]:

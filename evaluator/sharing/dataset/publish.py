@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import os
-import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from evaluator.report.parquet import METRICS, RUNS, polars, write_parquet
+from evaluator.report.parquet import METRICS, RUNS, parquet_tables, polars
 from evaluator.results import Evaluation
 from evaluator.sharing.dataset.card import CARD, KEYWORDS, card
 from evaluator.sharing.dataset.checksums import CHECKSUMS, write_sums
@@ -38,8 +36,8 @@ from evaluator.sharing.dataset.manifest import (
 )
 from evaluator.sharing.dataset.names import collisions, why_not
 from evaluator.sharing.dataset.personal import Personal, personal
-from schemas import PARTIAL
 from schemas.errors import GsbError, NothingComparable, UsageError
+from schemas.writing import write_files
 
 DESCRIBING = (CARD, CITATION, METRICS, RUNS)
 """Files that a card is made of, beside the manifest and the checksums."""
@@ -96,7 +94,8 @@ def publish(folder: Path, publication: Publication, *, sample_time: float, updat
     told = {name: some for name in names if (some := personal(folder / name))}
     manifest, texts = _texts(publication, looked_at, evaluation, sums)
     _check_edits(folder, before, texts)
-    written = [name for name, data in texts.items() if _put(folder / name, data)]
+    written = [name for name, data in texts.items() if not _is_there(folder / name, data)]
+    write_files({folder / name: texts[name] for name in written})
     return Published(manifest, looked_at, evaluation, told, tuple(written))
 
 
@@ -158,7 +157,7 @@ def _texts(
     texts = {
         CARD: card(publication, looked_at, evaluation, size, hashes).encode(),
         CITATION: citation(publication, abstract, hashes, KEYWORDS).encode(),
-        **_tables(evaluation),
+        **parquet_tables(evaluation),
     }
     manifest = Manifest(
         title=publication.title,
@@ -175,14 +174,9 @@ def _texts(
     return manifest, texts
 
 
-def _tables(evaluation: Evaluation) -> dict[str, bytes]:
-    with tempfile.TemporaryDirectory(prefix="gpusimbench-") as folder:
-        return {path.name: path.read_bytes() for path in write_parquet(evaluation, Path(folder))}
-
-
 def table_sums(evaluation: Evaluation) -> dict[str, Sum]:
     """Sizes and digests of the tables as this version of everything writes them."""
-    return {name: sum_of_bytes(data) for name, data in _tables(evaluation).items()}
+    return {name: sum_of_bytes(data) for name, data in parquet_tables(evaluation).items()}
 
 
 def _entries(looked_at: Sequence[LookedAt], evaluation: Evaluation, sums: Mapping[str, Sum]) -> tuple[FileEntry, ...]:
@@ -207,22 +201,12 @@ def entries_of(looked_at: Sequence[LookedAt], evaluation: Evaluation) -> dict[st
     }
 
 
-def _put(path: Path, data: bytes) -> bool:
-    """Write a file, whole or not at all; False where it is there with these bytes."""
-    partial = path.with_name(f".{path.name}.{os.getpid()}{PARTIAL}")
+def _is_there(path: Path, data: bytes) -> bool:
+    """Whether a file has these bytes."""
     try:
-        if path.exists() and path.read_bytes() == data:
-            return False
-        with partial.open("wb") as stream:
-            stream.write(data)
-            stream.flush()
-            os.fsync(stream.fileno())
-        partial.replace(path)
+        return path.exists() and path.read_bytes() == data
     except OSError as error:
-        raise GsbError(f"cannot write {path}: {error.strerror}") from None
-    finally:
-        partial.unlink(missing_ok=True)
-    return True
+        raise GsbError(f"cannot read {path}: {error.strerror}") from None
 
 
 def _named(names: Sequence[str]) -> str:

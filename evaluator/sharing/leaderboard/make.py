@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -17,9 +16,10 @@ from evaluator.sharing.leaderboard.page import render
 from evaluator.sharing.leaderboard.reproduction import replays_of
 from evaluator.sharing.leaderboard.standing import sections
 from evaluator.work import Work
-from schemas import PARTIAL, checks
-from schemas.errors import DamagedRecording, GsbError, UsageError
+from schemas import checks
+from schemas.errors import DamagedRecording, UsageError
 from schemas.location import Place
+from schemas.writing import write_files
 
 PAGE, JSON, CSV = "index.html", "leaderboard.json", "leaderboard.csv"
 
@@ -34,8 +34,7 @@ def make_leaderboard(places: Sequence[Place], folder: Path, *, title: str, sampl
     made = board(gather(found, sample_time, work), title=title, sample_time=sample_time, work=work)
     if work.store is not None:
         work.store.prune()
-    for name, text in ((PAGE, render(made)), (CSV, dump_csv(made)), (JSON, dump_json(made))):
-        _put(folder / name, text)
+    write_files({folder / PAGE: render(made), folder / CSV: dump_csv(made), folder / JSON: dump_json(made)})
     return made
 
 
@@ -70,15 +69,3 @@ def _is_ours(path: Path) -> bool:
         return checks.load(path.name, path.read_bytes()).get("kind") == KIND
     except (OSError, DamagedRecording):
         return False
-
-
-def _put(path: Path, text: str) -> None:
-    partial = path.with_name(f".{path.name}.{os.getpid()}{PARTIAL}")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        partial.write_bytes(text.encode("utf-8", "backslashreplace"))
-        partial.replace(path)
-    except OSError as error:
-        raise GsbError(f"cannot write {path}: {error.strerror}") from None
-    finally:
-        partial.unlink(missing_ok=True)

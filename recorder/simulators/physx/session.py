@@ -13,6 +13,7 @@ from recorder.scenes.emit.usd import env_path
 from recorder.simulators.physx import libraries
 from recorder.simulators.physx.log import NativeLog
 from schemas.errors import GsbError
+from schemas.writing import write_pieces
 
 _ORDINAL = 1  # of the one version of the stage that there is
 _NO_TURN = (0.0, 0.0, 0.0, 1.0)
@@ -50,7 +51,7 @@ class Session:
         self._stage = ovstage.Stage("recorder")
         with tempfile.TemporaryDirectory(prefix="gsb-usd-") as folder:
             path = Path(folder) / "scene.usda"
-            path.write_text(usd, encoding="utf-8")
+            write_pieces(path, [usd.encode()])
             domains = ovstage.PopulationDomain.ALL
             ovstage.population.open_usd(self._stage, str(path), ordinal=_ORDINAL, domains=domains)
         self._stage.advance_write_floor(ordinal=_ORDINAL).wait()
