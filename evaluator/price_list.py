@@ -172,7 +172,7 @@ def _changed(own: Mapping[str, Any], others: Mapping[str, Any]) -> dict[str, str
 
 
 def _foreign(result: GroupResult, base: GroupResult) -> list[str]:
-    """Options and environment variables that differ and are no part of the level: no switch that differs repeats them."""
+    """Options and environment variables that differ and are no part of the level: no differing switch repeats them."""
     own, others = _switches(result), _switches(base)
     said, named = _words(own, others), _changed(own, others)
     options = _changed(json.loads(result.group.key.options), json.loads(base.group.key.options))

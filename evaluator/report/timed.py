@@ -136,6 +136,29 @@ def _incomparable(rows: Sequence[tuple[str, TimedWork]]) -> list[str]:
     return [f"NOT comparable by throughput: the rows were timed over other steps of the scene: {told}"]
 
 
+def of_sides(base: TimedWork, head: TimedWork) -> list[str]:
+    """What stands against comparing the throughputs of two groups, a sentence each."""
+    if not (base.windows and head.windows):
+        return []
+    sides = (("base", base), ("head", head))
+    lines = []
+    if base.windows != head.windows:
+        lines.append(
+            f"throughput is NOT comparable: base was timed over {base.said} of the scene, head over {head.said}"
+        )
+    if short := [f"{name} ({seconds(work)} s)".replace(f" {_SHORT} s", " s") for name, work in sides if work.short]:
+        lines.append(f"timed for less than {SHORT_S:g} s, which is too short to rely on: {', '.join(short)}")
+    if base.settings != head.settings:
+        lines.append(f"{', '.join(SETTINGS)} of the solver differ: {settings(base)} in base, {settings(head)} in head")
+    if base.unmet.findings.keys() != head.unmet.findings.keys():
+        lines.append(f"rules of protocol-1 that are not met: {_rules(base)} in base, {_rules(head)} in head")
+    return lines
+
+
+def _rules(work: TimedWork) -> str:
+    return ", ".join(work.unmet.findings) or "none"
+
+
 def timed_record(work: TimedWork) -> dict[str, Any]:
     """The same for JSON."""
     return {

@@ -162,7 +162,7 @@ def _fastest(results: Sequence[GroupResult]) -> Iterator[Fastest]:
             second,
             tuple((s, faults[s.result.label]) for s in wrong if s.fps > first.fps),
             tuple((r.label, r.timed.said) for r, window in zip(found, windows, strict=True) if window != usual),
-            tuple(timed.remarks((first.result, second.result))),
+            tuple(line for line in timed.remarks((first.result, second.result)) if line != timed.LEGEND),
         )
 
 
