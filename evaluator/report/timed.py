@@ -43,7 +43,8 @@ def seconds(work: TimedWork) -> str:
 
 def settings(work: TimedWork) -> str:
     """Cone, iterations and tolerance in force, a dash for what the engine does not state."""
-    return ", ".join(work.settings.get(name) or NONE for name in SETTINGS)
+    told = [work.settings.get(name) or NONE for name in SETTINGS]
+    return NONE if set(told) == {NONE} else ", ".join(told)
 
 
 def unmet(work: TimedWork) -> str:
