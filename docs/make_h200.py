@@ -5,13 +5,16 @@ usage: python docs/make_h200.py
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 from evaluator.evaluate import evaluate_files
 from evaluator.price_list import DEFAULT, price_list
+from evaluator.report import timed
 from evaluator.report.numbers import distance
+from evaluator.report.price_table import of_family, ratio
 from evaluator.results import Evaluation, GroupResult
-from evaluator.sweeps import Sweep
+from evaluator.sweeps import Sweep, SweepPoint
 
 ROOT = Path(__file__).resolve().parent.parent
 FOLDER = ROOT / "recordings" / "h200"
@@ -62,15 +65,15 @@ def _outcome(result: GroupResult) -> str:
 def verdicts(evaluation: Evaluation) -> str:
     """Who repeats itself, and what each level of determinism costs, as a Markdown table."""
     results = [r for r in evaluation.results if r.group.key.scene == _SCENE]
-    prices = {p.result.label: p.speed.ratio for family in price_list(results) for p in family.prices}
-    lines = [
-        "| simulator | determinism | distinct envs | envs differ from step | distinct runs | type | W1 envs [cm] "
-        "| W1 runs [cm] | env-steps/s | of default | what else |",
-        "| --- | --- | --- | --- | --- | --- | --- | --- | --- | --- | --- |",
-    ]
+    prices = _prices(results)
+    columns = timed.columns(r.timed for r in results)
+    titles = [
+        "simulator", "determinism", "distinct envs", "envs differ from step", "distinct runs", "type", "W1 envs [cm]",
+        "W1 runs [cm]", "env-steps/s", *(column.title for column in columns), "of default", "what else",
+    ]  # fmt: skip
+    lines = [f"| {' | '.join(titles)} |", f"|{' --- |' * len(titles)}"]
     for result in sorted(results, key=lambda r: (_who(r), r.group.key.determinism != DEFAULT)):
         fps, first = result.metrics["fps"].value, result.metrics["distinct_envs"].extra.get("first_difference_step")
-        ratio = 1.0 if result.group.key.determinism == DEFAULT else prices.get(result.label)
         cells = [
             f"{_who(result)} {result.group.key.version}".strip(),
             result.group.key.determinism,
@@ -81,45 +84,53 @@ def verdicts(evaluation: Evaluation) -> str:
             _value(result, "w1_parallel"),
             _value(result, "w1_run_to_run"),
             _NONE if fps is None else f"{fps:,.0f}",
-            _NONE if fps is None or ratio is None else f"{ratio:.2f}",
+            *timed.cells(columns, result.timed),
+            prices.get(result.label, _NONE),
             _outcome(result),
         ]
         lines.append(f"| {' | '.join(cells)} |")
-    return "\n".join(lines)
+    remarks = timed.remarks(sorted(results, key=_who), named=lambda r: f"{_who(r)} ({r.group.key.determinism})")
+    return "\n".join([*lines, "", *(f"* {line}" for line in remarks)])
+
+
+def _prices(results: Sequence[GroupResult]) -> dict[str, str]:
+    """Throughput over that of the default, by label, of groups with such a price and of the defaults themselves."""
+    found: dict[str, str] = {}
+    for family in price_list(results):
+        if family.base is not None:
+            found[family.base.label] = "1"
+        found |= {price.result.label: ratio(price.speed) for price in family.prices}
+    return found
 
 
 def switches(evaluation: Evaluation) -> str:
     """What levels of determinism change and cost, where several were recorded, as a Markdown table."""
     results = [r for r in evaluation.results if r.group.key.scene == _SCENE]
-    levels: dict[str, dict[str, GroupResult]] = {}
-    for result in results:
-        levels.setdefault(_who(result), {})[result.group.key.determinism] = result
+    prices = _prices(results)
     lines = [
-        "| simulator | determinism | distinct envs | distinct runs | type | time of a step, times default |",
-        "| --- | --- | --- | --- | --- | --- |",
+        "| simulator | determinism | distinct envs | distinct runs | type | throughput, times default | timed steps "
+        "| seconds timed |",
+        "| --- | --- | --- | --- | --- | --- | --- | --- |",
     ]
-    for who, found in sorted(levels.items()):
-        base = found["default"].metrics["fps"].value if "default" in found else None
-        for level, result in sorted(found.items(), key=lambda item: (item[0] != "default", item[0])):
-            if len(found) == 1:
-                continue
-            fps, kind = result.metrics["fps"].value, result.metrics["regime_published"].value
+    for family in price_list(results):
+        for result in of_family(family):
+            kind = result.metrics["regime_published"].value
             cells = [
-                who,
-                level,
+                _who(result),
+                result.group.key.determinism,
                 _of(result, "distinct_envs"),
                 _of(result, "distinct_runs"),
                 _outcome(result) if kind is None else f"{kind:.0f}",
-                _NONE if fps is None or not base else f"{base / fps:.2f}",
+                prices[result.label],
+                timed.steps(result.timed),
+                timed.seconds(result.timed),
             ]
             lines.append(f"| {' | '.join(cells)} |")
     return "\n".join(lines)
 
 
-def _best(sweep: Sweep) -> str:
-    found = [(p.result.metrics["fps"].value or 0.0, p.n_env) for p in sweep.points]
-    fps, n_env = max(found)
-    return f"{fps:,.0f} at {n_env:,}"
+def _best(sweep: Sweep) -> SweepPoint:
+    return max(sweep.points, key=lambda point: (point.result.metrics["fps"].value or 0.0, point.n_env))
 
 
 def _memory(sweep: Sweep) -> str:
@@ -132,18 +143,23 @@ def _memory(sweep: Sweep) -> str:
 
 def sweeps(evaluation: Evaluation) -> str:
     """How far each goes, as a Markdown table."""
-    lines = [
-        "| scene | simulator | N_env^max | why no further | most env-steps/s | device memory |",
-        "| --- | --- | --- | --- | --- | --- |",
-    ]
+    columns = timed.ALL
+    titles = [
+        "scene", "simulator", "N_env^max", "why no further", "most env-steps/s",
+        *(column.title for column in columns), "device memory",
+    ]  # fmt: skip
+    lines = [f"| {' | '.join(titles)} |", f"|{' --- |' * len(titles)}"]
     for sweep in sorted(evaluation.sweeps, key=lambda s: (s.key.scene, s.label)):
         n_max = _NONE if sweep.n_max is None else f"{sweep.n_max:,}"
         ends = sweep.ends.partition(": RuntimeError")[0]
-        lines.append(
-            f"| {sweep.key.scene} | {sweep.label} {sweep.key.version} | {n_max} | {ends} | {_best(sweep)} "
-            f"| {_memory(sweep)} |"
-        )
-    return "\n".join(lines)
+        best = _best(sweep)
+        cells = [
+            sweep.key.scene, f"{sweep.label} {sweep.key.version}", n_max, ends,
+            f"{best.result.metrics['fps'].value or 0.0:,.0f} at {best.n_env:,}",
+            *timed.cells(columns, best.result.timed), _memory(sweep),
+        ]  # fmt: skip
+        lines.append(f"| {' | '.join(cells)} |")
+    return "\n".join([*lines, "", f"* {timed.LEGEND}"])
 
 
 def with_block(page: str, name: str, shown: str) -> str:

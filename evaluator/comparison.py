@@ -11,8 +11,9 @@ from evaluator.groups import GroupKey, is_instrument, labels, options_given, set
 from evaluator.metrics.guidelines import Guideline, guidelines
 from evaluator.metrics.radar import Axis, Radar, SimulatorResult, radar
 from evaluator.results import GroupResult, Metric, Reference
-from evaluator.soundness import faults
+from evaluator.soundness import faults_anywhere
 from evaluator.sweeps import Sweep, swept_only
+from evaluator.timed_work import most_common, window_key
 
 AXIS_METRICS = {
     Axis.THROUGHPUT: "fps",
@@ -38,6 +39,7 @@ class Contender:
     figures  that enter radar and guidelines
     why_not  by axis, where a figure is missing
     metrics  by axis, where a figure is of a metric
+    speed    whose throughput is compared; None where none is
     """
 
     group: GroupResult | None
@@ -46,6 +48,7 @@ class Contender:
     figures: SimulatorResult
     why_not: dict[Axis, str]
     metrics: Mapping[Axis, Metric] = field(default_factory=dict)
+    speed: GroupResult | None = None
 
 
 @dataclass(frozen=True)
@@ -80,13 +83,15 @@ class _Parts:
 def compare(results: Sequence[GroupResult], sweeps: Sequence[Sweep], reference: Reference | None) -> Comparison:
     """Radar and guidelines.
 
-    Speed and distances on another device or scene, at another number of environments, step or protocol mean something
-    else. Of the conditions that at least two simulators share, the one with the most groups is compared; of several,
-    the one with the most distances, then the first. The same for sweeps, of scenes without a robot and with one. Where
-    sweeps are shared, throughput and memory are those at each simulator's own N_env^max, as the published definition
-    has it; a sweep that ended below the largest number tried, though nothing failed, says nothing of its simulator's.
-    Settings of one simulator are no choice between simulators, and what says of itself that it is an instrument is not
-    ranked at all.
+    Speed and distances on another device or scene, at another number of environments or step mean something else. Of
+    the conditions that at least two simulators share, the one with the most groups is compared; of several, the one
+    with the most distances, then the first. The same for sweeps, of scenes without a robot and with one, which have to
+    share the timed steps as well. Where sweeps are shared, throughput and memory are those at each simulator's own
+    N_env^max, as the published definition has it; a sweep that ended below the largest number tried, though nothing
+    failed, says nothing of its simulator's. Without sweeps, throughput is compared among the groups that were timed
+    over the steps that most were timed over; distances do not depend on what was timed. Settings of one simulator are
+    no choice between simulators, and what says of itself that it is an instrument is not ranked at all. A simulator
+    whose runs are INVALID or break mechanics in any scene earns no pick.
     """
     aside = dict.fromkeys(r.group.key.simulator for r in results if is_instrument(r.group.key))
     results = [r for r in results if not is_instrument(r.group.key)]
@@ -94,13 +99,13 @@ def compare(results: Sequence[GroupResult], sweeps: Sequence[Sweep], reference: 
     notes = [f"radar and guidelines leave out instruments: {', '.join(aside)}"] if aside and results else []
 
     ended = [s for s in sweeps if s.n_max is not None]
-    simple = _as_far(_shared([s for s in ended if not s.articulated], lambda s: s.key))
-    robots = _as_far(_shared([s for s in ended if s.articulated], lambda s: s.key))
+    simple = _as_far(_shared([s for s in ended if not s.articulated], lambda s: s.key, _timed_alike))
+    robots = _as_far(_shared([s for s in ended if s.articulated], lambda s: s.key, _timed_alike))
     swept = {p.result.label for s in (*simple, *robots) for p in s.points}
     complete = [r for r in results if r.group.complete]
     # points of a sweep that captured no states would be compared twice
     apart = [r for r in complete if r.label not in swept or r.group.captured]
-    groups = _shared(apart, lambda r: r.group.key, _distances)
+    groups = _shared(apart, lambda r: r.group.key, _conditions, _distances)
 
     found = [_Parts(group=r) for r in groups]
     for sweep in simple:
@@ -110,8 +115,9 @@ def compare(results: Sequence[GroupResult], sweeps: Sequence[Sweep], reference: 
     if len({parts.key.simulator for parts in found}) < 2:
         return Comparison(notes=tuple(notes))
     given = options_given(r for result in results for r in result.group.recordings)
+    others_windows = {} if simple else _timed_otherwise(groups)
     contenders = tuple(
-        _contender(parts, name, reference, at_max=bool(simple))
+        _contender(parts, name, reference, results, others_windows, at_max=bool(simple))
         for parts, name in zip(found, _names(found, given), strict=True)
     )
     figures = [c.figures for c in contenders]
@@ -122,11 +128,16 @@ def compare(results: Sequence[GroupResult], sweeps: Sequence[Sweep], reference: 
     return Comparison(contenders, radar(figures), tuple(guidelines(figures)), tuple(notes))
 
 
-def _shared(items: Sequence[_T], key: Callable[[_T], GroupKey], merit: Callable[[_T], int] = lambda _: 0) -> list[_T]:
+def _shared(
+    items: Sequence[_T],
+    key: Callable[[_T], GroupKey],
+    conditions: Callable[[GroupKey], Hashable],
+    merit: Callable[[_T], int] = lambda _: 0,
+) -> list[_T]:
     """Those of the condition that most of them share, if at least two simulators do; of several, the one of merit."""
     alike: dict[Hashable, list[_T]] = {}
     for item in items:
-        alike.setdefault(_conditions(key(item)), []).append(item)
+        alike.setdefault(conditions(key(item)), []).append(item)
     shared = [found for found in alike.values() if len({key(item).simulator for item in found}) > 1]
     return max(shared, key=lambda found: (len(found), sum(map(merit, found))), default=[])
 
@@ -155,7 +166,25 @@ def _left_out(results: Sequence[GroupResult], sweeps: Sequence[Sweep], used: set
 
 
 def _conditions(key: GroupKey) -> Hashable:
-    return (key.device, key.scene, key.scene_hash, key.n_env, key.dt, key.warmup, key.timed_steps)
+    return (key.device, key.scene, key.scene_hash, key.n_env, key.dt)
+
+
+def _timed_alike(key: GroupKey) -> Hashable:
+    return (_conditions(key), key.warmup, key.timed_steps)
+
+
+def _timed_otherwise(groups: Sequence[GroupResult]) -> dict[str, str]:
+    """By label, why the throughput of a group is not compared: it was timed over other steps than most."""
+    timed = {r.label: window_key(r.group.key, r.timed) for r in groups if r.timed.windows}
+    if not timed:
+        return {}
+    usual = most_common(list(timed.values()))
+    over = next(r.timed for r in groups if timed.get(r.label) == usual).said
+    return {
+        r.label: f"timed over {r.timed.said} of the scene, and others over {over}"
+        for r in groups
+        if timed.get(r.label, usual) != usual
+    }
 
 
 def _swept_settings(sweep: Sweep) -> GroupKey:
@@ -177,7 +206,15 @@ def _names(found: Sequence[_Parts], given: set[str]) -> list[str]:
     return labels([parts.key for parts in found], given)
 
 
-def _contender(parts: _Parts, name: str, reference: Reference | None, *, at_max: bool) -> Contender:
+def _contender(
+    parts: _Parts,
+    name: str,
+    reference: Reference | None,
+    results: Sequence[GroupResult],
+    timed_otherwise: Mapping[str, str],
+    *,
+    at_max: bool,
+) -> Contender:
     speed = parts.sweep.at_max if parts.sweep else None if at_max else parts.group
     why_not: dict[Axis, str] = {}
     metrics: dict[Axis, Metric] = {}
@@ -185,6 +222,9 @@ def _contender(parts: _Parts, name: str, reference: Reference | None, *, at_max:
     def value(axis: Axis, result: GroupResult | None) -> float | None:
         if result is None:
             why_not[axis] = _NO_SWEEP if axis not in _DISTANCES else "no group of it ran under the shared conditions"
+            return None
+        if axis is Axis.THROUGHPUT and result.label in timed_otherwise:
+            why_not[axis] = timed_otherwise[result.label]
             return None
         metric: Metric = result.metrics[AXIS_METRICS[axis]]
         if axis is Axis.EMD_TO_REAL and metric.value is not None and not (reference and reference.measured):
@@ -200,9 +240,10 @@ def _contender(parts: _Parts, name: str, reference: Reference | None, *, at_max:
     n_max = parts.sweep.n_max if parts.sweep else None
     if n_max is None:
         why_not[Axis.PARALLELISM] = _NO_SWEEP
+    fps = value(Axis.THROUGHPUT, speed)
     figures = SimulatorResult(
         name=name,
-        fps=value(Axis.THROUGHPUT, speed),
+        fps=fps,
         n_max=n_max,
         memory_gb=value(Axis.MEMORY, speed),
         w1_real=value(Axis.EMD_TO_REAL, parts.group),
@@ -210,16 +251,18 @@ def _contender(parts: _Parts, name: str, reference: Reference | None, *, at_max:
         run_to_run=value(Axis.RUN_TO_RUN, parts.group),
         fps_articulated=robot.metrics["fps"].value if robot else None,
         n_max_articulated=parts.robot.n_max if parts.robot else None,
-        barred=_barred(parts.group, parts.sweep.at_max if parts.sweep else None),
-        barred_articulated=_barred(robot),
+        barred=_barred(results, parts.group, parts.sweep.at_max if parts.sweep else None, robot),
+        barred_articulated=_barred(results, robot),
+        why_no_fps=why_not.get(Axis.THROUGHPUT, ""),
     )
-    return Contender(parts.group, parts.sweep, parts.robot, figures, why_not, metrics)
+    timed = speed if fps is not None else None
+    return Contender(parts.group, parts.sweep, parts.robot, figures, why_not, metrics, timed)
 
 
-def _barred(*found: GroupResult | None) -> str:
-    """Why what these show earns no pick."""
-    said = [f"{wrong} ({r.group.key.scene})" for r in found if r is not None and (wrong := faults(r))]
-    return "; ".join(said)
+def _barred(results: Sequence[GroupResult], *found: GroupResult | None) -> str:
+    """Why what these show, or the same engine in any scene, earns no pick."""
+    said = [wrong for r in found if r is not None for wrong in faults_anywhere(r, results)]
+    return "; ".join(dict.fromkeys(said))
 
 
 def _never() -> Sweep:

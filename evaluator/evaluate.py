@@ -18,11 +18,13 @@ from evaluator.density_maps import reference_density, shared_map, with_cloud
 from evaluator.fidelity import fidelity
 from evaluator.groups import Group, group, labels, options_given, status_notes
 from evaluator.price_list import price_list
+from evaluator.protocol import RULE_SET, Protocol, Unmet
 from evaluator.reading import Read, Reader, Unreadable
 from evaluator.results import Evaluation, GroupResult, Metric, Reference, RunSpread
 from evaluator.run_data import RunData
 from evaluator.summary import Summary
 from evaluator.sweeps import find_sweeps
+from evaluator.timed_work import timed_work
 from evaluator.validity import validity_of
 from evaluator.work import HERE, Work
 from schemas.errors import DamagedRecording
@@ -76,8 +78,13 @@ def evaluate(
     if len({g.key.dt for g in groups}) > 1:
         notes.append("the recordings differ in dt, which changes the outcome: each dt is a group of its own")
     names = labels([g.key for g in groups], options_given(readable))
+    protocol = Protocol(readable)
+    if protocol.whole.count:
+        notes.append(
+            f"the recordings break rules of {RULE_SET} {protocol.whole.count} times: gsb-check --protocol names them"
+        )
     found = [
-        _evaluate_group(g, label, data, target, why_not, sample_time, work)
+        _evaluate_group(g, label, data, protocol.of(g.recordings), target, why_not, sample_time, work)
         for g, label in zip(groups, names, strict=True)
     ]
     notes += _identical_groups(found)
@@ -101,6 +108,7 @@ def evaluate(
         maps=maps,
         notes=(*notes, *comparison.notes),
         price_list=price_list(results),
+        unmet=protocol.whole,
     )
 
 
@@ -156,6 +164,7 @@ def _evaluate_group(
     group: Group[Summary],
     label: str,
     data: Mapping[str, RunData],
+    unmet: Unmet,
     reference: Reference | None,
     no_reference: str,
     sample_time: float,
@@ -199,6 +208,7 @@ def _evaluate_group(
         fidelity=fidelity(label, [run.physics for run in runs]),
         notes=tuple(_notes(group, runs, reference, sample_time)),
         spreads=tuple(RunSpread(r.recording.configuration.run_index, r.spread, r.no_spread) for r in runs),
+        timed=timed_work(group.key, runs, unmet),
     )
     result = replace(result, notes=(*result.notes, *_warnings(result)))
     return _Found(result, runs, planar)

@@ -45,12 +45,13 @@ class Array:
 
 @dataclass(frozen=True)
 class Rate:
-    """Steps of all environments in a time: env_steps_per_s = n_env * steps / seconds."""
+    """Steps of all environments in a time: env_steps_per_s = n_env * steps / seconds; `first_step` were made before."""
 
     n_env: int
     steps: int
     seconds: float
     env_steps_per_s: float
+    first_step: int = 0
 
 
 @dataclass(frozen=True)
@@ -223,7 +224,7 @@ def _timed(recording: Recording) -> tuple[Rate | None, str]:
     if timing.steps_per_interval < 1 or len(timing.start_ns) != -(-c.timed_steps // timing.steps_per_interval):
         return None, f"its clocks are not those of {c.timed_steps} steps"
     fps = frames_per_second(c.n_env, c.timed_steps, timing.elapsed_s)
-    return Rate(c.n_env, c.timed_steps, timing.elapsed_s, fps), ""
+    return Rate(c.n_env, c.timed_steps, timing.elapsed_s, fps, timing.first_step), ""
 
 
 def _captured(recording: Recording, phases: dict[str, float]) -> tuple[Rate | None, str]:

@@ -11,6 +11,7 @@ from evaluator.results import GroupResult, Metric
 from evaluator.soundness import Faults, faults
 from evaluator.summary import Summary
 from evaluator.sweeps import Failure, Sweep
+from evaluator.timed_work import TimedWork
 
 CAPABILITY_SCENES = ("free-fall", "franka")
 VARIABILITY_SCENE = "inclined-collision"
@@ -40,6 +41,7 @@ class AtMax:
     ends      the same in the words of the runs that did not complete
     faults    of the runs at N_env^max
     contacts  mean per environment and step there; None where nothing was counted
+    timed     what the throughput there was measured over; None where no run is complete
     """
 
     sweep: Sweep
@@ -50,6 +52,7 @@ class AtMax:
     ends: str
     faults: Faults
     contacts: float | None
+    timed: TimedWork | None = None
 
 
 @dataclass(frozen=True)
@@ -118,6 +121,7 @@ def _at_max(sweep: Sweep) -> AtMax:
         sweep.ends,
         faults(result),
         counted.mean if counted else None,
+        result.timed,
     )
 
 

@@ -11,9 +11,11 @@ from numpy.typing import NDArray
 from evaluator.fidelity import Fidelity
 from evaluator.groups import Group
 from evaluator.metrics.density import Density, HexGrid
+from evaluator.protocol import Unmet
 from evaluator.reading import Unreadable
 from evaluator.spread import Spread
 from evaluator.summary import Summary
+from evaluator.timed_work import TimedWork
 from evaluator.validity import Validity
 from schemas.location import Place
 
@@ -103,6 +105,7 @@ class GroupResult:
     fidelity         whether the states keep to mechanics
     notes            sentences that a reader must see beside the numbers
     spreads          of the complete runs
+    timed            what its throughput was measured over
     """
 
     group: Group[Summary]
@@ -115,6 +118,7 @@ class GroupResult:
     fidelity: Fidelity
     notes: tuple[str, ...]
     spreads: tuple[RunSpread, ...] = ()
+    timed: TimedWork = TimedWork()
 
 
 @dataclass(frozen=True)
@@ -166,6 +170,7 @@ class Evaluation:
     comparison   of simulators: radar and guidelines
     maps         by scene; none for a scene whose positions were not recorded or lie too far apart
     price_list   what levels of determinism cost
+    unmet        rules of the benchmark's protocol that the recordings do not meet
     notes        about the set as a whole
     """
 
@@ -180,3 +185,4 @@ class Evaluation:
     maps: dict[str, Map]
     notes: tuple[str, ...] = ()
     price_list: tuple[Family, ...] = ()
+    unmet: Unmet = Unmet()

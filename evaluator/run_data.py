@@ -48,6 +48,7 @@ class RunData:
                 and `no_left` says why
     physics     how far the states keep to mechanics
     sunk        cubes that went through the floor; None where it cannot be said, and `no_sunk` says why
+    timed_from  steps of the scene that were made before the first timed one; None where no step was timed
     """
 
     recording: Summary
@@ -71,6 +72,7 @@ class RunData:
     sunk: Sunk | None
     no_sunk: str
     physics: PhysicsFacts
+    timed_from: int | None = None
 
 
 def read_run(recording: Recording, summary: Summary, sample_time: float) -> RunData:
@@ -110,6 +112,7 @@ def read_run(recording: Recording, summary: Summary, sample_time: float) -> RunD
             sunk=sank,
             no_sunk=no_sunk,
             physics=physics_of(recording, (sank, no_sunk)),
+            timed_from=timed.first_step if timed else None,
         )
     except (ValueError, OverflowError, MemoryError) as error:
         raise DamagedRecording(f"{recording.path}: {str(error) or type(error).__name__}") from None

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from evaluator.fidelity import Verdict
-from evaluator.groups import settings_asked, shown_status
+from evaluator.groups import GroupKey, settings_asked, shown_status
 from evaluator.physics.facts import Check
 from evaluator.results import GroupResult
 
@@ -36,11 +36,19 @@ def faults(result: GroupResult) -> Faults:
     return Faults(_invalid(result), _sunk(result), _broken(result))
 
 
-def faults_in_other_scenes(result: GroupResult, results: Sequence[GroupResult]) -> tuple[str, ...]:
-    """What the same settings show against them in other scenes, each with the scene."""
-    key, scene = settings_asked(result.group.recordings), result.group.key.scene
-    others = [r for r in results if r.group.key.scene != scene and settings_asked(r.group.recordings) == key]
-    return tuple(dict.fromkeys(f"{r.group.key.scene}: {wrong}" for r in others if (wrong := faults(r))))
+def faults_anywhere(result: GroupResult, results: Sequence[GroupResult]) -> tuple[str, ...]:
+    """What a group and all others of its engine show against it, in any scene, each with the scene.
+
+    An engine is a simulator of one version on one device, with the options and the level that were asked for.
+    """
+    engine = _engine(result)
+    ours = [result, *(r for r in results if r is not result and _engine(r) == engine)]
+    return tuple(dict.fromkeys(f"{wrong} ({r.group.key.scene})" for r in ours if (wrong := faults(r))))
+
+
+def _engine(result: GroupResult) -> GroupKey:
+    # packages, driver and variables may differ a little between scenes: what is wrong with one is held against all
+    return replace(settings_asked(result.group.recordings), conditions="", switches="")
 
 
 def _invalid(result: GroupResult) -> str:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from evaluator.metrics.board import Board
+from evaluator.protocol import unmet_by_file
 from evaluator.recording import Recording
 from evaluator.scene import board_of
 from evaluator.step_evidence import ActionStream, Overflows, StepCounts
@@ -66,6 +67,7 @@ class Summary:
     overflows       by phase; a phase that tells nothing is left out
     action_streams  what each phase applied, by phase
     board           of the scene; None without one, and where its description cannot be read
+    unmet           rules of the benchmark's protocol that the file breaks by itself
     """
 
     path: Place
@@ -81,6 +83,7 @@ class Summary:
     overflows: dict[str, OverflowSummary]
     action_streams: dict[str, ActionStream]
     board: Board | None
+    unmet: tuple[str, ...] = ()
 
     @property
     def configuration(self) -> RunConfiguration:
@@ -121,6 +124,7 @@ def summarise(recording: Recording) -> Summary:
         overflows={phase: _overflowed(overflows) for phase, overflows in recording.overflows.items()},
         action_streams=recording.action_streams,
         board=board,
+        unmet=unmet_by_file(recording),
     )
 
 

@@ -100,6 +100,8 @@ def write_recording(
     cause: str = "",
     elapsed_s: float | None = 1.0,
     timed_steps: int = 1000,
+    warmup: int = 0,
+    version: str = "1.0",
     gpu_bytes: tuple[int, int] | None = None,
     host_bytes: tuple[int, int] | None = None,
     allocator_peak: int | None = None,
@@ -107,6 +109,7 @@ def write_recording(
     shown: Shown = NOTHING,
     origins: tuple[tuple[float, float, float], ...] = (),
     options: dict[str, Any] | None = None,
+    in_force: dict[str, Any] | None = None,
     switches: dict[str, Any] | None = None,
     determinism: str = "default",
     built: bool = True,
@@ -130,6 +133,7 @@ def write_recording(
     elapsed_s  of the timed phase; None leaves it out
     gpu_bytes  baseline and peak on a GPU; None for a machine without
     host_bytes the same of the process
+    in_force   options that the engine had beside those that were asked for
     clocks     seconds of "build", "compile_timed", "compile_capture"
     built      False: the run ended before its simulator was there, and says nothing of it
     change     called with the name and content of each JSON attachment; may change it in place, or return other text
@@ -141,7 +145,7 @@ def write_recording(
     field = field or cubes_field(dtype)
     phases = tuple(name for name, there in (("timed", elapsed_s), ("capture", final is not None)) if there)
     configuration = RunConfiguration(
-        simulator=simulator, scene=scene, n_env=n_env, dt=dt, steps=steps, run_index=run, warmup=0,
+        simulator=simulator, scene=scene, n_env=n_env, dt=dt, steps=steps, run_index=run, warmup=warmup,
         timed_steps=timed_steps, phases=phases, stride=stride, determinism=determinism,
         options={name: str(value) for name, value in (options or {}).items()},
     )  # fmt: skip
@@ -159,7 +163,8 @@ def write_recording(
     )
     described = make_scene(scene)
     about = Description(
-        version="1.0", device="Test GPU" if gpu_bytes else "cpu", options=options or {}, switches=switches or {},
+        version=version, device="Test GPU" if gpu_bytes else "cpu", options={**(options or {}), **(in_force or {})},
+        switches=switches or {},
         deviations=(), fields=(field,), timing_covers="", env_origins=origins, buffers=shown.buffers,
         counters=shown.counters(), overflow_bits=shown.bits,
     )  # fmt: skip
@@ -186,7 +191,9 @@ def write_recording(
     for what, seconds in (clocks or {}).items():
         _write_timing(sink, what, seconds, 1)
     if elapsed_s:
-        _write_timing(sink, "timed", elapsed_s, timed_steps)
+        if warmup:
+            _write_timing(sink, "warmup", elapsed_s, warmup)
+        _write_timing(sink, "timed", elapsed_s, timed_steps, first_step=warmup)
     if gpu_bytes:
         _write_memory(sink, topics.gpu_memory(0, "device"), 2, gpu_bytes)
     if host_bytes:
@@ -211,10 +218,10 @@ def write_recording(
     return sink.finish(status, reason, last_step=steps if final is not None else 0, peak_rss_bytes=0, cause=cause)
 
 
-def _write_timing(sink: Sink, phase: str, seconds: float, steps: int) -> None:
+def _write_timing(sink: Sink, phase: str, seconds: float, steps: int, *, first_step: int = 0) -> None:
     sink.channel(topics.timing(phase), "gsb.v1.StepTiming")
     timing = message_class("gsb.v1.StepTiming")(
-        first_step=0, steps_per_interval=steps, start_ns=[0], end_ns=[round(seconds * 1e9)]
+        first_step=first_step, steps_per_interval=steps, start_ns=[0], end_ns=[round(seconds * 1e9)]
     )
     sink.write(topics.timing(phase), timing.SerializeToString())
 

@@ -41,6 +41,7 @@ class Guideline:
     disqualified  simulators that have the figures and do not qualify, with them
     barred        simulators that have the figures and earn no pick, each with the reason
     unmeasured    simulators that lack a figure
+    unranked      simulators that qualify as well, with a figure missing that would rank them, each with the reason
     """
 
     need: str
@@ -53,6 +54,7 @@ class Guideline:
     disqualified: tuple[str, ...] = ()
     barred: tuple[str, ...] = ()
     unmeasured: tuple[str, ...] = ()
+    unranked: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -60,6 +62,7 @@ class _Rule:
     """A rule as data.
 
     figures   fields of SimulatorResult that a candidate must have
+    ranks     a field that only ranks those that qualify; who lacks it qualifies unranked. May be empty
     narrow    candidates, all with these figures -> those that qualify
     score     candidate, all results -> key, highest is best
     """
@@ -69,6 +72,7 @@ class _Rule:
     figures: tuple[str, ...]
     narrow: Callable[[Results], list[SimulatorResult]]
     score: Callable[[SimulatorResult, Results], float]
+    ranks: str = ""
 
 
 def guidelines(results: Results) -> list[Guideline]:
@@ -100,11 +104,17 @@ def _apply(rule: _Rule, results: Results) -> Guideline:
     if not qualified:
         figures = "; ".join(_figures(rule, r) for r in sound)
         return _no_pick(rule, f"no simulator qualifies: {figures}", unmeasured, barred)
-    scores = {r.name: rule.score(r, results) for r in qualified}
-    ranked = sorted(qualified, key=lambda r: scores[r.name], reverse=True)
+    able = [r for r in qualified if not rule.ranks or getattr(r, rule.ranks) is not None]
+    unranked = tuple(f"{_figures(rule, r)}: {r.why_no_fps or 'not timed'}" for r in qualified if r not in able)
+    if not able:
+        return _no_pick(rule, "no simulator that qualifies can be ranked", unmeasured, barred, unranked)
+    scores = {r.name: rule.score(r, results) for r in able}
+    ranked = sorted(able, key=lambda r: scores[r.name], reverse=True)
     best = scores[ranked[0].name]
     ranking = tuple(_figures(rule, r, results) for r in ranked)
     evidence = list(ranking)
+    if unranked:
+        evidence.append("qualify too, not ranked: " + ", ".join(unranked))
     disqualified = tuple(_figures(rule, r) for r in sound if r not in qualified)
     if disqualified:
         evidence.append("do not qualify: " + ", ".join(disqualified))
@@ -115,11 +125,21 @@ def _apply(rule: _Rule, results: Results) -> Guideline:
     pick = ", ".join(r.name for r in ranked if scores[r.name] == best)
     runner_up = next((_figures(rule, r, results) for r in ranked if scores[r.name] != best), None)
     said = "; ".join(evidence)
-    return Guideline(rule.need, pick, rule.words, said, None, runner_up, ranking, disqualified, barred, unmeasured)
+    return Guideline(
+        rule.need, pick, rule.words, said, None, runner_up, ranking, disqualified, barred, unmeasured, unranked
+    )
 
 
-def _no_pick(rule: _Rule, reason: str, unmeasured: tuple[str, ...], barred: tuple[str, ...] = ()) -> Guideline:
-    return Guideline(rule.need, None, rule.words, None, reason, barred=barred, unmeasured=unmeasured)
+def _no_pick(
+    rule: _Rule,
+    reason: str,
+    unmeasured: tuple[str, ...],
+    barred: tuple[str, ...] = (),
+    unranked: tuple[str, ...] = (),
+) -> Guideline:
+    return Guideline(
+        rule.need, None, rule.words, None, reason, barred=barred, unmeasured=unmeasured, unranked=unranked
+    )  # fmt: skip
 
 
 def _bar(rule: _Rule, result: SimulatorResult) -> str:
@@ -135,7 +155,8 @@ def _shortened(names: Sequence[str]) -> str:
 
 def _figures(rule: _Rule, result: SimulatorResult, results: Results | None = None) -> str:
     """A simulator and its figures, e.g. "MJX (5340 FPS, N_env^max 512)"."""
-    texts = [_FIGURE_TEXT[f].format(getattr(result, f)) for f in rule.figures]
+    named = [*rule.figures, *([rule.ranks] if rule.ranks else [])]
+    texts = [_FIGURE_TEXT[f].format(value) for f in named if (value := getattr(result, f)) is not None]
     if rule.score is _radar_mean and results is not None:
         texts.insert(0, f"radar mean {_radar_mean(result, results):.3f}")
     return f"{result.name} ({', '.join(texts)})"
@@ -184,9 +205,10 @@ _RULES = (
     _Rule(
         "reproducible and fair comparison, repeated runs",
         "run-to-run 0.00 cm and parallel 0.00 cm, then the highest FPS",
-        ("run_to_run", "parallel", "fps"),
+        ("run_to_run", "parallel"),
         _all_zero("run_to_run", "parallel"),
         _highest("fps"),
+        "fps",
     ),
     _Rule(
         "sim-to-real, contact-rich, tuning over repeated runs",

@@ -37,6 +37,7 @@ class SimulatorResult:
     n_max_articulated largest sustained number of envs, articulated robot
     barred            why its figures of simple bodies earn no pick, in words; empty where nothing speaks against it
     barred_articulated  the same of its figures of an articulated robot
+    why_no_fps        why its throughput is missing or cannot be compared; empty where it is there
     """
 
     name: str
@@ -50,6 +51,7 @@ class SimulatorResult:
     n_max_articulated: int | None = None
     barred: str = ""
     barred_articulated: str = ""
+    why_no_fps: str = ""
 
     def __post_init__(self) -> None:
         for field, value in vars(self).items():

@@ -11,6 +11,7 @@ from evaluator.fidelity import Verdict
 from evaluator.metrics.divergence import FIT_LIMIT_M, first_reaching
 from evaluator.price_list import Cost, Family, Price
 from evaluator.remade import AtMax, Capability
+from evaluator.report.timed import timed_record
 from evaluator.results import GroupResult, Metric, RunSpread
 from evaluator.soundness import Faults, faults
 
@@ -60,6 +61,7 @@ def contender_record(contender: Contender) -> dict[str, Any]:
         "why_not": {axis.value: why_not for axis, why_not in contender.why_not.items()},
         "checks_broken": len(checked.of(Verdict.BROKEN)) if checked and checked.rows else None,
         "checks_held": len(checked.of(Verdict.HELD)) if checked and checked.rows else None,
+        "timed": timed_record(contender.speed.timed) if contender.speed else None,
         "barred": contender.figures.barred,
         "barred_with_robot": contender.figures.barred_articulated,
     }
@@ -78,6 +80,7 @@ def _level(result: GroupResult) -> dict[str, Any]:
         "distinct_envs": result.metrics["distinct_envs"].value,
         "distinct_runs": result.metrics["distinct_runs"].value,
         "faults": faults_record(faults(result)),
+        "timed": timed_record(result.timed),
     }
 
 
@@ -87,7 +90,13 @@ def _price(price: Price) -> dict[str, Any]:
 
 
 def _cost(cost: Cost) -> dict[str, Any]:
-    return {"ratio": cost.ratio, "ci95": cost.ci95, "why_not": cost.why_not, "interval_why_not": cost.no_interval}
+    return {
+        "ratio": cost.ratio,
+        "ci95": cost.ci95,
+        "why_not": cost.why_not,
+        "interval_why_not": cost.no_interval,
+        "cannot_be_told_apart_from_1": cost.undecided,
+    }
 
 
 def _at_max(at: AtMax) -> dict[str, Any]:
@@ -98,6 +107,7 @@ def _at_max(at: AtMax) -> dict[str, Any]:
         "limit": at.limit.name.lower(),
         "ends": at.ends,
         "contacts_per_env": at.contacts,
+        "timed": timed_record(at.timed) if at.timed else None,
         "faults": faults_record(at.faults),
     }
 

@@ -11,6 +11,7 @@ from evaluator.integrity.problem import REMARKS, Kind
 from evaluator.plain import brief, plain
 from evaluator.report.numbers import plural
 from evaluator.report.text import printable
+from evaluator.timed_work import SHORT_S
 from schemas.configuration import MAX_VIEW, RunConfiguration
 from schemas.provenance import REAL, Provenance, Simulation
 
@@ -156,7 +157,9 @@ def _how_long(found: Inspection) -> Iterator[tuple[str, str]]:
 
 
 def _rate(rate: Rate) -> str:
-    return f"{rate.env_steps_per_s:,.0f} env-steps/s: {rate.n_env} x {rate.steps} steps in {rate.seconds:.4g} s"
+    window = f"{rate.n_env} x {rate.steps} steps, from step {rate.first_step:,}"
+    short = f" (< {SHORT_S:g} s)" if rate.seconds < SHORT_S else ""
+    return f"{rate.env_steps_per_s:,.0f} env-steps/s: {window}, in {rate.seconds:.4g} s{short}"
 
 
 def _memory(source: str, memory: Memory) -> str:

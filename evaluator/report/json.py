@@ -16,6 +16,7 @@ from evaluator.report.evidence_json import (
     faults_record,
 )
 from evaluator.report.fidelity import fidelity_record
+from evaluator.report.timed import timed_record
 from evaluator.results import SCHEMA_VERSION, Evaluation, GroupResult, Metric
 from evaluator.soundness import faults
 from evaluator.summary import Summary
@@ -50,6 +51,7 @@ def to_json(evaluation: Evaluation) -> dict[str, Any]:
         },
         "compared": [contender_record(contender) for contender in comparison.contenders],
         "guidelines": [vars(g) for g in comparison.guidelines],
+        "protocol_1": {"findings": evaluation.unmet.count, "by_rule": dict(evaluation.unmet.findings)},
         "price_list": [family_record(family) for family in evaluation.price_list],
         "capability": [capability_record(row) for row in capability(evaluation.sweeps, evaluation.results)],
     }
@@ -80,6 +82,7 @@ def _group(result: GroupResult) -> dict[str, Any]:
         "n_recording": len(result.group.recordings),
         "runs": result.group.outcomes,
         "metrics": {name: _metric(metric) for name, metric in result.metrics.items()},
+        "timed": timed_record(result.timed),
         "validity": _validity(result.validity),
         "faults": faults_record(faults(result)),
         "divergence": divergence_records(result),
@@ -123,6 +126,7 @@ def _point(point: SweepPoint) -> dict[str, Any]:
         "n_env": point.n_env,
         "group": point.result.label,
         **{name: point.result.metrics[name].value for name in ("fps", *SOURCES)},
+        "timed": timed_record(point.result.timed),
         "n_run": point.complete,
         "n_recording": len(point.recordings),
         "failures": [failure._asdict() for failure in point.failures],

@@ -15,6 +15,7 @@ from typing import Any
 from evaluator.report.text import printable
 from evaluator.results import Evaluation, GroupResult, Metric
 from evaluator.summary import Summary
+from evaluator.timed_work import SETTINGS, TimedWork
 from schemas.errors import UsageError
 
 METRICS, RUNS = "metrics.parquet", "runs.parquet"
@@ -28,6 +29,8 @@ _KEY = {
 _METRICS = {
     **_KEY, "metric": "String", "value": "Float64", "unit": "String", "direction": "String", "sd": "Float64",
     "low": "Float64", "high": "Float64", "n": "Int64", "exactness": "String", "method": "String", "why_not": "String",
+    "first_timed_step": "Int64", "last_timed_step": "Int64", "shortest_timed_s": "Float64", "cone": "String",
+    "iterations": "String", "tolerance": "String", "protocol_1_findings": "Int64",
 }  # fmt: skip
 
 _RUNS = {
@@ -87,7 +90,19 @@ def _metric_rows(evaluation: Evaluation) -> Iterator[dict[str, Any]]:
             low, high = metric.ci95 or (None, None)
             yield _clean({
                 **_key_of(result), "metric": metric.name, **_values_of(metric), "low": low, "high": high, "n": metric.n,
+                **_timed(result.timed),
             })  # fmt: skip
+
+
+def _timed(work: TimedWork) -> dict[str, Any]:
+    # beside every metric, as the key is: whoever takes a throughput from here sees what it was timed over
+    return {
+        "first_timed_step": min((window.first for window in work.windows), default=None),
+        "last_timed_step": max((window.last for window in work.windows), default=None),
+        "shortest_timed_s": work.seconds[0] if work.seconds else None,
+        **{name: work.settings.get(name) or None for name in SETTINGS},
+        "protocol_1_findings": work.unmet.count,
+    }
 
 
 def _values_of(metric: Metric) -> dict[str, Any]:

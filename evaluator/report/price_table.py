@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 from rich.console import Console
 from rich.text import Text
 
-from evaluator.price_list import Cost, Family
-from evaluator.report import words
+from evaluator.price_list import NO_EFFECT, Cost, Family, Price
+from evaluator.report import timed, words
 from evaluator.report.console import plain_table
 from evaluator.report.numbers import NONE
 from evaluator.report.text import printable
 from evaluator.results import GroupResult, Metric
 from evaluator.soundness import faults
+
+SAME = "cannot be told apart from 1"
 
 _TITLES = ("", "level", "distinct envs", "distinct runs", "throughput of default", "memory of default")
 
@@ -23,24 +25,41 @@ def print_prices(console: Console, families: Sequence[Family]) -> None:
     if not families:
         return
     console.print("what determinism costs", style="bold")
-    table, remarks = plain_table(*_TITLES), list[str]()
+    beside = timed.columns_within([[result.timed for result in of_family(family)] for family in families])
+    table, remarks = plain_table(*_TITLES, *(column.title for column in beside)), list[str]()
+    table.columns[1].no_wrap = True
     names = _names(families)
     for family, said in zip(families, names, strict=True):
         base = [(family.base, ("1", "1"))] if family.base else []
-        levels = [(p.result, (ratio(p.speed), ratio(p.memory))) for p in family.prices]
+        levels = [(p.result, (_brief(p.speed), _brief(p.memory))) for p in family.prices]
         for index, (result, costs) in enumerate([*base, *levels]):
             name = said if index == 0 else ""
             distinct = [_of(result.metrics[f"distinct_{of}"]) for of in ("envs", "runs")]
-            cells = (name, result.group.key.determinism, *distinct, *costs)
+            cells = (name, result.group.key.determinism, *distinct, *costs, *timed.cells(beside, result.timed))
             table.add_row(*(Text(printable(cell)) for cell in cells))
             remarks += _remarks(said, result)
-        remarks += [
-            f"{said}, {p.level}: no price: {words.shortened(p.speed.why_not)}" for p in family.prices if p.speed.why_not
-        ]
+        for price in family.prices:
+            remarks += [f"{said}, {price.level}: {line}" for line in _of_price(price)]
+        lines = timed.remarks(of_family(family), named=lambda result: result.group.key.determinism)
+        remarks += [f"{said}: {line}" for line in lines if line != timed.LEGEND]
+    remarks.append(timed.LEGEND)
     console.print(table)
     for line in dict.fromkeys(remarks):
         console.print(printable(f"  {line}"), style="dim")
     console.print()
+
+
+def _of_price(price: Price) -> Iterator[str]:
+    if why_not := price.speed.why_not:
+        yield why_not if why_not == NO_EFFECT else f"no price: {words.shortened(why_not)}"
+    for name, cost in (("throughput", price.speed), ("memory", price.memory)):
+        if cost.undecided:
+            yield f"{name} {SAME}: the interval contains it"
+
+
+def of_family(family: Family) -> list[GroupResult]:
+    """Its groups, the default first."""
+    return [*([family.base] if family.base else []), *(price.result for price in family.prices)]
 
 
 def family_name(family: Family) -> str:
@@ -61,11 +80,18 @@ def _names(families: Sequence[Family]) -> list[str]:
 
 
 def ratio(cost: Cost) -> str:
-    """A cost with its interval; a dash where there is none."""
+    """A cost with its interval, and whether it can be told apart from 1; a dash where there is none."""
     if cost.ratio is None:
-        return NONE
+        return "no effect here" if cost.why_not == NO_EFFECT else NONE
     if cost.ci95 is None:
         return f"{cost.ratio:.3g}"
+    return f"{_brief(cost)}, {SAME}" if cost.undecided else _brief(cost)
+
+
+def _brief(cost: Cost) -> str:
+    # a terminal has little room: what cannot be told apart from 1 is said below the table
+    if cost.ratio is None or cost.ci95 is None:
+        return ratio(cost)
     return f"{cost.ratio:.3g} [{cost.ci95[0]:.3g}, {cost.ci95[1]:.3g}]"
 
 

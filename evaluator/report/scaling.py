@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from markupsafe import Markup
 
 from evaluator.published import SCALING, AtLargest
-from evaluator.report import words
+from evaluator.report import timed, words
 from evaluator.report.csv import Cell
 from evaluator.report.figures import lines
 from evaluator.report.figures.scaling import Curve, Foreign, scaling_chart
@@ -21,11 +21,17 @@ _MEMORY = {_DEVICE: "device memory increment", _HOST: "host memory increment"}
 
 @dataclass(frozen=True)
 class SceneSweeps:
-    """The sweeps of one scene, each with its swatch, and their figures."""
+    """The sweeps of one scene, each with its swatch, and their figures.
+
+    columns  what stands beside the throughput of a point
+    remarks  what must be known to compare the sweeps
+    """
 
     scene: str
     sweeps: list[tuple[Markup, Sweep]]
     charts: list[Picture]
+    columns: tuple[timed.Column, ...]
+    remarks: list[str]
 
 
 def scene_sweeps(sweeps: Sequence[Sweep]) -> Iterator[SceneSweeps]:
@@ -33,9 +39,8 @@ def scene_sweeps(sweeps: Sequence[Sweep]) -> Iterator[SceneSweeps]:
     for nth, scene in enumerate(dict.fromkeys(s.key.scene for s in sweeps)):
         of_scene = [s for s in sweeps if s.key.scene == scene]
         marked = [(Markup(lines.swatch(i)), s) for i, s in enumerate(of_scene)]
-        yield SceneSweeps(
-            scene, marked, [c for c in _charts(scene, of_scene, {}, file_name("scaling", nth, scene)) if c.svg]
-        )
+        charts = [c for c in _charts(scene, of_scene, {}, file_name("scaling", nth, scene)) if c.svg]
+        yield _of_scene(scene, marked, charts)
 
 
 def beside_published(sweeps: Sequence[Sweep]) -> Iterator[SceneSweeps]:
@@ -45,7 +50,14 @@ def beside_published(sweeps: Sequence[Sweep]) -> Iterator[SceneSweeps]:
         marked = [(Markup(lines.swatch(i)), s) for i, s in enumerate(of_scene)]
         points = {r.simulator: at for r in SCALING if (at := r.free_fall if scene == "free-fall" else r.franka)}
         charts = _charts(scene, of_scene, points, f"published-{scene}")
-        yield SceneSweeps(scene, marked, [c for c in charts if c.svg])
+        yield _of_scene(scene, marked, [c for c in charts if c.svg])
+
+
+def _of_scene(scene: str, marked: list[tuple[Markup, Sweep]], charts: list[Picture]) -> SceneSweeps:
+    label_of = {point.result.label: sweep.label for _, sweep in marked for point in sweep.points}
+    points = [point.result for _, sweep in marked for point in sweep.points]
+    lines = timed.remarks(points, named=lambda result: label_of[result.label])
+    return SceneSweeps(scene, marked, charts, timed.columns(result.timed for result in points), lines)
 
 
 def _charts(scene: str, sweeps: Sequence[Sweep], paper: dict[str, AtLargest], key: str) -> Iterator[Picture]:
@@ -73,9 +85,10 @@ def _chart(
     svg = scaling_chart(curves, value=value, tick=tick, foreign=foreign)
     title = f"{value} [B]" if metric in _MEMORY else value
     numbers = Numbers(
-        ("sweep", "environments", title, "95 % low", "95 % high", "complete runs", "memory model [B]", "what"),
+        ("sweep", "environments", title, "95 % low", "95 % high", *(c.title for c in timed.ALL), "complete runs",
+         "memory model [B]", "what"),
         [*(row for _, sweep in of_metric for row in _rows(sweep, metric)),
-         *((one.label, one.n_env, one.value, None, None, None, None, "published") for one in foreign)],
+         *((one.label, one.n_env, one.value, *[None] * (4 + len(timed.ALL)), "published") for one in foreign)],
     )  # fmt: skip
     return Picture(value, "", Markup(svg) if svg else None, key, numbers, about)
 
@@ -88,7 +101,8 @@ def _rows(sweep: Sweep, name: str) -> Iterator[tuple[Cell, ...]]:
         value, low, high = (None if v is None else v * scale for v in (metric.value, *(metric.ci95 or (None, None))))
         what = "N_env^max" if point.n_env == sweep.n_max else "" if point.complete else "; ".join(point.causes)
         modelled = model.at(point.n_env) if model else None
-        yield sweep.label, point.n_env, value, low, high, point.complete, modelled, what
+        beside = timed.cells(timed.ALL, point.result.timed)
+        yield sweep.label, point.n_env, value, low, high, *beside, point.complete, modelled, what
 
 
 def _curve(index: int, sweep: Sweep, name: str) -> Curve:

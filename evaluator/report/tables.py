@@ -11,7 +11,7 @@ from rich.text import Text
 from evaluator.fidelity import Verdict
 from evaluator.metrics.radar import SimulatorResult
 from evaluator.metrics.regime import REGIME_MEANING
-from evaluator.report import words
+from evaluator.report import timed, words
 from evaluator.report.accumulation import print_accumulation
 from evaluator.report.console import make_console, plain_table
 from evaluator.report.numbers import NONE, distance, interval, mean_sd
@@ -43,7 +43,12 @@ def print_tables(evaluation: Evaluation, stream: IO[str]) -> None:
     for scene in dict.fromkeys(r.group.key.scene for r in evaluation.results):
         results = [r for r in evaluation.results if r.group.key.scene == scene and r.label not in hidden]
         for begin in range(0, len(results), _COLUMNS):
-            _print_scene(console, evaluation, scene, results[begin : begin + _COLUMNS])
+            _print_scene(console, evaluation, scene, results[begin : begin + _COLUMNS], results)
+        if lines := timed.remarks(results):
+            console.print(printable(f"{scene}, throughput"), style="bold")
+            for line in lines:
+                console.print(printable(f"  {line}"), style="dim")
+            console.print()
         print_sweeps(console, scene, [s for s in evaluation.sweeps if s.key.scene == scene])
         for found in (a for a in evaluation.accumulation if a.scene == scene):
             print_accumulation(console, found)
@@ -52,7 +57,9 @@ def print_tables(evaluation: Evaluation, stream: IO[str]) -> None:
     _print_guidelines(console, evaluation)
 
 
-def _print_scene(console: Console, evaluation: Evaluation, scene: str, results: list[GroupResult]) -> None:
+def _print_scene(
+    console: Console, evaluation: Evaluation, scene: str, results: list[GroupResult], of_scene: list[GroupResult]
+) -> None:
     console.print(printable(f"{scene}, positions at t = {evaluation.sample_time:g} s"), style="bold")
     table = plain_table("", *(printable(result.label) for result in results))
 
@@ -80,6 +87,8 @@ def _print_scene(console: Console, evaluation: Evaluation, scene: str, results: 
     row("envs x complete runs", [f"{r.group.key.n_env} x {len(r.group.complete)}" for r in results])
     told("INVALID or failed runs", [words.trouble(r.group) or NONE for r in results])
     both("throughput [env-steps/s]", "fps")
+    for column in timed.columns(r.timed for r in of_scene):
+        row(f"  {column.title}", [column.cell(r.timed) for r in results])
     both("GPU memory increment [GB]", "memory_peak_increment")
     both("host memory increment [MB]", "host_memory_peak_increment")
     both("W1 between envs [cm]", "w1_parallel")
@@ -218,6 +227,9 @@ def _print_guidelines(console: Console, evaluation: Evaluation) -> None:
     for guideline in picked:
         table.add_row(Text(guideline.need), Text(printable(guideline.pick or "")), Text(guideline.rule))
     console.print(table)
+    for guideline in evaluation.comparison.guidelines:
+        for line in guideline.unranked:
+            console.print(printable(f"  qualifies too for {guideline.need}, not ranked: {line}"), style="dim")
     barred = {f"{c.figures.name}: {why}" for c in evaluation.comparison.contenders if (why := _barred(c.figures))}
     for line in sorted(barred):
         console.print(printable(f"  barred from picks: {line}"), style="dim")

@@ -93,6 +93,8 @@ def _simulation(file: Integrity) -> Simulation:
 
 
 def _scene(file: Integrity) -> dict[str, Any]:
+    if file.scan is None and file.recording is not None:
+        return file.recording.scene
     if file.scan is None or SCENE not in file.scan.attachments:
         raise _NotThere(f"there is no {SCENE}")
     if file.doubtful(SCENE):

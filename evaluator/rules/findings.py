@@ -95,7 +95,7 @@ def check(files: Sequence[Integrity], rule_sets: Sequence[RuleSet]) -> Report:
         if rule.of is Scope.set:
             findings += _ask_set(rule, files, "all files")
         elif rule.of is Scope.point:
-            for name, members in _points(files):
+            for name, members in points(files):
                 findings += _ask_set(rule, members, name)
     return Report(
         tuple(rule_set.name for rule_set in rule_sets),
@@ -154,7 +154,7 @@ def _ask_set(rule: Rule, files: Sequence[Integrity], of: str) -> Iterator[Findin
         yield Finding(rule, tuple(asked[int(key)].path for key in keys), of, found)
 
 
-def _points(files: Sequence[Integrity]) -> Iterable[tuple[str, list[Integrity]]]:
+def points(files: Sequence[Integrity]) -> Iterable[tuple[str, list[Integrity]]]:
     """Runs of each point, with its name; the point at which a sweep ended, where no run is complete, is none."""
     members: dict[tuple[str, ...], list[Integrity]] = {}
     for file in files:

@@ -6,9 +6,12 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 from evaluator.groups import group, status_notes
+from evaluator.protocol import Protocol
 from evaluator.reading import Unreadable
+from evaluator.report import timed
 from evaluator.run_data import RunData
 from evaluator.statistics.families import able_to_reject, holm
+from evaluator.timed_work import TimedWork, timed_work
 from evaluator.versus.finding import FAILING, Axis, Change, Finding, Question, Settings
 from evaluator.versus.matching import Pair, check_across, match
 from evaluator.versus.measures import MEASURES
@@ -35,6 +38,7 @@ class Compared:
     findings  in the order of the axes
     warnings  what a reader must know of how far the findings can be relied on
     notes     of runs that are not complete
+    timed     what the throughputs of base and head were measured over
     """
 
     pair: Pair
@@ -42,6 +46,7 @@ class Compared:
     findings: tuple[Finding, ...]
     warnings: tuple[str, ...]
     notes: tuple[str, ...]
+    timed: tuple[TimedWork, TimedWork] = (TimedWork(), TimedWork())
 
 
 @dataclass(frozen=True)
@@ -120,7 +125,8 @@ def compare(base: Side, head: Side, settings: Settings, work: Work, across: Coll
     check_across(across, [*groups[0], *groups[1]])
     matching = match(groups[0], groups[1], across)
     data = {f.summary.provenance.run_id: f.run for side in (base, head) for f in side.files if f.run}
-    drafts = [_draft(pair, data, settings, work) for pair in matching.pairs]
+    protocols = [Protocol([f.summary for f in side.files]) for side in (base, head)]
+    drafts = [_draft(pair, data, protocols, settings, work) for pair in matching.pairs]
     findings, tests = _answered([draft.items for draft in drafts], settings)
     summaries = [f.summary for side in (base, head) for f in side.files]
     notes = [*base.notes, *head.notes]
@@ -142,6 +148,7 @@ class _Draft:
     pair: Pair
     order: Schedule
     items: tuple[Finding | _Asked, ...]
+    timed: tuple[TimedWork, TimedWork]
 
 
 @dataclass(frozen=True)
@@ -150,7 +157,9 @@ class _Asked:
     question: Question
 
 
-def _draft(pair: Pair, data: dict[str, RunData], settings: Settings, work: Work) -> _Draft:
+def _draft(
+    pair: Pair, data: dict[str, RunData], protocols: Sequence[Protocol], settings: Settings, work: Work
+) -> _Draft:
     base, head = ([data[s.provenance.run_id] for s in g.complete] for g in (pair.base, pair.head))
     items: list[Finding | _Asked] = []
 
@@ -172,7 +181,11 @@ def _draft(pair: Pair, data: dict[str, RunData], settings: Settings, work: Work)
     numbers(Axis.VALIDITY)
     add(Axis.DETERMINISM, *compare_determinism(base, head))
     add(Axis.BITS, compare_bits(base, head))
-    return _Draft(pair, schedule(base, head), tuple(items))
+    one, other = (
+        timed_work(group.key, runs, protocol.of(group.recordings))
+        for group, runs, protocol in zip((pair.base, pair.head), (base, head), protocols, strict=True)
+    )
+    return _Draft(pair, schedule(base, head), tuple(items), (one, other))
 
 
 def _answered(drafts: Sequence[Sequence[Finding | _Asked]], settings: Settings) -> tuple[list[list[Finding]], int]:
@@ -206,7 +219,7 @@ def _compared(draft: _Draft, findings: list[Finding], alpha: float) -> Compared:
         for note in status_notes(side)
     ]
     return Compared(
-        draft.pair, draft.order, tuple(findings), tuple(_warnings(draft, findings, alpha)), tuple(notes)
+        draft.pair, draft.order, tuple(findings), tuple(_warnings(draft, findings, alpha)), tuple(notes), draft.timed
     )  # fmt: skip
 
 
@@ -229,7 +242,7 @@ def _warnings(draft: _Draft, findings: Sequence[Finding], alpha: float) -> list[
     if 0 < min(order.n) < FEW_RUNS:
         what = "complete run" if order.n[0] == 1 else "complete runs"
         lines.append(f"{order.n[0]} {what} of base and {order.n[1]} of head are few: {FEW_RUNS} a side are advised")
-    return [*lines, *_blind(findings, alpha)]
+    return [*timed.of_sides(*draft.timed), *lines, *_blind(findings, alpha)]
 
 
 def _blind(findings: Sequence[Finding], alpha: float) -> list[str]:

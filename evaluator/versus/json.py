@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from evaluator.document import dump, values_of
+from evaluator.report.timed import timed_record
 from evaluator.versus import words
 from evaluator.versus.compare import Compared, Result, counts
 from evaluator.versus.finding import Axis, Finding
@@ -49,6 +50,7 @@ def _configuration(compared: Compared, result: Result) -> dict[str, Any]:
             "device": group.key.device,
             "complete": len(group.complete),
             "outcomes": group.outcomes,
+            "timed": timed_record(work),
             "recordings": [
                 {
                     "path": values_of(r.path),
@@ -59,7 +61,7 @@ def _configuration(compared: Compared, result: Result) -> dict[str, Any]:
                 for r in group.recordings
             ],
         }
-        for name, group in (("base", pair.base), ("head", pair.head))
+        for name, group, work in zip(("base", "head"), (pair.base, pair.head), compared.timed, strict=True)
     }
     return {
         "label": pair.label,

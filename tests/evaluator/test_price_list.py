@@ -10,10 +10,16 @@ from typing import Any
 import pytest
 
 from evaluator.evaluate import evaluate_files
-from evaluator.price_list import Family, Price
+from evaluator.price_list import NO_EFFECT, Family, Price
+from evaluator.report.html import render_html
+from evaluator.report.json import to_json
+from evaluator.report.paper.tables import write_tables
+from evaluator.report.paper.text_table import Format
+from evaluator.report.price_table import SAME, ratio
 from evaluator.report.tables import print_tables
+from evaluator.results import Evaluation
 from evaluator.soundness import faults
-from tests.synthetic import grid, write_recording
+from tests.synthetic import cubes_field, grid, write_recording
 
 SWITCH = {"exact": True}
 
@@ -27,6 +33,13 @@ def family(tmp_path: Path, **asked: Any) -> Family:
         write_recording(tmp_path, grid(2), **{**two, "determinism": "full", "switches": SWITCH, **asked})
     (found,) = evaluate_files(sorted(tmp_path.glob("*.mcap"))).price_list
     return found
+
+
+def shown(evaluation: Evaluation) -> str:
+    """What a terminal shows."""
+    stream = io.StringIO()
+    print_tables(evaluation, stream)
+    return stream.getvalue()
 
 
 def price(found: Family) -> Price:
@@ -70,6 +83,87 @@ def test_a_variable_may_be_the_switch(tmp_path: Path) -> None:
     assert one.differs == ("flags=--deterministic",)
 
 
+@pytest.mark.parametrize(
+    "other",
+    [
+        {"version": "2.0"},
+        {"origins": ((0.0, 0.0, 0.0), (1.0, 0.0, 0.0))},
+        {"field": cubes_field("float32"), "dtype": "float32"},
+        {"switches": {"exact": True, "precision": "float64"}},
+        {"switches": {"exact": True, "matmul_precision": "highest"}},
+        {"in_force": {"iterations": 5}},
+        {"environment": {"X64": "1"}},
+        {"environment": {"FLAGS": "--own --deterministic"}, "switches": {"exact": True, "flags": "--deterministic"}},
+        {"warmup": 20},
+        {"timed_steps": 500},
+    ],
+    ids=lambda other: next(iter(other)),
+)
+def test_what_is_no_part_of_a_level_has_no_price(other: dict[str, Any], tmp_path: Path) -> None:
+    """Price nothing where more differs than a level sets: version, origins, precision, options, variables, protocol."""
+    dtype = other.pop("dtype", "float64")
+    for run in range(3):
+        write_recording(tmp_path, grid(2), run=run, switches={"exact": False})
+        more = {"switches": SWITCH, **other}
+        write_recording(tmp_path, grid(2, dtype), run=run, determinism="full", elapsed_s=2.0, **more)
+    assert [p for f in evaluate_files(sorted(tmp_path.glob("*.mcap"))).price_list if f.base for p in f.prices] == []
+
+
+def test_a_default_is_no_level(tmp_path: Path) -> None:
+    """Price no second group at the default level, and price a level by the default that is set as it is."""
+    for run in range(3):
+        for speed, environment in ((1.0, {}), (4.0, {"HEAP": "small"})):
+            common = {"run": run, "environment": environment}
+            write_recording(tmp_path, grid(2), elapsed_s=speed + 0.01 * run, switches={"exact": False}, **common)
+            write_recording(
+                tmp_path, grid(2), elapsed_s=2 * speed + 0.02 * run, switches=SWITCH, determinism="full", **common
+            )
+    found = evaluate_files(sorted(tmp_path.glob("*.mcap"))).price_list
+    assert [[p.level for p in family.prices] for family in found] == [["full"], ["full"]]
+    assert [price(family).speed.ratio for family in found] == [pytest.approx(0.5), pytest.approx(0.5)]
+
+
+@pytest.mark.parametrize(
+    "asked",
+    [
+        {"switches": {"exact": False}},
+        {"switches": {"exact": False, "flags": "--x_gpu_sorted=1"}, "environment": {"FLAGS": "--x_gpu_sorted=1"}},
+    ],
+    ids=["nothing", "flags-of-a-gpu-on-a-cpu"],
+)
+def test_a_level_that_sets_nothing_has_no_price(asked: dict[str, Any], tmp_path: Path) -> None:
+    """Say that a level has no effect where it sets nothing on the device, in every output, instead of a ratio."""
+    for run in range(3):
+        write_recording(tmp_path, grid(2), run=run, elapsed_s=1.0 + 0.01 * run, switches={"exact": False})
+        write_recording(tmp_path, grid(2), run=run, elapsed_s=1.2 + 0.01 * run, determinism="full", **asked)
+    evaluation = evaluate_files(sorted(tmp_path.glob("*.mcap")))
+    (found,) = evaluation.price_list
+    assert (price(found).speed.ratio, price(found).speed.why_not) == (None, NO_EFFECT)
+    assert ratio(price(found).speed) == "no effect here"
+    assert re.search(r"full +1 of 2 +1 of 3 +no effect here +no effect here", shown(evaluation))
+    assert NO_EFFECT in render_html(evaluation, published=False, command="")
+
+
+@pytest.mark.parametrize(("slower", "same"), [(1.001, True), (2.0, False)])
+def test_an_interval_around_1_is_no_price(slower: float, same: bool, tmp_path: Path) -> None:
+    """Say that a ratio cannot be told apart from 1 where its interval contains 1, and only there."""
+    for run in range(3):
+        for seconds, level in ((1.0, "default"), (slower, "full")):
+            switches = {"exact": level == "full"}
+            write_recording(
+                tmp_path, grid(2), run=run, elapsed_s=seconds + 0.05 * run, determinism=level, switches=switches
+            )
+    evaluation = evaluate_files(sorted(tmp_path.glob("*.mcap")))
+    cost = price(evaluation.price_list[0]).speed
+    assert cost.undecided is same
+    written = [path.read_text() for path in write_tables(evaluation, tmp_path, [Format.CSV], published=False)]
+    page = render_html(evaluation, published=False, command="")
+    (record,) = to_json(evaluation)["price_list"][0]["levels"]
+    assert record["throughput_of_default"]["cannot_be_told_apart_from_1"] is same
+    for told in (ratio(cost), shown(evaluation), re.sub(r"<p class=.lead.>.*", "", page), "".join(written)):
+        assert (SAME in told) is same
+
+
 def test_other_settings_are_no_family(tmp_path: Path) -> None:
     """Do not price an option, a step or a simulator as a level of determinism."""
     for number, other in enumerate(({"options": {"solver": "b"}}, {"dt": 0.5}, {"simulator": "another"})):
@@ -105,9 +199,7 @@ def test_prices_in_a_terminal(tmp_path: Path) -> None:
     for run in range(3):
         write_recording(tmp_path, grid(2), run=run, determinism="bad", status="INVALID", reason="lost contacts",
                         gpu_bytes=(0, 10**9))  # fmt: skip
-    stream = io.StringIO()
-    print_tables(evaluate_files(sorted(tmp_path.glob("*.mcap"))), stream)
-    shown = stream.getvalue()
-    assert "what determinism costs" in shown
-    assert re.search(r"full +1 of 2 +1 of 3 +0\.5 \[0\.\d+, 0\.\d+\] +2 \[2, 2\]", shown)
-    assert "synthetic, bad: no price: 3 of 3 runs are INVALID, so it has no price" in shown
+    told = shown(evaluate_files(sorted(tmp_path.glob("*.mcap"))))
+    assert "what determinism costs" in told
+    assert re.search(r"full +1 of 2 +1 of 3 +0\.5 \[0\.\d+, 0\.\d+\] +2 \[2, 2\]", told)
+    assert "synthetic, bad: no price: 3 of 3 runs are INVALID, so it has no price" in told

@@ -10,7 +10,7 @@ import jinja2
 from markupsafe import Markup
 
 from evaluator.groups import shown_status
-from evaluator.report import numbers, words
+from evaluator.report import numbers, timed, words
 from evaluator.report.page.picture import LARGEST_CSV, Picture
 from evaluator.report.templating import page_templates
 from evaluator.results import Metric
@@ -31,7 +31,7 @@ def environment() -> jinja2.Environment:
         power_or_count=_power_or_count,
         page_csv=_page_csv,
     )
-    made.globals.update(words=words, sources=SOURCES, status_of=shown_status)
+    made.globals.update(words=words, timed=timed, sources=SOURCES, status_of=shown_status)
     return made
 
 

@@ -5,8 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from evaluator.price_list import Cost, Family, Price
+from evaluator.report import timed
 from evaluator.report.page.section import Section, Source
-from evaluator.report.price_table import family_name
+from evaluator.report.price_table import SAME, family_name, of_family
 from evaluator.results import GroupResult
 from evaluator.soundness import Faults, faults
 
@@ -25,7 +26,7 @@ def section(source: Source) -> Section | None:
     families = source.evaluation.price_list
     if not families:
         return None
-    context = {"families": [(_name(f), _rows(f)) for f in families], "cost": cost}
+    context = {"families": [(_name(f), _rows(f), _remarks(f)) for f in families], "cost": cost}
     return Section("prices", "What determinism costs", context, link="Price list")
 
 
@@ -39,6 +40,10 @@ def _rows(family: Family) -> list[Row]:
     return [*base, *(Row(p.result, p, faults(p.result)) for p in family.prices)]
 
 
+def _remarks(family: Family) -> list[str]:
+    return timed.remarks(of_family(family), named=lambda result: result.group.key.determinism)
+
+
 def cost(found: Cost) -> tuple[str, str]:
     """A ratio and its interval, in three digits."""
     if found.ratio is None:
@@ -47,4 +52,4 @@ def cost(found: Cost) -> tuple[str, str]:
     if found.ci95 is None:
         return value, found.no_interval
     low, high = found.ci95
-    return value, f"[{low:.3g}, {high:.3g}]"
+    return value, f"[{low:.3g}, {high:.3g}]{f' {SAME}' if found.undecided else ''}"

@@ -8,6 +8,7 @@ from markupsafe import Markup
 
 from evaluator.comparison import Contender
 from evaluator.metrics.radar import Axis, Radar
+from evaluator.report import timed
 from evaluator.report.figures import lines, radar_chart
 from evaluator.report.page.picture import Numbers, Picture
 from evaluator.report.page.section import Section, Source
@@ -31,11 +32,13 @@ _UNITS_OF_FILES = {**_AXIS_UNITS, Axis.PARALLELISM: "log2 of environments"}
 def section(source: Source) -> Section:
     """The figure, and the values that it scales."""
     compared = source.evaluation.comparison
+    names = {c.speed.label: c.figures.name for c in compared.contenders if c.speed}
     context = {
         "radar": _picture(compared.contenders, compared.radar) if compared.radar else None,
         "contenders": compared.contenders,
         "axes": list(Axis),
         "axis_units": _AXIS_UNITS,
+        "notes": timed.remarks((c.speed for c in compared.contenders if c.speed), named=lambda r: names[r.label]),
         "swatches": [Markup(lines.swatch(i)) for i in range(len(compared.contenders))],
     }
     return Section("radar", "Radar", context)

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from evaluator import published, remade
 from evaluator.groups import GroupKey
 from evaluator.price_list import DEFAULT
 from evaluator.published import AtLargest, Variability
-from evaluator.report import numbers, words
+from evaluator.report import numbers, timed, words
 from evaluator.report.page.section import Section, Source
 from evaluator.results import GroupResult, Metric
 from evaluator.soundness import Faults, faults
@@ -70,6 +70,7 @@ def section(source: Source) -> Section | None:
     context = {
         "capability": [(row, _settings(row.key), list(_cells(row, paper))) for row in capability],
         "scenes": remade.CAPABILITY_SCENES,
+        "notes": [line for scene in remade.CAPABILITY_SCENES for line in _timed_remarks(capability, scene)],
         "exponents": _EXPONENT,
         "variability": default,
         "levels": others,
@@ -78,6 +79,14 @@ def section(source: Source) -> Section | None:
         "paper": source.published,
     }
     return Section("remade", "The published tables, re-made", context, link="Published tables, re-made")
+
+
+def _timed_remarks(rows: Sequence[remade.Capability], scene: str) -> list[str]:
+    # one point of each row stands for it
+    found = {r.label: row.label for row in rows if scene in row.at and (r := row.at[scene].sweep.at_max)}
+    results = [r for row in rows if scene in row.at and (r := row.at[scene].sweep.at_max)]
+    lines = timed.remarks(results, named=lambda result: found[result.label])
+    return [f"{scene}: {line}" for line in lines if line != timed.LEGEND]
 
 
 def _settings(key: GroupKey) -> str:

@@ -3,26 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from evaluator.fidelity import Verdict
 from evaluator.groups import is_instrument, shown_status
+from evaluator.report import timed
 from evaluator.report.page.section import Section, Source
 from evaluator.results import Evaluation, GroupResult
-from evaluator.soundness import faults_in_other_scenes
+from evaluator.soundness import faults_anywhere
+from evaluator.timed_work import most_common, window_key
 
 
 @dataclass(frozen=True)
 class Speed:
-    """The fastest group of a simulator in one scene on one device; its runs are complete and valid.
-
-    elsewhere  what the same settings show against them in other scenes; of the fastest and the next alone
-    """
+    """The fastest group of a simulator in one scene on one device, of its complete runs."""
 
     scene: str
     device: str
     result: GroupResult
-    elsewhere: tuple[str, ...] = ()
 
     @property
     def fps(self) -> float:
@@ -63,10 +61,19 @@ class SimulatorSummary:
 
 @dataclass(frozen=True)
 class Fastest:
-    """Of the simulators that were timed in one scene on one device: the fastest, and the next."""
+    """Of the simulators that were timed over the same steps of one scene on one device: the fastest, and the next.
+
+    first, second  of them no run is INVALID and no check of mechanics broken, in any scene
+    faster         groups of other simulators with a higher throughput that are not named first, each with the reason
+    otherwise      simulators that were timed over other steps, which cannot be compared
+    remarks        what must be known to compare the two
+    """
 
     first: Speed
     second: Speed
+    faster: tuple[tuple[Speed, str], ...]
+    otherwise: tuple[tuple[str, str], ...]
+    remarks: tuple[str, ...]
 
 
 def section(source: Source) -> Section | None:
@@ -78,13 +85,11 @@ def section(source: Source) -> Section | None:
         _of(name, [r for r in evaluation.results if r.group.key.simulator == name])
         for name in dict.fromkeys(r.group.key.simulator for r in evaluation.results)
     ]
-    fastest = [
-        Fastest(
-            *(replace(s, elsewhere=faults_in_other_scenes(s.result, evaluation.results)) for s in (f.first, f.second))
-        )
-        for f in _fastest(simulators)
-    ]
-    context = {"simulators": simulators, "fastest": fastest, "no_reference": _no_reference(evaluation)}
+    context = {
+        "simulators": simulators,
+        "fastest": list(_fastest(evaluation.results)),
+        "no_reference": _no_reference(evaluation),
+    }
     return Section("summary", "What these recordings say", context, link="Summary")
 
 
@@ -135,15 +140,39 @@ def _speeds(results: Sequence[GroupResult]) -> Iterator[Speed]:
     yield from (best[at] for at in sorted(best))
 
 
-def _fastest(simulators: Sequence[SimulatorSummary]) -> Iterator[Fastest]:
-    timed: dict[tuple[str, str], list[Speed]] = {}
-    for simulator in simulators:
-        for speed in () if simulator.instrument else simulator.speeds:
-            timed.setdefault((speed.scene, speed.device), []).append(speed)
-    for at in sorted(timed):
-        first, *others = sorted(timed[at], key=lambda speed: -speed.fps)
-        if others:
-            yield Fastest(first, others[0])
+def _fastest(results: Sequence[GroupResult]) -> Iterator[Fastest]:
+    """Of each scene and device, among the groups that were timed over the steps that most of them were timed over."""
+    clocked: dict[tuple[str, str], list[GroupResult]] = {}
+    for result in results:
+        key = result.group.key
+        if result.metrics["fps"].value is not None and not is_instrument(key):
+            clocked.setdefault((key.scene, key.device), []).append(result)
+    for (scene, device), found in sorted(clocked.items()):
+        windows = [window_key(r.group.key, r.timed) for r in found]
+        usual = most_common(windows)
+        alike = [r for r, window in zip(found, windows, strict=True) if window == usual]
+        faults = {r.label: "; ".join(faults_anywhere(r, results)) for r in alike}
+        sound = _best([r for r in alike if not faults[r.label]], scene, device)
+        if len(sound) < 2:
+            continue
+        first, second = sound[:2]
+        wrong = _best([r for r in alike if faults[r.label]], scene, device)
+        yield Fastest(
+            first,
+            second,
+            tuple((s, faults[s.result.label]) for s in wrong if s.fps > first.fps),
+            tuple((r.label, r.timed.said) for r, window in zip(found, windows, strict=True) if window != usual),
+            tuple(line for line in timed.remarks((first.result, second.result)) if line != timed.LEGEND),
+        )
+
+
+def _best(results: Sequence[GroupResult], scene: str, device: str) -> list[Speed]:
+    """The fastest group of each simulator, the fastest first."""
+    ordered = sorted((Speed(scene, device, r) for r in results), key=lambda speed: -speed.fps)
+    best: dict[str, Speed] = {}
+    for speed in ordered:
+        best.setdefault(speed.result.group.key.simulator, speed)
+    return list(best.values())
 
 
 def _no_reference(evaluation: Evaluation) -> str:

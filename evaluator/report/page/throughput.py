@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from evaluator.report import timed
 from evaluator.report.page.section import Section, Source
 
 
 def section(source: Source) -> Section:
     """The table; sweeps have a section of their own."""
-    return Section("throughput", "Throughput and memory", {})
+    scenes = dict.fromkeys(r.group.key.scene for r in source.shown)
+    notes = [(scene, timed.remarks(r for r in source.shown if r.group.key.scene == scene)) for scene in scenes]
+    return Section("throughput", "Throughput and memory", {"columns": timed.ALL, "notes": notes})

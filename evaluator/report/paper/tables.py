@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from evaluator.price_list import Family
 from evaluator.published import SCALING, SOURCE, VARIABILITY, AtLargest
 from evaluator.remade import AtMax, Capability, capability
-from evaluator.report import accumulation, fidelity, words
+from evaluator.report import accumulation, fidelity, timed, words
 from evaluator.report.numbers import NONE, interval, mean_sd
 from evaluator.report.page.picture import file_name
 from evaluator.report.page.section import Source
@@ -18,12 +18,14 @@ from evaluator.results import Evaluation, GroupResult, Metric
 from evaluator.soundness import faults
 from evaluator.sweeps import Sweep
 
+_TIMED = tuple(column.title for column in timed.ALL)
+
 _VARIABILITY = (
     "group", "scene", "envs x runs", "EMD to reference [cm]", "95 % of EMD", "parallel [cm]", "95 % of parallel",
     "run-to-run [cm]", "95 % of run-to-run", "distinct envs", "distinct runs", "published type", "not complete",
 )  # fmt: skip
 _THROUGHPUT = (
-    "group", "scene", "device", "envs x runs", "throughput [env steps/s]", "95 %", "GPU memory increment [GB]",
+    "group", "scene", "device", "envs x runs", "throughput [env steps/s]", "95 %", *_TIMED, "GPU memory increment [GB]",
     "host memory increment [MB]", "build; compile [s]", "not complete",
 )  # fmt: skip
 _LARGEST = (
@@ -33,6 +35,7 @@ _LARGEST = (
     "device",
     "N_env^max",
     "throughput [env steps/s]",
+    *_TIMED,
     "memory increment",
     "why it ends",
 )
@@ -41,17 +44,19 @@ _POINTS = (
     "scene",
     "envs",
     "throughput [env steps/s]",
+    *_TIMED,
     "memory increment",
     "contacts per env: mean / max",
     "runs",
 )
 _CAPABILITY = (
-    "simulator", "scene", "N_env^max", "throughput [env steps/s]", "95 %", "memory increment", "what limits N",
+    "simulator", "scene", "N_env^max", "throughput [env steps/s]", "95 %", *_TIMED, "memory increment", "what limits N",
     "what speaks against it", "in other scenes",
 )  # fmt: skip
 _PRICES = (
     "group", "scene", "envs", "device", "level", "in force beside the default", "distinct envs", "distinct runs",
-    "throughput of the default's", "memory increment of the default's", "what speaks against it", "why no price",
+    "throughput of the default's", *_TIMED, "memory increment of the default's", "what speaks against it",
+    "why no price",
 )  # fmt: skip
 _AT_LARGEST = ("simulator", "N_env^max", "throughput [env steps/s]", "memory increment [GB]")
 _GUIDELINES = ("need", "pick", "rule", "evidence")
@@ -74,7 +79,7 @@ def tables(evaluation: Evaluation, *, published: bool) -> Iterator[TextTable]:
     swept = evaluation.sweeps
     found = [
         TextTable("variability", f"Variability, {when}; mean ± SD", _VARIABILITY, [*map(_variability, shown)]),
-        TextTable("throughput", "Complete runs; mean ± SD", _THROUGHPUT, [*map(_throughput, shown)]),
+        TextTable("throughput", _warned("Complete runs; mean ± SD", shown), _THROUGHPUT, [*map(_throughput, shown)]),
         TextTable("scaling-largest", "How far sweeps over environments go", _LARGEST, [*map(_largest, swept)]),
         TextTable("scaling-points", "Every point of the sweeps", _POINTS, [*_points(swept)]),
         TextTable("capability", "Parallel capability, the published table re-made", _CAPABILITY, [
@@ -103,9 +108,21 @@ def _throughput(result: GroupResult) -> tuple[str, ...]:
     key, metrics = result.group.key, result.metrics
     return (
         result.label, key.scene, key.device or NONE, _size(result), mean_sd(metrics["fps"]), interval(metrics["fps"]),
+        *_timed(result),
         mean_sd(metrics["memory_peak_increment"]), mean_sd(metrics["host_memory_peak_increment"]),
         words.preparation(metrics), words.trouble(result.group) or NONE,
     )  # fmt: skip
+
+
+def _warned(caption: str, results: Sequence[GroupResult]) -> str:
+    # of one scene each: rows of two scenes are not compared
+    scenes = dict.fromkeys(r.group.key.scene for r in results)
+    found = {scene: timed.incomparable(r for r in results if r.group.key.scene == scene) for scene in scenes}
+    return ". ".join([caption, *(f"{scene}: {line}" for scene, lines in found.items() for line in lines)])
+
+
+def _timed(result: GroupResult | None) -> tuple[str, ...]:
+    return timed.cells(timed.ALL, result.timed) if result else tuple(NONE for _ in timed.ALL)
 
 
 def _size(result: GroupResult) -> str:
@@ -121,15 +138,15 @@ def _largest(sweep: Sweep) -> tuple[str, ...]:
     return (
         sweep.label, sweep.key.scene, sweep.key.version or NONE, sweep.key.device or NONE,
         NONE if sweep.n_max is None else f"{sweep.n_max:,}",
-        mean_sd(best.metrics["fps"]) if best else NONE, words.amount(best.metrics[sweep.memory]) if best else NONE,
-        sweep.ends,
+        mean_sd(best.metrics["fps"]) if best else NONE, *_timed(best),
+        words.amount(best.metrics[sweep.memory]) if best else NONE, sweep.ends,
     )  # fmt: skip
 
 
 def _points(sweeps: Sequence[Sweep]) -> Iterator[tuple[str, ...]]:
     for sweep in sweeps:
         for point in sweep.points:
-            yield (sweep.label, sweep.key.scene, f"{point.n_env:,}", *point_cells(sweep, point))
+            yield (sweep.label, sweep.key.scene, f"{point.n_env:,}", *point_cells(sweep, point, timed.ALL))
 
 
 def _capability(rows: Sequence[Capability]) -> Iterator[tuple[str, ...]]:
@@ -140,20 +157,21 @@ def _capability(rows: Sequence[Capability]) -> Iterator[tuple[str, ...]]:
 
 def _at_max(at: AtMax) -> tuple[str, ...]:
     if at.n_max is None or at.fps is None or at.memory is None:
-        return NONE, NONE, NONE, NONE, f"{at.limit.value}: {at.ends}", NONE
+        return NONE, NONE, NONE, *_timed(None), NONE, f"{at.limit.value}: {at.ends}", NONE
     limit = f"{at.limit.value}: {at.ends}" if at.sweep.limited else at.limit.value
-    return f"{at.n_max:,}", mean_sd(at.fps), interval(at.fps), words.amount(at.memory), limit, str(at.faults) or NONE
+    speed = mean_sd(at.fps), interval(at.fps), *_timed(at.sweep.at_max)
+    return f"{at.n_max:,}", *speed, words.amount(at.memory), limit, str(at.faults) or NONE
 
 
 def _prices(families: Sequence[Family]) -> Iterator[tuple[str, ...]]:
     for family in families:
         name = family_name(family)
         if family.base is not None:
-            yield *_level(name, family.base), "1", "1", str(faults(family.base)) or NONE, NONE
+            yield *_level(name, family.base), "1", *_timed(family.base), "1", str(faults(family.base)) or NONE, NONE
         for price in family.prices:
             own = _level(name, price.result, ", ".join(price.differs) or NONE)
-            against = str(faults(price.result)) or NONE
-            yield *own, ratio(price.speed), ratio(price.memory), against, price.speed.why_not or NONE
+            against, why_not = str(faults(price.result)) or NONE, price.speed.why_not or NONE
+            yield *own, ratio(price.speed), *_timed(price.result), ratio(price.memory), against, why_not
 
 
 def _level(name: str, result: GroupResult, differs: str = NONE) -> tuple[str, ...]:

@@ -13,7 +13,7 @@ import schemas
 from evaluator.groups import shown_status
 from evaluator.metrics.regime import REGIME_MEANING
 from evaluator.plain import brief
-from evaluator.report import numbers, words
+from evaluator.report import numbers, timed, words
 from evaluator.results import Evaluation, GroupResult, Metric
 from evaluator.sharing.dataset.citation import Publication, quoted
 from evaluator.sharing.dataset.contents import LookedAt, summaries
@@ -42,6 +42,7 @@ class Row(NamedTuple):
     distinct_runs: str
     type: str
     throughput: str
+    timed: tuple[str, ...]
     interval: str
     trouble: str
 
@@ -100,6 +101,11 @@ def card(
             scene: [(r.label, note) for r in results if r.group.key.scene == scene for note in r.notes]
             for scene in {r.group.key.scene for r in results}
         },
+        timed=[column.title for column in timed.ALL],
+        not_comparable={
+            scene: timed.incomparable(r for r in results if r.group.key.scene == scene)
+            for scene in {r.group.key.scene for r in results}
+        },
         sample_time=evaluation.sample_time,
         types=sorted(REGIME_MEANING.items()),
         machines=machines(held),
@@ -140,6 +146,7 @@ def _row(result: GroupResult) -> Row:
         distinct_runs=_of(found["distinct_runs"]),
         type=words.regime(found["regime_published"]),
         throughput=numbers.mean_sd(found["fps"]),
+        timed=timed.cells(timed.ALL, result.timed),
         interval=numbers.interval(found["fps"]),
         trouble=words.trouble(result.group),
     )

@@ -8,6 +8,7 @@ import json
 from typing import Any
 
 from evaluator.document import dump, values_of
+from evaluator.report import timed
 from evaluator.report.text import printable
 from evaluator.results import Metric
 from evaluator.sharing.leaderboard import words
@@ -23,6 +24,7 @@ COLUMNS = (
     "scene", "device", "dt_s", "place", "simulator", "version", "determinism", "label", "n_env", "runs", "recordings",
     "fps", "fps_sd", "fps_low", "fps_high", "memory", "memory_unit", "n_env_max", "distinct_envs", "distinct_runs",
     "type", "check", "reproduced", "replays", "gates", "no_place", "content_hashes",
+    *(column.title for column in timed.ALL),
 )  # fmt: skip
 
 _FORMULA = ("=", "+", "-", "@", "\t", "\r", "\n")
@@ -50,6 +52,7 @@ def _section(section: Section) -> dict[str, Any]:
         "scene_sha256": section.scene_hash,
         "device": section.device,
         "dt_s": section.dt,
+        "timed": section.timed,
         "rows": [_row(row) for row in section.rows],
     }
 
@@ -70,6 +73,7 @@ def _row(row: Row) -> dict[str, Any]:
         "timed_steps": key.timed_steps,
         "runs": row.result.group.outcomes,
         "throughput": _metric(row.fps),
+        "timed": timed.timed_record(row.result.timed),
         "memory": _metric(row.memory),
         "n_env_max": row.sweep.n_max if row.sweep else None,
         "sweep_ends": row.sweep.ends if row.sweep else None,
@@ -114,6 +118,7 @@ def _values(section: Section, row: Row) -> tuple[Any, ...]:
         row.sweep.n_max if row.sweep else None, metrics["distinct_envs"].value, metrics["distinct_runs"].value,
         metrics["regime_published"].value, words.checked(row), row.reproduction.reproduced, row.reproduction.count,
         "; ".join(row.gates), row.no_place, " ".join(entry.content_hash for entry in row.entries),
+        *timed.cells(timed.ALL, row.result.timed),
     )  # fmt: skip
 
 

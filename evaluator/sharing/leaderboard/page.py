@@ -10,7 +10,7 @@ from markupsafe import Markup
 
 import schemas
 from evaluator.metrics.regime import REGIME_MEANING
-from evaluator.report import numbers
+from evaluator.report import numbers, timed
 from evaluator.report import words as report_words
 from evaluator.report.figures import palette
 from evaluator.report.templating import page_templates
@@ -35,6 +35,7 @@ def render(board: Board) -> str:
     return environment.get_template("leaderboard.html.j2").render(
         board=board,
         words=words,
+        timed=timed,
         types=sorted(REGIME_MEANING.items()),
         version=schemas.__version__,
         colours={

@@ -10,8 +10,10 @@ from evaluator.groups import GroupKey, is_instrument, shown_status
 from evaluator.results import Evaluation, GroupResult, Metric
 from evaluator.sharing.dataset.checkup import BROKEN, Checkup
 from evaluator.sharing.leaderboard.reproduction import Replay, Reproduction, reproduction
+from evaluator.soundness import faults_anywhere
 from evaluator.summary import Summary
 from evaluator.sweeps import Sweep, sweep_key
+from evaluator.timed_work import Window
 
 
 @dataclass(frozen=True)
@@ -77,7 +79,7 @@ class Row:
 
 @dataclass(frozen=True)
 class Section:
-    """What can be compared: one scene with one step on one device.
+    """What can be compared: one scene with one step on one device, timed over the same steps of the scene.
 
     scene_hash  of its description
     dt          [s]
@@ -89,6 +91,11 @@ class Section:
     device: str
     dt: float
     rows: tuple[Row, ...]
+
+    @property
+    def timed(self) -> str:
+        """The timed steps, in words; empty where no row was timed."""
+        return next((row.result.timed.said for row in self.rows if row.result.timed.windows), "")
 
     @property
     def ranked(self) -> tuple[Row, ...]:
@@ -109,7 +116,9 @@ class Section:
 def sections(
     evaluation: Evaluation, checkups: Mapping[str, Checkup], replays: Mapping[str, tuple[Replay, ...]]
 ) -> tuple[Section, ...]:
-    """The groups of an evaluation as sections, by scene and device.
+    """The groups of an evaluation as sections, by scene, device and timed steps.
+
+    A group without a throughput stands in the first section of its scene and device.
 
     checkups  by the path of the recording, as a text
     replays   by the content hash of what they replay
@@ -123,16 +132,29 @@ def sections(
     found: dict[tuple[str, str, str, float], list[Row]] = {}
     for result in evaluation.results:
         key = result.group.key
-        row = _row(result, checkups, replays, swept.get(result.label))
+        row = _row(result, evaluation.results, checkups, replays, swept.get(result.label))
         found.setdefault((key.scene, key.device, key.scene_hash, key.dt), []).append(row)
     return tuple(
         Section(scene, scene_hash, device, dt, _placed(rows))
-        for (scene, device, scene_hash, dt), rows in sorted(found.items())
+        for (scene, device, scene_hash, dt), everything in sorted(found.items())
+        for rows in _by_window(everything)
     )
+
+
+def _by_window(rows: Sequence[Row]) -> list[list[Row]]:
+    """Rows that were timed over the same steps, the steps that most were timed over first."""
+    found: dict[tuple[Window, ...], list[Row]] = {}
+    for row in rows:
+        if row.result.timed.windows:
+            found.setdefault(row.result.timed.windows, []).append(row)
+    parts = sorted(found.values(), key=len, reverse=True) or [[]]
+    parts[0] += [row for row in rows if not row.result.timed.windows]
+    return parts
 
 
 def _row(
     result: GroupResult,
+    results: Sequence[GroupResult],
     checkups: Mapping[str, Checkup],
     replays: Mapping[str, tuple[Replay, ...]],
     sweep: Sweep | None,
@@ -144,7 +166,7 @@ def _row(
         reproduction=reproduction(result.group.recordings, dict(replays)),
         sweep=sweep,
         place=None,
-        no_place=_no_place(result, entries),
+        no_place=_no_place(result, results, entries),
         gates=tuple(_gates(result, entries)),
     )
 
@@ -164,7 +186,7 @@ def _entry(recording: Summary, checkup: Checkup) -> Entry:
     )
 
 
-def _no_place(result: GroupResult, entries: Sequence[Entry]) -> str:
+def _no_place(result: GroupResult, results: Sequence[GroupResult], entries: Sequence[Entry]) -> str:
     if is_instrument(result.group.key):
         return "it says of itself that it is an instrument with known answers, and no engine"
     outcomes = result.group.outcomes
@@ -181,7 +203,10 @@ def _no_place(result: GroupResult, entries: Sequence[Entry]) -> str:
         also = f" ({sank.value:.3g} of {sank.extra['cubes']})" if sank.value else ""
         return f"states break mechanics: {'; '.join(row.check.title for row in wrong)}{also}"
     fps = result.metrics["fps"]
-    return fps.why_not if fps.value is None else ""
+    if fps.value is None:
+        return fps.why_not
+    elsewhere = faults_anywhere(result, results)
+    return f"the same engine elsewhere: {'; '.join(elsewhere)}" if elsewhere else ""
 
 
 def _gates(result: GroupResult, entries: Sequence[Entry]) -> list[str]:
