@@ -98,7 +98,8 @@ def columns_within(parts: Sequence[Sequence[TimedWork]]) -> tuple[Column, ...]:
 def shared(works: Iterable[TimedWork]) -> list[str]:
     """What all rows have in common, in one line; none where no row was timed."""
     found = [work for work in works if work.windows]
-    alike = [f"{c.title}: {c.cell(found[0])}" for c in ALL if found and c not in columns(found)]
+    same = [(c.title, c.cell(found[0])) for c in ALL if found and c not in columns(found)]
+    alike = [f"{title}: {cell}" for title, cell in same if cell != NONE]
     return ["; ".join(alike)] if alike else []
 
 

@@ -144,6 +144,21 @@ def test_everyone_barred_is_no_pick() -> None:
     assert len(found.barred) == len(PUBLISHED)
 
 
+def test_reproducible_without_a_throughput() -> None:
+    """Let a simulator qualify as reproducible whose throughput cannot be compared: unranked, with the reason."""
+    why = "timed over steps 20 to 120 of the scene, and others over steps 100 to 1,100"
+    other = [replace(r, fps=None, why_no_fps=why) if r.name == "MJX" else r for r in PUBLISHED]
+    found = row(other, "reproducible")
+    assert found.pick == "Genesis"
+    assert found.unranked == (f"MJX (run-to-run 0.00 cm, parallel 0.00 cm): {why}",)
+    assert found.evidence is not None
+    assert f"qualify too, not ranked: {found.unranked[0]}" in found.evidence
+    assert "MJX" not in found.unmeasured
+    alone = row([replace(r, fps=None, why_no_fps=why) for r in PUBLISHED], "reproducible")
+    assert (alone.pick, alone.reason) == (None, "no simulator that qualifies can be ranked")
+    assert len(alone.unranked) == 2
+
+
 def test_runner_up() -> None:
     """Name who comes next with its numbers, and nobody where nobody else qualifies."""
     found = row(PUBLISHED, "sim-to-real, contact-rich, single run")

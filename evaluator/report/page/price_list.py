@@ -26,7 +26,7 @@ def section(source: Source) -> Section | None:
     families = source.evaluation.price_list
     if not families:
         return None
-    context = {"families": [(_name(f), _rows(f), _remarks(f)) for f in families], "cost": cost}
+    context = {"families": [(_name(f), _rows(f), _columns(f), _remarks(f)) for f in families], "cost": cost}
     return Section("prices", "What determinism costs", context, link="Price list")
 
 
@@ -38,6 +38,10 @@ def _name(family: Family) -> str:
 def _rows(family: Family) -> list[Row]:
     base = [Row(family.base, None, faults(family.base))] if family.base else []
     return [*base, *(Row(p.result, p, faults(p.result)) for p in family.prices)]
+
+
+def _columns(family: Family) -> tuple[timed.Column, ...]:
+    return timed.columns(result.timed for result in of_family(family))
 
 
 def _remarks(family: Family) -> list[str]:

@@ -63,14 +63,17 @@ class SimulatorSummary:
 class Fastest:
     """Of the simulators that were timed over the same steps of one scene on one device: the fastest, and the next.
 
-    first, second  of them no run is INVALID and no check of mechanics broken, in any scene
+    scene, device  of all of them
+    first, second  of them no run is INVALID and no check of mechanics broken, in any scene; None where nobody is left
     faster         groups of other simulators with a higher throughput that are not named first, each with the reason
     otherwise      simulators that were timed over other steps, which cannot be compared
     remarks        what must be known to compare the two
     """
 
-    first: Speed
-    second: Speed
+    scene: str
+    device: str
+    first: Speed | None
+    second: Speed | None
     faster: tuple[tuple[Speed, str], ...]
     otherwise: tuple[tuple[str, str], ...]
     remarks: tuple[str, ...]
@@ -152,17 +155,19 @@ def _fastest(results: Sequence[GroupResult]) -> Iterator[Fastest]:
         usual = most_common(windows)
         alike = [r for r, window in zip(found, windows, strict=True) if window == usual]
         faults = {r.label: "; ".join(faults_anywhere(r, results)) for r in alike}
-        sound = _best([r for r in alike if not faults[r.label]], scene, device)
-        if len(sound) < 2:
+        if len({r.group.key.simulator for r in alike}) < 2:
             continue
-        first, second = sound[:2]
+        sound = _best([r for r in alike if not faults[r.label]], scene, device)
         wrong = _best([r for r in alike if faults[r.label]], scene, device)
+        first, second = (*sound, None, None)[:2]
         yield Fastest(
+            scene,
+            device,
             first,
             second,
-            tuple((s, faults[s.result.label]) for s in wrong if s.fps > first.fps),
+            tuple((s, faults[s.result.label]) for s in wrong if first is None or s.fps > first.fps),
             tuple((r.label, r.timed.said) for r, window in zip(found, windows, strict=True) if window != usual),
-            tuple(line for line in timed.remarks((first.result, second.result)) if line != timed.LEGEND),
+            tuple(line for line in timed.remarks(s.result for s in sound[:2]) if line != timed.LEGEND),
         )
 
 

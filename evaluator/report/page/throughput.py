@@ -10,4 +10,4 @@ def section(source: Source) -> Section:
     """The table; sweeps have a section of their own."""
     scenes = dict.fromkeys(r.group.key.scene for r in source.shown)
     notes = [(scene, timed.remarks(r for r in source.shown if r.group.key.scene == scene)) for scene in scenes]
-    return Section("throughput", "Throughput and memory", {"columns": timed.ALL, "notes": notes})
+    return Section("throughput", "Throughput and memory", {"notes": notes})

@@ -1,0 +1,55 @@
+"""Which groups radar and guidelines compare, and whom they bar."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from evaluator.comparison import Comparison
+from evaluator.evaluate import evaluate_files
+from evaluator.metrics.guidelines import Guideline
+from evaluator.metrics.radar import Axis
+from tests.synthetic import grid, write_recording
+
+REPRODUCIBLE = "reproducible and fair comparison, repeated runs"
+
+
+def compared(folder: Path) -> Comparison:
+    """Of everything in a folder."""
+    return evaluate_files(sorted(folder.glob("*.mcap"))).comparison
+
+
+def need(found: Comparison, name: str) -> Guideline:
+    """One row."""
+    return next(g for g in found.guidelines if g.need == name)
+
+
+def test_a_warm_up_of_its_own_is_no_reason_to_be_left_out(tmp_path: Path) -> None:
+    """Compare distances whatever was timed, throughputs of the same timed steps alone; let both be reproducible."""
+    for run in range(2):
+        for simulator, warmup, seconds in (("a", 100, 2.0), ("b", 100, 3.0), ("quick", 20, 0.1)):
+            write_recording(tmp_path, grid(2), simulator=simulator, run=run, warmup=warmup, elapsed_s=seconds)
+    found = compared(tmp_path)
+    assert [c.figures.name for c in found.contenders] == ["a", "b", "quick"]
+    quick = found.contenders[2]
+    why = "timed over steps 20 to 1,020 of the scene, and others over steps 100 to 1,100"
+    assert quick.why_not[Axis.THROUGHPUT] == why
+    assert quick.figures.run_to_run == 0
+    assert need(found, REPRODUCIBLE).pick == "a"
+    assert need(found, REPRODUCIBLE).unranked == (f"quick (run-to-run 0.00 cm, parallel 0.00 cm): {why}",)
+
+
+def test_what_is_wrong_in_another_scene_bars_a_pick(tmp_path: Path) -> None:
+    """Bar an engine that is INVALID in a scene that is not compared; not another of its levels or options."""
+    for run in range(2):
+        for options in ({}, {"solver": "b"}):
+            write_recording(tmp_path, grid(2), simulator="wrong", run=run, elapsed_s=0.1, options=options)
+        write_recording(tmp_path, grid(2), simulator="right", run=run, elapsed_s=2.0)
+    write_recording(
+        tmp_path, None, simulator="wrong", scene="free-fall", n_env=64, status="INVALID", cause="NOT_FINITE",
+        reason="a state is not finite", environment={"SOME": "variable"},
+    )  # fmt: skip
+    found = need(compared(tmp_path), REPRODUCIBLE)
+    assert found.pick is not None
+    assert "solver=b" in found.pick
+    (barred,) = found.barred
+    assert barred.endswith("1 of 1 run is INVALID (not finite) (free-fall)")
