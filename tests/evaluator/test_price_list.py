@@ -13,7 +13,7 @@ from evaluator.evaluate import evaluate_files
 from evaluator.price_list import NO_EFFECT, Family, Price
 from evaluator.report.html import render_html
 from evaluator.report.json import to_json
-from evaluator.report.paper.tables import write_tables
+from evaluator.report.paper.tables import text_tables
 from evaluator.report.paper.text_table import Format
 from evaluator.report.price_table import SAME, ratio
 from evaluator.report.tables import print_tables
@@ -156,7 +156,7 @@ def test_an_interval_around_1_is_no_price(slower: float, same: bool, tmp_path: P
     evaluation = evaluate_files(sorted(tmp_path.glob("*.mcap")))
     cost = price(evaluation.price_list[0]).speed
     assert cost.undecided is same
-    written = [path.read_text() for path in write_tables(evaluation, tmp_path, [Format.CSV], published=False)]
+    written = [file.decode() for file in text_tables(evaluation, [Format.CSV], published=False).values()]
     page = render_html(evaluation, published=False, command="")
     (record,) = to_json(evaluation)["price_list"][0]["levels"]
     assert record["throughput_of_default"]["cannot_be_told_apart_from_1"] is same

@@ -20,7 +20,7 @@ from evaluator.integrity import examine
 from evaluator.report import timed
 from evaluator.report.html import render_html
 from evaluator.report.json import to_json
-from evaluator.report.paper.tables import write_tables
+from evaluator.report.paper.tables import text_tables
 from evaluator.report.paper.text_table import Format
 from evaluator.report.parquet import METRICS, frames
 from evaluator.report.tables import print_tables
@@ -61,9 +61,9 @@ def text(found: Evaluation) -> str:
     return " ".join(stream.getvalue().split())
 
 
-def files(found: Evaluation, folder: Path, kind: Format) -> dict[str, str]:
+def files(found: Evaluation, kind: Format) -> dict[str, str]:
     """The tables as files, by name."""
-    return {path.stem: path.read_text() for path in write_tables(found, folder, [kind], published=False)}
+    return {Path(name).stem: file.decode() for name, file in text_tables(found, [kind], published=False).items()}
 
 
 SAID = ("100 to 1,100", "20 to 120", "elliptic", "pyramidal", "1e-08", "1e-06", "(< 1 s)")
@@ -73,18 +73,18 @@ SAID = ("100 to 1,100", "20 to 120", "elliptic", "pyramidal", "1e-08", "1e-06", 
 @pytest.mark.parametrize(
     "shown",
     [
-        lambda e, _: text(e),
-        lambda e, _: render_html(e, published=False, command=""),
-        lambda e, at: files(e, at / "csv", Format.CSV)["throughput"],
-        lambda e, at: files(e, at / "md", Format.MARKDOWN)["throughput"].replace("\\", ""),
-        lambda e, at: files(e, at / "tex", Format.LATEX)["throughput"].replace("$<$", "<").replace("\\textless{}", "<"),
+        text,
+        lambda e: render_html(e, published=False, command=""),
+        lambda e: files(e, Format.CSV)["throughput"],
+        lambda e: files(e, Format.MARKDOWN)["throughput"].replace("\\", ""),
+        lambda e: files(e, Format.LATEX)["throughput"].replace("$<$", "<").replace("\\textless{}", "<"),
     ],
     ids=["text", "html", "csv", "markdown", "latex"],
 )
-def test_tables_say_what_was_timed(shown: Callable[[Evaluation, Path], str], tmp_path: Path) -> None:
+def test_tables_say_what_was_timed(shown: Callable[[Evaluation], str], tmp_path: Path) -> None:
     """Show window, seconds, settings of the solver and rules not met beside every throughput."""
     recorded(tmp_path)
-    told = shown(evaluated(tmp_path), tmp_path).replace("&lt;", "<")
+    told = shown(evaluated(tmp_path)).replace("&lt;", "<")
     assert [one for one in SAID if one not in told] == []
     assert "protocol-1" in told
 
@@ -131,7 +131,7 @@ def test_sweeps_and_their_charts_say_it(tmp_path: Path) -> None:
     told = text(found)
     assert "0.16 (< 1 s)" in told
     assert "all rows: timed steps: 100 to 1,100 (1,000)" in told
-    points = files(found, tmp_path / "csv", Format.CSV)
+    points = files(found, Format.CSV)
     for name in ("scaling-points", "scaling-largest", "capability"):
         assert "100 to 1,100 (1,000)" in points[name], name
     point = to_json(found)["sweeps"][0]["points"][0]
