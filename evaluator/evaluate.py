@@ -74,6 +74,8 @@ def evaluate(
     chosen, reference_note = _choose_reference(reference, measured)
     target, why_not = _use_reference(chosen) if chosen else (None, reference_note)
     if target:
+        if chosen and chosen.run and chosen.run.doubt:
+            notes.append(f"the reference {target.path.name}: {chosen.run.doubt.text}")
         reference_note = reference_note or f"compared with {target.label} in {target.path.name}"
 
     groups = [g for g in group(readable) if not g.measured]
@@ -155,6 +157,8 @@ def _use_reference(read: Read) -> tuple[Reference | None, str]:
     if read.run is None or read.run.positions is None:
         why_not = read.run.no_positions if read.run else "it was not read"
         return None, f"the reference {name} cannot be used: {why_not}"
+    if read.run.doubt and read.run.doubt.wrong:
+        return None, f"the reference {name} cannot be used: {read.run.doubt.text}: record it again with --unit"
     planar = read.run.positions.planar
     c = recording.configuration
     measured = c.simulator == REAL

@@ -14,14 +14,16 @@ from evaluator.metrics.levels import Verdict, verdict
 from evaluator.metrics.memory import Checkpoints
 from evaluator.physics.facts import PhysicsFacts
 from evaluator.physics.measure import physics_of
-from evaluator.positions import Positions, sample_positions, was_recorded
+from evaluator.positions import GROUP, Positions, sample_positions, was_recorded
 from evaluator.recording import Recording
-from evaluator.scene import board_of
+from evaluator.scene import board_of, extent_of_trials
 from evaluator.sinking import Sunk, sunk
 from evaluator.spread import Spread, spread
 from evaluator.streams import Fingerprints, MemoryTrace, StepTiming
 from evaluator.summary import Summary
 from schemas.errors import DamagedRecording
+from schemas.provenance import REAL
+from schemas.trial_units import METRES, UnitDoubt, unit_doubt
 
 
 @dataclass(frozen=True)
@@ -41,6 +43,7 @@ class RunData:
     observed    whether capturing changed the states, by the hashes of steps that timed and capture phase both passed;
                 None where there are none
     positions   at the sample step; None where there are none, and `no_positions` says why
+    doubt       what speaks against the unit of real trials; None where nothing does, and of simulations
     reached     whether the sample step was recorded at all, whatever the positions are
     equality    of the environments, by bits and at the sample step; None where there are no two, or no positions
     spread      how the environments move apart; None where it cannot be said, and `no_spread` says why
@@ -63,6 +66,7 @@ class RunData:
     positions: Positions | None
     no_positions: str
     reached: bool
+    doubt: UnitDoubt | None
     equality: Verdict | None
     spread: Spread | None
     no_spread: str
@@ -101,6 +105,7 @@ def read_run(recording: Recording, summary: Summary, sample_time: float) -> RunD
             positions=positions,
             no_positions=no_positions,
             reached=positions is not None or was_recorded(recording, sample_time),
+            doubt=_doubt(recording, positions),
             equality=_equality(positions, histories),
             spread=apart,
             no_spread=no_spread,
@@ -134,6 +139,20 @@ def _equality(positions: Positions | None, histories: Histories | None) -> Verdi
         return verdict(positions.recorded[:, np.newaxis], hashes_agree=agree, origins=positions.origins)
     except ValueError as error:
         raise ValueError(f"environments: {error}") from None
+
+
+def _doubt(recording: Recording, positions: Positions | None) -> UnitDoubt | None:
+    if recording.configuration.simulator != REAL or positions is None:
+        return None
+    extent = extent_of_trials(recording, GROUP)
+    options = recording.simulation.options if recording.simulation else {}
+    unit, names = str(options.get("unit", "m")), options.get("trials")
+    if extent is None or unit not in METRES:
+        return None
+    planar = positions.planar
+    if not isinstance(names, list) or len(names) != len(planar):
+        names = [*range(len(planar))]
+    return unit_doubt(planar, unit, [str(name) for name in names], extent)
 
 
 def _observed(captured: Fingerprints | None, timed: Fingerprints | None) -> bool | None:
