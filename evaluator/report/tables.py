@@ -102,7 +102,7 @@ def _print_scene(
         both(f"W1 {to} {title} [cm]", name)
         if fell and any(r.metrics[name].value is not None for r in results):
             both("  cubes clamped to the board", f"{name}{SUFFIX}")
-    row("cubes off the board per env", [mean_sd(r.metrics["left_board"]) for r in results])
+    told("cubes off the board per env", [mean_sd(r.metrics["left_board"]) for r in results])
     row("distinct envs, bitwise", [_of(r.metrics["distinct_envs"]) for r in results])
     row("distinct runs, bitwise", [_of(r.metrics["distinct_runs"]) for r in results])
     told("envs are", [words.equality(r.metrics["equality_envs"]) for r in results])
