@@ -228,8 +228,8 @@ def _read(run: Run, run_id: str) -> Read:
     return Read(
         summary,
         RunData(
-            summary, run.elapsed_s, None, host, None, None, {}, None, 0.0, none, None, None, why, None, None, why, None,
-            why, None, why, PhysicsFacts("free-fall", N_ENV, (), (), why),
+            summary, run.elapsed_s, None, host, None, None, {}, None, 0.0, none, None, None, why,
+            False, None, None, None, why, None, why, PhysicsFacts("free-fall", N_ENV, (), (), why),
         ),
     )  # fmt: skip
 

@@ -11,8 +11,9 @@ from pathlib import Path
 from evaluator.evaluate import evaluate_files
 from evaluator.price_list import DEFAULT, price_list
 from evaluator.report import timed
-from evaluator.report.numbers import distance
+from evaluator.report.numbers import distance, figure
 from evaluator.report.price_table import of_family, ratio
+from evaluator.report.words import exchanged
 from evaluator.results import Evaluation, GroupResult
 from evaluator.sweeps import Sweep, SweepPoint
 
@@ -55,11 +56,12 @@ def _value(result: GroupResult, name: str) -> str:
 def _outcome(result: GroupResult) -> str:
     endings = {f"{r.status}: {r.cause}" for r in result.group.recordings if not r.usable}
     sank = result.metrics["sank"].value
-    notes = [*sorted(endings), *([f"{sank:.1f} of 27 cubes sank"] if sank and sank >= 1 else [])]
+    return "; ".join([*sorted(endings), *([f"{figure(sank, '')} of 27 cubes sank"] if sank else [])])
+
+
+def _fell(result: GroupResult) -> str:
     left = result.metrics["left_board"].value
-    if left and left >= 1 and not (sank and sank >= 1):
-        notes.append(f"{left:.1f} of 27 cubes left the board")
-    return "; ".join(notes)
+    return _NONE if left is None else figure(left, "")
 
 
 def verdicts(evaluation: Evaluation) -> str:
@@ -68,8 +70,9 @@ def verdicts(evaluation: Evaluation) -> str:
     prices = _prices(results)
     columns = timed.columns(r.timed for r in results)
     titles = [
-        "simulator", "determinism", "distinct envs", "envs differ from step", "distinct runs", "type", "W1 envs [cm]",
-        "W1 runs [cm]", "env-steps/s", *(column.title for column in columns), "of default", "what else",
+        "simulator", "determinism", "distinct envs", "envs differ from step", "distinct runs", "type",
+        "cubes of 27 off the board", "W1 envs [cm]", "clamped", "W1 runs [cm]", "clamped", "envs exchanged: floor; p",
+        "env-steps/s", *(column.title for column in columns), "of default", "what else",
     ]  # fmt: skip
     lines = [f"| {' | '.join(titles)} |", f"|{' --- |' * len(titles)}"]
     for result in sorted(results, key=lambda r: (_who(r), r.group.key.determinism != DEFAULT)):
@@ -81,8 +84,12 @@ def verdicts(evaluation: Evaluation) -> str:
             _NONE if first is None else str(first),
             _of(result, "distinct_runs"),
             _NONE if (kind := result.metrics["regime_published"].value) is None else f"{kind:.0f}",
+            _fell(result),
             _value(result, "w1_parallel"),
+            _value(result, "w1_parallel_clamped"),
             _value(result, "w1_run_to_run"),
+            _value(result, "w1_run_to_run_clamped"),
+            exchanged(result.metrics["w1_run_to_run"]),
             _NONE if fps is None else f"{fps:,.0f}",
             *timed.cells(columns, result.timed),
             prices.get(result.label, _NONE),

@@ -13,6 +13,7 @@ from evaluator import cost_metrics as costs
 from evaluator import group_metrics as gm
 from evaluator import identity_metrics as identity
 from evaluator.accumulation import accumulations
+from evaluator.clamped_metrics import clamped_metrics
 from evaluator.comparison import compare
 from evaluator.density_maps import reference_density, shared_map, with_cloud
 from evaluator.fidelity import fidelity
@@ -22,6 +23,7 @@ from evaluator.protocol import RULE_SET, Protocol, Unmet
 from evaluator.reading import Read, Reader, Unreadable
 from evaluator.results import Evaluation, GroupResult, Metric, Reference, RunSpread
 from evaluator.run_data import RunData
+from evaluator.sampled import ends_early, left_out, positions, sampled
 from evaluator.summary import Summary
 from evaluator.sweeps import find_sweeps
 from evaluator.timed_work import timed_work
@@ -72,6 +74,8 @@ def evaluate(
     chosen, reference_note = _choose_reference(reference, measured)
     target, why_not = _use_reference(chosen) if chosen else (None, reference_note)
     if target:
+        if chosen and chosen.run and chosen.run.doubt:
+            notes.append(f"the reference {target.path.name}: {chosen.run.doubt.text}")
         reference_note = reference_note or f"compared with {target.label} in {target.path.name}"
 
     groups = [g for g in group(readable) if not g.measured]
@@ -153,6 +157,8 @@ def _use_reference(read: Read) -> tuple[Reference | None, str]:
     if read.run is None or read.run.positions is None:
         why_not = read.run.no_positions if read.run else "it was not read"
         return None, f"the reference {name} cannot be used: {why_not}"
+    if read.run.doubt and read.run.doubt.wrong:
+        return None, f"the reference {name} cannot be used: {read.run.doubt.text}: record it again with --unit"
     planar = read.run.positions.planar
     c = recording.configuration
     measured = c.simulator == REAL
@@ -171,11 +177,15 @@ def _evaluate_group(
     work: Work,
 ) -> _Found:
     runs = tuple(data[r.provenance.run_id] for r in group.complete)
-    planar, why_not = gm.positions(runs)
+    at_sample = sampled(runs)
+    planar, why_not = positions(at_sample)
     parallel, parallel_matrix = gm.parallel(planar, why_not, work)
     between, run_matrix = gm.run_to_run(planar, why_not, work)
+    real = gm.real(planar, why_not, reference, no_reference, group.key.scene, work)
     distinct_envs, distinct_runs = identity.distinct(runs)
-    classes = distinct_runs.extra.get("classes", [])
+    classes = identity.classes_of(at_sample)
+    between.extra.update(_drawn_runs(at_sample, classes) if run_matrix is not None else {})
+    parallel.extra.update({"matrix_of": _place(at_sample[0], runs)} if parallel_matrix is not None else {})
     metrics: list[Metric] = [
         costs.throughput(runs),
         costs.memory_peak_increment(runs),
@@ -186,16 +196,17 @@ def _evaluate_group(
         costs.capture_slowdown(runs),
         parallel,
         between,
-        gm.real(planar, why_not, reference, no_reference, group.key.scene, work),
+        real,
+        *clamped_metrics(at_sample, planar, (parallel, between, real), reference, group.key.scene, work),
         distinct_envs,
         distinct_runs,
-        identity.equality_of_envs(runs),
-        identity.equality_of_runs(runs),
+        identity.equality_of_envs(at_sample),
+        identity.equality_of_runs(at_sample),
         identity.growth(runs),
-        gm.left_board(runs),
+        gm.left_board(at_sample),
         gm.sank(runs),
-        gm.regime(runs, parallel, between, run_matrix, classes),
-        identity.capture_effect(runs),
+        gm.regime(at_sample, parallel, between, run_matrix, classes),
+        identity.capture_effect(runs, distinct_runs),
     ]
     result = GroupResult(
         group=group,
@@ -214,10 +225,20 @@ def _evaluate_group(
     return _Found(result, runs, planar)
 
 
+def _drawn_runs(at_sample: Sequence[RunData], classes: list[int]) -> dict[str, list[int]]:
+    """What the rows of the matrix of runs are: their indices, and their classes by bits."""
+    return {"runs": [r.recording.configuration.run_index for r in at_sample], "classes": classes}
+
+
+def _place(run: RunData, runs: Sequence[RunData]) -> int | None:
+    """Of the run whose environments are drawn, among the runs whose environments are compared by bits."""
+    return next((at for at, one in enumerate(r for r in runs if r.histories) if one is run), None)
+
+
 def _notes(
     group: Group[Summary], runs: Sequence[RunData], reference: Reference | None, sample_time: float
 ) -> list[str]:
-    notes = status_notes(group)
+    notes = [*status_notes(group), *left_out(runs), *ends_early(runs)]
     sampled = next((r.positions.time for r in runs if r.positions), sample_time)
     if not math.isclose(sampled, sample_time, rel_tol=1e-9):
         notes.append(f"positions are those at {sampled:g} s, the step nearest to {sample_time:g} s")

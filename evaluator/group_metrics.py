@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from evaluator.mapping import Mapper
 from evaluator.metrics.alignment import GapTo
+from evaluator.metrics.board import left_board as lost
 from evaluator.metrics.regime import PRESENT_FROM_CM, published_regime
 from evaluator.metrics.variability import (
     CM_PER_M,
@@ -23,6 +24,7 @@ from evaluator.metrics.variability import (
 )
 from evaluator.over_runs import NO_RUN, Runs, differ, ends_of, mean_over_runs
 from evaluator.results import Metric, Reference, not_computed
+from evaluator.sampled import no_positions
 from evaluator.statistics.energy import energy_distance
 from evaluator.statistics.jackknife import jackknife_pair_mean
 from evaluator.statistics.permutation import permutation_floor
@@ -37,16 +39,6 @@ _PERMUTATIONS = ((1000, 99), (2000, 19))
 _ENERGY_PERMUTATIONS = 999
 _ENERGY_POINTS = 20_000
 """Of both sides: their distances are some four seconds of computing."""
-
-
-def positions(runs: Runs) -> tuple[NDArray[np.float64] | None, str]:
-    """Planar positions of all runs [m], [run, env, item, 2]; or None and the reason."""
-    if not runs:
-        return None, NO_RUN
-    why_not = next((r.no_positions for r in runs if r.positions is None), "")
-    if why_not:
-        return None, why_not
-    return np.stack([r.positions.planar for r in runs if r.positions is not None]), ""
 
 
 def parallel(planar: NDArray[np.float64] | None, why_not: str, work: Work) -> tuple[Metric, NDArray[np.float64] | None]:
@@ -167,12 +159,17 @@ def left_board(runs: Runs) -> Metric:
     name, unit = "left_board", "cubes per env"
     if not runs:
         return not_computed(name, unit, "lower", NO_RUN)
-    why_not = next((r.no_left for r in runs if r.left is None), "")
-    if why_not:
+    board = runs[0].recording.board
+    if board is None:
+        return not_computed(name, unit, "lower", "this scene has no board to leave")
+    if why_not := no_positions(runs):
         return not_computed(name, unit, "lower", why_not)
-    counts = [r.left for r in runs if r.left is not None]
-    shapes = [r.positions.recorded.shape for r in runs if r.positions]
-    cubes, envs = sum(n_env * n_item for n_env, n_item, _ in shapes), sum(n_env for n_env, *_ in shapes)
+    spatial = [r.positions.spatial for r in runs if r.positions]
+    if any(found is None for found in spatial):
+        return not_computed(name, unit, "lower", "heights were not recorded")
+    left = [lost(found, board) for found in spatial if found is not None]
+    counts = [int(np.count_nonzero(run)) for run in left]
+    envs = sum(len(run) for run in left)
     return Metric(
         name,
         sum(counts) / envs,
@@ -180,17 +177,21 @@ def left_board(runs: Runs) -> Metric:
         "lower",
         n=envs,
         method="cubes whose centre is beside or below the board at the sample step",
-        extra={"total": sum(counts), "of": cubes, "per_run": counts},
+        extra={
+            "total": sum(counts),
+            "of": sum(run.size for run in left),
+            "per_run": counts,
+            "envs_with_any": sum(int(run.any(axis=1).sum()) for run in left),
+        },
     )
 
 
 def sank(runs: Runs) -> Metric:
     """Mean number of cubes per environment that went through the floor or the board."""
     name, unit = "sank", "cubes per env"
-    why_not = next((r.no_sunk for r in runs if r.sunk is None), "") if runs else NO_RUN
-    if why_not:
-        return not_computed(name, unit, "lower", why_not)
     found = [r.sunk for r in runs if r.sunk is not None]
+    if not found:
+        return not_computed(name, unit, "lower", runs[0].no_sunk if runs else NO_RUN)
     counts = [sum(s.per_env) for s in found]
     envs = sum(len(s.per_env) for s in found)
     return Metric(
@@ -235,11 +236,13 @@ def regime(
         "type",
         "neither",
         method="variability counts as present where it is nonzero after rounding to 0.01 cm",
-        extra=_probabilities(parallel.extra["per_run"], run_matrix, classes),
+        extra=_probabilities(runs, parallel.extra["per_run"], run_matrix, classes),
     )
 
 
-def _probabilities(per_run: list[float], matrix: NDArray[np.float64] | None, classes: list[int]) -> dict[str, Any]:
+def _probabilities(
+    runs: Runs, per_run: list[float], matrix: NDArray[np.float64] | None, classes: list[int]
+) -> dict[str, Any]:
     if len(per_run) < MIN_RUNS:
         return {"probabilities_why_not": f"needs at least {MIN_RUNS} runs"}
     if matrix is None:
@@ -250,8 +253,9 @@ def _probabilities(per_run: list[float], matrix: NDArray[np.float64] | None, cla
     return {
         "probabilities": list(found.probabilities),
         "runs": found.n_run,
-        "decided_by": list(found.decided_by),
+        "decided_by": [runs[at].recording.configuration.run_index for at in found.decided_by],
         "agreement": found.agreement,
+        "distinct": len(set(classes)),
         "run_differs_below": found.run_differs_below,
         "parallel_below": found.parallel_below,
         "method": found.method.value,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -59,3 +60,56 @@ def histories_of(fingerprints: Fingerprints) -> Histories:
         first_step=int(fingerprints.steps[apart[0]]) if len(apart) else None,
         tree=split_tree(fingerprints.steps, counted),
     )
+
+
+def side_by_side(runs: Sequence[Histories]) -> tuple[NDArray[np.int64], NDArray[np.uint64]] | None:
+    """Digests of several runs at every step that any of them captured, or None where no step is common to all.
+
+    Runs of one group may have captured for different lengths of time. Two runs are compared at the steps that both
+    captured. Where a run captured nothing, it takes the digests of the first longer run that it equals at all common
+    steps: a run that ends early is told apart by what it captured, and hides no difference between the others.
+
+    Returns the steps, shape [row], and the digests, shape [row, run, 2].
+    """
+    steps = np.unique(np.concatenate([run.steps for run in runs]))
+    digests = np.zeros((len(steps), len(runs), 2), dtype=np.uint64)
+    captured = np.zeros((len(steps), len(runs)), dtype=bool)
+    for index, run in enumerate(runs):
+        rows = np.searchsorted(steps, run.steps)
+        digests[rows, index], captured[rows, index] = run.digests, True
+    if captured.all():
+        return steps, digests
+    if not captured.all(axis=1).any():
+        return None
+    classes: list[list[int]] = []  # the first of each is the longest
+    for index in sorted(range(len(runs)), key=lambda one: -len(runs[one].steps)):
+        equal = (one for one in classes if _equal_where_both(digests, captured, index, one))
+        if (found := next(equal, None)) is None:
+            classes.append([index])
+        else:
+            found.append(index)
+    for members in classes:
+        _fill(digests, captured, members, members)
+    for members in classes:  # later than any of a class goes, it is not told apart from the longest run
+        _fill(digests, captured, members, classes[0][:1])
+    return steps, digests
+
+
+def _equal_where_both(
+    digests: NDArray[np.uint64], captured: NDArray[np.bool_], one: int, others: Sequence[int]
+) -> bool:
+    return all(
+        np.array_equal(digests[both, one], digests[both, other])
+        for other in others
+        for both in (captured[:, one] & captured[:, other],)
+    )
+
+
+def _fill(
+    digests: NDArray[np.uint64], captured: NDArray[np.bool_], members: Sequence[int], sources: Sequence[int]
+) -> None:
+    for member in members:
+        for source in sources:
+            rows = captured[:, source] & ~captured[:, member]
+            digests[rows, member] = digests[rows, source]
+            captured[rows, member] = True

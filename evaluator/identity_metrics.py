@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from evaluator.histories import Histories
+from evaluator.histories import Histories, side_by_side
 from evaluator.metrics.divergence import FIT_LIMIT_M
 from evaluator.metrics.identity import changes, distinct_over_time
 from evaluator.metrics.levels import Verdict, verdict
@@ -16,6 +17,7 @@ from evaluator.metrics.split_tree import split_tree
 from evaluator.over_runs import NO_RUN, Runs, mean_over_runs
 from evaluator.results import Metric, not_computed
 from evaluator.run_data import RunData
+from evaluator.sampled import no_positions
 
 _MM_PER_M = 1000.0
 _LEVELS = "0 bit-identical, 1 equal up to order, 2 within k ULP, 3 within tolerance, 4 different"
@@ -61,12 +63,13 @@ def _distinct_runs(runs: Runs, method: str) -> Metric:
     found = [r.histories for r in runs if r.histories]
     if len(found) < 2:
         return not_computed("distinct_runs", "", "neither", "needs at least two complete runs")
-    if len({h.steps.tobytes() for h in found}) > 1:
-        return not_computed("distinct_runs", "", "neither", "the runs captured different steps")
-    stacked = np.stack([h.digests for h in found])
-    over_time = distinct_over_time(stacked.swapaxes(0, 1))
+    both = side_by_side(found)
+    if both is None:
+        return not_computed("distinct_runs", "", "neither", "the runs have no captured step in common")
+    steps, digests = both
+    over_time = distinct_over_time(digests)
     apart = np.flatnonzero(over_time.instant > 1)
-    first = int(found[0].steps[apart[0]]) if len(apart) else None
+    first = int(steps[apart[0]]) if len(apart) else None
     return Metric(
         "distinct_runs",
         float(over_time.classes.max() + 1),
@@ -77,10 +80,18 @@ def _distinct_runs(runs: Runs, method: str) -> Metric:
         extra={
             "classes": over_time.classes.tolist(),
             "first_difference_step": first,
-            "over_time": _over_time(found[0].steps, over_time.instant, over_time.histories),
-            "tree": split_tree(found[0].steps, over_time),
+            "runs": _indices([r for r in runs if r.histories]),
+            "over_time": _over_time(steps, over_time.instant, over_time.histories),
+            "tree": split_tree(steps, over_time),
         },
     )
+
+
+def classes_of(runs: Runs) -> list[int]:
+    """The class of each run by its bits, numbered in order of first appearance; empty where one cannot be compared."""
+    found = [r.histories for r in runs if r.histories]
+    both = side_by_side(found) if found and len(found) == len(runs) else None
+    return [] if both is None else distinct_over_time(both[1]).classes.tolist()
 
 
 def identical_steps(one: Runs, other: Runs) -> int:
@@ -105,21 +116,39 @@ def comparable(run: RunData) -> tuple[Any, ...]:
     return (str(scene), c.n_env, c.dt, c.seed if run.recording.action_names else 0, run.recording.fields)
 
 
-def capture_effect(runs: Runs) -> Metric:
-    """In how many runs the states differ between the timed phase, which nothing observes, and the capture phase."""
+def capture_effect(runs: Runs, distinct_runs: Metric) -> Metric:
+    """In how many runs the states differ between the timed phase, which nothing observes, and the capture phase.
+
+    Only of an engine that repeats itself, bit for bit, is such a difference the doing of the capture.
+
+    distinct_runs  of the same runs
+    """
     name = "capture_changes_states"
     observed = [r.observed for r in runs if r.observed is not None]
     if not observed:
         why = "no step was passed by both the timed and the capture phase" if runs else NO_RUN
         return not_computed(name, "", "lower", why)
+    changed, of = sum(observed), len(observed)
+    if changed and distinct_runs.value != 1:
+        why = (
+            f"{distinct_runs.value:.0f} of {distinct_runs.n} runs are distinct"
+            if distinct_runs.value
+            else f"nothing shows that runs repeat themselves ({distinct_runs.why_not})"
+        )
+        missing = not_computed(
+            name, "", "lower",
+            f"cannot be told: timed and captured states differ in {changed} of {of} runs, but {why}, so they may "
+            "differ anyway",
+        )  # fmt: skip
+        return replace(missing, extra={"differ": changed, "of": of})
     method = "runs whose state hashes differ between timed and capture phase at a step that both passed"
-    return Metric(name, float(sum(observed)), "", "lower", n=len(observed), method=method)
+    return Metric(name, float(changed), "", "lower", n=of, method=method)
 
 
 def equality_of_envs(runs: Runs) -> Metric:
     """How equal the environments of a run are, of the run in which they are least so."""
     name = "equality_envs"
-    if why_not := _no_positions(runs):
+    if why_not := no_positions(runs):
         return not_computed(name, "level", "lower", why_not)
     if runs[0].recording.action_names:
         why = "the environments were given different actions, so they differ by design"
@@ -134,15 +163,12 @@ def equality_of_envs(runs: Runs) -> Metric:
 def equality_of_runs(runs: Runs) -> Metric:
     """How equal the runs are, environment by environment."""
     name = "equality_runs"
-    if why_not := _no_positions(runs):
+    if why_not := no_positions(runs):
         return not_computed(name, "level", "lower", why_not)
     if len(runs) < 2:
         return not_computed(name, "level", "lower", "needs at least two complete runs")
-    histories = [r.histories for r in runs if r.histories]
-    rows = min((len(h.steps) for h in histories), default=0)  # runs of one group may be of different length
-    agree = None
-    if len(histories) == len(runs) and len({h.steps[:rows].tobytes() for h in histories}) == 1:
-        agree = len({h.until(rows) for h in histories}) == 1
+    classes = classes_of(runs)
+    agree = len(set(classes)) == 1 if classes else None
     samples = np.stack([r.positions.recorded for r in runs if r.positions])
     try:
         found = verdict(samples, hashes_agree=agree)
@@ -188,8 +214,8 @@ def _most_distinct(found: Sequence[Histories]) -> dict[str, list[int]]:
     return _over_time(most.steps, most.at_step, most.so_far)
 
 
-def _no_positions(runs: Runs) -> str:
-    return next((r.no_positions for r in runs if r.positions is None), "") if runs else NO_RUN
+def _indices(runs: Runs) -> list[int]:
+    return [r.recording.configuration.run_index for r in runs]
 
 
 def _difference(found: Verdict) -> float:

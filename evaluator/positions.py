@@ -83,6 +83,13 @@ def sample_positions(recording: Recording, sample_time: float) -> tuple[Position
     return positions, ""
 
 
+def was_recorded(recording: Recording, sample_time: float) -> bool:
+    """Whether the step of `sample_positions` was recorded, whatever the positions are."""
+    if f"{GROUP}/position" not in {field.name for field in recording.fields}:
+        return False
+    return sampling_step(sample_time, recording.configuration.dt) in recording.state(GROUP, "position").steps
+
+
 def in_env_frame(
     recording: Recording, field: StateField, recorded: NDArray[Any], envs: slice = slice(None)
 ) -> NDArray[np.float64]:

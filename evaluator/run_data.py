@@ -10,19 +10,20 @@ from dataclasses import dataclass
 import numpy as np
 
 from evaluator.histories import Histories, histories_of
-from evaluator.metrics.board import left_board
 from evaluator.metrics.levels import Verdict, verdict
 from evaluator.metrics.memory import Checkpoints
 from evaluator.physics.facts import PhysicsFacts
 from evaluator.physics.measure import physics_of
-from evaluator.positions import Positions, sample_positions
+from evaluator.positions import GROUP, Positions, sample_positions, was_recorded
 from evaluator.recording import Recording
-from evaluator.scene import board_of
+from evaluator.scene import board_of, extent_of_trials
 from evaluator.sinking import Sunk, sunk
 from evaluator.spread import Spread, spread
 from evaluator.streams import Fingerprints, MemoryTrace, StepTiming
 from evaluator.summary import Summary
 from schemas.errors import DamagedRecording
+from schemas.provenance import REAL
+from schemas.trial_units import METRES, UnitDoubt, unit_doubt
 
 
 @dataclass(frozen=True)
@@ -42,10 +43,10 @@ class RunData:
     observed    whether capturing changed the states, by the hashes of steps that timed and capture phase both passed;
                 None where there are none
     positions   at the sample step; None where there are none, and `no_positions` says why
+    doubt       what speaks against the unit of real trials; None where nothing does, and of simulations
+    reached     whether the sample step was recorded at all, whatever the positions are
     equality    of the environments, by bits and at the sample step; None where there are no two, or no positions
     spread      how the environments move apart; None where it cannot be said, and `no_spread` says why
-    left        cubes of all environments that are not on the board at the sample step; None where it cannot be said,
-                and `no_left` says why
     physics     how far the states keep to mechanics
     sunk        cubes that went through the floor; None where it cannot be said, and `no_sunk` says why
     timed_from  steps of the scene that were made before the first timed one; None where no step was timed
@@ -64,11 +65,11 @@ class RunData:
     observed: bool | None
     positions: Positions | None
     no_positions: str
+    reached: bool
+    doubt: UnitDoubt | None
     equality: Verdict | None
     spread: Spread | None
     no_spread: str
-    left: int | None
-    no_left: str
     sunk: Sunk | None
     no_sunk: str
     physics: PhysicsFacts
@@ -80,7 +81,6 @@ def read_run(recording: Recording, summary: Summary, sample_time: float) -> RunD
     try:
         _check_complete(recording)
         positions, no_positions = sample_positions(recording, sample_time)
-        left, no_left = _left(recording, positions, no_positions)
         sank, no_sunk = sunk(recording)
         timing = recording.timing
         allocator = recording.memory.get("gpu0/allocator") if "timed" in recording.configuration.phases else None
@@ -104,11 +104,11 @@ def read_run(recording: Recording, summary: Summary, sample_time: float) -> RunD
             observed=_observed(captured, recording.fingerprints("timed")),
             positions=positions,
             no_positions=no_positions,
+            reached=positions is not None or was_recorded(recording, sample_time),
+            doubt=_doubt(recording, positions),
             equality=_equality(positions, histories),
             spread=apart,
             no_spread=no_spread,
-            left=left,
-            no_left=no_left,
             sunk=sank,
             no_sunk=no_sunk,
             physics=physics_of(recording, (sank, no_sunk)),
@@ -119,6 +119,7 @@ def read_run(recording: Recording, summary: Summary, sample_time: float) -> RunD
 
 
 def _check_complete(recording: Recording) -> None:
+    board_of(recording)  # of a run that failed, a board that cannot be read is no matter
     # The recorder calls such a run invalid; a file that does not was made, or changed, by something else.
     described = recording.simulation.overflow_bits if recording.simulation else ()
     for phase, overflows in recording.overflows.items():
@@ -140,16 +141,18 @@ def _equality(positions: Positions | None, histories: Histories | None) -> Verdi
         raise ValueError(f"environments: {error}") from None
 
 
-def _left(recording: Recording, positions: Positions | None, no_positions: str) -> tuple[int | None, str]:
-    board = board_of(recording)
-    if board is None:
-        return None, "this scene has no board to leave"
-    if positions is None:
-        return None, no_positions
-    spatial = positions.spatial
-    if spatial is None:
-        return None, "heights were not recorded"
-    return int(np.count_nonzero(left_board(spatial, board))), ""
+def _doubt(recording: Recording, positions: Positions | None) -> UnitDoubt | None:
+    if recording.configuration.simulator != REAL or positions is None:
+        return None
+    extent = extent_of_trials(recording, GROUP)
+    options = recording.simulation.options if recording.simulation else {}
+    unit, names = str(options.get("unit", "m")), options.get("trials")
+    if extent is None or unit not in METRES:
+        return None
+    planar = positions.planar
+    if not isinstance(names, list) or len(names) != len(planar):
+        names = [*range(len(planar))]
+    return unit_doubt(planar, unit, [str(name) for name in names], extent)
 
 
 def _observed(captured: Fingerprints | None, timed: Fingerprints | None) -> bool | None:

@@ -10,6 +10,7 @@ from evaluator.metrics.sank import Support
 from evaluator.recording import Recording
 from schemas import checks
 from schemas.errors import DamagedRecording
+from schemas.trial_units import Extent, extent_of
 
 _LEVEL = (1.0, 0.0, 0.0, 0.0)
 
@@ -49,6 +50,14 @@ def radius_of(recording: Recording, group: str) -> float:
         bodies = [b for b in checks.objects(recording.scene, "bodies") if b.get("group") == group]
         shapes = [shape for body in bodies if (shape := checks.mapping(body, "shape")).get("kind") == "box"]
         return max((math.hypot(*checks.vector(s.get("size"), 3, "a box's size")) / 2 for s in shapes), default=0.0)
+    except DamagedRecording as error:
+        raise DamagedRecording(f"{recording.path}: {error}") from None
+
+
+def extent_of_trials(recording: Recording, group: str) -> Extent | None:
+    """Where the bodies of a group should come to lie; DamagedRecording where the scene is unreadable."""
+    try:
+        return extent_of(recording.scene, group)
     except DamagedRecording as error:
         raise DamagedRecording(f"{recording.path}: {error}") from None
 

@@ -7,6 +7,7 @@ was not measured is not there.
 from __future__ import annotations
 
 import argparse
+import json
 import sys
 import uuid
 
@@ -24,6 +25,7 @@ from schemas.configuration import RunConfiguration, sim_time_ns
 from schemas.errors import DataLost, UsageError
 from schemas.fields import FIELD_KINDS, StateField
 from schemas.provenance import PROVENANCE, REAL, SCENE, SIMULATION, TRIALS, Provenance, Simulation
+from schemas.trial_units import extent_of, unit_doubt
 
 _GROUP = "cubes"
 
@@ -51,6 +53,13 @@ def record_trials(arguments: argparse.Namespace, argv: tuple[str, ...]) -> int:
         trials = parse_trials(text, unit=arguments.unit, cubes=len(cubes))
     except UsageError as error:
         raise UsageError(f"{arguments.trials}: {error}") from None
+
+    extent = extent_of(json.loads(scene.to_json()), _GROUP)
+    doubt = unit_doubt(trials.positions, arguments.unit, trials.names, extent) if extent else None
+    if doubt and doubt.wrong:
+        raise UsageError(f"{arguments.trials}: {doubt.text}")
+    if doubt:
+        print(f"gsb-record: warning: {arguments.trials}: {doubt.text}", file=sys.stderr)
 
     configuration = RunConfiguration(
         simulator=REAL,

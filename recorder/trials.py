@@ -11,10 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas.errors import UsageError
+from schemas.trial_units import METRES
 
 COLUMNS = ("trial", "cube", "x", "y")
 HEIGHT = "z"
-UNITS = {"m": 1.0, "cm": 0.01}
+UNITS = {unit: METRES[unit] for unit in ("m", "cm")}
 
 
 @dataclass(frozen=True)

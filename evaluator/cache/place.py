@@ -33,13 +33,14 @@ from evaluator.transport.small import SummaryBlock
 from schemas.configuration import RunConfiguration
 from schemas.fields import StateField
 from schemas.provenance import Buffer, Counter, Deviation, OverflowBit, Provenance, ReplayOf, Simulation
+from schemas.trial_units import UnitDoubt
 
 _CLASSES = (
     Summary, CountSummary, BitSummary, OverflowSummary, ActionStream, Board, RunConfiguration, Provenance, ReplayOf,
     Simulation, Deviation, StateField, Buffer, Counter, OverflowBit, RunData, Histories, Positions, Checkpoints, Sunk,
     Stamp, Reader, SplitTree, Branch, Spread, GrowthFit, Verdict, Worst, Level, PhysicsFacts,
     Measured, NotMeasured, Check, ParallelVariability, Transport, Gap, GapTo, SummaryBlock,
-    MatchedPoint, MatchedVariability, Interval, Checkup,
+    MatchedPoint, MatchedVariability, Interval, Checkup, UnitDoubt,
 )  # fmt: skip
 
 

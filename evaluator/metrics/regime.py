@@ -21,10 +21,10 @@ class Regime(IntEnum):
 
 
 REGIME_MEANING: dict[int, str] = {
-    1: "Parallel envs of one run differ, and repeated runs agree.",
-    2: "Parallel envs of one run agree, and repeated runs agree.",
-    3: "Parallel envs of one run differ, and repeated runs differ.",
-    4: "Parallel envs of one run agree, and repeated runs differ.",
+    1: "Parallel envs of one run differ, and repeated runs agree, rounded to 0.01 cm.",
+    2: "Parallel envs of one run agree, and repeated runs agree, rounded to 0.01 cm.",
+    3: "Parallel envs of one run differ, and repeated runs differ, rounded to 0.01 cm.",
+    4: "Parallel envs of one run agree, and repeated runs differ, rounded to 0.01 cm.",
 }
 
 

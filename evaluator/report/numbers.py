@@ -24,7 +24,9 @@ def figure(value: float, unit: str) -> str:
         return f"{value:,.0f}"
     if unit in ("GB", "MB"):
         return f"{value:.2f}"
-    return f"{value:.0f}" if value == round(value) else f"{value:.2f}"
+    if value == round(value):
+        return f"{value:.0f}"
+    return f"{value:.2f}" if abs(value) >= 0.005 else f"{value:.1g}"
 
 
 def mean_sd(metric: Metric) -> str:

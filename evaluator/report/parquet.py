@@ -31,6 +31,7 @@ _METRICS = {
     "low": "Float64", "high": "Float64", "n": "Int64", "exactness": "String", "method": "String", "why_not": "String",
     "first_timed_step": "Int64", "last_timed_step": "Int64", "shortest_timed_s": "Float64", "cone": "String",
     "iterations": "String", "tolerance": "String", "protocol_1_findings": "Int64",
+    "floor": "Float64", "p_value": "Float64",
 }  # fmt: skip
 
 _RUNS = {
@@ -42,7 +43,8 @@ _RUNS = {
 def parquet_tables(evaluation: Evaluation) -> dict[str, bytes]:
     """Both tables as Parquet, by the name of their file; UsageError without polars.
 
-    metrics.parquet  a row for each metric of each group; an interval where it has one
+    metrics.parquet  a row for each metric of each group; an interval where it has one; floor and p_value of a W1 whose
+                     environments were exchanged between two sides
     runs.parquet     a row for each recording that could be read
     """
     found = {}
@@ -88,9 +90,11 @@ def _metric_rows(evaluation: Evaluation) -> Iterator[dict[str, Any]]:
     for result in evaluation.results:
         for metric in result.metrics.values():
             low, high = metric.ci95 or (None, None)
+            floor = metric.extra.get("floor", {})
             yield _clean({
                 **_key_of(result), "metric": metric.name, **_values_of(metric), "low": low, "high": high, "n": metric.n,
                 **_timed(result.timed),
+                "floor": floor.get("floor_mean_cm"), "p_value": floor.get("p_value"),
             })  # fmt: skip
 
 

@@ -8,6 +8,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from evaluator.clamped_metrics import SUFFIX
 from evaluator.fidelity import Verdict
 from evaluator.metrics.radar import SimulatorResult
 from evaluator.metrics.regime import REGIME_MEANING
@@ -28,6 +29,9 @@ _UNSHOWN = (
     "compile_time",
     "capture_slowdown",
     "divergence_rate",
+    "w1_parallel_clamped",
+    "w1_run_to_run_clamped",
+    "w1_real_clamped",
 )  # no row of dashes, so no reason
 
 
@@ -78,7 +82,7 @@ def _print_scene(
             row("  95 % interval", [interval(m) for m in found])
         floors = [m.extra.get("floor", {}) for m in found]
         if any("p_value" in f for f in floors):
-            row("  envs exchanged: floor; p", [_floor(f) for f in floors])
+            row("  envs exchanged: floor; p", [words.exchanged(m) for m in found])
         if any("energy_p_value" in f for f in floors):
             row("  energy distance; p", [_energy(f) for f in floors])
 
@@ -91,15 +95,19 @@ def _print_scene(
         row(f"  {column.title}", [column.cell(r.timed) for r in results])
     both("GPU memory increment [GB]", "memory_peak_increment")
     both("host memory increment [MB]", "host_memory_peak_increment")
-    both("W1 between envs [cm]", "w1_parallel")
-    both("W1 between runs [cm]", "w1_run_to_run")
-    both("W1 to reference [cm]", "w1_real")
+    # where no cube left the board, the clamped distance is the published one
+    fell = any(r.metrics["left_board"].value for r in results)
+    for title, name in (("envs", "w1_parallel"), ("runs", "w1_run_to_run"), ("reference", "w1_real")):
+        to = "to" if name == "w1_real" else "between"
+        both(f"W1 {to} {title} [cm]", name)
+        if fell and any(r.metrics[name].value is not None for r in results):
+            both("  cubes clamped to the board", f"{name}{SUFFIX}")
+    told("cubes off the board per env", [mean_sd(r.metrics["left_board"]) for r in results])
     row("distinct envs, bitwise", [_of(r.metrics["distinct_envs"]) for r in results])
     row("distinct runs, bitwise", [_of(r.metrics["distinct_runs"]) for r in results])
     told("envs are", [words.equality(r.metrics["equality_envs"]) for r in results])
     told("runs are", [words.equality(r.metrics["equality_runs"]) for r in results])
     told("envs part: doubling time [s]", [words.doubling(r.metrics["divergence_rate"]) for r in results])
-    both("cubes off the board per env", "left_board")
     both("cubes sunk per env", "sank")
     told("checks of mechanics held", [words.mechanics(r.fidelity) for r in results])
     row("published type", [words.regime(r.metrics["regime_published"]) for r in results])
@@ -113,12 +121,6 @@ def _print_scene(
     for line in (*_legend(results), *_reasons(results)):
         console.print(printable(f"  {line}"), style="dim")
     console.print()
-
-
-def _floor(floor: dict[str, float]) -> str:
-    if "p_value" not in floor:
-        return NONE
-    return f"{distance(floor['floor_mean_cm'])}; {floor['p_value']:.2g} of {distance(floor['observed_cm'])}"
 
 
 def _energy(floor: dict[str, float]) -> str:
@@ -140,6 +142,11 @@ def _legend(results: list[GroupResult]) -> list[str]:
         lines.append(
             "envs exchanged: of the first two runs, or the first and the reference, whose W1 stands behind the p: "
             "whether their envs are one law, if envs are independent"
+        )
+    if any(r.metrics["left_board"].value for r in results):
+        lines.append(
+            "cubes clamped to the board: each cube beside the board is put at its nearest edge, so that flight after a "
+            "fall does not count"
         )
     if any(r.metrics["equality_runs"].value or r.metrics["equality_envs"].value for r in results):
         lines.append("what is less than bit-identical is said of the sample step alone")
@@ -169,14 +176,11 @@ def _bounds(results: list[GroupResult]) -> list[str]:
 
 def _agreement(results: list[GroupResult]) -> list[str]:
     # runs that all agree leave a resampling nothing to find
-    bounds: dict[int, float] = {}
-    for result in results:
-        found = result.metrics["regime_published"].extra
-        if found.get("agreement"):
-            bounds[len(result.group.complete)] = found["run_differs_below"]
+    found = [m for r in results if (m := r.metrics["regime_published"]).extra.get("agreement")]
+    lines = {(m.extra["runs"], m.extra["agreement"]): words.another(m) for m in found}
     return [
-        f"{count} runs that all agree: another one differs with a probability below {bound:.0%} (95 %)"
-        for count, bound in sorted(bounds.items())
+        f"{count} runs that are {'bit-identical' if kind == 'bits' else 'within 0.01 cm'}: {line}"
+        for (count, kind), line in sorted(lines.items())
     ]
 
 

@@ -9,7 +9,7 @@ from evaluator.fidelity import Fidelity, Verdict
 from evaluator.groups import Described, Group, shown_status
 from evaluator.metrics.levels import Level
 from evaluator.metrics.memory_model import MemoryModel
-from evaluator.report.numbers import NONE
+from evaluator.report.numbers import NONE, distance
 from evaluator.results import Metric
 from evaluator.validity import BufferUse, Counted, OverflowSeen, Validity
 
@@ -151,5 +151,30 @@ def regime(metric: Metric) -> str:
         return str(number)
     share, runs = again[number - 1], metric.extra["runs"]
     if share == 1 and metric.extra["agreement"]:
-        return f"{number} (all {runs} runs agree)"
+        return f"{number} ({alike(metric)})"
     return f"{number} (in {'all' if share == 1 else format(share, '.0%') + ' of'} resamples of {runs} runs)"
+
+
+def alike(metric: Metric) -> str:
+    """In what all runs of a published type are alike: in every bit, or rounded as the type is, with other bits."""
+    runs, distinct = metric.extra["runs"], metric.extra["distinct"]
+    if metric.extra["agreement"] == "bits":
+        return f"all {runs} runs bit-identical"
+    return f"all {runs} runs within 0.01 cm, {distinct} distinct"
+
+
+def another(metric: Metric) -> str:
+    """What is not excluded where all runs of a published type are alike: that another run differs."""
+    how = "in some bit" if metric.extra["agreement"] == "bits" else "by 0.01 cm"
+    return f"another run differs {how} with a probability below {metric.extra['run_differs_below']:.0%} (95 %)"
+
+
+def exchanged(metric: Metric) -> str:
+    """W1 of the first two sides with whole environments exchanged between them, and the p-value of their own W1.
+
+    A dash where there is none.
+    """
+    found = metric.extra.get("floor", {})
+    if "p_value" not in found:
+        return NONE
+    return f"{distance(found['floor_mean_cm'])}; {found['p_value']:.2g} of {distance(found['observed_cm'])}"

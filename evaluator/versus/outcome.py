@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from evaluator.group_metrics import positions
 from evaluator.metrics.variability import run_to_run_variability
 from evaluator.over_runs import Runs
+from evaluator.sampled import positions
 from evaluator.statistics.exchange import compare_distances, least_p
 from evaluator.versus.finding import Axis, Change, Finding, Question, Settings, not_compared
 from evaluator.work import Work

@@ -86,7 +86,7 @@ def _bound(name: str, alike: Metric, change: Change) -> str:
     if name != "distinct_runs" or change is Change.SAME:
         return ""
     below: Any = 1 - 0.05 ** (1 / (alike.n - 1))
-    return f"{alike.n} runs that agree: another one differs with a probability below {below:.0%} (95 %)"
+    return f"{alike.n} bit-identical runs: another one differs in some bit with a probability below {below:.0%} (95 %)"
 
 
 def _said(metric: Metric) -> str:

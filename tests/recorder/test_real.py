@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -10,8 +11,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from evaluator import open_recording
+from recorder.cli import main
+from recorder.scenes.registry import make_scene
 from recorder.trials import parse_trials
 from schemas.errors import UsageError
+from schemas.trial_units import extent_of, unit_doubt
 from tests.conftest import Command
 from tests.synthetic import grid, metrics_of, write_recording
 
@@ -138,3 +142,77 @@ def test_numbers_survive(points: list[tuple[float, float]]) -> None:
     """Read back the very numbers that were written."""
     trials = parse_trials(csv(np.array([points]), scale=1.0), unit="m", cubes=len(points))
     assert np.array_equal(trials.positions[0], points)
+
+
+@pytest.mark.parametrize(
+    ("scale", "unit", "message"),
+    [
+        (100.0, "m", "trial t0 (and 1 more of 2): half of its bodies lie 31 m or more beside the board: m cannot be"),
+        (100.0, "m", "its unit; cm would fit"),
+        (1.0, "cm", "its 27 bodies with edges of 0.02 m lie within 0.004 m by 0.002 m: cm cannot be its unit; m would"),
+        (1000.0, "m", "m cannot be its unit; mm would fit"),
+    ],
+)
+def test_the_wrong_unit_is_refused(gsb_record: Command, tmp_path: Path, scale: float, unit: str, message: str) -> None:
+    """Name the first trial, what is odd, and the unit that would fit; end with 2 and write nothing."""
+    (tmp_path / "trials.csv").write_text(csv(grid(2), scale=scale))
+    done = gsb_record("--sim", "real", "--trials", tmp_path / "trials.csv", "--unit", unit, "--out", tmp_path / "out")
+    assert done.returncode == 2
+    assert message in done.stderr
+    assert not (tmp_path / "out").exists()
+
+
+def test_one_trial_in_another_unit_is_named(gsb_record: Command, tmp_path: Path) -> None:
+    """Find one trial of four that somebody measured in metres."""
+    final = grid(4)
+    final[2] /= 100
+    (tmp_path / "trials.csv").write_text(csv(final))
+    done = gsb_record("--sim", "real", "--trials", tmp_path / "trials.csv", "--unit", "cm", "--out", tmp_path / "out")
+    assert done.returncode == 2
+    assert "trial t2: its 27 bodies" in done.stderr
+
+
+def test_a_wide_outcome_is_recorded_with_a_warning(gsb_record: Command, gsb_eval: Command, tmp_path: Path) -> None:
+    """Warn of cubes half of which are a little beside the board, on recording and on evaluating, and compare them."""
+    (tmp_path / "trials.csv").write_text(csv(grid(2) + [0.4, 0.0, 0.0]))
+    done = gsb_record("--sim", "real", "--trials", tmp_path / "trials.csv", "--unit", "cm", "--out", tmp_path / "out")
+    assert done.returncode == 0
+    said = "trial t0 (and 1 more of 2): half of its bodies lie 0.1 m or more beside the board: cm may not be its unit"
+    assert f"warning: {tmp_path / 'trials.csv'}: {said}" in done.stderr
+    found = gsb_eval(write_recording(tmp_path, grid(2)), done.stdout.strip(), "--json", "-")
+    assert metrics_of(found.stdout)["w1_real"]["value"] == pytest.approx(40.0)
+    assert said in found.stdout
+
+
+@pytest.mark.parametrize("scene", ["inclined-collision", "free-fall"])
+@given(st.floats(0.3, 3.0), st.floats(-0.2, 0.2), st.floats(-0.2, 0.2))
+def test_a_factor_of_a_hundred_is_always_found(scene: str, spread: float, x: float, y: float) -> None:
+    """Accept what lies about the scene, and neither a hundredth nor a hundredfold of it."""
+    described = json.loads(make_scene(scene).to_json())
+    extent = extent_of(described, "cubes")
+    assert extent is not None
+    middle = np.array([0.3, 0.0])
+    trial = ((grid(1)[..., :2] - middle) * min(spread, 1.4) + (middle if extent.what == "the board" else 0.0)) + [
+        x * 0.2, y * 0.2,
+    ]  # fmt: skip
+    assert unit_doubt(trial, "m", ["a"], extent) is None
+    for factor, unit in ((100.0, "m"), (0.01, "cm")):
+        doubt = unit_doubt(trial * factor, unit, ["a"], extent)
+        assert doubt is not None
+        assert doubt.wrong or factor > 1
+
+
+def test_a_recording_in_the_wrong_unit_is_no_reference(
+    gsb_record: Command, gsb_eval: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Refuse trials that an older recorder took in the wrong unit, with the reason in place of 3,000 cm."""
+    (tmp_path / "trials.csv").write_text(csv(grid(2), scale=100.0))
+    monkeypatch.setattr("recorder.real.unit_doubt", lambda *_: None)
+    text = ["--sim", "real", "--trials", str(tmp_path / "trials.csv"), "--unit", "m", "--out", str(tmp_path / "out")]
+    assert main(text) == 0
+    (path,) = (tmp_path / "out").glob("*.mcap")
+    done = gsb_eval(write_recording(tmp_path, grid(2)), path, "--json", "-")
+    metric = metrics_of(done.stdout)["w1_real"]
+    assert metric["value"] is None
+    assert "cannot be used: trial t0 (and 1 more of 2): half of its bodies lie 31 m" in metric["why_not"]
+    assert "cm would fit" in metric["why_not"]

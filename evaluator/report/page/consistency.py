@@ -31,16 +31,19 @@ def section(source: Source) -> Section:
 
 def _envs(result: GroupResult, key: str) -> Picture:
     metric = result.metrics["distinct_envs"]
-    classes = metric.extra["classes"][0] if metric.value is not None and "classes" in metric.extra else ()
     values = result.parallel_matrix
+    of_runs = metric.extra.get("classes", ()) if metric.value is not None else ()
+    drawn = result.metrics["w1_parallel"].extra.get("matrix_of", 0)
+    classes = of_runs[drawn] if drawn is not None and drawn < len(of_runs) else ()
     names = range(len(values)) if values is not None else ()
     return _matrix(result, values, "env", "w1_parallel", classes, metric.why_not, names, key)
 
 
 def _runs(result: GroupResult, key: str) -> Picture:
     metric = result.metrics["distinct_runs"]
-    classes = metric.extra["classes"] if metric.value is not None and "classes" in metric.extra else ()
-    names = [r.configuration.run_index for r in result.group.complete]
+    between = result.metrics["w1_run_to_run"].extra
+    classes = between.get("classes", ()) if metric.value is not None else ()
+    names = between.get("runs", ())
     return _matrix(result, result.run_matrix, "run", "w1_run_to_run", classes, metric.why_not, names, key)
 
 

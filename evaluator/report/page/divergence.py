@@ -163,7 +163,7 @@ def _tree(result: GroupResult, of: str, key: str) -> Picture | None:
     label = "environments" + (f" of run {runs[0]}" if of == "env" and runs else "") if of == "env" else "runs"
     if tree is None:
         return Picture(label, f"No tree: {metric.why_not}.", None) if metric.value is None else None
-    names = runs if of == "run" else range(len(metric.extra["classes"][0]))
+    names = metric.extra.get("runs", runs) if of == "run" else range(len(metric.extra["classes"][0]))
     dt = result.group.key.dt
     svg = tree_chart(tree, dt=dt, of=of, names=names, label=result.label)
     if not svg:

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from evaluator import published, remade
+from evaluator.clamped_metrics import SUFFIX
 from evaluator.groups import GroupKey
 from evaluator.price_list import DEFAULT
 from evaluator.published import AtLargest, Variability
@@ -154,7 +155,17 @@ def _row(result: GroupResult, source: Source, *, first: bool) -> VariabilityRow:
     told = next((r for r in published.VARIABILITY if r.simulator == name), None) if beside else None
     real, parallel, between = (result.metrics[n] for n in ("w1_real", "w1_parallel", "w1_run_to_run"))
     distance = Figure("–") if _no_real(source) else _printed(real, 3)
-    return VariabilityRow(result, distance, _printed(parallel, 2), _printed(between, 2), faults(result), told)
+    printed = [_beside(_printed(metric, 2), result, metric) for metric in (parallel, between)]
+    return VariabilityRow(result, distance, printed[0], printed[1], faults(result), told)
+
+
+def _beside(figure: Figure, result: GroupResult, metric: Metric) -> Figure:
+    """With what the value is without the flight of cubes that left the board."""
+    fell, clamped = (result.metrics[name].value for name in ("left_board", metric.name + SUFFIX))
+    if not fell or clamped is None:
+        return figure
+    said = f"clamped to the board: {numbers.distance(clamped)}; {numbers.figure(fell, '')} cubes off it per env"
+    return replace(figure, note="; ".join(part for part in (figure.note, said) if part))
 
 
 def _printed(metric: Metric, decimals: int) -> Figure:

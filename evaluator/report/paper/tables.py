@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 
+from evaluator.clamped_metrics import SUFFIX
 from evaluator.price_list import Family
 from evaluator.published import SCALING, SOURCE, VARIABILITY, AtLargest
 from evaluator.remade import AtMax, Capability, capability
@@ -21,8 +22,10 @@ from evaluator.sweeps import Sweep
 _TIMED = tuple(column.title for column in timed.ALL)
 
 _VARIABILITY = (
-    "group", "scene", "envs x runs", "EMD to reference [cm]", "95 % of EMD", "parallel [cm]", "95 % of parallel",
-    "run-to-run [cm]", "95 % of run-to-run", "distinct envs", "distinct runs", "published type", "not complete",
+    "group", "scene", "envs x runs", "EMD to reference [cm]", "95 % of EMD", "EMD, clamped [cm]", "parallel [cm]",
+    "95 % of parallel", "parallel, clamped [cm]", "run-to-run [cm]", "95 % of run-to-run", "run-to-run, clamped [cm]",
+    "envs exchanged: floor; p", "cubes off the board per env", "distinct envs", "distinct runs", "published type",
+    "not complete",
 )  # fmt: skip
 _THROUGHPUT = (
     "group", "scene", "device", "envs x runs", "throughput [env steps/s]", "95 %", *_TIMED, "GPU memory increment [GB]",
@@ -95,10 +98,11 @@ def tables(evaluation: Evaluation, *, published: bool) -> Iterator[TextTable]:
 
 def _variability(result: GroupResult) -> tuple[str, ...]:
     key, metrics = result.group.key, result.metrics
-    distances = [metrics[name] for name in ("w1_real", "w1_parallel", "w1_run_to_run")]
+    distances = [(metrics[name], metrics[name + SUFFIX]) for name in ("w1_real", "w1_parallel", "w1_run_to_run")]
     return (
         result.label, key.scene, _size(result),
-        *(cell for metric in distances for cell in (mean_sd(metric), interval(metric))),
+        *(cell for metric, beside in distances for cell in (mean_sd(metric), interval(metric), mean_sd(beside))),
+        words.exchanged(metrics["w1_run_to_run"]), mean_sd(metrics["left_board"]),
         _of(metrics["distinct_envs"]), _of(metrics["distinct_runs"]), words.regime(metrics["regime_published"]),
         words.trouble(result.group) or NONE,
     )  # fmt: skip

@@ -1,0 +1,171 @@
+"""W1 beside cubes that left the board: against formulas, against scipy over shipped recordings, and as it is shown."""
+
+from __future__ import annotations
+
+import io
+import json
+from itertools import combinations
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+from numpy.typing import NDArray
+from scipy.optimize import linear_sum_assignment
+from scipy.spatial.distance import cdist
+
+from evaluator.evaluate import evaluate, evaluate_files
+from evaluator.metrics.board import Board, clamped
+from evaluator.reading import Read, Reader
+from evaluator.recording import Recording
+from evaluator.report.html import render_html
+from evaluator.report.json import to_json
+from evaluator.report.numbers import figure
+from evaluator.report.paper.tables import tables
+from evaluator.report.parquet import frames
+from evaluator.report.tables import print_tables
+from evaluator.results import Evaluation
+from tests.synthetic import grid, write_recording
+
+H200 = Path(__file__).resolve().parents[2] / "recordings" / "h200"
+BOARD = Board((0.6, 0.6, 0.02), (0.3, 0.0, 0.01))
+POINTS = arrays(np.float64, (6, 2), elements=st.floats(-200, 200))
+
+
+def w1(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
+    """W1 [cm] by scipy, of positions [m]."""
+    apart = cdist(a, b)
+    return float(100 * apart[linear_sum_assignment(apart)].mean())
+
+
+@given(POINTS, POINTS)
+def test_clamping_only_brings_nearer(one: NDArray[np.float64], other: NDArray[np.float64]) -> None:
+    """End within the board, leave what lies within it, and make no distance larger."""
+    moved = clamped(one, BOARD)
+    assert ((moved >= [0.0, -0.3]) & (moved <= [0.6, 0.3])).all()
+    within = ((one >= [0.0, -0.3]) & (one <= [0.6, 0.3])).all(axis=1)
+    assert np.array_equal(moved[within], one[within])
+    assert w1(moved, clamped(other, BOARD)) <= w1(one, other) + 1e-9
+
+
+def test_a_cube_that_flew_off(tmp_path: Path) -> None:
+    """Count the cube, keep the published value, and clamp it to where it left: 60 m of flight become 10 cm of board."""
+    final = grid(4)
+    final[1, 26] = (60.0, final[1, 26, 1], -90.0)  # from x = 0.5, past the edge at 0.6
+    found = evaluate_files([write_recording(tmp_path, final, run=run) for run in range(2)]).results[0].metrics
+    pairs = 3 / 6  # of those with environment 1
+    assert found["w1_parallel"].value == pytest.approx(100 * (60.0 - 0.5) / 27 * pairs)
+    assert found["w1_parallel_clamped"].value == pytest.approx(100 * (0.6 - 0.5) / 27 * pairs)
+    assert found["left_board"].value == 0.25
+    assert found["left_board"].extra["envs_with_any"] == 2
+
+
+@pytest.mark.parametrize(
+    "name", ["warp-inclined-collision", "isaaclab-newton-inclined", "physx-inclined", "mjx-jax-incl"]
+)
+def test_shipped_recordings_against_scipy(name: str) -> None:
+    """Recompute both variabilities of two runs, published and clamped, with scipy alone."""
+    paths = sorted(H200.glob(f"{name}*.mcap"))[3:5]
+    (result,) = evaluate_files(paths).results
+    recordings = [Recording(path) for path in paths]
+    runs = np.array([r.state("cubes", "position").at_step(500) for r in recordings], dtype=np.float64)
+    simulation = recordings[0].simulation
+    assert simulation is not None
+    if simulation.env_origins:
+        runs -= np.array(simulation.env_origins)[:, None]
+    beside = (runs[..., 0] < 0) | (runs[..., 0] > 0.6) | (np.abs(runs[..., 1]) > 0.3)
+    assert result.metrics["left_board"].extra["total"] == (beside | (runs[..., 2] < 0.02)).sum()
+    for suffix, planar in (("", runs[..., :2]), ("_clamped", np.clip(runs[..., :2], [0.0, -0.3], [0.6, 0.3]))):
+        envs = np.mean([[w1(a, b) for a, b in combinations(run, 2)] for run in planar])
+        assert result.metrics[f"w1_parallel{suffix}"].value == pytest.approx(envs, rel=1e-9)
+        between = w1(planar[0].reshape(-1, 2), planar[1].reshape(-1, 2))
+        assert result.metrics[f"w1_run_to_run{suffix}"].value == pytest.approx(between, rel=1e-9)
+
+
+def test_five_runs_of_mjx_end_in_three_places() -> None:
+    """Hold the README's figures: 2.4, 12.4 and 13.9 cm apart, and 1.7 to 2.9 without the cube that fell."""
+    (result,) = evaluate_files(sorted(H200.glob("mjx-jax-inclined*.mcap"))).results
+    assert result.run_matrix is not None
+    assert sorted(set(np.round(result.run_matrix, 1).ravel())) == [0.0, 2.4, 12.4, 13.9]
+    assert result.metrics["left_board"].extra["per_run"] == [0, 0, 0, 0, 16]
+    shown = (Path(__file__).resolve().parents[2] / "README.md").read_text(encoding="utf-8")
+    assert "2.4, 12.4 and 13.9 cm" in " ".join(shown.split())
+
+
+@pytest.fixture(scope="module")
+def few(tmp_path_factory: pytest.TempPathFactory) -> Evaluation:
+    """Three runs of 20 environments with one cube beside the board, and a reference with one more."""
+    folder = tmp_path_factory.mktemp("few")
+    rng = np.random.default_rng(0)
+    files = [write_recording(folder, grid(20) + rng.normal(0, 0.002, (20, 27, 3)) * [1, 1, 0], run=r) for r in (0, 1)]
+    final = grid(20)
+    final[7, 3] = (3.0, 0.0, -4.0)
+    files.append(write_recording(folder, final, run=2))
+    away = grid(20)
+    away[0, 0] = (-9.0, 0.0, -9.0)
+    read = Reader(5.0)
+    reference = read(write_recording(folder, away, simulator="other"))
+    assert isinstance(reference, Read)
+    return evaluate([read(path) for path in files], reference=reference)
+
+
+def test_one_cube_of_many_is_shown(few: Evaluation) -> None:
+    """Show one cube of 60 environments, and both distances, in text, JSON, HTML, tables and Parquet."""
+    found = to_json(few)["groups"][0]["metrics"]
+    assert found["left_board"]["value"] == 1 / 60
+    assert found["w1_parallel_clamped"]["value"] < found["w1_parallel"]["value"]
+    assert found["w1_real_clamped"]["value"] < found["w1_real"]["value"]
+
+    stream = io.StringIO()
+    print_tables(few, stream)
+    lines = [" ".join(line.split()) for line in stream.getvalue().splitlines()]
+    assert "cubes off the board per env 0.02" in lines
+    assert sum(line.startswith("cubes clamped to the board 0.") for line in lines) == 3
+
+    page = render_html(few, published=False, command="")
+    assert page.count("<small>clamped to the board: 0.") == 5, "in two tables"
+    assert "<small>in 1 of 60 envs</small>" in page
+
+    (row,) = next(t for t in tables(few, published=False) if t.key == "variability").rows
+    assert "0.02" in row
+
+    table = frames(few)["metrics.parquet"]
+    by_name = {record["metric"]: record for record in table.iter_rows(named=True)}
+    assert by_name["w1_parallel_clamped"]["value"] == found["w1_parallel_clamped"]["value"]
+
+
+def test_floor_and_p_stand_beside_runs(tmp_path: Path) -> None:
+    """Show the permutation floor and p of W1 between runs in text, JSON, HTML, tables and Parquet."""
+    rng = np.random.default_rng(1)
+    files = [write_recording(tmp_path, grid(4) + rng.normal(0, 0.01, (4, 27, 3)), run=r) for r in range(3)]
+    found = evaluate_files(files)
+    floor = to_json(found)["groups"][0]["metrics"]["w1_run_to_run"]["extra"]["floor"]
+    shown = f"{floor['floor_mean_cm']:.3f}; {floor['p_value']:.2g} of {floor['observed_cm']:.3f}"
+    stream = io.StringIO()
+    print_tables(found, stream)
+    assert shown in stream.getvalue()
+    assert shown in render_html(found, published=False, command="")
+    (row,) = next(t for t in tables(found, published=False) if t.key == "variability").rows
+    assert shown in row
+    rows = {record["metric"]: record for record in frames(found)["metrics.parquet"].iter_rows(named=True)}
+    assert rows["w1_run_to_run"]["floor"] == floor["floor_mean_cm"]
+    assert rows["w1_run_to_run"]["p_value"] == floor["p_value"]
+    assert rows["fps"]["p_value"] is None
+
+
+def test_no_board_no_clamping(tmp_path: Path) -> None:
+    """Say that a scene without a board has none, and keep the published value."""
+    (result,) = evaluate_files([write_recording(tmp_path, grid(2), scene="free-fall")]).results
+    assert result.metrics["w1_parallel"].value == 0
+    assert result.metrics["w1_parallel_clamped"].why_not == "this scene has no board"
+    assert json.dumps(to_json(evaluate_files([])))
+
+
+@pytest.mark.parametrize(
+    ("value", "shown"), [(0.0, "0"), (1 / 750, "0.001"), (0.2, "0.20"), (1.0, "1"), (26.975, "26.98")]
+)
+def test_no_count_is_rounded_to_nothing(value: float, shown: str) -> None:
+    """Round a mean count, and never to 0.00."""
+    assert figure(value, "cubes per env") == shown
