@@ -15,7 +15,7 @@ from schemas.configuration import RunConfiguration
 from schemas.container import Container
 from schemas.errors import DamagedRecording, RecordingError
 from schemas.messages import enum_values, message_class
-from schemas.provenance import PROVENANCE, Provenance
+from schemas.provenance import ENGINE_LOG, PROVENANCE, Provenance
 
 
 @dataclass(frozen=True)
@@ -57,11 +57,20 @@ def read_end(path: Path) -> Finished:
         if text is None:
             raise DamagedRecording("it says nothing of where it comes from")
         made = Provenance.from_json(text)
-        return Finished(path, made.configuration, outcome_of(end), _where(made.host, made.gpus, made.software))
+        outcome = outcome_of(end)
+        if outcome.cause == "ENGINE" and _interrupted(container, outcome):
+            outcome = replace(outcome, cause="INTERRUPTED")
+        return Finished(path, made.configuration, outcome, _where(made.host, made.gpus, made.software))
     except RecordingError as error:
         said = str(error)
         why = said.removeprefix(f"{path}: ").removeprefix(f"{path} ")
         raise DamagedRecording(why if why == "incomplete" else f"unreadable: {why}") from None
+
+
+def _interrupted(container: Container, outcome: Outcome) -> bool:
+    # Older recorders took what an engine made of a signal, such as an ImportError, for a failure of the engine.
+    sign = "KeyboardInterrupt"
+    return sign in outcome.reason or sign.encode() in (container.attachment(ENGINE_LOG) or b"")
 
 
 def run_end(container: Container) -> Any:

@@ -9,6 +9,7 @@ import signal
 import subprocess
 import tempfile
 import threading
+import time
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field
@@ -17,7 +18,7 @@ from types import TracebackType
 from typing import Any
 
 from recorder.environments.interpreter import Interpreter
-from recorder.interruption import ENDING, SIGNALS, blocked
+from recorder.interruption import ENDING, MARK, SIGNALS, blocked
 from recorder.plan import release
 from schemas.configuration import RunConfiguration
 from schemas.errors import ExitCode, GsbError
@@ -67,6 +68,7 @@ class Interruptions:
     def __init__(self) -> None:
         self.count = 0
         self._child: subprocess.Popen[bytes] | None = None
+        self._mark: Path | None = None
         self._before: dict[signal.Signals, Any] = {}
 
     def __enter__(self) -> Interruptions:
@@ -82,9 +84,12 @@ class Interruptions:
         for number, handler in self._before.items():
             signal.signal(number, handler)
 
-    def follow(self, child: subprocess.Popen[bytes] | None) -> None:
-        """Pass interruptions on to this process, also those that came before; None: to none."""
-        self._child = child
+    def follow(self, child: subprocess.Popen[bytes] | None, mark: Path | None = None) -> None:
+        """Pass interruptions on to this process, also those that came before; None: to none.
+
+        mark  a file that is made before the process gets its signal
+        """
+        self._child, self._mark = child, mark
         self._pass_on()
 
     def add(self) -> None:
@@ -101,6 +106,9 @@ class Interruptions:
         if self.count > 1:
             self._child.kill()
         else:
+            if self._mark is not None:
+                with suppress(OSError):
+                    self._mark.touch()
             self._child.send_signal(signal.SIGINT)  # the run heeds only the first of these
 
 
@@ -152,12 +160,14 @@ class _End:
     last        its last word: how the run ended; empty when it died without one
     phase       the last that it reported
     overdue     it was killed for taking too long
+    late        its time limit was over before it ended
     """
 
     returncode: int = 0
     last: dict[str, Any] = field(default_factory=dict)
     phase: str = "start"
     overdue: bool = False
+    late: bool = False
 
 
 class _Deadline:
@@ -227,7 +237,8 @@ def _follow(
             raise GsbError(f"cannot start the run's process: {error.strerror}") from None
         finally:
             os.close(writer)
-        interruptions.follow(child)
+        interruptions.follow(child, scratch / MARK)
+        begun = time.monotonic()
         with _Deadline(child) as deadline:
             if timeout:
                 deadline.set(timeout + GRACE_S)
@@ -242,6 +253,7 @@ def _follow(
                 end.returncode = child.wait()
                 interruptions.follow(None)
         end.overdue = deadline.passed
+        end.late = 0 < timeout <= time.monotonic() - begun
     return end
 
 
@@ -275,16 +287,20 @@ def _result(
     if "status" in last:
         code = ExitCode.OK if last["status"] == "complete" else ExitCode.FAILURE
         return Result(index, last["status"], last["reason"], path, code, last["cause"])
+    # whatever an engine made of an interruption or of the end of its time: a failed import, an abort
+    cause = "INTERRUPTED" if interrupted else "TIMEOUT" if end.late else ""
     if "error" in last:
-        return Result(index, "incomplete", last["error"], left, ExitCode(last["exit_code"]))
+        return Result(index, "incomplete", last["error"], left, ExitCode(last["exit_code"]), cause)
     if interrupted and left is None:
-        return Result(index, "incomplete", "interrupted before anything was written", None, ExitCode.FAILURE)
+        return Result(index, "incomplete", "interrupted before anything was written", None, ExitCode.FAILURE, cause)
     where = f"; what it had written is in {left}" if left else "; it had written nothing"
     words = f"; the last that it printed: {said}" if said else ""
-    how, cause = _how_it_died(end.returncode), ""
+    how = _how_it_died(end.returncode)
     if end.overdue and end.returncode == -signal.SIGKILL:
         how = f"did not end {GRACE_S:g} s after its timeout of {configuration.timeout:g} s and was killed in phase "
-        how, cause = how + end.phase, "TIMEOUT"
+        how += end.phase
+    elif cause == "TIMEOUT":
+        how += f" after its timeout of {configuration.timeout:g} s, in phase {end.phase}"
     reason = f"the run's process {how}{where}{words}"
     return Result(index, "incomplete", reason, left, ExitCode.DATA_LOST, cause, died=True)
 
