@@ -32,6 +32,7 @@ sweeps:
   fails or is invalid. To find that limit is what a sweep is for, so a failure there is no failure of the command. Where
   the first run is out of memory or of a buffer, is refused or times out, the other runs of its point are not made.
   The same command with the same --out goes on where it stopped: runs whose recordings lie there are not made again.
+  Two commands do not make the same sweep in one folder at once: the second ends with 1 and names the process that does.
 
 replays:
   --replay FILE makes the run of a recording again, here: its configuration, which passes the same checks as arguments,
@@ -439,6 +440,11 @@ def run(given: list[str]) -> int:
     if not arguments.sim and arguments.replay is None:
         raise UsageError("say which simulator with --sim NAME; gsb-record --list shows them")
     _fill(arguments)
+    with shielded():
+        from recorder import clock
+        from recorder.progress import say
+    if wrong := clock.problem():
+        say(wrong)
     # Text that is no Unicode (a path in another encoding) cannot be stored as it is.
     command = ("gsb-record", *(text.encode("utf-8", "backslashreplace").decode() for text in given))
     if arguments.replay is not None:

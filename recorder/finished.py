@@ -119,18 +119,19 @@ def matching(found: Iterable[Finished], wanted: RunConfiguration, where: str = "
     """
     places: dict[Place, Finished] = {}
     for run in found:
-        if _alike(run.configuration, wanted) and _settled(run, wanted) and where in ("", run.where):
+        if in_common(run.configuration) == in_common(wanted) and _settled(run, wanted) and where in ("", run.where):
             place = Place(run.configuration.n_env, run.configuration.run_index)
             if place not in places or run.outcome.good > places[place].outcome.good:
                 places[place] = run
     return places
 
 
-def _alike(one: RunConfiguration, other: RunConfiguration) -> bool:
+def in_common(one: RunConfiguration) -> RunConfiguration:
+    """The configuration without what makes no difference to `matching`: the same for all runs of a sweep."""
     indifferent: dict[str, Any] = {
         "n_env": 1, "run_index": 0, "compression": "none", "timeout": 0.0, "capture": "lossless", "view": (),
     }  # fmt: skip
-    return replace(one, **indifferent) == replace(other, **indifferent)
+    return replace(one, **indifferent)
 
 
 def _settled(run: Finished, wanted: RunConfiguration) -> bool:

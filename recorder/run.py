@@ -30,7 +30,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from recorder import interruption
+from recorder import clock, interruption
 from recorder.capture.actions import Actions, declare_actions, write_action_stream, write_actions
 from recorder.capture.evidence import EvidenceWriter
 from recorder.capture.kept import KeptStates
@@ -209,7 +209,7 @@ class Run:
         memory = MemoryWriter(sink, MemorySampler(gpus), len(gpus))
         try:
             with _Phase(self, sink, memory, "baseline", phase):
-                for problem in gpus.problems:
+                for problem in filter(None, (clock.problem(), *gpus.problems)):
                     self.event(sink, "NOTE", "baseline", problem)
                 memory.checkpoint("baseline")
                 memory.start()
@@ -536,7 +536,7 @@ class Run:
             kind=self._events[f"EVENT_KIND_{kind}"],
             phase=phase,
             monotonic_ns=time.perf_counter_ns(),
-            unix_ns=time.time_ns(),
+            unix_ns=clock.calendar_ns(),
             text=text,
         )
         sink.write(topics.RUN_EVENT, message.SerializeToString())

@@ -120,13 +120,24 @@ def record_set(request: Request, count: int, maker: Maker) -> tuple[int, Json]:
 
 
 def record_sweep(request: Request, sweep: Sweep, maker: Maker) -> tuple[int, Json]:
-    """Make the runs of a sweep that its folder does not hold yet; returns the exit code and the results."""
-    with shielded():  # the reader of recordings is nothing that a set of runs needs
-        from recorder.finished import matching, read_folder
+    """Make the runs of a sweep that its folder does not hold yet; returns the exit code and the results.
+
+    GsbError where another command makes the same sweep in that folder.
+    """
+    with shielded():  # nothing that a set of runs needs
+        from recorder.sweep_lock import locked
 
     prepare_folder(request.out)
+    where = maker.where()
+    with locked(request.out, request.configuration, where):
+        return _record_sweep(request, sweep, maker, where)
+
+
+def _record_sweep(request: Request, sweep: Sweep, maker: Maker, where: str) -> tuple[int, Json]:
+    with shielded():
+        from recorder.finished import matching, read_folder
     found, others = read_folder(request.out)
-    there = {p: f for p, f in matching(found, request.configuration, maker.where()).items() if p in sweep}
+    there = {p: f for p, f in matching(found, request.configuration, where).items() if p in sweep}
     known = {place: f.outcome for place, f in there.items()}
     results = {place: {**_json(f.configuration, f.path, f.outcome), "found": True} for place, f in there.items()}
     codes: dict[int, ExitCode] = {}  # the gravest of the runs that are made here, by n_env
