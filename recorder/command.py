@@ -356,7 +356,7 @@ def replay(arguments: argparse.Namespace, argv: tuple[str, ...]) -> int:
         from recorder.environments.choice import check_known
         from recorder.plan import check_runs, view_of
         from recorder.progress import say
-        from recorder.replay import announcement, check_scene, origin, read_source, replayed, shown
+        from recorder.replay import announcement, check_room, check_scene, origin, read_source, replayed, shown
         from recorder.scenes.registry import make_scene
         from recorder.series import Request, record_set
 
@@ -377,6 +377,7 @@ def replay(arguments: argparse.Namespace, argv: tuple[str, ...]) -> int:
         interpreter = _interpreter(arguments, configuration.simulator)
         if interpreter is not None:
             check_known(interpreter, configuration.simulator, configuration.scene)
+        check_room(source, arguments.runs, arguments.out or _OUT_OF_REPLAYS)
     except UsageError as error:
         said = shown(str(error))
         whole = said if str(arguments.replay) in said else f"{arguments.replay} cannot be replayed here: {said}"
@@ -384,7 +385,7 @@ def replay(arguments: argparse.Namespace, argv: tuple[str, ...]) -> int:
     say(announcement(source, configuration))
     of = origin(source, configuration)
     out = arguments.out or _OUT_OF_REPLAYS
-    request = Request(configuration, out, argv, quiet=arguments.json, replay_of=of)
+    request = Request(configuration, out, argv, quiet=arguments.json, replay_of=of, cage=source.cage)
     with _maker(arguments, configuration, interpreter) as maker:
         code, results = record_set(request, arguments.runs, maker)
     if code and configuration.options.get("device", "cpu") not in ("cpu", "auto"):

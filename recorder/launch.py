@@ -11,15 +11,16 @@ import tempfile
 import threading
 import time
 from collections.abc import Callable
-from contextlib import suppress
+from contextlib import nullcontext, suppress
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from types import TracebackType
 from typing import Any
 
+from recorder.cage import Cage, Guard
 from recorder.environments.interpreter import Interpreter
 from recorder.interruption import ENDING, MARK, SIGNALS, blocked
-from recorder.plan import release
+from recorder.plan import partial_of, release
 from schemas.configuration import RunConfiguration
 from schemas.errors import ExitCode, GsbError
 from schemas.provenance import ReplayOf
@@ -33,13 +34,15 @@ such as a compilation, never lets it begin with that, and is killed."""
 _OUTPUT = "output"  # in the run's folder: what its process prints
 _SAID_BYTES = 4096  # of the end of what a run's process printed
 _SAID_CHARACTERS = 300
+_OWN_RISK = "Where you trust the file, make the run as your own: gsb-record --sim has no such bounds"
 
 
 @dataclass(frozen=True)
 class Result:
     """How a run ended.
 
-    status     complete, failed, invalid; incomplete where the process died without ending its recording
+    status     complete, failed, invalid; incomplete where the process died without ending its recording; stopped where
+               it took more than a replay may
     reason     empty when complete
     path       the recording: under its final name, or its .partial name when incomplete; None when nothing was written
     exit_code  that this run asks the command to end with
@@ -123,13 +126,16 @@ def launch(
     progress: Progress,
     interruptions: Interruptions,
     replay_of: ReplayOf | None = None,
+    cage: Cage | None = None,
 ) -> Result:
     """Record one run in a fresh process, into `path`, whose name is reserved (recorder.plan.reserve).
 
     interpreter  that the process is of
     replay_of    the recording that the run is a replay of
+    cage         what the run may take of this machine; None: anything
 
-    A run with a time limit that neither ends nor begins to end its recording within GRACE_S more is killed.
+    A run with a time limit that neither ends nor begins to end its recording within GRACE_S more is killed. So is one
+    that passes a bound of its cage; nothing is left of that.
 
     GsbError where no process can be started.
     """
@@ -144,11 +150,13 @@ def launch(
         "replay_of": asdict(replay_of) if replay_of else None,
     }
     try:
-        end = _follow(task, scratch, interpreter, configuration.timeout, progress, interruptions)
+        end = _follow(task, scratch, interpreter, configuration.timeout, progress, interruptions, cage)
         said = "" if end.last else _last_line(scratch / _OUTPUT)
     finally:
         shutil.rmtree(scratch, ignore_errors=True)
         left = release(path)
+    if end.stopped and left:
+        left.unlink(missing_ok=True)
     return _result(configuration, path, left, end, said, interrupted=interruptions.count > 0)
 
 
@@ -161,6 +169,7 @@ class _End:
     phase       the last that it reported
     overdue     it was killed for taking too long
     late        its time limit was over before it ended
+    stopped     the bound of its cage that it passed, and was killed for; empty where it passed none
     """
 
     returncode: int = 0
@@ -168,6 +177,7 @@ class _End:
     phase: str = "start"
     overdue: bool = False
     late: bool = False
+    stopped: str = ""
 
 
 class _Deadline:
@@ -215,6 +225,7 @@ def _follow(
     timeout: float,
     progress: Progress,
     interruptions: Interruptions,
+    cage: Cage | None,
 ) -> _End:
     end = _End()
     environment = interpreter.environment(scratch)
@@ -239,7 +250,9 @@ def _follow(
             os.close(writer)
         interruptions.follow(child, scratch / MARK)
         begun = time.monotonic()
-        with _Deadline(child) as deadline:
+        files = (partial_of(Path(task["path"])), scratch)
+        guarded = nullcontext() if cage is None else Guard(child, cage, files)
+        with _Deadline(child) as deadline, guarded as guard:
             if timeout:
                 deadline.set(timeout + GRACE_S)
             try:
@@ -253,6 +266,7 @@ def _follow(
                 end.returncode = child.wait()
                 interruptions.follow(None)
         end.overdue = deadline.passed
+        end.stopped = "" if guard is None else guard.broken
         end.late = 0 < timeout <= time.monotonic() - begun
     return end
 
@@ -287,6 +301,9 @@ def _result(
     if "status" in last:
         code = ExitCode.OK if last["status"] == "complete" else ExitCode.FAILURE
         return Result(index, last["status"], last["reason"], path, code, last["cause"])
+    if end.stopped:
+        reason = f"{end.stopped}; nothing of it is kept. {_OWN_RISK}"
+        return Result(index, "stopped", reason, None, ExitCode.FAILURE)
     # whatever an engine made of an interruption or of the end of its time: a failed import, an abort
     cause = "INTERRUPTED" if interrupted else "TIMEOUT" if end.late else ""
     if "error" in last:

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Protocol
 
+from recorder.cage import Cage
 from recorder.environments.interpreter import Interpreter
 from recorder.interruption import shielded
 from recorder.launch import Interruptions, Result
@@ -34,6 +35,7 @@ class Request:
     quiet          print no paths and no summary: the caller prints the results itself
     replay_of      the recording that the runs are replays of
     end_killed     where a run has to be killed after its timeout, write a recording that says so
+    cage           what a run may take of the machine; None: anything
     """
 
     configuration: RunConfiguration
@@ -42,10 +44,11 @@ class Request:
     quiet: bool
     replay_of: ReplayOf | None = None
     end_killed: bool = False
+    cage: Cage | None = None
 
     def task(self, run: RunConfiguration) -> Task:
         """One of the runs, to be made now."""
-        return Task.of(run, self.argv, replay_of=self.replay_of, end_killed=self.end_killed)
+        return Task.of(run, self.argv, replay_of=self.replay_of, end_killed=self.end_killed, cage=self.cage)
 
 
 class Maker(Protocol):
@@ -111,7 +114,7 @@ def record_set(request: Request, count: int, maker: Maker) -> tuple[int, Json]:
             _show(request, result, progress)
             results.append(_json(run, result.path, _outcome(result)))
             code = max(code, result.exit_code)
-            if result.exit_code == ExitCode.USAGE:
+            if result.exit_code == ExitCode.USAGE or result.status == "stopped":  # so would the next
                 break
     if interruptions.count:
         say(f"interrupted: {len(results)} of {count} runs were started")
