@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 _EPILOG = """\
 exit codes:
   0  every run is complete; of a sweep, every run below its last point, and at least one run
-  1  a run failed or is invalid; its recording says why
+  1  a run failed or is invalid; its recording says why; a replay took too much of this machine and was stopped
   2  the command asks for something that cannot be
   3  a run's process died or the disk was full: data was lost
 
@@ -39,6 +39,7 @@ replays:
   and nothing else. What it asks for is printed first. The scene has to be the same; --option (and --impl, --device...)
   replaces what was recorded, and the new recording says so; --runs, --phases, --view-env, --timeout, --python and --out
   are yours.
+  A replay that takes more memory, threads or disk than its recording accounts for is stopped; nothing of it is kept.
   gsb-audit FILE does this, and says whether the same came out.
 
 clusters:

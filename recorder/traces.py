@@ -35,7 +35,6 @@ Fields = tuple[StateField, ...]
 
 def check_traces(container: Container, c: RunConfiguration, fields: Fields) -> None:
     """UsageError where a recording asks for more environments or steps than it has traces of."""
-    _check_size(container, c)
     asked = []
     if "capture" in c.phases:
         asked.append(("captured steps", c.steps, _hashes(container, "capture") // c.n_env - 1))
@@ -52,6 +51,7 @@ def check_traces(container: Container, c: RunConfiguration, fields: Fields) -> N
                 f"{container.path} cannot be replayed: it asks for {c.n_env} environments and {wanted} {what}, and has "
                 f"traces of {max(there, 0)} {what}"
             )
+    _check_size(container, c)
 
 
 def content_bytes(container: Container, c: RunConfiguration, fields: Fields) -> int:
