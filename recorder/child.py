@@ -32,7 +32,7 @@ def main() -> int:
         task = json.load(sys.stdin)
         scratch = Path(task["scratch"])
         os.chdir(scratch)
-        last = _record(task, report, _log_of(scratch))
+        last = _record(task, report, scratch)
     except GsbError as error:
         last = {"error": str(error), "exit_code": int(error.exit_code)}
     except KeyboardInterrupt:
@@ -46,7 +46,8 @@ def main() -> int:
     return int(last.get("exit_code", ExitCode.OK))
 
 
-def _record(task: dict[str, Any], report: Callable[[dict[str, Any]], None], log: Callable[[], bytes]) -> dict[str, Any]:
+def _record(task: dict[str, Any], report: Callable[[dict[str, Any]], None], scratch: Path) -> dict[str, Any]:
+    from recorder.interruption import MARK
     from recorder.run import Run
     from schemas.provenance import ReplayOf
 
@@ -58,7 +59,8 @@ def _record(task: dict[str, Any], report: Callable[[dict[str, Any]], None], log:
         argv=tuple(task["argv"]),
         created=task["created"],
         progress=lambda phase, done, of: report({"phase": phase, "done": done, "of": of}),
-        log=log,
+        log=_log_of(scratch),
+        interrupted=(scratch / MARK).exists,
         reserved=True,
         replay_of=ReplayOf.from_json(of) if of else None,
     )

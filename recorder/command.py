@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 _EPILOG = """\
 exit codes:
   0  every run is complete; of a sweep, every run below its last point, and at least one run
-  1  a run failed or is invalid; its recording says why
+  1  a run failed or is invalid; its recording says why; a replay took too much of this machine and was stopped
   2  the command asks for something that cannot be
   3  a run's process died or the disk was full: data was lost
 
@@ -32,12 +32,14 @@ sweeps:
   fails or is invalid. To find that limit is what a sweep is for, so a failure there is no failure of the command. Where
   the first run is out of memory or of a buffer, is refused or times out, the other runs of its point are not made.
   The same command with the same --out goes on where it stopped: runs whose recordings lie there are not made again.
+  Two commands do not make the same sweep in one folder at once: the second ends with 1 and names the process that does.
 
 replays:
   --replay FILE makes the run of a recording again, here: its configuration, which passes the same checks as arguments,
   and nothing else. What it asks for is printed first. The scene has to be the same; --option (and --impl, --device...)
   replaces what was recorded, and the new recording says so; --runs, --phases, --view-env, --timeout, --python and --out
   are yours.
+  A replay that takes more memory, threads or disk than its recording accounts for is stopped; nothing of it is kept.
   gsb-audit FILE does this, and says whether the same came out.
 
 clusters:
@@ -355,7 +357,7 @@ def replay(arguments: argparse.Namespace, argv: tuple[str, ...]) -> int:
         from recorder.environments.choice import check_known
         from recorder.plan import check_runs, view_of
         from recorder.progress import say
-        from recorder.replay import announcement, check_scene, origin, read_source, replayed, shown
+        from recorder.replay import announcement, check_room, check_scene, origin, read_source, replayed, shown
         from recorder.scenes.registry import make_scene
         from recorder.series import Request, record_set
 
@@ -376,6 +378,7 @@ def replay(arguments: argparse.Namespace, argv: tuple[str, ...]) -> int:
         interpreter = _interpreter(arguments, configuration.simulator)
         if interpreter is not None:
             check_known(interpreter, configuration.simulator, configuration.scene)
+        check_room(source, arguments.runs, arguments.out or _OUT_OF_REPLAYS)
     except UsageError as error:
         said = shown(str(error))
         whole = said if str(arguments.replay) in said else f"{arguments.replay} cannot be replayed here: {said}"
@@ -383,7 +386,7 @@ def replay(arguments: argparse.Namespace, argv: tuple[str, ...]) -> int:
     say(announcement(source, configuration))
     of = origin(source, configuration)
     out = arguments.out or _OUT_OF_REPLAYS
-    request = Request(configuration, out, argv, quiet=arguments.json, replay_of=of)
+    request = Request(configuration, out, argv, quiet=arguments.json, replay_of=of, cage=source.cage)
     with _maker(arguments, configuration, interpreter) as maker:
         code, results = record_set(request, arguments.runs, maker)
     if code and configuration.options.get("device", "cpu") not in ("cpu", "auto"):
@@ -439,6 +442,11 @@ def run(given: list[str]) -> int:
     if not arguments.sim and arguments.replay is None:
         raise UsageError("say which simulator with --sim NAME; gsb-record --list shows them")
     _fill(arguments)
+    with shielded():
+        from recorder import clock
+        from recorder.progress import say
+    if wrong := clock.problem():
+        say(wrong)
     # Text that is no Unicode (a path in another encoding) cannot be stored as it is.
     command = ("gsb-record", *(text.encode("utf-8", "backslashreplace").decode() for text in given))
     if arguments.replay is not None:

@@ -31,10 +31,14 @@ class NoHostMemory(GsbError):
     """The machine has not the memory that something asks for."""
 
 
+class Interrupted(GsbError):
+    """The user, or the system, ended the run."""
+
+
 def cause_of(error: BaseException) -> str:
     """One of CAUSES for what ended a run."""
     match error:
-        case KeyboardInterrupt():
+        case KeyboardInterrupt() | Interrupted():
             return "INTERRUPTED"
         case TimedOut():
             return "TIMEOUT"

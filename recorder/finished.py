@@ -15,7 +15,7 @@ from schemas.configuration import RunConfiguration
 from schemas.container import Container
 from schemas.errors import DamagedRecording, RecordingError
 from schemas.messages import enum_values, message_class
-from schemas.provenance import PROVENANCE, Provenance
+from schemas.provenance import ENGINE_LOG, PROVENANCE, Provenance
 
 
 @dataclass(frozen=True)
@@ -57,11 +57,20 @@ def read_end(path: Path) -> Finished:
         if text is None:
             raise DamagedRecording("it says nothing of where it comes from")
         made = Provenance.from_json(text)
-        return Finished(path, made.configuration, outcome_of(end), _where(made.host, made.gpus, made.software))
+        outcome = outcome_of(end)
+        if outcome.cause == "ENGINE" and _interrupted(container, outcome):
+            outcome = replace(outcome, cause="INTERRUPTED")
+        return Finished(path, made.configuration, outcome, _where(made.host, made.gpus, made.software))
     except RecordingError as error:
         said = str(error)
         why = said.removeprefix(f"{path}: ").removeprefix(f"{path} ")
         raise DamagedRecording(why if why == "incomplete" else f"unreadable: {why}") from None
+
+
+def _interrupted(container: Container, outcome: Outcome) -> bool:
+    # Older recorders took what an engine made of a signal, such as an ImportError, for a failure of the engine.
+    sign = "KeyboardInterrupt"
+    return sign in outcome.reason or sign.encode() in (container.attachment(ENGINE_LOG) or b"")
 
 
 def run_end(container: Container) -> Any:
@@ -110,18 +119,19 @@ def matching(found: Iterable[Finished], wanted: RunConfiguration, where: str = "
     """
     places: dict[Place, Finished] = {}
     for run in found:
-        if _alike(run.configuration, wanted) and _settled(run, wanted) and where in ("", run.where):
+        if in_common(run.configuration) == in_common(wanted) and _settled(run, wanted) and where in ("", run.where):
             place = Place(run.configuration.n_env, run.configuration.run_index)
             if place not in places or run.outcome.good > places[place].outcome.good:
                 places[place] = run
     return places
 
 
-def _alike(one: RunConfiguration, other: RunConfiguration) -> bool:
+def in_common(one: RunConfiguration) -> RunConfiguration:
+    """The configuration without what makes no difference to `matching`: the same for all runs of a sweep."""
     indifferent: dict[str, Any] = {
         "n_env": 1, "run_index": 0, "compression": "none", "timeout": 0.0, "capture": "lossless", "view": (),
     }  # fmt: skip
-    return replace(one, **indifferent) == replace(other, **indifferent)
+    return replace(one, **indifferent)
 
 
 def _settled(run: Finished, wanted: RunConfiguration) -> bool:

@@ -5,13 +5,15 @@ double bytes. While shielded, an interruption is remembered and raised at the en
 it sets off, bringing a run to its end, is not interrupted in turn.
 
 A time limit (expire_after) is one more interruption. It is raised as KeyboardInterrupt as well, since engines catch
-Exception in many places; timed_out tells the two apart.
+Exception in many places; struck tells the two apart. Code that is interrupted may make another exception of it, such as
+an ImportError, or none: struck is the only word on whether there was an interruption, and check raises it again.
 """
 
 from __future__ import annotations
 
 import signal
 import threading
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType
@@ -21,9 +23,13 @@ SIGNALS = (signal.SIGINT, signal.SIGTERM)
 ENDING = "ending"
 """What a run reports as its phase once nothing interrupts it: the engine is closed, the recording gets its end."""
 
+MARK = "interrupted"
+"""An empty file in a run's folder once the user has interrupted: an engine may keep signals from the run."""
+
 _depth = 0
 _pending = 0  # number of the signal that waits, and of the one that was raised; 0: none
 _raised = 0
+_expires = float("inf")  # time.monotonic() at which the time is over
 
 
 def install(*, also_ignored: bool = False) -> None:
@@ -33,8 +39,9 @@ def install(*, also_ignored: bool = False) -> None:
 
     also_ignored  take over signals that this process was started to ignore, as a shell does for background jobs
     """
-    global _pending, _raised
+    global _pending, _raised, _expires
     _pending = _raised = 0
+    _expires = float("inf")
     for number in SIGNALS:
         if also_ignored or signal.getsignal(number) is not signal.SIG_IGN:
             signal.signal(number, _handle)
@@ -43,14 +50,29 @@ def install(*, also_ignored: bool = False) -> None:
 
 def expire_after(seconds: float) -> None:
     """Interrupt once so many seconds from now have passed; 0: never. Comes after install."""
+    global _expires
+    _expires = time.monotonic() + seconds if seconds else float("inf")
     signal.signal(signal.SIGALRM, _handle)
     signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGALRM})
     signal.setitimer(signal.ITIMER_REAL, seconds)
 
 
-def timed_out() -> bool:
-    """Whether the interruption that was raised is that of expire_after, rather than the user's."""
-    return _raised == signal.SIGALRM
+def struck() -> str:
+    """What interrupted since install, the first counts: "INTERRUPTED", "TIMEOUT" (that of expire_after), or empty.
+
+    Also true of an interruption that still waits (see shielded), and of a time limit that has passed while an engine's
+    own handler, or native code, kept its signal from coming.
+    """
+    number = _raised or _pending
+    if number == signal.SIGALRM or (not number and time.monotonic() >= _expires):
+        return "TIMEOUT"
+    return "INTERRUPTED" if number else ""
+
+
+def check() -> None:
+    """Raise the interruption again that was raised before, where what it met has swallowed it."""
+    if _raised:
+        raise KeyboardInterrupt
 
 
 @contextmanager

@@ -9,16 +9,18 @@ import signal
 import subprocess
 import tempfile
 import threading
+import time
 from collections.abc import Callable
-from contextlib import suppress
+from contextlib import nullcontext, suppress
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from types import TracebackType
 from typing import Any
 
+from recorder.cage import Cage, Guard
 from recorder.environments.interpreter import Interpreter
-from recorder.interruption import ENDING, SIGNALS, blocked
-from recorder.plan import release
+from recorder.interruption import ENDING, MARK, SIGNALS, blocked
+from recorder.plan import partial_of, release
 from schemas.configuration import RunConfiguration
 from schemas.errors import ExitCode, GsbError
 from schemas.provenance import ReplayOf
@@ -33,13 +35,15 @@ such as a compilation, never lets it begin with that, and is killed."""
 _OUTPUT = "output"  # in the run's folder: what its process prints
 _SAID_BYTES = 4096  # of the end of what a run's process printed
 _SAID_CHARACTERS = 300
+_OWN_RISK = "Where you trust the file, make the run as your own: gsb-record --sim has no such bounds"
 
 
 @dataclass(frozen=True)
 class Result:
     """How a run ended.
 
-    status     complete, failed, invalid; incomplete where the process died without ending its recording
+    status     complete, failed, invalid; incomplete where the process died without ending its recording; stopped where
+               it took more than a replay may
     reason     empty when complete
     path       the recording: under its final name, or its .partial name when incomplete; None when nothing was written
     exit_code  that this run asks the command to end with
@@ -68,6 +72,7 @@ class Interruptions:
     def __init__(self) -> None:
         self.count = 0
         self._child: subprocess.Popen[bytes] | None = None
+        self._mark: Path | None = None
         self._before: dict[signal.Signals, Any] = {}
 
     def __enter__(self) -> Interruptions:
@@ -83,9 +88,12 @@ class Interruptions:
         for number, handler in self._before.items():
             signal.signal(number, handler)
 
-    def follow(self, child: subprocess.Popen[bytes] | None) -> None:
-        """Pass interruptions on to this process, also those that came before; None: to none."""
-        self._child = child
+    def follow(self, child: subprocess.Popen[bytes] | None, mark: Path | None = None) -> None:
+        """Pass interruptions on to this process, also those that came before; None: to none.
+
+        mark  a file that is made before the process gets its signal
+        """
+        self._child, self._mark = child, mark
         self._pass_on()
 
     def add(self) -> None:
@@ -102,6 +110,9 @@ class Interruptions:
         if self.count > 1:
             self._child.kill()
         else:
+            if self._mark is not None:
+                with suppress(OSError):
+                    self._mark.touch()
             self._child.send_signal(signal.SIGINT)  # the run heeds only the first of these
 
 
@@ -116,13 +127,16 @@ def launch(
     progress: Progress,
     interruptions: Interruptions,
     replay_of: ReplayOf | None = None,
+    cage: Cage | None = None,
 ) -> Result:
     """Record one run in a fresh process, into `path`, whose name is reserved (recorder.plan.reserve).
 
     interpreter  that the process is of
     replay_of    the recording that the run is a replay of
+    cage         what the run may take of this machine; None: anything
 
-    A run with a time limit that neither ends nor begins to end its recording within GRACE_S more is killed.
+    A run with a time limit that neither ends nor begins to end its recording within GRACE_S more is killed. So is one
+    that passes a bound of its cage; nothing is left of that.
 
     GsbError where no process can be started.
     """
@@ -137,11 +151,13 @@ def launch(
         "replay_of": asdict(replay_of) if replay_of else None,
     }
     try:
-        end = _follow(task, scratch, interpreter, configuration.timeout, progress, interruptions)
+        end = _follow(task, scratch, interpreter, configuration.timeout, progress, interruptions, cage)
         said = "" if end.last else _last_line(scratch / _OUTPUT)
     finally:
         shutil.rmtree(scratch, ignore_errors=True)
         left = release(path)
+    if end.stopped and left:
+        left.unlink(missing_ok=True)
     return _result(configuration, path, left, end, said, interrupted=interruptions.count > 0)
 
 
@@ -153,12 +169,16 @@ class _End:
     last        its last word: how the run ended; empty when it died without one
     phase       the last that it reported
     overdue     it was killed for taking too long
+    late        its time limit was over before it ended
+    stopped     the bound of its cage that it passed, and was killed for; empty where it passed none
     """
 
     returncode: int = 0
     last: dict[str, Any] = field(default_factory=dict)
     phase: str = "start"
     overdue: bool = False
+    late: bool = False
+    stopped: str = ""
 
 
 class _Deadline:
@@ -206,6 +226,7 @@ def _follow(
     timeout: float,
     progress: Progress,
     interruptions: Interruptions,
+    cage: Cage | None,
 ) -> _End:
     end = _End()
     environment = interpreter.environment(scratch)
@@ -228,8 +249,11 @@ def _follow(
             raise GsbError(f"cannot start the run's process: {error.strerror}") from None
         finally:
             os.close(writer)
-        interruptions.follow(child)
-        with _Deadline(child) as deadline:
+        interruptions.follow(child, scratch / MARK)
+        begun = time.monotonic()
+        files = (partial_of(Path(task["path"])), scratch)
+        guarded = nullcontext() if cage is None else Guard(child, cage, files)
+        with _Deadline(child) as deadline, guarded as guard:
             if timeout:
                 deadline.set(timeout + GRACE_S)
             try:
@@ -243,6 +267,8 @@ def _follow(
                 end.returncode = child.wait()
                 interruptions.follow(None)
         end.overdue = deadline.passed
+        end.stopped = "" if guard is None else guard.broken
+        end.late = 0 < timeout <= time.monotonic() - begun
     return end
 
 
@@ -276,16 +302,23 @@ def _result(
     if "status" in last:
         code = ExitCode.OK if last["status"] == "complete" else ExitCode.FAILURE
         return Result(index, last["status"], last["reason"], path, code, last["cause"])
+    if end.stopped:
+        reason = f"{end.stopped}; nothing of it is kept. {_OWN_RISK}"
+        return Result(index, "stopped", reason, None, ExitCode.FAILURE)
+    # whatever an engine made of an interruption or of the end of its time: a failed import, an abort
+    cause = "INTERRUPTED" if interrupted else "TIMEOUT" if end.late else ""
     if "error" in last:
-        return Result(index, "incomplete", last["error"], left, ExitCode(last["exit_code"]))
+        return Result(index, "incomplete", last["error"], left, ExitCode(last["exit_code"]), cause)
     if interrupted and left is None:
-        return Result(index, "incomplete", "interrupted before anything was written", None, ExitCode.FAILURE)
+        return Result(index, "incomplete", "interrupted before anything was written", None, ExitCode.FAILURE, cause)
     where = f"; what it had written is in {left}" if left else "; it had written nothing"
     words = f"; the last that it printed: {said}" if said else ""
-    how, cause = _how_it_died(end.returncode), ""
+    how = _how_it_died(end.returncode)
     if end.overdue and end.returncode == -signal.SIGKILL:
         how = f"did not end {GRACE_S:g} s after its timeout of {configuration.timeout:g} s and was killed in phase "
-        how, cause = how + end.phase, "TIMEOUT"
+        how += end.phase
+    elif cause == "TIMEOUT":
+        how += f" after its timeout of {configuration.timeout:g} s, in phase {end.phase}"
     reason = f"the run's process {how}{where}{words}"
     return Result(index, "incomplete", reason, left, ExitCode.DATA_LOST, cause, died=True)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import shutil
 import tempfile
 from collections.abc import Sequence
 from dataclasses import replace
@@ -156,6 +157,17 @@ def prepare_folder(folder: Path) -> None:
             pass
     except OSError as error:
         raise _unwritable(folder, error) from None
+
+
+def free_bytes(folder: Path) -> int | None:
+    """Free on the disk of a folder that may not be there yet [bytes]; None where that cannot be told."""
+    for there in (folder.absolute(), *folder.absolute().parents):
+        if there.exists():
+            try:
+                return shutil.disk_usage(there).free
+            except OSError:
+                return None
+    return None
 
 
 def _take(path: Path) -> bool:

@@ -2,8 +2,8 @@
 
 Of a recording its configuration is taken and nothing else: names and numbers, which pass the same checks as a user's
 arguments. No code, model or path of it is used. The steps and environments that it asks for must be those that it shows
-to have been done, so that a few bytes cannot ask for more than the file has traces of. Options leave no traces, and may
-ask for any amount of work in a step: only a time limit bounds that.
+to have been done (recorder.traces). Options leave no traces, and may ask for any amount of work, memory and threads in
+a step: a time limit and a cage (recorder.cage) bound that.
 """
 
 from __future__ import annotations
@@ -12,31 +12,24 @@ import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
+from recorder.cage import Cage
 from recorder.finished import outcome_of, run_end
+from recorder.plan import free_bytes
+from recorder.probes.host import memory_bytes
 from recorder.scenes.base import Scene
-from schemas import topics
-from schemas.blocks import decode_fingerprints
+from recorder.traces import check_traces, content_bytes, least_memory, peak_bytes, ran_s
 from schemas.configuration import RunConfiguration
 from schemas.container import Container
 from schemas.digest import attachment_name, content_hash
 from schemas.errors import DamagedRecording, RecordingError, UsageError
-from schemas.messages import message_class
+from schemas.fields import StateField
 from schemas.provenance import LOGGED, PROVENANCE, REAL, SCENE, SIMULATION, Provenance, ReplayOf, Simulation
 
 """What recordings of programs that are no adapter (recorder.log) say of their fresh start."""
 
 CODE_OPTIONS = ("module",)
 """Options that name code to be loaded: never taken from a file."""
-
-_MOST_PER_INTERVAL = 1000
-"""Steps between two clock readings, of which one trace is left; no adapter takes more than a hundred."""
-
-# Compressed, traces of the same value are next to nothing. Of each byte of a file, no more than this is believed; no
-# recording that was made has had more than 2 environments and 1 step for a byte.
-_ENVS_PER_BYTE = 16
-_STEPS_PER_BYTE = 64
 
 _SHOWN_CHARACTERS = 600
 
@@ -49,16 +42,20 @@ class Source:
     run_id         of its run
     content_hash   of the recording
     configuration  as recorded
+    fields         layout of its states
     scene_sha256   identity of its scene
     ran_s          how long the run took where it was made [s]; None where it does not say
+    cage           what a replay may take of a machine
     """
 
     path: Path
     run_id: str
     content_hash: str
     configuration: RunConfiguration
+    fields: tuple[StateField, ...]
     scene_sha256: str
     ran_s: float | None
+    cage: Cage
 
 
 def read_source(path: Path) -> Source:
@@ -104,67 +101,9 @@ def _read(container: Container, path: Path) -> Source:
             raise DamagedRecording(f"{name} was changed since the recording was made")
     if content_hash(dict(end.digests), status, end.reason) != end.content_hash:
         raise DamagedRecording("the end record was changed since the recording was made")
-    _check_shown(container, c)
-    _check_size(container, c)
-    return Source(path, provenance.run_id, end.content_hash, c, scene_hash, _ran(container))
-
-
-def _check_shown(container: Container, c: RunConfiguration) -> None:
-    # every step leaves a trace: a hash of each environment in the capture, a share of a clock reading before it
-    asked = []
-    if "capture" in c.phases:
-        asked.append(("captured steps", c.steps, _hashes(container, "capture") // c.n_env - 1))
-    if "timed" in c.phases:
-        asked += [(f"{phase} steps", n, _clocked(container, phase)) for phase, n in _timed(c)]
-        asked.append(("timed environments", c.n_env, _hashes(container, "timed") // 2))
-    for what, wanted, there in asked:
-        if there < wanted:
-            raise UsageError(
-                f"{container.path} cannot be replayed: it asks for {c.n_env} environments and {wanted} {what}, and has "
-                f"traces of {max(there, 0)} {what}"
-            )
-
-
-def _check_size(container: Container, c: RunConfiguration) -> None:
-    size = container.size
-    steps = (c.steps if "capture" in c.phases else 0) + (c.warmup + c.timed_steps if "timed" in c.phases else 0)
-    for what, asked, most in (("environments", c.n_env, _ENVS_PER_BYTE), ("steps", steps, _STEPS_PER_BYTE)):
-        if asked > most * size:
-            raise UsageError(
-                f"{container.path} cannot be replayed: it asks for {asked} {what}, and its {size} bytes can hold "
-                f"traces of {most * size} at most"
-            )
-
-
-def _timed(c: RunConfiguration) -> tuple[tuple[str, int], ...]:
-    return ("warmup", c.warmup), ("timed", c.timed_steps)
-
-
-def _hashes(container: Container, phase: str) -> int:
-    contents = container.in_sequence(topics.fingerprint(phase))
-    return sum(decode_fingerprints(content)[1].size for content in contents)
-
-
-def _clocked(container: Container, phase: str) -> int:
-    found = [_parsed("gsb.v1.StepTiming", content) for content in container.in_sequence(topics.timing(phase))]
-    return sum(_intervals(timing) * min(timing.steps_per_interval, _MOST_PER_INTERVAL) for timing in found)
-
-
-def _intervals(timing: Any) -> int:
-    # a step takes time: only intervals that do are traces
-    return sum(end > start for start, end in zip(timing.start_ns, timing.end_ns, strict=False))
-
-
-def _ran(container: Container) -> float | None:
-    events = [_parsed("gsb.v1.Event", content).monotonic_ns for content in container.in_sequence(topics.RUN_EVENT)]
-    return (max(events) - min(events)) / 1e9 if events else None
-
-
-def _parsed(message: str, content: memoryview) -> Any:
-    try:
-        return message_class(message).FromString(bytes(content))
-    except Exception as error:  # protobuf's DecodeError differs between its backends
-        raise DamagedRecording(f"a {message} message cannot be parsed: {error}") from None
+    check_traces(container, c, simulation.fields)
+    cage = Cage(peak_bytes(container, end.peak_rss_bytes), content_bytes(container, c, simulation.fields))
+    return Source(path, provenance.run_id, end.content_hash, c, simulation.fields, scene_hash, ran_s(container), cage)
 
 
 def replayed(
@@ -214,6 +153,23 @@ def check_scene(source: Source, scene: Scene) -> None:
         raise UsageError(
             f"{source.path} cannot be replayed: scene '{scene.name}' is another one here, with SHA-256 "
             f"{scene.sha256()[:12]}; the recording's has {source.scene_sha256[:12]}"
+        )
+
+
+def check_room(source: Source, runs: int, folder: Path) -> None:
+    """UsageError where this machine has not the memory or the disk for what the recording asks for, at the least."""
+    may, why = source.cage.memory(memory_bytes())
+    wanted = least_memory(source.configuration, source.fields)
+    if wanted > may:
+        raise UsageError(
+            f"{source.path} cannot be replayed: the states of {source.configuration.n_env} environments alone are "
+            f"{wanted} bytes, and a replay may take {may} bytes of memory, {why}"
+        )
+    free, wanted = free_bytes(folder), runs * source.cage.content_bytes
+    if free is not None and wanted > free:
+        raise UsageError(
+            f"{source.path} cannot be replayed: {runs} recordings of it have about {wanted} bytes, and {folder} has "
+            f"{free} bytes free; choose another folder with --out, or fewer --runs"
         )
 
 

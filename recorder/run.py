@@ -30,7 +30,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from recorder import interruption
+from recorder import clock, interruption
 from recorder.capture.actions import Actions, declare_actions, write_action_stream, write_actions
 from recorder.capture.evidence import EvidenceWriter
 from recorder.capture.kept import KeptStates
@@ -42,7 +42,7 @@ from recorder.capture.view import LogWriter, ViewWriter
 from recorder.capture.writing import Block, Writing
 from recorder.engine import Engine
 from recorder.environment import apply_environment
-from recorder.failure import TimedOut, cause_of
+from recorder.failure import Interrupted, TimedOut, cause_of
 from recorder.options import parse_options
 from recorder.probes.gpu import Gpus
 from recorder.probes.host import describe_host, numeric_environment, peak_rss_bytes
@@ -88,12 +88,14 @@ class Outcome:
 class Run:
     """Records one run into `path`.
 
-    run_id     unique (UUID4)
-    argv       the user's command
-    created    UTC, ISO 8601
-    log        returns what the engine printed so far
-    reserved   the .partial file of `path` is there already, empty, made for this run
-    replay_of  the recording whose configuration it is
+    run_id       unique (UUID4)
+    argv         the user's command
+    created      UTC, ISO 8601
+    log          returns what the engine printed so far
+    reserved     the .partial file of `path` is there already, empty, made for this run
+    replay_of    the recording whose configuration it is
+    interrupted  whether the one who started this process has interrupted it: an engine that handles signals itself may
+                 keep them from this process
     """
 
     def __init__(
@@ -108,6 +110,7 @@ class Run:
         log: Callable[[], bytes],
         reserved: bool = False,
         replay_of: ReplayOf | None = None,
+        interrupted: Callable[[], bool] = lambda: False,
     ) -> None:
         self._configuration = configuration
         self._path = path
@@ -115,6 +118,7 @@ class Run:
         self._log = log
         self._provenance = Provenance(run_id, created, argv, configuration, replay_of=replay_of)
         self._reserved = reserved
+        self._interrupted = interrupted
         self._problems: list[tuple[str, str]] = []  # cause and sentence of each gate that fired
         self._writer: StateWriter | None = None
         self._shown_log: LogWriter | None = None
@@ -145,21 +149,32 @@ class Run:
             try:
                 with Gpus() as gpus:
                     self._run_phases(sink, gpus, phase)
+                interruption.check()
             finally:
                 interruption.ignore()
                 self._progress(interruption.ENDING, 0, 1)
         except DataLost:
             raise
         except BaseException as error:
-            if isinstance(error, SystemExit):
+            ended = self._struck(error, phase[0])
+            if ended is None and isinstance(error, SystemExit):
                 raise
-            if interruption.timed_out():  # an engine may have made another error of it
-                error = TimedOut(f"timeout: more than {self._configuration.timeout:g} s, in phase {phase[0]}")
+            error = ended or error
             return "FAILED", _reason(error, phase[0]), cause_of(error)
         if self._problems:
             # a gate that fires in each phase is said once
             return "INVALID", "; ".join(dict.fromkeys(text for _, text in self._problems)), self._problems[0][0]
         return "COMPLETE", "", ""
+
+    def _struck(self, error: BaseException, phase: str) -> GsbError | None:
+        # An engine may make any error of an interruption: numpy and others call it a failed import.
+        struck = interruption.struck() or ("INTERRUPTED" if self._interrupted() else "")
+        if not struck:
+            return None
+        made = "" if isinstance(error, KeyboardInterrupt) else f"; what followed: {_said(error)}"
+        if struck == "TIMEOUT":
+            return TimedOut(f"timeout: more than {self._configuration.timeout:g} s, in phase {phase}{made}")
+        return Interrupted(f"interrupted in phase {phase}{made}")
 
     def _run_phases(self, sink: Sink, gpus: Gpus, phase: list[str]) -> None:
         configuration = self._configuration
@@ -194,7 +209,7 @@ class Run:
         memory = MemoryWriter(sink, MemorySampler(gpus), len(gpus))
         try:
             with _Phase(self, sink, memory, "baseline", phase):
-                for problem in gpus.problems:
+                for problem in filter(None, (clock.problem(), *gpus.problems)):
                     self.event(sink, "NOTE", "baseline", problem)
                 memory.checkpoint("baseline")
                 memory.start()
@@ -390,6 +405,10 @@ class Run:
             if problem:
                 problems.append(problem)
 
+        def captured(done: int) -> None:
+            interruption.check()
+            self._progress("capture", done, c.steps)
+
         simulator.reserve(min(c.steps, writer.steps_per_block))
         # until it has finished, the sink is its thread's
         writing = Writing(kept.keep if kept else write)
@@ -403,7 +422,7 @@ class Run:
                     steps=c.steps,
                     block_steps=writer.steps_per_block,
                     prepare=lambda first, count: self._prepare(simulator, first, count),
-                    progress=lambda done: self._progress("capture", done, c.steps),
+                    progress=captured,
                     stopped=lambda: bool(problems),
                 )
             finally:
@@ -517,7 +536,7 @@ class Run:
             kind=self._events[f"EVENT_KIND_{kind}"],
             phase=phase,
             monotonic_ns=time.perf_counter_ns(),
-            unix_ns=time.time_ns(),
+            unix_ns=clock.calendar_ns(),
             text=text,
         )
         sink.write(topics.RUN_EVENT, message.SerializeToString())
@@ -533,8 +552,12 @@ def _reason(error: BaseException, phase: str) -> str:
             return f"out of host memory in phase {phase}"
         case GsbError():
             return str(error)
+    return _said(error, f" in phase {phase}")
+
+
+def _said(error: BaseException, where: str = "") -> str:
     text = " ".join(str(error).split()) or "no message"
-    return f"{type(error).__name__} in phase {phase}: {text}"
+    return f"{type(error).__name__}{where}: {text}"
 
 
 class _Phase:
@@ -548,6 +571,7 @@ class _Phase:
         self._current = current
 
     def __enter__(self) -> None:
+        interruption.check()
         self._current[0] = self._name
         self._memory.enter(self._name)
         self._run.event(self._sink, "PHASE_BEGIN", self._name)

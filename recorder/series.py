@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Protocol
 
+from recorder.cage import Cage
 from recorder.environments.interpreter import Interpreter
 from recorder.interruption import shielded
 from recorder.launch import Interruptions, Result
@@ -34,6 +35,7 @@ class Request:
     quiet          print no paths and no summary: the caller prints the results itself
     replay_of      the recording that the runs are replays of
     end_killed     where a run has to be killed after its timeout, write a recording that says so
+    cage           what a run may take of the machine; None: anything
     """
 
     configuration: RunConfiguration
@@ -42,10 +44,11 @@ class Request:
     quiet: bool
     replay_of: ReplayOf | None = None
     end_killed: bool = False
+    cage: Cage | None = None
 
     def task(self, run: RunConfiguration) -> Task:
         """One of the runs, to be made now."""
-        return Task.of(run, self.argv, replay_of=self.replay_of, end_killed=self.end_killed)
+        return Task.of(run, self.argv, replay_of=self.replay_of, end_killed=self.end_killed, cage=self.cage)
 
 
 class Maker(Protocol):
@@ -111,7 +114,7 @@ def record_set(request: Request, count: int, maker: Maker) -> tuple[int, Json]:
             _show(request, result, progress)
             results.append(_json(run, result.path, _outcome(result)))
             code = max(code, result.exit_code)
-            if result.exit_code == ExitCode.USAGE:
+            if result.exit_code == ExitCode.USAGE or result.status == "stopped":  # so would the next
                 break
     if interruptions.count:
         say(f"interrupted: {len(results)} of {count} runs were started")
@@ -120,13 +123,24 @@ def record_set(request: Request, count: int, maker: Maker) -> tuple[int, Json]:
 
 
 def record_sweep(request: Request, sweep: Sweep, maker: Maker) -> tuple[int, Json]:
-    """Make the runs of a sweep that its folder does not hold yet; returns the exit code and the results."""
-    with shielded():  # the reader of recordings is nothing that a set of runs needs
-        from recorder.finished import matching, read_folder
+    """Make the runs of a sweep that its folder does not hold yet; returns the exit code and the results.
+
+    GsbError where another command makes the same sweep in that folder.
+    """
+    with shielded():  # nothing that a set of runs needs
+        from recorder.sweep_lock import locked
 
     prepare_folder(request.out)
+    where = maker.where()
+    with locked(request.out, request.configuration, where):
+        return _record_sweep(request, sweep, maker, where)
+
+
+def _record_sweep(request: Request, sweep: Sweep, maker: Maker, where: str) -> tuple[int, Json]:
+    with shielded():
+        from recorder.finished import matching, read_folder
     found, others = read_folder(request.out)
-    there = {p: f for p, f in matching(found, request.configuration, maker.where()).items() if p in sweep}
+    there = {p: f for p, f in matching(found, request.configuration, where).items() if p in sweep}
     known = {place: f.outcome for place, f in there.items()}
     results = {place: {**_json(f.configuration, f.path, f.outcome), "found": True} for place, f in there.items()}
     codes: dict[int, ExitCode] = {}  # the gravest of the runs that are made here, by n_env

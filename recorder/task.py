@@ -7,6 +7,7 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from recorder.cage import Cage
 from recorder.environments.interpreter import Interpreter
 from recorder.launch import Interruptions, Progress, Result, launch
 from recorder.plan import reserve, utc_now
@@ -24,6 +25,7 @@ class Task:
     argv        the user's command
     replay_of   the recording that it is a replay of
     end_killed  where it has to be killed after its timeout, write a recording that says so
+    cage        what it may take of the machine; None: anything
     """
 
     configuration: RunConfiguration
@@ -32,6 +34,7 @@ class Task:
     argv: tuple[str, ...]
     replay_of: ReplayOf | None = None
     end_killed: bool = False
+    cage: Cage | None = None
 
     @classmethod
     def of(
@@ -41,9 +44,10 @@ class Task:
         *,
         replay_of: ReplayOf | None = None,
         end_killed: bool = False,
+        cage: Cage | None = None,
     ) -> Task:
         """A new run, created now."""
-        return cls(configuration, str(uuid.uuid4()), utc_now(), argv, replay_of, end_killed)
+        return cls(configuration, str(uuid.uuid4()), utc_now(), argv, replay_of, end_killed, cage)
 
     def to_json(self) -> dict[str, Any]:
         """As plain JSON values."""
@@ -61,6 +65,7 @@ class Task:
             tuple(record["argv"]),
             ReplayOf.from_json(of) if of else None,
             record["end_killed"],
+            Cage(**record["cage"]) if record["cage"] else None,
         )
 
 
@@ -79,6 +84,7 @@ def make(
         progress=progress,
         interruptions=interruptions,
         replay_of=task.replay_of,
+        cage=task.cage,
     )
     if not (task.end_killed and result.died and result.cause == "TIMEOUT") or interruptions.count:
         return result

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from enum import Enum
 
 import numpy as np
 import numpy.typing as npt
@@ -22,6 +23,16 @@ from evaluator.recording import Recording
 from schemas.errors import DamagedRecording, NothingComparable, UsageError
 from schemas.location import Location
 from schemas.provenance import REAL
+
+
+class Outcome(Enum):
+    """What became of an audit's replays."""
+
+    MADE = "made"
+    NOT_TRIED = "not tried"  # nothing of the recordings can be replayed anywhere
+    REFUSED = "refused"  # not begun
+    STOPPED = "stopped"  # one took more of this machine than a replay may
+    FAILED = "failed"  # none came to an end for another reason
 
 
 @dataclass(frozen=True)
@@ -50,6 +61,17 @@ class Audit:
     def failed(self) -> tuple[Replay, ...]:
         """Replays that ended otherwise than complete."""
         return tuple(r for r in self.replays.made if r.status != "complete") if self.replays else ()
+
+    @property
+    def outcome(self) -> Outcome:
+        """What became of the replays, whatever the verdict is."""
+        if self.replays is None:
+            return Outcome.NOT_TRIED
+        if self.replays.refused:
+            return Outcome.REFUSED
+        if any(replay.status == "stopped" for replay in self.replays.made):
+            return Outcome.STOPPED
+        return Outcome.MADE if self.recordings else Outcome.FAILED
 
     @property
     def level(self) -> Level | None:

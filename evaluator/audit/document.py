@@ -38,6 +38,7 @@ def _audit(audit: Audit, required: Level) -> dict[str, Any]:
     return {
         "originals": [_recording(r) for r in audit.originals],
         "command": replays.command if replays else None,
+        "outcome": audit.outcome,
         "replays": replays.made if replays else [],
         "compared": [_recording(r) for r in audit.recordings],
         "level": audit.level,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import textwrap
 from collections.abc import Iterator
 
-from evaluator.audit.audit import Audit
+from evaluator.audit.audit import Audit, Outcome
 from evaluator.audit.checking import RULES, Check
 from evaluator.audit.settings import Settings
 from evaluator.audit.verdict import Rung
@@ -14,6 +14,14 @@ from evaluator.groups import shown_status
 from evaluator.report.text import printable
 
 _TICKS = {True: "[x]", False: "[ ]", None: "[?]"}  # plain characters: no terminal shows them alike
+
+_NO_VERDICT = {
+    Outcome.MADE: "the replay cannot be compared",
+    Outcome.NOT_TRIED: "there is nothing to replay",
+    Outcome.REFUSED: "the replay was refused",
+    Outcome.STOPPED: "the replay was stopped",
+    Outcome.FAILED: "no replay came to its end",
+}
 
 _COLUMNS = 120
 _VALUE = 60
@@ -76,7 +84,7 @@ def _heading(audit: Audit) -> Iterator[str]:
 def _verdict(audit: Audit) -> str:
     if audit.level is not None:
         return audit.level.value
-    return "undecided" if audit.verdict else "none: it was not replayed"
+    return "undecided" if audit.verdict else f"none: {_NO_VERDICT[audit.outcome]}"
 
 
 def _distinct(audit: Audit) -> str:

@@ -24,7 +24,9 @@ _MOST_RUNS = 1000
 _EPILOG = """\
 A replay takes from a file its configuration and nothing else: no code, no model, no path. It asks for no more steps and
 environments than the file has traces of, and what is run is printed first. Options may ask for any amount of work: a
-replay ends after 20 times what the original took, at least ten minutes and at most a day, or after --timeout.
+replay ends after 20 times what the original took, at least ten minutes and at most a day, or after --timeout. It is
+stopped where it takes more than twice the memory that is recorded (at least 2 GiB, at most 80 % of this machine's), and
+where it has too many threads or writes more than twice what the original holds; see docs/audit.md.
 
 levels, strongest first:
   bit-identical         every recorded number of every replay, at every step, is that of an original
@@ -40,7 +42,8 @@ exit codes:
   2  the command asks for something that cannot be
   3  a file is damaged, cut short or no recording; the others were audited
   4  a verdict is below the level of --require, or a rule of integrity-1 (see gsb-check) is broken
-  5  something cannot be replayed here (the message says what is missing), or the replays are too few to decide
+  5  something cannot be replayed here (the message says what is missing), was refused or stopped for what it would
+     take of this machine, or the replays are too few to decide
 
 examples:
   gsb-audit theirs.mcap

@@ -14,6 +14,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
+from recorder.clock import calendar_ns
 from recorder.interruption import shielded
 from recorder.plan import partial_of, publish
 from schemas import FORMAT, __version__, topics
@@ -66,7 +67,7 @@ class Sink:
 
     def attach(self, name: str, media_type: str, data: bytes) -> None:
         """An attachment, part of the recording's identity."""
-        now = time.time_ns()
+        now = calendar_ns()
         with self._disk():
             self._digest.attachment(name, data)
             self._writer.attachment(name, media_type, data, log_time=now, create_time=now)
@@ -124,7 +125,7 @@ class Sink:
         sequence = self._sequence.get(topic, 0)
         self._sequence[topic] = sequence + 1
         channel = self._channels[topic]
-        self._writer.message(channel, data, log_time=log_time, publish_time=time.time_ns(), sequence=sequence)
+        self._writer.message(channel, data, log_time=log_time, publish_time=calendar_ns(), sequence=sequence)
 
     @property
     def digest(self) -> ContentDigest:

@@ -55,6 +55,35 @@ def numeric_environment() -> dict[str, str]:
     return {k: v for k, v in sorted(os.environ.items()) if k.startswith(NUMERIC_ENVIRONMENT)}
 
 
+def memory_bytes() -> int:
+    """Memory that this process may use [bytes]: the machine's, or less where a container or a batch job has a limit."""
+    import psutil
+
+    total: int = psutil.virtual_memory().total
+    return min([total, *_group_limits()])
+
+
+def _group_limits() -> list[int]:
+    # of the control group of this process and of those around it, as both versions of the kernel's interface say it
+    root, groups = Path("/sys/fs/cgroup"), [Path("/")]
+    try:
+        lines = Path("/proc/self/cgroup").read_text().splitlines()
+    except OSError:
+        return []
+    for line in lines:
+        _, controllers, path = line.split(":", 2)
+        if controllers in ("", "memory"):
+            groups += [Path(path), *Path(path).parents]
+    limits = []
+    for group in groups:
+        for file in (root / f".{group}" / "memory.max", root / "memory" / f".{group}" / "memory.limit_in_bytes"):
+            try:
+                limits.append(int(file.read_text()))
+            except (OSError, ValueError):  # there is none: "max"
+                continue
+    return [limit for limit in limits if limit > 0]
+
+
 def peak_rss_bytes() -> int:
     """Largest resident set of this process so far [bytes]."""
     import resource

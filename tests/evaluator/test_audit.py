@@ -32,8 +32,9 @@ from tests.test_docs import ROOT, commands, shell
 # What differs between here and there is an environment variable; MUJOCO_ is among the prefixes that recordings keep.
 _PLUGIN = '''
 """MuJoCo C, but for what the environment variable MUJOCO_PLANTED says."""
-import os, time
+import os, threading, time
 import numpy as np
+from recorder.cage import most_threads
 from recorder.simulators.mujoco.simulator import MujocoC
 
 def planted():
@@ -45,6 +46,10 @@ def chance():
 
 class Planted(MujocoC):
     def build(self):
+        if planted() == "threads":
+            for _ in range(most_threads() + 20):
+                threading.Thread(target=time.sleep, args=(300,), daemon=True).start()
+            time.sleep(300)
         if planted() == "no-device":
             raise RuntimeError("no CUDA-capable device is detected")
         description = super().build()
@@ -228,8 +233,24 @@ def test_what_cannot_be_replayed_here(small: Path, tmp_path: Path) -> None:
 
     done = _audit(forge(small, tmp_path / "forged.mcap", elsewhere), "--out", tmp_path)
     assert done.returncode == 5
-    assert "  verdict   none: it was not replayed" in done.stdout
+    assert "  verdict   none: the replay was refused" in done.stdout
     assert "there is no simulator 'unheard-of'; known: mujoco" in done.stdout
+
+
+def test_a_replay_that_takes_too_much_is_stopped(plugin: dict[str, str], tmp_path: Path) -> None:
+    """Say which bound a replay passed, end with 5, keep nothing of it, and try no second time."""
+    (original,) = _recorded(tmp_path, plugin)
+    out = tmp_path / "here"
+    done = _audit(original, "--runs", 3, "--out", out, "--json", tmp_path / "a.json", environment=plugin,
+                  planted="threads")  # fmt: skip
+    assert done.returncode == 5, done.stderr
+    assert "  verdict   none: the replay was stopped" in done.stdout
+    assert "stopped: threads: it had " in done.stdout
+    (audit,) = json.loads((tmp_path / "a.json").read_text())["audits"]
+    assert (audit["outcome"], audit["level"], audit["meets_requirement"]) == ("stopped", None, None)
+    (replay,) = audit["replays"]
+    assert (replay["status"], replay["path"]) == ("stopped", None)
+    assert not list(out.iterdir())
 
 
 def test_a_broken_rule_fails(tmp_path: Path) -> None:

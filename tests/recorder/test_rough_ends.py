@@ -25,7 +25,7 @@ from evaluator import open_recording
 from evaluator.recording import Recording
 from schemas.container import Container
 from schemas.errors import RecordingError
-from tests.conftest import SMALL, Command, command
+from tests.conftest import SMALL, Command, call, command
 
 pytestmark = pytest.mark.alone
 
@@ -321,3 +321,34 @@ def _metrics(recording: Recording) -> dict[str, object]:
         "allocator",
     )  # clocks and bytes of this very run
     return {n: m["value"] for n, m in group["metrics"].items() if not n.startswith(costs)}
+
+
+_BEFORE_1970 = """
+import time
+time.time_ns = lambda: {now}
+time.time = lambda: time.time_ns() / 1e9
+"""
+
+
+@pytest.mark.parametrize(
+    ("now", "said", "held"), [(-(10**17), "before 1970", 0), (2**63 + 5, "behind 2262", 2**63 - 1)]
+)
+def test_a_wall_clock_that_no_field_can_hold(
+    gsb_record: Command, tmp_path: Path, now: int, said: str, held: int
+) -> None:
+    """Record with a clock before 1970, and far in the future, as with any other; say what stands for its times."""
+    (tmp_path / "path").mkdir()
+    (tmp_path / "path" / "sitecustomize.py").write_text(_BEFORE_1970.format(now=now))
+    done = gsb_record("--sim", "mujoco", "--scene", "free-fall", "--n-env", 2, "--runs", 1, "--steps", 5, "--warmup", 1,
+                      "--timed-steps", 2, "--out", tmp_path / "out",
+                      env={**os.environ, "PYTHONPATH": str(tmp_path / "path")})  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert f"clock stands {said}" in done.stderr
+    recording = open_recording(done.stdout.strip())
+    recording.verify()
+    assert recording.status == "complete"
+    assert {event.unix_ns for event in recording.events} == {held}
+    assert any(event.kind == "NOTE" and said in event.text for event in recording.events)
+    assert {m.publish_time for ms in _official_messages(recording.path).values() for m in ms} == {held}
+    assert {p.suffix for p in (tmp_path / "out").iterdir()} == {".mcap"}
+    assert call("gsb-check", recording.path).returncode == 0

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import errno
+import fcntl
 import json
 import os
 import resource
 import signal
+import socket
 import subprocess
 import sys
 from collections.abc import Iterable
+from contextlib import AbstractContextManager
 from dataclasses import replace
 from pathlib import Path
 
@@ -19,8 +23,9 @@ from hypothesis import strategies as st
 from evaluator import open_recording
 from recorder.finished import Finished, matching, read_folder
 from recorder.sweep import CERTAIN, Outcome, Place, Sweep, parse_points
+from recorder.sweep_lock import locked
 from schemas.configuration import MAX_ENVS, RunConfiguration
-from schemas.errors import UsageError
+from schemas.errors import GsbError, UsageError
 from tests.conftest import Command, command, wait_for
 
 _TINY = ("--steps", "5", "--warmup", "1", "--timed-steps", "2", "--phases", "timed")
@@ -454,6 +459,80 @@ def test_an_interrupted_sweep_goes_on(gsb_record: Command, limited: dict[str, st
     assert done.returncode == 0, done.stderr
     assert f"2 of 6 runs are in {tmp_path} already" in done.stderr
     assert _made(tmp_path) == [(2, 0), (2, 1), (4, 0), (4, 0), (4, 1), (8, 0), (8, 1)]
+
+
+def test_two_sweeps_into_one_folder(gsb_record: Command, limited: dict[str, str], tmp_path: Path) -> None:
+    """Refuse the second of two equal sweeps by the name of the first, let others in, and mind no lock of the dead."""
+    first = subprocess.Popen(
+        [*command("gsb-record"), "--sim", "limited", *_TINY, "--sweep", "2..8", "--runs", "2", "--option", "mode=none",
+         "--out", str(tmp_path)],
+        env={**limited, "GSB_TEST_SLOW": "1"}, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+    )  # fmt: skip
+    try:
+        wait_for(lambda: any(b"provenance.json" in path.read_bytes() for path in tmp_path.glob("*-n4-*.partial")))
+        before = set(tmp_path.iterdir())
+        second = _limited(gsb_record, limited, tmp_path, "none")
+        assert (second.returncode, second.stdout) == (1, "")
+        assert second.stderr == (
+            f"gsb-record: process {first.pid} on '{socket.gethostname()}' makes this sweep in {tmp_path} already: wait "
+            "for its end, or choose another folder with --out\n"
+        )
+        assert set(tmp_path.iterdir()) == before
+        other = gsb_record(*_sweep(tmp_path))
+        assert other.returncode == 0, other.stderr
+    finally:
+        first.kill()
+        first.wait()
+    (lock,) = tmp_path.glob(".gsb-sweep-*.lock")
+    for file in tmp_path.glob("mujoco-*"):
+        file.unlink()
+    third = _limited(gsb_record, limited, tmp_path, "none")
+    assert third.returncode == 0, third.stderr
+    assert not lock.exists()
+    complete = [(r.configuration.n_env, r.configuration.run_index) for r in read_folder(tmp_path)[0] if r.outcome.good]
+    assert sorted(complete) == [(2, 0), (2, 1), (4, 0), (4, 1), (8, 0), (8, 1)]
+
+
+def _lock(folder: Path, where: str = "here", **changes: object) -> AbstractContextManager[None]:
+    run = RunConfiguration("mujoco", "free-fall", 1, 0.01, 5)
+    return locked(folder, replace(run, **changes), where)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("word", ["", "{}", "[1]", '{"pid": "x"}', "\xff" * 5000, '{"pid": 5, "host": "a\\nb\\u202e"}'])
+def test_a_lock_whose_file_says_anything(tmp_path: Path, word: str) -> None:
+    """Hold and refuse by the operating system's lock alone, whatever its file says, and print none of that as it is."""
+    with _lock(tmp_path):
+        (file,) = tmp_path.iterdir()
+        file.write_text(word)
+        with pytest.raises(GsbError, match="makes this sweep") as refused, _lock(tmp_path, n_env=64, run_index=3):
+            pass
+        assert str(refused.value).isprintable()
+        assert str(refused.value).isascii()
+    file.write_text(word)
+    with _lock(tmp_path):
+        pass
+    assert not list(tmp_path.iterdir())
+
+
+def test_locks_of_other_sweeps(tmp_path: Path) -> None:
+    """Keep apart what would not count for each other: another machine, another seed."""
+    with _lock(tmp_path), _lock(tmp_path, "there"), _lock(tmp_path, seed=1):
+        assert len(list(tmp_path.iterdir())) == 3
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_file_system_without_locks(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Make the sweep all the same, and say what cannot be told."""
+
+    def refuse(*_: object) -> None:
+        raise OSError(errno.ENOLCK, "No locks available")
+
+    monkeypatch.setattr(fcntl, "flock", refuse)
+    with _lock(tmp_path):
+        assert not list(tmp_path.iterdir())
+    assert "a file system without locks" in capsys.readouterr().err
 
 
 def test_a_sweep_on_a_full_disk(gsb_record: Command, tmp_path: Path) -> None:

@@ -148,7 +148,7 @@ try:
         said.append("whole")
     said.append("not here")
 except KeyboardInterrupt:
-    said += ["raised", interruption.timed_out()]
+    said += ["raised", interruption.struck()]
 signal.raise_signal(signal.SIGTERM)  # only the first one is raised
 print(*said)
 '''
@@ -164,17 +164,17 @@ try:
     signal.raise_signal(signal.SIGINT)
 except KeyboardInterrupt:
     signal.raise_signal(signal.SIGALRM)
-    print(interruption.timed_out())
+    print(interruption.struck())
 interruption.install()
 interruption.expire_after(1000)
 interruption.ignore()
 signal.raise_signal(signal.SIGALRM)
-print(interruption.timed_out(), signal.getitimer(signal.ITIMER_REAL))
+print([interruption.struck()], signal.getitimer(signal.ITIMER_REAL))
 '''
 
 
 @pytest.mark.parametrize(
-    ("code", "said"), [(_EXPIRES, "whole raised True\n"), (_INTERRUPTED, "False\nFalse (0.0, 0.0)\n")]
+    ("code", "said"), [(_EXPIRES, "whole raised TIMEOUT\n"), (_INTERRUPTED, "INTERRUPTED\n[''] (0.0, 0.0)\n")]
 )
 def test_an_end_of_time_is_one_interruption(code: str, said: str) -> None:
     """Hold the end of time back while shielded, raise one interruption in all, and know which it was."""
