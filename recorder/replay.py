@@ -18,6 +18,7 @@ from recorder.finished import outcome_of, run_end
 from recorder.scenes.base import Scene
 from schemas import topics
 from schemas.blocks import decode_fingerprints
+from schemas.checks import Budget
 from schemas.configuration import RunConfiguration
 from schemas.container import Container
 from schemas.digest import attachment_name, content_hash
@@ -81,7 +82,8 @@ def _read(container: Container, path: Path) -> Source:
     text, scene = container.attachment(PROVENANCE), container.attachment(SCENE)
     if text is None:
         raise DamagedRecording("it says nothing of where it comes from")
-    provenance = Provenance.from_json(text)
+    budget = Budget()
+    provenance = Provenance.from_json(text, budget)
     c = provenance.configuration
     if c.simulator == REAL:
         raise UsageError(f"{path} holds measured trials: no simulator can replay them")
@@ -91,7 +93,7 @@ def _read(container: Container, path: Path) -> Source:
     described = container.attachment(SIMULATION)
     if described is None:
         raise DamagedRecording("it does not say what its simulator was")
-    simulation = Simulation.from_json(described)
+    simulation = Simulation.from_json(described, budget)
     if simulation.fresh_start == LOGGED:
         raise UsageError(f"{path} cannot be replayed: a program logged it that no simulator of gsb-record stands for")
     if scene is None:
