@@ -40,7 +40,7 @@ def fetched(location: Location, *, size: int | None = None) -> Iterator[Path]:
 
     size  that it must have, or nothing of it is fetched; None for any
 
-    GsbError where there is no room for it; Unreachable where it cannot be had.
+    Unreachable where it cannot be had, or there is no room for it; GsbError where the copy cannot be written.
     """
     from schemas.remote import RemoteFile
 
@@ -50,7 +50,7 @@ def fetched(location: Location, *, size: int | None = None) -> Iterator[Path]:
     with tempfile.TemporaryDirectory(prefix="gpusimbench-", ignore_cleanup_errors=True) as folder:
         free = shutil.disk_usage(folder).free
         if source.size > free:
-            raise GsbError(
+            raise Unreachable(
                 f"{location} has {source.size} bytes, and {Path(folder).parent}, where it would be checked, has room "
                 f"for {free}: set TMPDIR to a folder with more"
             )

@@ -11,10 +11,20 @@ from schemas.location import Place
 from schemas.messages import message_class
 
 _FREE_BYTES = 64 << 20
-_MOST_PER_BYTE = 64
-_MESSAGE_BYTES = 64
-"""Messages of one topic that are parsed may hold _FREE_BYTES, and _MOST_PER_BYTE for each byte of the file, an empty
-one counting as _MESSAGE_BYTES: as objects they take several times as much memory."""
+_MOST_PER_BYTE = 8
+"""Messages of one topic that are parsed may hold _FREE_BYTES, and _MOST_PER_BYTE for each byte of the file."""
+
+MAX_MESSAGE_BYTES = 64 << 20
+"""Of a message that is parsed; as an object it may take 40 times as much memory for a moment."""
+
+MAX_MESSAGES = 1 << 20
+"""Of a topic whose messages are kept as objects."""
+
+MAX_NOTES = 1 << 16
+"""The same of events and of gaps in the data, which are shown."""
+
+MAX_END_BYTES = 1 << 20
+"""Of the end record, whose digests are kept as objects."""
 
 
 class Messages:
@@ -39,16 +49,23 @@ class Messages:
         """Contents of a topic's messages as they are, in the order in which they were written."""
         return self._container.in_sequence(topic)
 
-    def read(self, topic: str, message: str) -> list[Any]:
-        """Messages of a topic, parsed; empty where it is not declared."""
+    def read(self, topic: str, message: str, most: int = MAX_MESSAGES) -> list[Any]:
+        """Messages of a topic, parsed; empty where it is not declared. DamagedRecording where they are more."""
         found: list[Any] = []
+        for parsed in self.each(topic, message):
+            if len(found) == most:
+                raise self.damaged(f"{topic} has more than the {most} messages that are read of it")
+            found.append(parsed)
+        return found
+
+    def each(self, topic: str, message: str) -> Iterator[Any]:
+        """The same one after another, however many."""
         room = _FREE_BYTES + _MOST_PER_BYTE * self._container.size
         for content in self.contents(topic) if self.has(topic) else ():
-            room -= len(content) + _MESSAGE_BYTES
-            if room < 0:
+            room -= len(content)
+            if room < 0 or len(content) > MAX_MESSAGE_BYTES:
                 raise self.damaged(f"{topic} unpacks into more than is read of a file of this size")
-            found.append(self.parse(message, content))
-        return found
+            yield self.parse(message, content)
 
     def parse(self, message: str, content: memoryview) -> Any:
         """One message; DamagedRecording where it is none of that type."""

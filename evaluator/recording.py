@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evaluator.actions import action_names, read_actions
-from evaluator.messages import Messages
+from evaluator.messages import MAX_END_BYTES, Messages
 from evaluator.state_array import StateArray
 from evaluator.step_evidence import (
     ActionStream,
@@ -69,6 +69,7 @@ class Recording:
         self.path: Place = place(path)
         self._container = Container(self.path, source)
         self._messages = Messages(self._container)
+        self._json = checks.Budget()
         text = self._container.attachment(PROVENANCE)
         if text is None:
             raise DamagedRecording(
@@ -179,7 +180,7 @@ class Recording:
         if text is None:
             return {}
         try:
-            return checks.load(SCENE, text)
+            return checks.load(SCENE, text, self._json)
         except DamagedRecording as error:
             raise DamagedRecording(f"{self.path}: {error}") from None
 
@@ -267,11 +268,15 @@ class Recording:
             raise DamagedRecording(f"{self.path}: the run ends {len(contents)} times")
         if not self._container.finished:
             return None  # the end was written, but the file was cut short behind it
+        if len(contents[-1]) > MAX_END_BYTES:
+            raise DamagedRecording(
+                f"{self.path}: the end record has {len(contents[-1])} bytes; at most {MAX_END_BYTES} are read"
+            )
         return self._messages.parse("gsb.v1.RunEnd", contents[-1])
 
     def _named(self, parse: Any, text: bytes) -> Any:
         try:
-            return parse(text)
+            return parse(text, self._json)
         except DamagedRecording as error:
             raise DamagedRecording(f"{self.path}: {error}") from None
 

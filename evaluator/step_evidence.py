@@ -95,7 +95,7 @@ def read_counts(messages: Messages) -> dict[str, dict[str, StepCounts]]:
                 raise messages.damaged(f"{topic} has means, percentiles and maxima of different numbers of steps")
         steps = _steps(messages, topic, [(p, len(p.mean)) for p in parts])
         mean, p95, largest = (
-            np.concatenate([np.array(getattr(p, name), dtype=np.float64) for p in parts])
+            np.concatenate([np.fromiter(getattr(p, name), np.float64, len(getattr(p, name))) for p in parts])
             for name in ("mean", "p95", "max")
         )
         values = np.stack([mean, p95, largest])
@@ -118,8 +118,8 @@ def read_overflows(messages: Messages, *, n_env: int) -> dict[str, Overflows]:
         steps = _steps(messages, topic, [(p, len(p.bits)) for p in parts])
         if not len(steps):
             continue
-        bits = np.concatenate([np.array(p.bits, dtype=np.uint32) for p in parts])
-        envs = np.concatenate([np.array(p.envs, dtype=np.int64) for p in parts])
+        bits = np.concatenate([np.fromiter(p.bits, np.uint32, len(p.bits)) for p in parts])
+        envs = np.concatenate([np.fromiter(p.envs, np.int64, len(p.envs)) for p in parts])
         if (envs > n_env).any() or ((envs == 0) != (bits == 0)).any():
             raise messages.damaged(f"{topic} has bits without environments, or more environments than there are")
         found[topic.removeprefix("/overflow/")] = Overflows(steps, bits, envs, max(int(p.stride) for p in parts))

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from array import array
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from evaluator.messages import Messages
+from evaluator.messages import MAX_NOTES, Messages
 from schemas import topics
 from schemas.blocks import decode_fingerprints
 from schemas.checks import MAX_COUNT
@@ -121,8 +122,8 @@ def read_timing(messages: Messages) -> dict[str, StepTiming]:
         parts = messages.read(topic, "gsb.v1.StepTiming")
         if not parts:
             continue
-        start = np.concatenate([np.array(p.start_ns, dtype=np.int64) for p in parts])
-        end = np.concatenate([np.array(p.end_ns, dtype=np.int64) for p in parts])
+        start = np.concatenate([np.fromiter(p.start_ns, np.int64, len(p.start_ns)) for p in parts])
+        end = np.concatenate([np.fromiter(p.end_ns, np.int64, len(p.end_ns)) for p in parts])
         if len(start) != len(end):
             raise messages.damaged(f"{topic} has {len(start)} begins and {len(end)} ends")
         if not len(start):
@@ -147,16 +148,24 @@ def read_memory(messages: Messages) -> dict[str, MemoryTrace]:
     """Memory readings by source: "host", "gpu0/device", "gpu0/process", "gpu0/allocator", ..."""
     found = {}
     for topic in messages.topics("/memory/"):
-        samples = messages.read(topic, "gsb.v1.MemorySample")
-        if any(s.used_bytes >= _MAX_BYTES for s in samples):
-            raise messages.damaged(f"{topic} has a reading that no memory can have")
-        if samples:
+        # hours of readings are many: nothing but numbers is kept of each, and one text for all that have it
+        times, used, total = array("q"), array("q"), 0
+        phases, checkpoints, texts = list[str](), list[str](), dict[str, str]()
+        for sample in messages.each(topic, "gsb.v1.MemorySample"):
+            if sample.used_bytes >= _MAX_BYTES:
+                raise messages.damaged(f"{topic} has a reading that no memory can have")
+            times.append(sample.monotonic_ns)
+            used.append(sample.used_bytes)
+            phases.append(texts.setdefault(sample.phase, sample.phase))
+            checkpoints.append(texts.setdefault(sample.checkpoint, sample.checkpoint))
+            total = int(sample.total_bytes)
+        if times:
             found[topic.removeprefix("/memory/")] = MemoryTrace(
-                np.array([s.monotonic_ns for s in samples], dtype=np.int64),
-                np.array([s.used_bytes for s in samples], dtype=np.int64),
-                tuple(s.phase for s in samples),
-                tuple(s.checkpoint for s in samples),
-                int(samples[-1].total_bytes),
+                np.array(times, dtype=np.int64),
+                np.array(used, dtype=np.int64),
+                tuple(phases),
+                tuple(checkpoints),
+                total,
             )
     return found
 
@@ -201,7 +210,7 @@ def read_events(messages: Messages) -> tuple[Event, ...]:
     names = {number: name.removeprefix("EVENT_KIND_") for name, number in enum_values("gsb.v1.EventKind").items()}
     return tuple(
         Event(names.get(e.kind, "UNSPECIFIED"), e.phase, e.monotonic_ns, e.unix_ns, e.text)
-        for e in messages.read(topics.RUN_EVENT, "gsb.v1.Event")
+        for e in messages.read(topics.RUN_EVENT, "gsb.v1.Event", MAX_NOTES)
     )
 
 
@@ -209,5 +218,5 @@ def read_dropouts(messages: Messages) -> tuple[str, ...]:
     """One sentence for each stretch of data that the recorder says was lost."""
     return tuple(
         f"{d.topic}: {d.steps} steps from step {d.first_step}: {d.reason}"
-        for d in messages.read(topics.RUN_DROPOUT, "gsb.v1.Dropout")
+        for d in messages.read(topics.RUN_DROPOUT, "gsb.v1.Dropout", MAX_NOTES)
     )

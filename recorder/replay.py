@@ -19,6 +19,7 @@ from recorder.plan import free_bytes
 from recorder.probes.host import memory_bytes
 from recorder.scenes.base import Scene
 from recorder.traces import check_traces, content_bytes, least_memory, peak_bytes, ran_s
+from schemas.checks import Budget
 from schemas.configuration import RunConfiguration
 from schemas.container import Container
 from schemas.digest import attachment_name, content_hash
@@ -78,7 +79,8 @@ def _read(container: Container, path: Path) -> Source:
     text, scene = container.attachment(PROVENANCE), container.attachment(SCENE)
     if text is None:
         raise DamagedRecording("it says nothing of where it comes from")
-    provenance = Provenance.from_json(text)
+    budget = Budget()
+    provenance = Provenance.from_json(text, budget)
     c = provenance.configuration
     if c.simulator == REAL:
         raise UsageError(f"{path} holds measured trials: no simulator can replay them")
@@ -88,7 +90,7 @@ def _read(container: Container, path: Path) -> Source:
     described = container.attachment(SIMULATION)
     if described is None:
         raise DamagedRecording("it does not say what its simulator was")
-    simulation = Simulation.from_json(described)
+    simulation = Simulation.from_json(described, budget)
     if simulation.fresh_start == LOGGED:
         raise UsageError(f"{path} cannot be replayed: a program logged it that no simulator of gsb-record stands for")
     if scene is None:

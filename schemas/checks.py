@@ -6,6 +6,7 @@ import json
 import reprlib
 import sys
 from collections.abc import Mapping
+from itertools import chain
 from typing import Any, NoReturn
 
 from schemas.errors import DamagedRecording
@@ -13,8 +14,15 @@ from schemas.errors import DamagedRecording
 MAX_COUNT = 1 << 40
 """No step or number of steps in a recording is beyond it."""
 
-MAX_JSON_BYTES = 64 << 20
-"""A larger text is refused before it is parsed: as objects it may take 30 times as much memory."""
+MAX_JSON_BYTES = 32 << 20
+"""Of the JSON documents of one file together; more are refused before they are parsed."""
+
+MAX_JSON_VALUES = 1 << 20
+"""The same of the values in them, keys not counted: a value of two bytes takes up to 250 bytes of memory as an object,
+and each result that repeats it as much again. Four values say where an environment's origin is."""
+
+MAX_JSON_TEXT = 1 << 20
+"""Characters of one text or key in them: escaped for a page, one takes up to 20 bytes."""
 
 MAX_DEPTH = 64
 """Of lists and objects within each other; what handles them later may be recursive."""
@@ -24,25 +32,61 @@ _REPR = reprlib.Repr()
 _REPR.maxlevel, _REPR.maxlist, _REPR.maxdict, _REPR.maxstring, _REPR.maxlong, _REPR.maxother = 2, 4, 2, 60, 40, 40
 
 
-def load(name: str, text: str | bytes) -> dict[str, Any]:
-    """A JSON object; DamagedRecording where the text is none. NaN and Infinity are not JSON."""
-    if len(text) > MAX_JSON_BYTES:
-        raise DamagedRecording(f"{name} has {len(text)} bytes; at most {MAX_JSON_BYTES} are read")
+class Budget:
+    """What may be read of the JSON of one file, whose documents share it; one that is read again costs nothing."""
+
+    def __init__(self) -> None:
+        self._taken: dict[str, tuple[int, int]] = {}
+
+    def take(self, name: str, text: str | bytes) -> None:
+        """Add a document, before it is parsed; DamagedRecording where that is too much."""
+        self._taken[name] = len(text), _most_values(text)
+        size, values = map(sum, zip(*self._taken.values(), strict=True))
+        if size > MAX_JSON_BYTES:
+            raise DamagedRecording(
+                f"{name} has {len(text)} bytes; at most {MAX_JSON_BYTES} are read of the JSON of a file"
+            )
+        if values > MAX_JSON_VALUES:
+            raise DamagedRecording(
+                f"{name} has {self._taken[name][1]} values; at most {MAX_JSON_VALUES} are read of the JSON of a file"
+            )
+
+
+def _most_values(text: str | bytes) -> int:
+    # Every value but the first is the first of a list or an object, or follows a comma; marks in strings count, too.
+    marks: tuple[Any, ...] = (",", "[", "{") if isinstance(text, str) else (b",", b"[", b"{")
+    return 1 + sum(text.count(mark) for mark in marks)
+
+
+def load(name: str, text: str | bytes, budget: Budget | None = None) -> dict[str, Any]:
+    """A JSON object; DamagedRecording where the text is none. NaN and Infinity are not JSON.
+
+    budget  of the file that the text is from; None where it is a file of its own
+    """
+    (budget or Budget()).take(name, text)
     try:
         record = json.loads(text, parse_constant=_refuse)
     except (ValueError, RecursionError) as error:
         raise DamagedRecording(f"{name} is not JSON: {str(error) or type(error).__name__}") from None
     if not isinstance(record, dict):
         raise DamagedRecording(f"{name} is not a JSON object")
-    _check_depth(name, record)
+    _check_parts(name, record)
     return record
 
 
-def _check_depth(name: str, record: dict[str, Any]) -> None:
+def _check_parts(name: str, record: dict[str, Any]) -> None:
     level: list[Any] = [record]
     for _ in range(MAX_DEPTH):
-        parts = (part.values() if isinstance(part, dict) else part for part in level)
-        level = [value for part in parts for value in part if isinstance(value, (dict, list))]
+        inner: list[Any] = []
+        for part in level:
+            for value in chain(part, part.values()) if isinstance(part, dict) else part:
+                if isinstance(value, (dict, list)):
+                    inner.append(value)
+                elif isinstance(value, str) and len(value) > MAX_JSON_TEXT:
+                    raise DamagedRecording(
+                        f"{name} has a text of {len(value)} characters; at most {MAX_JSON_TEXT} are read"
+                    )
+        level = inner
         if not level:
             return
     raise DamagedRecording(f"{name} has lists or objects more than {MAX_DEPTH} deep within each other")

@@ -54,6 +54,9 @@ MAX_CHUNK_BYTES = decompression.MAX_BYTES
 MAX_ATTACHMENT_BYTES = 1 << 30
 """A larger attachment is refused before it is read."""
 
+MAX_ATTACHMENTS = 4096
+"""A file with more is refused."""
+
 MAX_HEADER_BYTES = 64 << 10
 """A file elsewhere with a longer header is refused before that is read."""
 
@@ -64,7 +67,7 @@ MAX_WALKED_BYTES = 1 << 30
 """A file elsewhere that has no index is read as a whole, unless it is larger."""
 
 _FREE_MESSAGES = 1 << 20
-_LEAST_MESSAGE = 2
+_LEAST_MESSAGE = 8
 """Any file may have _FREE_MESSAGES messages; more have to take _LEAST_MESSAGE bytes each, also when compressed."""
 
 _HELD_BYTES = 64 << 20  # of messages that wait for those before them
@@ -76,6 +79,11 @@ _OF_DATA = (MESSAGE, CHUNK, MESSAGE_INDEX, ATTACHMENT, METADATA, DATA_END)
 _INDEX_ENTRY = Struct("<QQ")
 
 _log = logging.getLogger(__name__)
+
+
+def most_messages(size: int) -> int:
+    """Messages that are read of a file of so many bytes."""
+    return _FREE_MESSAGES + size // _LEAST_MESSAGE
 
 
 @dataclass(frozen=True, slots=True)
@@ -538,7 +546,7 @@ class Container:
 
     def _add(self, channel: int, log_time: int, chunk: int, offset: int) -> None:
         self._message_count += 1
-        if self._message_count > _FREE_MESSAGES + self.size // _LEAST_MESSAGE:
+        if self._message_count > most_messages(self.size):
             raise self._damaged(f"it announces more than {self._message_count - 1} messages, which is refused")
         self._messages.setdefault(channel, array("Q")).extend((log_time, chunk + 1, offset))
 
@@ -563,6 +571,8 @@ class Container:
     def _add_attachment(self, attachment: Attachment) -> None:
         if attachment.name in self._attachments:
             raise self._damaged(f"the attachment {attachment.name} is there twice")
+        if len(self._attachments) == MAX_ATTACHMENTS:
+            raise self._damaged(f"it has more than the {MAX_ATTACHMENTS} attachments that are read")
         self._attachments[attachment.name] = attachment
 
     def _scan_chunk(self, number: int) -> None:

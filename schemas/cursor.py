@@ -68,11 +68,17 @@ class Cursor:
             raise DamagedRecording(f"{self._place}: the name at byte {self.at} has {len(text)} characters")
         return text
 
-    def text_map(self) -> dict[str, str]:
-        """Texts by their names."""
+    def rest(self) -> memoryview:
+        """What is left of the record, which is not taken by this."""
+        return self._data[self.position : self._end]
+
+    def text_map(self, most: int) -> dict[str, str]:
+        """Texts by their names; DamagedRecording where they are more."""
         end = self.u32() + self.position
-        values = {}
+        values = dict[str, str]()
         while self.position < end:
+            if len(values) == most:
+                raise DamagedRecording(f"{self._place}: its channels have more texts than are read, at byte {self.at}")
             key = self.text()
             values[key] = self.text()
         return values

@@ -91,9 +91,9 @@ class Provenance:
         return _dump(record)
 
     @classmethod
-    def from_json(cls, text: str | bytes) -> Provenance:
-        """From the attachment; DamagedRecording where it cannot be read."""
-        record = checks.load(PROVENANCE, text)
+    def from_json(cls, text: str | bytes, budget: checks.Budget | None = None) -> Provenance:
+        """From the attachment; DamagedRecording where it cannot be read, or is more than the file's budget allows."""
+        record = checks.load(PROVENANCE, text, budget)
         try:
             return cls(
                 run_id=checks.text(record, "run_id"),
@@ -208,9 +208,9 @@ class Simulation:
         return _dump(asdict(self))
 
     @classmethod
-    def from_json(cls, text: str | bytes) -> Simulation:
-        """From the attachment; DamagedRecording where it cannot be read."""
-        record = checks.load(SIMULATION, text)
+    def from_json(cls, text: str | bytes, budget: checks.Budget | None = None) -> Simulation:
+        """From the attachment; DamagedRecording where it cannot be read, or is more than the file's budget allows."""
+        record = checks.load(SIMULATION, text, budget)
         try:
             return cls(
                 version=checks.text(record, "version"),

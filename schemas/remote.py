@@ -15,16 +15,23 @@ from urllib.parse import unquote
 
 from schemas.errors import DamagedRecording, Unreachable
 from schemas.location import Location, chain, is_address, redacted
+from schemas.patience import Patience, TooSlow
 from schemas.source import Source
-from schemas.web import WrongAnswer, web_part
+from schemas.web import WrongAnswer, web_options, web_part
 
 _BLOCK = 64 << 10
 _CACHED_BYTES = 32 << 20
 _AHEAD_BYTES = 4 << 20  # in one request, of whoever reads on
 _PIECE_BYTES = 16 << 20  # of a file that is read from its beginning to its end
 _WORKERS = 8
-_CONNECT_S, _SILENCE_S = 30, 60
+_CONNECT_S, _ANSWER_S = 15.0, 30.0
+_FILE_S = 60.0
+_END_S = 5.0
+_LEAST_RATE = 32 << 10  # [byte/s]; time that bytes may take is added to the two above
+_LIST_S = 300.0
+_MOST_BYTES = 1 << 44  # no recording has more
 _CONFIRM_S = 1.0  # at most this often, the server is asked whether the file is still the same
+_WEB = ("http", "https")
 _IDENTITY = ("size", "ETag", "etag", "Content-MD5", "Last-Modified", "LastModified", "mtime", "created", "generation")
 """What file systems tell of a file that changes when the file does."""
 
@@ -32,6 +39,7 @@ _IDENTITY = ("size", "ETag", "etag", "Content-MD5", "Last-Modified", "LastModifi
 class RemoteFile(Source):
     """A file that fsspec can read.
 
+    patience           how long is waited for it; None: as docs/remote.md says
     requests, fetched  how many parts were asked for, and their bytes
     """
 
@@ -39,9 +47,10 @@ class RemoteFile(Source):
     place: Location
     workers = _WORKERS
 
-    def __init__(self, location: Location) -> None:
+    def __init__(self, location: Location, patience: Patience | None = None) -> None:
         self.place = location
         self.requests = self.fetched = 0
+        self._patience = patience or Patience(_ANSWER_S, _FILE_S, _LEAST_RATE)
         self._system, self._path = _file_system(location)
         self._told = self._ask()
         size = self._told.get("size")
@@ -49,6 +58,10 @@ class RemoteFile(Source):
             raise Unreachable(f"cannot read {location}: Is a directory")
         if not isinstance(size, int):
             raise Unreachable(f"cannot read {location} in parts: the server does not say how large it is; download it")
+        if not 0 <= size <= _MOST_BYTES:
+            raise Unreachable(
+                f"cannot read {location}: the server says that it has {size} bytes; at most {_MOST_BYTES} are read"
+            )
         self.size = size
         self._asked = time.monotonic()
         self._lock = Lock()
@@ -109,10 +122,7 @@ class RemoteFile(Source):
 
     def _fetch(self, begin: int, end: int) -> bytes:
         try:
-            if _is_web(self.place):
-                data = web_part(self._system, self._path, begin, end)
-            else:
-                data = self._system.cat_file(self._path, start=begin, end=end)
+            data = self._patience.call(lambda: self._part(begin, end), end - begin)
         except Exception as error:  # each file system has its own
             raise Unreachable(f"cannot read {self.place}: {_reason(error)}") from None
         with self._lock:
@@ -127,10 +137,19 @@ class RemoteFile(Source):
             )
         return bytes(data)
 
+    def _part(self, begin: int, end: int) -> bytes:
+        if _is_web(self.place):
+            limit = self._patience.limit(end - begin) + _END_S  # the patience ends first, and says why
+            return web_part(self._system, self._path, begin, end, limit)
+        return bytes(self._system.cat_file(self._path, start=begin, end=end))
+
     def _ask(self) -> dict[str, Any]:
-        try:
+        def ask() -> dict[str, Any]:
             self._system.invalidate_cache(self._path)
             return dict(self._system.info(self._path))
+
+        try:
+            return self._patience.call(ask, 0)
         except Exception as error:
             raise Unreachable(f"cannot read {self.place}: {_reason(error)}") from None
 
@@ -153,10 +172,11 @@ def matching(pattern: Location, most: int) -> list[Location]:
         return [pattern]
     system, path = _file_system(pattern)
     try:
-        if system.isfile(path):
+        patience = Patience(_LIST_S, _LIST_S, _LEAST_RATE)
+        if patience.call(lambda: system.isfile(path), 0):
             return [pattern]
-        path = path.removesuffix(query)
-        found = sorted(map(str, system.glob(path)))
+        listed = path.removesuffix(query)
+        found = sorted(map(str, patience.call(lambda: system.glob(listed), 0)))
     except Exception as error:
         raise Unreachable(f"cannot list {pattern}: {_reason(error)}") from None
     if not found:
@@ -180,22 +200,18 @@ def _runs(numbers: Iterable[int]) -> list[range]:
 
 
 def _is_web(location: Location) -> bool:
-    return location.url.lower().startswith(("http://", "https://"))
+    return location.url.lower().startswith(tuple(f"{scheme}://" for scheme in _WEB))
 
 
 def _file_system(location: Location) -> tuple[Any, str]:
     try:
         import fsspec
 
-        options: dict[str, Any] = {}
         if _is_web(location):
-            import aiohttp
-
-            options["headers"] = {"Accept-Encoding": "identity"}  # parts of the file, not of what a server packs
-            options["client_kwargs"] = {
-                "auto_decompress": False,  # a few bytes may become any number
-                "timeout": aiohttp.ClientTimeout(total=None, sock_connect=_CONNECT_S, sock_read=_SILENCE_S),
-            }
+            options = web_options(connect_s=_CONNECT_S, total_s=_LIST_S)
+        else:  # as in zip://a.mcap::https://...
+            behind = {part.partition("://")[0] for part in chain(location.url)}
+            options = {scheme: web_options(connect_s=_CONNECT_S, total_s=_LIST_S) for scheme in behind & {*_WEB}}
         system, path = fsspec.core.url_to_fs(location.url, **options)
         if location.url.lower().startswith("file://") and "%" in path and not system.exists(path):
             path = unquote(path)
@@ -223,7 +239,7 @@ def _reason(error: BaseException) -> str:
         return "access is refused"
     if isinstance(error, TimeoutError):
         return "no answer in time"
-    if isinstance(error, WrongAnswer):
+    if isinstance(error, (WrongAnswer, TooSlow)):
         return str(error)
     told = redacted(str(error)).strip()
     return f"{type(error).__name__}{': ' if told else ''}{told[:300]}"

@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from gzip import compress
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
-from threading import Lock, Thread
+from threading import Event, Lock, Thread
 from typing import Any
 from zlib import crc32
 
@@ -22,6 +22,10 @@ class Web:
     packed    whether parts are compressed, though nobody asked for it
     more      bytes of zero behind each part
     cut       bytes of an answer after which the connection breaks; None: never
+    silent    whether it never answers; the same where only parts are asked for, for "parts"
+    drip_s    between two bytes of an answer to a part; 0: they come at once
+    says      size that it announces of every file, whatever it has
+    redirects where it sends whoever asks for a path
     requests  the parts that were asked for: path, first and last byte (None: all of it)
     sent      bytes of all answers
     """
@@ -31,6 +35,11 @@ class Web:
     packed: bool = False
     more: int = 0
     cut: int | None = None
+    silent: bool | str = False
+    drip_s: float = 0.0
+    says: int | None = None
+    redirects: dict[str, str] = field(default_factory=dict)
+    closed: Event = field(default_factory=Event)
     requests: list[tuple[str, tuple[int, int] | None]] = field(default_factory=list)
     sent: int = 0
     address: str = ""
@@ -61,6 +70,18 @@ def serving() -> Iterator[Web]:
 
         def _answer(self, *, send: bool) -> None:
             path = self.path.partition("?")[0].lstrip("/")
+            if web.silent is True or (web.silent == "parts" and "Range" in self.headers):
+                web.closed.wait()
+                self.close_connection = True
+                return
+            if path in web.redirects:
+                with web.lock:
+                    web.requests.append((path, None))
+                self.send_response(302)
+                self.send_header("Location", web.redirects[path])
+                self.send_header("Content-Length", "0")
+                self.end_headers()
+                return
             if path == "" or path.endswith("/"):
                 names = [name.removeprefix(path) for name in web.files if name.startswith(path)]
                 content = "".join(f'<a href="{name}">{name}</a>' for name in names).encode()
@@ -83,7 +104,7 @@ def serving() -> Iterator[Web]:
                 self.send_header("Content-Encoding", "gzip")
             if asked:
                 part += bytes(web.more)
-            self.send_header("Content-Length", str(len(part)))
+            self.send_header("Content-Length", str(len(part) if web.says is None or asked else web.says))
             self.send_header("ETag", f'"{crc32(content)}"')
             self.end_headers()
             if not send:
@@ -95,7 +116,11 @@ def serving() -> Iterator[Web]:
                 self.close_connection = True
                 return
             try:
-                self.wfile.write(part)
+                for at in range(len(part)) if web.drip_s else ():
+                    self.wfile.write(part[at : at + 1])
+                    if web.closed.wait(web.drip_s):
+                        return
+                self.wfile.write(part[len(part) if web.drip_s else 0 :])
             except OSError:  # whoever asked does not want it any more
                 self.close_connection = True
                 return
@@ -115,6 +140,7 @@ def serving() -> Iterator[Web]:
     try:
         yield web
     finally:
+        web.closed.set()
         server.shutdown()
         server.server_close()
         thread.join()

@@ -10,7 +10,7 @@ from typing import Any
 
 from evaluator.integrity.problem import Kind, Problems, without_path
 from evaluator.integrity.scan import Scan
-from evaluator.messages import Messages
+from evaluator.messages import MAX_END_BYTES, Messages
 from evaluator.state_array import StateArray
 from evaluator.streams import Fingerprints, read_fingerprints
 from schemas import topics
@@ -35,6 +35,9 @@ def read_end(scan: Scan, problems: Problems) -> Any:
     if len(scan.ends) != 1:
         what = "no end record: the run's process died, or the file was cut short"
         problems.add(Kind.end, f"the run ends {len(scan.ends)} times" if scan.ends else what)
+        return None
+    if len(scan.ends[0]) > MAX_END_BYTES:
+        problems.add(Kind.end, f"the end record has {len(scan.ends[0])} bytes; at most {MAX_END_BYTES} are read")
         return None
     try:
         return message_class("gsb.v1.RunEnd").FromString(scan.ends[0])

@@ -16,6 +16,7 @@ from evaluator.integrity.summary import check_summary
 from evaluator.integrity.view import check_view
 from evaluator.locations import fetched
 from evaluator.recording import Recording
+from schemas.checks import Budget
 from schemas.container import Container
 from schemas.errors import NotARecording, RecordingError, Unreachable
 from schemas.location import Location, Place, place
@@ -110,12 +111,13 @@ def _examine(path: Path, named: Place, *, verify: bool) -> Integrity:
     except NotARecording as error:  # it was one a moment ago
         return _nothing(named, error)
     end = read_end(found, problems)
-    provenance = _attached(Provenance, recording and recording.provenance, found, PROVENANCE, problems)
+    budget = Budget()
+    provenance = _attached(Provenance, recording and recording.provenance, found, PROVENANCE, problems, budget)
     if provenance is None:
         problems.add(
             Kind.not_a_recording, f"{PROVENANCE} is not there or cannot be read: nothing can be said of the run"
         )
-    simulation = _attached(Simulation, recording and recording.simulation, found, SIMULATION, problems)
+    simulation = _attached(Simulation, recording and recording.simulation, found, SIMULATION, problems, budget)
     if not found.finished:
         problems.skip("the file does not end as it should", Kind.data_crc, Kind.summary, Kind.summary_crc, Kind.library)
     if end is None:
@@ -150,9 +152,9 @@ def _nothing(path: Place, error: RecordingError) -> Integrity:
     return Integrity(path, problems, None, str(error), None, None, None, None, complete=False)
 
 
-def _attached(kind: Any, parsed: Any, found: Scan, name: str, problems: Problems) -> Any:
+def _attached(kind: Any, parsed: Any, found: Scan, name: str, problems: Problems, budget: Budget) -> Any:
     # what the recording could parse is not parsed again: it may be large
     if parsed is None and name in found.attachments:
         with problems.noting(Kind.stream):
-            parsed = kind.from_json(bytes(found.attachments[name]))
+            parsed = kind.from_json(bytes(found.attachments[name]), budget)
     return parsed

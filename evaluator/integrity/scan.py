@@ -9,10 +9,12 @@ from __future__ import annotations
 import mmap
 import struct
 import zlib
+from array import array
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from mcap import records
 from mcap.opcode import Opcode
 
@@ -21,6 +23,8 @@ from evaluator.integrity.problem import Kind, Problems
 from evaluator.integrity.records import KNOWN, PRIVATE, AttachmentHead, Record, parse, read_records
 from schemas import topics
 from schemas.blocks import state_header
+from schemas.container import MAX_ATTACHMENTS, most_messages
+from schemas.declarations import MAX_CHANNEL_BYTES, MAX_DECLARED_BYTES, MAX_DECLARED_TEXTS
 from schemas.decompression import decompress
 from schemas.digest import ContentDigest
 from schemas.errors import DamagedRecording, NotARecording
@@ -30,6 +34,16 @@ _MESSAGE = struct.Struct("<HIQQ")
 _CHUNK = struct.Struct("<QQQI")
 _U32, _U64 = struct.Struct("<I"), struct.Struct("<Q")
 _SHOWN = 3
+
+MAX_METADATA = 1 << 16
+"""Records of metadata that are read of a file."""
+
+MAX_SUMMARY_RECORDS = 1 << 20
+"""Records behind the data section that are read of a file."""
+
+
+class _TooMuch(Exception):
+    """There is more of something than is read of a file; the walk ends."""
 
 
 @dataclass
@@ -45,7 +59,7 @@ class Stream:
 
     topic: str
     message: str
-    sequences: list[int] = field(default_factory=list)
+    sequences: array[int] = field(default_factory=lambda: array("I"))
     in_order: bool = True
     bytes: int = 0
     encodings: set[int] = field(default_factory=set)
@@ -124,9 +138,22 @@ class _Walk:
         self._problems = problems
         self._found = Scan(data, len(data))
         self._place: ChunkPlace | None = None  # the chunk that message indexes belong to
+        self._messages = 0
+        self._declared: set[tuple[int, bytes]] = set()  # records of schemas and channels
+        self._declared_bytes = self._declared_texts = 0
 
     def walk(self) -> Scan:
-        """Visit every record."""
+        """Visit every record, up to where there is more of something than is read."""
+        try:
+            self._visit()
+        except _TooMuch as error:
+            self._problems.add(Kind.record, str(error))
+            self._problems.skip(str(error), *(kind for kind in Kind if kind is not Kind.record))
+        for topic, stream in self._found.streams.items():
+            self._check_sequence(topic, stream.sequences)
+        return self._found
+
+    def _visit(self) -> None:
         position, in_data = len(MAGIC), True
         for record in read_records(self._data, position):
             if record.begin == len(MAGIC) and record.opcode != Opcode.HEADER:
@@ -137,6 +164,8 @@ class _Walk:
                 with self._problems.noting(Kind.record):
                     self._in_data(record)
                 in_data = record.opcode not in (Opcode.DATA_END, Opcode.FOOTER)
+            elif len(self._found.summary) == MAX_SUMMARY_RECORDS:
+                raise _TooMuch(f"more than {MAX_SUMMARY_RECORDS} records lie behind the data section")
             else:
                 self._found.summary.append(record)
             position = record.begin + record.length
@@ -144,9 +173,6 @@ class _Walk:
                 break
         self._close_chunk()
         self._end(position, in_data)
-        for topic, stream in self._found.streams.items():
-            self._check_sequence(topic, stream.sequences)
-        return self._found
 
     def _in_data(self, record: Record) -> None:
         if record.opcode != Opcode.MESSAGE_INDEX:
@@ -185,15 +211,31 @@ class _Walk:
             )
 
     def _declare(self, record: Record) -> None:
+        content = bytes(record.content)
+        if (record.opcode, content) in self._declared:
+            return
+        if record.opcode == Opcode.CHANNEL and len(content) > MAX_CHANNEL_BYTES:
+            raise _TooMuch(f"a channel takes {len(content)} bytes to declare, more than the {MAX_CHANNEL_BYTES} read")
+        self._declared.add((record.opcode, content))
+        self._declared_bytes += len(content)
+        self._declared_texts += self._declare_new(record)
+        if self._declared_bytes > MAX_DECLARED_BYTES or self._declared_texts > MAX_DECLARED_TEXTS:
+            raise _TooMuch(
+                f"its schemas and channels have more than the {MAX_DECLARED_BYTES} bytes or {MAX_DECLARED_TEXTS} texts "
+                "that are read"
+            )
+
+    def _declare_new(self, record: Record) -> int:
+        # texts of its metadata
         if record.opcode == Opcode.SCHEMA:
             schema = parse(records.Schema, record.content)
             if self._found.schemas.setdefault(schema.id, schema) != schema:
                 self._problems.add(Kind.record, f"schema {schema.id} is declared in two ways")
-            return
+            return 0
         channel = parse(records.Channel, record.content)
         if self._found.channels.setdefault(channel.id, channel) != channel:
             self._problems.add(Kind.record, f"channel {channel.id} is declared in two ways")
-            return
+            return 0
         schema = self._found.schemas.get(channel.schema_id)
         if schema is None:
             self._problems.add(Kind.record, f"{channel.topic} is of schema {channel.schema_id}, which is not declared")
@@ -204,6 +246,7 @@ class _Walk:
                 "not in protobuf",
             )
         self._found.streams.setdefault(channel.topic, Stream(channel.topic, schema.name if schema else ""))
+        return len(channel.metadata)
 
     def _message(self, record: Record) -> tuple[int, int] | None:
         # channel and time
@@ -219,6 +262,9 @@ class _Walk:
         stream.in_order &= sequence == len(stream.sequences)
         stream.sequences.append(sequence)
         stream.bytes += len(content)
+        self._messages += 1
+        if self._messages > most_messages(self._found.size):
+            raise _TooMuch(f"it has more than the {self._messages - 1} messages that are read of a file of its size")
         found = self._found
         found.counts[number] = found.counts.get(number, 0) + 1
         found.first_time = log_time if found.first_time is None else min(found.first_time, log_time)
@@ -326,6 +372,8 @@ class _Walk:
             self._found.doubtful.add(head.name)
         if head.name in self._found.attachments:
             self._problems.add(Kind.record, f"the attachment {head.name} is there twice")
+        if len(self._found.attachments) == MAX_ATTACHMENTS and head.name not in self._found.attachments:
+            raise _TooMuch(f"it has more than the {MAX_ATTACHMENTS} attachments that are read")
         self._found.attachments.setdefault(head.name, stored)
         self._found.expected.setdefault(Opcode.ATTACHMENT_INDEX, []).append(
             records.AttachmentIndex(
@@ -341,6 +389,8 @@ class _Walk:
 
     def _metadata(self, record: Record) -> None:
         self._found.metadata_records += 1
+        if self._found.metadata_records > MAX_METADATA:
+            raise _TooMuch(f"it has more than the {MAX_METADATA} records of metadata that are read")
         metadata = parse(records.Metadata, record.content)
         self._found.expected.setdefault(Opcode.METADATA_INDEX, []).append(
             records.MetadataIndex(offset=record.begin, length=record.length, name=metadata.name)
@@ -370,12 +420,10 @@ class _Walk:
         else:
             self._found.finished = True
 
-    def _check_sequence(self, topic: str, sequences: list[int]) -> None:
-        if sequences == list(range(len(sequences))):
-            return
-        there = set(sequences)
+    def _check_sequence(self, topic: str, sequences: array[int]) -> None:
+        there = np.unique(np.frombuffer(sequences, np.uint32)) if sequences else np.empty(0, np.uint32)
         if len(there) < len(sequences):
             self._problems.add(Kind.sequence, f"{len(sequences) - len(there)} messages of {topic} are there twice")
-        if there and (missing := max(there) + 1 - len(there)):
-            first = next(number for number in range(len(there) + 1) if number not in there)
+        if len(there) and (missing := int(there[-1]) + 1 - len(there)):
+            first = int(np.argmax(there != np.arange(len(there)))) if there[-1] != len(there) - 1 else len(there)
             self._problems.add(Kind.sequence, f"{missing} messages of {topic} are missing, the first is {first}")

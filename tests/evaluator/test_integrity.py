@@ -253,7 +253,7 @@ def test_attachments_are_parsed_once(small: Path, monkeypatch: pytest.MonkeyPatc
     """Parse each JSON attachment once for all that is asked of a file: it may be large."""
     parsed: list[str] = []
     load = checks.load
-    monkeypatch.setattr(checks, "load", lambda name, text: parsed.append(name) or load(name, text))
+    monkeypatch.setattr(checks, "load", lambda name, *given: parsed.append(name) or load(name, *given))
     check([examine(small)], [INTEGRITY, load_rules("protocol-1")])
     assert sorted(parsed) == [PROVENANCE, SCENE, SIMULATION]
 

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import ipaddress
 import json
 import random
+import re
+import shutil
 import struct
 import subprocess
 import sys
@@ -11,8 +14,11 @@ import tracemalloc
 import zipfile
 import zlib
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from threading import Event
 from typing import Any
+from urllib.parse import urlsplit
 
 import fsspec
 import numpy as np
@@ -20,6 +26,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+import schemas.web
 from evaluator import open_recording
 from evaluator.cli import audit, check, diff, info, share
 from evaluator.cli import eval as evaluation
@@ -31,6 +38,7 @@ from schemas.container import Container
 from schemas.errors import DamagedRecording, NotARecording, RecordingError, Unreachable
 from schemas.location import Location, redacted, shown, shown_argument
 from schemas.mcap_writer import MAGIC
+from schemas.patience import Patience, TooSlow
 from schemas.remote import RemoteFile
 from tests.evaluator.test_container import rewrite
 from tests.synthetic import grid, write_recording
@@ -662,3 +670,149 @@ def test_wildcards_of_the_path_alone(web: Web, tmp_path: Path) -> None:
     assert found == Location(f"zip://a.mcap::file://{tmp_path}/z.zip")
     assert isinstance(found, Location)
     assert RemoteFile(found).read(0, 7) == b"content"
+
+
+_QUICK = {"_ANSWER_S": 0.2, "_FILE_S": 0.4, "_LEAST_RATE": 1 << 20}
+
+
+@pytest.mark.parametrize(
+    ("slow", "message"),
+    [
+        ({"silent": True}, r"no answer within 0\.2 s"),
+        ({"silent": "parts"}, r"no answer within 0\.2"),
+        ({"drip_s": 0.02}, r"no answer within 0\.2"),
+    ],
+)
+def test_a_slow_server(
+    web: Web, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str],
+    slow: dict[str, Any], message: str,
+) -> None:  # fmt: skip
+    """Give up a server that is silent, or sends a byte now and then, with the exit code of what cannot be read."""
+    for name, value in _QUICK.items():
+        monkeypatch.setattr(remote, name, value)
+    web.files["a.mcap"] = write_recording(tmp_path, grid(2)).read_bytes()
+    for name, value in slow.items():
+        setattr(web, name, value)
+    for options in ([], ["--no-verify"]):
+        assert info.main([*options, f"{web.address}/a.mcap"]) == 3
+        found = capsys.readouterr()
+        assert re.search(f"cannot read {web.address}/a.mcap: {message}", found.err)
+        assert found.err.count("\n") == 1
+
+
+def test_patience_is_for_all_of_a_file() -> None:
+    """Wait for many answers that are each in time only as long as their bytes are worth it, then ask no more."""
+    asked: list[int] = []
+
+    def answer() -> bytes:
+        asked.append(1)
+        Event().wait(0.02)
+        return b"x"
+
+    patience = Patience(answer_s=10, file_s=0.1, rate=1e6)
+    with pytest.raises(TooSlow, match="after 0.1 s of waiting, what comes is slower than 1000000 bytes a second"):
+        for _ in range(100):
+            patience.call(answer, 1)
+    assert 2 <= len(asked) <= 7
+    with pytest.raises(TooSlow):
+        patience.call(answer, 1)
+    generous = Patience(answer_s=10, file_s=0.1, rate=10.0)
+    for _ in range(10):
+        assert generous.call(answer, 1) == b"x"  # a tenth of a second for each byte
+    with pytest.raises(ZeroDivisionError):
+        generous.call(lambda: 1 // 0, 1)
+
+
+def test_patience_counts_what_is_asked_at_once_once() -> None:
+    """Wait for eight answers at the same time as long as for one of them."""
+    patience = Patience(answer_s=10, file_s=0.2, rate=1e6)
+    with ThreadPoolExecutor(8) as pool:
+        done = [pool.submit(patience.call, lambda: Event().wait(0.1), 0) for _ in range(8)]
+        assert [one.result() for one in done] == [False] * 8
+
+
+@pytest.mark.parametrize("size", [10**15, 1 << 60, 1 << 80])
+def test_an_absurd_size(web: Web, size: int, capsys: pytest.CaptureFixture[str]) -> None:
+    """Refuse a file that is announced with more bytes than any has, as one that cannot be read, in every command."""
+    web.files["a.mcap"], web.says = MAGIC, size
+    for main in (info.main, check.main, evaluation.main):
+        assert main([f"{web.address}/a.mcap"]) == 3
+        assert "at most 17592186044416 are read" in "".join(capsys.readouterr())
+
+
+def test_no_room_for_a_copy(
+    web: Web, large: list[Path], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Call a file that does not fit beside others one that cannot be read."""
+    web.files["a.mcap"] = large[0].read_bytes()
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: shutil._ntuple_diskusage(10, 9, 1))
+    assert check.main([f"{web.address}/a.mcap"]) == 3
+    assert "set TMPDIR to a folder with more" in "".join(capsys.readouterr())
+
+
+def test_redirections_stay_on_the_server(web: Web, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Follow a server to another path of its own; ask no other port of this machine for anything."""
+    data = write_recording(tmp_path, grid(2)).read_bytes()
+    web.files["a.mcap"] = data
+    web.redirects["here.mcap"] = "/a.mcap"
+    open_recording(f"{web.address}/here.mcap").verify()
+    with serving() as other:
+        other.files["a.mcap"] = data
+        port = other.address.rpartition(":")[2]
+        for target in (f"{other.address}/a.mcap", f"http://localhost:{port}/a.mcap", f"http://[::1]:{port}/a.mcap"):
+            web.redirects["there.mcap"] = f"{target}?secret=SECRET"
+            for options in ([], ["--no-verify"]):
+                assert info.main([*options, f"{web.address}/there.mcap"]) == 3
+                assert f"sends the reader to {target}, which is another server" in (said := capsys.readouterr().err)
+                assert "SECRET" not in said
+        web.redirects["list/"] = f"{other.address}/"
+        with pytest.raises(Unreachable, match="another server"):
+            expand([Location(f"{web.address}/list/*.mcap")])
+        assert not other.requests
+
+
+@pytest.mark.parametrize(
+    ("begin", "end", "same"),
+    [
+        ("http://a.example/x", "http://a.example:80/y", True),
+        ("http://a.example/x", "https://a.example/x", True),
+        ("https://a.example/x", "https://a.example:443/x", True),
+        ("https://a.example/x", "http://a.example/x", False),
+        ("http://a.example:8000/x", "https://a.example:8001/x", False),
+        ("http://127.0.0.1:8000/x", "http://127.0.0.1:8001/x", False),
+        ("http://127.0.0.1:8000/x", "http://localhost:8000/x", False),
+        ("https://a.example/x", "ftp://a.example/x", False),
+    ],
+)
+def test_what_one_server_is(begin: str, end: str, same: bool) -> None:
+    """Call scheme, host and port a server, and its encrypted self the same."""
+    assert schemas.web.same_server(urlsplit(begin), urlsplit(end)) is same
+
+
+@pytest.mark.parametrize(
+    ("address", "public"),
+    [
+        ("8.8.8.8", True), ("2001:4860:4860::8888", True), ("127.0.0.1", False), ("10.1.2.3", False),
+        ("192.168.0.1", False), ("172.16.0.1", False), ("169.254.169.254", False), ("100.64.0.1", False),
+        ("0.0.0.0", False), ("224.0.0.1", False), ("::1", False), ("fe80::1", False), ("fd00::1", False),
+        ("::ffff:127.0.0.1", False), ("::ffff:8.8.8.8", True), ("2002:7f00:1::", False),
+    ],
+)  # fmt: skip
+def test_what_a_public_address_is(address: str, public: bool) -> None:
+    """Call public what the whole internet reaches: no loopback, no private network, no cloud's metadata."""
+    assert schemas.web.is_public(ipaddress.ip_address(address)) is public
+
+
+def test_a_public_server_may_send_to_another_public_one(web: Web, tmp_path: Path, monkeypatch: Any) -> None:
+    """Follow a hub to its store, as long as both are public and the store is encrypted; never to a private address."""
+    web.files["a.mcap"] = write_recording(tmp_path, grid(2)).read_bytes()
+    monkeypatch.setattr(schemas.web, "is_public", lambda address: not str(address).startswith("10."))
+    followed = "Cannot connect to host localhost|ssl|SSL"
+    for target, message in (
+        (f"https://localhost:{web.address.rpartition(':')[2]}/a.mcap", followed),
+        (f"http://localhost:{web.address.rpartition(':')[2]}/a.mcap", "another server"),
+        ("https://10.0.0.1/a.mcap", "another server"),
+    ):
+        web.redirects["b.mcap"] = target
+        with pytest.raises(Unreachable, match=message):
+            open_recording(f"{web.address}/b.mcap")

@@ -75,5 +75,6 @@ def test_the_page_tells_the_bounds() -> None:
     assert f"CI tries {COUNT * len(MUTATORS)} files" in page
     assert MEMORY_BYTES == 2 << 30
     assert decompression.MAX_BYTES == container.MAX_ATTACHMENT_BYTES == 1 << 30
-    assert (checks.MAX_JSON_BYTES, checks.MAX_DEPTH) == (64 << 20, 64)
+    assert (checks.MAX_JSON_BYTES, checks.MAX_JSON_VALUES, checks.MAX_JSON_TEXT) == (32 << 20, 1 << 20, 1 << 20)
+    assert checks.MAX_DEPTH == 64
     assert (provenance.MAX_FIELDS, configuration.MAX_ENVS, checks.MAX_COUNT) == (256, 1 << 24, 1 << 40)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,8 @@ from evaluator.results import Metric
 from evaluator.sweeps import SOURCES
 
 _DEPTH = 3
+_ROWS = 1000  # of a record of a stranger, and items of a list in it
+_CHARACTERS = 10_000  # of a text in it
 
 
 def environment() -> jinja2.Environment:
@@ -26,7 +29,8 @@ def environment() -> jinja2.Environment:
         mean_sd=numbers.mean_sd,
         interval=_interval,
         figure=numbers.figure,
-        pairs=lambda record: list(_pairs(record)),
+        pairs=_first_pairs,
+        shortened=_shortened,
         power=_power_of_two,
         power_or_count=_power_or_count,
         page_csv=_page_csv,
@@ -56,6 +60,16 @@ def _power_or_count(count: int) -> Markup | str:
     return f"{count:,}" if count & (count - 1) else _power_of_two(count)
 
 
+def _first_pairs(record: dict[str, Any]) -> list[tuple[str, str]]:
+    """Names and values of a record, as many as a person looks at; the last row says where there are more."""
+    rows = [(_shortened(name), _shortened(value)) for name, value in islice(_pairs(record), _ROWS + 1)]
+    return [*rows[:_ROWS], ("...", "the recording has more of them: gsb-info --json")] if len(rows) > _ROWS else rows
+
+
+def _shortened(text: str) -> str:
+    return text if len(text) <= _CHARACTERS else f"{text[:_CHARACTERS]}... ({len(text)} characters)"
+
+
 def _pairs(record: dict[str, Any], prefix: str = "") -> Iterator[tuple[str, str]]:
     """Names and values of a record; nested ones with dotted names down to a depth that can be read, lists as text."""
     for key in record:
@@ -63,6 +77,7 @@ def _pairs(record: dict[str, Any], prefix: str = "") -> Iterator[tuple[str, str]
         if isinstance(value, dict) and value and prefix.count(".") < _DEPTH:
             yield from _pairs(value, f"{name}.")
         elif isinstance(value, (list, tuple)):
-            yield name, ", ".join(str(v) for v in value) or "none"
+            more = [f"and {len(value) - _ROWS} more"] if len(value) > _ROWS else []
+            yield name, ", ".join([*map(str, value[:_ROWS]), *more]) or "none"
         else:
             yield name, "none" if value is None or value in ("", {}) else str(value)

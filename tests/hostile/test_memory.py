@@ -1,0 +1,75 @@
+"""Peak memory of every command on files that would take gigabytes as objects."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.hostile.amplifiers import write_amplifiers
+
+_LIMIT = 900 << 20
+"""Resident, the interpreter with its packages among it: 100 to 180 MiB. What was read before took up to 8 GiB."""
+
+_RUN = """
+import contextlib, importlib, io, json, resource, sys
+name, *calls = json.loads(sys.stdin.read())
+main = importlib.import_module(f"evaluator.cli.{name}").main
+found = []
+for call in calls:
+    with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
+        try:
+            code = main(call)
+        except SystemExit as ended:
+            code = ended.code
+    found.append([code, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024])
+print(json.dumps(found))
+"""
+
+_COMMANDS: dict[str, list[str]] = {
+    "info": ["FILE", "--json", "OUT.json"],
+    "check": ["FILE", "--json", "OUT.json"],
+    "eval": ["FILE", "--json", "OUT.json", "--html", "OUT", "--tables", "OUT", "--no-cache"],
+    "diff": ["FILE", "GOOD", "--json", "OUT.json"],
+    "compare": ["--base", "GOOD", "--head", "FILE", "--json", "OUT.json", "--markdown", "OUT.md", "--no-cache"],
+    "audit": ["FILE", "--runs", "1", "--json", "OUT.json", "--out", "OUT"],
+    "share": ["recover", "FILE", "--out", "OUT.mcap"],
+    "view": ["FILE", "--no-open", "--out", "OUT.html"],
+}
+"""What each is called with; those that have --json or --html write it."""
+
+_READ = {"long texts", "metadata"}
+"""What is less than the bounds, or nothing that most commands look at."""
+
+
+@pytest.fixture(scope="session")
+def amplifiers(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """Made once; must not be written to."""
+    return write_amplifiers(tmp_path_factory.mktemp("amplifiers"))
+
+
+@pytest.mark.parametrize("command", _COMMANDS)
+def test_memory_of_commands(command: str, amplifiers: dict[str, Path], tmp_path: Path) -> None:
+    """Refuse what would take gigabytes as objects before it is made into any, and write the rest in little memory."""
+    good = next(iter(amplifiers.values())).with_name("good.mcap")
+    calls = [
+        [
+            argument.replace("FILE", str(path)).replace("GOOD", str(good)).replace("OUT", str(tmp_path / path.stem))
+            for argument in _COMMANDS[command]
+        ]
+        for path in amplifiers.values()
+    ]
+    done = subprocess.run(
+        [sys.executable, "-c", _RUN], input=json.dumps([command, *calls]), capture_output=True, text=True, timeout=600
+    )
+    assert done.returncode == 0, done.stderr[-2000:]
+    found = dict(zip(amplifiers, json.loads(done.stdout), strict=True))
+    codes = {what: code for what, (code, _) in found.items()}
+    peaks = {what: peak >> 20 for what, (_, peak) in found.items()}
+    assert max(peaks.values()) < _LIMIT >> 20, peaks
+    if command not in ("share", "view"):  # which copy or show what needs none of it
+        assert {code for what, code in codes.items() if what not in _READ} == {3}, codes
+    assert set(codes.values()) <= {0, 1, 3, 4, 5}, codes
