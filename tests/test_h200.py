@@ -10,6 +10,8 @@ import pytest
 
 from evaluator import open_recording
 from evaluator.recording import Recording
+from evaluator.report.page import summary
+from evaluator.report.page.section import Source
 from tests.conftest import call
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -37,6 +39,46 @@ def test_documents_show_what_the_files_say(tables: Any, evaluation: Any) -> None
     """Hold the tables of both pages to the recordings; make figures redraws them."""
     for path, page in tables.pages(evaluation).items():
         assert path.read_text(encoding="utf-8") == page, f"{path.name}: run make figures"
+
+
+def test_rules_not_met_are_counted(evaluation: Any) -> None:
+    """Count as gsb-check --protocol does, over the whole set and over its groups."""
+    assert evaluation.unmet.findings == {
+        "timed-steps": 80, "runs": 74, "warm-up": 24, "sample-step": 3, "same-engine": 1,
+    }  # fmt: skip
+    assert evaluation.unmet.count == 182
+    assert sum(result.timed.unmet.count for result in evaluation.results) == 182
+
+
+def test_prices_are_those_of_levels(evaluation: Any) -> None:
+    """Price six levels, of which two cannot be told apart from the default; no group at the default level."""
+    prices = {p.result.label: p for family in evaluation.price_list for p in family.prices}
+    assert all(p.level != "default" for p in prices.values())
+    priced = {label for label, p in prices.items() if p.speed.ratio is not None}
+    assert len(priced) == 6
+    assert {(p.result.group.key.simulator, p.level) for p in prices.values() if p.speed.undecided} == {
+        ("physx", "enhanced"), ("warp", "contacts-constraint"),
+    }  # fmt: skip
+
+
+def test_nobody_is_named_whose_runs_are_wrong(evaluation: Any) -> None:
+    """Bar what is INVALID or breaks mechanics in any scene; keep the levels of MJX among the reproducible."""
+    compared = evaluation.comparison
+    barred = {c.figures.name for c in compared.contenders if c.figures.barred}
+    for wrong in ("brax", "isaaclab [backend=newton", "newton [determinism=default, solver=xpbd"):
+        assert any(name.startswith(wrong) for name in barred), wrong
+    picks = {name for g in compared.guidelines if g.pick for name in g.pick.split("; ")}
+    assert picks
+    assert not picks & barred
+    (reproducible,) = [g for g in compared.guidelines if g.need.startswith("reproducible")]
+    for level in ("exclude-nondeterministic", "no-autotune", "run-to-run"):
+        assert any(level in one for one in reproducible.unranked)
+    section = summary.section(Source(evaluation, False, ""))
+    assert section is not None
+    for one in section.context["fastest"]:
+        for speed in (one.first, one.second):
+            assert speed.result.group.key.simulator not in ("brax", "calibration")
+            assert "xpbd" not in speed.result.label
 
 
 def test_every_file_is_whole() -> None:

@@ -231,6 +231,10 @@ def _print_guidelines(console: Console, evaluation: Evaluation) -> None:
     for guideline in picked:
         table.add_row(Text(guideline.need), Text(printable(guideline.pick or "")), Text(guideline.rule))
     console.print(table)
+    names = {c.speed.label: c.figures.name for c in evaluation.comparison.contenders if c.speed}
+    speeds = [c.speed for c in evaluation.comparison.contenders if c.speed]
+    for line in timed.remarks(speeds, named=lambda result: names[result.label]):
+        console.print(printable(f"  throughputs compared: {line}"), style="dim")
     for guideline in evaluation.comparison.guidelines:
         for line in guideline.unranked:
             console.print(printable(f"  qualifies too for {guideline.need}, not ranked: {line}"), style="dim")

@@ -37,7 +37,8 @@ def test_what_is_said_of_a_run(gsb_info: Command, small: Path) -> None:
     for text in (
         "status      complete", "whole and unchanged", "gsb-record --sim mujoco", "number 0 of its set", "mujoco ",
         "inclined-collision", "4 environments, dt 0.01 s, seed 0", "10 warm-up and 20 timed steps", "cone=", "machine",
-        "cubes/position ", "101x4x27x3", "unit quaternion", "4 x 20 steps, from step", "host: baseline", "capture at 101 steps",
+        "cubes/position ", "101x4x27x3", "unit quaternion", "4 x 20 steps, from step", "host: baseline",
+        "capture at 101 steps",
         "intervals x steps: ", "scene.json", "precision=float64", "baseline ",
     ):  # fmt: skip
         assert text in done.stdout, text
