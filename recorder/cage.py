@@ -53,9 +53,9 @@ class Cage:
         if share <= max(twice, LEAST_MEMORY):
             return share, f"{_SHARE:.0%} of this machine's memory"
         if twice > LEAST_MEMORY:
-            return twice, f"twice the {_gib(self.peak_bytes)} that its recording says it took"
+            return twice, f"twice the {gib(self.peak_bytes)} that its recording says it took"
         says = (
-            f"its recording says {_gib(self.peak_bytes)}" if self.peak_bytes else "its recording does not say how much"
+            f"its recording says {gib(self.peak_bytes)}" if self.peak_bytes else "its recording does not say how much"
         )
         return LEAST_MEMORY, f"the least that a replay gets; {says}"
 
@@ -144,12 +144,12 @@ class Guard:
                 del self._processes[number]  # it has ended
         self.peak = max(self.peak, memory)
         if memory > self._memory:
-            return f"memory: it took {_gib(memory)}, and may take {_gib(self._memory)}, {self._memory_why}"
+            return f"memory: it took {gib(memory)}, and may take {gib(self._memory)}, {self._memory_why}"
         if threads > self._threads:
             return f"threads: it had {threads}, and may have {self._threads} on this machine"
         written = sum(map(_size, self._written)) if look else 0
         if written > self._disk:
-            return f"disk: it wrote {_gib(written)}, and may write {_gib(self._disk)}, by what its recording holds"
+            return f"disk: it wrote {gib(written)}, and may write {gib(self._disk)}, by what its recording holds"
         return ""
 
     def _kill(self) -> None:
@@ -173,5 +173,6 @@ def _size(path: Path) -> int:
     return total
 
 
-def _gib(size: int) -> str:
+def gib(size: int) -> str:
+    """A number of bytes, to be read."""
     return f"{size / _GIB:.2f} GiB"

@@ -13,7 +13,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from recorder.cage import Cage
+from recorder.cage import Cage, gib
 from recorder.finished import outcome_of, run_end
 from recorder.plan import free_bytes
 from recorder.probes.host import memory_bytes
@@ -165,13 +165,13 @@ def check_room(source: Source, runs: int, folder: Path) -> None:
     if wanted > may:
         raise UsageError(
             f"{source.path} cannot be replayed: the states of {source.configuration.n_env} environments alone are "
-            f"{wanted} bytes, and a replay may take {may} bytes of memory, {why}"
+            f"{gib(wanted)}, and a replay may take {gib(may)} of memory, {why}"
         )
     free, wanted = free_bytes(folder), runs * source.cage.content_bytes
     if free is not None and wanted > free:
         raise UsageError(
-            f"{source.path} cannot be replayed: {runs} recordings of it have about {wanted} bytes, and {folder} has "
-            f"{free} bytes free; choose another folder with --out, or fewer --runs"
+            f"{source.path} cannot be replayed: {runs} recordings of it have about {gib(wanted)}, and {folder} has "
+            f"{gib(free)} free; choose another folder with --out, or fewer --runs"
         )
 
 
