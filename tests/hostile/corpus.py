@@ -29,8 +29,8 @@ def _shown(n_env: int) -> Shown:
     )
 
 
-def make_corpus(folder: Path) -> list[Path]:
-    """Write it; everything but random names and clocks is the same each time."""
+def make_synthetic(folder: Path) -> list[Path]:
+    """Write those of no simulator; everything but clocks is the same each time."""
     rich: dict[str, Any] = {
         "gpu_bytes": (10**9, 2 * 10**9), "host_bytes": (10**8, 10**8), "allocator_peak": 10**8,
         "clocks": {"build": 1.0, "compile_timed": 0.5}, "environment": {"XLA_FLAGS": "-"},
@@ -51,6 +51,12 @@ def make_corpus(folder: Path) -> list[Path]:
         )
     )  # fmt: skip
     made.append(write_recording(folder, grid(2), name="incomplete.mcap", run_id="incomplete", end=False, **rich))
+    return made
+
+
+def make_corpus(folder: Path) -> list[Path]:
+    """Write all of it; everything but random names and clocks is the same each time."""
+    made = make_synthetic(folder)
     for scene, compression in (("franka", "none"), ("inclined-collision", "lz4"), ("inclined-collision", "zstd")):
         done = call("gsb-record", "--sim", "mujoco", "--scene", scene, "--n-env", 3 if scene == "franka" else 2, *_TINY,
                     "--compression", compression, "--out", folder)  # fmt: skip
