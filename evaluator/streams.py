@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -52,6 +54,9 @@ class MemoryTrace:
     phase        of the run, one per sample
     checkpoint   name of the protocol's checkpoint, or empty, one per sample
     total_bytes  capacity, 0 where unknown
+    others       processes beside the run's own and their bytes, None where either is unknown, one per sample; empty
+                 where no sample tells
+    reserved     what the driver keeps for itself [byte], by checkpoint
     """
 
     time_ns: NDArray[np.int64]
@@ -59,6 +64,20 @@ class MemoryTrace:
     phase: tuple[str, ...]
     checkpoint: tuple[str, ...]
     total_bytes: int
+    others: tuple[tuple[int | None, int | None], ...] = ()
+    reserved: dict[str, int] = field(default_factory=dict)
+
+    def most_others(self, *, checkpoint: str = "", phase: str = "") -> tuple[int, int | None] | None:
+        """The most processes beside the run's own at a checkpoint, or in a phase, and the most bytes that they held.
+
+        None where there is no reading, and where a reading does not tell the processes, unless another one lists some.
+        """
+        wanted = self.checkpoint if checkpoint else self.phase
+        found = [o for name, o in zip(wanted, self.others, strict=False) if name == (checkpoint or phase)]
+        counts = [count for count, _ in found if count is not None]
+        if not any(counts) and (not counts or len(counts) < len(found)):
+            return None
+        return max(counts), max((used for _, used in found if used is not None), default=None)
 
     def at(self, checkpoint: str) -> int | None:
         """Bytes in use at a checkpoint, None where it was not reached."""
@@ -148,7 +167,7 @@ def read_memory(messages: Messages) -> dict[str, MemoryTrace]:
     found = {}
     for topic in messages.topics("/memory/"):
         samples = messages.read(topic, "gsb.v1.MemorySample")
-        if any(s.used_bytes >= _MAX_BYTES for s in samples):
+        if any(max(s.used_bytes, s.other_bytes, s.reserved_bytes) >= _MAX_BYTES for s in samples):
             raise messages.damaged(f"{topic} has a reading that no memory can have")
         if samples:
             found[topic.removeprefix("/memory/")] = MemoryTrace(
@@ -157,8 +176,21 @@ def read_memory(messages: Messages) -> dict[str, MemoryTrace]:
                 tuple(s.phase for s in samples),
                 tuple(s.checkpoint for s in samples),
                 int(samples[-1].total_bytes),
+                _others(samples),
+                {s.checkpoint: int(s.reserved_bytes) for s in samples if s.checkpoint and s.HasField("reserved_bytes")},
             )
     return found
+
+
+def _others(samples: Sequence[Any]) -> tuple[tuple[int | None, int | None], ...]:
+    found = tuple(
+        (
+            int(s.other_processes) if s.HasField("other_processes") else None,
+            int(s.other_bytes) if s.HasField("other_bytes") else None,
+        )
+        for s in samples
+    )
+    return found if any(o != (None, None) for o in found) else ()
 
 
 def read_fingerprints(messages: Messages, phase: str, *, n_env: int, cut_short: bool) -> Fingerprints | None:
