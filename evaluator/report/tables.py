@@ -24,6 +24,7 @@ from evaluator.sweeps import swept_only
 
 _COLUMNS = 4
 _UNSHOWN = (
+    "process_memory_peak",
     "allocator_peak",
     "build_time",
     "compile_time",
