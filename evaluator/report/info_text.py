@@ -20,7 +20,6 @@ from schemas.provenance import REAL, Provenance, Simulation
 _WIDTH = 80
 _LABEL = 12
 _SOURCES = {
-    "host": "resident set",
     "device": "NVML, whole device",
     "process": "NVML, this process",
     "allocator": "the engine's own",
