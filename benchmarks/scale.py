@@ -84,11 +84,11 @@ def _pack(paths: Sequence[Path], folder: Path) -> tuple[float, list[Path]]:
     return (time.process_time() - began) / len(paths), packed
 
 
-def _tables(reads: Sequence[Read], sample_time: float, folder: Path) -> tuple[float, float]:
+def _tables(reads: Sequence[Read], sample_time: float) -> tuple[float, float]:
     # bytes of the tables of one group, and of each group more
     sizes = []
     shipped = _read(sorted(SHIPPED.glob("*.mcap")), sample_time)
-    for name, files in (("one", reads), ("more", [*reads, *shipped])):
+    for files in (reads, [*reads, *shipped]):
         evaluation = evaluate(files, sample_time=sample_time)
         size = sum(map(len, parquet_tables(evaluation).values()))
         sizes.append((len(evaluation.results), size))
@@ -127,7 +127,7 @@ def measure(folder: Path, *, runs: int, n_env: int, steps: int, points: int) -> 
     certified_wasserstein1(thrown(points, 1), thrown(points, 2))
     certified_s = time.process_time() - began
     same_s, _ = _cpu(lambda: [identical_steps(data, data) for _ in range(100)])  # of so many runs on either side
-    table, next_group = _tables(reads, sample_time, folder)
+    table, next_group = _tables(reads, sample_time)
     rates = Rates(
         recorded_bytes=recorded / runs,
         archived_bytes=archived / runs,

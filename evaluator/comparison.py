@@ -7,6 +7,7 @@ from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TypeVar
 
+from evaluator.cost_metrics import GPU_MEMORY, common_memory
 from evaluator.groups import GroupKey, is_instrument, labels, options_given, settings_asked
 from evaluator.metrics.guidelines import Guideline, guidelines
 from evaluator.metrics.radar import Axis, Radar, SimulatorResult, radar
@@ -17,7 +18,7 @@ from evaluator.timed_work import most_common, window_key
 
 AXIS_METRICS = {
     Axis.THROUGHPUT: "fps",
-    Axis.MEMORY: "memory_peak_increment",
+    Axis.MEMORY: GPU_MEMORY[0],
     Axis.EMD_TO_REAL: "w1_real",
     Axis.PARALLEL: "w1_parallel",
     Axis.RUN_TO_RUN: "w1_run_to_run",
@@ -116,8 +117,14 @@ def compare(results: Sequence[GroupResult], sweeps: Sequence[Sweep], reference: 
         return Comparison(notes=tuple(notes))
     given = options_given(r for result in results for r in result.group.recordings)
     others_windows = {} if simple else _timed_otherwise(groups)
+    speeds = [_speed(parts, at_max=bool(simple)) for parts in found]
+    memory = common_memory([r.metrics for r in speeds if r])
+    if memory == GPU_MEMORY[1]:
+        notes.append(
+            "radar and guidelines compare the GPU memory of the runs' own processes: other processes were on the GPU"
+        )
     contenders = tuple(
-        _contender(parts, name, reference, results, others_windows, at_max=bool(simple))
+        _contender(parts, name, reference, results, others_windows, memory, at_max=bool(simple))
         for parts, name in zip(found, _names(found, given), strict=True)
     )
     figures = [c.figures for c in contenders]
@@ -206,16 +213,22 @@ def _names(found: Sequence[_Parts], given: set[str]) -> list[str]:
     return labels([parts.key for parts in found], given)
 
 
+def _speed(parts: _Parts, *, at_max: bool) -> GroupResult | None:
+    return parts.sweep.at_max if parts.sweep else None if at_max else parts.group
+
+
 def _contender(
     parts: _Parts,
     name: str,
     reference: Reference | None,
     results: Sequence[GroupResult],
     timed_otherwise: Mapping[str, str],
+    memory: str,
     *,
     at_max: bool,
 ) -> Contender:
-    speed = parts.sweep.at_max if parts.sweep else None if at_max else parts.group
+    """What a simulator is compared by; `memory`, the metric that all are compared by, where it is one of the GPU's."""
+    speed = _speed(parts, at_max=at_max)
     why_not: dict[Axis, str] = {}
     metrics: dict[Axis, Metric] = {}
 
@@ -226,7 +239,8 @@ def _contender(
         if axis is Axis.THROUGHPUT and result.label in timed_otherwise:
             why_not[axis] = timed_otherwise[result.label]
             return None
-        metric: Metric = result.metrics[AXIS_METRICS[axis]]
+        chosen = memory if axis is Axis.MEMORY and memory in GPU_MEMORY else AXIS_METRICS[axis]
+        metric: Metric = result.metrics[chosen]
         if axis is Axis.EMD_TO_REAL and metric.value is not None and not (reference and reference.measured):
             why_not[axis] = "the reference is another simulation, not measured"
             return None

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evaluator import cost_metrics as costs
+from evaluator import cotenancy
 from evaluator import group_metrics as gm
 from evaluator import identity_metrics as identity
 from evaluator.accumulation import accumulations
@@ -68,7 +69,7 @@ def evaluate(
     failures = [f for f in files if isinstance(f, Unreadable)]
     distinct, notes = without_copies([f for f in files if isinstance(f, Read)], failures)
     readable = [r.summary for r in distinct]
-    data = {r.summary.provenance.run_id: r.run for r in distinct if r.run}
+    data = cotenancy.with_peers({r.summary.provenance.run_id: r.run for r in distinct if r.run})
 
     measured = [r for r in distinct if r.summary.configuration.simulator == REAL]
     chosen, reference_note = _choose_reference(reference, measured)
@@ -189,6 +190,7 @@ def _evaluate_group(
     metrics: list[Metric] = [
         costs.throughput(runs),
         costs.memory_peak_increment(runs),
+        costs.process_memory_peak(runs),
         costs.allocator_peak(runs),
         costs.host_memory_peak_increment(runs),
         costs.build_time(runs),
@@ -244,7 +246,7 @@ def _notes(
         notes.append(f"positions are those at {sampled:g} s, the step nearest to {sample_time:g} s")
     if reference and reference.run_id in {r.recording.provenance.run_id for r in runs}:
         notes.append("the reference is one of this group's own runs, whose distance of zero is part of the mean")
-    return notes
+    return [*notes, *cotenancy.notes(runs)]
 
 
 def _warnings(result: GroupResult) -> list[str]:

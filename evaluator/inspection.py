@@ -8,8 +8,10 @@ from typing import Any, TypeVar
 
 from evaluator.integrity import Integrity
 from evaluator.integrity.scan import Scan, Stream
+from evaluator.metrics.cotenants import Sign, cotenants
 from evaluator.metrics.throughput import frames_per_second
 from evaluator.recording import Recording
+from evaluator.run_data import gpu_memory
 from schemas import topics
 from schemas.errors import GsbError, NotARecording
 from schemas.fields import StateField
@@ -65,6 +67,18 @@ class Memory:
 
 
 @dataclass(frozen=True)
+class CoTenancy:
+    """Other processes on the device that the simulator stepped on, as far as this file alone tells.
+
+    presence  "none", "some" or "unknown"
+    signs     what says that they were there
+    """
+
+    presence: str
+    signs: tuple[Sign, ...]
+
+
+@dataclass(frozen=True)
 class Container:
     """How the file is made: size, writer, chunks by compression, their bytes before and after."""
 
@@ -86,6 +100,7 @@ class Inspection:
     phases       that began and ended, with their durations [s]
     clocks       phases that have clocks, with how many intervals of how many steps
     not_timed    why there is no throughput; the same for `not_captured`
+    co_tenants   other processes on the device; None where the simulator did not step on a GPU
     counters     names by phase
     hashes       steps with state hashes, by phase
     overflowed   buffers and limits that were run into; None where the engine does not tell
@@ -109,6 +124,7 @@ class Inspection:
     captured: Rate | None = None
     not_captured: str = ""
     memory: dict[str, Memory] = field(default_factory=dict)
+    co_tenants: CoTenancy | None = None
     peak_rss_bytes: int | None = None
     arrays: tuple[Array, ...] = ()
     actions: tuple[Array, ...] = ()
@@ -188,6 +204,7 @@ def _streams(recording: Recording, scan: Scan) -> dict[str, Any]:
         "captured": captured,
         "not_captured": not_captured,
         "memory": read(lambda: _memory(recording), dict[str, Memory]()),
+        "co_tenants": read(lambda: _co_tenants(recording), None),
         "arrays": tuple(array for array in map(state, recording.fields) if array is not None),
         "actions": tuple(_action(recording, scan, name) for name in recording.action_names),
         "counters": read(lambda: {phase: tuple(by_name) for phase, by_name in recording.counts.items()}, _NO_NAMES),
@@ -244,6 +261,14 @@ def _memory(recording: Recording) -> dict[str, Memory]:
         )
         for source, trace in recording.memory.items()
     }
+
+
+def _co_tenants(recording: Recording) -> CoTenancy | None:
+    memory = gpu_memory(recording)
+    if memory is None:
+        return None
+    found = cotenants(memory)
+    return CoTenancy(found.presence.value, found.signs)
 
 
 def _state(recording: Recording, scan: Scan, described: StateField) -> Array:

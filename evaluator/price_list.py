@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
+from evaluator.cost_metrics import common_memory
 from evaluator.groups import GroupKey, asked
 from evaluator.results import GroupResult, Metric
 from evaluator.soundness import faults
@@ -46,7 +47,7 @@ class Price:
     level   of determinism that was asked for
     differs what the level sets that is not so in the default: "name=value", of switches and environment variables
     speed   throughput over that of the default
-    memory  memory increment over that of the default: of the device, or of the host where there is no device
+    memory  memory over that of the default, both by one source: see cost_metrics.common_memory
     """
 
     result: GroupResult
@@ -144,9 +145,7 @@ def _precision(result: GroupResult) -> dict[str, Any]:
 
 
 def _price(result: GroupResult, base: GroupResult | None) -> Price:
-    memory = "memory_peak_increment"
-    if result.metrics[memory].value is None and result.metrics["host_memory_peak_increment"].value is not None:
-        memory = "host_memory_peak_increment"
+    memory = common_memory([r.metrics for r in (result, base) if r])
     return Price(
         result,
         result.group.key.determinism,

@@ -10,8 +10,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from evaluator.histories import Histories, histories_of
+from evaluator.metrics.cotenants import BASELINE, CHECKPOINTS, TIMED, CoTenants, cotenants
 from evaluator.metrics.levels import Verdict, verdict
-from evaluator.metrics.memory import Checkpoints
+from evaluator.metrics.memory import Checkpoints, GpuMemory, Listing
 from evaluator.physics.facts import PhysicsFacts
 from evaluator.physics.measure import physics_of
 from evaluator.positions import GROUP, Positions, sample_positions, was_recorded
@@ -32,7 +33,7 @@ class RunData:
 
     recording   that it was read from, in summary
     elapsed_s   of the timed phase [s]; None where it was left out
-    gpu         memory of the device [byte]; None without a GPU
+    gpu         memory of the device that steps [byte]; None without a GPU, and where the simulator ran on the CPU
     host        memory of the process [byte]; None where it was not sampled
     allocator   peak of the engine's own device allocator up to the end of the timed phase [byte]; None where not told
     build_s     import of the engine, loading, allocation [s]; None where it was not clocked
@@ -50,11 +51,12 @@ class RunData:
     physics     how far the states keep to mechanics
     sunk        cubes that went through the floor; None where it cannot be said, and `no_sunk` says why
     timed_from  steps of the scene that were made before the first timed one; None where no step was timed
+    cotenants   other processes on that device, as far as the recordings it was read with tell
     """
 
     recording: Summary
     elapsed_s: float | None
-    gpu: Checkpoints | None
+    gpu: GpuMemory | None
     host: Checkpoints | None
     allocator: int | None
     build_s: float | None
@@ -74,6 +76,7 @@ class RunData:
     no_sunk: str
     physics: PhysicsFacts
     timed_from: int | None = None
+    cotenants: CoTenants = CoTenants()
 
 
 def read_run(recording: Recording, summary: Summary, sample_time: float) -> RunData:
@@ -84,7 +87,7 @@ def read_run(recording: Recording, summary: Summary, sample_time: float) -> RunD
         sank, no_sunk = sunk(recording)
         timing = recording.timing
         allocator = recording.memory.get("gpu0/allocator") if "timed" in recording.configuration.phases else None
-        gpu = recording.memory.get("gpu0/device") if recording.provenance.gpus else None
+        gpu = gpu_memory(recording)
         host = recording.memory.get("host")
         timed = recording.timing.get("timed")
         captured = recording.fingerprints("capture")
@@ -93,7 +96,7 @@ def read_run(recording: Recording, summary: Summary, sample_time: float) -> RunD
         return RunData(
             recording=summary,
             elapsed_s=_elapsed(recording),
-            gpu=_checkpoints(gpu, timed) if gpu else None,
+            gpu=gpu,
             host=_checkpoints(host, timed) if host else None,
             allocator=allocator.own_peak() if allocator else None,
             build_s=timing["build"].elapsed_s if "build" in timing else None,
@@ -113,6 +116,7 @@ def read_run(recording: Recording, summary: Summary, sample_time: float) -> RunD
             no_sunk=no_sunk,
             physics=physics_of(recording, (sank, no_sunk)),
             timed_from=timed.first_step if timed else None,
+            cotenants=cotenants(gpu) if gpu else CoTenants(),
         )
     except (ValueError, OverflowError, MemoryError) as error:
         raise DamagedRecording(f"{recording.path}: {str(error) or type(error).__name__}") from None
@@ -176,9 +180,24 @@ def _elapsed(recording: Recording) -> float | None:
     return timing.elapsed_s
 
 
+def gpu_memory(recording: Recording) -> GpuMemory | None:
+    """Memory of the device that a recording's simulator stepped on; None without one."""
+    # recordings list the GPUs that CUDA shows, in its order, and engines step on the first of them
+    device = recording.memory.get("gpu0/device") if recording.provenance.gpus else None
+    if device is None or (recording.simulation and recording.simulation.device == "cpu"):
+        return None
+    timed = recording.timing.get("timed")
+    own = recording.memory.get("gpu0/process")
+    found = {name: device.most_others(checkpoint=name) for name in CHECKPOINTS}
+    found[TIMED] = device.most_others(phase=TIMED)
+    return GpuMemory(
+        _checkpoints(device, timed),
+        _checkpoints(own, timed) if own else None,
+        {moment: Listing(*others) for moment, others in found.items() if others},
+        device.reserved.get(BASELINE),
+    )
+
+
 def _checkpoints(trace: MemoryTrace, timing: StepTiming | None) -> Checkpoints:
-    baseline = trace.at("baseline")
     peak = None if timing is None else trace.peak("timed", int(timing.end_ns[-1]))
-    if peak is not None and baseline is not None:
-        peak = max(peak, baseline)  # a monitor of a whole device also sees others release memory
-    return Checkpoints(baseline, trace.at("post-init"), trace.at("post-warmup"), peak, trace.at("final"))
+    return Checkpoints(trace.at("baseline"), trace.at("post-init"), trace.at("post-warmup"), peak, trace.at("final"))

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from array import array
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,6 +45,10 @@ class StepTiming:
         return float((self.end_ns - self.start_ns).sum()) * 1e-9
 
 
+_Others = tuple[int | None, int | None]
+_UNTOLD: _Others = (None, None)
+
+
 @dataclass(frozen=True)
 class MemoryTrace:
     """Readings of one memory source, in order of time.
@@ -53,6 +58,9 @@ class MemoryTrace:
     phase        of the run, one per sample
     checkpoint   name of the protocol's checkpoint, or empty, one per sample
     total_bytes  capacity, 0 where unknown
+    others       processes beside the run's own and their bytes, None where either is unknown, one per sample; empty
+                 where no sample tells
+    reserved     what the driver keeps for itself [byte], by checkpoint
     """
 
     time_ns: NDArray[np.int64]
@@ -60,6 +68,20 @@ class MemoryTrace:
     phase: tuple[str, ...]
     checkpoint: tuple[str, ...]
     total_bytes: int
+    others: tuple[_Others, ...] = ()
+    reserved: dict[str, int] = field(default_factory=dict)
+
+    def most_others(self, *, checkpoint: str = "", phase: str = "") -> tuple[int, int | None] | None:
+        """The most processes beside the run's own at a checkpoint, or in a phase, and the most bytes that they held.
+
+        None where there is no reading, and where a reading does not tell the processes, unless another one lists some.
+        """
+        wanted = self.checkpoint if checkpoint else self.phase
+        found = [o for name, o in zip(wanted, self.others, strict=False) if name == (checkpoint or phase)]
+        counts = [count for count, _ in found if count is not None]
+        if not any(counts) and (not counts or len(counts) < len(found)):
+            return None
+        return max(counts), max((used for _, used in found if used is not None), default=None)
 
     def at(self, checkpoint: str) -> int | None:
         """Bytes in use at a checkpoint, None where it was not reached."""
@@ -151,14 +173,19 @@ def read_memory(messages: Messages) -> dict[str, MemoryTrace]:
         # hours of readings are many: nothing but numbers is kept of each, and one text for all that have it
         times, used, total = array("q"), array("q"), 0
         phases, checkpoints, texts = list[str](), list[str](), dict[str, str]()
+        others, kept, reserved = list[_Others](), dict[_Others, _Others](), dict[str, int]()
         for sample in messages.each(topic, "gsb.v1.MemorySample"):
-            if sample.used_bytes >= _MAX_BYTES:
+            if max(sample.used_bytes, sample.other_bytes, sample.reserved_bytes) >= _MAX_BYTES:
                 raise messages.damaged(f"{topic} has a reading that no memory can have")
             times.append(sample.monotonic_ns)
             used.append(sample.used_bytes)
             phases.append(texts.setdefault(sample.phase, sample.phase))
             checkpoints.append(texts.setdefault(sample.checkpoint, sample.checkpoint))
             total = int(sample.total_bytes)
+            present = _others(sample)
+            others.append(kept.setdefault(present, present))
+            if sample.checkpoint and sample.HasField("reserved_bytes"):
+                reserved[checkpoints[-1]] = int(sample.reserved_bytes)
         if times:
             found[topic.removeprefix("/memory/")] = MemoryTrace(
                 np.array(times, dtype=np.int64),
@@ -166,8 +193,17 @@ def read_memory(messages: Messages) -> dict[str, MemoryTrace]:
                 tuple(phases),
                 tuple(checkpoints),
                 total,
+                tuple(others) if set(kept) != {_UNTOLD} else (),
+                reserved,
             )
     return found
+
+
+def _others(sample: Any) -> _Others:
+    return (
+        int(sample.other_processes) if sample.HasField("other_processes") else None,
+        int(sample.other_bytes) if sample.HasField("other_bytes") else None,
+    )
 
 
 def read_fingerprints(messages: Messages, phase: str, *, n_env: int, cut_short: bool) -> Fingerprints | None:

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
+from evaluator.cost_metrics import common_memory
 from evaluator.groups import GroupKey, asked, labels, options_given
 from evaluator.metrics.memory_model import MIN_POINTS, MemoryModel, fit_memory
 from evaluator.results import GroupResult, Metric
@@ -19,6 +20,7 @@ _BYTES = {"GB": 1e9, "MB": 1e6}
 
 SOURCES = {
     "memory_peak_increment": "device, NVML: peak minus baseline",
+    "process_memory_peak": "device, NVML: the process's own, at its peak",
     "allocator_peak": "device, the engine's own allocator, without what CUDA graphs hold: peak",
     "host_memory_peak_increment": "host, resident set: peak minus baseline",
 }
@@ -83,7 +85,8 @@ class Sweep:
     label     unique within the sweeps of its scene
     n_max     N_env^max: the largest number of environments with a complete run; None where no run is complete
     ends      why it goes no further
-    memory    the metric that stands for its memory: of the device, or of the host where it ran on the CPU
+    memory    the metric that stands for its memory, the same at all points: of the device; of the process on it, where
+              more points have that one, for other processes were on the device; of the host where it ran on the CPU
     models    by metric of SOURCES
     no_model  reason by metric, where there is none
     """
@@ -177,8 +180,7 @@ def _sweep(key: GroupKey, label: str, points: tuple[SweepPoint, ...]) -> Sweep:
         ends = "; ".join(failure.at(above[0].n_env) for failure in above[0].failures)
     else:
         ends = "largest N that was tried"
-    on_device = any(p.result.metrics["memory_peak_increment"].value is not None for p in points)
-    memory = "memory_peak_increment" if on_device else "host_memory_peak_increment"
+    memory = common_memory([p.result.metrics for p in points])
     told = any(p.result.metrics["allocator_peak"].value is not None for p in points)
     models, no_model = {}, {}
     for source in (memory, "allocator_peak") if told else (memory,):

@@ -103,6 +103,9 @@ def write_recording(
     warmup: int = 0,
     version: str = "1.0",
     gpu_bytes: tuple[int, int] | None = None,
+    process_bytes: int | None = None,
+    others: tuple[int | None, int | None] = (None, None),
+    reserved: int | None = None,
     host_bytes: tuple[int, int] | None = None,
     allocator_peak: int | None = None,
     clocks: dict[str, float] | None = None,
@@ -132,6 +135,9 @@ def write_recording(
     final      None captures no states, of `n_env` environments
     elapsed_s  of the timed phase; None leaves it out
     gpu_bytes  baseline and peak on a GPU; None for a machine without
+    process_bytes  of the process on the GPU in the timed phase; None where NVML did not tell
+    others     processes beside it and their bytes, at the baseline and in the timed phase
+    reserved   what the driver keeps for itself
     host_bytes the same of the process
     in_force   options that the engine had beside those that were asked for
     clocks     seconds of "build", "compile_timed", "compile_capture"
@@ -195,7 +201,10 @@ def write_recording(
             _write_timing(sink, "warmup", elapsed_s, warmup)
         _write_timing(sink, "timed", elapsed_s, timed_steps, first_step=warmup)
     if gpu_bytes:
-        _write_memory(sink, topics.gpu_memory(0, "device"), 2, gpu_bytes)
+        told = {"other_processes": others[0], "other_bytes": others[1], "reserved_bytes": reserved}
+        _write_memory(sink, topics.gpu_memory(0, "device"), 2, gpu_bytes, **told)
+    if process_bytes is not None:
+        _write_memory(sink, topics.gpu_memory(0, "process"), 3, (None, process_bytes))
     if host_bytes:
         _write_memory(sink, topics.MEMORY_HOST, 1, host_bytes)
     if allocator_peak:
@@ -226,11 +235,17 @@ def _write_timing(sink: Sink, phase: str, seconds: float, steps: int, *, first_s
     sink.write(topics.timing(phase), timing.SerializeToString())
 
 
-def _write_memory(sink: Sink, topic: str, source: int, found: tuple[int, int], *, peak: str = "") -> None:
+def _write_memory(
+    sink: Sink, topic: str, source: int, found: tuple[int | None, int], *, peak: str = "", **told: int | None
+) -> None:
+    """Readings at the baseline, in the timed phase and at its end; none at the baseline where that is None."""
     sink.channel(topic, "gsb.v1.MemorySample")
-    for used, phase, checkpoint in ((found[0], "baseline", "baseline"), (found[1], "timed", peak)):
+    last = () if peak else ((found[1], "", "final"),)
+    for used, phase, checkpoint in ((found[0], "baseline", "baseline"), (found[1], "timed", peak), *last):
+        if used is None:
+            continue
         sample = message_class("gsb.v1.MemorySample")(
-            source=source, monotonic_ns=1, used_bytes=used, phase=phase, checkpoint=checkpoint
+            source=source, monotonic_ns=1, used_bytes=used, phase=phase, checkpoint=checkpoint, **told
         )
         sink.write(topic, sample.SerializeToString())
 

@@ -10,9 +10,10 @@ from evaluator.cache.store import Store
 from evaluator.histories import Histories
 from evaluator.metrics.alignment import Gap, GapTo
 from evaluator.metrics.board import Board
+from evaluator.metrics.cotenants import CoTenants, Sign
 from evaluator.metrics.divergence import GrowthFit
 from evaluator.metrics.levels import Level, Verdict, Worst
-from evaluator.metrics.memory import Checkpoints
+from evaluator.metrics.memory import Checkpoints, GpuMemory, Listing
 from evaluator.metrics.split_tree import Branch, SplitTree
 from evaluator.metrics.variability import ParallelVariability
 from evaluator.physics.facts import Check, Measured, NotMeasured, PhysicsFacts
@@ -38,6 +39,7 @@ from schemas.trial_units import UnitDoubt
 _CLASSES = (
     Summary, CountSummary, BitSummary, OverflowSummary, ActionStream, Board, RunConfiguration, Provenance, ReplayOf,
     Simulation, Deviation, StateField, Buffer, Counter, OverflowBit, RunData, Histories, Positions, Checkpoints, Sunk,
+    GpuMemory, Listing, CoTenants, Sign,
     Stamp, Reader, SplitTree, Branch, Spread, GrowthFit, Verdict, Worst, Level, PhysicsFacts,
     Measured, NotMeasured, Check, ParallelVariability, Transport, Gap, GapTo, SummaryBlock,
     MatchedPoint, MatchedVariability, Interval, Checkup, UnitDoubt,

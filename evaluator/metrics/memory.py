@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 
 @dataclass(frozen=True)
 class Checkpoints:
-    """GPU memory in use [bytes] at the protocol's checkpoints; None where it was not sampled.
+    """Memory in use [bytes] at the protocol's checkpoints, by one source; None where it was not sampled.
 
     baseline      before any env exists
     post_init     after the envs are created
@@ -24,10 +25,40 @@ class Checkpoints:
 
     @property
     def peak_increment(self) -> int | None:
-        """M_peak - M_base [bytes]; None where either was not sampled."""
-        if self.baseline is None or self.peak is None:
+        """M_peak - M_base [bytes]; None where either was not sampled, and where the peak lies below the baseline."""
+        if self.baseline is None or self.peak is None or self.peak < self.baseline:
             return None
         return peak_increment(self.baseline, self.peak)
+
+    @property
+    def shrank(self) -> bool:
+        """Whether the peak lies below the baseline: somebody gave memory back, and the increment says nothing."""
+        return self.baseline is not None and self.peak is not None and self.peak < self.baseline
+
+
+@dataclass(frozen=True)
+class Listing:
+    """What NVML listed beside the run's process: how many processes, and their bytes; None where it did not tell."""
+
+    processes: int
+    bytes: int | None
+
+
+@dataclass(frozen=True)
+class GpuMemory:
+    """Memory of the device that a run stepped on.
+
+    device         by NVML, of the whole device
+    process        by NVML, of the run's process, which holds none at the baseline; None where NVML did not tell
+    listed         other processes by moment (a checkpoint, or "timed" for the largest of that phase's readings); a
+                   moment is missing where NVML did not tell the others from the run's own process
+    reserved       what the driver kept for itself at the baseline [bytes]; None where it did not tell
+    """
+
+    device: Checkpoints
+    process: Checkpoints | None = None
+    listed: Mapping[str, Listing] = field(default_factory=dict)
+    reserved: int | None = None
 
 
 def peak_increment(base_bytes: int, peak_bytes: int) -> int:

@@ -6,8 +6,10 @@ import textwrap
 from collections.abc import Iterator
 from typing import Any
 
-from evaluator.inspection import Array, Inspection, Memory, Rate
+from evaluator.cotenancy import described
+from evaluator.inspection import Array, CoTenancy, Inspection, Memory, Rate
 from evaluator.integrity.problem import REMARKS, Kind
+from evaluator.metrics.cotenants import Presence
 from evaluator.plain import brief, plain
 from evaluator.report.numbers import plural
 from evaluator.report.text import printable
@@ -17,6 +19,11 @@ from schemas.provenance import REAL, Provenance, Simulation
 
 _WIDTH = 80
 _LABEL = 12
+_SOURCES = {
+    "device": "NVML, whole device",
+    "process": "NVML, this process",
+    "allocator": "the engine's own",
+}
 _LONGEST = 600
 """Characters of one entry; a stranger's file may have more to say."""
 
@@ -154,6 +161,8 @@ def _how_long(found: Inspection) -> Iterator[tuple[str, str]]:
     for source, memory in found.memory.items():
         yield label, _memory(source, memory)
         label = ""
+    if found.co_tenants:
+        yield "co-tenants", _co_tenants(found.co_tenants)
 
 
 def _rate(rate: Rate) -> str:
@@ -162,10 +171,19 @@ def _rate(rate: Rate) -> str:
     return f"{rate.env_steps_per_s:,.0f} env-steps/s: {window}, in {rate.seconds:.4g} s{short}"
 
 
+def _co_tenants(found: CoTenancy) -> str:
+    if found.signs:
+        return f"another process was on the GPU ({described(found.signs)})"
+    if found.presence == Presence.NONE.value:
+        return "none: NVML listed no other process on the GPU at any checkpoint or in the timed phase"
+    return "unknown: nothing in this file tells whether another process was on the GPU"
+
+
 def _memory(source: str, memory: Memory) -> str:
     baseline = "no baseline" if memory.baseline is None else f"baseline {_bytes(memory.baseline)}"
     total = f" of {_bytes(memory.total)}" if memory.total else ""
-    return f"{source}: {baseline}, peak {_bytes(memory.peak)}{total}"
+    what = _SOURCES.get(source.rpartition("/")[2], "")
+    return f"{source}{f' ({what})' if what else ''}: {baseline}, peak {_bytes(memory.peak)}{total}"
 
 
 def _inside(found: Inspection) -> Iterator[tuple[str, str | tuple[str, ...]]]:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from markupsafe import Markup
 
+from evaluator.cost_metrics import GPU_MEMORY, HOST_MEMORY
 from evaluator.published import SCALING, AtLargest
 from evaluator.report import timed, words
 from evaluator.report.csv import Cell
@@ -15,8 +16,12 @@ from evaluator.report.figures.scaling import Curve, Foreign, scaling_chart
 from evaluator.report.page.picture import Numbers, Picture, file_name
 from evaluator.sweeps import Sweep
 
-_DEVICE, _HOST = "memory_peak_increment", "host_memory_peak_increment"
-_MEMORY = {_DEVICE: "device memory increment", _HOST: "host memory increment"}
+_DEVICE, _PROCESS = GPU_MEMORY
+_MEMORY = {
+    _DEVICE: "device memory increment",
+    _PROCESS: "device memory of the process",
+    HOST_MEMORY: "host memory increment",
+}
 
 
 @dataclass(frozen=True)

@@ -24,6 +24,7 @@ from evaluator.sweeps import swept_only
 
 _COLUMNS = 4
 _UNSHOWN = (
+    "process_memory_peak",
     "allocator_peak",
     "build_time",
     "compile_time",
@@ -93,7 +94,9 @@ def _print_scene(
     both("throughput [env-steps/s]", "fps")
     for column in timed.columns(r.timed for r in of_scene):
         row(f"  {column.title}", [column.cell(r.timed) for r in results])
+    told("  another process on the GPU", [words.shared(r.metrics["fps"]) or NONE for r in results])
     both("GPU memory increment [GB]", "memory_peak_increment")
+    told("  the process alone [GB]", [mean_sd(r.metrics["process_memory_peak"]) for r in results])
     both("host memory increment [MB]", "host_memory_peak_increment")
     # where no cube left the board, the clamped distance is the published one
     fell = any(r.metrics["left_board"].value for r in results)

@@ -7,6 +7,7 @@ from statistics import median
 
 from evaluator.fidelity import Fidelity, Verdict
 from evaluator.groups import Described, Group, shown_status
+from evaluator.metrics.cotenants import Presence
 from evaluator.metrics.levels import Level
 from evaluator.metrics.memory_model import MemoryModel
 from evaluator.report.numbers import NONE, distance
@@ -95,6 +96,13 @@ def size(value: float, digits: str = ".3g") -> str:
 def amount(metric: Metric) -> str:
     """Mean of a metric of memory, in three digits."""
     return NONE if metric.value is None else size(metric.value * BYTES[metric.unit], "#.3g")
+
+
+def shared(fps: Metric) -> str:
+    """The runs of a throughput with another process on their GPU: "2 of 10 runs: 0, 1"; empty without any."""
+    told = fps.extra.get("co_tenants") or []
+    found = [str(one["run"]) for one in told if one["presence"] == Presence.SOME.value]
+    return f"{len(found)} of {len(told)} runs: {', '.join(found)}" if found else ""
 
 
 def model(found: MemoryModel) -> str:

@@ -5,7 +5,11 @@ from __future__ import annotations
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
+from evaluator.cost_metrics import GPU_MEMORY
+from evaluator.cotenancy import notes as cotenant_notes
+from evaluator.cotenancy import with_peers
 from evaluator.groups import group, status_notes
+from evaluator.over_runs import Runs
 from evaluator.protocol import Protocol
 from evaluator.reading import Unreadable
 from evaluator.report import timed
@@ -14,7 +18,7 @@ from evaluator.statistics.families import able_to_reject, holm
 from evaluator.timed_work import TimedWork, timed_work
 from evaluator.versus.finding import FAILING, Axis, Change, Finding, Question, Settings
 from evaluator.versus.matching import Pair, check_across, match
-from evaluator.versus.measures import MEASURES
+from evaluator.versus.measures import MEASURES, gpu_memory_by
 from evaluator.versus.mechanics import compare_mechanics
 from evaluator.versus.numbers import compare_numbers
 from evaluator.versus.outcome import compare_outcomes
@@ -37,7 +41,7 @@ class Compared:
     order     of its complete runs in time
     findings  in the order of the axes
     warnings  what a reader must know of how far the findings can be relied on
-    notes     of runs that are not complete
+    notes     of runs that are not complete, and of those with another process on their GPU
     timed     what the throughputs of base and head were measured over
     """
 
@@ -124,7 +128,7 @@ def compare(base: Side, head: Side, settings: Settings, work: Work, across: Coll
     groups = [[g for g in side if not g.measured] for side in sides]
     check_across(across, [*groups[0], *groups[1]])
     matching = match(groups[0], groups[1], across)
-    data = {f.summary.provenance.run_id: f.run for side in (base, head) for f in side.files if f.run}
+    data = with_peers({f.summary.provenance.run_id: f.run for side in (base, head) for f in side.files if f.run})
     protocols = [Protocol([f.summary for f in side.files]) for side in (base, head)]
     drafts = [_draft(pair, data, protocols, settings, work) for pair in matching.pairs]
     findings, tests = _answered([draft.items for draft in drafts], settings)
@@ -146,6 +150,8 @@ def compare(base: Side, head: Side, settings: Settings, work: Work, across: Coll
 @dataclass(frozen=True)
 class _Draft:
     pair: Pair
+    base: Runs
+    head: Runs
     order: Schedule
     items: tuple[Finding | _Asked, ...]
     timed: tuple[TimedWork, TimedWork]
@@ -162,6 +168,7 @@ def _draft(
 ) -> _Draft:
     base, head = ([data[s.provenance.run_id] for s in g.complete] for g in (pair.base, pair.head))
     items: list[Finding | _Asked] = []
+    other_sources = {*GPU_MEMORY} - {gpu_memory_by(base, head)}
 
     def add(axis: Axis, *found: Finding | Question | None) -> None:
         for one in found:
@@ -170,7 +177,7 @@ def _draft(
 
     def numbers(axis: Axis) -> None:
         for measure in MEASURES:
-            if measure.axis is axis:
+            if measure.axis is axis and measure.name not in other_sources:
                 add(axis, compare_numbers(measure, base, head, settings, same_machine=pair.same_machine))
 
     for axis in (Axis.THROUGHPUT, Axis.MEMORY, Axis.BUILD):
@@ -185,7 +192,7 @@ def _draft(
         timed_work(group.key, runs, protocol.of(group.recordings))
         for group, runs, protocol in zip((pair.base, pair.head), (base, head), protocols, strict=True)
     )
-    return _Draft(pair, schedule(base, head), tuple(items), (one, other))
+    return _Draft(pair, base, head, schedule(base, head), tuple(items), (one, other))
 
 
 def _answered(drafts: Sequence[Sequence[Finding | _Asked]], settings: Settings) -> tuple[list[list[Finding]], int]:
@@ -215,8 +222,8 @@ def _answered(drafts: Sequence[Sequence[Finding | _Asked]], settings: Settings) 
 def _compared(draft: _Draft, findings: list[Finding], alpha: float) -> Compared:
     notes = [
         f"{name}: {note}"
-        for name, side in (("base", draft.pair.base), ("head", draft.pair.head))
-        for note in status_notes(side)
+        for name, side, runs in (("base", draft.pair.base, draft.base), ("head", draft.pair.head, draft.head))
+        for note in (*status_notes(side), *cotenant_notes(runs))
     ]
     return Compared(
         draft.pair, draft.order, tuple(findings), tuple(_warnings(draft, findings, alpha)), tuple(notes), draft.timed

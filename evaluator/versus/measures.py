@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from evaluator import cost_metrics as costs
+from evaluator.metrics.cotenants import Presence
 from evaluator.metrics.throughput import frames_per_second
 from evaluator.over_runs import NO_RUN, Runs
 from evaluator.results import Metric, not_computed
@@ -71,8 +72,13 @@ MEASURES = (
     ),
     Measure(
         Axis.MEMORY, "memory_peak_increment", "GPU memory increment", "B", Direction.LOWER,
-        lambda run: run.gpu.peak_increment if run.gpu else None, costs.memory_peak_increment,
+        costs.device_increment, costs.memory_peak_increment,
         "largest reading of the timed phase minus the baseline, the whole device",
+    ),
+    Measure(
+        Axis.MEMORY, "process_memory_peak", "GPU memory of the process", "B", Direction.LOWER,
+        costs.process_peak, costs.process_memory_peak,
+        "largest reading of the timed phase, of the run's process alone",
     ),
     Measure(
         Axis.MEMORY, "allocator_peak", "peak of the engine's allocator", "B", Direction.LOWER,
@@ -96,3 +102,15 @@ MEASURES = (
         "mean over environments and counted steps",
     ),
 )  # fmt: skip
+
+
+def gpu_memory_by(base: Runs, head: Runs) -> str:
+    """The metric by which GPU memory is compared: of one source on both sides.
+
+    The increment of the whole device, as published; where another process was on the device in a run, what NVML
+    attributed to the runs' own processes, if all runs have it.
+    """
+    device, process = costs.GPU_MEMORY
+    runs = (*base, *head)
+    shared = any(run.cotenants.presence is Presence.SOME for run in runs)
+    return process if shared and all(costs.process_peak(run) is not None for run in runs) else device

@@ -67,5 +67,8 @@ class MemoryWriter:
                     total_bytes=reading.total_bytes,
                     phase=reading.phase,
                     checkpoint=reading.checkpoint,
+                    other_processes=reading.other_processes,
+                    other_bytes=reading.other_bytes,
+                    reserved_bytes=reading.reserved_bytes,
                 )
                 self._sink.write(reading.topic, message.SerializeToString())

@@ -5,8 +5,25 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import dataclass
 from types import TracebackType
 from typing import Any
+
+_NOT_SUPPORTED = 3  # NVML_ERROR_NOT_SUPPORTED
+
+
+@dataclass(frozen=True)
+class Processes:
+    """What NVML tells of the processes on a device; None is unknown, and never zero.
+
+    own_bytes    of this process, as NVML lists it among those that compute
+    others       processes beside this one and those that it started
+    other_bytes  of them all; None also where NVML does not tell the bytes of one
+    """
+
+    own_bytes: int | None = None
+    others: int | None = None
+    other_bytes: int | None = None
 
 
 class Gpus:
@@ -21,6 +38,7 @@ class Gpus:
         self.problems: list[str] = []
         self._nvml: Any = None
         self._handles: list[Any] = []
+        self._descends: dict[int, bool] = {}
 
     def __enter__(self) -> Gpus:
         try:
@@ -113,14 +131,56 @@ class Gpus:
         info = self._nvml.nvmlDeviceGetMemoryInfo(self._handles[index])
         return int(info.used), int(info.total)
 
-    def process_memory(self, index: int) -> int | None:
-        """Bytes that NVML attributes to this process; None where it does not tell (as in most containers)."""
-        pid = os.getpid()
+    def reserved_memory(self, index: int) -> int | None:
+        """Bytes of those in use that the driver keeps for itself; None where it does not tell."""
         try:
-            processes = self._nvml.nvmlDeviceGetComputeRunningProcesses(self._handles[index])
-        except self._nvml.NVMLError:
+            info = self._nvml.nvmlDeviceGetMemoryInfo(self._handles[index], version=self._nvml.nvmlMemory_v2)
+        except (self._nvml.NVMLError, AttributeError, TypeError):  # of older drivers, or of older bindings
             return None
-        for process in processes:
-            if process.pid == pid and process.usedGpuMemory is not None:
-                return int(process.usedGpuMemory)
-        return None
+        return int(info.reserved)
+
+    def processes(self, index: int, *, before_engine: bool) -> Processes:
+        """What NVML attributes to the processes on the device, at this moment.
+
+        In a container, NVML may list processes by numbers of another namespace, or none at all. So the others can be
+        told from this process only where this process is listed, or where it cannot be: `before_engine`.
+        """
+        compute = self._listed("nvmlDeviceGetComputeRunningProcesses", index)
+        if compute is None:
+            return Processes()
+        pid = os.getpid()
+        own = compute.get(pid)
+        graphics = self._listed("nvmlDeviceGetGraphicsRunningProcesses", index)
+        if graphics is None or not (before_engine or pid in compute):
+            return Processes(own)
+        found = {**graphics, **compute}  # a process that does both is listed twice with the same bytes
+        others = [used for other, used in found.items() if other != pid and not self._started_here(other)]
+        told = [used for used in others if used is not None]
+        return Processes(own, len(others), sum(told) if len(told) == len(others) else None)
+
+    def _listed(self, query: str, index: int) -> dict[int, int | None] | None:
+        # bytes by process number, None for bytes that NVML does not tell; None where it does not list
+        nvml = self._nvml
+        try:
+            found = getattr(nvml, query)(self._handles[index])
+        except AttributeError:  # not in this version of the bindings
+            return None
+        except nvml.NVMLError as error:
+            # a device that draws nothing has no such processes
+            draws = "Graphics" not in query or getattr(error, "value", None) != _NOT_SUPPORTED
+            return None if draws else {}
+        return {p.pid: p.usedGpuMemory for p in found}
+
+    def _started_here(self, pid: int) -> bool:
+        if pid not in self._descends:
+            self._descends[pid] = _is_descendant(pid)
+        return self._descends[pid]
+
+
+def _is_descendant(pid: int) -> bool:
+    import psutil
+
+    try:
+        return any(parent.pid == os.getpid() for parent in psutil.Process(pid).parents())
+    except psutil.Error:  # it ended, or its number is of another namespace
+        return False

@@ -14,10 +14,13 @@ from schemas.messages import enum_values
 
 INTERVAL_S = 0.01
 
+BASELINE = "baseline"
+"""The phase in which nothing of the engine exists."""
+
 
 @dataclass(frozen=True)
 class Reading:
-    """One reading of one source: the content of a MemorySample, and its topic."""
+    """One reading of one source: the content of a MemorySample, and its topic; None where the driver did not tell."""
 
     topic: str
     source: int
@@ -27,6 +30,9 @@ class Reading:
     total_bytes: int
     phase: str
     checkpoint: str
+    other_processes: int | None = None
+    other_bytes: int | None = None
+    reserved_bytes: int | None = None
 
 
 class MemorySampler:
@@ -106,10 +112,16 @@ class MemorySampler:
 
     def _read_gpu(self, index: int, now: int, checkpoint: str) -> None:
         used, total = self._gpus.device_memory(index)
-        self._add(topics.gpu_memory(index, "device"), "GPU_DEVICE", index, now, used, total, checkpoint)
-        own = self._gpus.process_memory(index)
-        if own is not None:
-            self._add(topics.gpu_memory(index, "process"), "GPU_PROCESS", index, now, own, total, checkpoint)
+        found = self._gpus.processes(index, before_engine=self.phase == BASELINE)
+        self._add(
+            topics.gpu_memory(index, "device"), "GPU_DEVICE", index, now, used, total, checkpoint,
+            other_processes=found.others, other_bytes=found.other_bytes,
+            reserved_bytes=self._gpus.reserved_memory(index) if checkpoint else None,
+        )  # fmt: skip
+        if found.own_bytes is not None:
+            self._add(
+                topics.gpu_memory(index, "process"), "GPU_PROCESS", index, now, found.own_bytes, total, checkpoint
+            )
 
     def _read_allocator(self, read: Callable[[], tuple[int, int] | None], now: int, checkpoint: str) -> None:
         found = read()
@@ -119,6 +131,16 @@ class MemorySampler:
         self._add(topics.gpu_memory(0, "allocator"), "GPU_ALLOCATOR", 0, now, used, 0, checkpoint)
         self._add(topics.gpu_memory(0, "allocator"), "GPU_ALLOCATOR", 0, now, peak, 0, f"peak until {checkpoint}")
 
-    def _add(self, topic: str, source: str, device: int, now: int, used: int, total: int, checkpoint: str) -> None:
+    def _add(
+        self,
+        topic: str,
+        source: str,
+        device: int,
+        now: int,
+        used: int,
+        total: int,
+        checkpoint: str,
+        **others: int | None,
+    ) -> None:
         number = self._sources[f"MEMORY_SOURCE_{source}"]
-        self._readings.append(Reading(topic, number, device, now, used, total, self.phase, checkpoint))
+        self._readings.append(Reading(topic, number, device, now, used, total, self.phase, checkpoint, **others))

@@ -107,6 +107,7 @@ def result(base: GroupResult, label: str, seed: int, *, off_map: int = 0) -> Gro
     made = [
         Metric("fps", 1_234_567.0 + seed, "env-steps/s", "higher", "m", n=3, sd=321.0, ci95=(1_233_000.0, 1_236_000.0)),
         Metric("memory_peak_increment", 2.5 + seed, "GB", "lower", "m", n=3, sd=0.25, ci95=(2.0, 3.0)),
+        Metric("process_memory_peak", 2.25 + seed, "GB", "lower", "m", n=3, sd=0.25, ci95=(2.0, 3.0)),
         Metric("host_memory_peak_increment", 77.25, "MB", "lower", "m", n=3, sd=0.5, ci95=(76.0, 78.0)),
         Metric("distinct_envs", 3.0, "", "neither", "m", n=4, extra={"first_difference_step": 118}),
         Metric("distinct_runs", 1.0, "", "neither", "m", n=3, extra={"first_difference_step": None}),

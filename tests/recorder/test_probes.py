@@ -5,13 +5,22 @@ from __future__ import annotations
 import os
 import sys
 from pathlib import Path
+from subprocess import PIPE, Popen
+from types import ModuleType, SimpleNamespace
+from typing import Any, NamedTuple
 
 import pytest
 
 from evaluator import open_recording
+from recorder.capture.memory import MemoryWriter
+from recorder.capture.sink import Sink
 from recorder.environment import apply_environment
+from recorder.probes.gpu import Gpus, Processes
+from recorder.probes.memory import MemorySampler
 from recorder.probes.software import package_list
+from schemas.configuration import RunConfiguration
 from schemas.errors import UsageError
+from schemas.provenance import PROVENANCE, Provenance
 from tests.conftest import SMALL, Command
 
 _NVML = '''
@@ -82,6 +91,116 @@ def test_a_driver_that_fails(gsb_record: Command, tmp_path: Path, how: str, gpus
         number = int(notes[0].split()[0])
         lost = len(recording.memory["gpu0/device"].time_ns) - len(recording.memory["gpu1/device"].time_ns)
         assert 0 < lost <= number
+
+
+class _Process(NamedTuple):
+    pid: int
+    usedGpuMemory: int | None  # noqa: N815 (NVML's word)
+
+
+_OWN, _OTHER, _UNTOLD = _Process(os.getpid(), 500), _Process(1, 70), _Process(1, None)
+
+
+class _Nvml(ModuleType):
+    """NVML of one GPU; what it lists is a list of processes, or the number of the error that it raises."""
+
+    nvmlMemory_v2 = 2  # noqa: N815 (NVML's word)
+
+    class NVMLError(Exception):
+        """As the bindings have it."""
+
+        def __init__(self, value: int) -> None:
+            super().__init__(f"error {value}")
+            self.value = value
+
+    def __init__(self, compute: list[_Process] | int, graphics: list[_Process] | int = 3) -> None:
+        super().__init__("pynvml")
+        self.compute, self.graphics = compute, graphics
+        self.nvmlInit = self.nvmlShutdown = lambda: None
+        self.nvmlDeviceGetCount = lambda: 1
+        self.nvmlDeviceGetHandleByIndex = lambda index: index
+        self.nvmlDeviceGetComputeRunningProcesses = lambda handle: self._told(self.compute)
+        self.nvmlDeviceGetGraphicsRunningProcesses = lambda handle: self._told(self.graphics)
+
+    def _told(self, listed: list[_Process] | int) -> list[_Process]:
+        if isinstance(listed, int):
+            raise self.NVMLError(listed)
+        return listed
+
+    def nvmlDeviceGetMemoryInfo(self, handle: int, version: int | None = None) -> Any:  # noqa: N802
+        """Version 2 alone tells what is reserved."""
+        return SimpleNamespace(used=5, total=10, **({"reserved": 4} if version == self.nvmlMemory_v2 else {}))
+
+
+@pytest.mark.parametrize(
+    ("nvml", "before_engine", "own", "others", "other_bytes"),
+    [
+        (_Nvml([_OWN]), False, 500, 0, 0),
+        (_Nvml([_OWN, _OTHER]), False, 500, 1, 70),
+        (_Nvml([_OWN, _UNTOLD]), False, 500, 1, None),
+        (_Nvml([_OWN, _OTHER], [_Process(2, 30), _OTHER]), False, 500, 2, 100),
+        (_Nvml([]), True, None, 0, 0),
+        (_Nvml([_OTHER]), True, None, 1, 70),
+        # the container's driver does not list this process, or by a number that is not its own here
+        (_Nvml([]), False, None, None, None),
+        (_Nvml([_OTHER]), False, None, None, None),
+        # it lists processes without bytes
+        (_Nvml([_OWN._replace(usedGpuMemory=None)]), False, None, 0, 0),
+        (_Nvml(999), True, None, None, None),
+        (_Nvml([_OWN], 999), False, 500, None, None),
+    ],
+)
+def test_other_processes_on_a_gpu(
+    nvml: _Nvml,
+    before_engine: bool,
+    own: int | None,
+    others: int | None,
+    other_bytes: int | None,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Tell the others from this process where NVML lists this process, and otherwise say nothing, least of all zero."""
+    monkeypatch.setitem(sys.modules, "pynvml", nvml)
+    with Gpus(hidden=True) as gpus:
+        found = gpus.processes(0, before_engine=before_engine)
+        assert (found.own_bytes, found.others, found.other_bytes) == (own, others, other_bytes)
+        assert gpus.device_memory(0) == (5, 10)
+        assert gpus.reserved_memory(0) == 4
+
+
+def test_what_the_engine_starts_is_no_co_tenant(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Count no process that the recording one started."""
+    with Popen([sys.executable, "-c", "input()"], stdin=PIPE) as child:
+        monkeypatch.setitem(sys.modules, "pynvml", _Nvml([_OWN, _Process(child.pid, 30), _OTHER]))
+        with Gpus(hidden=True) as gpus:
+            assert gpus.processes(0, before_engine=False) == Processes(500, 1, 70)
+        child.communicate(b"\n")
+
+
+def test_co_tenants_are_recorded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Write who else was there with every reading of the device, and what the driver keeps at checkpoints."""
+    nvml = _Nvml([_OTHER])
+    monkeypatch.setitem(sys.modules, "pynvml", nvml)
+    with Gpus(hidden=True) as gpus:
+        sink = Sink(tmp_path / "run.mcap", compression="none")
+        writer = MemoryWriter(sink, MemorySampler(gpus), 1)
+        writer.enter("baseline")
+        writer.checkpoint("baseline")
+        writer.enter("timed")
+        nvml.compute = [_OWN, _OTHER, _Process(2, 30)]
+        writer.leave()
+        writer.enter("timed")
+        nvml.compute = []
+        writer.checkpoint("final")
+        writer.drain()
+    asked = RunConfiguration("s", "free-fall", 1, 0.01, 1)
+    sink.attach(PROVENANCE, "application/json", Provenance("id", "", (), asked).to_json().encode())
+    path = sink.finish("COMPLETE", "", last_step=0, peak_rss_bytes=0)
+    trace = open_recording(path).memory["gpu0/device"]
+    assert trace.others == ((1, 70), (2, 100), (None, None))
+    assert trace.reserved == {"baseline": 4, "final": 4}
+    assert trace.most_others(checkpoint="baseline") == (1, 70)
+    assert trace.most_others(phase="timed") == (2, 100)
+    assert trace.most_others(checkpoint="final") is None
 
 
 @pytest.mark.parametrize(

@@ -37,6 +37,7 @@ _WIRE = {
     "StepTiming": {"first_step": 1, "steps_per_interval": 2, "start_ns": 3, "end_ns": 4},
     "MemorySample": {
         "source": 1, "device": 2, "monotonic_ns": 3, "used_bytes": 4, "total_bytes": 5, "phase": 6, "checkpoint": 7,
+        "other_processes": 8, "other_bytes": 9, "reserved_bytes": 10,
     },
     "Event": {"kind": 1, "phase": 2, "monotonic_ns": 3, "unix_ns": 4, "text": 5},
     "FingerprintBlock": {"first_step": 1, "steps": 2, "stride": 3, "env_start": 4, "envs": 5, "hashes": 6},

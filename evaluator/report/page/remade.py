@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 
 from evaluator import published, remade
 from evaluator.clamped_metrics import SUFFIX
+from evaluator.cost_metrics import GPU_MEMORY
 from evaluator.groups import GroupKey
 from evaluator.price_list import DEFAULT
 from evaluator.published import AtLargest, Variability
@@ -113,8 +114,10 @@ def _memory(metric: Metric | None) -> Figure:
         return _scaled(None, 1.0, 1)
     scale = words.BYTES[metric.unit] / _GB
     found = _scaled(metric, scale, 1)
-    if metric.unit == "GB" or metric.value is None:
+    if metric.value is None or metric.name == GPU_MEMORY[0]:
         return found
+    if metric.name in GPU_MEMORY:
+        return Figure(found.value, found.interval, "of the process: others were on the GPU")
     return Figure(found.value, found.interval, "of the host: it ran on the CPU")
 
 

@@ -29,6 +29,7 @@ _VARIABILITY = (
 )  # fmt: skip
 _THROUGHPUT = (
     "group", "scene", "device", "envs x runs", "throughput [env steps/s]", "95 %", *_TIMED, "GPU memory increment [GB]",
+    "GPU memory of the process [GB]", "runs with another process on the GPU",
     "host memory increment [MB]", "build; compile [s]", "not complete",
 )  # fmt: skip
 _LARGEST = (
@@ -113,7 +114,8 @@ def _throughput(result: GroupResult) -> tuple[str, ...]:
     return (
         result.label, key.scene, key.device or NONE, _size(result), mean_sd(metrics["fps"]), interval(metrics["fps"]),
         *_timed(result),
-        mean_sd(metrics["memory_peak_increment"]), mean_sd(metrics["host_memory_peak_increment"]),
+        mean_sd(metrics["memory_peak_increment"]), mean_sd(metrics["process_memory_peak"]),
+        words.shared(metrics["fps"]) or NONE, mean_sd(metrics["host_memory_peak_increment"]),
         words.preparation(metrics), words.trouble(result.group) or NONE,
     )  # fmt: skip
 

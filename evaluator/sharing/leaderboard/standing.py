@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
+from evaluator.cost_metrics import common_memory
 from evaluator.fidelity import Verdict
 from evaluator.groups import GroupKey, is_instrument, shown_status
 from evaluator.results import Evaluation, GroupResult, Metric
@@ -72,9 +73,8 @@ class Row:
 
     @property
     def memory(self) -> Metric:
-        """Of the device, or of the process where no GPU steps."""
-        device = self.result.metrics["memory_peak_increment"]
-        return device if device.value is not None else self.result.metrics["host_memory_peak_increment"]
+        """Of the device; of the process on it, where another one was there in every run; of the host without a GPU."""
+        return self.result.metrics[common_memory([self.result.metrics])]
 
 
 @dataclass(frozen=True)
