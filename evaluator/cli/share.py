@@ -27,7 +27,7 @@ exit codes:
   2  the command asks for something that cannot be
   3  a file is damaged or no recording, or cut short (which recover is for, and ends with 0); what could be written was;
      verify: a file is missing, changed or damaged
-  4  verify: the parts of the set do not agree, or a recording breaks a rule
+  4  verify: the parts of the set do not agree; card, verify: a recording breaks a rule
   5  card, verify: there is no recording; leaderboard: nothing has a place
 
 examples:

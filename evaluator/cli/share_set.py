@@ -54,7 +54,7 @@ def add_verbs(verbs: Any) -> None:
 
 def card(arguments: argparse.Namespace) -> int:
     """Describe a folder; returns the exit code."""
-    from evaluator.sharing.dataset.checkup import DAMAGED
+    from evaluator.sharing.dataset.checkup import BROKEN, DAMAGED
     from evaluator.sharing.dataset.citation import Publication, check_doi, check_url, parse_author
     from evaluator.sharing.dataset.licences import check_licence
     from evaluator.sharing.dataset.publish import publish
@@ -78,8 +78,10 @@ def card(arguments: argparse.Namespace) -> int:
     show(block(published_lines(done)))
     for line in warnings_of(done):
         complain("gsb-share", line)
-    damaged = any(one.checkup.outcome == DAMAGED for one in done.looked_at)
-    return int(ExitCode.DATA_LOST if damaged else ExitCode.OK)
+    outcomes = {one.checkup.outcome for one in done.looked_at}
+    if DAMAGED in outcomes:
+        return int(ExitCode.DATA_LOST)
+    return int(ExitCode.GATE_FAILED if BROKEN in outcomes else ExitCode.OK)
 
 
 def _about(path: Path | None) -> str:
