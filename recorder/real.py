@@ -59,7 +59,7 @@ def record_trials(arguments: argparse.Namespace, argv: tuple[str, ...]) -> int:
     if doubt and doubt.wrong:
         raise UsageError(f"{arguments.trials}: {doubt.text}")
     if doubt:
-        print(f"gsb-record: warning: {arguments.trials}: {doubt.text}", file=sys.stderr)
+        say(f"gsb-record: warning: {arguments.trials}: {doubt.text}")
 
     configuration = RunConfiguration(
         simulator=REAL,
