@@ -17,15 +17,17 @@ def main(argv: list[str] | None = None) -> int:
         with interruption.shielded():
             from recorder.command import run
             from schemas.errors import GsbError
+            from schemas.printable import line
+            from schemas.printing import show
         try:
             return run(sys.argv[1:] if argv is None else argv)
         except GsbError as error:
-            print(f"gsb-record: {error}", file=sys.stderr)
+            show(line(f"gsb-record: {error}"), error=True)
             return int(error.exit_code)
         except BrokenPipeError:
             return 1  # the reader of our output has gone; nothing is left to say to it
     except KeyboardInterrupt:
-        print("gsb-record: interrupted", file=sys.stderr)
+        sys.stderr.write("gsb-record: interrupted\n")
         return 1
 
 

@@ -7,13 +7,14 @@ import json
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NoReturn
 
 from recorder.interruption import shielded
-from recorder.output import flush, show
+from recorder.output import flush, show, show_document
 from schemas.command_line import add_common
 from schemas.configuration import CAPTURE_MODES, OPTIONAL_PHASES, RunConfiguration
 from schemas.errors import ExitCode, UsageError
+from schemas.printable import block, line
 from schemas.provenance import REAL
 
 if TYPE_CHECKING:
@@ -118,9 +119,15 @@ _SHORTHANDS = {
 """Options of simulators that are common enough for a switch of their own."""
 
 
+class _Parser(argparse.ArgumentParser):
+    def error(self, message: str) -> NoReturn:
+        """See ArgumentParser.error."""
+        super().error(line(message))
+
+
 def parser() -> argparse.ArgumentParser:
     """The command's arguments."""
-    p = argparse.ArgumentParser(
+    p = _Parser(
         prog="gsb-record",
         description="Run a scene in N identical environments on a simulator; write one MCAP recording per run, "
         "each run in a fresh process.",
@@ -397,7 +404,7 @@ def replay(arguments: argparse.Namespace, argv: tuple[str, ...]) -> int:
 
 
 def _print_json(record: dict[str, Any]) -> None:
-    show(json.dumps({"schema_version": 1, **record}, indent=1))
+    show_document(json.dumps({"schema_version": 1, **record}, indent=1))
 
 
 def _list(as_json: bool) -> int:
@@ -407,7 +414,7 @@ def _list(as_json: bool) -> int:
     if as_json:
         _print_json(known)
     else:
-        show(text_of(known))
+        show(block(text_of(known).split("\n")))
     return ExitCode.OK
 
 
@@ -419,7 +426,7 @@ def _set_up(arguments: argparse.Namespace) -> int:
     if arguments.json:
         _print_json({"environment": made})
     else:
-        show(environment_line(made))
+        show(line(environment_line(made)))
     return ExitCode.OK
 
 

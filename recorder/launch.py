@@ -112,7 +112,7 @@ class Interruptions:
         else:
             if self._mark is not None:
                 with suppress(OSError):
-                    self._mark.touch()
+                    create(self._mark).close()
             self._child.send_signal(signal.SIGINT)  # the run heeds only the first of these
 
 

@@ -7,16 +7,29 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
+from schemas import printing
 from schemas.errors import GsbError
+from schemas.printable import Block, Line, line
 
 
-def show(text: str) -> None:
-    """Write text and a line's end. GsbError where it cannot be written; BrokenPipeError where nobody reads it."""
-    _write(lambda stream: stream.write(text + "\n"))
+def show(text: Line | Block) -> None:
+    """Print a line, or lines. GsbError where they cannot be written; BrokenPipeError where nobody reads them."""
+    _write(lambda stream: printing.show(text))
+
+
+def show_document(text: str) -> None:
+    """Print JSON and a line's end. Errors as of show."""
+    _write(lambda stream: printing.show_document(f"{text}\n"))
 
 
 def show_path(path: Path) -> None:
-    """Write a path and a line's end: the file's own bytes, whatever the encoding of standard output."""
+    """Write a path and a line's end: the file's own bytes, whatever the encoding of standard output.
+
+    A path that is more than one line, as programs read lines, is printed as a line.
+    """
+    if any(character < " " for character in str(path)):
+        show(line(str(path)))
+        return
 
     def write(stream: object) -> None:
         sys.stdout.flush()

@@ -11,6 +11,8 @@ from typing import Any, Protocol
 
 from recorder.launch import Result
 from recorder.output import show_path
+from schemas.printable import line
+from schemas.printing import show
 
 
 class Progress(Protocol):
@@ -39,7 +41,7 @@ def make_progress(title: str, runs: int, done: int = 0) -> Progress:
 
 def say(text: str) -> None:
     """One line on stderr, between sets of runs."""
-    print(text, file=sys.stderr)
+    show(line(text), error=True)
 
 
 def describe(result: Result, runs: int, elapsed: float) -> str:
@@ -57,7 +59,7 @@ class LineProgress:
         self._began = time.monotonic()
 
     def __enter__(self) -> LineProgress:
-        print(self._title, file=sys.stderr)
+        say(self._title)
         return self
 
     def __exit__(self, *details: object) -> None:
@@ -69,7 +71,7 @@ class LineProgress:
     def finish(self, result: Result, elapsed: float | None = None) -> None:
         """See Progress.finish."""
         now = time.monotonic()
-        print(describe(result, self._runs, now - self._began if elapsed is None else elapsed), file=sys.stderr)
+        say(describe(result, self._runs, now - self._began if elapsed is None else elapsed))
         self._began = now
 
     def path(self, path: Path) -> None:
@@ -102,7 +104,7 @@ class BarProgress:
 
     def __enter__(self) -> BarProgress:
         self._bars.start()
-        self._bars.console.print(self._title, highlight=False)
+        self._bars.console.print(line(self._title), highlight=False, markup=False)
         self._run_bar = self._bars.add_task("runs", total=self._runs, completed=self._done)
         self._phase_bar = self._bars.add_task("starting", total=None)
         return self
@@ -118,7 +120,7 @@ class BarProgress:
         """See Progress.finish."""
         now = time.monotonic()
         self._bars.console.print(
-            describe(result, self._runs, now - self._began if elapsed is None else elapsed),
+            line(describe(result, self._runs, now - self._began if elapsed is None else elapsed)),
             highlight=False,
             markup=False,
         )
@@ -128,7 +130,7 @@ class BarProgress:
     def path(self, path: Path) -> None:
         """See Progress.path; where the bars share the terminal with standard output, printed above them, unbroken."""
         if _one_terminal():
-            self._bars.console.print(str(path), soft_wrap=True, markup=False, emoji=False, highlight=False)
+            self._bars.console.print(line(str(path)), soft_wrap=True, markup=False, emoji=False, highlight=False)
         else:
             show_path(path)
 

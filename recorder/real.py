@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import sys
 import uuid
 
 import numpy as np
@@ -17,6 +16,7 @@ from recorder.capture.sink import Sink
 from recorder.output import show_path
 from recorder.plan import MIN_DT, prepare_folder, release, reserve, utc_now
 from recorder.probes.software import describe_software
+from recorder.progress import say
 from recorder.scenes.registry import make_scene
 from recorder.trials import UNITS, Trials, parse_trials
 from schemas import topics
@@ -59,7 +59,7 @@ def record_trials(arguments: argparse.Namespace, argv: tuple[str, ...]) -> int:
     if doubt and doubt.wrong:
         raise UsageError(f"{arguments.trials}: {doubt.text}")
     if doubt:
-        print(f"gsb-record: warning: {arguments.trials}: {doubt.text}", file=sys.stderr)
+        say(f"gsb-record: warning: {arguments.trials}: {doubt.text}")
 
     configuration = RunConfiguration(
         simulator=REAL,
@@ -88,7 +88,7 @@ def record_trials(arguments: argparse.Namespace, argv: tuple[str, ...]) -> int:
             raise
     finally:
         release(path)
-    print(f"{len(trials.names)} trials of {len(cubes)} cubes", file=sys.stderr)
+    say(f"{len(trials.names)} trials of {len(cubes)} cubes")
     show_path(path)
     return 0
 

@@ -22,6 +22,7 @@ from recorder.finished import in_common
 from recorder.progress import say
 from schemas.configuration import RunConfiguration
 from schemas.errors import GsbError
+from schemas.writing import open_lock
 
 _NO_LOCKS = {errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP, errno.ENOTSUP, errno.EINVAL}
 """What flock fails with on a file system without locks."""
@@ -54,7 +55,7 @@ def _key(wanted: RunConfiguration, where: str) -> str:
 def _take(path: Path, folder: Path) -> int | None:
     while True:
         try:
-            descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o666)
+            descriptor = open_lock(path)
         except OSError as error:
             raise GsbError(f"cannot lock {folder}: {error.strerror}; choose another folder with --out") from None
         try:

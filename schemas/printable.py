@@ -1,27 +1,81 @@
-"""Text of strangers, made harmless to whatever shows it."""
+"""Text of strangers, made harmless to whatever shows it: a line is one line, a block is lines of our own.
+
+Nothing else is printed: `schemas.printing` and `evaluator.report.console` take these and make nothing else of text.
+"""
 
 from __future__ import annotations
 
+import re
+import unicodedata
+from collections.abc import Iterable
+from functools import cache
+
+
+class Line(str):
+    """Text on one line, every character of which can be seen."""
+
+    __slots__ = ()
+
+
+class Block(str):
+    """Lines, each with its line break."""
+
+    __slots__ = ()
+
+
+def line(text: str) -> Line:
+    """Text on one line: line breaks, and everything else that moves or hides text, become visible escapes.
+
+    So do words that make a line a command of a CI service, which reads what is printed in its logs.
+    """
+    if type(text) is Line:
+        return text
+    shown = text if _plain(text) else "".join(map(_in_line, text))
+    if "::" in shown or "##" in shown:
+        shown = _COMMAND.sub(lambda found: f"\\x{ord(found[0]):02x}", shown)
+    return Line(shown)
+
+
+def block(lines: Iterable[str]) -> Block:
+    """Lines, each made as by `line`."""
+    return Block("".join(f"{line(one)}\n" for one in lines))
+
 
 def printable(text: str) -> str:
-    """Text with control characters and lone surrogates made visible: they move a terminal's cursor and break pages.
+    """Text for a page, where lines end by markup and no line break ends anything: as `line`, but \\n stays.
 
-    So are those that turn the direction of writing: what follows them reads as something else.
+    It is never printed.
     """
-    return "".join(c if _allowed(c) else f"\\x{ord(c):02x}" for c in text)
+    return text if _plain(text) else "".join(c if c == "\n" else _in_line(c) for c in text)
 
 
-_DIRECTIONS = frozenset((*range(0x202A, 0x202F), *range(0x2066, 0x206A)))  # embeddings, overrides, isolates
+_COMMAND = re.compile(
+    # of GitHub Actions at the beginning of a line, which a terminal's or a table's edge can make anywhere; of Azure
+    # Pipelines, TeamCity and older GitHub runners anywhere
+    r":(?=:(?:add-mask|add-matcher|add-path|debug|echo|endgroup|error|group|internal-set-repo-path|notice|remove-matcher"
+    r"|save-state|set-env|set-output|stop-commands|warning)(?:[\s:]|$))|#(?=#[a-z]*\[)",
+    re.IGNORECASE,
+)
+
+_HIDDEN = frozenset(("Cc", "Cf", "Cs", "Co", "Cn", "Zl", "Zp"))
+
+_INVISIBLE = frozenset((
+    0x034F, 0x115F, 0x1160, 0x17B4, 0x17B5, 0x2800, 0x3164, 0xFFA0,  # joiners, fillers and blanks that are letters
+    *range(0x180B, 0x1810), *range(0xFE00, 0xFE10), *range(0xE0100, 0xE01F0),  # variation selectors
+))  # fmt: skip
+
+_SHORT = {"\n": "\\n", "\r": "\\r", "\t": "\\t"}
 
 
-def _allowed(character: str) -> bool:
+def _plain(text: str) -> bool:
+    return text.isascii() and text.isprintable()
+
+
+@cache
+def _in_line(character: str) -> str:
     code = ord(character)
-    if character in "\t\n\r":
-        return True
-    return (
-        code >= 0x20
-        and not 0x7F <= code < 0xA0
-        and not 0xD800 <= code < 0xE000
-        and code not in (0xFFFE, 0xFFFF)
-        and code not in _DIRECTIONS
-    )
+    if unicodedata.category(character) not in _HIDDEN and code not in _INVISIBLE:
+        return character
+    if character in _SHORT:
+        return _SHORT[character]
+    return f"\\x{code:02x}" if code < 0x100 else f"\\u{code:04x}" if code < 0x10000 else f"\\U{code:08x}"

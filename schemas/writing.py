@@ -190,9 +190,9 @@ def reopen(path: Path) -> FileIO:
     return FileIO(os.open(path, os.O_RDWR | os.O_NOFOLLOW | os.O_CLOEXEC), "r+b")
 
 
-def open_lock(path: Path) -> FileIO:
-    """A file to be locked, made where it is missing and never changed; OSError where a link is in its place."""
-    return FileIO(os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o666), "r+b")
+def open_lock(path: Path) -> int:
+    """The descriptor of a file to be locked, made where it is missing; OSError where a link is in its place."""
+    return os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o666)
 
 
 def write_pieces(path: Path, pieces: Iterable[bytes]) -> None:

@@ -2,17 +2,104 @@
 
 from __future__ import annotations
 
+import ast
+import io
+import unicodedata
+from collections.abc import Iterator
+from pathlib import Path
+
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
-from schemas.printable import printable
+from evaluator.report.console import Screen, plain_table
+from schemas import printing
+from schemas.printable import block, line, printable
+
+_ROOT = Path(__file__).parents[1]
+_HIDDEN = ("Cc", "Cf", "Cs", "Co", "Cn", "Zl", "Zp")
+_TEXTS = st.text(st.characters() | st.sampled_from("\n\r\t\x85\u200b\u200e\u2028\ufeff\ufe0f\U000e0041:#[ "))
 
 
-@pytest.mark.parametrize("sign", ["\u202e", "\u2066", "\x1b", "\x9b", "\udcff"])
-def test_what_moves_other_text_is_shown(sign: str) -> None:
-    """Show control characters, halves of pairs and changes of direction as escapes."""
-    assert printable(f"a{sign}b") == f"a\\x{ord(sign):02x}b"
+@pytest.mark.parametrize(
+    ("sign", "shown"),
+    [("\n", "\\n"), ("\r", "\\r"), ("\t", "\\t"), ("\x1b", "\\x1b"), ("\x85", "\\x85"), ("\u200b", "\\u200b"),
+     ("\u200e", "\\u200e"), ("\u2028", "\\u2028"), ("\u202e", "\\u202e"), ("\u2066", "\\u2066"), ("\ufe0f", "\\ufe0f"),
+     ("\ufeff", "\\ufeff"), ("\u3164", "\\u3164"), ("\U000e0041", "\\U000e0041"), ("\udcff", "\\udcff")],
+)  # fmt: skip
+def test_what_moves_or_hides_text_is_shown(sign: str, shown: str) -> None:
+    """Show line breaks, controls, format characters and halves of pairs as escapes; a page keeps its line breaks."""
+    assert line(f"a{sign}b") == f"a{shown}b"
+    assert printable(f"a{sign}b") == ("a\nb" if sign == "\n" else f"a{shown}b")
 
 
 def test_letters_stay() -> None:
-    """Leave letters of any script, signs and line breaks as they are."""
-    assert printable("é 中 ع ± × 10⁻³\n") == "é 中 ع ± × 10⁻³\n"
+    """Leave letters of any script and signs as they are, and text that was made a line before."""
+    text = "é 中 ع ± × 10⁻³ \\n ::1 std::bad_alloc #7 🦾"
+    assert line(text) == line(line(text)) == printable(text) == text
+
+
+@given(_TEXTS)
+def test_a_line_is_one_line(text: str) -> None:
+    """Make one line of any text, in which every character can be seen, and the same again."""
+    shown = line(text)
+    assert len(shown.splitlines()) <= 1
+    assert not any(unicodedata.category(c) in _HIDDEN for c in shown)
+    assert line(str(shown)) == shown
+    assert block([text, text]) == f"{shown}\n{shown}\n"
+
+
+@pytest.mark.parametrize("command", ["::error::x", "::warning file=a,line=1::x", "::stop-commands::x", "::ADD-MASK::x"])
+@pytest.mark.parametrize("before", ["", "  ", "name"])
+def test_commands_of_ci_services_are_shown(command: str, before: str) -> None:
+    """Let no text become a command in a log that a CI service reads, wherever a line is broken."""
+    assert "::" not in line(before + command).removesuffix("::x")
+    assert "##[" not in line(f"{before}###[error]")
+    assert "##vso[" not in line(f"{before}##vso[task.complete]")
+
+
+@given(st.lists(st.tuples(_TEXTS, _TEXTS), min_size=1, max_size=3), st.integers(10, 40))
+def test_a_screen_shows_lines(rows: list[tuple[str, str]], width: int) -> None:
+    """Begin no line with what a text goes on with, wherever it is broken."""
+    stream = io.StringIO()
+    screen = Screen(file=stream, width=width, color_system=None, highlight=False, markup=False, emoji=False)
+    table = plain_table("", "title\nFORGED")
+    for row in rows:
+        screen.print(f"x{row[0]} {'FORGED ' * 20}\nFORGED", style="dim")
+        table.add_row(f"x{row[0]}\nFORGED {'FORGED ' * 9}", row[1])
+    screen.print(table)
+    shown = stream.getvalue().split("\n")
+    assert not any(one.startswith("FORGED") for one in shown)
+    assert not any(unicodedata.category(c) in _HIDDEN for one in shown for c in one)
+
+
+def test_documents_are_no_commands(capsys: pytest.CaptureFixture[str]) -> None:
+    """Print JSON that says the same, and is no command of a CI service."""
+    printing.show_document('{"a": "\\\\##[error]###vso["}\n')
+    assert capsys.readouterr().out == '{"a": "\\\\\\u0023#[error]\\u0023\\u0023#vso["}\n'
+
+
+_PRINTERS = {"schemas/printing.py", "evaluator/report/console.py", "recorder/output.py", "recorder/progress.py"}
+
+
+def _prints(tree: ast.AST) -> Iterator[ast.AST]:
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Call):
+            said = ast.unparse(node.func)
+            if said in ("print", "Console", "Table", "rich.print") or said.endswith(
+                ("stdout.write", "stderr.write", "stdout.buffer.write", "stderr.buffer.write", "stdout.writelines")
+            ):
+                yield node
+
+
+def test_nothing_else_prints() -> None:
+    """Print by the modules that take lines alone."""
+    found = [
+        f"{path.relative_to(_ROOT)}:{node.lineno}"  # type: ignore[attr-defined]
+        for package in ("evaluator", "recorder", "schemas")
+        for path in sorted((_ROOT / package).rglob("*.py"))
+        if str(path.relative_to(_ROOT)) not in _PRINTERS
+        for node in _prints(ast.parse(path.read_bytes()))
+    ]
+    allowed = ("recorder/cli.py", "recorder/environments/lock.py")  # what is interrupted before it has loaded; a tool
+    assert [one for one in found if not one.startswith(allowed)] == []

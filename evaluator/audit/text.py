@@ -11,7 +11,7 @@ from evaluator.audit.settings import Settings
 from evaluator.audit.verdict import Rung
 from evaluator.diff.result import Divergence
 from evaluator.groups import shown_status
-from evaluator.report.text import printable
+from schemas.printable import Block, block
 
 _TICKS = {True: "[x]", False: "[ ]", None: "[?]"}  # plain characters: no terminal shows them alike
 
@@ -28,9 +28,9 @@ _VALUE = 60
 _FILES = 3
 
 
-def text_of(audit: Audit, checked: Check) -> str:
-    """The report of one audit, lines without control characters, ending in a newline."""
-    return "".join(printable(line.replace("\n", " ").replace("\r", " ")) + "\n" for line in _lines(audit, checked))
+def text_of(audit: Audit, checked: Check) -> Block:
+    """The report of one audit."""
+    return block(_lines(audit, checked))
 
 
 def _lines(audit: Audit, checked: Check) -> Iterator[str]:

@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path
+from stat import S_ISREG
 from typing import Any
 
 from evaluator.cache.codec import Codec
@@ -20,7 +21,8 @@ MAX_BYTES = 1 << 30
 """What a store may take; beyond it, what was used longest ago is deleted."""
 
 _SUFFIX = ".result"
-_DIGEST = 32  # bytes of SHA-256 before each document: what a disk or a hand changed is no result
+_DIGEST = 32  # bytes of SHA-256 before each document: what a disk or a hand changed or moved is no result
+_MOST = 256 << 20  # bytes of an entry
 _ABANDONED_S = 3600
 
 
@@ -58,10 +60,15 @@ class Store:
         """The result, None where there is none."""
         path = self._path(key)
         try:
-            stored = path.read_bytes()
-            if hashlib.sha256(stored[_DIGEST:]).digest() != stored[:_DIGEST]:
+            status = path.stat()
+            if not S_ISREG(status.st_mode) or status.st_size > _MOST:
                 return None
-            result = self._codec.decode(stored[_DIGEST:])
+            with path.open("rb") as stream:
+                stored = stream.read(_MOST)
+            document = memoryview(stored)[_DIGEST:]
+            if _sealed(key, document) != stored[:_DIGEST]:
+                return None
+            result = self._codec.decode(document)
         except (OSError, ValueError):
             return None
         with suppress(OSError):
@@ -72,9 +79,11 @@ class Store:
         """Keep a result. One that cannot be written is not kept: the next evaluation computes it again."""
         path = self._path(key)
         document = self._codec.encode(result)
+        if _DIGEST + len(document) > _MOST:
+            return
         with suppress(OSError, GsbError):
             path.parent.mkdir(parents=True, exist_ok=True)
-            write_file(path, hashlib.sha256(document).digest() + document, durable=False)
+            write_file(path, _sealed(key, document) + document, durable=False)
 
     def prune(self, limit: int = MAX_BYTES) -> None:
         """Delete what others left undone, and what was used longest ago, until the folder holds `limit` bytes."""
@@ -98,3 +107,10 @@ class Store:
 
     def _path(self, key: str) -> Path:
         return self._folder / key[:2] / f"{key[2:]}{_SUFFIX}"
+
+
+def _sealed(key: str, document: bytes | memoryview) -> bytes:
+    """The digest of an entry: it is of its key as well, so that an entry under another name is none."""
+    digest = hashlib.sha256(key.encode())
+    digest.update(document)
+    return digest.digest()

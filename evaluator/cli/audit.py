@@ -12,6 +12,8 @@ from evaluator.cli.arguments import local_name, local_path
 from evaluator.cli.entry import complain, enter, new_parser
 from evaluator.cli.json_target import check_target, write_json
 from schemas.errors import ExitCode, UsageError
+from schemas.printable import block, line
+from schemas.printing import show
 
 if TYPE_CHECKING:
     from evaluator.audit.audit import Audit
@@ -119,7 +121,8 @@ def run(arguments: argparse.Namespace, command: str) -> int:
     for alike in group(checked.recordings):
         audits.append(audit(alike, plan, max_ulps=arguments.ulps, say=_say))
         if arguments.json != "-":
-            print(text_of(audits[-1], checked), flush=True)
+            show(text_of(audits[-1], checked))
+            show(block([""]))
     if arguments.json:
         write_json(arguments.json, dump_json(audits, checked, required))
     if checked.damaged:
@@ -146,10 +149,8 @@ def _exit_code(audits: list[Audit], required: Level) -> ExitCode:
     return ExitCode.NOTHING_COMPARABLE if None in met else ExitCode.OK
 
 
-def _say(line: str) -> None:
-    from evaluator.report.text import printable
-
-    print(printable(line), file=sys.stderr, flush=True)
+def _say(text: str) -> None:
+    show(line(text), error=True)
 
 
 def main(argv: list[str] | None = None) -> int:

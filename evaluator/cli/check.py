@@ -10,6 +10,7 @@ from evaluator.cli.entry import enter, new_parser
 from evaluator.cli.json_target import check_target, write_json
 from schemas.errors import ExitCode, UsageError
 from schemas.location import place
+from schemas.printing import show
 
 _EPILOG = """\
 exit codes:
@@ -69,7 +70,8 @@ def run(arguments: argparse.Namespace, command: str) -> int:
         if arguments.json:
             write_json(arguments.json, dump_rules(rule_sets))
         if arguments.json != "-":
-            sys.stdout.write(rules_text(rule_sets) + vocabulary_text())
+            show(rules_text(rule_sets))
+            show(vocabulary_text())
         return int(ExitCode.OK)
     if not arguments.files:
         raise UsageError("name the recordings to check, or --list-rules")
@@ -80,7 +82,7 @@ def run(arguments: argparse.Namespace, command: str) -> int:
     if arguments.json:
         write_json(arguments.json, dump_check(report))
     if arguments.json != "-":
-        sys.stdout.write(check_text(report))
+        show(check_text(report))
     return int(report.exit_code)
 
 

@@ -12,6 +12,7 @@ from evaluator.cli.entry import complain, enter, new_parser
 from evaluator.cli.json_target import check_target
 from schemas.errors import ExitCode, UsageError
 from schemas.location import place
+from schemas.printing import show_document
 from schemas.writing import write_file
 
 if TYPE_CHECKING:
@@ -74,7 +75,7 @@ def run(arguments: argparse.Namespace, command: str) -> int:
     if arguments.json == "-":
         from evaluator.diff.json import dump_json
 
-        sys.stdout.write(dump_json(found))
+        show_document(dump_json(found))
         return _exit_code(found)
     from evaluator.diff.text import print_difference
 

@@ -7,18 +7,21 @@ import io
 import os
 import shlex
 import sys
+import warnings
 from collections.abc import Callable
 from typing import NoReturn
 
 from schemas.command_line import add_common
 from schemas.errors import ExitCode, GsbError
 from schemas.location import redacted, shown_argument
+from schemas.printable import line
+from schemas.printing import show
 
 
 class _Parser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
         """See ArgumentParser.error; an argument that is no number may be an address with a password."""
-        super().error(redacted(message))
+        super().error(line(redacted(message)))
 
 
 def new_parser(command: str, description: str, epilog: str) -> argparse.ArgumentParser:
@@ -43,7 +46,10 @@ def enter(
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")  # a terminal without ± still gets its table
     try:
-        code = run(arguments, shlex.join([parser.prog, *map(shown_argument, given)]))
+        with warnings.catch_warnings():
+            # states may be of any size, or not finite: the results say so, and no library beside them
+            warnings.simplefilter("ignore", RuntimeWarning)
+            code = run(arguments, shlex.join([parser.prog, *map(shown_argument, given)]))
         sys.stdout.flush()
     except GsbError as error:
         complain(parser.prog, str(error))
@@ -65,6 +71,4 @@ def complain(command: str, message: str) -> None:
 
     Of addresses, what gives access is left out.
     """
-    from evaluator.report.text import printable
-
-    print(f"{command}: {printable(redacted(message))}", file=sys.stderr)
+    show(line(f"{command}: {redacted(message)}"), error=True)

@@ -13,6 +13,8 @@ from evaluator.cli.entry import complain, enter, new_parser
 from evaluator.cli.json_target import check_target
 from schemas.errors import ExitCode, NothingComparable, UsageError
 from schemas.location import Place, place
+from schemas.printable import line
+from schemas.printing import show, show_document
 from schemas.writing import write_file, write_files
 
 if TYPE_CHECKING:
@@ -171,7 +173,7 @@ def _present(evaluation: Evaluation, arguments: argparse.Namespace, command: str
     from evaluator.report.json import dump_json
 
     if arguments.json == "-":
-        sys.stdout.write(dump_json(evaluation))
+        show_document(dump_json(evaluation))
     else:
         from evaluator.report.published_tables import print_published
         from evaluator.report.tables import print_tables
@@ -196,19 +198,19 @@ def _present(evaluation: Evaluation, arguments: argparse.Namespace, command: str
         paths = {arguments.tables / name: content for name, content in tables.items()}
         write_files(paths)
         for table in paths:
-            print(f"table: {table}", file=sys.stderr if arguments.json == "-" else sys.stdout)
+            show(line(f"table: {table}"), error=arguments.json == "-")
     if arguments.figures:
         from evaluator.report.paper.figures import write_figures
 
         written = write_figures(evaluation, arguments.figures, published=arguments.published)
         count = sum(path.suffix == ".pdf" for path in written)
         said = f"figures: {count} in {arguments.figures}, listed in {written[-1]}"
-        print(said, file=sys.stderr if arguments.json == "-" else sys.stdout)
+        show(line(said), error=arguments.json == "-")
     if arguments.html:
         from evaluator.report.html import write_html
 
         page = write_html(evaluation, arguments.html, published=arguments.published, command=command)
-        print(f"report: {page}", file=sys.stderr if arguments.json == "-" else sys.stdout)
+        show(line(f"report: {page}"), error=arguments.json == "-")
 
 
 def _exit_code(evaluation: Evaluation, recordings: list[Summary]) -> int:

@@ -10,6 +10,8 @@ from evaluator.cli.entry import complain, enter, new_parser
 from evaluator.cli.json_target import check_target, write_json
 from schemas.errors import ExitCode, GsbError
 from schemas.location import Place, place
+from schemas.printable import block
+from schemas.printing import show
 
 _EPILOG = """\
 exit codes:
@@ -61,7 +63,9 @@ def run(arguments: argparse.Namespace, command: str) -> int:
             unreadable.append((path, error))
             continue
         if arguments.json != "-":
-            sys.stdout.write(("\n" if len(found) > 1 else "") + info_text(found[-1]))
+            if len(found) > 1:
+                show(block([""]))
+            show(info_text(found[-1]))
     if arguments.json:
         write_json(arguments.json, dump_info(found, unreadable))
     return int(ExitCode.DATA_LOST if damaged else ExitCode.OK)

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 
 from schemas import PARTIAL
 from schemas.errors import UsageError
+from schemas.printing import show_document
 from schemas.writing import write_file
 
 
@@ -25,6 +25,6 @@ def check_target(target: str | None) -> None:
 def write_json(target: str, text: str) -> None:
     """Write a document to a file, or to standard output for "-"."""
     if target == "-":
-        sys.stdout.write(text)
+        show_document(text)
     else:
         write_file(Path(target), text)

@@ -13,6 +13,8 @@ from evaluator.cli.arguments import local_path
 from evaluator.cli.entry import complain, enter, new_parser
 from schemas import PARTIAL
 from schemas.errors import ExitCode, GsbError, UsageError
+from schemas.printable import block, line
+from schemas.printing import show
 
 if TYPE_CHECKING:
     from evaluator.sharing.pack import Copied
@@ -25,7 +27,7 @@ exit codes:
   2  the command asks for something that cannot be
   3  a file is damaged or no recording, or cut short (which recover is for, and ends with 0); what could be written was;
      verify: a file is missing, changed or damaged
-  4  verify: the parts of the set do not agree, or a recording breaks a rule
+  4  verify: the parts of the set do not agree; card, verify: a recording breaks a rule
   5  card, verify: there is no recording; leaderboard: nothing has a place
 
 examples:
@@ -111,7 +113,6 @@ def run(arguments: argparse.Namespace, command: str) -> int:
 
 
 def _pack(arguments: argparse.Namespace) -> int:
-    from evaluator.report.text import printable
     from evaluator.sharing.pack import pack, unpack
     from schemas.packing import LEVELS
 
@@ -127,7 +128,7 @@ def _pack(arguments: argparse.Namespace) -> int:
             complain("gsb-share", str(error))
             code = max(code, error.exit_code)
         else:
-            print(printable(_line(copied)), flush=True)
+            show(line(_line(copied)))
     return int(code)
 
 
@@ -151,14 +152,12 @@ def _line(copied: Copied) -> str:
 
 
 def _recover(arguments: argparse.Namespace) -> int:
-    from evaluator.report.text import printable
     from evaluator.sharing.recover import recover
 
     source: Path = arguments.file
     name = source.name.removesuffix(PARTIAL).removesuffix(".mcap")
     done = recover(source, arguments.out or source.with_name(f"{name}.recovered.mcap"))
-    for line in _told(done):
-        print(printable(line))
+    show(block(_told(done)))
     return int(ExitCode.DATA_LOST if done.damage else ExitCode.OK)
 
 
@@ -177,7 +176,6 @@ def _told(done: Recovered) -> Iterator[str]:
 
 
 def _viewer(arguments: argparse.Namespace) -> int:
-    from evaluator.report.text import printable
     from evaluator.sharing.viewer import write_view
     from schemas.writing import check_free, write_new
 
@@ -193,7 +191,7 @@ def _viewer(arguments: argparse.Namespace) -> int:
     for note in done.notes:
         complain("gsb-share", note)
     shown = f"{done.shapes} shapes, {done.frames} moving frames at {done.times} times in {done.seconds:g} s"
-    print(printable(f"{done.path}  {shown}"))
+    show(line(f"{done.path}  {shown}"))
     if done.incomplete:
         complain("gsb-share", f"{arguments.file} is cut short: its view ends where its states do")
     return int(ExitCode.DATA_LOST if done.incomplete else ExitCode.OK)

@@ -7,9 +7,11 @@ from typing import TYPE_CHECKING, Any
 
 from evaluator.cli.arguments import local_path
 from evaluator.cli.entry import complain
-from evaluator.cli.share_set import check_time, print_line
+from evaluator.cli.share_set import check_time
 from schemas.errors import UsageError
 from schemas.location import place
+from schemas.printable import block
+from schemas.printing import show
 
 if TYPE_CHECKING:
     from evaluator.work import Work
@@ -48,8 +50,7 @@ def leaderboard(arguments: argparse.Namespace) -> int:
         sample_time=arguments.sample_time,
         work=_work(arguments),
     )
-    for line in leaderboard_lines(done):
-        print_line(line)
+    show(block(leaderboard_lines(done)))
     for path, error in done.unreadable:
         complain("gsb-share", f"{path} is left out: {error}")
     return int(done.exit_code)

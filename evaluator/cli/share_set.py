@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +11,8 @@ from evaluator.cli.entry import complain
 from evaluator.cli.json_target import check_target, write_json
 from schemas.errors import ExitCode, GsbError, UsageError
 from schemas.location import place
+from schemas.printable import block
+from schemas.printing import show
 
 _CARD = (
     "Describe a folder of recordings for those who find it: README.md (a card for the Hugging Face Hub), tables of all "
@@ -53,7 +54,7 @@ def add_verbs(verbs: Any) -> None:
 
 def card(arguments: argparse.Namespace) -> int:
     """Describe a folder; returns the exit code."""
-    from evaluator.sharing.dataset.checkup import DAMAGED
+    from evaluator.sharing.dataset.checkup import BROKEN, DAMAGED
     from evaluator.sharing.dataset.citation import Publication, check_doi, check_url, parse_author
     from evaluator.sharing.dataset.licences import check_licence
     from evaluator.sharing.dataset.publish import publish
@@ -74,12 +75,13 @@ def card(arguments: argparse.Namespace) -> int:
         about=_about(arguments.about),
     )
     done = publish(arguments.folder, publication, sample_time=arguments.sample_time, update=arguments.update)
-    for line in published_lines(done):
-        print_line(line)
+    show(block(published_lines(done)))
     for line in warnings_of(done):
         complain("gsb-share", line)
-    damaged = any(one.checkup.outcome == DAMAGED for one in done.looked_at)
-    return int(ExitCode.DATA_LOST if damaged else ExitCode.OK)
+    outcomes = {one.checkup.outcome for one in done.looked_at}
+    if DAMAGED in outcomes:
+        return int(ExitCode.DATA_LOST)
+    return int(ExitCode.GATE_FAILED if BROKEN in outcomes else ExitCode.OK)
 
 
 def _about(path: Path | None) -> str:
@@ -117,8 +119,7 @@ def verify(arguments: argparse.Namespace) -> int:
     if arguments.json:
         write_json(arguments.json, dump_verification(done))
     if arguments.json != "-":
-        for line in verification_lines(done):
-            print_line(line)
+        show(block(verification_lines(done)))
     return int(done.exit_code)
 
 
@@ -126,10 +127,3 @@ def check_time(seconds: float) -> None:
     """UsageError where no positions can be compared at a time."""
     if not 0 < seconds < float("inf"):
         raise UsageError(f"--sample-time is a time in seconds above 0, not {seconds}")
-
-
-def print_line(line: str) -> None:
-    """A result, on one line of standard output whatever is in it."""
-    from evaluator.report.text import printable
-
-    sys.stdout.write(printable(line.replace("\n", "\\n").replace("\r", "\\r")) + "\n")

@@ -11,6 +11,8 @@ from evaluator.cli.arguments import local_path
 from evaluator.cli.entry import complain, enter, new_parser
 from schemas.errors import ExitCode, UsageError
 from schemas.location import place
+from schemas.printable import line
+from schemas.printing import show
 from schemas.writing import write_file
 
 if TYPE_CHECKING:
@@ -116,9 +118,7 @@ def _folder() -> Path:
 
 
 def _say(path: Path) -> None:
-    from evaluator.report.text import printable
-
-    print(printable(str(path)), flush=True)
+    show(line(str(path)))
 
 
 def main(argv: list[str] | None = None) -> int:

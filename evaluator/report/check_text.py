@@ -6,17 +6,18 @@ import textwrap
 from collections.abc import Iterator, Sequence
 
 from evaluator.integrity.problem import Kind
-from evaluator.report.text import printable
+from evaluator.report.text import block, line
 from evaluator.rules.facts import CONDITIONS, FACTS
 from evaluator.rules.findings import Checked, Finding, Report
 from evaluator.rules.predicates import FILE_PREDICATES, SET_PREDICATES
 from evaluator.rules.rule import Level, RuleSet, Scope
+from schemas.printable import Block
 
 _WIDTH = 80
 _FILES = 5
 
 
-def check_text(report: Report) -> str:
+def check_text(report: Report) -> Block:
     """The findings of each file, those of several files, and one line that sums them up."""
     lines: list[str] = []
     told: set[str] = set()  # what to do about a rule is said once
@@ -30,7 +31,7 @@ def check_text(report: Report) -> str:
                 lines += _finding(finding, told)
                 lines += _wrapped(f"in: {_names(finding)}", " " * 4)
     lines += _wrapped(_sum(report), "")
-    return "".join(f"{line}\n" for line in lines)
+    return block(lines)
 
 
 def _file(file: Checked, report: Report, told: set[str]) -> Iterator[str]:
@@ -69,14 +70,14 @@ def _sum(report: Report) -> str:
 
 
 def _wrapped(text: str, indent: str) -> list[str]:
-    one_line = " ".join(printable(text).split())
+    one_line = line(" ".join(text.split()))
     return textwrap.wrap(
         one_line, _WIDTH, initial_indent=indent, subsequent_indent=indent + "    ", break_on_hyphens=False,
         break_long_words=False,
     )  # fmt: skip
 
 
-def rules_text(rule_sets: Sequence[RuleSet]) -> str:
+def rules_text(rule_sets: Sequence[RuleSet]) -> Block:
     """Every rule of some sets: what it requires, why, what to do; then what rules can be made of."""
     lines: list[str] = []
     for rule_set in rule_sets:
@@ -88,10 +89,10 @@ def rules_text(rule_sets: Sequence[RuleSet]) -> str:
             lines += [*_wrapped(rule.requires, " " * 6), *_wrapped(f"Why: {rule.why}", " " * 6)]
             lines += _wrapped(f"-> {rule.do}", " " * 6)
         lines.append("")
-    return "".join(f"{line}\n" for line in lines)
+    return block(lines)
 
 
-def vocabulary_text() -> str:
+def vocabulary_text() -> Block:
     """What a file of rules can use: facts, requirements, conditions."""
     lines = ["facts of a file"]
     for name, fact in FACTS.items():
@@ -106,7 +107,7 @@ def vocabulary_text() -> str:
     lines += ["", "conditions"]
     for name, (meaning, _) in CONDITIONS.items():
         lines += _wrapped(f"{name}: {meaning}", "  ")
-    return "".join(f"{line}\n" for line in lines)
+    return block(lines)
 
 
 def _scope(scope: Scope) -> str:

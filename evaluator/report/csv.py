@@ -6,7 +6,7 @@ import csv
 import io
 from collections.abc import Iterable, Sequence
 
-from evaluator.report.text import printable
+from evaluator.report.text import line
 
 Cell = str | int | float | None
 """None is an empty cell."""
@@ -37,5 +37,5 @@ def _cell(cell: Cell) -> str:
 
 
 def _text(text: str) -> str:
-    line = " ".join(printable(text).split())
-    return f"'{line}" if line.startswith(_FORMULA) and line != _DASH else line
+    shown = line(" ".join(text.split()))
+    return f"'{shown}" if shown.startswith(_FORMULA) and shown != _DASH else shown

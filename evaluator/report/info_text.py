@@ -12,9 +12,10 @@ from evaluator.integrity.problem import REMARKS, Kind
 from evaluator.metrics.cotenants import Presence
 from evaluator.plain import brief, plain
 from evaluator.report.numbers import plural
-from evaluator.report.text import printable
+from evaluator.report.text import block, line
 from evaluator.timed_work import SHORT_S
 from schemas.configuration import MAX_VIEW, RunConfiguration
+from schemas.printable import Block
 from schemas.provenance import REAL, Provenance, Simulation
 
 _WIDTH = 80
@@ -28,7 +29,7 @@ _LONGEST = 600
 """Characters of one entry; a stranger's file may have more to say."""
 
 
-def info_text(found: Inspection) -> str:
+def info_text(found: Inspection) -> Block:
     """The block of one file, with a line break at its end."""
     lines = [_clean(found.path)]
     for label, text in _entries(found):
@@ -39,15 +40,15 @@ def info_text(found: Inspection) -> str:
             _clean(text), _WIDTH, initial_indent=label.ljust(_LABEL), subsequent_indent=" " * _LABEL,
             break_on_hyphens=False,
         )  # fmt: skip
-    return "".join(f"{line}\n" for line in lines)
+    return block(lines)
 
 
 def _clean_cell(text: str) -> str:
-    return printable(text)[:_WIDTH].replace("\n", " ")
+    return line(text)[:_WIDTH]
 
 
 def _clean(text: str) -> str:
-    one_line = " ".join(printable(text).split())
+    one_line = line(" ".join(text.split()))
     return one_line if len(one_line) <= _LONGEST else f"{one_line[: _LONGEST - 3]}..."
 
 

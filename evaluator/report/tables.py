@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import IO
 
 from rich.console import Console
-from rich.table import Table
 from rich.text import Text
 
 from evaluator.clamped_metrics import SUFFIX
@@ -14,7 +13,7 @@ from evaluator.metrics.radar import SimulatorResult
 from evaluator.metrics.regime import REGIME_MEANING
 from evaluator.report import timed, words
 from evaluator.report.accumulation import print_accumulation
-from evaluator.report.console import make_console, plain_table
+from evaluator.report.console import PlainTable, make_console, plain_table
 from evaluator.report.numbers import NONE, distance, interval, mean_sd
 from evaluator.report.price_table import print_prices
 from evaluator.report.sweep_tables import print_sweeps
@@ -228,7 +227,7 @@ def _print_guidelines(console: Console, evaluation: Evaluation) -> None:
     if not picked:
         return
     console.print("which for which need, from these recordings alone", style="bold")
-    table = Table(show_edge=False, pad_edge=False, box=None, header_style="bold")
+    table = PlainTable(show_edge=False, pad_edge=False, box=None, header_style="bold")
     for title in ("need", "pick", "rule"):
         table.add_column(title, overflow="fold")
     for guideline in picked:

@@ -1,5 +1,5 @@
 """Text of strangers, made harmless to whatever shows it."""
 
-from schemas.printable import printable
+from schemas.printable import block, line, printable
 
-__all__ = ["printable"]
+__all__ = ["block", "line", "printable"]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from xml.etree import ElementTree as ET
 
-from evaluator.report.text import printable
+from evaluator.report.text import line
 from evaluator.versus import words
 from evaluator.versus.compare import Compared, Result, counts
 from evaluator.versus.finding import Axis, Change, Finding
@@ -45,7 +45,7 @@ def _suite(suites: ET.Element, compared: Compared, result: Result) -> tuple[int,
             skipped += 1
             why = "; ".join(dict.fromkeys(f.why_not for f in found if f.why_not)) if not told else "not a gate"
             _say(case, "skipped", why, [])
-        ET.SubElement(case, "system-out").text = _text("\n".join([*_lines(told, result), *compared.warnings]))
+        ET.SubElement(case, "system-out").text = _lined([*_lines(told, result), *compared.warnings])
     counted = (cases, failures, 0, skipped)
     for name, number in zip(("tests", "failures", "errors", "skipped"), counted, strict=True):
         suite.set(name, str(number))
@@ -66,7 +66,7 @@ def _unreadable(suites: ET.Element, result: Result) -> tuple[int, int, int, int]
 def _say(case: ET.Element, kind: str, message: str, lines: Sequence[str]) -> None:
     said = ET.SubElement(case, kind, message=_text(message))
     if lines:
-        said.text = _text("\n".join(lines))
+        said.text = _lined(lines)
 
 
 def _lines(findings: Sequence[Finding], result: Result) -> list[str]:
@@ -76,4 +76,8 @@ def _lines(findings: Sequence[Finding], result: Result) -> list[str]:
 
 def _text(text: str) -> str:
     """Text without what XML 1.0 cannot hold: it is shown as \\x..; all else is escaped where it is written."""
-    return printable(text)
+    return line(text)
+
+
+def _lined(lines: Sequence[str]) -> str:
+    return "\n".join(map(line, lines))

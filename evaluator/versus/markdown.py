@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import string
 
+from evaluator.report.text import line
 from evaluator.versus import words
 from evaluator.versus.compare import Compared, Result
 from evaluator.versus.finding import Change
@@ -56,8 +57,8 @@ def code(text: str) -> str:
 def _safe(character: str) -> str:
     if character in "\t\n\r":
         return " "
-    if not character.isprintable():
-        return f"&#92;x{ord(character):02x}"
+    if (shown := line(character)) != character:
+        return f"&#92;{shown[1:]}"
     if character in string.punctuation and character not in _PLAIN:
         # a mention or an address is looked for in what was rendered, so a space of no width parts them
         return f"&#{ord(character)};" + ("\u200b" if character in "@#" else "")

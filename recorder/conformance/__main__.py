@@ -17,9 +17,11 @@ from recorder.conformance import CHECKS, Check, NotApplicable, Subject
 from recorder.environments.choice import interpreter_for
 from recorder.environments.interpreter import Interpreter
 from recorder.options import split_options
-from recorder.output import show
+from recorder.output import show, show_document
+from recorder.progress import say
 from recorder.simulators.registry import find_simulator
 from schemas.errors import ExitCode, GsbError, UsageError
+from schemas.printable import line
 
 _EPILOG = """\
 exit codes:
@@ -105,13 +107,13 @@ def run(given: list[str]) -> int:
         verdict = judge(check, subject)
         verdicts.append(verdict)
         if not arguments.json:
-            show(verdict.line())
+            show(line(verdict.line()))
     tally = {outcome: sum(v.outcome == outcome for v in verdicts) for outcome in (OK, FAILED, SKIPPED)}
     if arguments.json:
         what = {"simulator": arguments.sim, "options": subject.given, "determinism": arguments.determinism}
-        show(json.dumps({"schema_version": 1, **what, "checks": [asdict(v) for v in verdicts]}, indent=1))
+        show_document(json.dumps({"schema_version": 1, **what, "checks": [asdict(v) for v in verdicts]}, indent=1))
     else:
-        show(f"{subject.name}: " + ", ".join(f"{count} {outcome}" for outcome, count in tally.items()))
+        show(line(f"{subject.name}: " + ", ".join(f"{count} {outcome}" for outcome, count in tally.items())))
     return int(ExitCode.FAILURE if tally[FAILED] else ExitCode.OK)
 
 
@@ -136,12 +138,12 @@ def main() -> int:
         _take_standard_output()
         return run(sys.argv[1:])
     except GsbError as error:
-        sys.stderr.write(f"recorder.conformance: {error}\n")
+        say(f"recorder.conformance: {error}")
         return int(error.exit_code)
     except BrokenPipeError:
         return int(ExitCode.FAILURE)
     except KeyboardInterrupt:
-        sys.stderr.write("recorder.conformance: interrupted\n")
+        say("recorder.conformance: interrupted")
         return int(ExitCode.FAILURE)
 
 

@@ -207,6 +207,6 @@ def _alone(simulator: str) -> Iterator[None]:
         lock = open_lock(folder / f".{simulator}.lock")
     except OSError as error:
         raise GsbError(f"cannot write to {folder}: {error.strerror}; name another with GSB_ENVIRONMENTS") from None
-    with lock:
+    with os.fdopen(lock):
         fcntl.flock(lock, fcntl.LOCK_EX)
         yield

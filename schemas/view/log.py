@@ -4,17 +4,17 @@ from __future__ import annotations
 
 from typing import Any
 
-from schemas.printable import printable
+from schemas.printable import line
 from schemas.view import foxglove
 
 
 def event_line(kind: str, phase: str, text: str, unix_ns: int) -> Any:
     """A Log of an event: its kind such as "PHASE_BEGIN", the phase, what is said, and its time of the calendar [ns]."""
     said = " ".join(filter(None, (kind.replace("_", " ").lower(), phase, text)))
-    return foxglove.log("ERROR" if kind == "GATE" else "INFO", printable(said), unix_ns)
+    return foxglove.log("ERROR" if kind == "GATE" else "INFO", line(said), unix_ns)
 
 
 def status_line(status: str, reason: str, unix_ns: int, *, good: bool) -> Any:
     """A Log of how a run ended: its status such as "complete", and why."""
     said = f"status {status}{': ' if reason else ''}{reason}"
-    return foxglove.log("INFO" if good else "ERROR", printable(said), unix_ns)
+    return foxglove.log("INFO" if good else "ERROR", line(said), unix_ns)

@@ -7,6 +7,8 @@ import json
 import os
 import pickle
 import shutil
+import tracemalloc
+import zipfile
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -135,6 +137,57 @@ def test_a_result_is_computed_once(tmp_path: Path) -> None:
         path.write_bytes(content)
     assert work.map(double, [1.0, 2.0, 3.0]) == [2.0, 4.0, 6.0]
     assert CALLS[3:] == [1.0, 2.0, 3.0]
+
+
+def test_moved_entries_are_none(tmp_path: Path) -> None:
+    """Compute again what an entry of another name would answer."""
+    CALLS.clear()
+    work = Work(store=open_store(tmp_path))
+    assert work.map(double, [1.0, 2.0]) == [2.0, 4.0]
+    one, other = tmp_path.rglob("*.result")
+    contents = one.read_bytes(), other.read_bytes()
+    other.write_bytes(contents[0])
+    one.write_bytes(contents[1])
+    assert work.map(double, [1.0, 2.0]) == [2.0, 4.0]
+    assert CALLS == [1.0, 2.0, 1.0, 2.0]
+
+
+def _npy(shape: tuple[int, ...], data: bytes) -> bytes:
+    stream = io.BytesIO()
+    np.lib.format.write_array_header_1_0(stream, {"descr": "<f8", "fortran_order": False, "shape": shape})
+    return stream.getvalue() + data
+
+
+@pytest.mark.parametrize("compression", [zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED])
+@pytest.mark.parametrize(("shape", "size"), [((1 << 24,), 1 << 27), ((1 << 40,), 8), ((-1,), 8), ((1 << 62, 4), 8)])
+def test_bombs_are_refused_before_they_are_unpacked(shape: tuple[int, ...], size: int, compression: int) -> None:
+    """Take no more memory than an entry has bytes, whatever it announces."""
+    if compression == zipfile.ZIP_STORED and size > 8:
+        return  # it is what it says
+    stream = io.BytesIO()
+    with zipfile.ZipFile(stream, "w", compression) as archive:
+        archive.writestr("0.npy", _npy(shape, bytes(size)))
+        archive.writestr("tree.npy", _npy((1,), b'{"a":1}'.ljust(8)))
+    tracemalloc.start()
+    try:
+        with pytest.raises(ValueError, match="not a stored result"):
+            Codec().decode(stream.getvalue())
+        assert tracemalloc.get_traced_memory()[1] < 1 << 20
+    finally:
+        tracemalloc.stop()
+
+
+def test_entries_have_a_largest_size(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Neither keep nor read what is larger than an entry may be; nor wait for a pipe in the place of one."""
+    store = Store(tmp_path, Codec())
+    store.put("a" * 64, "x" * 100)
+    monkeypatch.setattr(store_module, "_MOST", 100)
+    store.put("b" * 64, "x" * 100)
+    assert [store.get("a" * 64), store.get("b" * 64)] == [None, None]
+    (path,) = tmp_path.rglob("*.result")
+    path.unlink()
+    os.mkfifo(path)
+    assert store.get("a" * 64) is None
 
 
 @pytest.mark.usefixtures("settled")

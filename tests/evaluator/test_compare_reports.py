@@ -165,7 +165,7 @@ def test_markdown_of_hostile_text(tmp_path: Path, capsys: pytest.CaptureFixture[
 def test_text_is_never_markup() -> None:
     """Escape all that Markdown or HTML reads, show what is invisible, and bound the length."""
     assert safe("a|b\nc") == "a&#124;b c"
-    assert safe("\x1b\u202e") == "&#92;x1b&#92;x202e"
+    assert safe("\x1b\u202e") == "&#92;x1b&#92;u202e"
     assert safe("0.95, v1.2") == "0.95, v1.2"
     assert "\u200b" in safe("@team")
     assert safe("see gh-12, and-3") == "see gh-\u200b12, and-3"

@@ -206,7 +206,7 @@ def test_recordings_are_held_against_the_rules(tmp_path: Path, small: Path, caps
     """Name a published recording that breaks a rule, and one that is damaged, though every digest is right."""
     shutil.copy(small, tmp_path)
     write_recording(tmp_path, None, name="says-little.mcap")
-    assert main(["card", str(tmp_path), *WORDS, *WHEN]) == 0
+    assert main(["card", str(tmp_path), *WORDS, *WHEN]) == 4
     assert {(f["kind"], f["path"]) for f in findings(tmp_path, capsys, 4)} == {("breaks a rule", "says-little.mcap")}
     (tmp_path / "cut.mcap").write_bytes(small.read_bytes()[:-30])
     assert main(["card", str(tmp_path), *WORDS, *WHEN, "--update"]) == 3

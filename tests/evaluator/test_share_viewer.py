@@ -240,7 +240,7 @@ def test_names_of_strangers(tmp_path: Path) -> None:
 
     source = write_recording(tmp_path, grid(1), steps=3, change=change)
     found, _ = read(write_view(source, tmp_path / "v.mcap", envs=[0], rate=30, spread=0.0).path)
-    assert "env0/\\xd800\\x1b[2J" in {e.id for e in found["/scene"][0][1].entities}
+    assert "env0/\\ud800\\x1b[2J" in {e.id for e in found["/scene"][0][1].entities}
 
 
 def test_it_needs_no_other_package(tmp_path: Path) -> None:

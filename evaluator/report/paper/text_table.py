@@ -8,7 +8,7 @@ from enum import StrEnum
 
 from evaluator.report.csv import to_csv
 from evaluator.report.paper import latex
-from evaluator.report.text import printable
+from evaluator.report.text import line
 
 _LONG, _LONG_FROM = "p{5cm}", 40
 
@@ -76,5 +76,5 @@ def _latex(cells: Sequence[str]) -> str:
 
 
 def _markdown(text: str) -> str:
-    line = " ".join(printable(text).split())
-    return "".join(f"\\{c}" if c in "\\|`*_<>[]#~$" else c for c in line)
+    shown = line(" ".join(text.split()))
+    return "".join(f"\\{c}" if c in "\\|`*_<>[]#~$" else c for c in shown)

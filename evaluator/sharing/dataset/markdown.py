@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 
-from evaluator.report.text import printable
+from evaluator.report.text import line
 
 _SPECIAL = re.compile(r"://|www\.|[&<>@\\`*_\[\]|~#!$^]")
 _ENTITIES = {"&": "&amp;", "<": "&lt;", ">": "&gt;", "@": "&#64;", "://": "&#58;//", "www.": "www&#46;"}
@@ -13,8 +13,7 @@ _LONGEST = 300
 
 def one_line(text: str) -> str:
     """On one line, control characters made visible."""
-    shown = printable(text)
-    return shown.replace("\r", "\\r").replace("\n", "\\n").replace("\t", "\\t")
+    return line(text)
 
 
 def cell(text: object) -> str:
@@ -27,7 +26,7 @@ def cell(text: object) -> str:
 
 def fenced(lines: list[str], language: str = "") -> str:
     """A block of code that nothing in it can end."""
-    shown = [one_line(line) for line in lines]
-    ticks = max((len(run) for line in shown for run in re.findall(r"`+", line)), default=0)
+    shown = [one_line(one) for one in lines]
+    ticks = max((len(run) for one in shown for run in re.findall(r"`+", one)), default=0)
     fence = "`" * max(3, ticks + 1)
     return "\n".join([f"{fence}{language}", *shown, fence])

@@ -9,7 +9,7 @@ from typing import Any
 
 from evaluator.document import dump, values_of
 from evaluator.report import timed
-from evaluator.report.text import printable
+from evaluator.report.text import line
 from evaluator.results import Metric
 from evaluator.sharing.leaderboard import words
 from evaluator.sharing.leaderboard.board import Board
@@ -126,5 +126,5 @@ def _cell(value: Any) -> Any:
     """A text that no spreadsheet takes for a formula; numbers as they are."""
     if not isinstance(value, str):
         return "" if value is None else value
-    shown = printable(value)
+    shown = line(value)
     return f"'{shown}" if shown.startswith(_FORMULA) else shown
