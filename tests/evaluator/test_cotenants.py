@@ -203,7 +203,8 @@ def test_a_price_has_one_source(tmp_path: Path) -> None:
     """Price a level by the processes' figures on both sides, where all runs of one had a co-tenant."""
     for level, gpu, own in (("default", CLEAN, 900 * MB), ("run-to-run", RELEASED, 990 * MB)):
         for run in range(3):
-            write_recording(tmp_path, None, run=run, determinism=level, gpu_bytes=gpu, process_bytes=own)
+            asked = {"determinism": level, "switches": {"exact": level != "default"}}
+            write_recording(tmp_path, None, run=run, gpu_bytes=gpu, process_bytes=own, **asked)
     (family,) = evaluate_files(sorted(tmp_path.glob("*.mcap"))).price_list
     assert family.prices[0].memory.ratio == pytest.approx(1.1)
 
