@@ -175,11 +175,14 @@ def test_tables_and_page(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> 
     ]
     page = tmp_path / "page"
     assert gsb_eval([*map(str, files), "--html", str(page), "--no-cache"]) == 0
-    cells = [re.split(r"\s{2,}", line.strip()) for line in capsys.readouterr().out.splitlines()]
+    text = capsys.readouterr().out
+    printed = " ".join(text.split())
+    cells = [re.split(r"\s{2,}", line.strip()) for line in text.splitlines()]
     rows = {row[0]: row[1] for row in cells if len(row) == 2}
     assert rows["another process on the GPU"] == "1 of 3 runs: 1"
     assert rows["GPU memory increment [GB]"] == "1.00 ± 0.00"
     assert rows["the process alone [GB]"] == "0.99 ± 0.00"
+    assert "lower for it: synthetic (1 of 3 runs: 1)" in printed
     html = (page / "index.html").read_text()
     assert "another process on the GPU: 1 of 3 runs: 1" in html
     assert "device, 2 runs" in html
