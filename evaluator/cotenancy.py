@@ -13,7 +13,10 @@ from evaluator.run_data import RunData
 from evaluator.summary import Summary
 
 _KIND = ("name", "driver", "cuda_driver", "memory_bytes", "compute_capability", "ecc", "mig", "persistence_mode")
-"""What the driver keeps for itself depends on."""
+"""What the driver keeps for itself depends on, of a GPU."""
+
+_MACHINE = ("cpu", "memory_bytes")
+"""The same of the host, by which machines of another kind are told apart."""
 
 
 def with_peers(runs: Mapping[str, RunData]) -> dict[str, RunData]:
@@ -68,5 +71,5 @@ def _said(signs: Sequence[Sign]) -> str:
 
 
 def _kind(recording: Summary) -> str:
-    gpu = recording.provenance.gpus[0]
-    return json.dumps({name: gpu.get(name) for name in _KIND}, sort_keys=True, default=str)
+    gpu, host = recording.provenance.gpus[0], recording.provenance.host
+    return json.dumps([*(gpu.get(name) for name in _KIND), *(host.get(name) for name in _MACHINE)], default=str)

@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from evaluator.report import words
 from evaluator.report.numbers import NONE
 from evaluator.results import GroupResult
 from evaluator.timed_work import SETTINGS, SHORT_S, TimedWork, Window, differing_settings, most_common
@@ -108,12 +109,17 @@ def remarks(results: Iterable[GroupResult], *, named: Callable[[GroupResult], st
 
     named  how the table names a row; by its label
     """
-    rows = [(named(r) if named else r.label, r.timed) for r in results if r.timed.windows]
+    found = [(named(r) if named else r.label, r) for r in results if r.timed.windows]
+    rows = [(name, r.timed) for name, r in found]
     works = [work for _, work in rows]
     lines = [f"all rows: {line}" for line in shared(works)]
     lines += _incomparable(rows)
     if short := list(dict.fromkeys(name for name, work in rows if work.short)):
         lines.append(f"timed for less than {SHORT_S:g} s, which is too short to rely on: {_listed(short)}")
+    if others := list(
+        dict.fromkeys(f"{name} ({told})" for name, r in found if (told := words.shared(r.metrics["fps"])))
+    ):
+        lines.append(f"another process was on the GPU, and throughput may be lower for it: {_listed(others)}")
     if differing_settings(works):
         lines.append(f"{', '.join(SETTINGS)} of the solver differ between rows: a step is not the same work in all")
     if any(work.unmet.findings for work in works):

@@ -175,11 +175,14 @@ def test_tables_and_page(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> 
     ]
     page = tmp_path / "page"
     assert gsb_eval([*map(str, files), "--html", str(page), "--no-cache"]) == 0
-    cells = [re.split(r"\s{2,}", line.strip()) for line in capsys.readouterr().out.splitlines()]
+    text = capsys.readouterr().out
+    printed = " ".join(text.split())
+    cells = [re.split(r"\s{2,}", line.strip()) for line in text.splitlines()]
     rows = {row[0]: row[1] for row in cells if len(row) == 2}
     assert rows["another process on the GPU"] == "1 of 3 runs: 1"
     assert rows["GPU memory increment [GB]"] == "1.00 ± 0.00"
     assert rows["the process alone [GB]"] == "0.99 ± 0.00"
+    assert "lower for it: synthetic (1 of 3 runs: 1)" in printed
     html = (page / "index.html").read_text()
     assert "another process on the GPU: 1 of 3 runs: 1" in html
     assert "device, 2 runs" in html
@@ -203,7 +206,8 @@ def test_a_price_has_one_source(tmp_path: Path) -> None:
     """Price a level by the processes' figures on both sides, where all runs of one had a co-tenant."""
     for level, gpu, own in (("default", CLEAN, 900 * MB), ("run-to-run", RELEASED, 990 * MB)):
         for run in range(3):
-            write_recording(tmp_path, None, run=run, determinism=level, gpu_bytes=gpu, process_bytes=own)
+            asked = {"determinism": level, "switches": {"exact": level != "default"}}
+            write_recording(tmp_path, None, run=run, gpu_bytes=gpu, process_bytes=own, **asked)
     (family,) = evaluate_files(sorted(tmp_path.glob("*.mcap"))).price_list
     assert family.prices[0].memory.ratio == pytest.approx(1.1)
 

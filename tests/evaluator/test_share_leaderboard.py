@@ -68,6 +68,16 @@ def test_places_are_by_throughput_within_scene_and_device(runs: Path, tmp_path: 
     }  # fmt: skip
 
 
+def test_a_shared_gpu_is_marked(runs: Path, tmp_path: Path) -> None:
+    """Say beside a throughput in which runs another process was on the GPU, and rank memory without them."""
+    for run, baseline in enumerate((10**9, 3 * 10**9, 10**9)):
+        write(runs, run=run, gpu_bytes=(baseline, 2 * 10**9), process_bytes=10**9)
+    row = rows(made(tmp_path, runs))["synthetic 1"]
+    assert [one["presence"] for one in row["co_tenants"]] == ["unknown", "some", "unknown"]
+    assert row["memory"]["value"] == 1.0
+    assert "another process on the GPU: 1 of 3 runs: 1" in (tmp_path / "board" / "index.html").read_text()
+
+
 def test_a_sweep_has_one_place(runs: Path, tmp_path: Path) -> None:
     """Give a simulator the place of the point at which it is fastest, with N_env^max and why it ends."""
     write_sweep(runs, (16, 64, 256, 1024), runs=1, fails=1024, whole=True, simulator="swept")

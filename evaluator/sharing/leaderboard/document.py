@@ -73,6 +73,7 @@ def _row(row: Row) -> dict[str, Any]:
         "timed_steps": key.timed_steps,
         "runs": row.result.group.outcomes,
         "throughput": _metric(row.fps),
+        "co_tenants": row.fps.extra.get("co_tenants"),
         "timed": timed.timed_record(row.result.timed),
         "memory": _metric(row.memory),
         "n_env_max": row.sweep.n_max if row.sweep else None,

@@ -31,6 +31,7 @@ def render(board: Board) -> str:
         "mean_sd": numbers.mean_sd,
         "interval": numbers.interval,
         "amount": report_words.amount,
+        "shared": report_words.shared,
     }
     return environment.get_template("leaderboard.html.j2").render(
         board=board,
