@@ -86,7 +86,7 @@ def evaluate(
     protocol = Protocol(readable)
     if protocol.whole.count:
         notes.append(
-            f"the recordings break rules of {RULE_SET} {protocol.whole.count} times: gsb-check --protocol names them"
+            f"the recordings break rules of {RULE_SET} {_times(protocol.whole.count)}: gsb-check --protocol names them"
         )
     found = [
         _evaluate_group(g, label, data, protocol.of(g.recordings), target, why_not, sample_time, work)
@@ -115,6 +115,10 @@ def evaluate(
         price_list=price_list(results),
         unmet=protocol.whole,
     )
+
+
+def _times(count: int) -> str:
+    return "once" if count == 1 else f"{count} times"
 
 
 def without_copies(files: Sequence[Read], failures: list[Unreadable]) -> tuple[list[Read], list[str]]:
