@@ -145,6 +145,9 @@ def _legend(results: list[GroupResult]) -> list[str]:
             "envs exchanged: of the first two runs, or the first and the reference, whose W1 stands behind the p: "
             "whether their envs are one law, if envs are independent"
         )
+    for number, result in enumerate(results, start=1):
+        if why_not := words.not_exchanged(result.metrics["w1_run_to_run"]):
+            lines.append(f"column {number}: no floor of W1 between runs: {why_not}")
     if any(r.metrics["left_board"].value for r in results):
         lines.append(
             "cubes clamped to the board: each cube beside the board is put at its nearest edge, so that flight after a "

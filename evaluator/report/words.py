@@ -186,3 +186,8 @@ def exchanged(metric: Metric) -> str:
     if "p_value" not in found:
         return NONE
     return f"{distance(found['floor_mean_cm'])}; {found['p_value']:.2g} of {distance(found['observed_cm'])}"
+
+
+def not_exchanged(metric: Metric) -> str:
+    """Why a W1 that is not 0 has no such figures; empty where it has them, or is 0."""
+    return str(metric.extra.get("floor", {}).get("why_not", "")) if metric.value else ""

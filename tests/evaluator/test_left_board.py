@@ -153,6 +153,17 @@ def test_floor_and_p_stand_beside_runs(tmp_path: Path) -> None:
     assert rows["fps"]["p_value"] is None
 
 
+def test_why_there_is_no_floor(tmp_path: Path) -> None:
+    """Say in text and HTML why environments were not exchanged between runs that differ."""
+    files = [write_recording(tmp_path, grid(2) + [0.0, y, 0.0], run=run) for run, y in enumerate((0.0, 0.03))]
+    found = evaluate_files(files)
+    stream = io.StringIO()
+    print_tables(found, stream)
+    why = "the environments of a side are identical: there is nothing to exchange"
+    assert f"column 1: no floor of W1 between runs: {why}" in " ".join(stream.getvalue().split())
+    assert f"no floor: {why}" in render_html(found, published=False, command="")
+
+
 def test_no_board_no_clamping(tmp_path: Path) -> None:
     """Say that a scene without a board has none, and keep the published value."""
     (result,) = evaluate_files([write_recording(tmp_path, grid(2), scene="free-fall")]).results
