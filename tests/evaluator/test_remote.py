@@ -16,7 +16,8 @@ import zlib
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from threading import Event
+from threading import Barrier
+from types import SimpleNamespace
 from typing import Any
 from urllib.parse import urlsplit
 
@@ -675,22 +676,18 @@ def test_wildcards_of_the_path_alone(web: Web, tmp_path: Path) -> None:
 _QUICK = {"_ANSWER_S": 0.2, "_FILE_S": 0.4, "_LEAST_RATE": 1 << 20}
 
 
-@pytest.mark.parametrize(
-    ("slow", "message"),
-    [
-        ({"silent": True}, r"no answer within 0\.2 s"),
-        ({"silent": "parts"}, r"no answer within 0\.2"),
-        ({"drip_s": 0.02}, r"no answer within 0\.2"),
-    ],
-)
+@pytest.mark.parametrize("slow", [{"silent": True}, {"silent": "parts"}, {"drip_s": 0.02}])
 def test_a_slow_server(
-    web: Web, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str],
-    slow: dict[str, Any], message: str,
-) -> None:  # fmt: skip
+    web: Web, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], slow: dict[str, Any]
+) -> None:
     """Give up a server that is silent, or sends a byte now and then, with the exit code of what cannot be read."""
     for name, value in _QUICK.items():
         monkeypatch.setattr(remote, name, value)
     web.files["a.mcap"] = write_recording(tmp_path, grid(2)).read_bytes()
+    # whichever comes first, where the machine is busy
+    message = (
+        r"(no answer within 0\.[12]\d* s|after 0\.4 s of waiting, what comes is slower than 1048576 bytes a second)"
+    )
     for name, value in slow.items():
         setattr(web, name, value)
     for options in ([], ["--no-verify"]):
@@ -700,38 +697,42 @@ def test_a_slow_server(
         assert found.err.count("\n") == 1
 
 
-def test_patience_is_for_all_of_a_file() -> None:
+def test_patience_is_for_all_of_a_file(monkeypatch: pytest.MonkeyPatch) -> None:
     """Wait for many answers that are each in time only as long as their bytes are worth it, then ask no more."""
-    asked: list[int] = []
+    clock = SimpleNamespace(now=0.0)
+    monkeypatch.setattr("schemas.patience.time", SimpleNamespace(monotonic=lambda: clock.now))
 
     def answer() -> bytes:
-        asked.append(1)
-        Event().wait(0.02)
+        clock.now += 30
         return b"x"
 
-    patience = Patience(answer_s=10, file_s=0.1, rate=1e6)
-    with pytest.raises(TooSlow, match="after 0.1 s of waiting, what comes is slower than 1000000 bytes a second"):
-        for _ in range(100):
-            patience.call(answer, 1)
-    assert 2 <= len(asked) <= 7
-    with pytest.raises(TooSlow):
+    patience = Patience(answer_s=100, file_s=100, rate=1e6)
+    for _ in range(4):
+        assert patience.call(answer, 1) == b"x"
+        clock.now += 1000  # of computing
+    with pytest.raises(TooSlow, match="after 100 s of waiting, what comes is slower than 1000000 bytes a second"):
         patience.call(answer, 1)
-    generous = Patience(answer_s=10, file_s=0.1, rate=10.0)
-    for _ in range(10):
-        assert generous.call(answer, 1) == b"x"  # a tenth of a second for each byte
+    assert clock.now == 4 * 1030
+    generous = Patience(answer_s=100, file_s=100, rate=0.02)  # 50 s for each byte
+    for _ in range(20):
+        assert generous.call(answer, 1) == b"x"
     with pytest.raises(ZeroDivisionError):
         generous.call(lambda: 1 // 0, 1)
 
 
-def test_patience_counts_what_is_asked_at_once_once() -> None:
+def test_patience_counts_what_is_asked_at_once_once(monkeypatch: pytest.MonkeyPatch) -> None:
     """Wait for eight answers at the same time as long as for one of them."""
-    patience = Patience(answer_s=10, file_s=0.2, rate=1e6)
+    clock = SimpleNamespace(now=0.0)
+    monkeypatch.setattr("schemas.patience.time", SimpleNamespace(monotonic=lambda: clock.now))
+    patience = Patience(answer_s=100, file_s=100, rate=1e6)
+    together = Barrier(8, action=lambda: setattr(clock, "now", 60.0))
     with ThreadPoolExecutor(8) as pool:
-        done = [pool.submit(patience.call, lambda: Event().wait(0.1), 0) for _ in range(8)]
-        assert [one.result() for one in done] == [False] * 8
+        done = [pool.submit(patience.call, together.wait, 0) for _ in range(8)]
+        assert {one.result() for one in done} == set(range(8))
+    assert patience.limit(0) == 40
 
 
-@pytest.mark.parametrize("size", [10**15, 1 << 60, 1 << 80])
+@pytest.mark.parametrize("size", [10**15, (1 << 63) - 1])
 def test_an_absurd_size(web: Web, size: int, capsys: pytest.CaptureFixture[str]) -> None:
     """Refuse a file that is announced with more bytes than any has, as one that cannot be read, in every command."""
     web.files["a.mcap"], web.says = MAGIC, size
@@ -747,7 +748,7 @@ def test_no_room_for_a_copy(
     web.files["a.mcap"] = large[0].read_bytes()
     monkeypatch.setattr(shutil, "disk_usage", lambda _: shutil._ntuple_diskusage(10, 9, 1))
     assert check.main([f"{web.address}/a.mcap"]) == 3
-    assert "set TMPDIR to a folder with more" in "".join(capsys.readouterr())
+    assert "set TMPDIR to a folder with more" in " ".join("".join(capsys.readouterr()).split())
 
 
 def test_redirections_stay_on_the_server(web: Web, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

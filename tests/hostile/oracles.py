@@ -94,7 +94,10 @@ def _by_library(path: Path) -> dict[str, str]:
 
 def _by_us(recording: Recording) -> dict[str, str]:
     container = recording._container
-    found = {topic: _digest(bytes(content) for content in container.in_sequence(topic)) for topic in container.channels}
+    found = {}
+    for topic in container.channels:
+        read = (container.read(message) for message in container.messages(topic))
+        found[topic] = _digest(data for _, data in sorted((number, bytes(content)) for number, content in read))
     empty = _digest(())
     attachments = {f"attachment {n}": _digest([container.attachment(n) or b""]) for n in container.attachment_names()}
     return {name: digest for name, digest in found.items() if digest != empty} | attachments
