@@ -230,8 +230,8 @@ def labels(keys: Sequence[GroupKey], given: Collection[str] = ()) -> list[str]:
     """A short unique name for each key: the simulator, and what tells it from its others in the same scene.
 
     The scene is named where two scenes would have the same name otherwise. What a user chose comes first, then the
-    precision of the states. Settings that nobody chose are named only where nothing else tells two keys apart: most of them follow from a choice, a machine or
-    a level of determinism.
+    precision of the states. Settings that nobody chose are named only where nothing else tells two keys apart: most of
+    them follow from a choice, a machine or a level of determinism.
 
     given  names of the options that a user gave for any of them
     """

@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from evaluator.sharing.target import new_file
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory, unknown_fields
 from mcap.reader import make_reader
 
@@ -287,7 +286,7 @@ def test_every_schema_describes_every_byte(source: Path, tmp_path: Path) -> None
 def test_a_file_that_was_packed_without_its_schema_is_recovered_with_one(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Give recovered blocks a schema that describes them, and keep one of the future, or that is no schema, as it is."""
+    """Give recovered blocks a schema that describes them, and keep what is newer, or is no schema, as it is."""
     packed, cut = tmp_path / "packed.mcap", tmp_path / "cut.mcap.partial"
     with monkeypatch.context() as older:
         older.setattr("evaluator.sharing.copying.widened_schema", lambda _, stored: stored)
