@@ -53,7 +53,7 @@ def _compiled(run: RunData) -> float | None:
 def _shared(run: RunData) -> bool:
     """Whether the device that steps was sampled, and another process makes the samples no memory of the run."""
     simulation = run.recording.simulation
-    sampled = run.gpu is not None and run.gpu.peak_increment is not None
+    sampled = run.gpu is not None and run.gpu.device.peak_increment is not None
     on_gpu = simulation is not None and simulation.device != "cpu"
     return sampled and on_gpu and costs.device_increment(run) is None
 

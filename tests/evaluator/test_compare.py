@@ -203,6 +203,17 @@ def test_a_gate_that_is_left_open_beside_others(tmp_path: Path, capsys: pytest.C
     assert (code, finding(document, "memory_peak_increment")["applies"]) == (5, True)
 
 
+def test_memory_that_others_spoilt_on_both_sides(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Leave GPU memory undecided where no run of either side can be used, and leave it out where there is no GPU."""
+    shared = timed(gpu_bytes=(10**9, 2 * 10**9), others=(2, 2), host_bytes=(10**8, 2 * 10**8))
+    code, document = compared(*write_sides(tmp_path / "gpu", shared, shared), capsys=capsys)
+    memory = finding(document, "memory_peak_increment")
+    assert (code, document["undecided"], memory["change"], memory["applies"]) == (5, ["memory"], "not compared", True)
+    cpu = timed(host_bytes=(10**8, 2 * 10**8))
+    code, document = compared(*write_sides(tmp_path / "cpu", cpu, cpu), capsys=capsys)
+    assert (code, finding(document, "memory_peak_increment")["applies"]) == (0, False)
+
+
 def test_four_runs_a_side(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Let four runs a side pass and fail by default, where one comparison counts, as docs/compare.md says."""
     for name, factor, codes in (("same", 1.0, (0, 0)), ("slower", 1.34, (5, 4))):
