@@ -15,7 +15,8 @@ import argparse
 import csv
 import subprocess
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -33,6 +34,7 @@ from evaluator.versus.finding import Settings
 from evaluator.versus.sides import Side
 from evaluator.work import HERE
 from schemas.configuration import RunConfiguration
+from schemas.errors import ExitCode
 from schemas.provenance import Provenance, Simulation
 
 CSV = Path(__file__).resolve().parent / "false_alarms.csv"
@@ -41,7 +43,8 @@ TIMED_STEPS, N_ENV = 400, 4
 IN_TURN, IN_A_ROW = "ABBA", "AB"
 CHANGES = {"cone": "`cone`: `pyramidal` -> `elliptic`", "rk4": "`integrator`: `implicitfast` -> `RK4`"}
 PER_SET = 12
-SIMULATED = 100
+SIMULATED = ((4, 400), (6, 400), (12, 100))
+DEVIATIONS, SLOWER = (0.005, 0.01, 0.02, 0.05, 0.1), (1.0, 1.049, 1.051, 1.1, 1.2, 1.34)
 
 
 @dataclass(frozen=True)
@@ -60,7 +63,8 @@ class Run:
         return N_ENV * TIMED_STEPS / self.elapsed_s
 
 
-Rule = Callable[[Sequence[Run], Sequence[Run]], bool]
+Rule = Callable[[Sequence[Run], Sequence[Run]], ExitCode]
+PASSED, FAILED, UNDECIDED = ExitCode.OK, ExitCode.GATE_FAILED, ExitCode.NOTHING_COMPARABLE
 
 
 def record(count: int, folder: Path) -> None:
@@ -106,19 +110,19 @@ def sets(runs: Sequence[Run], order: str, size: int = PER_SET) -> Iterator[tuple
 
 
 def gsb_compare(settings: Settings) -> Rule:
-    """Whether gsb-compare ends with a gate that failed."""
-    return lambda base, head: bool(compare(_side(base, "base"), _side(head, "head"), settings, HERE).failing)
+    """The exit code of gsb-compare."""
+    return lambda base, head: compare(_side(base, "base"), _side(head, "head"), settings, HERE).exit_code
 
 
-def slower_by_5_percent(base: Sequence[Run], head: Sequence[Run]) -> bool:
+def slower_by_5_percent(base: Sequence[Run], head: Sequence[Run]) -> ExitCode:
     """What many a CI does: the mean of head is slower than that of base by more than 5 %."""
-    return _mean(head) < 0.95 * _mean(base)
+    return FAILED if _mean(head) < 0.95 * _mean(base) else PASSED
 
 
-def t_test(base: Sequence[Run], head: Sequence[Run]) -> bool:
+def t_test(base: Sequence[Run], head: Sequence[Run]) -> ExitCode:
     """Welch's t-test at 5 %, head slower."""
     found = stats.ttest_ind([run.fps for run in base], [run.fps for run in head], equal_var=False)
-    return bool(found.pvalue < 0.05 and found.statistic > 0)
+    return FAILED if found.pvalue < 0.05 and found.statistic > 0 else PASSED
 
 
 def slowed(runs: Sequence[Run], factor: float) -> list[Run]:
@@ -126,20 +130,36 @@ def slowed(runs: Sequence[Run], factor: float) -> list[Run]:
     return [Run(r.arm, r.created_utc, r.elapsed_s * factor, r.host_baseline, r.host_peak) for r in runs]
 
 
-def share(alarms: Sequence[bool]) -> str:
-    """How many of how many, with the 95 % interval of Clopper and Pearson."""
-    k, n = sum(alarms), len(alarms)
+def share(codes: Iterable[ExitCode], code: ExitCode = FAILED) -> str:
+    """How many of how many ended with a code, with the 95 % interval of Clopper and Pearson."""
+    found = list(codes)
+    k, n = found.count(code), len(found)
     low = stats.beta.ppf(0.025, k, n - k + 1) if k else 0.0
     high = stats.beta.ppf(0.975, k + 1, n - k) if k < n else 1.0
     return f"{k} of {n}: {k / n:.1%} [{low:.1%}, {high:.1%}]"
 
 
+def shares(codes: Iterable[ExitCode]) -> str:
+    """Per cent that failed, were undecided, and passed."""
+    found = Counter(codes)
+    return " / ".join(f"{found[code] / found.total():.1%}" for code in (FAILED, UNDECIDED, PASSED))
+
+
 def tables(runs: Sequence[Run]) -> Iterator[str]:
     """Lines of the tables, as docs/compare.md has them."""
+    yield from recorded(runs)
+    for runs_a_side, count in SIMULATED:
+        yield ""
+        yield from simulated(runs_a_side, count)
+
+
+def recorded(runs: Sequence[Run]) -> Iterator[str]:
+    """Lines of the tables of runs that were made."""
     same = [run for run in runs if run.arm == "same"]
     rules: dict[str, Rule] = {
         "gsb-compare": gsb_compare(Settings()),
         "gsb-compare --threshold 0": gsb_compare(Settings(threshold=0.0)),
+        "gsb-compare --threshold 100%": gsb_compare(Settings(threshold=1.0)),
         "gsb-compare --expect-same": gsb_compare(Settings(expect_same=True)),
         "mean slower by 5 %": slower_by_5_percent,
         "t-test at 5 %, slower": t_test,
@@ -147,36 +167,40 @@ def tables(runs: Sequence[Run]) -> Iterator[str]:
     spread = np.std(np.log([run.fps for run in same]), ddof=1)
     yield f"{len(same)} runs of one configuration; SD of the logarithm of the throughput {spread:.2f}"
     yield ""
-    yield "| false alarms | in turn, A B B A | one after the other, A...A B...B |"
-    yield "| --- | --- | --- |"
+    yield "| nothing differs | in turn, A B B A: false alarms | undecided | one after the other: false alarms |"
+    yield "| --- | --- | --- | --- |"
     for name, rule in rules.items():
-        cells = [share([rule(*pair) for pair in sets(same, order)]) for order in (IN_TURN, IN_A_ROW)]
-        yield f"| `{name}` | {' | '.join(cells)} |" if name.startswith("gsb") else f"| {name} | {' | '.join(cells)} |"
+        turn, row = ([rule(*pair) for pair in sets(same, order)] for order in (IN_TURN, IN_A_ROW))
+        cells = " | ".join((share(turn), f"{turn.count(UNDECIDED)}", share(row)))
+        yield f"| `{name}` | {cells} |" if name.startswith("gsb") else f"| {name} | {cells} |"
     yield ""
-    yield "| head made slower by | 6 runs a side: seen in | 12 runs a side: seen in |"
-    yield "| --- | --- | --- |"
-    for factor in (1.05, 1.1, 1.2, 1.5):
-        cells = [
-            share([gsb_compare(Settings())(base, slowed(head, factor)) for base, head in sets(same, IN_TURN, size)])
+    yield "| head made slower by | 6 runs a side: fails in | undecided | 12 runs a side: fails in | undecided |"
+    yield "| --- | --- | --- | --- | --- |"
+    for factor in (1.05, 1.1, 1.2, 1.5, 3.0):
+        found = [
+            [gsb_compare(Settings())(base, slowed(head, factor)) for base, head in sets(same, IN_TURN, size)]
             for size in (PER_SET, 2 * PER_SET)
         ]
-        yield f"| {factor - 1:.0%} | {' | '.join(cells)} |"
-    yield ""
-    yield "| simulated: SD of a run's throughput | slower by 5 % | by 10 % | by 20 % |"
-    yield "| --- | --- | --- | --- |"
-    for deviation in (0.005, 0.02, 0.05, 0.1):
-        drawn = _simulated(deviation, SIMULATED * PER_SET)
-        cells = [
-            share([gsb_compare(Settings())(base, slowed(head, factor)) for base, head in sets(drawn, IN_TURN)])
-            for factor in (1.05, 1.1, 1.2)
-        ]
-        yield f"| {deviation:.1%} | {' | '.join(cells)} |"
+        cells = " | ".join(f"{share(codes)} | {codes.count(UNDECIDED)}" for codes in found)
+        yield f"| {factor - 1:.0%} | {cells} |"
     changes = [name for name in CHANGES if any(run.arm == f"{name}-base" for run in runs)]
     if changes:
         yield ""
         yield "| change, recorded in turn | runs | throughput of head / base | sets of 6 a side: slower in |"
         yield "| --- | --- | --- | --- |"
         yield from (_real_change(runs, name) for name in changes)
+
+
+def simulated(runs_a_side: int, count: int) -> Iterator[str]:
+    """Lines of the table of so many pairs of sets of runs that never were."""
+    size = 2 * runs_a_side
+    titles = " | ".join(f"{f - 1:.1%} slower" if f > 1 else "unchanged" for f in SLOWER)
+    yield f"| {runs_a_side} runs a side: SD of a run | {titles} |"
+    yield f"| --- |{' --- |' * len(SLOWER)}"
+    for deviation in DEVIATIONS:
+        drawn = list(sets(_simulated(deviation, count * size), IN_TURN, size))
+        cells = [shares(gsb_compare(Settings())(base, slowed(head, f)) for base, head in drawn) for f in SLOWER]
+        yield f"| {deviation:.1%} | {' | '.join(cells)} |"
 
 
 def _simulated(deviation: float, count: int) -> list[Run]:

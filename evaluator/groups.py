@@ -229,9 +229,9 @@ def is_instrument(key: GroupKey) -> bool:
 def labels(keys: Sequence[GroupKey], given: Collection[str] = ()) -> list[str]:
     """A short unique name for each key: the simulator, and what tells it from its others in the same scene.
 
-    The scene is named where two scenes would have the same name otherwise. What a user chose comes first. Settings that
-    nobody chose are named only where nothing else tells two keys apart: most of them follow from a choice, a machine or
-    a level of determinism.
+    The scene is named where two scenes would have the same name otherwise. What a user chose comes first, then the
+    precision of the states. Settings that nobody chose are named only where nothing else tells two keys apart: most of
+    them follow from a choice, a machine or a level of determinism.
 
     given  names of the options that a user gave for any of them
     """
@@ -245,6 +245,9 @@ def labels(keys: Sequence[GroupKey], given: Collection[str] = ()) -> list[str]:
         chosen = _chosen(one, given)
         parts += _changed(chosen, [_chosen(rival, given) for rival in rivals])
         alike = [r for r in rivals if _chosen(r, given) == chosen and not any(_differs(n, one, r) for n in telling)]
+        if any(precisions(r) not in ([], precisions(one)) for r in alike):
+            parts += precisions(one)
+            alike = [r for r in alike if precisions(r) in ([], precisions(one))]
         parts += _limited(_changed(_settings(one), [_settings(rival) for rival in alike]))
         if "version" in telling and not one.version:
             parts.append("never built")
@@ -309,6 +312,11 @@ def _setting(name: str, value: Any) -> str:
 
 def _chosen(key: GroupKey, given: Collection[str]) -> dict[str, Any]:
     return {name: value for name, value in json.loads(key.options).items() if name in given}
+
+
+def precisions(key: GroupKey) -> list[str]:
+    """Of the states; empty where the run ended before they were known."""
+    return sorted({dtype for dtype, *_ in json.loads(key.layout or "{}").values()})
 
 
 def _settings(key: GroupKey) -> dict[str, Any]:

@@ -20,7 +20,7 @@ from evaluator.run_data import RunData
 from evaluator.sampled import no_positions
 
 _MM_PER_M = 1000.0
-_LEVELS = "0 bit-identical, 1 equal up to order, 2 within k ULP, 3 within tolerance, 4 different"
+_LEVELS = "0 bit-identical, 1 equal up to order of envs or bodies, 2 within k ULP, 3 within tolerance, 4 different"
 
 
 def distinct(runs: Runs) -> tuple[Metric, Metric]:
@@ -234,6 +234,7 @@ def _level(name: str, found: Verdict, n: int, extra: dict[str, Any]) -> Metric:
         extra={
             "text": found.text,
             "note": found.note,
+            "order": found.order,
             "max_ulp": found.max_ulp,
             "tolerance_m": found.tolerance,
             "worst_ulp": found.worst_ulp,

@@ -14,6 +14,8 @@ from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 
 DESCRIPTOR_SET = "gsb_v1.binpb"
 
+_LARGEST_SCHEMA = 1 << 20  # bytes of a stranger's schema that are looked at
+
 
 @cache
 def _files() -> descriptor_pb2.FileDescriptorSet:
@@ -54,3 +56,34 @@ def embedded_schema(name: str) -> bytes:
         if any(f"{file.package}.{m.name}" == name for m in file.message_type):
             return bytes(descriptor_pb2.FileDescriptorSet(file=[file]).SerializeToString())
     raise KeyError(name)
+
+
+def widened_schema(name: str, stored: bytes) -> bytes:
+    """The schema of a copy of a file: today's where it has every field of the one that the file stores, else that one.
+
+    Messages that are written anew may use fields that are younger than the file, and a schema describes every byte.
+    """
+    if len(stored) > _LARGEST_SCHEMA:
+        return stored
+    ours = embedded_schema(name)
+    try:
+        theirs = descriptor_pb2.FileDescriptorSet.FromString(stored)
+    except Exception:  # protobuf's DecodeError differs between its backends
+        return stored
+    return ours if _members(theirs) <= _members(descriptor_pb2.FileDescriptorSet.FromString(ours)) else stored
+
+
+def _members(found: descriptor_pb2.FileDescriptorSet) -> set[tuple[Any, ...]]:
+    fields = {
+        (file.package, message.name, f.name, f.number, f.type, f.label, f.type_name)
+        for file in found.file
+        for message in file.message_type
+        for f in message.field
+    }
+    values = {
+        (file.package, enum.name, value.name, value.number)
+        for file in found.file
+        for enum in file.enum_type
+        for value in enum.value
+    }
+    return fields | values

@@ -20,7 +20,11 @@ _GATES = "throughput,memory,physics,validity,determinism"
 
 _EPILOG = f"""\
 What was asked for the same on both sides is compared: scene, environments, step, simulator, options, machine. Versions,
-packages and what follows from them may differ. Record the two in turn (A B B A ...), at least six runs each.
+packages and what follows from them may differ. Record the two in turn (A B B A ...), at least six runs each: by default
+three of each decide nothing of throughput and memory, and end with 5.
+
+A ratio is judged by its 95 % interval. Wholly beyond --threshold, to the worse, it fails (where its p, adjusted for all
+comparisons, is at most --alpha). Wholly on the other side of the threshold it passes. Else the gate is undecided.
 
 axes, and what fails their gate:
   throughput   head is slower; that it is faster never fails
@@ -32,12 +36,13 @@ axes, and what fails their gate:
   build        building or compiling takes longer (not a gate by default)
 
 exit codes:
-  0  no gate failed
+  0  every gate passed
   1  the results cannot be written
   2  the command asks for something that cannot be
   3  a file is damaged, cut short or no recording, or a recording lost data; no gate failed in the rest
   4  a gate failed, whatever else is true of other files
-  5  nothing could be compared, or by too few runs to show anything
+  5  no gate failed and one could not be decided: too few runs, an interval that holds the threshold, a thing that one
+     side has and the other not; or nothing could be compared. What neither side has (GPU memory on a CPU) is left out
 
 examples:
   gsb-compare base/ head/
@@ -63,7 +68,7 @@ def parser() -> argparse.ArgumentParser:
         "--across", action="append", default=[], metavar="KEY",
         help="an option that may differ, or simulator, determinism, warmup, timed_steps; repeatable",
     )  # fmt: skip
-    p.add_argument("--gate", default=_GATES, metavar="LIST", help="axes that decide (default: %(default)s)")
+    p.add_argument("--gate", default=_GATES, metavar="LIST", help="axes that have to pass (default: %(default)s)")
     p.add_argument(
         "--alpha", type=float, default=0.05, help="chance of any false alarm in an invocation (default: %(default)s)"
     )
@@ -79,7 +84,9 @@ def parser() -> argparse.ArgumentParser:
         help="smallest change of where cubes end that counts (default: %(default)s)",
     )  # fmt: skip
     p.add_argument(
-        "--expect-same", action="store_true", help="base and head are one thing: any difference on any axis fails"
+        "--expect-same",
+        action="store_true",
+        help="base and head are one thing: any difference on any axis fails; axes of --gate have to be decided",
     )
     p.add_argument("--sample-time", type=float, default=5.0, metavar="S", help="simulated time (default: 5.0)")
     p.add_argument(

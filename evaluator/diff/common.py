@@ -53,6 +53,11 @@ class CommonField:
         """Whether it tells where bodies are [m]."""
         return self.a.field == "position" and self.a.unit == "m" and {"x", "y"} <= set(self.components)
 
+    @property
+    def is_rotation(self) -> bool:
+        """Whether it is of unit quaternions, of which q and -q are one rotation."""
+        return self.a.unit == "unit quaternion" and len(self.components) == len(self.a.components) == 4
+
 
 def common_fields(a: Selection, b: Selection) -> tuple[tuple[CommonField, ...], list[str]]:
     """Fields that both sides have, and in sentences what is left out."""

@@ -7,6 +7,7 @@ from evaluator.diff.common import common_fields, step_ratio
 from evaluator.diff.first import first_divergence, first_of_timed
 from evaluator.diff.hashes import CommonHashes, common_hashes, timed_hashes
 from evaluator.diff.numbers import pairing
+from evaluator.diff.order import BodyOrder
 from evaluator.diff.result import Basis, Compared, Difference, Splits
 from evaluator.diff.selection import Selection, one
 from evaluator.diff.settings import differing_settings
@@ -69,6 +70,11 @@ def _compare(a: Selection, b: Selection) -> Difference:
     if first is None and timed_agreement is not None:
         first = first_of_timed(a, b, ratio, timed_agreement)
     bitwise = all(field.basis is Basis.BITS for field in fields)
+    same_envs = _same_up_to_order(a, b, classes, timed_classes)
+    bodies = None
+    if first is not None and not same_envs and not no_classes and len(states):
+        bodies = BodyOrder(states, a, b)
+        bodies.look()
     one_recording = a.recording is b.recording
     return Difference(
         a=a.side(),
@@ -87,7 +93,9 @@ def _compare(a: Selection, b: Selection) -> Difference:
         ),
         bitwise=bitwise,
         bit_identical=bitwise and first is None,
-        same_up_to_env_order=_same_up_to_order(a, b, classes, timed_classes),
+        same_up_to_env_order=same_envs,
+        same_up_to_body_order=_body_order(bodies),
+        bodies_of_other_envs=bodies is not None and bodies.any_env and not bodies.in_env,
         first=first,
         max_ulp=max((f.max_ulp for f in walked.fields if f.max_ulp is not None), default=None),
         growth=walked.growth,
@@ -97,6 +105,10 @@ def _compare(a: Selection, b: Selection) -> Difference:
         copies=not one_recording and a.recording.provenance.run_id == b.recording.provenance.run_id,
         notes=(*remarks.notes(a, b, fields, hashes), *remarks.timed(timed_agreement)),
     )
+
+
+def _body_order(bodies: BodyOrder | None) -> bool | None:
+    return None if bodies is None else bodies.in_env or bodies.any_env
 
 
 def _splits(agreement: Agreement, classes: Classes | None, no_classes: str, *, by_hashes: bool) -> Splits:

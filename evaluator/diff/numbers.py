@@ -36,11 +36,24 @@ class Pairing:
         return np.asarray(np.where(np.isfinite(apart), beyond, ~special))
 
     def apart(self, a: NDArray[Any], b: NDArray[Any]) -> NDArray[np.float64]:
-        """a - b in float64 [unit of the field], without the environments' origins; not finite where either is not."""
+        """a - b in float64 [unit of the field], without the environments' origins; not finite where either is not.
+
+        q and -q are one rotation: of two quaternions, b is taken with the sign with which it is nearer to a.
+        """
         with np.errstate(invalid="ignore", over="ignore"):
+            if self.field.is_rotation:
+                of_a, of_b = a.astype(np.float64), b.astype(np.float64)
+                away = (of_a * of_b).sum(axis=-1, keepdims=True) < 0
+                return np.asarray(np.where(away, of_a + of_b, of_a - of_b))
             if self.field.basis is Basis.LOCAL:
                 return np.asarray((a.astype(np.float64) - self.origin_a) - (b.astype(np.float64) - self.origin_b))
             return np.asarray(a.astype(np.float64) - b.astype(np.float64))
+
+    def negated(self, a: NDArray[Any], b: NDArray[Any]) -> NDArray[np.bool_]:
+        """Which bodies have b = -a, number by number, in a field of rotations: shape [step, env, item, 1]."""
+        if not self.field.is_rotation:
+            return np.zeros((1, 1, 1, 1), dtype=np.bool_)
+        return np.asarray((a == -b).all(axis=-1, keepdims=True) & (a != 0).any(axis=-1, keepdims=True))
 
     def resolution(self, a: NDArray[Any], b: NDArray[Any]) -> NDArray[np.float64]:
         """Spacing of numbers of the coarser dtype at the recorded magnitude [unit of the field]."""
@@ -68,7 +81,7 @@ class Tally:
 
     def __init__(self, how: Pairing) -> None:
         self._how = how
-        self._numbers = self._different = self._zeros = self._payloads = self._not_finite = 0
+        self._numbers = self._different = self._zeros = self._payloads = self._not_finite = self._negated = 0
         self._finite = False
         self._first_step: int | None = None
         self._first_ulp: int | None = None
@@ -85,6 +98,7 @@ class Tally:
         if not rows.size:
             return
         self._different += int(np.count_nonzero(mask))
+        self._negated += int(np.count_nonzero(mask & self._how.negated(a, b)))
         apart = np.abs(self._how.apart(a, b)[mask])
         finite = apart[np.isfinite(apart)]
         self._not_finite += apart.size - finite.size
@@ -110,7 +124,7 @@ class Tally:
         return FieldDifference(
             field.name, field.a.unit, field.basis, self._numbers, self._different, self._zeros, self._payloads,
             self._not_finite, self._first_step, self._first_ulp, self._max_ulp,
-            nothing if self._max_distance is None else self._max_distance,
+            nothing if self._max_distance is None else self._max_distance, self._negated,
         )  # fmt: skip
 
 
@@ -127,6 +141,7 @@ def number(how: Pairing, a: NDArray[Any], b: NDArray[Any], at: tuple[int, ...]) 
         field.name, field.items[at[-2]], field.components[at[-1]], field.a.unit, field.basis,
         str(one), str(other), _hex(one), _hex(other), ulp,
         abs(apart) if np.isfinite(apart) else None, limit if limit is None or np.isfinite(limit) else None,
+        bool(np.broadcast_to(how.negated(a, b), np.broadcast_shapes(a.shape, b.shape))[at]),
     )  # fmt: skip
 
 

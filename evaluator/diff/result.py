@@ -82,7 +82,9 @@ class FieldDifference:
                       nothing differs
     max_ulp           the same over all steps, zero where nothing differs; None where the basis is LOCAL, and without a
                       common state
-    max_distance      largest |a - b| [unit] where both are finite; None where that is nowhere
+    max_distance      largest |a - b| [unit] where both are finite; None where that is nowhere. Of quaternions, b is
+                      taken with the sign with which it is nearer to a, since q and -q are one rotation
+    other_sign        of those that differ, numbers of quaternions with b = -a: the same rotation
     """
 
     field: str
@@ -97,6 +99,7 @@ class FieldDifference:
     first_ulp: int | None
     max_ulp: int | None
     max_distance: float | None
+    other_sign: int
 
 
 @dataclass(frozen=True)
@@ -145,6 +148,7 @@ class Number:
     ulp                     distance in units in the last place; None where the basis is LOCAL
     distance                |a - b| [unit], without the environments' origins; None where one is not finite
     resolution              what `distance` had to exceed [unit]; None where the basis is BITS
+    other_sign              the two are of quaternions with b = -a: the same rotation
     """
 
     field: str
@@ -159,6 +163,7 @@ class Number:
     ulp: int | None
     distance: float | None
     resolution: float | None
+    other_sign: bool
 
 
 @dataclass(frozen=True)
@@ -305,6 +310,10 @@ class Difference:
                            could not be compared
     same_up_to_env_order   the environments of b have the trajectories of those of a, in any order; None where that
                            cannot be told
+    same_up_to_body_order  at every common recorded state, the bodies of b have the numbers of those of a, in one other
+                           order, within each environment or in other environments; None where that was not looked for:
+                           nothing differs, environments alone are in another order, or bits cannot be compared
+    bodies_of_other_envs   that order is of bodies and of environments
     first                  where they part; None where they do not
     max_ulp                largest of any field that can be compared in units in the last place, at any common recorded
                            step; None where there is none. Other fields, and `unseen_steps`, may be further apart
@@ -322,6 +331,8 @@ class Difference:
     bitwise: bool
     bit_identical: bool
     same_up_to_env_order: bool | None
+    same_up_to_body_order: bool | None
+    bodies_of_other_envs: bool
     first: Divergence | None
     max_ulp: int | None
     growth: Growth | None
@@ -337,6 +348,13 @@ class Difference:
         if self.first is not None:
             return Verdict.DIFFERENT
         return Verdict.IDENTICAL if self.bit_identical else Verdict.WITHIN_RESOLUTION
+
+    @property
+    def same_rotations(self) -> bool:
+        """Whether all that differs, as far as states tell, is the sign of quaternions: every rotation is the same."""
+        fields = self.compared.fields
+        known = self.first is not None and self.first.phase == "capture" and not self.compared.unseen_steps
+        return known and any(f.different for f in fields) and all(f.different == f.other_sign for f in fields)
 
     @property
     def lost(self) -> tuple[str, ...]:

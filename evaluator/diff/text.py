@@ -58,7 +58,12 @@ def _verdict(found: Difference) -> str:
     step = f"step {found.first.step_a} ({found.first.time:g} s){_of_timed(found, found.first)}"
     where = f"from {step} on" if _stays(found, found.first) else f"first at {step}"
     if found.same_up_to_env_order:
-        return f"DIFFERENT {where}: the same trajectories, but of other environments"
+        return f"DIFFERENT {where}: equal up to the order of environments"
+    if found.same_up_to_body_order:
+        of = "environments and bodies" if found.bodies_of_other_envs else "bodies"
+        return f"DIFFERENT {where}: equal up to the order of {of}, at all recorded states"
+    if found.same_rotations:
+        return f"DIFFERENT {where}: the same rotations, of the other sign"
     return f"DIFFERENT {where}"
 
 
@@ -143,6 +148,7 @@ def _number(number: Number) -> str:
     unit = "" if number.unit == "unit quaternion" else f" {number.unit}"
     apart = [
         f"{words.ulps(number.ulp)} ULP" if number.ulp is not None else "",
+        "same rotation, other sign" if number.other_sign else "",
         f"{words.amount(number.distance, number.unit)} apart" if number.distance is not None else "",
         f"resolution {words.amount(number.resolution, number.unit)}" if number.resolution is not None else "",
     ]
@@ -170,6 +176,7 @@ def _print_fields(console: Console, found: Difference) -> None:
         for count, what in (
             (field.signed_zeros, "0.0 against -0.0"),
             (field.nan_payloads, "NaN of another payload"),
+            (field.other_sign, "of quaternions of the same rotation, other sign"),
             (field.not_finite, "not finite on a side, and in no distance"),
         ):
             if count:

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from evaluator.metrics.divergence import as_words
-from evaluator.metrics.identity import bitwise_classes, count_distinct
+from evaluator.metrics.identity import count_distinct
 
 MAX_ULP = 8.0
 """A position that a step recomputes in another order of its sums is off by an ULP or a few: each addition rounds by
@@ -63,6 +63,8 @@ class Verdict:
     n_sample    samples
     n_distinct  of other bits; None where bits cannot be compared
     note        what a reader must see beside the level; may be empty
+    order       what is in another order where the level is EQUAL_UP_TO_ORDER: "bodies", "environments" or
+                "environments and bodies"; empty elsewhere
     """
 
     level: Level
@@ -74,13 +76,14 @@ class Verdict:
     n_sample: int
     n_distinct: int | None
     note: str
+    order: str = ""
 
     @property
     def text(self) -> str:
         """The level in words, with its limit."""
         return {
             Level.BIT_IDENTICAL: "bit-identical",
-            Level.EQUAL_UP_TO_ORDER: "equal up to order",
+            Level.EQUAL_UP_TO_ORDER: f"equal up to the order of {self.order}",
             Level.WITHIN_ULP: f"within {self.max_ulp:g} ULP",
             Level.WITHIN_TOLERANCE: f"within {self.tolerance * 1000:.3g} mm",
             Level.DIFFERENT: "different",
@@ -102,9 +105,10 @@ def verdict(
     a coordinate near zero has ULPs of no meaning: it comes of terms that are as large as the others.
 
     Bit-identity is claimed for what the hashes cover, every step and field. Where they differ, equal positions at the
-    sample step are a coincidence, and the samples different. EQUAL_UP_TO_ORDER: in each env the same bodies'
-    positions, bit by bit, in another order. Envs at different origins are compared without them, in float64: their bits
-    mean nothing, and the spacing of the recorded numbers is the finest tolerance there is.
+    sample step are a coincidence, and the samples different. EQUAL_UP_TO_ORDER: in each env the positions of the same
+    bodies, bit by bit, in another order; or the same envs in other places, with their bodies in order or not. Envs at
+    different origins are compared without them, in float64: their bits mean nothing, and the spacing of the recorded
+    numbers is the finest tolerance there is.
 
     Args:
         samples: positions as recorded [m], float32 or float64, shape [sample, env, item, width]; envs of one run are
@@ -126,19 +130,20 @@ def verdict(
         raise ValueError("the state hashes are equal, but the positions at the sample step are not")
     note = "" if hashes_agree is not None else "at the sample step alone: there are no state hashes"
     worst, worst_ulp = _worst(samples.astype(np.float64), samples)
+    order = _other_order(samples) if n_distinct > 1 else ""
     if n_distinct == 1:
         level = Level.BIT_IDENTICAL
         if hashes_agree is False:
             level = Level.DIFFERENT
             note = "the positions are equal at the sample step, and states differ at other steps or in other fields"
-    elif _equal_up_to_order(samples):
+    elif order:
         level = Level.EQUAL_UP_TO_ORDER
         note = _joined(note, "at the sample step")
     elif worst_ulp is None:
         level, note = Level.DIFFERENT, _joined(note, "some positions are not finite")
     else:
         level = _by_size(_difference(worst), worst_ulp, max_ulp, tolerance)
-    return Verdict(level, max_ulp, tolerance, worst, worst_ulp, None, len(samples), n_distinct, note)
+    return Verdict(level, max_ulp, tolerance, worst, worst_ulp, None, len(samples), n_distinct, note, order)
 
 
 def _beside_origins(
@@ -194,10 +199,21 @@ def _worst(local: npt.NDArray[np.float64], recorded: npt.NDArray[np.floating]) -
     return worst, float(ulps.max())
 
 
-def _equal_up_to_order(samples: npt.NDArray[np.floating]) -> bool:
+def _other_order(samples: npt.NDArray[np.floating]) -> str:
+    """What is in another order in samples that differ; empty where they are not equal up to any."""
     words = as_words(samples)
-    order = np.lexsort(np.moveaxis(words, -1, 0), axis=-1)
-    return int(bitwise_classes(np.take_along_axis(words, order[..., np.newaxis], axis=-2)).max()) == 0
+    if _one_set_of_envs(words):
+        return "environments"
+    bodies = np.take_along_axis(words, np.lexsort(np.moveaxis(words, -1, 0), axis=-1)[..., np.newaxis], axis=-2)
+    if count_distinct(bodies) == 1:
+        return "bodies"
+    return "environments and bodies" if _one_set_of_envs(bodies) else ""
+
+
+def _one_set_of_envs(samples: npt.NDArray[np.unsignedinteger]) -> bool:
+    """Whether all samples have the same envs, bit by bit, each as often; what differs is found at the second."""
+    first = sorted(env.tobytes() for env in samples[0])
+    return all(sorted(env.tobytes() for env in sample) == first for sample in samples[1:])
 
 
 def _joined(first: str, second: str) -> str:

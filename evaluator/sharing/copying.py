@@ -15,6 +15,7 @@ from mcap.records import Attachment, Channel, Metadata, Schema
 from schemas import FORMAT, __version__, topics
 from schemas.errors import DamagedRecording
 from schemas.mcap_writer import McapWriter
+from schemas.messages import widened_schema
 from schemas.records import Record
 from schemas.writing import Target
 
@@ -24,6 +25,7 @@ Change = Callable[[memoryview], bytes]
 """A StateBlock to what is written in its place."""
 
 _MESSAGE_HEAD = struct.Struct("<HIQQ")
+_STATE = "gsb.v1.StateBlock"
 _TYPES = {"schema": Schema, "channel": Channel, "attachment": Attachment, "metadata": Metadata}
 
 
@@ -33,7 +35,8 @@ class Copier:
     target       the new file
     source       the recording's path, for messages of errors
     compression  of the new file's chunks
-    change       what becomes of blocks of states; everything else is copied byte for byte
+    change       what becomes of blocks of states; everything else is copied byte for byte, but the schema of these
+                 blocks, which may be older than what is written into them
     """
 
     def __init__(self, target: Target, source: Path, *, compression: str, change: Change | None = None) -> None:
@@ -71,7 +74,7 @@ class Copier:
     def _other(self, record: Any) -> None:
         match record:
             case Schema() if record.id not in self._schemas:
-                self._schemas[record.id] = self._writer.schema(record.name, record.encoding, record.data)
+                self._schemas[record.id] = self._writer.schema(record.name, record.encoding, _described(record))
             case Channel() if record.id not in self._channels:
                 number = self._writer.channel(
                     record.topic, self._schemas[record.schema_id], record.metadata, encoding=record.message_encoding
@@ -84,3 +87,9 @@ class Copier:
                 )  # fmt: skip
             case Metadata():
                 self._writer.metadata(record.name, record.metadata)
+
+
+def _described(record: Schema) -> bytes:
+    # also where blocks are copied as they are: a file may have been packed before this rule
+    ours = record.name == _STATE and record.encoding == "protobuf"
+    return widened_schema(_STATE, record.data) if ours else record.data

@@ -86,31 +86,35 @@ class Result:
 
     @property
     def comparable(self) -> bool:
-        """Whether anything was decided on an axis that counts, beyond how runs ended."""
-        return any(
-            f.decided and counts(f.axis, self.settings)
-            for f in self.findings
-            if f.name != "complete_runs" or f.change in FAILING
+        """Whether every configuration, and at least one, was compared on an axis that counts, beyond how runs ended."""
+        return bool(self.compared) and all(
+            any(
+                f.change is not Change.NOT_COMPARED and counts(f.axis, self.settings)
+                for f in one.findings
+                if f.name != "complete_runs" or f.change in FAILING
+            )
+            for one in self.compared
         )
 
     @property
+    def open(self) -> list[Finding]:
+        """Those on an axis with a gate that neither fail nor pass."""
+        return [finding for finding in self.findings if finding.undecided(self.settings)]
+
+    @property
     def undecided(self) -> list[Axis]:
-        """Axes that count, of which there is a configuration where nothing was decided."""
-        found = []
-        for axis in (axis for axis in Axis if counts(axis, self.settings)):
-            each = [[f.decided for f in one.findings if f.axis is axis] for one in self.compared]
-            if any(not any(decided) for decided in each):
-                found.append(axis)
-        return found
+        """Axes with a gate on which some configuration is neither failed nor passed."""
+        found = {finding.axis for finding in self.open}
+        return [axis for axis in Axis if axis in found]
 
     @property
     def exit_code(self) -> ExitCode:
-        """4 before 3, since what whole files show stands whatever others are; 3 before 5 and 0."""
+        """4 before 3, since what whole files show stands whatever others are; 3 before 5, 5 before 0."""
         if self.failing:
             return ExitCode.GATE_FAILED
         if self.unreadable or self.lost:
             return ExitCode.DATA_LOST
-        return ExitCode.OK if self.comparable else ExitCode.NOTHING_COMPARABLE
+        return ExitCode.OK if self.comparable and not self.open else ExitCode.NOTHING_COMPARABLE
 
 
 def counts(axis: Axis, settings: Settings) -> bool:
@@ -207,14 +211,14 @@ def _answered(drafts: Sequence[Sequence[Finding | _Asked]], settings: Settings) 
         family = [a for a in asked if counts(a.axis, settings) is counted]
         able = able_to_reject([a.question.least_p for a in family], settings.alpha)
         level = settings.alpha / max(sum(able), 1)
-        found = [a.question(level) for a in family]
+        found = [a.question(level, able=can) for a, can in zip(family, able, strict=True)]
         adjusted = iter(
-            holm([1.0 if f.p_value is None else f.p_value for f, can in zip(found, able, strict=True) if can])
+            holm([1.0 if f.p_value is None else f.p_value for (f, _), can in zip(found, able, strict=True) if can])
         )
-        for one, finding, can in zip(family, found, able, strict=True):
+        for one, (shown, not_shown), can in zip(family, found, able, strict=True):
             p = next(adjusted) if can else None
-            change = finding.change if p is not None and p <= settings.alpha else Change.UNCLEAR
-            verdicts[id(one)] = replace(finding, p_adjusted=p, change=change)
+            significant = p is not None and p <= settings.alpha
+            verdicts[id(one)] = replace(shown if significant else not_shown, p_adjusted=p)
         tests += sum(able) if counted else 0
     return [[verdicts[id(i)] if isinstance(i, _Asked) else i for i in draft] for draft in drafts], tests
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from evaluator.statistics.families import fisher, least_fisher
-from evaluator.versus.finding import Finding
+from evaluator.versus.finding import Change, Finding
 
 
 @dataclass(frozen=True)
@@ -27,11 +27,14 @@ class Counted:
         """See Question."""
         return least_fisher(self.base[0] + self.head[0], self.base[1], self.head[1])
 
-    def __call__(self, level: float) -> Finding:
-        """See Question."""
-        return replace(
+    def __call__(self, level: float, *, able: bool) -> tuple[Finding, Finding]:
+        """See Question; the more uneven the runs fell, the smaller p, so that only the way they fell is left open."""
+        found = replace(
             self.finding,
             p_value=fisher(self.base, self.head),
             least_p=self.least_p,
             test=f"Fisher's exact test of runs {self.of}",
         )
+        even = self.base[0] * self.head[1] == self.head[0] * self.base[1]
+        left = () if able or even else (found.change,)
+        return found, replace(found, change=Change.UNCLEAR, left_open=left)

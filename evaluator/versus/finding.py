@@ -44,7 +44,9 @@ class Change(Enum):
     IMPROVEMENT    better
     CHANGED        another, of which neither is better
     SMALL          another, by less than matters
+    NEAR           another; whether by as much as matters, so many runs do not tell
     SAME           the same, for certain
+    WITHIN         not shown to be another, and shown not to be by as much as matters
     UNCLEAR        not to be told apart by so many runs
     NOT_COMPARED   there is a reason why not
     """
@@ -53,7 +55,9 @@ class Change(Enum):
     IMPROVEMENT = "improvement"
     CHANGED = "changed"
     SMALL = "below threshold"
+    NEAR = "near threshold"
     SAME = "same"
+    WITHIN = "within threshold"
     UNCLEAR = "not distinguishable"
     NOT_COMPARED = "not compared"
 
@@ -61,7 +65,7 @@ class Change(Enum):
 FAILING = frozenset({Change.REGRESSION, Change.CHANGED})
 """What fails a gate."""
 
-DIFFERENT = FAILING | {Change.IMPROVEMENT, Change.SMALL}
+DIFFERENT = FAILING | {Change.IMPROVEMENT, Change.SMALL, Change.NEAR}
 """What fails where both sets are said to be of one thing."""
 
 
@@ -78,6 +82,7 @@ class Finding:
     said        base and head in words; empty where the numbers say it
     ratio       head / base; None where there is none
     ci95        of the ratio, of this comparison alone; None where there is none
+    bounded     whether the verdict is by an interval: of the ratio, or of the amount where one is zero
     p_value     of this comparison alone; None where the verdict is no statistic
     p_adjusted  for all comparisons of the invocation (Holm); verdicts are by this one; None where so few runs could
                 show nothing, whatever they had been
@@ -87,6 +92,8 @@ class Finding:
     test        how it was tested; empty where nothing was
     note        what a reader must see beside it
     why_not     why it is not compared
+    applies     whether either side has such a thing; where neither has, there is nothing to decide
+    left_open   changes as large as matters that these runs do not exclude; empty where the verdict stands
     """
 
     axis: Axis
@@ -100,6 +107,7 @@ class Finding:
     said: tuple[str, str] = ("", "")
     ratio: float | None = None
     ci95: tuple[float, float] | None = None
+    bounded: bool = False
     p_value: float | None = None
     p_adjusted: float | None = None
     least_p: float | None = None
@@ -108,18 +116,26 @@ class Finding:
     test: str = ""
     note: str = ""
     why_not: str = ""
-
-    @property
-    def decided(self) -> bool:
-        """Whether it was compared, and by enough runs to show anything."""
-        few = self.change is Change.UNCLEAR and self.p_adjusted is None
-        return self.change is not Change.NOT_COMPARED and not few
+    applies: bool = True
+    left_open: tuple[Change, ...] = ()
 
     def fails(self, settings: Settings) -> bool:
         """Whether it fails a gate."""
         if settings.expect_same:
             return self.change in DIFFERENT
         return self.axis in settings.gates and self.change in FAILING
+
+    def undecided(self, settings: Settings) -> str:
+        """Why its gate is neither failed nor passed; empty where it is decided, or where there is no gate."""
+        if self.axis not in settings.gates or not self.applies or self.fails(settings):
+            return ""
+        if self.change is Change.NOT_COMPARED:
+            return self.why_not
+        if not (set(self.left_open) & (DIFFERENT if settings.expect_same else FAILING)):
+            return ""
+        if self.bounded:
+            return f"the interval holds a change of {settings.threshold * 100:.3g} % and more"
+        return "too few runs"
 
 
 class Question(Protocol):
@@ -130,10 +146,11 @@ class Question(Protocol):
         """The smallest p-value that it can give, whatever the runs had been: known before it is made."""
         ...
 
-    def __call__(self, level: float) -> Finding:
-        """The finding with its p-value, and as its change what a difference would be.
+    def __call__(self, level: float, *, able: bool) -> tuple[Finding, Finding]:
+        """Two findings with its p-value: what is found where that is significant, and what where it is not.
 
         level  that one comparison of all has to reach
+        able   whether the test can reach it, whatever the runs had been
         """
         ...
 
@@ -161,6 +178,6 @@ class Settings:
         return low <= 0 < high or (low > 0 and math.log(high / low) > math.log1p(self.threshold) * (1 + 1e-12))
 
 
-def not_compared(axis: Axis, name: str, title: str, why: str) -> Finding:
-    """A finding without a verdict, and the reason."""
-    return Finding(axis, name, title, Change.NOT_COMPARED, why_not=why)
+def not_compared(axis: Axis, name: str, title: str, why: str, *, applies: bool = True) -> Finding:
+    """A finding without a verdict, and the reason; `applies` is false where neither side has anything to compare."""
+    return Finding(axis, name, title, Change.NOT_COMPARED, why_not=why, applies=applies)

@@ -88,4 +88,5 @@ def _finding(finding: Finding, result: Result) -> dict[str, Any]:
         "n": dict(zip(("base", "head"), finding.n, strict=True)),
         "gated": counts(finding.axis, result.settings),
         "fails": finding.fails(result.settings),
+        "undecided": finding.undecided(result.settings),
     }

@@ -12,9 +12,16 @@ from evaluator.versus.finding import Axis, Change, Finding
 
 
 def junit(result: Result) -> str:
-    """The document. A gate that failed is a failure; an axis that was not compared, or does not decide, is skipped."""
+    """The document.
+
+    A gate that failed is a failure. A gate that is neither failed nor passed is an error: readers of JUnit let a suite
+    pass that has skipped test cases. Two sets of which nothing could be compared are an error. An axis that applies to
+    neither side, or has no gate, is skipped.
+    """
     suites = ET.Element("testsuites", name="gsb-compare")
     totals = [_suite(suites, compared, result) for compared in result.compared]
+    if not result.compared:
+        totals.append(_nothing(suites, result))
     if result.unreadable:
         totals.append(_unreadable(suites, result))
     for name, numbers in zip(("tests", "failures", "errors", "skipped"), zip(*totals, strict=True), strict=False):
@@ -28,7 +35,7 @@ def junit(result: Result) -> str:
 def _suite(suites: ET.Element, compared: Compared, result: Result) -> tuple[int, int, int, int]:
     heading = _text(words.heading(compared))
     suite = ET.SubElement(suites, "testsuite", name=heading)
-    cases = failures = skipped = 0
+    cases = failures = errors = skipped = 0
     for axis in Axis:
         found = [finding for finding in compared.findings if finding.axis is axis]
         if not found:
@@ -41,15 +48,26 @@ def _suite(suites: ET.Element, compared: Compared, result: Result) -> tuple[int,
             failures += 1
             message = "; ".join(f"{finding.title}: {words.verdict(finding, result)}" for finding in failing)
             _say(case, "failure", message, _lines(failing, result))
+        elif undecided := [finding for finding in found if finding.undecided(result.settings)]:
+            errors += 1
+            reasons = [f"{finding.title}: {finding.undecided(result.settings)}" for finding in undecided]
+            _say(case, "error", f"undecided: {'; '.join(reasons)}", _lines(undecided, result))
         elif not told or not counts(axis, result.settings):
             skipped += 1
             why = "; ".join(dict.fromkeys(f.why_not for f in found if f.why_not)) if not told else "not a gate"
             _say(case, "skipped", why, [])
         ET.SubElement(case, "system-out").text = _lined([*_lines(told, result), *compared.warnings])
-    counted = (cases, failures, 0, skipped)
+    counted = (cases, failures, errors, skipped)
     for name, number in zip(("tests", "failures", "errors", "skipped"), counted, strict=True):
         suite.set(name, str(number))
     return counted
+
+
+def _nothing(suites: ET.Element, result: Result) -> tuple[int, int, int, int]:
+    suite = ET.SubElement(suites, "testsuite", name="sets", tests="1", failures="0", errors="1", skipped="0")
+    case = ET.SubElement(suite, "testcase", name="compared", classname="sets")
+    _say(case, "error", words.headline(result), [f"{label} of {side}: {why}" for side, label, why in result.alone])
+    return 1, 0, 1, 0
 
 
 def _unreadable(suites: ET.Element, result: Result) -> tuple[int, int, int, int]:

@@ -20,12 +20,12 @@ _ISSUE = re.compile(r"(?i)(?<=\bGH-)(?=\d)")
 
 _PLAIN = ".,-()/;%'\"?"  # punctuation that is no structure where it cannot begin a line
 
-_HELD, _FAILED = ":white_check_mark:", ":x:"
+_HELD, _FAILED, _OPEN = ":white_check_mark:", ":x:", ":grey_question:"
 
 
 def markdown(result: Result, command: str) -> str:
     """The document: a line with the verdict, a table of what differs, and all findings folded away."""
-    mark = _FAILED if result.failing else _HELD if result.comparable else ":grey_question:"
+    mark = _FAILED if result.failing else _HELD if result.comparable and not result.open else _OPEN
     parts = [f"{mark} **gsb-compare: {safe(words.headline(result))}**", ""]
     parts += _differing(result)
     for side, unreadable in result.unreadable:
@@ -70,9 +70,10 @@ def _differing(result: Result) -> list[str]:
         (compared, finding)
         for compared in result.compared
         for finding in compared.findings
-        if finding.change not in (Change.SAME, Change.UNCLEAR, Change.NOT_COMPARED)
+        if finding.change not in (Change.SAME, Change.WITHIN, Change.UNCLEAR, Change.NOT_COMPARED)
+        or finding.undecided(result.settings)
     ]
-    rows.sort(key=lambda row: not row[1].fails(result.settings))
+    rows.sort(key=lambda row: (not row[1].fails(result.settings), not row[1].undecided(result.settings)))
     if not rows:
         return []
     lines = [_row("configuration", *words.TITLES), _rule(1 + len(words.TITLES))]
@@ -106,14 +107,16 @@ def _all_folded(result: Result) -> list[str]:
 
 def _folded(compared: Compared, result: Result) -> list[str]:
     failing = sum(finding.fails(result.settings) for finding in compared.findings)
-    mark = f"{_FAILED} {failing}" if failing else _HELD
+    undecided = words.undecided(compared, result)
+    mark = f"{_FAILED} {failing}" if failing else _OPEN if undecided else _HELD
     lines = [f"<details><summary>{mark} {code(words.heading(compared))}</summary>", "", safe(words.runs(compared)), ""]
     if compared.pair.differs:
         lines += [f"differs: {', '.join(map(code, compared.pair.differs))}", ""]
     lines += [_row(*words.TITLES), _rule(len(words.TITLES))]
     told = [finding for finding in compared.findings if finding.change is not Change.NOT_COMPARED]
     lines += [_row(*(safe(cell) for cell in words.cells(finding, result))) for finding in told]
-    lines += ["", *(f"- :warning: {safe(warning)}" for warning in compared.warnings)]
+    lines += ["", *(f"- {_OPEN} undecided: {safe(line)}" for line in undecided)]
+    lines += [f"- :warning: {safe(warning)}" for warning in compared.warnings]
     lines += [f"- {safe(line)}" for line in (*words.tests(compared), *words.remarks(compared))]
     return [*lines, "", "</details>"]
 

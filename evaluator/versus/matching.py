@@ -7,7 +7,7 @@ from collections.abc import Callable, Collection, Hashable, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
-from evaluator.groups import Group, GroupKey, asked, labels, options_given
+from evaluator.groups import Group, GroupKey, asked, labels, options_given, precisions
 from evaluator.summary import Summary
 from schemas.errors import UsageError
 
@@ -137,6 +137,8 @@ def _differences(base: Group[Summary], head: Group[Summary]) -> tuple[str, ...]:
             continue  # of a run that was never built, nothing is known but what was asked
         if field.name in ("options", "switches", "conditions"):
             found += _entries(json.loads(one or "{}"), json.loads(other or "{}"))
+        elif field.name == "layout" and precisions(base.key) != precisions(head.key):
+            found.append(_arrow("precision", *(" and ".join(precisions(side.key)) for side in (base, head))))
         elif field.name in ("layout", "origins"):
             found.append(f"{field.name} of the states")
         else:

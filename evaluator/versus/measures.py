@@ -22,6 +22,7 @@ class Measure:
     of       its value of one run; None where the run does not tell
     metric   the same as gsb-eval has it, which knows why there is no value
     method   in words
+    spoilt   whether a run had such a value, which cannot be used
     """
 
     axis: Axis
@@ -32,6 +33,7 @@ class Measure:
     of: Callable[[RunData], float | None]
     metric: Callable[[Runs], Metric]
     method: str
+    spoilt: Callable[[RunData], bool] = lambda _: False
 
     def why_not(self, runs: Runs) -> str:
         """Why these runs have no value; empty where they have one."""
@@ -46,6 +48,14 @@ def _fps(run: RunData) -> float | None:
 
 def _compiled(run: RunData) -> float | None:
     return next((run.compile_s[phase] for phase in ("timed", "capture") if phase in run.compile_s), None)
+
+
+def _shared(run: RunData) -> bool:
+    """Whether the device that steps was sampled, and another process makes the samples no memory of the run."""
+    simulation = run.recording.simulation
+    sampled = run.gpu is not None and run.gpu.device.peak_increment is not None
+    on_gpu = simulation is not None and simulation.device != "cpu"
+    return sampled and on_gpu and costs.device_increment(run) is None
 
 
 def contacts_of(run: RunData) -> float | None:
@@ -73,7 +83,7 @@ MEASURES = (
     Measure(
         Axis.MEMORY, "memory_peak_increment", "GPU memory increment", "B", Direction.LOWER,
         costs.device_increment, costs.memory_peak_increment,
-        "largest reading of the timed phase minus the baseline, the whole device",
+        "largest reading of the timed phase minus the baseline, the whole device", _shared,
     ),
     Measure(
         Axis.MEMORY, "process_memory_peak", "GPU memory of the process", "B", Direction.LOWER,

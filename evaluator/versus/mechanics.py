@@ -23,12 +23,15 @@ def compare_mechanics(base: Runs, head: Runs, *, certain: bool) -> Sequence[Find
         return ()
     one, other = (fidelity("", [r.physics for r in runs]) for runs in (base, head))
     if why := "; ".join(dict.fromkeys(f.why_not for f in (one, other) if f.why_not)):
-        return (not_compared(Axis.PHYSICS, _NAME, _TITLE, why),)
+        applies = not (base and head and one.why_not and other.why_not)
+        return (not_compared(Axis.PHYSICS, _NAME, _TITLE, why, applies=applies),)
     rows = {row.check: row for row in other.rows}
     both = [(row, rows[row.check]) for row in one.rows if row.check.demanded and row.check in rows]
-    judged = [pair for pair in both if all(row.verdict is not Verdict.NOT_APPLICABLE for row in pair)]
+    none = Verdict.NOT_APPLICABLE
+    judged = [pair for pair in both if all(row.verdict is not none for row in pair)]
     if not judged:
-        return (not_compared(Axis.PHYSICS, _NAME, _TITLE, "no check applies to both sides"),)
+        either = any(row.check.demanded and row.verdict is not none for row in (*one.rows, *other.rows))
+        return (not_compared(Axis.PHYSICS, _NAME, _TITLE, "no check applies to both sides", applies=either),)
     found = [_found(a, b, base, head, certain=certain) for a, b in judged]
     return [one for one in found if one is not None] or (_unchanged(one, other, (len(base), len(head))),)
 

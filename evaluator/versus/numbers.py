@@ -38,7 +38,8 @@ def compare_numbers(
     if len(reasons) == 2 and measure.axis is Axis.VALIDITY:
         return None
     if reasons:
-        return not_compared(axis, name, title, "; ".join(dict.fromkeys(reasons)))
+        either = len(reasons) == 1 or not (base and head) or any(map(measure.spoilt, (*base, *head)))
+        return not_compared(axis, name, title, "; ".join(dict.fromkeys(reasons)), applies=either)
     if axis in _SPEED and not same_machine:
         return not_compared(axis, name, title, "base and head were recorded on different machines")
     order = schedule(
@@ -60,7 +61,9 @@ def compare_numbers(
         if min(order.n) > 1:
             return replace(
                 finding,
-                change=_towards(measure, one[0], other[0], settings),
+                change=measure.direction.judged(rises=other[0] > one[0])
+                if _matters(measure, one[0], other[0], settings)
+                else Change.SMALL,
                 note=f"every run of a side has this very value; {_by_chance(order)}",
             )
     return _Asked(measure, order, values, finding, settings)
@@ -81,8 +84,8 @@ class _Asked:
         """See Question."""
         return least_p(self.order.head, [0] * len(self.order.head))
 
-    def __call__(self, level: float) -> Finding:
-        """See Question."""
+    def __call__(self, level: float, *, able: bool) -> tuple[Finding, Finding]:
+        """See Question; what is as large as matters is by the ends of the interval, not by its middle."""
         logs = bool((self.values > 0).all())
         blocks = self.order.blocks_for(level)
         found = compare_means(
@@ -92,26 +95,44 @@ class _Asked:
         one, other = self.values[~second], self.values[second]
         center = _geometric if logs else _mean
         base, head = center(one), center(other)
-        # within blocks of unequal sizes, the shift is no difference of these means: what was tested decides
+        # within blocks of unequal sizes, the shift is no difference of these means: what was tested is shown
         ratio = math.exp(found.difference) if logs else _ratio(base, head)
-        shifted = base * math.exp(found.difference) if logs else base + found.difference
-        bounds = (
-            (math.exp(found.low), math.exp(found.high))
-            if logs and found.low is not None and found.high is not None
-            else None
-        )
         kind = "geometric means over runs" if logs else "means over runs"
-        return replace(
+        tested = replace(
             self.finding,
-            change=_towards(self.measure, base, shifted, self.settings),
             base=base,
             head=head,
             ratio=ratio,
-            ci95=bounds,
             p_value=found.p_value,
             least_p=found.least_p,
             test=f"{kind}; {_exchanged(found, blocks)}",
         )
+        if found.low is None or found.high is None:
+            return self._judged(tested, falls=True, rises=True)
+        ends = [base * math.exp(end) if logs else base + end for end in (found.low, found.high)]
+        return self._judged(
+            replace(tested, ci95=(math.exp(found.low), math.exp(found.high)) if logs else None, bounded=True),
+            falls=ends[0] < base and self._matters(base, ends[0]),
+            rises=ends[1] > base and self._matters(base, ends[1]),
+            beyond=(ends[0] > base and self._matters(base, ends[0]))
+            or (ends[1] < base and self._matters(base, ends[1])),
+        )
+
+    def _matters(self, base: float, end: float) -> bool:
+        return _matters(self.measure, base, end, self.settings)
+
+    def _judged(self, tested: Finding, *, falls: bool, rises: bool, beyond: bool = False) -> tuple[Finding, Finding]:
+        """What is found where p is significant, and where it is not.
+
+        falls, rises  whether the interval holds so large a change downwards, upwards
+        beyond        whether it holds nothing else
+        """
+        ways = [way for way, held in ((False, falls), (True, rises)) if held]
+        left = tuple(dict.fromkeys(self.measure.direction.judged(rises=way) for way in ways))
+        not_shown = replace(tested, change=Change.UNCLEAR if left else Change.WITHIN, left_open=left)
+        if beyond:
+            return replace(tested, change=left[0]), not_shown
+        return replace(tested, change=Change.NEAR if left else Change.SMALL, left_open=left), not_shown
 
 
 def _by_chance(order: Schedule) -> str:
@@ -126,10 +147,8 @@ def _exchanged(found: Shift, blocks: tuple[int, ...]) -> str:
     return f"permutation test, runs exchanged {within} ({how}); the interval inverts it"
 
 
-def _towards(measure: Measure, base: float, head: float, settings: Settings) -> Change:
-    if not settings.matters(base, head) or (measure.unit == "B" and abs(head - base) < _LEAST_BYTES):
-        return Change.SMALL
-    return measure.direction.judged(rises=head > base)
+def _matters(measure: Measure, base: float, head: float, settings: Settings) -> bool:
+    return settings.matters(base, head) and (measure.unit != "B" or abs(head - base) >= _LEAST_BYTES)
 
 
 def _mean(values: Values) -> float:

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from evaluator.metrics.variability import run_to_run_variability
 from evaluator.over_runs import Runs
+from evaluator.positions import GROUP
 from evaluator.sampled import positions
 from evaluator.statistics.exchange import compare_distances, least_p
 from evaluator.versus.finding import Axis, Change, Finding, Question, Settings, not_compared
@@ -29,7 +30,8 @@ def compare_outcomes(base: Runs, head: Runs, settings: Settings, work: Work) -> 
     if one is None or other is None:
         if not any("capture" in r.recording.configuration.phases for r in (*base, *head)):
             return None
-        return not_compared(Axis.PHYSICS, _NAME, _TITLE, why or why_head)
+        cubes = any(f.name == f"{GROUP}/position" for r in (*base, *head) for f in r.recording.fields)
+        return not_compared(Axis.PHYSICS, _NAME, _TITLE, why or why_head, applies=cubes or not (base and head))
     times = {r.positions.time for r in (*base, *head) if r.positions}
     if one.shape[1:] != other.shape[1:] or len(times) > 1:
         why = "other numbers of environments or cubes, or another time that is nearest to the sample time"
@@ -73,11 +75,11 @@ class _Asked:
     def _head(self) -> list[bool]:
         return [False] * self.finding.n[0] + [True] * self.finding.n[1]
 
-    def __call__(self, level: float) -> Finding:
+    def __call__(self, level: float, *, able: bool) -> tuple[Finding, Finding]:
         """See Question; whole runs are exchanged with any other, since no clock is in what they compute."""
         found = compare_distances(self.matrix_cm, self._head)
         how = f"all {found.n} ways" if found.exhaustive else f"{found.n - 1} ways drawn with seed {found.seed}"
-        return replace(
+        shown = replace(
             self.finding,
             change=Change.CHANGED if found.difference > self.settings.outcome_cm else Change.SMALL,
             p_value=found.p_value,
@@ -85,6 +87,7 @@ class _Asked:
             test=f"permutation test, whole runs exchanged with any other ({how})",
             note=f"further apart than runs of one side by {found.difference:.3g} cm",
         )
+        return shown, replace(shown, change=Change.UNCLEAR, left_open=() if able else (Change.CHANGED,))
 
 
 def _apart(matrix: NDArray[np.float64], n: tuple[int, int]) -> tuple[str, str]:

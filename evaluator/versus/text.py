@@ -45,6 +45,8 @@ def _print_configuration(console: Console, compared: Compared, result: Result) -
     console.print(table)
     for warning in compared.warnings:
         console.print(printable(f"  WARNING: {warning}"), style="bold")
+    for line in words.undecided(compared, result):
+        console.print(printable(f"  UNDECIDED: {line}"), style="bold")
     for line in (*words.tests(compared), *words.remarks(compared)):
         console.print(printable(f"  {line}"), style="dim")
     console.print()

@@ -30,10 +30,16 @@ def title(finding: Finding) -> str:
 
 def verdict(finding: Finding, result: Result) -> str:
     """The verdict; capitals where it fails a gate, and a word where its axis does not decide."""
-    if finding.change is Change.UNCLEAR:
-        return "~" if finding.p_adjusted is not None else "~ (too few runs)"
-    small = finding.change is Change.SMALL
-    word = f"differs, below {_threshold(finding, result)}" if small else finding.change.value
+    few = finding.p_adjusted is None and not finding.bounded
+    if finding.undecided(result.settings):
+        return f"undecided{' (too few runs)' if few else ''}"
+    threshold = _threshold(finding, result)
+    word = {
+        Change.UNCLEAR: f"~{' (too few runs)' if few else ''}",
+        Change.WITHIN: f"~ within {threshold}",
+        Change.SMALL: f"differs, below {threshold}",
+        Change.NEAR: f"differs, perhaps below {threshold}",
+    }.get(finding.change, finding.change.value)
     if finding.fails(result.settings):
         return word.upper()
     different = finding.change in (Change.REGRESSION, Change.CHANGED)
@@ -48,16 +54,19 @@ def headline(result: Result) -> str:
         what = "NOT THE SAME" if settings.expect_same else "REGRESSION"
         if not settings.expect_same and all(f.change is Change.CHANGED for f in failing):
             what = "CHANGED"
-        return f"{what}: {axes} ({plural(len(failing), 'finding')} in {plural(len(result.compared), 'configuration')})"
+        found = f"{what}: {axes} ({plural(len(failing), 'finding')} in {plural(len(result.compared), 'configuration')})"
+        undecided = ", ".join(axis.value for axis in result.undecided)
+        return f"{found}; not decided: {undecided}" if undecided else found
+    where = plural(len(result.compared), "configuration")
+    if result.open and result.comparable:
+        axes = ", ".join(axis.value for axis in result.undecided)
+        return f"NOT DECIDED: {axes} ({plural(len(result.open), 'finding')} in {where})"
     if not result.comparable:
         return "NOTHING COMPARED"
-    where = plural(len(result.compared), "configuration")
     parts = [f"NO {'DIFFERENCE' if settings.expect_same else 'REGRESSION'} found in {where}"]
     gained = dict.fromkeys(f.axis.value for f in result.findings if f.change is Change.IMPROVEMENT)
     if gained:
         parts.append(f"improved: {', '.join(gained)}")
-    if result.undecided:
-        parts.append(f"not decided everywhere: {', '.join(axis.value for axis in result.undecided)}")
     if result.alone:
         parts.append(f"{plural(len(result.alone), 'configuration')} without a partner")
     return "; ".join(parts)
@@ -108,6 +117,15 @@ def remarks(compared: Compared) -> list[str]:
     return [*lines, *(f"not compared: {', '.join(titles)}: {why}" for why, titles in reasons.items()), *compared.notes]
 
 
+def undecided(compared: Compared, result: Result) -> list[str]:
+    """What neither fails nor passes its gate, and why; what shares a reason shares a line."""
+    reasons: dict[str, list[str]] = {}
+    for finding in compared.findings:
+        if why := finding.undecided(result.settings):
+            reasons.setdefault(why, []).append(finding.title)
+    return [f"{', '.join(titles)}: {why}" for why, titles in reasons.items()]
+
+
 def legend(result: Result) -> list[str]:
     """What the columns mean."""
     findings, lines = result.findings, []
@@ -118,8 +136,14 @@ def legend(result: Result) -> list[str]:
             f"p: adjusted for {tests} on axes that count, of enough runs to show something (Holm), so that any false "
             f"alarm among them has a chance of at most {alpha}; intervals are of one comparison alone"
         )
-    if any(f.change is Change.UNCLEAR for f in findings):
+    passed = [f for f in findings if not f.undecided(result.settings)]
+    if any(f.change in (Change.UNCLEAR, Change.WITHIN) for f in passed):
         lines.append("~: not distinguishable by so many runs; what the interval holds is possible")
+    if result.open:
+        lines.append(
+            "undecided: neither failed nor passed, exit code 5 where nothing fails; more runs, longer runs, a larger "
+            "--threshold, or --gate without the axis decide"
+        )
     if any(f.p_value is None and f.change not in (Change.NOT_COMPARED, Change.SAME) for f in findings):
         lines.append("verdicts without a p say what these runs did, and are no statistics")
     return lines
@@ -128,9 +152,9 @@ def legend(result: Result) -> list[str]:
 def settings_line(result: Result) -> str:
     """What decides."""
     settings = result.settings
-    if settings.expect_same:
-        return "base and head are said to be the same: every difference counts"
     gates = ", ".join(axis.value for axis in Axis if axis in settings.gates)
+    if settings.expect_same:
+        return f"base and head are said to be the same: every difference counts; to be decided: {gates}"
     least = f"{_percent(settings.threshold)} of an amount, or {settings.outcome_cm:g} cm"
     return f"gates: {gates}; changes below {least}, do not count"
 
@@ -138,8 +162,12 @@ def settings_line(result: Result) -> str:
 def _threshold(finding: Finding, result: Result) -> str:
     if finding.unit == "cm":
         return f"{result.settings.outcome_cm:g} cm"
-    tiny = finding.base is not None and finding.head is not None and result.settings.matters(finding.base, finding.head)
-    return "1 MB" if tiny and finding.unit == "B" else _percent(result.settings.threshold)
+    amounts = [finding.base, finding.head]
+    if finding.ci95 and finding.base is not None:
+        amounts += [finding.base * end for end in finding.ci95]
+    known = [amount for amount in amounts if amount is not None]
+    tiny = finding.unit == "B" and len(known) > 1 and result.settings.matters(min(known), max(known))
+    return "1 MB" if tiny else _percent(result.settings.threshold)
 
 
 def _times(ratio: float) -> str:

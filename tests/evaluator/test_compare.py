@@ -111,8 +111,8 @@ def test_noise_is_no_change(tmp_path: Path, capsys: pytest.CaptureFixture[str]) 
     for arguments in ((), (EXPECT_SAME,)):
         code, document = compared(*sides, *arguments, capsys=capsys)
         fps = finding(document, "fps")
-        assert (code, fps["change"]) == (0, "not distinguishable")
-        assert fps["ci95"][0] < 1 < fps["ci95"][1]
+        assert (code, fps["change"], fps["left_open"]) == (0, "within threshold", [])
+        assert 1 / 1.05 < fps["ci95"][0] < 1 < fps["ci95"][1] < 1.05
 
 
 def test_drift_that_turns_cancel(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -147,13 +147,85 @@ def test_orders_that_are_worse_than_others(tmp_path: Path, capsys: pytest.Captur
     assert any("do not say in which order" in line for line in document["compared"][0]["warnings"])
 
 
-def test_few_runs_are_said_to_be_few(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Exit 5 for three runs a side, which can show nothing, and warn with the smallest p there is."""
-    sides = write_sides(tmp_path, timed()[:3], timed(2.0)[:3], "ABBAAB")
+@pytest.mark.parametrize("more", [{}, {"host_bytes": (10**8, 2 * 10**8)}, {"final": grid(2)}], ids=len)
+def test_few_runs_are_said_to_be_few(more: dict[str, Any], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Exit 5 for three runs a side, a third slower, whatever else they agree in; warn with the smallest p there is."""
+    base, head = ([{"elapsed_s": f * s, **more} for s in (1.0, 1.005, 0.995)] for f in (1.0, 1.515))
+    sides = write_sides(tmp_path, base, head, "ABBAAB")
     code, document = compared(*sides, capsys=capsys)
-    assert (code, finding(document, "fps")["least_p"], finding(document, "fps")["p_adjusted"]) == (5, 0.1, None)
-    assert "throughput" in document["undecided"]
+    fps = finding(document, "fps")
+    assert (code, fps["least_p"], fps["p_adjusted"], fps["undecided"]) == (5, 0.1, None, "too few runs")
+    assert fps["ratio"] == pytest.approx(0.66, rel=1e-3)
+    assert document["undecided"] == ["throughput"]
+    assert document["verdict"].startswith("NOT DECIDED: throughput (1 finding")
     assert any("smallest p possible: 0.1" in line for line in document["compared"][0]["warnings"])
+
+
+@pytest.mark.parametrize(
+    ("slower", "noise", "code", "change"),
+    [
+        (1.0, 0.1, 0, "within threshold"), (1.03, 0.1, 0, "below threshold"), (1.051, 0.1, 5, "near threshold"),
+        (1.06, 0.1, 4, "regression"), (1.06, 1.0, 5, "near threshold"), (1.2, 1.0, 4, "regression"),
+        (1.0, 10.0, 5, "not distinguishable"), (1.2, 10.0, 5, "not distinguishable"),
+        (1 / 1.051, 0.1, 0, "near threshold"), (1 / 1.2, 1.0, 0, "improvement"),
+    ],
+)  # fmt: skip
+def test_the_interval_is_held_against_the_threshold(
+    slower: float, noise: float, code: int, change: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Fail what lies wholly beyond the threshold, pass what lies wholly before it, and decide nothing between."""
+    base, head = ([{"elapsed_s": f * float(np.exp(noise * n))} for n in NOISE] for f in (1.0, slower))
+    found, document = compared(*write_sides(tmp_path, base, head[3:] + head[:3]), capsys=capsys)
+    fps = finding(document, "fps")
+    assert (found, fps["change"]) == (code, change)
+    assert bool(fps["undecided"]) is (code == 5)
+    assert document["undecided"] == (["throughput"] if code == 5 else [])
+    low, high = fps["ci95"]
+    assert {4: high < 1 / 1.05, 0: low > 1 / 1.05, 5: low < 1 / 1.05 < high}[code]
+
+
+def test_a_gate_that_is_left_open_beside_others(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """End with 4 where another gate fails, with 5 where none does; leave out what has no gate or is on neither side."""
+    noisy = [{"elapsed_s": run["elapsed_s"] ** 20} for run in timed()]
+    gpu = [{**run, "gpu_bytes": (10**9, 2 * 10**9)} for run in noisy]
+    code, document = compared(*write_sides(tmp_path / "open", noisy, noisy[::-1]), capsys=capsys)
+    assert (code, document["undecided"]) == (5, ["throughput"])
+    assert finding(document, "memory_peak_increment")["applies"] is False
+    larger = [{**run, "host_bytes": (10**8, 3 * 10**8)} for run in noisy[::-1]]
+    sides = write_sides(tmp_path / "fails", [{**run, "host_bytes": (10**8, 2 * 10**8)} for run in noisy], larger)
+    code, document = compared(*sides, capsys=capsys)
+    assert (code, document["undecided"]) == (4, ["throughput"])
+    assert document["verdict"].endswith("; not decided: throughput")
+    code, document = compared(*sides[::-1], "--gate", "memory", capsys=capsys)
+    assert (code, document["undecided"]) == (0, [])
+    one_side = write_sides(tmp_path / "one", gpu, noisy)
+    code, document = compared(*one_side, "--gate", "memory", capsys=capsys)
+    assert (code, finding(document, "memory_peak_increment")["applies"]) == (5, True)
+
+
+def test_memory_that_others_spoilt_on_both_sides(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Leave GPU memory undecided where no run of either side can be used, and leave it out where there is no GPU."""
+    shared = timed(gpu_bytes=(10**9, 2 * 10**9), others=(2, 2), host_bytes=(10**8, 2 * 10**8))
+    code, document = compared(*write_sides(tmp_path / "gpu", shared, shared), capsys=capsys)
+    memory = finding(document, "memory_peak_increment")
+    assert (code, document["undecided"], memory["change"], memory["applies"]) == (5, ["memory"], "not compared", True)
+    cpu = timed(host_bytes=(10**8, 2 * 10**8))
+    code, document = compared(*write_sides(tmp_path / "cpu", cpu, cpu), capsys=capsys)
+    assert (code, finding(document, "memory_peak_increment")["applies"]) == (0, False)
+
+
+def test_four_runs_a_side(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Let four runs a side pass and fail by default, where one comparison counts, as docs/compare.md says."""
+    for name, factor, codes in (("same", 1.0, (0, 0)), ("slower", 1.34, (5, 4))):
+        more = [{"host_bytes": (10**8, 2 * 10**8 + 10**6 * i)} for i in range(4)]
+        base, head = (
+            [{"elapsed_s": f * float(np.exp(n / 10)), **m} for n, m in zip(NOISE[:4], more[::step], strict=True)]
+            for f, step in ((1.0, 1), (factor, -1))
+        )
+        sides = write_sides(tmp_path / name, base, head, "ABBAABBA")
+        for arguments, code in zip(((), ("--gate", "throughput")), codes, strict=True):
+            found, document = compared(*sides, *arguments, capsys=capsys)
+            assert found == code, (name, arguments, finding(document, "fps"))
 
 
 def test_equal_bytes_are_no_statistics(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -219,7 +291,7 @@ def test_contacts_that_are_lost(tmp_path: Path, capsys: pytest.CaptureFixture[st
     )
     sides = write_sides(tmp_path / "absurd", counted([1e-300] * 6), counted([1.0] * 6))
     code, document = compared(*sides, capsys=capsys)
-    assert (code, finding(document, "contacts")["change"]) == (0, "not compared")
+    assert (code, finding(document, "contacts")["change"]) == (5, "not compared")
 
 
 def test_head_that_never_starts(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -286,7 +358,8 @@ def test_another_machine(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> 
     """Leave out speed and memory of other machines, and still compare bits."""
     head = timed(9.0, host={"cpu": "another"}, final=grid(2))
     code, document = compared(*write_sides(tmp_path, timed(final=grid(2)), head), capsys=capsys)
-    assert code == 0
+    assert (code, document["undecided"]) == (5, ["throughput"])
+    assert compared(tmp_path / "base", tmp_path / "head", "--gate", "physics,bits", capsys=capsys)[0] == 0
     assert not document["compared"][0]["same_machine"]
     assert "different machines" in finding(document, "fps")["why_not"]
     assert finding(document, "states")["change"] == "same"
@@ -327,7 +400,7 @@ def test_the_exit_codes_of_files(tmp_path: Path, capsys: pytest.CaptureFixture[s
     (base / "broken.mcap").write_bytes(b"\x89MCAP0\r\n" + bytes(100))
     code, document = compared(base, head, capsys=capsys)
     assert (code, document["unreadable"][0]["side"]) == (3, "base")
-    assert finding(document, "fps")["change"] == "not distinguishable"
+    assert finding(document, "fps")["change"] == "within threshold"
     base, head = write_sides(tmp_path / "slow", timed(), timed(2.0))
     write_recording(base, None, end=False, change=stamped(99))
     code, document = compared(base, head, capsys=capsys)
@@ -380,7 +453,9 @@ def test_shipped_recordings(tmp_path: Path, capsys: pytest.CaptureFixture[str]) 
     assert (code, finding(document, "outcome")["change"]) == (4, "changed")
     assert finding(document, "states")["said"]["head"] == "differ from step 1 on"
     assert [f["axis"] for f in document["compared"][0]["findings"] if f["fails"]] == ["physics"]
-    code, document = compared("--base", *amd, "--head", *xeon, EXPECT_SAME, capsys=capsys)
+    sides = ("--base", *amd, "--head", *xeon, EXPECT_SAME)
+    assert compared(*sides, capsys=capsys)[0] == 5
+    code, document = compared(*sides, "--gate", "physics,validity,determinism,bits", capsys=capsys)
     assert (code, finding(document, "states")["said"]["head"]) == (0, "bit-identical at 501 steps")
 
 

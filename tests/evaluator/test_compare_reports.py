@@ -17,7 +17,7 @@ from markdown_it import MarkdownIt
 from evaluator.cli.compare import main
 from evaluator.versus.markdown import code, safe
 from schemas.provenance import PROVENANCE, SIMULATION
-from tests.evaluator.test_compare import ROOT, compared, finding, stamped, timed, write_sides
+from tests.evaluator.test_compare import NOISE, ROOT, compared, finding, stamped, timed, write_sides
 from tests.synthetic import grid, write_recording
 from tests.test_docs import command
 
@@ -197,6 +197,48 @@ def test_junit_of_hostile_text(tmp_path: Path, capsys: pytest.CaptureFixture[str
     assert "<script>alert(1)</script>" in (cases["throughput"].get("classname") or "")
 
 
+@pytest.mark.parametrize(
+    ("factor", "noise", "arguments", "code_", "mark", "kinds"),
+    [
+        (1.0, 0.1, (), 0, ":white_check_mark:", {"throughput": None, "memory": None, "build": "skipped"}),
+        (1.2, 0.1, (), 4, ":x:", {"throughput": "failure", "memory": None}),
+        (1.2, 20.0, (), 5, ":grey_question:", {"throughput": "error", "memory": None}),
+        (1.2, 20.0, ("--gate", "memory"), 0, ":white_check_mark:", {"throughput": "skipped", "memory": None}),
+        (1.2, 0.1, ("--across", "cone"), 5, ":grey_question:", {"compared": "error"}),
+    ],
+)
+def test_reports_tell_undecided_from_passed(
+    factor: float,
+    noise: float,
+    arguments: tuple[str, ...],
+    code_: int,
+    mark: str,
+    kinds: dict[str, str | None],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """Show a gate that is neither failed nor passed as an error of JUnit, and in the verdict of text and Markdown."""
+    more = {"host_bytes": (10**8, 2 * 10**8)}
+    base, head = ([{"elapsed_s": f * float(np.exp(noise * n)), **more} for n in NOISE] for f in (1.0, factor))
+    head.reverse()
+    if arguments == ("--across", "cone"):
+        base, head, arguments = [{**base[0], "options": {"cone": "a"}}], [{**head[0], "options": {"x": "a"}}], ()
+    folders = write_sides(tmp_path, base, head, "ABBAABBAABBA" if len(base) > 1 else "AB")
+    junit, page = tmp_path / "report.xml", tmp_path / "summary.md"
+    reports = ("--junit", str(junit), "--markdown", str(page), "--no-cache")
+    assert main([*map(str, folders), *arguments, *reports]) == code_
+    shown = " ".join(capsys.readouterr().out.split())
+    suites = ET.fromstring(junit.read_text(encoding="utf-8"))
+    cases = {case.get("name"): {part.tag for part in case} - {"system-out"} for case in suites.iter("testcase")}
+    for name, kind in kinds.items():
+        assert cases[name] == ({kind} if kind else set()), name
+    assert int(suites.get("errors", "")) == sum("error" in found for found in cases.values())
+    assert page.read_text(encoding="utf-8").startswith(mark)
+    assert ("UNDECIDED: throughput: the interval holds a change of 5 % and more" in shown) is (
+        "error" in cases.get("throughput", set())
+    )
+
+
 def test_the_terminal_of_hostile_text(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Print no control character of a stranger's."""
     assert main([*map(str, write_hostile(tmp_path)), "--no-cache"]) == 4
@@ -246,11 +288,12 @@ def test_the_workflow_works(tmp_path: Path, path: str) -> None:
         **job["env"], "N_ENV": "2", "PAIRS": "2", "GITHUB_STEP_SUMMARY": str(tmp_path / "shown.md"),
         "RECORD": "--scene inclined-collision --steps 20 --warmup 5 --timed-steps 20",
     }  # fmt: skip
-    for name in ("Record base and head in turn", "Compare", "Show the comparison"):
+    # two runs a side decide nothing of throughput
+    for name, code_ in (("Record base and head in turn", 0), ("Compare", 5), ("Show the comparison", 0)):
         done = run(steps[name]["run"], tmp_path, path, **environment)
-        assert done.returncode == 0, done.stdout + done.stderr
+        assert done.returncode == code_, done.stdout + done.stderr
     assert [len(list((tmp_path / "recordings" / side).glob("*.mcap"))) for side in ("base", "head")] == [2, 2]
-    assert (tmp_path / "shown.md").read_text(encoding="utf-8").startswith(":white_check_mark: **gsb-compare")
+    assert (tmp_path / "shown.md").read_text(encoding="utf-8").startswith(":grey_question: **gsb-compare: NOT DECIDED")
     assert ET.parse(tmp_path / "report.xml").getroot().get("failures") == "0"
     assert steps["Show the comparison"]["if"] == steps["Keep recordings and reports"]["if"] == "always()"
     kept = [name.rstrip("/") for name in job["steps"][-1]["with"]["path"].split()]

@@ -14,12 +14,19 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from evaluator.cli.diff import main as diff_command
+from evaluator.diff.common import CommonField
 from evaluator.diff.compare import compare, compare_all_envs, compare_envs
+from evaluator.diff.numbers import Pairing
 from evaluator.diff.result import Basis, Change, Difference, StepRange, Verdict
+from evaluator.identity_metrics import equality_of_runs
 from evaluator.recording import Recording
+from evaluator.run_data import read_run
+from evaluator.summary import summarise
 from recorder.capture import states as capture
 from recorder.capture.states import StateWriter
 from schemas.errors import DamagedRecording, NothingComparable, UsageError
+from schemas.fields import body_field
 from tests import synthetic
 from tests.synthetic import Shown, cubes_field, grid, write_recording
 
@@ -467,3 +474,110 @@ def test_runs_without_states() -> None:
     assert (found.bit_identical, found.max_ulp, found.growth) == (True, None, None)
     assert (found.compared.state_steps, found.compared.hash_steps) == (None, StepRange(2, 100, 300))
     assert "timed phase" in found.notes[0]
+
+
+def both_kinds(positions: NDArray[Any]) -> NDArray[Any]:
+    """Every environment and body with numbers of its own."""
+    numbers = np.arange(positions[..., 0].size).reshape(positions.shape[:2])
+    return np.asarray(positions + 1e-3 * numbers[..., np.newaxis].astype(positions.dtype), positions.dtype)
+
+
+@pytest.mark.parametrize(
+    ("envs", "bodies", "same", "said"),
+    [
+        (None, "each", (False, True, False), "equal up to the order of bodies, at all recorded states"),
+        ((2, 0, 1), None, (True, None, False), "equal up to the order of environments"),
+        (
+            (2, 0, 1),
+            "each",
+            (False, True, True),
+            "equal up to the order of environments and bodies, at all",
+        ),
+        (None, "one more", (False, False, False), ""),
+        ((2, 0, 1), "one more", (False, False, False), ""),
+    ],
+)
+def test_another_order_is_recognised(
+    envs: tuple[int, ...] | None,
+    bodies: str | None,
+    same: tuple[bool | None, ...],
+    said: str,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """Say that bodies, environments or both are the same ones in another order, by gsb-diff and by gsb-eval alike."""
+    rng = np.random.default_rng(0)
+    orders = np.array([rng.permutation(27) for _ in range(3)])
+
+    def at(step: int) -> NDArray[Any]:
+        return both_kinds(still()(step))
+
+    def other(step: int) -> NDArray[Any]:
+        found = at(step)
+        if bodies:
+            found = np.take_along_axis(found, orders[:, :, np.newaxis], axis=1)
+        found = found[list(envs)] if envs else found
+        if bodies == "one more" and step > 5:
+            by_ulps(1, 1, 7, 2)(found)
+        return found
+
+    (tmp_path / "a").mkdir()
+    (tmp_path / "b").mkdir()
+    a = record(tmp_path / "a", at, run=0, whole=True)
+    b = record(tmp_path / "b", other, run=1, whole=True)
+    found = compare(a, b)
+    assert found.verdict is Verdict.DIFFERENT
+    assert (found.same_up_to_env_order, found.same_up_to_body_order, found.bodies_of_other_envs) == same
+    assert diff_command([str(a.path), str(b.path)]) == 4
+    assert (said or "DIFFERENT") in " ".join(capsys.readouterr().out.split())
+    assert ("up to the order" in said) is bool(said)
+    metric = equality_of_runs([read_run(r, summarise(r), 0.08) for r in (a, b)])
+    assert metric.extra["text"] == (said.split(",")[0] if said else "different")
+
+
+def turned(folder: Path, sign: int, change: Callable[[NDArray[Any]], None] | None = None) -> Recording:
+    """A recording of rotations alone, every number of which has a sign."""
+    q = np.random.default_rng(1).normal(size=(2, 27, 4))
+    q = (q / np.linalg.norm(q, axis=-1, keepdims=True)).astype(np.float32)
+    q[0, 0] = [1, 0, 0, 0]
+    q *= np.float32(sign)
+    if change:
+        change(q)
+    field = body_field("cubes", "orientation", "float32", cubes_field("float32").items)
+    return Recording(write_recording(folder, q, field=field, path_of=lambda _, step: q, whole=True))
+
+
+def test_a_rotation_has_two_signs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Find q and -q no distance apart, and say that it is the same rotation; their bits still differ."""
+    for name in "abc":
+        (tmp_path / name).mkdir()
+    a, b = turned(tmp_path / "a", 1), turned(tmp_path / "b", -1)
+    found = compare(a, b)
+    (field,) = found.compared.fields
+    assert found.first is not None
+    assert (found.verdict, found.same_rotations) == (Verdict.DIFFERENT, True)
+    assert (field.max_distance, field.other_sign) == (0.0, field.different)
+    state = found.first.state
+    assert state is not None
+    assert (state.number.other_sign, state.number.distance) == (True, 0.0)
+    assert diff_command([str(a.path), str(b.path)]) == 4
+    shown = " ".join(capsys.readouterr().out.split())
+    assert "the same rotations, of the other sign" in shown
+    assert "same rotation, other sign" in shown
+    near = compare(a, turned(tmp_path / "c", -1, lambda q: by_ulps(3, 1, 5, 2)(q)))
+    assert not near.same_rotations
+    assert 0 < (near.compared.fields[0].max_distance or 0) < 1e-6
+
+
+@given(st.lists(st.floats(-1, 1, width=32), min_size=8, max_size=8), st.booleans(), st.booleans())
+def test_the_distance_of_rotations_has_no_sign(numbers: list[float], one: bool, other: bool) -> None:
+    """Give the same distance whichever sign either quaternion has, at most that of two at right angles."""
+    a, b = np.array(numbers, dtype=np.float32).reshape(2, 1, 1, 1, 4)
+    zero = np.zeros((1, 1, 4))
+    field = body_field("cubes", "orientation", "float32", ("c",))
+    index = np.arange(4)
+    common = CommonField(field, field, ("c",), field.components, index[:1], index[:1], index, index, Basis.BITS)
+    how = Pairing(common, zero, zero)
+    apart = np.linalg.norm(how.apart(a, b))
+    assert np.linalg.norm(how.apart(-a if one else a, -b if other else b)) == pytest.approx(apart, rel=1e-12)
+    assert apart**2 <= (np.linalg.norm(a) ** 2 + np.linalg.norm(b) ** 2) * (1 + 1e-6)

@@ -76,3 +76,17 @@ def test_a_failed_run_joins_what_was_asked_for(tmp_path: Path) -> None:
     groups = group([open_recording(f) for f in files])
     assert [len(g.recordings) for g in groups] == [2, 2]
     assert all(g.outcomes["failed"] == 1 for g in groups)
+
+
+def test_another_precision_is_named(tmp_path: Path) -> None:
+    """Tell float32 from float64 by name, before settings that nobody chose; a run that was never built has neither."""
+    finals: list[Any] = [grid(2, "float32"), grid(2, "float64")]
+    files = [write_recording(tmp_path, final, switches={"x": str(final.dtype)}) for final in finals]
+    recordings = [open_recording(file) for file in files]
+    assert sorted(labels([g.key for g in group(recordings)])) == ["synthetic [float32]", "synthetic [float64]"]
+    failed = open_recording(
+        write_recording(tmp_path, None, built=False, status="FAILED", reason="no memory", options={"cone": "x"})
+    )
+    found = labels([g.key for g in group([*recordings, failed])], {"cone"})
+    assert sum("float32" in label for label in found) == sum("float64" in label for label in found) == 1
+    assert not any("#" in label for label in found)

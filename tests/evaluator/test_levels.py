@@ -30,13 +30,21 @@ def test_bit_identical_needs_the_hashes() -> None:
 
 
 def test_bodies_that_swapped_places() -> None:
-    """Find the same positions in another order within an env, and not across envs."""
+    """Find the same positions in another order within an env, of whole envs, and of both; bodies keep their env."""
     x = samples()
     x[2, 1] = x[2, 1, ::-1]
     found = verdict(x, hashes_agree=False)
-    assert (found.level, found.text, found.n_distinct) == (Level.EQUAL_UP_TO_ORDER, "equal up to order", 2)
+    assert (found.level, found.text, found.n_distinct) == (
+        Level.EQUAL_UP_TO_ORDER,
+        "equal up to the order of bodies",
+        2,
+    )
     y = samples()
     y[2] = y[2, ::-1]  # the envs of one sample swapped places
+    assert verdict(y, hashes_agree=False).text == "equal up to the order of environments"
+    y[1, 0] = y[1, 0, ::-1]
+    assert verdict(y, hashes_agree=False).text == "equal up to the order of environments and bodies"
+    y[3, 0, 0], y[3, 1, 0] = y[3, 1, 0].copy(), y[3, 0, 0].copy()
     assert verdict(y, hashes_agree=False).level is Level.DIFFERENT
 
 
