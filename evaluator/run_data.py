@@ -26,10 +26,6 @@ from evaluator.validation import check_overflow, elapsed_of
 from schemas.errors import NUMBERS_OF_A_STRANGER, DamagedRecording
 from schemas.provenance import REAL
 from schemas.trial_units import METRES, UnitDoubt, unit_doubt
-=======
-from evaluator.validation import check_overflow, elapsed_of
-from schemas.errors import NUMBERS_OF_A_STRANGER, DamagedRecording
->>>>>>> ca6e01b (Hold a recording against one list of demands in all commands, so that none takes what another calls damaged)
 
 
 @dataclass(frozen=True)
@@ -126,20 +122,6 @@ def read_run(recording: Recording, summary: Summary, sample_time: float) -> RunD
         )
     except NUMBERS_OF_A_STRANGER as error:
         raise DamagedRecording(f"{recording.path}: {str(error) or type(error).__name__}") from None
-
-
-<<<<<<< HEAD
-def _check_complete(recording: Recording) -> None:
-    board_of(recording)  # of a run that failed, a board that cannot be read is no matter
-    # The recorder calls such a run invalid; a file that does not was made, or changed, by something else.
-    described = recording.simulation.overflow_bits if recording.simulation else ()
-    for phase, overflows in recording.overflows.items():
-        if fatal := overflows.fatal(described):
-            name, step = fatal
-            raise DamagedRecording(
-                f"{recording.path}: the run says that it is complete, but {name} overflowed by step {step} of the "
-                f"{phase} phase"
-            )
 
 
 def _equality(positions: Positions | None, histories: Histories | None) -> Verdict | None:

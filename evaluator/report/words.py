@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from statistics import median
 
+from evaluator.claims import identical
 from evaluator.fidelity import Fidelity, Verdict
 from evaluator.groups import Described, Group, shown_status
 from evaluator.metrics.cotenants import Presence
@@ -54,10 +55,11 @@ def buffers(validity: Validity) -> str:
 
 
 def overflow(validity: Validity) -> str:
-    """The bits that fired; a dash where the engine does not tell."""
+    """The bits that fired; a dash where the engine does not tell, and not "none" where some runs do not."""
     if validity.overflow is None:
         return NONE
-    return "; ".join(fired(seen) for seen in validity.overflow) or "none"
+    none = "none" if validity.overflow_told.yes else f"none known: {validity.overflow_told.why_not}"
+    return "; ".join(fired(seen) for seen in validity.overflow) or none
 
 
 def fired(seen: OverflowSeen) -> str:
@@ -128,6 +130,14 @@ def equality(metric: Metric) -> str:
     if metric.value == Level.DIFFERENT and worst is None and metric.extra["worst_ulp"] == 0:
         return "different, though not at the sample step"
     return f"{metric.extra['text']}, {_length(worst['difference'])} apart" if worst else str(metric.extra["text"])
+
+
+def alike(metric: Metric) -> str:
+    """What a metric of distinct environments or runs says where it has found one: alike, or not compared and why."""
+    claim = identical(metric)
+    if claim.holds is None:
+        return f"not compared: {claim.why_not}"
+    return "all alike, bit by bit" if claim.yes else ""
 
 
 def _length(metres: float) -> str:
