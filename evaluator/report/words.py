@@ -129,10 +129,12 @@ def equality(metric: Metric) -> str:
     worst = metric.extra["worst"]
     if metric.value == Level.DIFFERENT and worst is None and metric.extra["worst_ulp"] == 0:
         return "different, though not at the sample step"
+    if metric.value == Level.BIT_IDENTICAL and metric.extra["note"]:  # there are no state hashes
+        return f"{metric.extra['text']} at the sample step, no other was compared"
     return f"{metric.extra['text']}, {_length(worst['difference'])} apart" if worst else str(metric.extra["text"])
 
 
-def alike(metric: Metric) -> str:
+def all_alike(metric: Metric) -> str:
     """What a metric of distinct environments or runs says where it has found one: alike, or not compared and why."""
     claim = identical(metric)
     if claim.holds is None:

@@ -18,6 +18,7 @@ from evaluator.audit.verdict import Level, Match, ladder
 from evaluator.claims import Claim, Tally, every, identical, tally
 from evaluator.fidelity import Verdict, fidelity
 from evaluator.histories import histories_of
+from evaluator.metrics.levels import verdict
 from evaluator.physics.facts import Check, NotMeasured, PhysicsFacts, measured
 from evaluator.report import words
 from evaluator.report.fidelity import cells
@@ -86,7 +87,7 @@ def test_identical(value: float | None, n: int, without: int) -> None:
     yes = value == 1 and n > 1 and not without
     claim = identical(metric)
     assert claim.yes == yes
-    assert ("alike" in words.alike(metric)) == yes
+    assert ("alike" in words.all_alike(metric)) == yes
     assert ("alike" in board_words._distinct("runs", metric)) == yes
     assert (claim.holds is None) == bool(claim.why_not)
 
@@ -248,3 +249,12 @@ def test_environments_at_other_origins(tmp_path: Any) -> None:
 def test_a_reason_is_told(value: float | None) -> None:
     """Give the metric's own reason where it has one."""
     assert identical(_metric("distinct_envs", value, 1)).why_not
+
+
+@pytest.mark.parametrize("agree", [True, None])
+def test_equality_at_one_step(agree: bool | None) -> None:
+    """Call positions bit-identical without more only where state hashes of every step say so."""
+    found = verdict(np.zeros((2, 1, 1, 2)), hashes_agree=agree)
+    said = words.equality(identity._level("equality_runs", found, 2, {}))
+    assert said.startswith("bit-identical")
+    assert ("sample step" in said) == (agree is None)
