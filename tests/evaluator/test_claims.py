@@ -58,7 +58,7 @@ class _Run:
 
 
 def _runs(states: list[int | None], n_env: int = 2) -> list[Any]:
-    configuration = SimpleNamespace(n_env=n_env, dt=0.1, seed=0, phases=("capture",))
+    configuration = SimpleNamespace(n_env=n_env, dt=0.1, seed=0, phases=("capture",), run_index=0)
     recording = SimpleNamespace(action_names=(), simulation=None, configuration=configuration, fields=())
     return [_Run(state, n_env, recording) for state in states]
 

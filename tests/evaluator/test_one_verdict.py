@@ -33,6 +33,7 @@ def _write(folder: Path, name: str, **changed: Any) -> Path:
         "clocks": {"build": 1.0, "compile_timed": 0.5}, "environment": {"XLA_FLAGS": "-"}, "shown": _shown(2),
         "origins": ((0.0, 0.0, 0.0), (1.0, 0.0, 0.0)),
     }  # fmt: skip
+    (folder / name).unlink(missing_ok=True)
     return write_recording(folder, grid(2), name=name, **{**rich, **changed})
 
 
@@ -129,12 +130,12 @@ def _check_mutants(folder: Path, count: int) -> None:
 
 def test_a_field_of_another_type(tmp_path: Path) -> None:
     """Agree on files whose metadata have null, objects, lists, texts and huge numbers in their fields."""
-    _check_fields(tmp_path, 25, seed=18)
+    _check_fields(tmp_path, 16, seed=18)
 
 
 def test_spoiled_bytes(tmp_path: Path) -> None:
     """Agree on files whose bytes, records and messages were spoiled."""
-    _check_mutants(tmp_path, 4)
+    _check_mutants(tmp_path, 3)
 
 
 @pytest.mark.slow
@@ -181,7 +182,7 @@ def test_a_wrong_crc_of_the_summary(tmp_path: Path) -> None:
         assert _run(command, bad, *also)[0] == code
 
 
-@pytest.mark.parametrize("forgery", sorted(FORGERIES)[::4])
+@pytest.mark.parametrize("forgery", sorted(FORGERIES)[::7])
 def test_forged_files(forgery: str, tmp_path: Path) -> None:
     """Agree that files which gsb-eval sets aside are damaged."""
     bad = write_recording(tmp_path, grid(2), name="bad.mcap", **FORGERIES[forgery])
