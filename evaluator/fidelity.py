@@ -12,7 +12,7 @@ from evaluator.physics.facts import Check, Measured, NotMeasured, PhysicsFacts
 class Verdict(Enum):
     """What a check says of a group.
 
-    HELD            every value of every run is within what mechanics allows and the step accounts for
+    HELD            every value of every run that was measured is within what mechanics allows and the step accounts for
     BROKEN          some value is not
     AT_REST         of a check that mechanics does not demand: every value is within its tolerance
     MOVING          some value is not
@@ -34,6 +34,7 @@ class FidelityRow:
                  or where no value is finite
     least, most  the range of the same
     runs, count  runs that could be measured, and values they gave
+    of_runs      runs that were looked at: of the others nothing is known
     low, high    what mechanics allows; None where that side is open
     tolerance    that the step and the number type add on either side, by the formula `of`
     broken       values beyond both
@@ -55,6 +56,7 @@ class FidelityRow:
     broken: int = 0
     reason: str = ""
     notes: tuple[str, ...] = ()
+    of_runs: int = 0
 
 
 @dataclass(frozen=True)
@@ -90,7 +92,7 @@ def fidelity(label: str, facts: Sequence[PhysicsFacts]) -> Fidelity:
     told = [one for one in facts if not one.why_not]
     first = (told or facts)[0]
     if told:
-        rows = tuple(row for check in Check if (row := _row(check, told)) is not None)
+        rows = tuple(row for check in Check if (row := _row(check, told, len(facts))) is not None)
         why_not = ""
     else:
         rows, why_not = (), "; ".join(dict.fromkeys(one.why_not for one in facts))
@@ -99,14 +101,14 @@ def fidelity(label: str, facts: Sequence[PhysicsFacts]) -> Fidelity:
     )  # fmt: skip
 
 
-def _row(check: Check, facts: Sequence[PhysicsFacts]) -> FidelityRow | None:
+def _row(check: Check, facts: Sequence[PhysicsFacts], of_runs: int) -> FidelityRow | None:
     found = [fact for one in facts for fact in one.facts if fact.check is check]
     if not found:
         return None
     told = [fact for fact in found if isinstance(fact, Measured)]
     reason = "; ".join(dict.fromkeys(fact.why for fact in found if isinstance(fact, NotMeasured)))
     if not told:
-        return FidelityRow(check, Verdict.NOT_APPLICABLE, reason=reason)
+        return FidelityRow(check, Verdict.NOT_APPLICABLE, reason=reason, of_runs=of_runs)
     means = [(fact.mean, fact.count) for fact in told if fact.mean is not None]
     weight = sum(share for _, share in means)
     count, broken = sum(fact.count for fact in told), sum(fact.broken for fact in told)
@@ -127,6 +129,7 @@ def _row(check: Check, facts: Sequence[PhysicsFacts]) -> FidelityRow | None:
         broken=broken,
         reason=reason,
         notes=tuple(dict.fromkeys(fact.note for fact in told if fact.note)),
+        of_runs=of_runs,
     )
 
 

@@ -55,8 +55,15 @@ def _distinct_envs(runs: Runs, method: str) -> Metric:
             "first_difference_step": min((h.first_step for h in found if h.first_step is not None), default=None),
             "over_time": _most_distinct(found),
             "tree": found[0].tree,
+            **_without_hashes(runs),
         },
     )
+
+
+def _without_hashes(runs: Runs) -> dict[str, int]:
+    # complete runs of which nothing is known by bits; evaluator.claims makes no claim of all runs then
+    without = sum(r.histories is None for r in runs)
+    return {"without_hashes": without} if without else {}
 
 
 def _distinct_runs(runs: Runs, method: str) -> Metric:
@@ -83,6 +90,7 @@ def _distinct_runs(runs: Runs, method: str) -> Metric:
             "runs": _indices([r for r in runs if r.histories]),
             "over_time": _over_time(steps, over_time.instant, over_time.histories),
             "tree": split_tree(steps, over_time),
+            **_without_hashes(runs),
         },
     )
 

@@ -7,13 +7,14 @@ from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
 from evaluator.integrity import Integrity
+from evaluator.integrity.problem import Kind
 from evaluator.integrity.scan import Scan, Stream
 from evaluator.metrics.cotenants import Sign, cotenants
 from evaluator.metrics.throughput import frames_per_second
 from evaluator.recording import Recording
 from evaluator.run_data import gpu_memory
 from schemas import topics
-from schemas.errors import GsbError, NotARecording
+from schemas.errors import NUMBERS_OF_A_STRANGER, GsbError, NotARecording
 from schemas.fields import StateField
 from schemas.provenance import Provenance, Simulation
 from schemas.view.recorded import LOG_TOPIC
@@ -97,6 +98,7 @@ class Inspection:
     doubtful     attachments that are not what was recorded: what is told of them may be wrong
     verified     whether the digests and all else that needs the whole content were looked at
     unread       what could not be read, and why
+    unchecked    kinds of problems that were not looked for, or not everywhere, and why
     phases       that began and ended, with their durations [s]
     clocks       phases that have clocks, with how many intervals of how many steps
     not_timed    why there is no throughput; the same for `not_captured`
@@ -137,6 +139,7 @@ class Inspection:
     attachments: dict[str, int] = field(default_factory=dict)
     doubtful: tuple[str, ...] = ()
     unread: tuple[str, ...] = ()
+    unchecked: dict[str, str] = field(default_factory=dict)
 
 
 def inspect(file: Integrity) -> Inspection:
@@ -153,6 +156,7 @@ def inspect(file: Integrity) -> Inspection:
         "content_hash": str(file.end.content_hash) if file.end is not None else "",
         "integrity": {kind.name: file.of(kind) for kind in file.problems.kinds()},
         "verified": file.complete,
+        "unchecked": {kind.name: why for kind in Kind if (why := file.problems.skipped(kind))},
         "provenance": file.provenance,
         "simulation": file.simulation,
         "doubtful": tuple(sorted(file.scan.doubtful)),
@@ -179,8 +183,7 @@ def _streams(recording: Recording, scan: Scan) -> dict[str, Any]:
             return what()
         except GsbError as error:
             reason = str(error)
-        except (ValueError, OverflowError, KeyError, IndexError, MemoryError) as error:
-            # numbers of a stranger that numpy cannot take; evaluator.run_data reads them the same way
+        except NUMBERS_OF_A_STRANGER as error:
             reason = str(error) or type(error).__name__
         if reason not in unread:
             unread.append(reason)

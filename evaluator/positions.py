@@ -102,12 +102,19 @@ def in_env_frame(
     return local if origins is None else local - origins[envs, None, :]
 
 
+def check_format(recording: Recording, field: StateField) -> None:
+    """DamagedRecording where a field of positions has another unit, frame or other components than the format has."""
+    if field.unit != "m" or field.frame not in ("world", "env"):
+        raise DamagedRecording(
+            f"{recording.path}: {field.name} is in {field.unit}, frame {field.frame}: not of this format"
+        )
+    if field.components not in (("x", "y"), ("x", "y", "z")):
+        raise DamagedRecording(f"{recording.path}: {field.name} has the components {', '.join(field.components)}")
+
+
 def _origins(recording: Recording, field: StateField) -> NDArray[np.float64] | None:
     """What is to be subtracted from a field of positions [m], [env, component]."""
-    if field.unit != "m" or field.frame not in ("world", "env"):
-        raise DamagedRecording(f"{recording.path}: positions in {field.unit}, frame {field.frame}: not of this format")
-    if field.components not in (("x", "y"), ("x", "y", "z")):
-        raise DamagedRecording(f"{recording.path}: positions have the components {', '.join(field.components)}")
+    check_format(recording, field)
     origins = recording.simulation.env_origins if recording.simulation else ()
     if not origins or field.frame != "world":
         return None

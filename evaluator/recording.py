@@ -195,9 +195,11 @@ class Recording:
     def verify(self) -> None:
         """Read everything and check it: CRCs of the file, digests of its content, the content hash.
 
-        Raises DamagedRecording that names the first thing that does not match. A recording without an end record has
-        no digests; only its CRCs are checked.
+        Raises DamagedRecording that names the first thing that does not match, also where parts contradict each other
+        (evaluator.validation). A recording without an end record has no digests; only its CRCs are checked.
         """
+        from evaluator.validation import validate  # which is about recordings
+
         self._container.verify()
         if self._end is None:
             return
@@ -209,6 +211,13 @@ class Recording:
                 raise DamagedRecording(f"{self.path}: {name} {what} since the recording was made")
         if content_hash(claimed, self.status, self.reason) != self.content_hash:
             raise DamagedRecording(f"{self.path}: the end record was changed since the recording was made")
+        validate(self)
+
+    def check_metadata(self) -> None:
+        """Hold what channels say of states against simulation.json: other programs take units and frames from there."""
+        for channel in self._container.channels.values():
+            if topic := topics.parse_state(channel.topic):
+                self._check_metadata(topic, channel)
 
     def _recompute(self) -> ContentDigest:
         digest = ContentDigest()
@@ -228,16 +237,13 @@ class Recording:
                     self._check_hashes(hashes, arrays[0].steps[rows], fingerprint(blocks))
                 for done in fed:
                     done.result()
-        for topic, channel in self._container.channels.items():
-            if parts := topics.parse_state(topic):
-                self._check_metadata(parts, channel)
-            elif topics.has_digest(topic):
+        for topic in self._container.channels:
+            if topics.has_digest(topic):
                 for content in self._container.in_sequence(topic):
                     digest.message(topic, content)
         return digest
 
     def _check_metadata(self, topic: topics.StateTopic, channel: Channel) -> None:
-        # what other programs take units and frames from says the same as what this one does
         for field in self.fields:
             if (field.group, field.field) == (topic.group, topic.field):
                 told = {key: value for key, value in field.to_metadata().items() if key in channel.metadata}

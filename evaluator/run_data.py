@@ -22,7 +22,8 @@ from evaluator.sinking import Sunk, sunk
 from evaluator.spread import Spread, spread
 from evaluator.streams import Fingerprints, MemoryTrace, StepTiming
 from evaluator.summary import Summary
-from schemas.errors import DamagedRecording
+from evaluator.validation import check_overflow, elapsed_of
+from schemas.errors import NUMBERS_OF_A_STRANGER, DamagedRecording
 from schemas.provenance import REAL
 from schemas.trial_units import METRES, UnitDoubt, unit_doubt
 
@@ -82,7 +83,8 @@ class RunData:
 def read_run(recording: Recording, summary: Summary, sample_time: float) -> RunData:
     """Read a run; DamagedRecording where the file does not hold what it should, whatever is wrong with it."""
     try:
-        _check_complete(recording)
+        board_of(recording)  # of a run that failed, a board that cannot be read is no matter
+        check_overflow(recording)
         positions, no_positions = sample_positions(recording, sample_time)
         sank, no_sunk = sunk(recording)
         timing = recording.timing
@@ -95,7 +97,7 @@ def read_run(recording: Recording, summary: Summary, sample_time: float) -> RunD
         apart, no_spread = spread(recording)
         return RunData(
             recording=summary,
-            elapsed_s=_elapsed(recording),
+            elapsed_s=elapsed_of(recording),
             gpu=gpu,
             host=_checkpoints(host, timed) if host else None,
             allocator=allocator.own_peak() if allocator else None,
@@ -118,21 +120,8 @@ def read_run(recording: Recording, summary: Summary, sample_time: float) -> RunD
             timed_from=timed.first_step if timed else None,
             cotenants=cotenants(gpu) if gpu else CoTenants(),
         )
-    except (ValueError, OverflowError, MemoryError) as error:
+    except NUMBERS_OF_A_STRANGER as error:
         raise DamagedRecording(f"{recording.path}: {str(error) or type(error).__name__}") from None
-
-
-def _check_complete(recording: Recording) -> None:
-    board_of(recording)  # of a run that failed, a board that cannot be read is no matter
-    # The recorder calls such a run invalid; a file that does not was made, or changed, by something else.
-    described = recording.simulation.overflow_bits if recording.simulation else ()
-    for phase, overflows in recording.overflows.items():
-        if fatal := overflows.fatal(described):
-            name, step = fatal
-            raise DamagedRecording(
-                f"{recording.path}: the run says that it is complete, but {name} overflowed by step {step} of the "
-                f"{phase} phase"
-            )
 
 
 def _equality(positions: Positions | None, histories: Histories | None) -> Verdict | None:
@@ -164,20 +153,6 @@ def _observed(captured: Fingerprints | None, timed: Fingerprints | None) -> bool
         return None
     common, at_timed, at_captured = np.intersect1d(timed.steps, captured.steps, return_indices=True)
     return bool((timed.hashes[at_timed] != captured.hashes[at_captured]).any()) if len(common) else None
-
-
-def _elapsed(recording: Recording) -> float | None:
-    timing = recording.timing.get("timed")
-    if timing is None:
-        return None
-    c = recording.configuration
-    intervals = -(-c.timed_steps // max(timing.steps_per_interval, 1))  # the last one may be shorter
-    if timing.steps_per_interval < 1 or len(timing.start_ns) != intervals:
-        raise DamagedRecording(
-            f"{recording.path}: {len(timing.start_ns)} intervals of {timing.steps_per_interval} steps were timed, "
-            f"not the {c.timed_steps} steps that were asked for"
-        )
-    return timing.elapsed_s
 
 
 def gpu_memory(recording: Recording) -> GpuMemory | None:

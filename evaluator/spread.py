@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evaluator.metrics.divergence import FIT_LIMIT_M, GrowthFit, fit_growth, resolution
+from evaluator.positions import check_format
 from evaluator.recording import Recording
 from evaluator.state_array import StateArray
 from schemas.errors import DamagedRecording
@@ -20,7 +21,6 @@ MAX_STEPS = 500
 _READ_BYTES = 16 << 20  # of positions at a time
 _BLOCK_ROWS = 50  # of a block, at most, by the format; row 0 is a block of its own
 _BLOCK_ENVS = 64
-_AXES = (("x", "y"), ("x", "y", "z"))
 
 
 @dataclass(frozen=True)
@@ -73,8 +73,7 @@ def spread(recording: Recording) -> tuple[Spread | None, str]:
     if not fields:
         return None, "no positions were recorded"
     for field in fields:
-        if field.unit != "m" or field.frame not in ("world", "env") or field.components not in _AXES:
-            raise DamagedRecording(f"{recording.path}: {field.name} is no position of this format")
+        check_format(recording, field)
     n_env = recording.configuration.n_env
     if n_env < 2:
         return None, "needs at least two environments"

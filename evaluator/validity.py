@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from evaluator.claims import Claim, every
 from evaluator.groups import Group
 from evaluator.summary import BitSummary, Summary
 from schemas.provenance import Buffer, OverflowBit
@@ -15,6 +16,8 @@ PHASES = ("capture", "timed")
 """In this order of preference: every captured step is counted, of the others the last of warm-up and timed phase."""
 
 _ALL = "all"
+
+NOTHING_TOLD = Claim(None, "no run tells of its overflow")
 
 
 @dataclass(frozen=True)
@@ -103,12 +106,14 @@ class Validity:
     buffers    in the order of simulation.json
     overflow   bits that fired; empty where none did, None where the engine does not tell
     actions    by phase; empty where the scene has none
+    overflow_told  whether every run tells of its overflow
     """
 
     counted: tuple[Counted, ...]
     buffers: tuple[BufferUse, ...]
     overflow: tuple[OverflowSeen, ...] | None
     actions: tuple[ActionsApplied, ...]
+    overflow_told: Claim = NOTHING_TOLD
 
     def of(self, name: str, *phases: str) -> Counted | None:
         """A counter in the first of these phases that has it; by default in order of PHASES."""
@@ -123,6 +128,7 @@ def validity_of(group: Group[Summary]) -> Validity:
         buffers=tuple(_buffers(group.recordings)),
         overflow=_overflow(group.recordings),
         actions=tuple(_actions(group.complete)),
+        overflow_told=_told(group.complete),
     )
 
 
@@ -171,6 +177,12 @@ def _overflow(runs: Sequence[Summary]) -> tuple[OverflowSeen, ...] | None:
             for fired in overflows.bits:
                 seen.setdefault(fired.bit, []).append((fired, phase, overflows.spread, index))
     return tuple(_seen(described.get(bit), seen[bit]) for bit in sorted(seen))
+
+
+def _told(runs: Sequence[Summary]) -> Claim:
+    telling = sum(bool(run.overflows) for run in runs)
+    why_not = f"{telling} of {len(runs)} complete runs tell of their overflow" if runs else NOTHING_TOLD.why_not
+    return every((True if run.overflows else None for run in runs), why_not)
 
 
 def _seen(described: OverflowBit | None, found: Sequence[tuple[BitSummary, str, bool, int]]) -> OverflowSeen:

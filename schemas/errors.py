@@ -33,6 +33,10 @@ class GsbError(Exception):
     exit_code = ExitCode.FAILURE
 
 
+NUMBERS_OF_A_STRANGER = (ValueError, OverflowError, KeyError, IndexError, MemoryError)
+"""What Python and numpy raise for numbers in a file that they cannot take: the file is damaged."""
+
+
 class UsageError(GsbError):
     exit_code = ExitCode.USAGE
 

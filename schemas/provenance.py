@@ -100,9 +100,9 @@ class Provenance:
                 created_utc=checks.text(record, "created_utc"),
                 argv=checks.texts(record, "argv"),
                 configuration=RunConfiguration.from_json(checks.mapping(record, "configuration")),
-                host=checks.mapping(record, "host"),
-                gpus=tuple(checks.objects(record, "gpus")),
-                software=checks.mapping(record, "software"),
+                host=_known(checks.mapping(record, "host"), _HOST),
+                gpus=tuple(_known(gpu, _GPU) for gpu in checks.objects(record, "gpus")),
+                software=_software(checks.mapping(record, "software")),
                 environment=checks.text_map(record, "environment"),
                 replay_of=ReplayOf.from_json(checks.mapping(record, "replay_of")) if "replay_of" in record else None,
             )
@@ -222,7 +222,7 @@ class Simulation:
                     for d in checks.objects(record, "deviations")
                 ),
                 fields=_fields(checks.objects(record, "fields")),
-                scene=checks.mapping(record, "scene"),
+                scene=_known(checks.mapping(record, "scene"), {"name": str, "sha256": str, "parameters": dict}),
                 env_origins=tuple(_point(o) for o in checks.items(record, "env_origins")),
                 timing_covers=checks.text(record, "timing_covers", default=""),
                 fresh_start=checks.text(record, "fresh_start", default=""),
@@ -238,6 +238,42 @@ class Simulation:
             )
         except DamagedRecording as error:
             raise DamagedRecording(f"{SIMULATION}: {error}") from None
+
+
+_HOST: dict[str, type] = {
+    **dict.fromkeys(("cpu", "kernel", "libc", "machine", "system"), str),
+    **dict.fromkeys(("cores", "memory_bytes", "threads", "usable_threads"), int),
+}
+_GPU: dict[str, type] = {
+    "name": str, "driver": str, "memory_bytes": int, "power_limit_mw": int, "ecc": bool, "mig": bool,
+}  # fmt: skip
+_SOFTWARE: dict[str, type] = {"python": str, "implementation": str, "recorder": dict, "packages": dict}
+_RECORDER: dict[str, type] = {"version": str, "commit": str, "modified": bool}
+
+
+def _known(record: dict[str, Any], kinds: dict[str, type]) -> dict[str, Any]:
+    """The record, whose known keys have values of the right kind or null: a machine may not tell everything."""
+    for key, kind in kinds.items():
+        value = record.get(key)
+        if value is None:
+            continue
+        if kind is str:
+            checks.text(record, key)
+        elif kind is bool:
+            checks.flag(record, key)
+        elif kind is dict:
+            checks.mapping(record, key)
+        else:
+            checks.whole(record, key, 0, 2**63)
+    return record
+
+
+def _software(record: dict[str, Any]) -> dict[str, Any]:
+    _known(record, _SOFTWARE)
+    _known(record.get("recorder") or {}, _RECORDER)
+    if record.get("packages"):
+        checks.text_map(record, "packages")
+    return record
 
 
 def _fields(records: list[dict[str, Any]]) -> tuple[StateField, ...]:

@@ -44,7 +44,8 @@ class Audit:
     recordings   of the replays that are complete
     difference   the first original beside the first of these, or beside the one that it was found to be closest to
     settings     what those two say of themselves and disagree on
-    distinct     how many are distinct bit for bit, by their state hashes: of the originals, the replays, and of both
+    distinct     how many are distinct bit for bit, by their state hashes: of the originals, the replays, and of both;
+                 None where they have none
     verdict      None, and `why_not` says why
     """
 
@@ -53,7 +54,7 @@ class Audit:
     recordings: tuple[Recording, ...] = ()
     difference: Difference | None = None
     settings: Settings = Settings()
-    distinct: tuple[int, int, int] = (0, 0, 0)
+    distinct: tuple[int, int, int] | None = None
     verdict: Verdict | None = None
     why_not: str = ""
 

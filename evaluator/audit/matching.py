@@ -93,17 +93,22 @@ def closest(replay: Recording, originals: Sequence[Recording]) -> Recording:
     """The original with the replay's state hashes; else with those of its environments in any order; else the first."""
     pairs = [trajectories([original, replay]) for original in originals]
     for original, (theirs, ours) in zip(originals, pairs, strict=True):
-        if theirs == ours:
+        if theirs and theirs == ours:
             return original
     for original, (theirs, ours) in zip(originals, pairs, strict=True):
-        if sorted(theirs) == sorted(ours):
+        if theirs and sorted(theirs) == sorted(ours):
             return original
     return originals[0]
 
 
-def distinct(originals: Sequence[Recording], replays: Sequence[Recording]) -> tuple[int, int, int]:
-    """How many recordings are distinct by their state hashes: of the originals, of the replays, and of both."""
+def distinct(originals: Sequence[Recording], replays: Sequence[Recording]) -> tuple[int, int, int] | None:
+    """How many recordings are distinct by their state hashes: of the originals, of the replays, and of both.
+
+    None where they have no state hashes of the same phase.
+    """
     found = [b"".join(envs) for envs in trajectories([*originals, *replays])]
+    if not all(found):
+        return None
     there, here = set(found[: len(originals)]), set(found[len(originals) :])
     return len(there), len(here), len(there | here)
 
@@ -111,6 +116,8 @@ def distinct(originals: Sequence[Recording], replays: Sequence[Recording]) -> tu
 def unreproduced(originals: Sequence[Recording], replays: Sequence[Recording]) -> str:
     """Originals whose states no replay gave, in a sentence; empty where there are none."""
     found = trajectories([*originals, *replays])
+    if not all(found):
+        return "of several originals, it is not known which were replayed: not all have state hashes"
     made = found[len(originals) :]
     left = [o.path.name for o, states in zip(originals, found, strict=False) if states not in made]
     return f"of several originals, no replay gave the states of {_named(left)}" if left else ""

@@ -88,6 +88,10 @@ def _verdict(audit: Audit) -> str:
 
 
 def _distinct(audit: Audit) -> str:
+    if audit.distinct is None:
+        return (
+            f"{len(audit.originals)} there, {len(audit.recordings)} here; without state hashes, bits are not compared"
+        )
     there, here, both = audit.distinct
     counts = f"{len(audit.originals)} there, {there} distinct by state hashes; {len(audit.recordings)} here, {here}"
     return f"{counts} distinct; {both} together"

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from enum import Enum
 
 from evaluator.audit.distribution import ALPHA, LawTest, Unit, runs_needed
+from evaluator.claims import every
 
 
 class Level(Enum):
@@ -102,21 +103,15 @@ def ladder(
     return Verdict(tuple(rungs), by_law[rungs[-1].holds], law)
 
 
-def _all(held: Sequence[bool | None]) -> bool | None:
-    if False in held:
-        return False
-    return None if None in held else True
-
-
 def _bits(matches: Sequence[Match], compared: str) -> Rung:
     same = sum(m.bit_identical for m in matches)
     said = f"{same} of {len(matches)} replays: {compared} of an original"
-    return _whole(Rung(Level.BIT_IDENTICAL, same == len(matches), said), matches)
+    return _whole(Rung(Level.BIT_IDENTICAL, every(m.bit_identical for m in matches).holds, said), matches)
 
 
 def _order(matches: Sequence[Match]) -> Rung:
     held = [m.bit_identical or m.same_up_to_env_order for m in matches]
-    if (holds := _all(held)) is None:
+    if (holds := every(held).holds) is None:
         return Rung(Level.SAME_UP_TO_ENV_ORDER, None, "environments cannot be held against others")
     said = f"{sum(h is True for h in held)} of {len(matches)} replays: an original's envs in any order"
     return _whole(Rung(Level.SAME_UP_TO_ENV_ORDER, holds, said), matches)
@@ -133,7 +128,7 @@ def _ulps(matches: Sequence[Match], most: int) -> Rung:
     unknown = dict.fromkeys(m.no_ulps for m, equal in zip(matches, same, strict=True) if m.no_ulps and not equal)
     if unknown:
         return Rung(Level.WITHIN_ULPS, None, f"{said}, but others are not known: {'; '.join(unknown)}")
-    if len(known) < len(found):
+    if not found or len(known) < len(found):
         return Rung(Level.WITHIN_ULPS, None, "numbers cannot be compared in units in the last place")
     return _whole(Rung(Level.WITHIN_ULPS, True, said), matches)
 

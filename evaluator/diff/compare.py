@@ -104,6 +104,7 @@ def _compare(a: Selection, b: Selection) -> Difference:
         settings=() if one_recording else differing_settings(a.recording, b.recording),
         copies=not one_recording and a.recording.provenance.run_id == b.recording.provenance.run_id,
         notes=(*remarks.notes(a, b, fields, hashes), *remarks.timed(timed_agreement)),
+        described=a.recording.simulation is not None and b.recording.simulation is not None,
     )
 
 

@@ -322,6 +322,7 @@ class Difference:
     settings               what configurations, provenance, options, versions and attachments differ in
     copies                 both are recordings of the same run, so that being equal says nothing
     notes                  what a reader must know beside, a sentence each
+    described              whether the simulators were described, so that `settings` is of their versions and options
     """
 
     a: Side
@@ -341,6 +342,7 @@ class Difference:
     settings: tuple[Setting, ...]
     copies: bool
     notes: tuple[str, ...]
+    described: bool = True
 
     @property
     def verdict(self) -> Verdict:

@@ -198,7 +198,10 @@ def _print_rest(console: Console, found: Difference) -> None:
         console.print()
     if not found.settings:
         if not found.one_recording:
-            console.print("the recordings say the same of themselves: configuration, versions, options, machine")
+            same = "configuration, versions, options, machine" if found.described else "configuration, machine"
+            console.print(f"the recordings say the same of themselves: {same}")
+            if not found.described:
+                console.print("versions and options in force are not compared: neither recording tells them")
         return
     console.print("what the recordings say of themselves and differ in", style="bold")
     table = plain_table("", "a", "b")

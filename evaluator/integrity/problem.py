@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from enum import Enum
 
-from schemas.errors import GsbError
+from schemas.errors import NUMBERS_OF_A_STRANGER, GsbError
 
 MAX_KEPT = 20
 """Problems of one kind that are told in full; of the others their number is."""
@@ -128,8 +128,7 @@ class Problems:
             yield reasons
         except GsbError as error:
             reasons.append(without_path(error, path))
-        except (ValueError, OverflowError, KeyError, IndexError, MemoryError) as error:
-            # numbers of a stranger that numpy cannot take; evaluator.run_data reads them the same way
+        except NUMBERS_OF_A_STRANGER as error:
             reasons.append(str(error) or type(error).__name__)
 
 

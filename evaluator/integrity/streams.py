@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 
 from evaluator.integrity.problem import Kind, Problems
 from evaluator.recording import Recording
+from evaluator.validation import demands
 from schemas.provenance import LOGGED, REAL, SCENE
 
 _PHASE_OF = {"stall": "capture", "drain": "capture"}
@@ -17,23 +17,12 @@ _PHASE_OF = {"stall": "capture", "drain": "capture"}
 
 def check_streams(recording: Recording, problems: Problems) -> None:
     """Read every stream, and compare what they say of the same thing."""
-    reads: tuple[Callable[[], Any], ...] = (
-        lambda: recording.timing,
-        lambda: recording.memory,
-        lambda: recording.counts,
-        lambda: recording.overflows,
-        lambda: recording.action_streams,
-        lambda: recording.events,
-        lambda: recording.dropouts,
-        lambda: recording.scene,
-        lambda: recording.fingerprints("capture"),
-        lambda: recording.fingerprints("timed"),
-        *((lambda name=name: recording.actions(name)) for name in recording.action_names),
-        *((lambda field=field: recording.state(field.group, field.field)) for field in recording.fields),
-    )
-    for read in reads:
+    for demand in demands(recording):
         with problems.noting(Kind.stream, path=recording.path):
-            read()
+            demand()
+    for name in recording.action_names:
+        with problems.noting(Kind.stream, path=recording.path):
+            recording.actions(name)
     for kind, checks in _CHECKS.items():
         for check in checks:
             # what cannot be read is told above
@@ -111,14 +100,6 @@ def _gates(recording: Recording, problems: Problems) -> None:
             problems.add(Kind.contradiction, what)
 
 
-def _overflows(recording: Recording, problems: Problems) -> None:
-    described = recording.simulation.overflow_bits if recording.simulation else ()
-    for phase, overflows in recording.overflows.items() if recording.status == "complete" else ():
-        if fatal := overflows.fatal(described):
-            what = f"the run is complete, and {fatal[0]} overflowed by step {fatal[1]} of {phase}"
-            problems.add(Kind.contradiction, what)
-
-
 def _intervals(recording: Recording, problems: Problems) -> None:
     c = recording.configuration
     if recording.status != "complete":
@@ -169,7 +150,7 @@ _CHECKS: dict[Kind, tuple[Callable[[Recording, Problems], None], ...]] = {
     Kind.clock: (_event_clock, _memory_clocks, _phases),
     Kind.fingerprint: (_fingerprints,),
     Kind.observer: (_observer,),
-    Kind.contradiction: (_status, _gates, _overflows, _intervals, _states, _scene),
+    Kind.contradiction: (_status, _gates, _intervals, _states, _scene),
     Kind.dropout: (_dropouts,),
 }
 """Comparisons by the kind that each finds; one that cannot be read to its end leaves the others as they are."""

@@ -10,7 +10,7 @@ from evaluator.physics.depth import Depths
 from evaluator.physics.ending import end_facts
 from evaluator.physics.facts import Check, Fact, NotMeasured, PhysicsFacts, measured
 from evaluator.physics.fall import fall_facts
-from evaluator.physics.robot import GROUP, robot_facts
+from evaluator.physics.robot import GROUP, limits_of, robot_facts
 from evaluator.physics.setting import Setting
 from evaluator.physics.slides import Slides
 from evaluator.physics.slope import slope_facts
@@ -58,6 +58,19 @@ def physics_of(recording: Recording, sank: tuple[Sunk | None, str] | None = None
     configuration = recording.configuration
     setting = Setting(walk, world, configuration.dt, configuration.stride, _sample_time(recording))
     return found([*_of_states(setting), _sank(sank or sunk(recording))])
+
+
+def check_described(recording: Recording) -> None:
+    """Read what mechanics needs of the scene; DamagedRecording where a part of it is unreadable."""
+    if recording.configuration.simulator == REAL:
+        return
+    joints = next((f for f in recording.fields if f.group == GROUP and f.field == "qpos"), None)
+    if joints is not None:
+        limits_of(recording, joints.items)
+        return
+    walk = Walk(recording, drawn_envs(recording.configuration.n_env))
+    if walk.groups and not isinstance(world_of(recording, walk.items), str):
+        _sample_time(recording)
 
 
 _NO_STATES = "no states were recorded (the capture phase was left out or not reached)"

@@ -22,7 +22,7 @@ _LARGE = 1e9  # of an angle [rad]: the simulation blew up
 def robot_facts(recording: Recording) -> list[Fact]:
     """Whether angles are finite, and how far the farthest is beyond its limits."""
     array = recording.state(GROUP, "qpos")
-    limits = _limits(recording, array.field.items)
+    limits = limits_of(recording, array.field.items)
     if isinstance(limits, str):
         return [NotMeasured(Check.JOINT_LIMIT, limits)]
     lower, upper, fastest = limits
@@ -51,7 +51,11 @@ def robot_facts(recording: Recording) -> list[Fact]:
     ]  # fmt: skip
 
 
-def _limits(recording: Recording, items: tuple[str, ...]) -> tuple[Array, Array, float] | str:
+def limits_of(recording: Recording, items: tuple[str, ...]) -> tuple[Array, Array, float] | str:
+    """Lower and upper limit [rad] of each joint and the largest speed [rad/s], or why the scene does not tell them.
+
+    DamagedRecording where the scene is unreadable.
+    """
     try:
         links = checks.objects(checks.mapping(recording.scene, "robot"), "links")
         joints = [checks.mapping(link, "joint") for link in links if link.get("joint") is not None]

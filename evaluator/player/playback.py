@@ -12,14 +12,14 @@ from evaluator.player.encode import encode
 from evaluator.recording import Recording
 from evaluator.results import GroupResult
 from evaluator.summary import Summary
-from schemas.errors import GsbError
+from schemas.errors import NUMBERS_OF_A_STRANGER, GsbError
 
 BUDGET_BYTES = 6_000_000
 """Of all clips of a page, as text."""
 
 _CLIP_BYTES = 500_000
 _MOST_RUNS = 16
-_UNREADABLE = (GsbError, OSError, ValueError, OverflowError, KeyError, IndexError, MemoryError)
+_UNREADABLE = (GsbError, OSError, *NUMBERS_OF_A_STRANGER)
 
 
 @dataclass(frozen=True)

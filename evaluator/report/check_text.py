@@ -66,7 +66,9 @@ def _sum(report: Report) -> str:
     damaged = {path for finding in report.findings if finding.rule.damage for path in finding.files}
     found = f"{errors} error{'' if errors == 1 else 's'}, {warnings} warning{'' if warnings == 1 else 's'}"
     lost = f"; {len(damaged)} of them damaged" if damaged else ""
-    return f"{count} file{'' if count == 1 else 's'}{lost}, rules {' and '.join(report.rule_sets)}: {found}"
+    asked = any(file.held for file in report.files) or report.findings or report.unchecked
+    nothing = "" if asked else "; no rule applies to any file, so nothing was checked"
+    return f"{count} file{'' if count == 1 else 's'}{lost}, rules {' and '.join(report.rule_sets)}: {found}{nothing}"
 
 
 def _wrapped(text: str, indent: str) -> list[str]:

@@ -77,7 +77,7 @@ def fidelity_record(one: Fidelity) -> dict[str, Any]:
             "reason": row.reason,
         }
         if row.verdict is not Verdict.NOT_APPLICABLE:
-            names = ("mean", "least", "most", "runs", "count", "low", "high", "tolerance", "broken")
+            names = ("mean", "least", "most", "runs", "count", "low", "high", "tolerance", "broken", "of_runs")
             shown |= {name: getattr(row, name) for name in names}
             shown |= {"tolerance_formula": row.of, "notes": list(row.notes)}
         record["checks"][row.check.key] = shown
@@ -97,6 +97,8 @@ def cells(row: FidelityRow) -> tuple[str, ...]:
     verdict = row.verdict.value.upper() if row.verdict is Verdict.BROKEN else row.verdict.value
     if row.broken:
         verdict += f" {row.broken} of {row.count}"
+    if row.runs < row.of_runs:
+        verdict += f", measured in {row.runs} of {row.of_runs} runs"
     spread = NONE if row.least == row.most else f"{number(row.least)} to {number(row.most)}"
     return row.check.title + unit, number(row.mean), spread, allowed(row), number(row.tolerance), verdict
 

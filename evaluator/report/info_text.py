@@ -80,7 +80,12 @@ def _integrity(found: Inspection) -> str:
         return f"{count} problem{'s' if count > 1 else ''}; gsb-check says what they mean"
     if not found.verified:
         return "not verified (--no-verify); records and CRCs that were read are whole"
-    return "whole and unchanged: records, CRCs, digests, content hash, state hashes"
+    looked_at = ["records", "digests", "content hash"]
+    if Kind.crc_missing.name not in found.integrity:
+        looked_at.insert(1, "CRCs")
+    if "capture" in found.hashes and Kind.state_hash.name not in found.unchecked:
+        looked_at.append("state hashes")
+    return f"whole and unchanged: {', '.join(looked_at)}"
 
 
 def _who(p: Provenance) -> Iterator[tuple[str, str]]:

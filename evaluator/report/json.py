@@ -97,6 +97,7 @@ def _validity(validity: Validity) -> dict[str, Any]:
         "counters": [vars(c) for c in validity.counted],
         "buffers": [{**vars(b.buffer), "needed": b.needed, "share": b.share} for b in validity.buffers],
         "overflow": None if validity.overflow is None else [vars(o) for o in validity.overflow],
+        "overflow_told_by_all": validity.overflow_told.yes,
         "actions": [vars(a) for a in validity.actions],
     }
 

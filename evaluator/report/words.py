@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from statistics import median
 
+from evaluator.claims import identical
 from evaluator.fidelity import Fidelity, Verdict
 from evaluator.groups import Described, Group, shown_status
 from evaluator.metrics.cotenants import Presence
@@ -54,10 +55,11 @@ def buffers(validity: Validity) -> str:
 
 
 def overflow(validity: Validity) -> str:
-    """The bits that fired; a dash where the engine does not tell."""
+    """The bits that fired; a dash where the engine does not tell, and not "none" where some runs do not."""
     if validity.overflow is None:
         return NONE
-    return "; ".join(fired(seen) for seen in validity.overflow) or "none"
+    none = "none" if validity.overflow_told.yes else f"none known: {validity.overflow_told.why_not}"
+    return "; ".join(fired(seen) for seen in validity.overflow) or none
 
 
 def fired(seen: OverflowSeen) -> str:
@@ -127,7 +129,17 @@ def equality(metric: Metric) -> str:
     worst = metric.extra["worst"]
     if metric.value == Level.DIFFERENT and worst is None and metric.extra["worst_ulp"] == 0:
         return "different, though not at the sample step"
+    if metric.value == Level.BIT_IDENTICAL and metric.extra["note"]:  # there are no state hashes
+        return f"{metric.extra['text']} at the sample step, no other was compared"
     return f"{metric.extra['text']}, {_length(worst['difference'])} apart" if worst else str(metric.extra["text"])
+
+
+def all_alike(metric: Metric) -> str:
+    """What a metric of distinct environments or runs says where it has found one: alike, or not compared and why."""
+    claim = identical(metric)
+    if claim.holds is None:
+        return f"not compared: {claim.why_not}"
+    return "all alike, bit by bit" if claim.yes else ""
 
 
 def _length(metres: float) -> str:

@@ -17,7 +17,7 @@ from evaluator.plain import brief
 from evaluator.recording import Recording
 from schemas import checks
 from schemas.configuration import RunConfiguration
-from schemas.errors import GsbError
+from schemas.errors import NUMBERS_OF_A_STRANGER, GsbError
 from schemas.provenance import PACKAGES, PROVENANCE, REAL, SCENE, SIMULATION, Provenance, Simulation
 
 
@@ -61,8 +61,7 @@ def fact_of(name: str, file: Integrity) -> Any:
         return FACTS[name].read(file)
     except (_NotThere, GsbError) as error:
         return Unknown(str(error))
-    except (ValueError, OverflowError, KeyError, IndexError, MemoryError) as error:
-        # numbers of a stranger that numpy cannot take; evaluator.run_data reads them the same way
+    except NUMBERS_OF_A_STRANGER as error:
         return Unknown(str(error) or type(error).__name__)
 
 
@@ -209,6 +208,13 @@ def _recorder(file: Integrity) -> dict[str, Any]:
     return recorder if isinstance(recorder, dict) else {}
 
 
+def _modified(file: Integrity) -> bool:
+    modified = _recorder(file).get("modified")
+    if modified is None:
+        raise _NotThere("the recording does not tell whether the recorder's checkout had changes")
+    return bool(modified)
+
+
 def _problems(kind: Kind) -> Fact:
     def read(file: Integrity) -> tuple[str, ...]:
         found = file.of(kind)
@@ -291,9 +297,7 @@ FACTS: dict[str, Fact] = {
     "recorder_commit": Fact(
         FactType.text, "git commit of the recorder, or empty", lambda f: str(brief(_recorder(f).get("commit")) or "")
     ),
-    "recorder_modified": Fact(
-        FactType.flag, "the recorder's checkout had changes", lambda f: bool(_recorder(f).get("modified"))
-    ),
+    "recorder_modified": Fact(FactType.flag, "the recorder's checkout had changes", _modified),
 }
 """All facts, by name."""
 

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from evaluator import identity_metrics as identity
+from evaluator.claims import every, identical
 from evaluator.histories import Histories
 from evaluator.over_runs import Runs
 from evaluator.results import Metric
@@ -29,8 +30,8 @@ def compare_determinism(base: Runs, head: Runs) -> Sequence[Finding]:
 
 
 def all_alike(runs: Runs) -> bool:
-    """Whether at least two runs have the same bits at every captured step."""
-    return identity.distinct(runs)[1].value == 1.0
+    """Whether at least two runs were compared, and all have the same bits at every captured step."""
+    return identical(identity.distinct(runs)[1]).yes
 
 
 def compare_bits(base: Runs, head: Runs) -> Finding | None:
@@ -51,7 +52,7 @@ def compare_bits(base: Runs, head: Runs) -> Finding | None:
             return not_compared(Axis.BITS, "states", _STATES, f"runs of {name} differ among themselves; {shared}")
     one, other = found[0][0], found[1][0]
     rows = min(len(one.steps), len(other.steps))
-    if not np.array_equal(one.steps[:rows], other.steps[:rows]):
+    if not rows or not np.array_equal(one.steps[:rows], other.steps[:rows]):
         return not_compared(Axis.BITS, "states", _STATES, "other steps were captured")
     apart = np.flatnonzero((one.digests[:rows] != other.digests[:rows]).any(axis=1))
     same = not len(apart)
@@ -71,12 +72,12 @@ def _shared(one: Sequence[Histories], other: Sequence[Histories]) -> str:
 
 def _level(name: str, title: str, one: Metric, other: Metric, n: tuple[int, int]) -> Finding:
     axis = Axis.DETERMINISM
-    if one.value is None or other.value is None:
-        why = "; ".join(dict.fromkeys(m.why_not for m in (one, other) if m.why_not))
+    claims = [identical(metric) for metric in (one, other)]
+    if unknown := [claim for claim in claims if claim.holds is None]:
         # environments that differ by design, on either side, leave nothing to decide; too few runs do
-        designed = name == "distinct_envs" and one.value is None and other.value is None and min(n) > 0
-        return not_compared(axis, name, title, why, applies=not designed)
-    alike, stays = one.value == 1, other.value == 1
+        designed = name == "distinct_envs" and len(unknown) == len(claims) and min(n) > 0
+        return not_compared(axis, name, title, every(unknown).why_not, applies=not designed)
+    alike, stays = (claim.yes for claim in claims)
     change = Direction.LOWER.judged(rises=alike) if alike != stays else Change.SAME
     return Finding(
         axis, name, title, change, Direction.LOWER, said=(_said(one), _said(other)), base=one.value, head=other.value,

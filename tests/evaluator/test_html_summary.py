@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from evaluator.claims import Tally
 from evaluator.evaluate import evaluate_files
 from evaluator.report.html import render_html
 from evaluator.report.page import summary
@@ -42,10 +43,10 @@ def test_verdicts_are_computed(tmp_path: Path) -> None:
     assert fastest.first.result.group.key.simulator == "fast"
     assert fastest.second.result.group.key.simulator == "slow"
     found = {one.name: one for one in section.context["simulators"]}
-    assert (found["slow"].tested, found["slow"].same) == (1, 1)
-    assert (found["fast"].tested, found["fast"].same, found["fast"].same_runs) == (1, 0, 0)
+    assert (found["slow"].same_envs, found["slow"].same_runs) == (Tally(1, 1, 1), Tally(1, 1, 1))
+    assert (found["fast"].same_envs, found["fast"].same_runs) == (Tally(0, 1, 1), Tally(0, 1, 1))
     assert found["wrong"].troubled == {"INVALID (buffer)": 2}
-    assert (found["wrong"].speeds, found["wrong"].tested) == ((), 0)
+    assert (found["wrong"].speeds, found["wrong"].same_runs) == ((), Tally(0, 0, 1))
     assert found["control"].instrument
     assert section.context["no_reference"] == evaluation.reference_note
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
+from evaluator.claims import Tally, identical, tally
 from evaluator.fidelity import Verdict
 from evaluator.groups import is_instrument, shown_status
 from evaluator.report import timed
@@ -39,9 +40,8 @@ class SimulatorSummary:
 
     instrument  whether it is a control with a known answer, which is not ranked
     speeds      by scene and device
-    tested      groups of which more than one environment or run was compared by bits
-    same        groups among them of which all environments of a run and all runs are bit-identical
-    same_runs   those of which all runs are, though environments of a run differ
+    same_envs   groups of which all environments of a run are bit-identical, of those in which that was compared
+    same_runs   groups of which all runs are bit-identical, likewise
     runs        recordings; `troubled` of them by how they ended
     broken      groups in which some check of mechanics is broken; `checked` of which any could be made
     """
@@ -50,9 +50,8 @@ class SimulatorSummary:
     versions: tuple[str, ...]
     instrument: bool
     speeds: tuple[Speed, ...]
-    tested: int
-    same: int
-    same_runs: int
+    same_envs: Tally
+    same_runs: Tally
     runs: int
     troubled: dict[str, int]
     broken: int
@@ -97,7 +96,6 @@ def section(source: Source) -> Section | None:
 
 
 def _of(name: str, results: Sequence[GroupResult]) -> SimulatorSummary:
-    tested = [r for r in results if any(_compared(r, of) for of in ("distinct_envs", "distinct_runs"))]
     troubled: dict[str, int] = {}
     recordings = [one for r in results for one in r.group.recordings]
     for one in recordings:
@@ -109,27 +107,13 @@ def _of(name: str, results: Sequence[GroupResult]) -> SimulatorSummary:
         tuple(dict.fromkeys(r.group.key.version for r in results if r.group.key.version)),
         all(is_instrument(r.group.key) for r in results),
         tuple(_speeds(results)),
-        len(tested),
-        sum(_alike(r, "distinct_envs") and _alike(r, "distinct_runs") for r in tested),
-        sum(
-            _compared(r, "distinct_runs") and _alike(r, "distinct_runs") and not _alike(r, "distinct_envs")
-            for r in tested
-        ),
+        tally(identical(r.metrics["distinct_envs"]) for r in results),
+        tally(identical(r.metrics["distinct_runs"]) for r in results),
         len(recordings),
         troubled,
         sum(bool(r.fidelity.of(Verdict.BROKEN)) for r in results),
         sum(bool(r.fidelity.of(Verdict.BROKEN) or r.fidelity.of(Verdict.HELD)) for r in results),
     )
-
-
-def _compared(result: GroupResult, metric: str) -> bool:
-    found = result.metrics[metric]
-    return found.value is not None and found.n > 1
-
-
-def _alike(result: GroupResult, metric: str) -> bool:
-    # a single one differs from no other
-    return not _compared(result, metric) or result.metrics[metric].value == 1
 
 
 def _speeds(results: Sequence[GroupResult]) -> Iterator[Speed]:

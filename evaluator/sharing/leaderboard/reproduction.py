@@ -9,10 +9,13 @@ from __future__ import annotations
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
+from evaluator.claims import every
 from evaluator.plain import brief
 from evaluator.reading import Read
 from evaluator.run_data import RunData
 from evaluator.summary import Summary
+
+_MACHINE = ("cpu", "usable_threads", "memory_bytes")
 
 
 @dataclass(frozen=True)
@@ -21,14 +24,15 @@ class Replay:
 
     content_hash   of the replay
     agrees         every captured state has the same bits; None where the two cannot be compared
-    other_machine  it was made on another kind of machine than the original: other processor, threads, memory or GPUs
+    other_machine  it was made on another kind of machine than the original: other processor, threads, memory or GPUs;
+                   None where one of the two recordings does not tell all of these
     machine        the kind, in words
     changed        settings that were other than recorded
     """
 
     content_hash: str
     agrees: bool | None
-    other_machine: bool
+    other_machine: bool | None
     machine: str
     changed: tuple[str, ...] = ()
 
@@ -62,6 +66,12 @@ class Reproduction:
         return len({replay.machine for replay in self.agreeing if replay.other_machine})
 
     @property
+    def nowhere_else(self) -> str:
+        """What is said where `elsewhere` is 0."""
+        known = every(None if replay.other_machine is None else True for replay in self.agreeing)
+        return "none other than its own" if known.yes else "which of them are others is not told"
+
+    @property
     def count(self) -> int:
         """All replays."""
         return sum(map(len, self.replays.values()))
@@ -79,10 +89,11 @@ def replays_of(files: Sequence[Read], whole: Collection[str]) -> dict[str, tuple
         original = known.get((of.run_id, of.content_hash)) if of else None
         if of is None or original is None or original is file or file.summary.content_hash not in whole:
             continue
-        ours, theirs = machine_of(file.summary), machine_of(original.summary)
+        ours = machine_of(file.summary)
         found.setdefault(of.content_hash, {})[file.summary.content_hash] = Replay(
-            file.summary.content_hash, _agree(original.run, file.run), ours != theirs, ours, tuple(sorted(of.changed))
-        )
+            file.summary.content_hash, _agree(original.run, file.run), _other(original.summary, file.summary), ours,
+            tuple(sorted(of.changed)),
+        )  # fmt: skip
     return {original: tuple(replays.values()) for original, replays in found.items()}
 
 
@@ -103,8 +114,17 @@ def reproduction(group: Sequence[Summary], replays: dict[str, tuple[Replay, ...]
 def machine_of(summary: Summary) -> str:
     """The kind of machine that a recording says it is from."""
     host = summary.provenance.host
-    cpu = ", ".join(str(brief(host.get(key, "?"))) for key in ("cpu", "usable_threads", "memory_bytes"))
+    cpu = ", ".join(str(brief(host.get(key, "?"))) for key in _MACHINE)
     return "; ".join([cpu, *(str(brief(gpu.get("name", "a GPU"))) for gpu in summary.provenance.gpus)])
+
+
+def _other(one: Summary, other: Summary) -> bool | None:
+    for summary in (one, other):
+        told = [summary.provenance.host.get(key) for key in _MACHINE]
+        told += [gpu.get("name") for gpu in summary.provenance.gpus]
+        if not all(told):
+            return None
+    return machine_of(one) != machine_of(other)
 
 
 def _agree(original: RunData | None, replay: RunData | None) -> bool | None:

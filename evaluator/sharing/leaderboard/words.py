@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 
+from evaluator.claims import identical
 from evaluator.report import words as report_words
 from evaluator.report.numbers import plural
 from evaluator.results import Metric
@@ -34,7 +35,10 @@ def repeats(row: Row) -> list[str]:
 def _distinct(what: str, metric: Metric) -> str:
     if metric.value is None:
         return f"{what}: {metric.why_not}"
-    if metric.value == 1:
+    claim = identical(metric)
+    if claim.holds is None:
+        return f"{what}: {claim.why_not}"
+    if claim.yes:
         return f"all {metric.n} {what} alike"
     since = metric.extra.get("first_difference_step")
     return f"{metric.value:.0f} of {metric.n} {what} distinct" + ("" if since is None else f", from step {since}")
@@ -77,7 +81,7 @@ def reproduced(found: Reproduction) -> str:
         how = "with other states" if compared else "without states to compare"
         return f"replayed by {plural(found.count, 'recording')}, {how}"
     by = f"by {plural(len(found.agreeing), 'recording')} on {plural(found.machines, 'kind')} of machine"
-    where = "none other than its own" if not found.elsewhere else f"{found.elsewhere} other than its own"
+    where = f"{found.elsewhere} other than its own" if found.elsewhere else found.nowhere_else
     return f"{found.reproduced} of {found.originals} reproduced bitwise, {by}, {where}"
 
 

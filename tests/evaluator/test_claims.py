@@ -1,0 +1,260 @@
+"""What was not compared is never told as a yes: every function that makes a claim of several parts."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from evaluator import identity_metrics as identity
+from evaluator.audit import matching
+from evaluator.audit.distribution import LawTest
+from evaluator.audit.verdict import Level, Match, ladder
+from evaluator.claims import Claim, Tally, every, identical, tally
+from evaluator.fidelity import Verdict, fidelity
+from evaluator.histories import histories_of
+from evaluator.metrics.levels import verdict
+from evaluator.physics.facts import Check, NotMeasured, PhysicsFacts, measured
+from evaluator.report import words
+from evaluator.report.fidelity import cells
+from evaluator.report.page import summary
+from evaluator.results import Metric, not_computed
+from evaluator.sharing.leaderboard import words as board_words
+from evaluator.sharing.leaderboard.reproduction import Replay, Reproduction
+from evaluator.streams import Fingerprints
+from evaluator.validity import validity_of
+from evaluator.versus.finding import Change
+from evaluator.versus.sameness import all_alike, compare_bits, compare_determinism
+
+THREE = st.lists(st.sampled_from([True, False, None]), max_size=5)
+"""What is known of some parts: any mixture of yes, no and not compared, and no part at all."""
+
+
+def _metric(name: str, value: float | None, n: int, **extra: Any) -> Metric:
+    return not_computed(name, "", "neither", "nobody looked") if value is None else Metric(
+        name, value, "", "neither", method="", n=n, extra=extra
+    )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class _Run:
+    """As much of RunData as bits need: None has no state hashes, others are equal where their numbers are."""
+
+    state: int | None
+    n_env: int = 2
+    recording: Any = field(default=None, compare=False)
+
+    @property
+    def histories(self) -> Any:
+        if self.state is None:
+            return None
+        hashes = np.full((3, self.n_env), self.state, dtype=np.uint64)
+        return histories_of(Fingerprints(np.arange(3), hashes))
+
+
+def _runs(states: list[int | None], n_env: int = 2) -> list[Any]:
+    configuration = SimpleNamespace(n_env=n_env, dt=0.1, seed=0, phases=("capture",), run_index=0)
+    recording = SimpleNamespace(action_names=(), simulation=None, configuration=configuration, fields=())
+    return [_Run(state, n_env, recording) for state in states]
+
+
+STATES = st.lists(st.sampled_from([1, 2, None]), max_size=4)
+
+
+@given(THREE)
+def test_every(parts: list[bool | None]) -> None:
+    """Yes only where there are parts, and all were compared and hold; no where any is known not to."""
+    claim = every(parts)
+    assert claim.yes == (bool(parts) and all(part is True for part in parts))
+    assert (claim.holds is False) == (False in parts)
+    assert bool(claim.why_not) == (claim.holds is None)
+    nested = every([claim, True])
+    assert nested.yes == claim.yes
+    assert tally([Claim(part) for part in parts]) == Tally(
+        parts.count(True), len(parts) - parts.count(None), len(parts)
+    )  # fmt: skip
+
+
+@given(st.sampled_from([None, 1.0, 2.0]), st.integers(0, 3), st.integers(0, 2))
+def test_identical(value: float | None, n: int, without: int) -> None:
+    """Claim alike environments or runs only of two at least, of which each has hashes; in every text that says so."""
+    metric = _metric("distinct_runs", value, n, without_hashes=without)
+    yes = value == 1 and n > 1 and not without
+    claim = identical(metric)
+    assert claim.yes == yes
+    assert ("alike" in words.all_alike(metric)) == yes
+    assert ("alike" in board_words._distinct("runs", metric)) == yes
+    assert (claim.holds is None) == bool(claim.why_not)
+
+
+@given(st.lists(st.tuples(st.sampled_from([None, 1.0, 2.0]), st.integers(1, 3)), max_size=4))
+def test_the_summary_of_a_report(groups: list[tuple[float | None, int]]) -> None:
+    """Count a group as bit-identical only where it was compared, and say of how many that is."""
+    results: list[Any] = [
+        SimpleNamespace(
+            metrics={name: _metric(name, value, n) for name in ("distinct_envs", "distinct_runs")} | {
+                "fps": _metric("fps", None, 0)
+            },
+            group=SimpleNamespace(recordings=(), key=SimpleNamespace(version="1", switches="", scene="s", device="d")),
+            fidelity=fidelity("", []),
+        )
+        for value, n in groups
+    ]  # fmt: skip
+    found = summary._of("engine", results)
+    compared = [value for value, n in groups if value is not None and n > 1]
+    assert found.same_envs == found.same_runs == Tally(compared.count(1.0), len(compared), len(groups))
+
+
+@given(STATES, STATES, st.integers(1, 2))
+def test_comparing_two_sets(base: list[int | None], head: list[int | None], n_env: int) -> None:
+    """Say "identical", or that nothing changed, only of runs that all have state hashes, and of more than one."""
+    sides = _runs(base, n_env), _runs(head, n_env)
+    for side, states in zip(sides, (base, head), strict=True):
+        assert all_alike(side) == (len(states) > 1 and None not in states and len(set(states)) == 1)
+    for finding in compare_determinism(*sides):
+        told = finding.name == "distinct_envs"
+        for said, states in zip(finding.said, (base, head), strict=True):
+            if said.startswith("identical"):
+                assert None not in states
+                assert (n_env if told else len(states)) > 1
+    bits = compare_bits(*sides)
+    if bits is not None and bits.change is Change.SAME:
+        assert base
+        assert head
+        assert len({*base, *head}) == 1
+        assert None not in base
+    count = identity.identical_steps(*sides)
+    assert (count > 0) == (bool(base and head) and len({*base, *head}) == 1 and None not in base)
+
+
+def _no_test() -> LawTest | str:
+    return "no test"
+
+
+@given(THREE, st.lists(st.sampled_from(["", "the timed phase"]), min_size=5, max_size=5), st.sampled_from([None, 0, 9]))
+def test_the_ladder_of_an_audit(parts: list[bool | None], left_out: list[str], ulps: int | None) -> None:
+    """Reach a level only where each replay was compared, and all of each; without a replay none."""
+    matches = [
+        Match(part is True, part, 0 if part else ulps, left_out=left, no_ulps="" if ulps is not None or part else "?")
+        for part, left in zip(parts, left_out, strict=False)
+    ]
+    found = ladder(matches, _no_test, max_ulps=4, originals=1)
+    whole = bool(parts) and not any(left_out[: len(parts)])
+    assert (found.level is Level.BIT_IDENTICAL) == (whole and all(part is True for part in parts))
+    if found.level in (Level.SAME_UP_TO_ENV_ORDER, Level.WITHIN_ULPS):
+        assert whole
+        assert found.level is Level.WITHIN_ULPS or None not in parts
+    if not parts:
+        assert found.level is None
+        assert found.meets(Level.WITHIN_ULPS) is None
+
+
+@given(STATES, STATES)
+def test_the_runs_of_an_audit(originals: list[int | None], replays: list[int | None]) -> None:
+    """Count distinct runs, and call an original reproduced, only where all have state hashes."""
+
+    class _Recording:
+        path = SimpleNamespace(name="run")
+
+        def __init__(self, state: int | None) -> None:
+            self.state = state
+
+        def fingerprints(self, phase: str) -> Fingerprints | None:
+            there = self.state is not None and phase == "capture"
+            return Fingerprints(np.arange(2), np.full((2, 1), self.state, dtype=np.uint64)) if there else None
+
+    there, here = ([_Recording(state) for state in side] for side in (originals, replays))
+    known = None not in [*originals, *replays]
+    found = matching.distinct(there, here)  # type: ignore[arg-type]
+    if originals or replays:
+        assert (found is not None) == known
+    if not matching.unreproduced(there, here):  # type: ignore[arg-type]
+        assert not originals or (known and set(originals) <= set(replays))
+
+
+@given(THREE)
+def test_checks_of_mechanics(parts: list[bool | None]) -> None:
+    """Say that a check holds only where it was measured, and in how many runs that is where it is not all."""
+
+    def facts(part: bool | None) -> PhysicsFacts:
+        check = Check.FINITE
+        values = [0.0 if part else 1.0]
+        fact = NotMeasured(check, "no") if part is None else measured(
+            check, values, low=0.0, high=0.0, tolerance=0.0, of="none"
+        )  # fmt: skip
+        return PhysicsFacts("scene", 1, ((0, 0),), (fact,), "")
+
+    found = fidelity("group", [facts(part) for part in parts])
+    told = [part for part in parts if part is not None]
+    assert bool(found.of(Verdict.HELD)) == (bool(told) and all(told))
+    assert (words.mechanics(found) == "1 of 1") == (bool(told) and all(told))
+    for row in found.of(Verdict.HELD):
+        assert ("measured in" in cells(row)[-1]) == (None in parts)
+
+
+@given(THREE)
+def test_overflow(parts: list[bool | None]) -> None:
+    """Say that no buffer overflowed only where every run tells."""
+    runs = [
+        SimpleNamespace(
+            counts={}, action_streams={}, simulation=None,
+            overflows={} if part is None else {"capture": SimpleNamespace(bits=(), spread=False)},
+        )
+        for part in parts
+    ]  # fmt: skip
+    group: Any = SimpleNamespace(complete=runs, recordings=runs)
+    assert (words.overflow(validity_of(group)) == "none") == (bool(parts) and None not in parts)
+
+
+@given(THREE)
+def test_replays_on_a_leaderboard(parts: list[bool | None]) -> None:
+    """Count as reproduced only what agrees, and as another machine only what is known to be one."""
+    replays = tuple(Replay(str(i), True, part, f"machine {i}") for i, part in enumerate(parts))
+    said = board_words.reproduced(Reproduction(1, 1 if parts else 0, {"original": replays} if parts else {}))
+    if parts:
+        assert ("none other than its own" in said) == all(part is False for part in parts)
+        others = parts.count(True)
+        assert (f"{others} other than its own" in said) == (others > 0)
+    unknown = tuple(Replay(str(i), part, False, "machine") for i, part in enumerate(parts))
+    assert len(Reproduction(1, 0, {"original": unknown}).agreeing) == parts.count(True)
+
+
+def test_environments_at_other_origins(tmp_path: Any) -> None:
+    """Call no group "bit-identical" whose environments and runs nobody compared, on the page itself."""
+    import re
+
+    from evaluator.evaluate import evaluate_files
+    from evaluator.report.html import render_html
+    from tests.synthetic import grid, write_recording
+
+    final = grid(2)
+    for folder in ("a", "b"):
+        (tmp_path / folder).mkdir()
+    origins = ((0.0, 0.0, 0.0), (1.0, 0.0, 0.0))
+    for dt in (1.0, 0.5):  # two groups of one run each
+        write_recording(tmp_path, final, simulator="physx", origins=origins, dt=dt, steps=round(5 / dt))
+    text = render_html(evaluate_files(sorted(tmp_path.glob("*.mcap"))), published=False, command="")
+    row = re.sub(r"\s+", " ", re.sub(r"<[^>]*>", " ", text[text.index("Simulators in short") :]))[:2000]
+    assert "envs: not compared" in row
+    assert "runs: not compared" in row
+    assert not re.search(r"(envs|runs): \d", row)
+
+
+@pytest.mark.parametrize("value", [None, 1.0])
+def test_a_reason_is_told(value: float | None) -> None:
+    """Give the metric's own reason where it has one."""
+    assert identical(_metric("distinct_envs", value, 1)).why_not
+
+
+@pytest.mark.parametrize("agree", [True, None])
+def test_equality_at_one_step(agree: bool | None) -> None:
+    """Call positions bit-identical without more only where state hashes of every step say so."""
+    found = verdict(np.zeros((2, 1, 1, 2)), hashes_agree=agree)
+    said = words.equality(identity._level("equality_runs", found, 2, {}))
+    assert said.startswith("bit-identical")
+    assert ("sample step" in said) == (agree is None)
