@@ -94,14 +94,14 @@ def test_five_runs_of_mjx_end_in_three_places() -> None:
 
 @pytest.fixture(scope="module")
 def few(tmp_path_factory: pytest.TempPathFactory) -> Evaluation:
-    """Three runs of 20 environments with one cube beside the board, and a reference with one more."""
+    """Three runs of 8 environments with one cube beside the board, and a reference with one more."""
     folder = tmp_path_factory.mktemp("few")
     rng = np.random.default_rng(0)
-    files = [write_recording(folder, grid(20) + rng.normal(0, 0.002, (20, 27, 3)) * [1, 1, 0], run=r) for r in (0, 1)]
-    final = grid(20)
+    files = [write_recording(folder, grid(8) + rng.normal(0, 0.002, (8, 27, 3)) * [1, 1, 0], run=r) for r in (0, 1)]
+    final = grid(8)
     final[7, 3] = (3.0, 0.0, -4.0)
     files.append(write_recording(folder, final, run=2))
-    away = grid(20)
+    away = grid(8)
     away[0, 0] = (-9.0, 0.0, -9.0)
     read = Reader(5.0)
     reference = read(write_recording(folder, away, simulator="other"))
@@ -110,24 +110,24 @@ def few(tmp_path_factory: pytest.TempPathFactory) -> Evaluation:
 
 
 def test_one_cube_of_many_is_shown(few: Evaluation) -> None:
-    """Show one cube of 60 environments, and both distances, in text, JSON, HTML, tables and Parquet."""
+    """Show one cube of 24 environments, and both distances, in text, JSON, HTML, tables and Parquet."""
     found = to_json(few)["groups"][0]["metrics"]
-    assert found["left_board"]["value"] == 1 / 60
+    assert found["left_board"]["value"] == 1 / 24
     assert found["w1_parallel_clamped"]["value"] < found["w1_parallel"]["value"]
     assert found["w1_real_clamped"]["value"] < found["w1_real"]["value"]
 
     stream = io.StringIO()
     print_tables(few, stream)
     lines = [" ".join(line.split()) for line in stream.getvalue().splitlines()]
-    assert "cubes off the board per env 0.02" in lines
+    assert "cubes off the board per env 0.04" in lines
     assert sum(line.startswith("cubes clamped to the board 0.") for line in lines) == 3
 
     page = render_html(few, published=False, command="")
     assert page.count("<small>clamped to the board: 0.") == 5, "in two tables"
-    assert "<small>in 1 of 60 envs</small>" in page
+    assert "<small>in 1 of 24 envs</small>" in page
 
     (row,) = next(t for t in tables(few, published=False) if t.key == "variability").rows
-    assert "0.02" in row
+    assert "0.04" in row
 
     table = frames(few)["metrics.parquet"]
     by_name = {record["metric"]: record for record in table.iter_rows(named=True)}
