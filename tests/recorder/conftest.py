@@ -57,8 +57,8 @@ class Faulty(Simulator):
                 if self.options.mode == "deaf":
                     try:
                         time.sleep(0.01)
-                    except KeyboardInterrupt:
-                        pass
+                    except KeyboardInterrupt:  # an engine that returns ends with the block
+                        time.sleep(600)
                 if self.options.mode == "slow":
                     time.sleep(0.01)
 
