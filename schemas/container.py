@@ -322,13 +322,15 @@ class Container:
         Of a file that was opened through its summary, also that nothing lies beside what the summary says.
         """
         self._chunks.forget()
-        beside = Declarations(self.path)
+        beside, inside = Declarations(self.path), Declarations(self.path)
+        inside.schemas.update(self._declared.schemas)
         crc = position = 0
         end = self._data_end if self._data_end is not None else self.size
         for number, chunk in enumerate(self._chunks):
             self._check_between(position, chunk.record - RECORD_HEAD, number, beside)
             crc = self._crc_of(position, chunk.begin, crc)
             data, known = self._chunks.open(number)
+            self._check_declarations(data, inside)
             if chunk.compression or not known:
                 crc = self._crc_of(chunk.begin, chunk.end, crc)
             else:
@@ -337,9 +339,23 @@ class Container:
         self._check_between(position, end, len(self._chunks), beside)
         if not self._declared.covers(beside):
             raise self._damaged("a channel or schema that is declared beside the chunks is not so in the file's index")
+        if not self._declared.covers(inside):
+            raise self._damaged("a channel or schema that is declared in a chunk is not so in the rest of the file")
         if self._data_crc and self._crc_of(position, end, crc) != self._data_crc:
             raise self._damaged("the data section fails its CRC: bytes were changed")
         self._source.confirm()
+
+    def _check_declarations(self, data: memoryview, inside: Declarations) -> None:
+        # what a chunk declares, which nobody looks at here where an index says what is in it, and other readers do
+        position = 0
+        while position < len(data):
+            begin = position + RECORD_HEAD
+            end = begin + int.from_bytes(data[position + 1 : begin], "little")
+            if end > len(data):
+                raise self._damaged("a chunk ends within a record")
+            if data[position] in (SCHEMA, CHANNEL):
+                inside.take(data[position], Cursor(self.path, data, begin, end))
+            position = end
 
     def _crc_of(self, begin: int, end: int, crc: int) -> int:
         # of what came before, followed by these bytes

@@ -81,4 +81,6 @@ class Cursor:
                 raise DamagedRecording(f"{self._place}: its channels have more texts than are read, at byte {self.at}")
             key = self.text()
             values[key] = self.text()
+        if self.position != end:
+            raise DamagedRecording(f"{self._place}: a list of texts ends within one, at byte {self.at}")
         return values

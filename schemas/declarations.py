@@ -68,6 +68,8 @@ class Declarations:
     def _declare(self, opcode: int, number: int, cursor: Cursor) -> None:
         if opcode == SCHEMA:
             name = cursor.name()
+            cursor.text()  # encoding
+            cursor.take(cursor.u32())  # the definition; a reader that takes it would run on where it is not there
             if self.schemas.setdefault(number, name) != name:
                 raise self._damaged(f"schema {number} has two names")
             return
