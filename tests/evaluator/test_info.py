@@ -175,7 +175,7 @@ def test_terminal_sequences_are_made_visible(tmp_path: Path) -> None:
             deep = {"a\nstatus      complete": deep}
         if name == PROVENANCE:
             record["argv"] = ["gsb-record\nstatus      complete", "x" * 100_000]
-            record["host"] = {"cpu": deep, "memory_bytes": "many"}
+            record["host"] = {"cpu": "a\nstatus      complete", "note": deep}
         if name == SIMULATION:
             record["version"] = "\x1b]0;owned\x07\ud800"
             record["options"] = {"deep": deep}
