@@ -5,7 +5,7 @@ usage: python docs/make_h200.py
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from evaluator.evaluate import evaluate_files
@@ -13,7 +13,7 @@ from evaluator.price_list import DEFAULT, price_list
 from evaluator.report import timed
 from evaluator.report.numbers import distance, figure
 from evaluator.report.price_table import of_family, ratio
-from evaluator.report.words import exchanged
+from evaluator.report.words import EXCHANGED, exchanged
 from evaluator.results import Evaluation, GroupResult
 from evaluator.sweeps import Sweep, SweepPoint
 
@@ -65,21 +65,32 @@ def _fell(result: GroupResult) -> str:
 
 
 def verdicts(evaluation: Evaluation) -> str:
-    """Who repeats itself, and what each level of determinism costs, as a Markdown table."""
+    """Who repeats itself and how far envs and runs are apart, and how fast it is, as two Markdown tables."""
     results = [r for r in evaluation.results if r.group.key.scene == _SCENE]
-    prices = _prices(results)
-    columns = timed.columns(r.timed for r in results)
-    titles = [
+    results.sort(key=lambda r: (_who(r), r.group.key.determinism != DEFAULT))
+    remarks = timed.remarks(results, named=lambda r: f"{_who(r)} ({r.group.key.determinism})")
+    return "\n".join([*_sameness(results), "", *_speed(results), "", *(f"* {line}" for line in remarks)])
+
+
+def _rows(titles: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
+    return [f"| {' | '.join(titles)} |", f"|{' --- |' * len(titles)}", *(f"| {' | '.join(row)} |" for row in rows)]
+
+
+def _named(result: GroupResult) -> tuple[str, str]:
+    return f"{_who(result)} {result.group.key.version}".strip(), result.group.key.determinism
+
+
+def _sameness(results: Sequence[GroupResult]) -> list[str]:
+    titles = (
         "simulator", "determinism", "distinct envs", "envs differ from step", "distinct runs", "type",
-        "cubes of 27 off the board", "W1 envs [cm]", "clamped", "W1 runs [cm]", "clamped", "envs exchanged: floor; p",
-        "env-steps/s", *(column.title for column in columns), "of default", "what else",
-    ]  # fmt: skip
-    lines = [f"| {' | '.join(titles)} |", f"|{' --- |' * len(titles)}"]
-    for result in sorted(results, key=lambda r: (_who(r), r.group.key.determinism != DEFAULT)):
-        fps, first = result.metrics["fps"].value, result.metrics["distinct_envs"].extra.get("first_difference_step")
-        cells = [
-            f"{_who(result)} {result.group.key.version}".strip(),
-            result.group.key.determinism,
+        "cubes of 27 off the board", "W1 envs [cm]", "W1 envs, clamped", "W1 runs [cm]", "W1 runs, clamped", EXCHANGED,
+        "what else",
+    )  # fmt: skip
+    rows = []
+    for result in results:
+        first = result.metrics["distinct_envs"].extra.get("first_difference_step")
+        rows.append((
+            *_named(result),
             _of(result, "distinct_envs"),
             _NONE if first is None else str(first),
             _of(result, "distinct_runs"),
@@ -90,14 +101,26 @@ def verdicts(evaluation: Evaluation) -> str:
             _value(result, "w1_run_to_run"),
             _value(result, "w1_run_to_run_clamped"),
             exchanged(result.metrics["w1_run_to_run"]),
-            _NONE if fps is None else f"{fps:,.0f}",
+            _outcome(result),
+        ))  # fmt: skip
+    return _rows(titles, rows)
+
+
+def _speed(results: Sequence[GroupResult]) -> list[str]:
+    prices = _prices(results)
+    measured = [r for r in results if r.metrics["fps"].value is not None]
+    columns = timed.columns(r.timed for r in measured)
+    titles = ("simulator", "determinism", "env-steps/s", *(column.title for column in columns), "of default")
+    rows = []
+    for result in measured:
+        fps = result.metrics["fps"]
+        rows.append((
+            *_named(result),
+            f"{fps.value or 0.0:,.0f}",
             *timed.cells(columns, result.timed),
             prices.get(result.label, _NONE),
-            _outcome(result),
-        ]
-        lines.append(f"| {' | '.join(cells)} |")
-    remarks = timed.remarks(sorted(results, key=_who), named=lambda r: f"{_who(r)} ({r.group.key.determinism})")
-    return "\n".join([*lines, "", *(f"* {line}" for line in remarks)])
+        ))  # fmt: skip
+    return _rows(titles, rows)
 
 
 def _prices(results: Sequence[GroupResult]) -> dict[str, str]:

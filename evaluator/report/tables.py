@@ -82,7 +82,7 @@ def _print_scene(
             row("  95 % interval", [interval(m) for m in found])
         floors = [m.extra.get("floor", {}) for m in found]
         if any("p_value" in f for f in floors):
-            row("  envs exchanged: floor; p", [words.exchanged(m) for m in found])
+            row(f"  {words.EXCHANGED}", [words.exchanged(m) for m in found])
         if any("energy_p_value" in f for f in floors):
             row("  energy distance; p", [_energy(f) for f in floors])
 
@@ -142,8 +142,8 @@ def _legend(results: list[GroupResult]) -> list[str]:
     lines += _bounds(results)
     if any("p_value" in m.extra.get("floor", {}) for r in results for m in r.metrics.values()):
         lines.append(
-            "envs exchanged: of the first two runs, or the first and the reference, whose W1 stands behind the p: "
-            "whether their envs are one law, if envs are independent"
+            f"{words.EXCHANGED}: W1 of the first two runs (or of the first run and the reference), its mean with whole "
+            "envs exchanged between them at random, and the share of exchanges that give as much"
         )
     for number, result in enumerate(results, start=1):
         if why_not := words.not_exchanged(result.metrics["w1_run_to_run"]):

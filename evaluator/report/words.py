@@ -189,15 +189,19 @@ def another(metric: Metric) -> str:
     return f"another run differs {how} with a probability below {metric.extra['run_differs_below']:.0%} (95 %)"
 
 
+EXCHANGED = "first two: W1; floor; p"
+"""Title of ``exchanged``."""
+
+
 def exchanged(metric: Metric) -> str:
-    """W1 of the first two sides with whole environments exchanged between them, and the p-value of their own W1.
+    """W1 of the first two sides, its mean with whole environments exchanged between them at random, and its p-value.
 
     A dash where there is none.
     """
     found = metric.extra.get("floor", {})
     if "p_value" not in found:
         return NONE
-    return f"{distance(found['floor_mean_cm'])}; {found['p_value']:.2g} of {distance(found['observed_cm'])}"
+    return f"{distance(found['observed_cm'])}; {distance(found['floor_mean_cm'])}; {found['p_value']:.2g}"
 
 
 def not_exchanged(metric: Metric) -> str:

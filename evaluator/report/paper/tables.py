@@ -24,7 +24,7 @@ _TIMED = tuple(column.title for column in timed.ALL)
 _VARIABILITY = (
     "group", "scene", "envs x runs", "EMD to reference [cm]", "95 % of EMD", "EMD, clamped [cm]", "parallel [cm]",
     "95 % of parallel", "parallel, clamped [cm]", "run-to-run [cm]", "95 % of run-to-run", "run-to-run, clamped [cm]",
-    "envs exchanged: floor; p", "cubes off the board per env", "distinct envs", "distinct runs", "published type",
+    words.EXCHANGED, "cubes off the board per env", "distinct envs", "distinct runs", "published type",
     "not complete",
 )  # fmt: skip
 _THROUGHPUT = (
