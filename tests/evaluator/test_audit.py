@@ -407,7 +407,7 @@ def test_what_was_not_compared_is_not_the_same() -> None:
 
 
 def test_a_part_of_a_recording_is_said_to_be_one(tmp_path_factory: pytest.TempPathFactory, tmp_path: Path) -> None:
-    """Replay the timed phase alone and a forged copy with origins: not bit-identical; refuse a copy with other names."""
+    """Replay the timed phase alone and a forged copy with origins: not bit-identical; refuse one with other names."""
     folder = tmp_path_factory.mktemp("whole")
     given = ("--n-env", "2", "--runs", "1", "--steps", "6", "--warmup", "3", "--timed-steps", "4")
     # without a view, which a forger of names and origins would have to forge, too
