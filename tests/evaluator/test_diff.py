@@ -580,4 +580,5 @@ def test_the_distance_of_rotations_has_no_sign(numbers: list[float], one: bool, 
     how = Pairing(common, zero, zero)
     apart = np.linalg.norm(how.apart(a, b))
     assert np.linalg.norm(how.apart(-a if one else a, -b if other else b)) == pytest.approx(apart, rel=1e-12)
-    assert apart**2 <= (np.linalg.norm(a) ** 2 + np.linalg.norm(b) ** 2) * (1 + 1e-6)
+    longest = np.linalg.norm(a.astype(np.float64)) ** 2 + np.linalg.norm(b.astype(np.float64)) ** 2
+    assert apart**2 <= longest * (1 + 1e-6)
