@@ -141,13 +141,13 @@ def test_spoiled_bytes(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_many_fields(tmp_path: Path) -> None:
     """The same of more fields."""
-    _check_fields(tmp_path, 400, seed=11)
+    _check_fields(tmp_path, 50, seed=11)
 
 
 @pytest.mark.slow
 def test_much_spoiled(tmp_path: Path) -> None:
     """The same of more files."""
-    _check_mutants(tmp_path, 24)
+    _check_mutants(tmp_path, 4)
 
 
 @pytest.mark.parametrize(
