@@ -197,7 +197,7 @@ class Container:
         has to be borne out by the message, once it is read.
         """
         if message.chunk >= 0 and not (chunk := self._chunks[message.chunk]).compression:
-            begin = chunk.begin + message.offset
+            begin = min(chunk.begin + message.offset, chunk.end)  # an index may point anywhere
             head = self._source.read(begin, min(begin + RECORD_HEAD + MESSAGE_HEAD.size + size, chunk.end))
             if len(head) >= RECORD_HEAD + MESSAGE_HEAD.size and head[0] == MESSAGE:
                 length = int.from_bytes(head[1:RECORD_HEAD], "little") - MESSAGE_HEAD.size
