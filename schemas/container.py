@@ -197,7 +197,7 @@ class Container:
         has to be borne out by the message, once it is read.
         """
         if message.chunk >= 0 and not (chunk := self._chunks[message.chunk]).compression:
-            begin = chunk.begin + message.offset
+            begin = min(chunk.begin + message.offset, chunk.end)  # an index may point anywhere
             head = self._source.read(begin, min(begin + RECORD_HEAD + MESSAGE_HEAD.size + size, chunk.end))
             if len(head) >= RECORD_HEAD + MESSAGE_HEAD.size and head[0] == MESSAGE:
                 length = int.from_bytes(head[1:RECORD_HEAD], "little") - MESSAGE_HEAD.size
@@ -473,6 +473,7 @@ class Container:
         position = len(MAGIC)
         size = self.size
         indexed: set[int] = set()
+        summary = Declarations(self.path)  # taken for themselves, as by a reader that begins with the summary
         while position + RECORD_HEAD <= size:
             head = self._source.read(position, position + RECORD_HEAD)
             opcode, length = head[0], int.from_bytes(head[1:], "little")
@@ -488,6 +489,8 @@ class Container:
             if opcode == HEADER:
                 self._read_header(cursor)
             elif opcode in (SCHEMA, CHANNEL):
+                if self._data_end is not None:
+                    summary.take(opcode, Cursor(self.path, cursor.rest(), 0, length, begin))
                 self._declared.take(opcode, cursor)
             elif self._data_end is not None:
                 if opcode in _OF_DATA:

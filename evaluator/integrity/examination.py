@@ -125,7 +125,7 @@ def _examine(path: Path, named: Place, *, verify: bool) -> Integrity:
     if not verify:
         problems.skip("nothing was verified", *WHOLE_CONTENT)
     else:
-        check_summary(found, problems)
+        check_summary(named, found, problems)
         structural = {Kind.record, Kind.cut_short, Kind.chunk_crc, Kind.index}
         if structural.intersection(problems.kinds()):
             problems.skip("the library takes a file at its word, and this one is not sound", Kind.library)

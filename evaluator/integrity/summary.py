@@ -11,6 +11,9 @@ from mcap.opcode import Opcode
 from evaluator.integrity.problem import Kind, Problems
 from evaluator.integrity.records import parse
 from evaluator.integrity.scan import Scan
+from schemas.cursor import Cursor
+from schemas.declarations import Declarations
+from schemas.location import Place
 
 _KINDS = {
     Opcode.SCHEMA: records.Schema,
@@ -25,7 +28,7 @@ _KINDS = {
 _CRC = 4
 
 
-def check_summary(scan: Scan, problems: Problems) -> None:
+def check_summary(path: Place, scan: Scan, problems: Problems) -> None:
     """Compare the summary with what the data section holds; a file without a summary is whole."""
     if not scan.finished:
         return
@@ -38,6 +41,8 @@ def check_summary(scan: Scan, problems: Problems) -> None:
             found.setdefault(record.opcode, []).append(parse(_KINDS[Opcode(record.opcode)], record.content))
     if found.get(Opcode.FOOTER):
         _check_crc(scan, found[Opcode.FOOTER][0], problems)
+    with problems.noting(Kind.summary, path=path):
+        _check_declarations(path, scan)
     _check_declared(scan, found, problems)
     _check_places(scan, found, problems)
     if found.get(Opcode.STATISTICS):
@@ -55,6 +60,15 @@ def _check_crc(scan: Scan, footer: Any, problems: Problems) -> None:
         problems.add(Kind.crc_missing, "the summary has no CRC")
     elif zlib.crc32(scan.data[begin:end]) != footer.summary_crc:
         problems.add(Kind.summary_crc, "bytes behind the data section were changed")
+
+
+def _check_declarations(path: Place, scan: Scan) -> None:
+    # as the readers do, who refuse a summary that contradicts itself
+    declared = Declarations(path)
+    for record in scan.summary:
+        if record.opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+            begin = record.begin + record.length - len(record.content)
+            declared.take(record.opcode, Cursor(path, record.content, 0, len(record.content), begin))
 
 
 def _check_declared(scan: Scan, found: dict[int, list[Any]], problems: Problems) -> None:

@@ -6,7 +6,10 @@ from pathlib import Path
 
 import pytest
 
+from evaluator.integrity import examine
+from evaluator.integrity.problem import Kind
 from schemas.container import Container
+from schemas.errors import DamagedRecording
 from tests.hostile.corpus import make_synthetic
 from tests.hostile.oracles import Parts, disagreement
 
@@ -17,6 +20,18 @@ _FOUND = sorted((Path(__file__).parent / "found").glob("*.mcap"))
 def test_what_was_found(path: Path) -> None:
     """Read it in four ways that agree, in little time and memory, and raise nothing of Python's own."""
     assert not disagreement(path)
+
+
+def test_a_summary_that_contradicts_itself() -> None:
+    """Refuse a file whose summary declares a channel ahead of its schema and again behind it, here and elsewhere."""
+    path = Path(__file__).parent / "found" / "summary-channel-ahead-of-schema.mcap"
+    said = "the topic /run/end is declared twice, not the same"
+    with pytest.raises(DamagedRecording, match=said):
+        Container(path)
+    parts = Parts(path.read_bytes())
+    with pytest.raises(DamagedRecording, match=said):
+        Container(parts.place, parts)
+    assert said in examine(path).of(Kind.summary)
 
 
 def test_the_corpus_is_small() -> None:
