@@ -17,6 +17,9 @@ from schemas.location import redacted, shown_argument
 from schemas.printable import line
 from schemas.printing import show
 
+_NO_THREAD = "can't start new thread"
+"""What Python says of a thread whose stack finds no memory."""
+
 
 class _Parser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
@@ -56,6 +59,11 @@ def enter(
         return int(error.exit_code)
     except KeyboardInterrupt:
         complain(parser.prog, "interrupted")
+        return int(ExitCode.FAILURE)
+    except (MemoryError, RuntimeError) as error:
+        if isinstance(error, RuntimeError) and str(error) != _NO_THREAD:
+            raise
+        complain(parser.prog, "not enough memory: free some, or give fewer files at a time")
         return int(ExitCode.FAILURE)
     except OSError as error:
         # the reader of our output has gone, or its disk is full; what is left in the buffer must not complain again

@@ -6,6 +6,8 @@
 A call fails once (ENOSPC, EIO or EACCES), the disk is full from a call on, or the process is killed in it. Whatever
 happens, the folder has the earlier result or the new one, each whole, and nothing beside; the exit code is documented,
 and there is one message and no traceback. Prints one JSON object; the exit code is 1 where that is broken.
+
+Not covered: allocations that fail and file systems without hard links.
 """
 
 from __future__ import annotations

@@ -9,14 +9,26 @@ import sys
 
 import pytest
 
+_EVERY = 1 << 30
+
 
 @pytest.mark.skipif(not (shutil.which("gcc") or shutil.which("cc")), reason="no C compiler to build the shim with")
-@pytest.mark.parametrize("scenarios", [("record", "pack", "eval-json"), ("eval-html", "card"), ("recover", "viewer")])
-def test_no_fault_spoils_a_result(scenarios: tuple[str, ...]) -> None:
-    """Make the first and the last call of each kind fail; all of them: python -m tests.hostile.faults."""
+@pytest.mark.parametrize(
+    "most, scenarios",
+    [
+        pytest.param(2, ("record", "pack", "view"), id="quick"),
+        pytest.param(
+            _EVERY, ("record", "pack", "unpack", "recover", "viewer", "view"), marks=pytest.mark.slow, id="every"
+        ),
+        pytest.param(2, ("eval-json", "eval-html", "eval-tables"), marks=pytest.mark.slow, id="results"),
+        pytest.param(2, ("eval-figures", "card"), marks=pytest.mark.slow, id="several"),
+    ],
+)
+def test_no_fault_spoils_a_result(most: int, scenarios: tuple[str, ...]) -> None:
+    """Make the first and the last call of each kind fail, or every call; all: python -m tests.hostile.faults."""
     names = [word for name in scenarios for word in ("--scenario", name)]
     done = subprocess.run(
-        [sys.executable, "-m", "tests.hostile.faults", "--most", "2", *names], capture_output=True, text=True
+        [sys.executable, "-m", "tests.hostile.faults", "--most", str(most), *names], capture_output=True, text=True
     )
     assert done.returncode == 0, done.stdout + done.stderr
     tried = json.loads(done.stdout[done.stdout.index('{\n "tried"') :])["tried"]
