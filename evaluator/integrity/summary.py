@@ -90,7 +90,10 @@ def _check_places(scan: Scan, found: dict[int, list[Any]], problems: Problems) -
         (Opcode.ATTACHMENT_INDEX, "attachments"),
         (Opcode.METADATA_INDEX, "metadata records"),
     ):
-        said = {_offset(record): record for record in found.get(opcode, [])}
+        listed = found.get(opcode, [])
+        said = {_offset(record): record for record in listed}
+        if len(said) < len(listed):
+            problems.add(Kind.summary, f"its index of {what} lists {len(listed) - len(said)} of them again")
         there = {_offset(record): record for record in scan.expected.get(opcode, [])}
         if said and said != there:
             wrong = sum(said.get(offset) != there.get(offset) for offset in said.keys() | there.keys())
