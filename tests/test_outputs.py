@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import os
-import resource
 import shutil
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -14,6 +12,7 @@ import pytest
 from evaluator.cli import check, compare, diff, info, share, view
 from evaluator.cli import eval as evaluate
 from recorder import cli as record
+from tests.schemas.test_writing import full_disk
 from tests.synthetic import grid, write_recording
 
 Main = Callable[[list[str]], int]
@@ -70,18 +69,8 @@ def _contents(folder: Path) -> dict[str, bytes]:
     return {str(p.relative_to(folder)): p.read_bytes() for p in folder.rglob("*") if p.is_file()}
 
 
-@contextmanager
-def _full_disk(most: int) -> Iterator[None]:
-    before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (most, before[1]))
-    try:
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, before)
-
-
 @pytest.mark.parametrize("name", COMMANDS)
-def test_earlier_results_outlive_a_full_disk(
+def test_earlier_results_outlive_afull_disk(
     runs: Path, tmp_path: Path, name: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """End with 1 and one line, and leave every file of the folder as it was, with none beside."""
@@ -92,7 +81,7 @@ def test_earlier_results_outlive_a_full_disk(
         for file in COMMANDS[name][2]:
             (tmp_path / file).write_text('{"kind": "gpusimbench leaderboard"}')
     before = _contents(tmp_path)
-    with _full_disk(64):
+    with full_disk(64):
         assert COMMANDS[name][0](arguments) == 1
     assert capsys.readouterr().err.splitlines()[-1].endswith(": File too large")
     assert _contents(tmp_path) == before
