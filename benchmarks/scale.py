@@ -27,7 +27,6 @@ from benchmarks.scale_cost import Plan, Prices, Rates, extrapolate
 from benchmarks.scale_runs import SHIPPED, record
 from benchmarks.transport_large import thrown
 from evaluator.evaluate import evaluate
-from evaluator.group_metrics import floor
 from evaluator.identity_metrics import identical_steps
 from evaluator.mapping import serial
 from evaluator.metrics.variability import MAX_CERTIFIED_POINTS, parallel_variability, run_to_run_variability
@@ -36,6 +35,7 @@ from evaluator.recording import Recording
 from evaluator.report.parquet import parquet_tables
 from evaluator.run_data import RunData
 from evaluator.sharing.pack import pack
+from evaluator.statistics.floor import floor
 from evaluator.transport.large import certified_wasserstein1
 
 _Result = TypeVar("_Result")

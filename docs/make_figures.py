@@ -14,7 +14,7 @@ from evaluator.report.figures import palette, style
 from evaluator.report.figures.svg import text
 from evaluator.report.html import render_html
 from evaluator.report.tables import print_tables
-from evaluator.results import Evaluation
+from evaluator.results.evaluation import Evaluation
 
 ROOT = Path(__file__).resolve().parent.parent
 BEGIN, END = "<!-- table: make figures -->", "<!-- end of table -->"

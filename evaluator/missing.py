@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TypeVar
+
+_T = TypeVar("_T")
 
 
 @dataclass(frozen=True)
@@ -13,3 +16,13 @@ class Missing:
     """
 
     reason: str
+
+
+def known(value: _T | Missing) -> _T | None:
+    """The value; None where it is missing."""
+    return None if isinstance(value, Missing) else value
+
+
+def reason_of(value: object) -> str:
+    """Why a value is missing; empty where it is there."""
+    return value.reason if isinstance(value, Missing) else ""

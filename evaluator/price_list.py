@@ -9,7 +9,10 @@ from typing import Any
 
 from evaluator.cost_metrics import common_memory
 from evaluator.groups import GroupKey, asked
-from evaluator.results import GroupResult, Metric
+from evaluator.missing import Missing, reason_of
+from evaluator.results.details import OverRuns
+from evaluator.results.metric import Estimate
+from evaluator.results.result import GroupResult
 from evaluator.soundness import faults
 from evaluator.statistics.ratio import ratio_of_means
 
@@ -212,10 +215,10 @@ def _cost(result: GroupResult, base: GroupResult | None, name: str) -> Cost:
             return Cost(None, why_not=f"{which}{invalid}, so it has no price")
     ours, theirs = result.metrics[name], base.metrics[name]
     for metric, which in ((ours, ""), (theirs, "the default: ")):
-        if metric.value is None:
+        if isinstance(metric.value, Missing):
             return Cost(None, why_not=f"{which}{_why_not(result if metric is ours else base, metric)}")
     try:
-        found = ratio_of_means(ours.extra["per_run"], theirs.extra["per_run"])
+        found = ratio_of_means(ours.of(OverRuns).per_run or (), theirs.of(OverRuns).per_run or ())
     except ValueError as error:
         return Cost(None, why_not=str(error))
     if found.low is None or found.high is None:
@@ -223,6 +226,6 @@ def _cost(result: GroupResult, base: GroupResult | None, name: str) -> Cost:
     return Cost(found.estimate, (found.low, found.high))
 
 
-def _why_not(result: GroupResult, metric: Metric) -> str:
+def _why_not(result: GroupResult, metric: Estimate) -> str:
     endings = dict.fromkeys(f"{r.cause or r.status}: {r.reason}" for r in result.group.recordings if not r.usable)
-    return "; ".join(endings) if endings and not result.group.complete else metric.why_not
+    return "; ".join(endings) if endings and not result.group.complete else reason_of(metric.value)

@@ -7,7 +7,9 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 
 from evaluator.groups import GroupKey, is_instrument, labels, options_given, settings_asked
-from evaluator.results import GroupResult, Metric
+from evaluator.missing import known
+from evaluator.results.metric import Estimate
+from evaluator.results.result import GroupResult
 from evaluator.soundness import Faults, faults
 from evaluator.summary import Summary
 from evaluator.sweeps import Failure, Sweep
@@ -46,8 +48,8 @@ class AtMax:
 
     sweep: Sweep
     n_max: int | None
-    fps: Metric | None
-    memory: Metric | None
+    fps: Estimate | None
+    memory: Estimate | None
     limit: Limit
     ends: str
     faults: Faults
@@ -93,7 +95,7 @@ def capability(sweeps: Sequence[Sweep], results: Sequence[GroupResult]) -> tuple
 def variability(results: Sequence[GroupResult]) -> tuple[GroupResult, ...]:
     """Rows of the second table: groups of its scene by published type, those without one last."""
     rows = [r for r in results if r.group.key.scene == VARIABILITY_SCENE and not is_instrument(r.group.key)]
-    return tuple(sorted(rows, key=lambda r: (r.metrics["regime_published"].value or float("inf"), r.label)))
+    return tuple(sorted(rows, key=lambda r: (known(r.metrics["regime_published"].value) or float("inf"), r.label)))
 
 
 def _elsewhere(key: GroupKey, by_scene: Mapping[str, Sweep], results: Sequence[GroupResult]) -> tuple[str, ...]:

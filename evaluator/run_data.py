@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from evaluator.histories import Histories, histories_of
+from evaluator.metrics.capture import changes_states
 from evaluator.metrics.cotenants import BASELINE, CHECKPOINTS, TIMED, CoTenants, cotenants
 from evaluator.metrics.levels import Verdict, verdict
 from evaluator.metrics.memory import Checkpoints, GpuMemory, Listing
@@ -151,8 +152,7 @@ def _doubt(recording: Recording, positions: Positions | None) -> UnitDoubt | Non
 def _observed(captured: Fingerprints | None, timed: Fingerprints | None) -> bool | None:
     if captured is None or timed is None:
         return None
-    common, at_timed, at_captured = np.intersect1d(timed.steps, captured.steps, return_indices=True)
-    return bool((timed.hashes[at_timed] != captured.hashes[at_captured]).any()) if len(common) else None
+    return changes_states(timed.steps, timed.hashes, captured.steps, captured.hashes)
 
 
 def gpu_memory(recording: Recording) -> GpuMemory | None:

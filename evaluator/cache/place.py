@@ -16,6 +16,7 @@ from evaluator.metrics.levels import Level, Verdict, Worst
 from evaluator.metrics.memory import Checkpoints, GpuMemory, Listing
 from evaluator.metrics.split_tree import Branch, SplitTree
 from evaluator.metrics.variability import ParallelVariability
+from evaluator.missing import Missing
 from evaluator.physics.facts import Check, Measured, NotMeasured, PhysicsFacts
 from evaluator.positions import Positions
 from evaluator.reading import Reader
@@ -24,9 +25,12 @@ from evaluator.sharing.dataset.checkup import Checkup
 from evaluator.sinking import Sunk
 from evaluator.spread import Spread
 from evaluator.stamp import Stamp
+from evaluator.statistics.energy import EnergyDistance
+from evaluator.statistics.floor import Floor
 from evaluator.statistics.jackknife import Interval
 from evaluator.statistics.matched import MatchedPoint
 from evaluator.statistics.matched import Variability as MatchedVariability
+from evaluator.statistics.permutation import PermutationFloor
 from evaluator.step_evidence import ActionStream
 from evaluator.summary import BitSummary, CountSummary, OverflowSummary, Summary
 from evaluator.transport.pair import Transport
@@ -42,7 +46,7 @@ _CLASSES = (
     GpuMemory, Listing, CoTenants, Sign,
     Stamp, Reader, SplitTree, Branch, Spread, GrowthFit, Verdict, Worst, Level, PhysicsFacts,
     Measured, NotMeasured, Check, ParallelVariability, Transport, Gap, GapTo, SummaryBlock,
-    MatchedPoint, MatchedVariability, Interval, Checkup, UnitDoubt,
+    MatchedPoint, MatchedVariability, Interval, Checkup, UnitDoubt, Missing, Floor, PermutationFloor, EnergyDistance,
 )  # fmt: skip
 
 

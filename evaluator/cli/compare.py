@@ -156,7 +156,8 @@ def _given(arguments: argparse.Namespace) -> tuple[list[Place], list[Place]]:
 
 
 def _settings(arguments: argparse.Namespace) -> Settings:
-    from evaluator.versus.finding import Axis, Settings
+    from evaluator.results.metric import Axis
+    from evaluator.versus.finding import Settings
 
     if not 0 < arguments.alpha < 1:
         raise UsageError(f"--alpha is a probability between 0 and 1, not {arguments.alpha:g}")

@@ -20,7 +20,7 @@ from schemas.writing import write_file, write_files
 if TYPE_CHECKING:
     from evaluator.mapping import Mapper
     from evaluator.reading import Read, Unreadable
-    from evaluator.results import Evaluation
+    from evaluator.results.evaluation import Evaluation
     from evaluator.summary import Summary
     from evaluator.work import Work
 

@@ -10,7 +10,7 @@ from evaluator.groups import Group
 from evaluator.player.clip import Clip, make_clip
 from evaluator.player.encode import encode
 from evaluator.recording import Recording
-from evaluator.results import GroupResult
+from evaluator.results.result import GroupResult
 from evaluator.summary import Summary
 from schemas.errors import NUMBERS_OF_A_STRANGER, GsbError
 

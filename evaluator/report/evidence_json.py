@@ -9,10 +9,13 @@ import numpy as np
 from evaluator.comparison import Contender
 from evaluator.fidelity import Verdict
 from evaluator.metrics.divergence import FIT_LIMIT_M, first_reaching
+from evaluator.missing import known, reason_of
 from evaluator.price_list import Cost, Family, Price
 from evaluator.remade import AtMax, Capability
+from evaluator.report import words
 from evaluator.report.timed import timed_record
-from evaluator.results import GroupResult, Metric, RunSpread
+from evaluator.results.metric import Estimate
+from evaluator.results.result import GroupResult, RunSpread
 from evaluator.soundness import Faults, faults
 
 
@@ -77,8 +80,8 @@ def _level(result: GroupResult) -> dict[str, Any]:
         "group": result.label,
         "determinism": result.group.key.determinism,
         "runs": result.group.outcomes,
-        "distinct_envs": result.metrics["distinct_envs"].value,
-        "distinct_runs": result.metrics["distinct_runs"].value,
+        "distinct_envs": known(result.metrics["distinct_envs"].value),
+        "distinct_runs": known(result.metrics["distinct_runs"].value),
         "faults": faults_record(faults(result)),
         "timed": timed_record(result.timed),
     }
@@ -112,16 +115,16 @@ def _at_max(at: AtMax) -> dict[str, Any]:
     }
 
 
-def _value(metric: Metric) -> dict[str, Any]:
+def _value(metric: Estimate) -> dict[str, Any]:
     return {
         "metric": metric.name,
-        "value": metric.value,
+        "value": known(metric.value),
         "unit": metric.unit,
         "sd": metric.sd,
         "ci95": metric.ci95,
         "n": metric.n,
-        "why_not": metric.why_not,
-        "interval_why_not": metric.extra.get("interval_why_not", ""),
+        "why_not": reason_of(metric.value),
+        "interval_why_not": words.why_no_interval(metric, ""),
     }
 
 

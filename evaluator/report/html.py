@@ -41,7 +41,7 @@ from evaluator.report.page.environment import environment
 from evaluator.report.page.header import header
 from evaluator.report.page.scripts import policy, script
 from evaluator.report.page.section import Section, Source
-from evaluator.results import Evaluation
+from evaluator.results.evaluation import Evaluation
 from schemas.writing import write_files
 
 SECTIONS: tuple[Callable[[Source], Section | None], ...] = (

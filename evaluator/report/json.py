@@ -7,6 +7,7 @@ from typing import Any
 
 from evaluator.document import dump, values_of
 from evaluator.metrics.memory_model import MemoryModel
+from evaluator.missing import known, reason_of
 from evaluator.remade import capability
 from evaluator.report.evidence_json import (
     capability_record,
@@ -17,7 +18,9 @@ from evaluator.report.evidence_json import (
 )
 from evaluator.report.fidelity import fidelity_record
 from evaluator.report.timed import timed_record
-from evaluator.results import SCHEMA_VERSION, Evaluation, GroupResult, Metric
+from evaluator.results.evaluation import SCHEMA_VERSION, Evaluation
+from evaluator.results.metric import Estimate
+from evaluator.results.result import GroupResult
 from evaluator.soundness import faults
 from evaluator.summary import Summary
 from evaluator.sweeps import SOURCES, Sweep, SweepPoint
@@ -126,7 +129,7 @@ def _point(point: SweepPoint) -> dict[str, Any]:
     return {
         "n_env": point.n_env,
         "group": point.result.label,
-        **{name: point.result.metrics[name].value for name in ("fps", *SOURCES)},
+        **{name: known(point.result.metrics[name].value) for name in ("fps", *SOURCES)},
         "timed": timed_record(point.result.timed),
         "n_run": point.complete,
         "n_recording": len(point.recordings),
@@ -153,18 +156,18 @@ def _deviations(result: GroupResult) -> tuple[Any, ...]:
     return next((r.simulation.deviations for r in result.group.recordings if r.simulation), ())
 
 
-def _metric(metric: Metric) -> dict[str, Any]:
+def _metric(metric: Estimate) -> dict[str, Any]:
     return {
-        "value": metric.value,
+        "value": known(metric.value),
         "unit": metric.unit,
         "sd": metric.sd,
         "ci95": list(metric.ci95) if metric.ci95 else None,
         "n": metric.n,
-        "direction": metric.direction,
+        "direction": metric.metric.direction,
         "method": metric.method,
         "exactness": metric.exactness,
-        "why_not": metric.why_not,
-        **({"extra": metric.extra} if metric.extra else {}),
+        "why_not": reason_of(metric.value),
+        **({"extra": extra} if (extra := metric.details.record()) else {}),
     }
 
 

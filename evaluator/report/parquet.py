@@ -12,8 +12,12 @@ import json
 from collections.abc import Iterator
 from typing import Any
 
+from evaluator.missing import known, reason_of
 from evaluator.report.text import printable
-from evaluator.results import Evaluation, GroupResult, Metric
+from evaluator.report.words import floor_of
+from evaluator.results.evaluation import Evaluation
+from evaluator.results.metric import Estimate
+from evaluator.results.result import GroupResult
 from evaluator.summary import Summary
 from evaluator.timed_work import SETTINGS, TimedWork
 from schemas.errors import UsageError
@@ -90,11 +94,11 @@ def _metric_rows(evaluation: Evaluation) -> Iterator[dict[str, Any]]:
     for result in evaluation.results:
         for metric in result.metrics.values():
             low, high = metric.ci95 or (None, None)
-            floor = metric.extra.get("floor", {})
+            floor = known(floor_of(metric).w1)
             yield _clean({
                 **_key_of(result), "metric": metric.name, **_values_of(metric), "low": low, "high": high, "n": metric.n,
                 **_timed(result.timed),
-                "floor": floor.get("floor_mean_cm"), "p_value": floor.get("p_value"),
+                "floor": floor.floor_mean if floor else None, "p_value": floor.p_value if floor else None,
             })  # fmt: skip
 
 
@@ -109,9 +113,13 @@ def _timed(work: TimedWork) -> dict[str, Any]:
     }
 
 
-def _values_of(metric: Metric) -> dict[str, Any]:
+def _values_of(metric: Estimate) -> dict[str, Any]:
     return {
-        name: getattr(metric, name) for name in ("value", "unit", "direction", "sd", "exactness", "method", "why_not")
+        "value": known(metric.value),
+        "unit": metric.unit,
+        "direction": metric.metric.direction.value,
+        "why_not": reason_of(metric.value),
+        **{name: getattr(metric, name) for name in ("sd", "exactness", "method")},
     }
 
 

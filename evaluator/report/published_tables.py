@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import IO
 
+from evaluator.cost_metrics import FPS
+from evaluator.group_metrics import W1_PARALLEL, W1_REAL, W1_RUN_TO_RUN
 from evaluator.published import SCALING, SOURCE, VARIABILITY, AtLargest
 from evaluator.report.console import make_console, plain_table
 from evaluator.report.numbers import NONE
@@ -13,13 +15,13 @@ def print_published(stream: IO[str]) -> None:
     """Print both published tables; none of it was measured by this project."""
     console = make_console(stream)
     console.print(f"published figures, not results of this evaluation ({SOURCE})", style="bold")
-    variability = plain_table("simulator", "type", "W1 to real [cm]", "between envs [cm]", "between runs [cm]")
+    variability = plain_table("simulator", "type", *(metric.titled for metric in (W1_REAL, W1_PARALLEL, W1_RUN_TO_RUN)))
     for row in VARIABILITY:
         variability.add_row(row.simulator, str(row.regime), str(row.w1_real), str(row.parallel), str(row.run_to_run))
     console.print(variability)
     console.print()
     console.print("published, at the largest number of environments", style="bold")
-    scaling = plain_table("simulator", "free-fall envs", "env-steps/s", "GB", "franka envs", "env-steps/s", "GB")
+    scaling = plain_table("simulator", "free-fall envs", FPS.unit, "GB", "franka envs", FPS.unit, "GB")
     for at in SCALING:
         scaling.add_row(at.simulator, *_cells(at.free_fall), *_cells(at.franka))
     console.print(scaling)

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from rich.console import Console
 from rich.text import Text
 
+from evaluator.cost_metrics import FPS
 from evaluator.report import timed, words
 from evaluator.report.console import plain_table
 from evaluator.report.numbers import NONE, mean_sd
@@ -23,7 +24,7 @@ def print_sweeps(console: Console, scene: str, sweeps: Sequence[Sweep]) -> None:
     # settings are those of a sweep, and stand below; the points of one may differ in how long they took
     beside = timed.columns_within([[p.result.timed for p in sweep.points] for sweep in sweeps])
     table = plain_table(
-        "", "N", "throughput [env-steps/s]", *(column.title for column in beside), "memory increment",
+        "", "N", FPS.titled, *(column.title for column in beside), "memory increment",
         "contacts per env: mean / max", "runs",
     )  # fmt: skip
     for sweep in sweeps:

@@ -12,7 +12,7 @@ from typing import Any
 
 from evaluator.report import words
 from evaluator.report.numbers import NONE
-from evaluator.results import GroupResult
+from evaluator.results.result import GroupResult
 from evaluator.timed_work import SETTINGS, SHORT_S, TimedWork, Window, differing_settings, most_common
 
 _NAMED = 6  # rows that a remark names

@@ -6,9 +6,10 @@ from typing import Any
 
 from evaluator.document import dump, values_of
 from evaluator.report.timed import timed_record
+from evaluator.results.metric import Axis
 from evaluator.versus import words
 from evaluator.versus.compare import Compared, Result, counts
-from evaluator.versus.finding import Axis, Finding
+from evaluator.versus.finding import Finding
 
 SCHEMA_VERSION = 1
 """Version of the JSON that ``gsb-compare --json`` prints."""

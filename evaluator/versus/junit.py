@@ -6,9 +6,10 @@ from collections.abc import Sequence
 from xml.etree import ElementTree as ET
 
 from evaluator.report.text import line
+from evaluator.results.metric import Axis
 from evaluator.versus import words
 from evaluator.versus.compare import Compared, Result, counts
-from evaluator.versus.finding import Axis, Change, Finding
+from evaluator.versus.finding import Change, Finding
 
 
 def junit(result: Result) -> str:

@@ -7,8 +7,9 @@ from collections.abc import Sequence
 from evaluator.fidelity import Fidelity, FidelityRow, Verdict, fidelity
 from evaluator.over_runs import Runs
 from evaluator.physics.facts import Check, Measured
+from evaluator.results.metric import Axis, Direction
 from evaluator.versus.counted import Counted
-from evaluator.versus.finding import Axis, Change, Direction, Finding, Question, not_compared
+from evaluator.versus.finding import Change, Finding, Question, not_compared
 
 _NAME, _TITLE = "mechanics", "checks of mechanics"
 

@@ -6,10 +6,11 @@ from dataclasses import replace
 
 from evaluator.groups import Group
 from evaluator.report.words import trouble
+from evaluator.results.metric import Axis, Direction
 from evaluator.statistics.families import fisher
 from evaluator.summary import Summary
 from evaluator.versus.counted import Counted
-from evaluator.versus.finding import Axis, Change, Direction, Finding, Question
+from evaluator.versus.finding import Change, Finding, Question
 from evaluator.versus.matching import Pair
 
 

@@ -6,8 +6,9 @@ from collections.abc import Sequence
 
 from evaluator.report.numbers import NONE, figure, plural
 from evaluator.report.words import size
+from evaluator.results.metric import Axis, Direction
 from evaluator.versus.compare import Compared, Result, counts
-from evaluator.versus.finding import Axis, Change, Direction, Finding
+from evaluator.versus.finding import Change, Finding
 
 TITLES = ("", "base", "head", "head / base", "95 % interval", "p", "verdict")
 
@@ -135,6 +136,10 @@ def legend(result: Result) -> list[str]:
         lines.append(
             f"p: adjusted for {tests} on axes that count, of enough runs to show something (Holm), so that any false "
             f"alarm among them has a chance of at most {alpha}; intervals are of one comparison alone"
+        )
+    if any(f.axis is Axis.VARIABILITY and f.p_adjusted is not None for f in findings):
+        lines.append(
+            "p of W1 between envs and between runs: adjusted for each other alone, with as large a chance again"
         )
     passed = [f for f in findings if not f.undecided(result.settings)]
     if any(f.change in (Change.UNCLEAR, Change.WITHIN) for f in passed):

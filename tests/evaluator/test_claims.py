@@ -15,15 +15,16 @@ from evaluator import identity_metrics as identity
 from evaluator.audit import matching
 from evaluator.audit.distribution import LawTest
 from evaluator.audit.verdict import Level, Match, ladder
-from evaluator.claims import Claim, Tally, every, identical, tally
+from evaluator.claims import Claim, Tally, every, tally
 from evaluator.fidelity import Verdict, fidelity
 from evaluator.histories import histories_of
+from evaluator.identity_metrics import identical
 from evaluator.metrics.levels import verdict
 from evaluator.physics.facts import Check, NotMeasured, PhysicsFacts, measured
 from evaluator.report import words
 from evaluator.report.fidelity import cells
 from evaluator.report.page import summary
-from evaluator.results import Metric, not_computed
+from evaluator.results.metric import Estimate
 from evaluator.sharing.leaderboard import words as board_words
 from evaluator.sharing.leaderboard.reproduction import Replay, Reproduction
 from evaluator.streams import Fingerprints
@@ -35,8 +36,8 @@ THREE = st.lists(st.sampled_from([True, False, None]), max_size=5)
 """What is known of some parts: any mixture of yes, no and not compared, and no part at all."""
 
 
-def _metric(name: str, value: float | None, n: int, **extra: Any) -> Metric:
-    return not_computed(name, "", "neither", "nobody looked") if value is None else Metric(
+def _metric(name: str, value: float | None, n: int, **extra: Any) -> Estimate:
+    return not_computed(name, "", "neither", "nobody looked") if value is None else Estimate(
         name, value, "", "neither", method="", n=n, extra=extra
     )  # fmt: skip
 

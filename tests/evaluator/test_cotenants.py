@@ -19,7 +19,8 @@ from evaluator.cost_metrics import GPU_MEMORY, HOST_MEMORY, common_memory
 from evaluator.evaluate import evaluate_files
 from evaluator.metrics.cotenants import BASELINE, Presence, cotenants, peers_of
 from evaluator.metrics.memory import Checkpoints, GpuMemory, Listing
-from evaluator.results import GroupResult, Metric
+from evaluator.results.metric import Estimate
+from evaluator.results.result import GroupResult
 from tests.synthetic import write_recording
 
 H200 = Path(__file__).resolve().parents[2] / "recordings" / "h200"
@@ -218,8 +219,8 @@ _VALUES = st.none() | st.floats(0.1, 10)
 @given(st.lists(st.fixed_dictionaries(dict.fromkeys((*GPU_MEMORY, HOST_MEMORY), _VALUES)), min_size=1, max_size=4))
 def test_a_common_source(values: list[dict[str, float | None]]) -> None:
     """Choose a metric that all groups have, the published first, before one that only some have."""
-    groups: list[Mapping[str, Metric]] = [
-        {name: Metric(name, value, "GB", "lower", "m") for name, value in one.items()} for one in values
+    groups: list[Mapping[str, Estimate]] = [
+        {name: Estimate(name, value, "GB", "lower", "m") for name, value in one.items()} for one in values
     ]
     everyones = [name for name in GPU_MEMORY if all(one[name] is not None for one in values)]
     anyones = [name for name in GPU_MEMORY if any(one[name] is not None for one in values)]

@@ -18,7 +18,7 @@ from evaluator.report.html import render_html
 from evaluator.report.json import to_json
 from evaluator.report.page import consistency, deviations, divergence, dot_plot, remade
 from evaluator.report.page.section import Source
-from evaluator.results import Evaluation
+from evaluator.results.evaluation import Evaluation
 from schemas.provenance import Deviation
 from tests.synthetic import cubes_field, grid, write_recording, write_sweep
 

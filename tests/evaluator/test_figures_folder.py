@@ -26,7 +26,7 @@ from evaluator.report.page.section import Section, Source
 from evaluator.report.paper import latex
 from evaluator.report.paper.figures import HEAD, INDEX, named, write_figures
 from evaluator.report.paper.pdf import to_pdf
-from evaluator.results import Evaluation
+from evaluator.results.evaluation import Evaluation
 from tests.synthetic import grid, write_recording, write_sweep
 
 HOSTILE = r"\input{/etc/passwd} $x^2$ & 50 % #1 {_} ~ <script> \x00"

@@ -28,7 +28,10 @@ from evaluator.reading import Unreadable
 from evaluator.recording import Recording
 from evaluator.report.html import render_html, write_html
 from evaluator.report.page.scripts import script
-from evaluator.results import Cloud, Evaluation, GroupResult, Map, Metric, Reference, not_computed
+from evaluator.results.evaluation import Evaluation
+from evaluator.results.metric import Estimate
+from evaluator.results.reference import Reference
+from evaluator.results.result import Cloud, GroupResult, Map
 from evaluator.summary import Summary, summarise
 from schemas.errors import DamagedRecording, GsbError
 from tests.synthetic import write_recording, write_sweep
@@ -105,29 +108,31 @@ def result(base: GroupResult, label: str, seed: int, *, off_map: int = 0) -> Gro
     positions.reshape(-1, 2)[:off_map] = 9.0
     half = np.triu(rng.random((4, 4)), k=1)
     made = [
-        Metric("fps", 1_234_567.0 + seed, "env-steps/s", "higher", "m", n=3, sd=321.0, ci95=(1_233_000.0, 1_236_000.0)),
-        Metric("memory_peak_increment", 2.5 + seed, "GB", "lower", "m", n=3, sd=0.25, ci95=(2.0, 3.0)),
-        Metric("process_memory_peak", 2.25 + seed, "GB", "lower", "m", n=3, sd=0.25, ci95=(2.0, 3.0)),
-        Metric("host_memory_peak_increment", 77.25, "MB", "lower", "m", n=3, sd=0.5, ci95=(76.0, 78.0)),
-        Metric("distinct_envs", 3.0, "", "neither", "m", n=4, extra={"first_difference_step": 118}),
-        Metric("distinct_runs", 1.0, "", "neither", "m", n=3, extra={"first_difference_step": None}),
-        Metric("capture_changes_states", 0.0, "", "lower", "m", n=3),
-        Metric("w1_parallel", 0.00001234 + seed, "cm", "lower", "m", n=3, sd=0.0, ci95=(0.0, 0.5)),
-        Metric("w1_run_to_run", 0.0, "cm", "lower", "m", n=3, sd=0.0, ci95=(0.0, 0.0)),
-        Metric("w1_real", 3.375 + seed, "cm", "lower", "m", n=3, sd=0.125, ci95=(3.0, 4.0)),
-        Metric("w1_parallel_clamped", 0.0625, "cm", "lower", "m", n=3, sd=0.0),
-        Metric("w1_run_to_run_clamped", 0.0, "cm", "lower", "m", n=3, sd=0.0),
-        Metric("w1_real_clamped", 2.125, "cm", "lower", "m", n=3, sd=0.125),
-        Metric("left_board", 0.25, "cubes per env", "lower", "m", n=12, extra={"total": 3, "of": 324}),
-        Metric("sank", 0.5, "cubes per env", "lower", "m", n=12, extra={"total": 6, "of": 324, "first_step": 17}),
-        Metric("regime_published", 1.0, "type", "neither", "m"),
-        Metric("allocator_peak", 1.5, "GB", "lower", "m", n=3, sd=0.0),
-        Metric(
+        Estimate(
+            "fps", 1_234_567.0 + seed, "env-steps/s", "higher", "m", n=3, sd=321.0, ci95=(1_233_000.0, 1_236_000.0)
+        ),
+        Estimate("memory_peak_increment", 2.5 + seed, "GB", "lower", "m", n=3, sd=0.25, ci95=(2.0, 3.0)),
+        Estimate("process_memory_peak", 2.25 + seed, "GB", "lower", "m", n=3, sd=0.25, ci95=(2.0, 3.0)),
+        Estimate("host_memory_peak_increment", 77.25, "MB", "lower", "m", n=3, sd=0.5, ci95=(76.0, 78.0)),
+        Estimate("distinct_envs", 3.0, "", "neither", "m", n=4, extra={"first_difference_step": 118}),
+        Estimate("distinct_runs", 1.0, "", "neither", "m", n=3, extra={"first_difference_step": None}),
+        Estimate("capture_changes_states", 0.0, "", "lower", "m", n=3),
+        Estimate("w1_parallel", 0.00001234 + seed, "cm", "lower", "m", n=3, sd=0.0, ci95=(0.0, 0.5)),
+        Estimate("w1_run_to_run", 0.0, "cm", "lower", "m", n=3, sd=0.0, ci95=(0.0, 0.0)),
+        Estimate("w1_real", 3.375 + seed, "cm", "lower", "m", n=3, sd=0.125, ci95=(3.0, 4.0)),
+        Estimate("w1_parallel_clamped", 0.0625, "cm", "lower", "m", n=3, sd=0.0),
+        Estimate("w1_run_to_run_clamped", 0.0, "cm", "lower", "m", n=3, sd=0.0),
+        Estimate("w1_real_clamped", 2.125, "cm", "lower", "m", n=3, sd=0.125),
+        Estimate("left_board", 0.25, "cubes per env", "lower", "m", n=12, extra={"total": 3, "of": 324}),
+        Estimate("sank", 0.5, "cubes per env", "lower", "m", n=12, extra={"total": 6, "of": 324, "first_step": 17}),
+        Estimate("regime_published", 1.0, "type", "neither", "m"),
+        Estimate("allocator_peak", 1.5, "GB", "lower", "m", n=3, sd=0.0),
+        Estimate(
             "equality_envs", 4.0, "level", "lower", "m", extra={"text": "different", "worst": {"difference": 0.012}}
         ),
-        Metric("equality_runs", 0.0, "level", "lower", "m", extra={"text": "bit-identical", "worst": None}),
-        Metric("build_time", 1.25, "s", "lower", "m", n=3),
-        Metric("compile_time", 33.0, "s", "lower", "m", n=3),
+        Estimate("equality_runs", 0.0, "level", "lower", "m", extra={"text": "bit-identical", "worst": None}),
+        Estimate("build_time", 1.25, "s", "lower", "m", n=3),
+        Estimate("compile_time", 33.0, "s", "lower", "m", n=3),
     ]
     return GroupResult(
         group=base.group, label=label, metrics={m.name: m for m in made}, cloud=cloud(positions),

@@ -18,7 +18,7 @@ from evaluator.report.figures import matrix, palette, style
 from evaluator.report.html import sections_of, write_html
 from evaluator.report.page.picture import Picture
 from evaluator.report.page.section import Source
-from evaluator.results import Evaluation
+from evaluator.results.evaluation import Evaluation
 from tests.browser import Browser, needs_chromium
 from tests.conftest import wait_for
 from tests.synthetic import grid, write_recording, write_sweep

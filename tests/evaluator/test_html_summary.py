@@ -12,7 +12,7 @@ from evaluator.evaluate import evaluate_files
 from evaluator.report.html import render_html
 from evaluator.report.page import summary
 from evaluator.report.page.section import Source
-from evaluator.results import Evaluation
+from evaluator.results.evaluation import Evaluation
 from tests.synthetic import grid, write_recording, write_sweep
 
 

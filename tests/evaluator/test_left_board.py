@@ -26,7 +26,7 @@ from evaluator.report.numbers import figure
 from evaluator.report.paper.tables import tables
 from evaluator.report.parquet import frames
 from evaluator.report.tables import print_tables
-from evaluator.results import Evaluation
+from evaluator.results.evaluation import Evaluation
 from tests.synthetic import grid, write_recording
 
 H200 = Path(__file__).resolve().parents[2] / "recordings" / "h200"

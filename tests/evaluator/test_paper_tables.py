@@ -17,7 +17,7 @@ from evaluator.evaluate import evaluate_files
 from evaluator.report.numbers import mean_sd
 from evaluator.report.paper.tables import tables, text_tables
 from evaluator.report.paper.text_table import Format, TextTable, as_csv, as_latex, as_markdown
-from evaluator.results import Evaluation
+from evaluator.results.evaluation import Evaluation
 from tests.conftest import Command
 from tests.synthetic import grid, write_recording, write_sweep
 

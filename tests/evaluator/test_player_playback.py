@@ -13,7 +13,7 @@ from evaluator.player.markup import script
 from evaluator.player.playback import BUDGET_BYTES, playback_of
 from evaluator.report.html import write_html
 from evaluator.report.page.scripts import script as download
-from evaluator.results import Evaluation
+from evaluator.results.evaluation import Evaluation
 from tests.browser import Browser, needs_chromium
 from tests.evaluator.test_html import Page
 from tests.evaluator.test_player_clip import diverging

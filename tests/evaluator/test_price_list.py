@@ -17,7 +17,7 @@ from evaluator.report.paper.tables import text_tables
 from evaluator.report.paper.text_table import Format
 from evaluator.report.price_table import SAME, ratio
 from evaluator.report.tables import print_tables
-from evaluator.results import Evaluation
+from evaluator.results.evaluation import Evaluation
 from evaluator.soundness import faults
 from tests.synthetic import cubes_field, grid, write_recording
 

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from evaluator.evaluate import evaluate_files
 from evaluator.metrics.sank import Sinking, Support, may_have_sunk
-from evaluator.results import Metric
+from evaluator.results.metric import Estimate
 from tests.synthetic import grid, write_recording
 
 GROUND = Support(0.0, (-math.inf, -math.inf), (math.inf, math.inf))
@@ -69,7 +69,7 @@ def test_a_ground_plane_has_no_edge(x: float, y: float, above: float, below: flo
     assert follow([(x, y, above), (y, x, below)], GROUND) == (True, 1)
 
 
-def sank(path: Path) -> Metric:
+def sank(path: Path) -> Estimate:
     """The metric of one file."""
     (result,) = evaluate_files([path]).results
     return result.metrics["sank"]

@@ -26,7 +26,7 @@ from evaluator.report.figures import (
     svg,
     tree,
 )
-from evaluator.results import Map
+from evaluator.results.result import Map
 
 GRID = HexGrid((-0.1, 0.7, -0.3, 0.3), 0.02)
 EDGES = (np.linspace(-0.1, 0.7, 41), np.linspace(-0.3, 0.3, 31))

@@ -14,7 +14,7 @@ from evaluator.evaluate import evaluate_files
 from evaluator.metrics.radar import Axis
 from evaluator.report.html import render_html
 from evaluator.report.tables import print_tables
-from evaluator.results import Evaluation
+from evaluator.results.evaluation import Evaluation
 from evaluator.sweeps import Sweep
 from tests.conftest import Command
 from tests.synthetic import grid, write_recording, write_sweep

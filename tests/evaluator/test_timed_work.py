@@ -24,7 +24,7 @@ from evaluator.report.paper.tables import text_tables
 from evaluator.report.paper.text_table import Format
 from evaluator.report.parquet import METRICS, frames
 from evaluator.report.tables import print_tables
-from evaluator.results import Evaluation
+from evaluator.results.evaluation import Evaluation
 from evaluator.rules.findings import check
 from evaluator.rules.rule import Level, Scope, load_rules
 from evaluator.timed_work import SHORT_S, TimedWork, Window

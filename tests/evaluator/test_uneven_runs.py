@@ -19,7 +19,8 @@ from evaluator.metrics.split_tree import Branch, SplitTree
 from evaluator.report.html import render_html
 from evaluator.report.json import to_json
 from evaluator.report.tables import print_tables
-from evaluator.results import Evaluation, GroupResult
+from evaluator.results.evaluation import Evaluation
+from evaluator.results.result import GroupResult
 from schemas import topics
 from schemas.messages import message_class
 from tests.synthetic import Shown, grid, write_recording

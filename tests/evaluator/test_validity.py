@@ -16,7 +16,8 @@ from evaluator.report import words
 from evaluator.report.html import render_html
 from evaluator.report.json import to_json
 from evaluator.report.tables import print_tables
-from evaluator.results import Evaluation, GroupResult
+from evaluator.results.evaluation import Evaluation
+from evaluator.results.result import GroupResult
 from schemas.messages import message_class
 from schemas.provenance import Buffer, OverflowBit
 from tests.conftest import Command, call

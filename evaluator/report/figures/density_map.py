@@ -12,7 +12,7 @@ from evaluator.metrics.density import Density, log_density
 from evaluator.report.figures import axis
 from evaluator.report.figures.palette import LEVELS, level
 from evaluator.report.figures.svg import closed_path, element, figure, number, text
-from evaluator.results import Map
+from evaluator.results.result import Map
 
 _LEFT, _TOP, _BOTTOM, _SIDE, _GAP = 44.0, 14.0, 38.0, 44.0, 4.0
 _WIDTH, _HEIGHT_LIMIT = 320.0, 420.0

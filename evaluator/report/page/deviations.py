@@ -8,7 +8,8 @@ from dataclasses import dataclass
 
 from evaluator.report.figures.matrix import letter
 from evaluator.report.page.section import Section, Source
-from evaluator.results import Evaluation, GroupResult
+from evaluator.results.evaluation import Evaluation
+from evaluator.results.result import GroupResult
 from schemas.provenance import Deviation
 
 _SHORT = 12

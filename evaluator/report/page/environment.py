@@ -14,7 +14,7 @@ from evaluator.groups import shown_status
 from evaluator.report import numbers, timed, words
 from evaluator.report.page.picture import LARGEST_CSV, Picture
 from evaluator.report.templating import page_templates
-from evaluator.results import Metric
+from evaluator.results.metric import Estimate
 from evaluator.sweeps import SOURCES
 
 _DEPTH = 3
@@ -39,10 +39,10 @@ def environment() -> jinja2.Environment:
     return made
 
 
-def _interval(metric: Metric) -> str:
+def _interval(metric: Estimate) -> str:
     if metric.ci95 is not None:
         return numbers.interval(metric)
-    why_not = metric.extra.get("interval_why_not") or ("one run" if metric.n == 1 else "")
+    why_not = words.why_no_interval(metric, "one run" if metric.n == 1 else "")
     return f"no interval: {why_not}" if why_not else "no interval"
 
 

@@ -9,7 +9,7 @@ from typing import Any
 
 from evaluator.groups import shown_status, status_notes
 from evaluator.report.page.section import Source
-from evaluator.results import Evaluation
+from evaluator.results.evaluation import Evaluation
 from schemas.location import Location
 
 

@@ -8,7 +8,7 @@ from evaluator.price_list import Cost, Family, Price
 from evaluator.report import timed
 from evaluator.report.page.section import Section, Source
 from evaluator.report.price_table import SAME, family_name, of_family
-from evaluator.results import GroupResult
+from evaluator.results.result import GroupResult
 from evaluator.soundness import Faults, faults
 
 

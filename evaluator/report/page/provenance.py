@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from evaluator.report.page.section import Section, Source
-from evaluator.results import GroupResult
+from evaluator.results.result import GroupResult
 from evaluator.summary import Summary
 
 

@@ -13,7 +13,7 @@ from evaluator.report.page.section import Source
 from evaluator.report.paper import latex
 from evaluator.report.paper.pdf import to_pdf
 from evaluator.report.text import printable
-from evaluator.results import Evaluation
+from evaluator.results.evaluation import Evaluation
 from schemas.writing import write_files
 
 INDEX = "figures.tex"

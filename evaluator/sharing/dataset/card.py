@@ -14,7 +14,8 @@ from evaluator.groups import shown_status
 from evaluator.metrics.regime import REGIME_MEANING
 from evaluator.plain import brief
 from evaluator.report import numbers, timed, words
-from evaluator.results import Evaluation, GroupResult, Metric
+from evaluator.results.evaluation import Evaluation
+from evaluator.results.result import GroupResult
 from evaluator.sharing.dataset.citation import Publication, quoted
 from evaluator.sharing.dataset.contents import LookedAt, summaries
 from evaluator.sharing.dataset.licences import HUB_NAMES
@@ -142,18 +143,14 @@ def _row(result: GroupResult) -> Row:
         device=key.device,
         runs=f"{key.n_env} x {len(result.group.complete)}",
         determinism=key.determinism,
-        distinct_envs=_of(found["distinct_envs"]),
-        distinct_runs=_of(found["distinct_runs"]),
+        distinct_envs=words.count_of(found["distinct_envs"]),
+        distinct_runs=words.count_of(found["distinct_runs"]),
         type=words.regime(found["regime_published"]),
         throughput=numbers.mean_sd(found["fps"]),
         timed=timed.cells(timed.ALL, result.timed),
         interval=numbers.interval(found["fps"]),
         trouble=words.trouble(result.group),
     )
-
-
-def _of(metric: Metric) -> str:
-    return numbers.NONE if metric.value is None else f"{metric.value:.0f} of {metric.n}"
 
 
 def machines(held: Sequence[Summary]) -> list[Machine]:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from evaluator.evaluate import evaluate
 from evaluator.reading import Read, Reader, Unreadable
-from evaluator.results import Evaluation
+from evaluator.results.evaluation import Evaluation
 from evaluator.sharing.dataset.checkup import DAMAGED, Checkup, check_up
 from evaluator.summary import Summary
 from schemas import PARTIAL

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from evaluator.report.parquet import METRICS, RUNS, parquet_tables, polars
-from evaluator.results import Evaluation
+from evaluator.results.evaluation import Evaluation
 from evaluator.sharing.dataset.card import CARD, KEYWORDS, card
 from evaluator.sharing.dataset.checksums import CHECKSUMS, write_sums
 from evaluator.sharing.dataset.citation import CITATION, Publication, citation

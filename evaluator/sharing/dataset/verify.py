@@ -8,7 +8,7 @@ from dataclasses import fields
 from pathlib import Path
 
 from evaluator.report.parquet import METRICS, RUNS, frames, polars
-from evaluator.results import Evaluation
+from evaluator.results.evaluation import Evaluation
 from evaluator.sharing.dataset.card import CARD
 from evaluator.sharing.dataset.checksums import CHECKSUMS, read_sums
 from evaluator.sharing.dataset.checkup import BROKEN, DAMAGED

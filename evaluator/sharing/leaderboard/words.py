@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import json
 
-from evaluator.claims import identical
+from evaluator.identity_metrics import identical
+from evaluator.missing import Missing
 from evaluator.report import words as report_words
 from evaluator.report.numbers import plural
-from evaluator.results import Metric
+from evaluator.results.details import DistinctEnvs, DistinctRuns
+from evaluator.results.metric import Estimate
 from evaluator.sharing.dataset.checkup import BROKEN
 from evaluator.sharing.leaderboard.reproduction import Reproduction
 from evaluator.sharing.leaderboard.standing import Row
@@ -25,22 +27,23 @@ def repeats(row: Row) -> list[str]:
     """How far environments and runs are the same, a line each; why that is not known where nothing is."""
     metrics = row.result.metrics
     envs, runs = metrics["distinct_envs"], metrics["distinct_runs"]
-    if envs.value is None and runs.value is None:
-        return [*dict.fromkeys((envs.why_not, runs.why_not))]
+    if isinstance(envs.value, Missing) and isinstance(runs.value, Missing):
+        return [*dict.fromkeys((envs.value.reason, runs.value.reason))]
     lines = [_distinct("envs", envs), _distinct("runs", runs)]
     kind = metrics["regime_published"]
-    return [*lines, f"type {report_words.regime(kind)}"] if kind.value is not None else lines
+    return [*lines, f"type {report_words.regime(kind)}"] if not isinstance(kind.value, Missing) else lines
 
 
-def _distinct(what: str, metric: Metric) -> str:
-    if metric.value is None:
-        return f"{what}: {metric.why_not}"
+def _distinct(what: str, metric: Estimate) -> str:
+    if isinstance(metric.value, Missing):
+        return f"{what}: {metric.value.reason}"
     claim = identical(metric)
     if claim.holds is None:
         return f"{what}: {claim.why_not}"
     if claim.yes:
         return f"all {metric.n} {what} alike"
-    since = metric.extra.get("first_difference_step")
+    details = metric.details
+    since = details.first_difference_step if isinstance(details, DistinctEnvs | DistinctRuns) else None
     return f"{metric.value:.0f} of {metric.n} {what} distinct" + ("" if since is None else f", from step {since}")
 
 

@@ -1,0 +1,1 @@
+"""What an evaluation finds: metrics, their estimates for groups, sweeps, rankings; before any presentation."""

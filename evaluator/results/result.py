@@ -1,0 +1,84 @@
+"""What was found for one group, before any presentation."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from evaluator.fidelity import Fidelity
+from evaluator.groups import Group
+from evaluator.metrics.density import Density, HexGrid
+from evaluator.results.metric import Estimate
+from evaluator.spread import Spread
+from evaluator.summary import Summary
+from evaluator.timed_work import TimedWork
+from evaluator.validity import Validity
+
+
+@dataclass(frozen=True)
+class Cloud:
+    """Planar positions of the items of a group at the sample step, in the env's own frame.
+
+    positions  [m], shape [run, env, item, 2]
+    density    over all runs and environments, on the grid shared by all clouds of a scene
+    marginals  counts along x and y on shared edges
+    """
+
+    positions: NDArray[np.float64]
+    density: Density
+    marginals: tuple[NDArray[np.int64], NDArray[np.int64]]
+
+
+@dataclass(frozen=True)
+class RunSpread:
+    """How the environments of one run moved apart.
+
+    run      its index
+    spread   None where it cannot be said, and `why_not` says why
+    """
+
+    run: int
+    spread: Spread | None
+    why_not: str
+
+
+@dataclass(frozen=True)
+class GroupResult:
+    """All that was found for one group.
+
+    group            the recordings and what they share
+    label            unique within the evaluation
+    metrics          estimates, by the name of their metric
+    cloud            None where no states were recorded at the sample step
+    validity         contacts, buffers, overflow, actions
+    fidelity         whether the states keep to mechanics
+    notes            sentences that a reader must see beside the numbers
+    spreads          of the complete runs
+    timed            what its throughput was measured over
+    """
+
+    group: Group[Summary]
+    label: str
+    metrics: dict[str, Estimate]
+    cloud: Cloud | None
+    validity: Validity
+    fidelity: Fidelity
+    notes: tuple[str, ...]
+    spreads: tuple[RunSpread, ...] = ()
+    timed: TimedWork = TimedWork()
+
+
+@dataclass(frozen=True)
+class Map:
+    """What all density maps of one scene share.
+
+    grid       of hexagonal bins
+    edges      of the marginals' bins along x and y [m]
+    max_count  largest count of any bin: the upper end of the colour scale
+    """
+
+    grid: HexGrid
+    edges: tuple[NDArray[np.float64], NDArray[np.float64]]
+    max_count: int
