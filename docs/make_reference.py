@@ -128,14 +128,14 @@ def exit_codes() -> str:
 
 
 def metrics() -> str:
-    """Every metric of an evaluation, with unit, direction and method, from the evaluation of a shipped recording."""
-    from evaluator.evaluate import evaluate_files
+    """Every metric of an evaluation, with unit and direction, from the declarations."""
+    from evaluator.results.metrics import METRICS
 
-    page = _read("docs/metrics.md").replace("](", "](../")
-    defined = dict(re.findall(r"^\| `(\w+)` \|[^|]*\| (.*?) \|$", page, re.MULTILINE))
     better = {"higher": "higher", "lower": "lower", "neither": "-"}
-    (result,) = evaluate_files([SAMPLE]).results
-    rows = [(f"`{m.name}`", m.unit or "-", better[m.direction], defined[m.name]) for m in result.metrics.values()]
+    rows = [
+        (f"`{m.name}`", m.unit or "-", better[m.direction.value], m.docs.replace("](", "](../"))
+        for m in METRICS.values()
+    ]
     text = "What `gsb-eval --json` has under `metrics` of each group. [Metrics](../metrics.md) says how to read them."
     return f"# Units and directions\n\n{text}\n\n{_table(('name', 'unit', 'better', 'what'), rows)}\n"
 

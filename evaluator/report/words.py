@@ -86,11 +86,6 @@ def count_of(metric: Estimate) -> str:
     return NONE if isinstance(metric.value, Missing) else f"{metric.value:.0f} of {metric.n}"
 
 
-def changed(metric: Estimate) -> str:
-    """In how many runs something changed; a dash where there is no value."""
-    return NONE if isinstance(metric.value, Missing) else f"in {count_of(metric)} runs"
-
-
 def capturing(metric: Estimate) -> str:
     """What capturing costs a step, and the share of it in which the engine waited for the disk."""
     if isinstance(metric.value, Missing):
@@ -265,7 +260,7 @@ CELLS: Mapping[str, Callable[[Estimate], str]] = {
     "equality_runs": equality,
     "divergence_rate": growth,
     "regime_published": regime,
-    "capture_changes_states": changed,
+    "capture_changes_states": count_of,
 }
 """How metrics are written whose number alone says too little, by name."""
 

@@ -21,6 +21,7 @@ from evaluator.diff.numbers import Pairing
 from evaluator.diff.result import Basis, Change, Difference, StepRange, Verdict
 from evaluator.identity_metrics import equality_of_runs
 from evaluator.recording import Recording
+from evaluator.results.details import Equality
 from evaluator.run_data import read_run
 from evaluator.summary import summarise
 from recorder.capture import states as capture
@@ -532,7 +533,7 @@ def test_another_order_is_recognised(
     assert (said or "DIFFERENT") in " ".join(capsys.readouterr().out.split())
     assert ("up to the order" in said) is bool(said)
     metric = equality_of_runs([read_run(r, summarise(r), 0.08) for r in (a, b)])
-    assert metric.extra["text"] == (said.split(",")[0] if said else "different")
+    assert metric.of(Equality).text == (said.split(",")[0] if said else "different")
 
 
 def turned(folder: Path, sign: int, change: Callable[[NDArray[Any]], None] | None = None) -> Recording:

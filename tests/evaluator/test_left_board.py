@@ -18,6 +18,7 @@ from scipy.spatial.distance import cdist
 
 from evaluator.evaluate import evaluate, evaluate_files
 from evaluator.metrics.board import Board, clamped
+from evaluator.missing import Missing
 from evaluator.reading import Read, Reader
 from evaluator.recording import Recording
 from evaluator.report.html import render_html
@@ -26,6 +27,7 @@ from evaluator.report.numbers import figure
 from evaluator.report.paper.tables import tables
 from evaluator.report.parquet import frames
 from evaluator.report.tables import print_tables
+from evaluator.results.details import BetweenRuns, OffTheBoard
 from evaluator.results.evaluation import Evaluation
 from tests.synthetic import grid, write_recording
 
@@ -59,7 +61,7 @@ def test_a_cube_that_flew_off(tmp_path: Path) -> None:
     assert found["w1_parallel"].value == pytest.approx(100 * (60.0 - 0.5) / 27 * pairs)
     assert found["w1_parallel_clamped"].value == pytest.approx(100 * (0.6 - 0.5) / 27 * pairs)
     assert found["left_board"].value == 0.25
-    assert found["left_board"].extra["envs_with_any"] == 2
+    assert found["left_board"].of(OffTheBoard).envs_with_any == 2
 
 
 @pytest.mark.parametrize("name", ["isaaclab-newton-inclined", "mjx-jax-inclined"])
@@ -74,7 +76,7 @@ def test_shipped_recordings_against_scipy(name: str) -> None:
     if simulation.env_origins:
         runs -= np.array(simulation.env_origins)[:, None]
     beside = (runs[..., 0] < 0) | (runs[..., 0] > 0.6) | (np.abs(runs[..., 1]) > 0.3)
-    assert result.metrics["left_board"].extra["total"] == (beside | (runs[..., 2] < 0.02)).sum()
+    assert result.metrics["left_board"].of(OffTheBoard).total == (beside | (runs[..., 2] < 0.02)).sum()
     for suffix, planar in (("", runs[..., :2]), ("_clamped", np.clip(runs[..., :2], [0.0, -0.3], [0.6, 0.3]))):
         envs = np.mean([[w1(a, b) for a, b in combinations(run, 2)] for run in planar])
         assert result.metrics[f"w1_parallel{suffix}"].value == pytest.approx(envs, rel=1e-9)
@@ -85,9 +87,10 @@ def test_shipped_recordings_against_scipy(name: str) -> None:
 def test_five_runs_of_mjx_end_in_three_places() -> None:
     """Hold the README's figures: 2.4, 12.4 and 13.9 cm apart, and 1.7 to 2.9 without the cube that fell."""
     (result,) = evaluate_files(sorted(H200.glob("mjx-jax-inclined*.mcap"))).results
-    assert result.run_matrix is not None
-    assert sorted(set(np.round(result.run_matrix, 1).ravel())) == [0.0, 2.4, 12.4, 13.9]
-    assert result.metrics["left_board"].extra["per_run"] == [0, 0, 0, 0, 16]
+    matrix = result.metrics["w1_run_to_run"].of(BetweenRuns).matrix_cm
+    assert matrix is not None
+    assert sorted(set(np.round(matrix, 1).ravel())) == [0.0, 2.4, 12.4, 13.9]
+    assert result.metrics["left_board"].of(OffTheBoard).per_run == (0, 0, 0, 0, 16)
     shown = (Path(__file__).resolve().parents[2] / "README.md").read_text(encoding="utf-8")
     assert "2.4, 12.4 and 13.9 cm" in " ".join(shown.split())
 
@@ -119,8 +122,8 @@ def test_one_cube_of_many_is_shown(few: Evaluation) -> None:
     stream = io.StringIO()
     print_tables(few, stream)
     lines = [" ".join(line.split()) for line in stream.getvalue().splitlines()]
-    assert "cubes off the board per env 0.04" in lines
-    assert sum(line.startswith("cubes clamped to the board 0.") for line in lines) == 3
+    assert "cubes off the board [cubes per env] 0.04" in lines
+    assert sum(", clamped to the board [cm] 0." in line for line in lines) == 3
 
     page = render_html(few, published=False, command="")
     assert page.count("<small>clamped to the board: 0.") == 5, "in two tables"
@@ -168,7 +171,7 @@ def test_no_board_no_clamping(tmp_path: Path) -> None:
     """Say that a scene without a board has none, and keep the published value."""
     (result,) = evaluate_files([write_recording(tmp_path, grid(2), scene="free-fall")]).results
     assert result.metrics["w1_parallel"].value == 0
-    assert result.metrics["w1_parallel_clamped"].why_not == "this scene has no board"
+    assert result.metrics["w1_parallel_clamped"].value == Missing("this scene has no board")
     assert json.dumps(to_json(evaluate_files([])))
 
 
