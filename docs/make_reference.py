@@ -23,7 +23,6 @@ from schemas import errors
 from schemas.errors import ExitCode, UsageError
 
 ROOT = Path(__file__).resolve().parent.parent
-SAMPLE = ROOT / "recordings" / "mujoco-amd-r0.mcap"
 FORMULAS = ("evaluator.metrics", "evaluator.metrics.physics", "evaluator.statistics", "evaluator.transport")
 """Packages of pure functions, whose docstrings have the formulas."""
 
@@ -133,7 +132,12 @@ def metrics() -> str:
 
     better = {"higher": "higher", "lower": "lower", "neither": "-"}
     rows = [
-        (f"`{m.name}`", m.unit or "-", better[m.direction.value], m.docs.replace("](", "](../"))
+        (
+            f"`{m.name}`",
+            m.unit or "-",
+            better[m.direction.value],
+            f"{'*published*: ' if m.published else ''}{m.docs}".replace("](", "](../"),
+        )
         for m in METRICS.values()
     ]
     text = "What `gsb-eval --json` has under `metrics` of each group. [Metrics](../metrics.md) says how to read them."
