@@ -308,10 +308,6 @@ def _table(head: tuple[str, ...], rows: list[tuple[str, ...]]) -> str:
     return "\n".join("| " + " | ".join(row) + " |" for row in [list(head), ["---"] * len(head), *cells])
 
 
-def _read(path: str) -> str:
-    return (ROOT / path).read_text(encoding="utf-8")
-
-
 def main() -> None:
     """Write the pages into a folder."""
     folder = Path(sys.argv[1])
