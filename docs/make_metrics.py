@@ -9,8 +9,8 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from evaluator.results.metric import Metric
-from evaluator.results.metrics import METRICS
+from gpusimbench.evaluator.results.metric import Metric
+from gpusimbench.evaluator.results.metrics import METRICS
 
 PAGE = Path(__file__).resolve().parent / "metrics.md"
 BEGIN, END = "<!-- metrics: drawn by docs/make_metrics.py -->", "<!-- end of metrics -->"

@@ -19,11 +19,16 @@ from pathlib import Path
 from pkgutil import iter_modules
 from types import FunctionType, ModuleType
 
-from schemas import errors
-from schemas.errors import ExitCode, UsageError
+from gpusimbench.schemas import errors
+from gpusimbench.schemas.errors import ExitCode, UsageError
 
 ROOT = Path(__file__).resolve().parent.parent
-FORMULAS = ("evaluator.metrics", "evaluator.metrics.physics", "evaluator.statistics", "evaluator.transport")
+FORMULAS = (
+    "gpusimbench.evaluator.metrics",
+    "gpusimbench.evaluator.metrics.physics",
+    "gpusimbench.evaluator.statistics",
+    "gpusimbench.evaluator.transport",
+)
 """Packages of pure functions, whose docstrings have the formulas."""
 
 
@@ -71,7 +76,7 @@ def parsers() -> dict[str, argparse.ArgumentParser]:
 
 def modules() -> dict[str, ModuleType]:
     """The module with the parser and the work of every command; that of gsb-record's main imports next to nothing."""
-    elsewhere = {"recorder.cli": "recorder.command"}
+    elsewhere = {"gpusimbench.recorder.cli": "gpusimbench.recorder.command"}
     return {name: import_module(elsewhere.get(module, module)) for name, module in entry_points().items()}
 
 
@@ -128,7 +133,7 @@ def exit_codes() -> str:
 
 def metrics() -> str:
     """Every metric of an evaluation, with unit and direction, from the declarations."""
-    from evaluator.results.metrics import METRICS
+    from gpusimbench.evaluator.results.metrics import METRICS
 
     better = {"higher": "higher", "lower": "lower", "neither": "-"}
     rows = [
@@ -172,7 +177,7 @@ def messages() -> str:
 
 def rules() -> str:
     """Every rule of the sets that ship with gsb-check."""
-    from evaluator.rules.rule import SHIPPED, load_rules
+    from gpusimbench.evaluator.check.rules.rule import SHIPPED, load_rules
 
     text = [
         "# Rules of gsb-check",
@@ -187,7 +192,7 @@ def rules() -> str:
 
 def options() -> str:
     """Every simulator with its options, their defaults, and its levels of determinism."""
-    from recorder.simulators.registry import BUILT_IN
+    from gpusimbench.recorder.simulators.registry import BUILT_IN
 
     text = [
         "# Options of simulators",
@@ -213,7 +218,7 @@ def options() -> str:
 
 def scenes() -> str:
     """Every scene that ships, with its bodies and materials."""
-    from recorder.scenes.registry import SCENES
+    from gpusimbench.recorder.scenes.registry import SCENES
 
     text = ["# Scenes", "SI units, world frame, z up. Every recording has its scene whole, in `scene.json`."]
     for name, make in SCENES.items():

@@ -12,15 +12,15 @@ import json
 from collections.abc import Iterator
 from typing import Any
 
-from evaluator.missing import known, reason_of
-from evaluator.report.text import printable
-from evaluator.report.words import floor_of
-from evaluator.results.evaluation import Evaluation
-from evaluator.results.metric import Estimate
-from evaluator.results.result import GroupResult
-from evaluator.summary import Summary
-from evaluator.timed_work import SETTINGS, TimedWork
-from schemas.errors import UsageError
+from gpusimbench.evaluator.missing import known, reason_of
+from gpusimbench.evaluator.render.text import printable
+from gpusimbench.evaluator.report.words import floor_of
+from gpusimbench.evaluator.results.evaluation import Evaluation
+from gpusimbench.evaluator.results.metric import Estimate
+from gpusimbench.evaluator.results.result import GroupResult
+from gpusimbench.evaluator.results.timed_work import SETTINGS, TimedWork
+from gpusimbench.evaluator.runs.summary import Summary
+from gpusimbench.schemas.errors import UsageError
 
 METRICS, RUNS = "metrics.parquet", "runs.parquet"
 

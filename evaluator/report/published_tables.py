@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from typing import IO
 
-from evaluator.cost_metrics import FPS
-from evaluator.group_metrics import W1_PARALLEL, W1_REAL, W1_RUN_TO_RUN
-from evaluator.published import SCALING, SOURCE, VARIABILITY, AtLargest
-from evaluator.report.console import make_console, plain_table
-from evaluator.report.numbers import NONE
+from gpusimbench.evaluator.render.console import make_console, plain_table
+from gpusimbench.evaluator.render.numbers import NONE
+from gpusimbench.evaluator.results.cost_metrics import FPS
+from gpusimbench.evaluator.results.group_metrics import W1_PARALLEL, W1_REAL, W1_RUN_TO_RUN
+from gpusimbench.evaluator.results.published import SCALING, SOURCE, VARIABILITY, AtLargest
 
 
 def print_published(stream: IO[str]) -> None:

@@ -5,15 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from statistics import median
 
-from evaluator.fidelity import Fidelity, Verdict
-from evaluator.groups import Described, Group, shown_status
-from evaluator.identity_metrics import identical
-from evaluator.metrics.cotenants import Presence
-from evaluator.metrics.levels import Level
-from evaluator.metrics.memory_model import MemoryModel
-from evaluator.missing import Missing, reason_of
-from evaluator.report.numbers import NONE, distance, mean_sd
-from evaluator.results.details import (
+from gpusimbench.evaluator.metrics.cotenants import Presence
+from gpusimbench.evaluator.metrics.levels import Level
+from gpusimbench.evaluator.metrics.memory_model import MemoryModel
+from gpusimbench.evaluator.missing import Missing, reason_of
+from gpusimbench.evaluator.render.numbers import NONE, distance, mean_sd
+from gpusimbench.evaluator.results.details import (
     BetweenRuns,
     CaptureOverhead,
     Equality,
@@ -24,9 +21,12 @@ from evaluator.results.details import (
     Throughput,
     ToReference,
 )
-from evaluator.results.metric import Estimate
-from evaluator.statistics.floor import Floor
-from evaluator.validity import BufferUse, Counted, OverflowSeen, Validity
+from gpusimbench.evaluator.results.fidelity import Fidelity, Verdict
+from gpusimbench.evaluator.results.identity_metrics import identical
+from gpusimbench.evaluator.results.metric import Estimate
+from gpusimbench.evaluator.results.validity import BufferUse, Counted, OverflowSeen, Validity
+from gpusimbench.evaluator.runs.groups import Described, Group, shown_status
+from gpusimbench.evaluator.statistics.floor import Floor
 
 
 def trouble(group: Group[Described]) -> str:

@@ -1,1 +1,1 @@
-"""What an evaluation finds: metrics, their estimates for groups, sweeps, rankings; before any presentation."""
+"""From runs to metrics, sweeps, a ranking and the price of determinism."""

@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from evaluator.metrics.cotenants import Presence, Sign
-from evaluator.metrics.levels import Worst
-from evaluator.metrics.memory import Checkpoints
-from evaluator.metrics.split_tree import SplitTree
-from evaluator.missing import Missing
-from evaluator.statistics.floor import Floor
+from gpusimbench.evaluator.metrics.cotenants import Presence, Sign
+from gpusimbench.evaluator.metrics.levels import Worst
+from gpusimbench.evaluator.metrics.memory import Checkpoints
+from gpusimbench.evaluator.metrics.split_tree import SplitTree
+from gpusimbench.evaluator.missing import Missing
+from gpusimbench.evaluator.statistics.floor import Floor
 
 _OPTIONAL = {"optional": True}
 """Marks a field that JSON leaves out where it is None."""

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from evaluator.accumulation import Accumulation
-from evaluator.comparison import Comparison
-from evaluator.price_list import Family
-from evaluator.protocol import Unmet
-from evaluator.reading import Unreadable
-from evaluator.results.reference import Reference
-from evaluator.results.result import GroupResult, Map
-from evaluator.sweeps import Sweep
+from gpusimbench.evaluator.check.protocol import Unmet
+from gpusimbench.evaluator.results.accumulation import Accumulation
+from gpusimbench.evaluator.results.determinism_cost import Family
+from gpusimbench.evaluator.results.ranking import Comparison
+from gpusimbench.evaluator.results.reference import Reference
+from gpusimbench.evaluator.results.result import GroupResult, Map
+from gpusimbench.evaluator.results.sweeps import Sweep
+from gpusimbench.evaluator.runs.reading import Unreadable
 
 SCHEMA_VERSION = 1
 """Version of the JSON that ``gsb-eval --json`` prints."""

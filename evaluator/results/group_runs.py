@@ -9,14 +9,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from evaluator.histories import side_by_side
-from evaluator.metrics.board import clamped
-from evaluator.metrics.identity import distinct_over_time
-from evaluator.missing import Missing
-from evaluator.over_runs import Runs
-from evaluator.results.reference import Reference
-from evaluator.sampled import positions, sampled
-from evaluator.work import HERE, Work
+from gpusimbench.evaluator.compute.work import HERE, Work
+from gpusimbench.evaluator.metrics.board import clamped
+from gpusimbench.evaluator.metrics.identity import distinct_over_time
+from gpusimbench.evaluator.missing import Missing
+from gpusimbench.evaluator.results.aggregate import Runs
+from gpusimbench.evaluator.results.reference import Reference
+from gpusimbench.evaluator.results.sampled import positions, sampled
+from gpusimbench.evaluator.runs.state_hashes import side_by_side
 
 
 @dataclass(frozen=True, eq=False)

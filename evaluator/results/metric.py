@@ -7,12 +7,12 @@ from dataclasses import dataclass, replace
 from enum import Enum, StrEnum
 from typing import TypeVar
 
-from evaluator.metrics.radar import Axis as RadarAxis
-from evaluator.missing import Missing
-from evaluator.over_runs import MEAN, NO_RUN, Aggregator
-from evaluator.results.details import Details, OverRuns
-from evaluator.results.group_runs import GroupRuns
-from evaluator.run_data import RunData
+from gpusimbench.evaluator.metrics.radar import Axis as RadarAxis
+from gpusimbench.evaluator.missing import Missing
+from gpusimbench.evaluator.results.aggregate import MEAN, NO_RUN, Aggregator
+from gpusimbench.evaluator.results.details import Details, OverRuns
+from gpusimbench.evaluator.results.group_runs import GroupRuns
+from gpusimbench.evaluator.runs.run_data import RunData
 
 BYTES = {"GB": 1e9, "MB": 1e6}
 """Units of memory, in bytes."""

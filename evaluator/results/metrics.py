@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from evaluator.clamped_metrics import CLAMPED
-from evaluator.cost_metrics import COSTS
-from evaluator.group_metrics import LEFT_BOARD, REGIME, SANK, W1_PARALLEL, W1_REAL, W1_RUN_TO_RUN
-from evaluator.identity_metrics import (
+from gpusimbench.evaluator.metrics.radar import Axis
+from gpusimbench.evaluator.results.clamped_metrics import CLAMPED
+from gpusimbench.evaluator.results.cost_metrics import COSTS
+from gpusimbench.evaluator.results.group_metrics import LEFT_BOARD, REGIME, SANK, W1_PARALLEL, W1_REAL, W1_RUN_TO_RUN
+from gpusimbench.evaluator.results.identity_metrics import (
     CAPTURE_CHANGES_STATES,
     DISTINCT_ENVS,
     DISTINCT_RUNS,
@@ -13,8 +14,7 @@ from evaluator.identity_metrics import (
     EQUALITY_ENVS,
     EQUALITY_RUNS,
 )
-from evaluator.metrics.radar import Axis
-from evaluator.results.metric import Metric, Table
+from gpusimbench.evaluator.results.metric import Metric, Table
 
 METRICS: dict[str, Metric] = {
     metric.name: metric

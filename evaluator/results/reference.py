@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from evaluator.metrics.density import Density
-from schemas.location import Place
+from gpusimbench.evaluator.metrics.density import Density
+from gpusimbench.schemas.location import Place
 
 
 @dataclass(frozen=True)

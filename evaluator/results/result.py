@@ -7,14 +7,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from evaluator.fidelity import Fidelity
-from evaluator.groups import Group
-from evaluator.metrics.density import Density, HexGrid
-from evaluator.results.metric import Estimate
-from evaluator.spread import Spread
-from evaluator.summary import Summary
-from evaluator.timed_work import TimedWork
-from evaluator.validity import Validity
+from gpusimbench.evaluator.metrics.density import Density, HexGrid
+from gpusimbench.evaluator.results.fidelity import Fidelity
+from gpusimbench.evaluator.results.metric import Estimate
+from gpusimbench.evaluator.results.timed_work import TimedWork
+from gpusimbench.evaluator.results.validity import Validity
+from gpusimbench.evaluator.runs.groups import Group
+from gpusimbench.evaluator.runs.spread import Spread
+from gpusimbench.evaluator.runs.summary import Summary
 
 
 @dataclass(frozen=True)

@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from evaluator.mapping import Mapper
-from evaluator.metrics.variability import CM_PER_M
-from evaluator.missing import Missing
-from evaluator.statistics.energy import EnergyDistance, energy_distance
-from evaluator.statistics.permutation import PermutationFloor, permutation_floor
+from gpusimbench.evaluator.compute.mapping import Mapper
+from gpusimbench.evaluator.metrics.variability import CM_PER_M
+from gpusimbench.evaluator.missing import Missing
+from gpusimbench.evaluator.statistics.energy import EnergyDistance, energy_distance
+from gpusimbench.evaluator.statistics.permutation import PermutationFloor, permutation_floor
 
 _SEED = 0
 

@@ -10,19 +10,19 @@ from pathlib import Path
 import pytest
 
 from docs.make_metrics import PAGE, drawn, table
-from evaluator.cli.compare import main as gsb_compare
-from evaluator.evaluate import evaluate_files
-from evaluator.missing import Missing, known
-from evaluator.report.html import render_html
-from evaluator.report.json import to_json
-from evaluator.report.paper.tables import text_tables
-from evaluator.report.paper.text_table import Format
-from evaluator.report.parquet import METRICS as METRICS_TABLE
-from evaluator.report.parquet import frames
-from evaluator.report.tables import print_tables
-from evaluator.results.metric import BYTES, Axis, Direction, Metric, each
-from evaluator.results.metrics import METRICS
-from evaluator.results.result import GroupResult
+from gpusimbench.evaluator.cli.compare import main as gsb_compare
+from gpusimbench.evaluator.missing import Missing, known
+from gpusimbench.evaluator.report.html import render_html
+from gpusimbench.evaluator.report.json import to_json
+from gpusimbench.evaluator.report.paper.tables import text_tables
+from gpusimbench.evaluator.report.paper.text_table import Format
+from gpusimbench.evaluator.report.parquet import METRICS as METRICS_TABLE
+from gpusimbench.evaluator.report.parquet import frames
+from gpusimbench.evaluator.report.tables import print_tables
+from gpusimbench.evaluator.results.evaluate import evaluate_files
+from gpusimbench.evaluator.results.metric import BYTES, Axis, Direction, Metric, each
+from gpusimbench.evaluator.results.metrics import METRICS
+from gpusimbench.evaluator.results.result import GroupResult
 from tests.synthetic import write_recording
 
 STEPS = Metric(

@@ -11,11 +11,11 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from evaluator.evaluate import evaluate_files
-from evaluator.metrics.sank import Sinking, Support, may_have_sunk
-from evaluator.missing import reason_of
-from evaluator.results.details import SunkCubes
-from evaluator.results.metric import Estimate
+from gpusimbench.evaluator.metrics.sank import Sinking, Support, may_have_sunk
+from gpusimbench.evaluator.missing import reason_of
+from gpusimbench.evaluator.results.details import SunkCubes
+from gpusimbench.evaluator.results.evaluate import evaluate_files
+from gpusimbench.evaluator.results.metric import Estimate
 from tests.synthetic import grid, write_recording
 
 GROUND = Support(0.0, (-math.inf, -math.inf), (math.inf, math.inf))

@@ -8,13 +8,13 @@ import numpy as np
 from markupsafe import Markup
 from numpy.typing import NDArray
 
-from evaluator.missing import Missing, reason_of
-from evaluator.report.figures import matrix
-from evaluator.report.figures.tree import in_ranges
-from evaluator.report.page.picture import Numbers, Picture
-from evaluator.report.page.section import Section, Source
-from evaluator.results.details import BetweenEnvs, BetweenRuns, DistinctEnvs
-from evaluator.results.result import GroupResult
+from gpusimbench.evaluator.missing import Missing, reason_of
+from gpusimbench.evaluator.render.figures import matrix
+from gpusimbench.evaluator.render.figures.tree import in_ranges
+from gpusimbench.evaluator.report.page.picture import Numbers, Picture
+from gpusimbench.evaluator.report.page.section import Section, Source
+from gpusimbench.evaluator.results.details import BetweenEnvs, BetweenRuns, DistinctEnvs
+from gpusimbench.evaluator.results.result import GroupResult
 
 _CLASSES = 12  # that a caption names
 _PARTS = 8  # ranges of members that it names of each

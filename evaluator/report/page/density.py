@@ -9,15 +9,15 @@ import numpy as np
 from markupsafe import Markup
 from numpy.typing import NDArray
 
-from evaluator.metrics.density import Density, marginal
-from evaluator.missing import Missing, reason_of
-from evaluator.report.csv import Cell
-from evaluator.report.figures import density_map
-from evaluator.report.page.picture import Numbers, Picture, file_name
-from evaluator.report.page.section import Section, Source
-from evaluator.results.evaluation import Evaluation
-from evaluator.results.reference import Reference
-from evaluator.results.result import GroupResult, Map
+from gpusimbench.evaluator.metrics.density import Density, marginal
+from gpusimbench.evaluator.missing import Missing, reason_of
+from gpusimbench.evaluator.render.figures import density_map
+from gpusimbench.evaluator.report.csv import Cell
+from gpusimbench.evaluator.report.page.picture import Numbers, Picture, file_name
+from gpusimbench.evaluator.report.page.section import Section, Source
+from gpusimbench.evaluator.results.evaluation import Evaluation
+from gpusimbench.evaluator.results.reference import Reference
+from gpusimbench.evaluator.results.result import GroupResult, Map
 
 _DIGITS = 9  # nanometres: the grid's own rounding is not told
 

@@ -6,13 +6,13 @@ from collections.abc import Sequence
 
 from markupsafe import Markup
 
-from evaluator.comparison import Contender
-from evaluator.metrics.radar import Axis, Radar
-from evaluator.report import timed
-from evaluator.report.figures import lines, radar_chart
-from evaluator.report.page.picture import Numbers, Picture
-from evaluator.report.page.section import Section, Source
-from evaluator.results.metrics import on_radar
+from gpusimbench.evaluator.metrics.radar import Axis, Radar
+from gpusimbench.evaluator.render.figures import lines, radar_chart
+from gpusimbench.evaluator.report import timed
+from gpusimbench.evaluator.report.page.picture import Numbers, Picture
+from gpusimbench.evaluator.report.page.section import Section, Source
+from gpusimbench.evaluator.results.metrics import on_radar
+from gpusimbench.evaluator.results.ranking import Contender
 
 _CAPTION = (
     "Rim: the best of these groups. Middle: the worst of them. The scale is relative: another set of groups gives "

@@ -7,14 +7,14 @@ from dataclasses import dataclass, fields, is_dataclass
 from functools import cached_property
 from typing import Any
 
-from evaluator.missing import Missing
-from evaluator.player.playback import Playback
-from evaluator.report.page.picture import Picture
-from evaluator.results.evaluation import Evaluation
-from evaluator.results.metric import Metric, Table
-from evaluator.results.metrics import of_table
-from evaluator.results.result import GroupResult
-from evaluator.sweeps import swept_only
+from gpusimbench.evaluator.missing import Missing
+from gpusimbench.evaluator.player.playback import Playback
+from gpusimbench.evaluator.report.page.picture import Picture
+from gpusimbench.evaluator.results.evaluation import Evaluation
+from gpusimbench.evaluator.results.metric import Metric, Table
+from gpusimbench.evaluator.results.metrics import of_table
+from gpusimbench.evaluator.results.result import GroupResult
+from gpusimbench.evaluator.results.sweeps import swept_only
 
 
 @dataclass(frozen=True)
@@ -88,5 +88,5 @@ def _found(values: Iterable[Any]) -> Iterator[Picture]:
             yield from _found(value.values())
         elif isinstance(value, list | tuple):
             yield from _found(value)
-        elif is_dataclass(value) and type(value).__module__.startswith("evaluator.report."):
+        elif is_dataclass(value) and type(value).__module__.startswith("gpusimbench.evaluator.report."):
             yield from _found(getattr(value, field.name) for field in fields(value))

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from evaluator.report import timed
-from evaluator.report.page.section import Section, Source
-from evaluator.results.metric import Table
+from gpusimbench.evaluator.report import timed
+from gpusimbench.evaluator.report.page.section import Section, Source
+from gpusimbench.evaluator.results.metric import Table
 
 _FOLDED = ("process_memory_peak",)
 """Metrics that stand in the cell of another."""

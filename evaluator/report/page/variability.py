@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from evaluator.clamped_metrics import SUFFIX
-from evaluator.group_metrics import W1_PARALLEL, W1_REAL, W1_RUN_TO_RUN
-from evaluator.metrics.regime import REGIME_MEANING
-from evaluator.report.page.section import Section, Source
-from evaluator.results.metric import Table
+from gpusimbench.evaluator.metrics.regime import REGIME_MEANING
+from gpusimbench.evaluator.report.page.section import Section, Source
+from gpusimbench.evaluator.results.clamped_metrics import SUFFIX
+from gpusimbench.evaluator.results.group_metrics import W1_PARALLEL, W1_REAL, W1_RUN_TO_RUN
+from gpusimbench.evaluator.results.metric import Table
 
 _DISTANCES = (W1_PARALLEL.name, W1_RUN_TO_RUN.name, W1_REAL.name)
 _LEVELS = {"distinct_envs": "equality_envs", "distinct_runs": "equality_runs"}

@@ -1,0 +1,165 @@
+"""What a comparison finds: one statement about one thing of one configuration."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from enum import Enum
+from typing import Protocol
+
+from gpusimbench.evaluator.results.metric import Axis, Direction
+
+DEFAULT_GATES = frozenset({Axis.THROUGHPUT, Axis.MEMORY, Axis.PHYSICS, Axis.VALIDITY, Axis.DETERMINISM})
+
+
+class Change(Enum):
+    """What head is beside base.
+
+    REGRESSION     worse
+    IMPROVEMENT    better
+    CHANGED        another, of which neither is better
+    SMALL          another, by less than matters
+    NEAR           another; whether by as much as matters, so many runs do not tell
+    SAME           the same, for certain
+    WITHIN         not shown to be another, and shown not to be by as much as matters
+    UNCLEAR        not to be told apart by so many runs
+    NOT_COMPARED   there is a reason why not
+    """
+
+    REGRESSION = "regression"
+    IMPROVEMENT = "improvement"
+    CHANGED = "changed"
+    SMALL = "below threshold"
+    NEAR = "near threshold"
+    SAME = "same"
+    WITHIN = "within threshold"
+    UNCLEAR = "not distinguishable"
+    NOT_COMPARED = "not compared"
+
+
+def judged(direction: Direction, *, rises: bool) -> Change:
+    """What a difference is that is large enough to matter."""
+    if direction is Direction.NEITHER:
+        return Change.CHANGED
+    return Change.IMPROVEMENT if rises == (direction is Direction.HIGHER) else Change.REGRESSION
+
+
+FAILING = frozenset({Change.REGRESSION, Change.CHANGED})
+"""What fails a gate."""
+
+DIFFERENT = FAILING | {Change.IMPROVEMENT, Change.SMALL, Change.NEAR}
+"""What fails where both sets are said to be of one thing."""
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One statement.
+
+    axis        that it belongs to
+    name, title of what is compared, for programs and for people
+    change      the verdict
+    direction   which way is better
+    unit        of base and head; "B" for bytes, empty for counts and words
+    base, head  means over runs; None where words say it
+    said        base and head in words; empty where the numbers say it
+    ratio       head / base; None where there is none
+    ci95        of the ratio, of this comparison alone; None where there is none
+    bounded     whether the verdict is by an interval: of the ratio, or of the amount where one is zero
+    p_value     of this comparison alone; None where the verdict is no statistic
+    p_adjusted  for all comparisons of the invocation (Holm); verdicts are by this one; None where so few runs could
+                show nothing, whatever they had been
+    least_p     the smallest p-value that so many runs can give
+    n           runs of base and of head
+    method      what is compared
+    test        how it was tested; empty where nothing was
+    note        what a reader must see beside it
+    why_not     why it is not compared
+    applies     whether either side has such a thing; where neither has, there is nothing to decide
+    left_open   changes as large as matters that these runs do not exclude; empty where the verdict stands
+    """
+
+    axis: Axis
+    name: str
+    title: str
+    change: Change
+    direction: Direction = Direction.NEITHER
+    unit: str = ""
+    base: float | None = None
+    head: float | None = None
+    said: tuple[str, str] = ("", "")
+    ratio: float | None = None
+    ci95: tuple[float, float] | None = None
+    bounded: bool = False
+    p_value: float | None = None
+    p_adjusted: float | None = None
+    least_p: float | None = None
+    n: tuple[int, int] = (0, 0)
+    method: str = ""
+    test: str = ""
+    note: str = ""
+    why_not: str = ""
+    applies: bool = True
+    left_open: tuple[Change, ...] = ()
+
+    def fails(self, settings: Settings) -> bool:
+        """Whether it fails a gate."""
+        if settings.expect_same:
+            return self.change in DIFFERENT
+        return self.axis in settings.gates and self.change in FAILING
+
+    def undecided(self, settings: Settings) -> str:
+        """Why its gate is neither failed nor passed; empty where it is decided, or where there is no gate."""
+        if self.axis not in settings.gates or not self.applies or self.fails(settings):
+            return ""
+        if self.change is Change.NOT_COMPARED:
+            return self.why_not
+        if not (set(self.left_open) & (DIFFERENT if settings.expect_same else FAILING)):
+            return ""
+        if self.bounded:
+            return f"the interval holds a change of {settings.threshold * 100:.3g} % and more"
+        return "too few runs"
+
+
+class Question(Protocol):
+    """A test that is still to be made."""
+
+    @property
+    def least_p(self) -> float:
+        """The smallest p-value that it can give, whatever the runs had been: known before it is made."""
+        ...
+
+    def __call__(self, level: float, *, able: bool) -> tuple[Finding, Finding]:
+        """Two findings with its p-value: what is found where that is significant, and what where it is not.
+
+        level  that one comparison of all has to reach
+        able   whether the test can reach it, whatever the runs had been
+        """
+        ...
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What counts.
+
+    alpha        chance of any false alarm among the statistical comparisons of an invocation
+    threshold    smallest relative change that matters: 0.05 is a factor of 1.05, up or down
+    outcome_cm   smallest change of where cubes end that matters [cm]
+    gates        axes that decide
+    expect_same  base and head are claimed to be one thing: every difference counts, whatever its axis and direction
+    """
+
+    alpha: float = 0.05
+    threshold: float = 0.05
+    outcome_cm: float = 0.01
+    gates: frozenset[Axis] = DEFAULT_GATES
+    expect_same: bool = False
+
+    def matters(self, one: float, other: float) -> bool:
+        """Whether two positive amounts are apart by more than the threshold, whichever is taken for the other's."""
+        low, high = sorted((one, other))
+        return low <= 0 < high or (low > 0 and math.log(high / low) > math.log1p(self.threshold) * (1 + 1e-12))
+
+
+def not_compared(axis: Axis, name: str, title: str, why: str, *, applies: bool = True) -> Finding:
+    """A finding without a verdict, and the reason; `applies` is false where neither side has anything to compare."""
+    return Finding(axis, name, title, Change.NOT_COMPARED, why_not=why, applies=applies)

@@ -1,0 +1,131 @@
+"""Where the cubes end: whether head's runs lie apart from base's, and whether they vary as much among themselves."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from gpusimbench.evaluator.compare.distances import Distances
+from gpusimbench.evaluator.compare.finding import Change, Finding, Question, Settings, judged, not_compared
+from gpusimbench.evaluator.missing import Missing
+from gpusimbench.evaluator.results.metric import Axis, Metric
+from gpusimbench.evaluator.statistics.exchange import Shift, compare_distances, compare_within, least_p
+
+_NAME, _TITLE = "outcome", "where cubes end, W1"
+_METHOD = "W1 between the pooled planar positions of two runs at the sample step"
+_FEW = "needs at least two complete runs on each side"
+
+
+def compare_outcomes(
+    found: Distances | Missing | None, settings: Settings, *, applies: bool
+) -> Finding | Question | None:
+    """W1 between runs of base and of head, beside W1 between runs of one side; None where no states were captured.
+
+    Where all runs of each side are bit-identical, as far as positions at the sample step go, the two outcomes are
+    compared as they are; otherwise whole runs are exchanged.
+    """
+    if found is None:
+        return None
+    if isinstance(found, Missing):
+        return not_compared(Axis.PHYSICS, _NAME, _TITLE, found.reason, applies=applies)
+    finding = Finding(
+        Axis.PHYSICS, _NAME, _TITLE, Change.SAME, unit="cm", n=found.n, method=f"{_METHOD}{_bounds(found)}",
+        said=_apart(found),
+    )  # fmt: skip
+    if all(found.alike):
+        if found.same:
+            return replace(finding, note="the same bits in every run at the sample step")
+        if min(found.n) > 1:
+            change = Change.CHANGED if found.matrix_cm[0, -1] > settings.outcome_cm else Change.SMALL
+            return replace(finding, change=change, note="all runs of a side end at the same bits")
+    if min(found.n) < 2:
+        return not_compared(Axis.PHYSICS, _NAME, _TITLE, _FEW)
+    return _Outcome(found, finding, settings)
+
+
+def compare_spread(
+    metric: Metric, found: Distances | Missing | None, settings: Settings, *, applies: bool
+) -> Finding | Question | None:
+    """W1 between runs of base beside W1 between runs of head; None where no states were captured.
+
+    Whole runs are exchanged, with any other: no clock is in what they compute.
+    """
+    if found is None:
+        return None
+    axis, name, title = Axis.VARIABILITY, metric.name, metric.title
+    if isinstance(found, Missing):
+        return not_compared(axis, name, title, found.reason, applies=applies)
+    base, head = found.within()
+    if base is None or head is None:
+        return not_compared(axis, name, title, _FEW)
+    finding = Finding(
+        axis, name, title, Change.SAME, metric.direction, metric.unit, base=base, head=head,
+        ratio=head / base if base > 0 else None, n=found.n, method=f"{metric.method}{_bounds(found)}",
+    )  # fmt: skip
+    if all(found.alike):
+        return replace(finding, note="the same bits in every run of a side at the sample step")
+    return _Spread(found, finding, settings)
+
+
+@dataclass(frozen=True)
+class _Outcome:
+    found: Distances
+    finding: Finding
+    settings: Settings
+
+    @property
+    def least_p(self) -> float:
+        """See Question."""
+        return least_p(self.found.head, [0] * sum(self.found.n))
+
+    def __call__(self, level: float, *, able: bool) -> tuple[Finding, Finding]:
+        """See Question; whole runs are exchanged with any other, since no clock is in what they compute."""
+        found = compare_distances(self.found.matrix_cm, self.found.head)
+        shown = replace(
+            _tested(self.finding, found),
+            change=Change.CHANGED if found.difference > self.settings.outcome_cm else Change.SMALL,
+            note=f"further apart than runs of one side by {found.difference:.3g} cm",
+        )
+        return shown, replace(shown, change=Change.UNCLEAR, left_open=() if able else (Change.CHANGED,))
+
+
+@dataclass(frozen=True)
+class _Spread:
+    found: Distances
+    finding: Finding
+    settings: Settings
+
+    @property
+    def least_p(self) -> float:
+        """See Question."""
+        return least_p(self.found.head, [0] * sum(self.found.n))
+
+    def __call__(self, level: float, *, able: bool) -> tuple[Finding, Finding]:
+        """See Question."""
+        found = compare_within(self.found.matrix_cm, self.found.head)
+        base, head = self.finding.base or 0.0, self.finding.head or 0.0
+        large = self.settings.matters(base, head) and abs(head - base) >= self.settings.outcome_cm
+        change = judged(self.finding.direction, rises=head > base)
+        shown = replace(_tested(self.finding, found), change=change if large else Change.SMALL)
+        left = () if able else (Change.REGRESSION, Change.IMPROVEMENT)
+        return shown, replace(shown, change=Change.UNCLEAR, left_open=left)
+
+
+def _tested(finding: Finding, found: Shift) -> Finding:
+    how = f"all {found.n} ways" if found.exhaustive else f"{found.n - 1} ways drawn with seed {found.seed}"
+    return replace(
+        finding,
+        p_value=found.p_value,
+        least_p=found.least_p,
+        test=f"permutation test, whole runs exchanged with any other ({how})",
+    )
+
+
+def _bounds(found: Distances) -> str:
+    return "" if found.exact else " (upper bounds)"
+
+
+def _apart(found: Distances) -> tuple[str, str]:
+    """Mean distance within each side, and between the two [cm]."""
+    base, head = ("" if one is None else f"{one:.3g} within" for one in found.within())
+    between = f"{found.matrix_cm[: found.n[0], found.n[0] :].mean():.3g} apart"
+    return base, f"{head}, {between}" if head else between

@@ -1,0 +1,321 @@
+"""Metrics of where the cubes of a group are at the sample step: W1 between environments, runs and to a reference."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gpusimbench.evaluator.metrics.alignment import GapTo
+from gpusimbench.evaluator.metrics.board import left_board as lost
+from gpusimbench.evaluator.metrics.radar import Axis as RadarAxis
+from gpusimbench.evaluator.metrics.regime import PRESENT_FROM_CM, published_regime
+from gpusimbench.evaluator.metrics.variability import (
+    CM_PER_M,
+    MATRIX_ENVS,
+    SAMPLED_ENVS,
+    ParallelVariability,
+    parallel_variability,
+    run_to_run_variability,
+)
+from gpusimbench.evaluator.missing import Missing
+from gpusimbench.evaluator.results.aggregate import NO_RUN, differ, ends_of
+from gpusimbench.evaluator.results.details import (
+    BetweenEnvs,
+    BetweenRuns,
+    Drawn,
+    OffTheBoard,
+    OverRuns,
+    PublishedType,
+    Resampled,
+    SunkCubes,
+    ToReference,
+)
+from gpusimbench.evaluator.results.group_runs import GroupRuns
+from gpusimbench.evaluator.results.metric import Axis, Direction, Estimate, Metric, Table, missing, over_runs
+from gpusimbench.evaluator.results.sampled import no_positions
+from gpusimbench.evaluator.statistics.floor import floor
+from gpusimbench.evaluator.statistics.jackknife import jackknife_pair_mean
+from gpusimbench.evaluator.statistics.regimes import MIN_RUNS, regime_probabilities
+
+_SEED = 0
+
+
+def _solved(group: GroupRuns) -> list[ParallelVariability] | Missing:
+    """Of every run that recorded the sample step; identical runs are solved once."""
+    planar = group.planar
+    if isinstance(planar, Missing):
+        return planar
+    if planar.shape[1] < 2:
+        return Missing("needs at least two environments")
+    distinct = {run.tobytes(): run for run in planar}
+    if planar.shape[1] > MATRIX_ENVS:
+        solved = [parallel_variability(run, group.work.map) for run in distinct.values()]
+    else:
+        solved = group.work.map(parallel_variability, distinct.values())
+    by_run = dict(zip(distinct, solved, strict=True))
+    return [by_run[run.tobytes()] for run in planar]
+
+
+def _parallel_values(group: GroupRuns) -> list[float | Missing]:
+    """Of every run; a run that did not record the sample step has none."""
+    found = W1_PARALLEL.estimate(group)
+    per_run = iter(found.of(BetweenEnvs).per_run or ())
+    none = found.value if isinstance(found.value, Missing) else Missing("the sample step was not recorded")
+    used = {id(run) for run in group.at_sample}
+    return [next(per_run, none) if id(run) in used else none for run in group.runs]
+
+
+def _parallel(metric: Metric, group: GroupRuns) -> Estimate:
+    found = _solved(group)
+    if isinstance(found, Missing):
+        return missing(metric, found.reason)
+    drawn = [f for f in found if f.exactness == "sampled"]
+    matrix = found[0].matrix_cm
+    n_env = len(group.planar[0]) if not isinstance(group.planar, Missing) else 0
+    details = BetweenEnvs(
+        distinct_at_sample_step=tuple(f.n_distinct for f in found),
+        sampled=Drawn(SAMPLED_ENVS, drawn[0].seed, tuple(f.interval_cm for f in found)) if drawn else None,
+        no_matrix=f"{n_env} environments are too many for one (limit: {MATRIX_ENVS})" if matrix is None else None,
+        matrix_of=_place(group) if matrix is not None else None,
+        matrix_cm=matrix,
+    )
+    estimate = over_runs(replace(metric, values=lambda _: [f.mean_cm for f in found], details=lambda _: details), group)
+    return replace(estimate, metric=metric, exactness="sampled" if drawn else "exact")
+
+
+def _place(group: GroupRuns) -> int | Missing:
+    """Of the run whose matrix is kept, among the runs whose environments are compared by bits."""
+    hashed = [run for run in group.runs if run.histories]
+    found = next((at for at, run in enumerate(hashed) if run is group.at_sample[0]), None)
+    return Missing("its states have no hashes") if found is None else found
+
+
+def _run_to_run(metric: Metric, group: GroupRuns) -> Estimate:
+    planar = group.planar
+    if isinstance(planar, Missing):
+        return missing(metric, planar.reason)
+    runs = len(planar)
+    if runs < 2:
+        return missing(metric, "needs at least two complete runs")
+    try:
+        found = run_to_run_variability(planar, group.work.map)
+    except ValueError as error:  # more points than an exact distance can be computed for
+        return missing(metric, str(error))
+    if found.matrix_cm is None:
+        bounds, method, no_interval = None, "", f"{found.n_pair} pairs of runs were drawn with seed {found.seed}"
+    else:
+        interval = jackknife_pair_mean(found.matrix_cm)
+        pairs = found.matrix_cm[np.triu_indices(runs, k=1)]
+        bounds, no_interval = ends_of(interval, runs, spread=differ(pairs))
+        method = f"; interval: {interval.method}"
+    kept = found.matrix_cm is not None
+    return Estimate(
+        metric,
+        found.mean_cm,
+        n=found.n_pair,
+        sd=found.sd_cm,
+        ci95=bounds,
+        method=f"{metric.method}, mean and SD over pairs of runs{method}",
+        exactness=found.exactness,
+        details=BetweenRuns(
+            n_run=runs,
+            interval_why_not=no_interval,
+            floor=group.work.once(floor, planar[0], planar[1]),
+            bounds_cm=None if found.exactness == "exact" else (found.low_cm, found.mean_cm),
+            runs=tuple(r.recording.configuration.run_index for r in group.at_sample) if kept else None,
+            classes=group.classes if kept else None,
+            matrix_cm=found.matrix_cm,
+        ),
+    )
+
+
+def _to_reference(metric: Metric, group: GroupRuns) -> Estimate:
+    reference, planar = group.reference, group.planar
+    if isinstance(reference, Missing):
+        return missing(metric, reference.reason)
+    if isinstance(planar, Missing):
+        return missing(metric, planar.reason)
+    if reference.scene != group.scene:
+        return missing(metric, f"the reference is of scene {reference.scene}")
+    if planar.shape[2] != reference.positions.shape[1]:
+        return missing(metric, f"the reference has {reference.positions.shape[1]} items, this group {planar.shape[2]}")
+    distinct = {run.tobytes(): run for run in planar}
+    try:
+        gaps = dict(zip(distinct, group.work.map(GapTo(reference.positions), distinct.values()), strict=True))
+    except ValueError as error:  # more points than an exact distance can be computed for
+        return missing(metric, str(error))
+    found = [gaps[run.tobytes()] for run in planar]
+    exact = all(f.exactness == "exact" for f in found)
+    details = ToReference(
+        reference=reference.label,
+        measured=reference.measured,
+        floor=group.work.once(floor, planar[0], reference.positions),
+        extension=found[0].extension or None,
+    )
+    measured = replace(
+        metric,
+        values=lambda _: [f.value_cm for f in found],
+        details=lambda _: details,
+        remark=f" ({found[0].method})",
+    )
+    estimate = over_runs(measured, group, f"W1 between the planar positions of a run and {reference.label}")
+    estimate = replace(estimate, metric=metric)
+    if exact or isinstance(estimate.value, Missing):
+        return estimate
+    bounds = float(np.mean([f.low_cm for f in found])), estimate.value
+    return replace(
+        estimate, exactness="certified", details=replace(estimate.of(ToReference), bounds_cm=bounds)
+    )  # fmt: skip
+
+
+def _left_board(metric: Metric, group: GroupRuns) -> Estimate:
+    runs = group.at_sample
+    if not runs:
+        return missing(metric, NO_RUN)
+    board = runs[0].recording.board
+    if board is None:
+        return missing(metric, "this scene has no board to leave")
+    if why_not := no_positions(runs):
+        return missing(metric, why_not)
+    spatial = [r.positions.spatial for r in runs if r.positions]
+    if any(found is None for found in spatial):
+        return missing(metric, "heights were not recorded")
+    left = [lost(found, board) for found in spatial if found is not None]
+    counts = tuple(int(np.count_nonzero(run)) for run in left)
+    envs = sum(len(run) for run in left)
+    return Estimate(
+        metric,
+        sum(counts) / envs,
+        n=envs,
+        method=metric.method,
+        details=OffTheBoard(
+            total=sum(counts),
+            of=sum(run.size for run in left),
+            per_run=counts,
+            envs_with_any=sum(int(run.any(axis=1).sum()) for run in left),
+        ),
+    )
+
+
+def _sank(metric: Metric, group: GroupRuns) -> Estimate:
+    found = [r.sunk for r in group.runs if r.sunk is not None]
+    if not found:
+        return missing(metric, group.runs[0].no_sunk if group.runs else NO_RUN)
+    counts = tuple(sum(s.per_env) for s in found)
+    envs = sum(len(s.per_env) for s in found)
+    return Estimate(
+        metric,
+        sum(counts) / envs,
+        n=envs,
+        method=metric.method,
+        details=SunkCubes(
+            total=sum(counts),
+            of=sum(s.cubes * len(s.per_env) for s in found),
+            cubes=found[0].cubes,
+            per_run=counts,
+            last_step=max(s.last_step for s in found),
+            first_step=min((s.first_step for s in found if s.first_step is not None), default=None),
+        ),
+    )
+
+
+def _regime(metric: Metric, group: GroupRuns) -> Estimate:
+    runs = group.at_sample
+    resolution = CM_PER_M * max((r.equality.resolution or 0.0 for r in runs if r.equality), default=0.0)
+    if resolution > PRESENT_FROM_CM:
+        why = f"environments lie so far apart that positions are stored to {resolution:.2g} cm, coarser than 0.005 cm"
+        return missing(metric, why)
+    parallel, between = W1_PARALLEL.estimate(group), W1_RUN_TO_RUN.estimate(group)
+    for needed in (parallel, between):
+        if isinstance(needed.value, Missing):
+            return missing(metric, f"{needed.name} could not be computed: {needed.value.reason}")
+    assert not isinstance(parallel.value, Missing)
+    assert not isinstance(between.value, Missing)
+    per_run = parallel.of(OverRuns).per_run or ()
+    resampled = _resampled(group, per_run, between.of(BetweenRuns).matrix_cm)
+    return Estimate(
+        metric,
+        float(published_regime(parallel.value, between.value)),
+        method=metric.method,
+        details=PublishedType(resampled),
+    )
+
+
+def _resampled(
+    group: GroupRuns, per_run: Sequence[float], matrix: NDArray[np.float64] | None
+) -> Resampled | Missing:  # fmt: skip
+    if len(per_run) < MIN_RUNS:
+        return Missing(f"needs at least {MIN_RUNS} runs")
+    if matrix is None:
+        return Missing("not all pairs of runs were computed")
+    if len(group.classes) != len(matrix):
+        return Missing("the runs cannot be compared by bits")
+    found = regime_probabilities(per_run, matrix, group.classes, seed=_SEED)
+    return Resampled(
+        probabilities=found.probabilities,
+        runs=found.n_run,
+        decided_by=tuple(group.at_sample[at].recording.configuration.run_index for at in found.decided_by),
+        agreement=found.agreement,
+        distinct=len(set(group.classes)),
+        run_differs_below=found.run_differs_below,
+        parallel_below=found.parallel_below,
+        method=found.method.value,
+        draws=found.n_draw,
+        seed=found.seed,
+    )
+
+
+W1_PARALLEL = Metric(
+    "w1_parallel", "W1 between envs", "cm", Direction.LOWER,
+    "parallel variability: mean of W1 over all pairs of environments of a run; mean over runs; `matrix_of`: place, in "
+    "the lists of `distinct_envs`, of the run whose matrix is drawn",
+    method="W1 between the planar positions of two environments, mean over pairs", published=True,
+    table=Table.VARIABILITY, values=_parallel_values, of_group=_parallel,
+    interval="delete-one-run jackknife", axis=Axis.VARIABILITY, radar=RadarAxis.PARALLEL,
+)  # fmt: skip
+
+W1_RUN_TO_RUN = Metric(
+    "w1_run_to_run", "W1 between runs", "cm", Direction.LOWER,
+    "run-to-run variability: mean and SD of W1 over all pairs of runs, environments pooled; `runs` and `classes`: "
+    "indices of the runs, and their classes by bits, in the order of the matrix",
+    method="W1 between the pooled planar positions of two runs", published=True,
+    table=Table.VARIABILITY, of_group=_run_to_run,
+    interval="delete-one-run jackknife of a mean over pairs", axis=Axis.VARIABILITY, radar=RadarAxis.RUN_TO_RUN,
+)  # fmt: skip
+
+W1_REAL = Metric(
+    "w1_real", "W1 to the reference", "cm", Direction.LOWER,
+    "distance to real trials (or to another recording): W1 between all positions of a run and all of the reference; "
+    "mean over runs",
+    method="W1 between the planar positions of a run and the reference", published=True,
+    table=Table.VARIABILITY, of_group=_to_reference, interval="delete-one-run jackknife", radar=RadarAxis.EMD_TO_REAL,
+)  # fmt: skip
+
+LEFT_BOARD = Metric(
+    "left_board", "cubes off the board", "cubes per env", Direction.LOWER,
+    "cubes beside or below the board at the sample step; `total`, and `envs_with_any`: environments with such a cube; "
+    "see below",
+    method="cubes whose centre is beside or below the board at the sample step",
+    table=Table.VARIABILITY, of_group=_left_board,
+)  # fmt: skip
+
+SANK = Metric(
+    "sank", "cubes sunk", "cubes per env", Direction.LOWER,
+    "cubes that went through the board or the ground by the last captured step; see below",
+    method="cubes that are wholly beneath a level surface that they went through, at the last captured step",
+    table=Table.VARIABILITY, of_group=_sank,
+)  # fmt: skip
+
+REGIME = Metric(
+    "regime_published", "published type", "type", Direction.NEITHER,
+    "types 1 to 4, from whether the two variabilities are nonzero after rounding to 0.01 cm; `probabilities`: of each "
+    "type for another sample of as many runs, by resampling whole runs; `decided_by`: indices of the runs without "
+    "which the type is another; `agreement`: whether all runs are equal in `bits` or only by `rounding`; `distinct`: "
+    "how many are distinct by bits; `run_differs_below`: where all runs are equal in that sense, a bound on how often "
+    "another run is not ([statistics](statistics.md))",
+    method="variability counts as present where it is nonzero after rounding to 0.01 cm", published=True,
+    table=Table.VARIABILITY, of_group=_regime,
+)  # fmt: skip
