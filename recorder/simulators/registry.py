@@ -28,10 +28,9 @@ class Entry:
     install    how to get them
     devices    kinds of device that it steps on: "cpu", "cuda"
     precision  of its states: "float32", "float64"
-    scenes     names of the scenes that it simulates
     needs      what no installation brings, for simulators that want something of the user's
 
-    Devices, precision and scenes are empty where only the adapter itself could tell: it is not loaded to find out.
+    Devices and precision are empty where only the adapter itself could tell: it is not loaded to find out.
     """
 
     name: str
@@ -41,7 +40,6 @@ class Entry:
     install: str = ""
     devices: tuple[str, ...] = ()
     precision: tuple[str, ...] = ()
-    scenes: tuple[str, ...] = ()
     needs: str = ""
 
     def missing(self) -> tuple[str, ...]:
@@ -59,7 +57,7 @@ class Entry:
         return f"simulator '{self.name}' needs {', '.join(missing)}, which is not installed: {self.install}"
 
     def adapter(self) -> type[Simulator]:
-        """The adapter, also where its engine is not installed: to read its options. UsageError where it is broken."""
+        """The adapter, with or without its engine installed: what it declares can be read. UsageError where broken."""
         module, _, name = self.target.partition(":")
         try:
             # An import that is interrupted shows as one that is broken, and some engines start processes in theirs.
@@ -68,8 +66,11 @@ class Entry:
         except Exception as error:  # whatever a third party's module raises
             text = " ".join(f"{type(error).__name__}: {error}".split())
             raise UsageError(f"simulator '{self.name}' cannot be loaded: {text}") from None
-        if not (isinstance(adapter, type) and issubclass(adapter, Simulator) and hasattr(adapter, "Options")):
-            raise UsageError(f"simulator '{self.name}' cannot be loaded: {self.target} is no Simulator with Options")
+        declares = hasattr(adapter, "Options") and hasattr(adapter, "abilities")
+        if not (isinstance(adapter, type) and issubclass(adapter, Simulator) and declares):
+            raise UsageError(
+                f"simulator '{self.name}' cannot be loaded: {self.target} is no Simulator with Options and abilities"
+            )
         return adapter
 
 
@@ -98,7 +99,6 @@ BUILT_IN = (
         install=_extra("mujoco"),
         devices=("cpu",),
         precision=("float64",),
-        scenes=("inclined-collision", "free-fall", "franka"),
     ),
     Entry(
         "warp",
@@ -108,7 +108,6 @@ BUILT_IN = (
         install=_extra("warp"),
         devices=("cuda", "cpu"),
         precision=("float32",),
-        scenes=("inclined-collision", "free-fall", "franka"),
     ),
     Entry(
         "mjx",
@@ -118,7 +117,6 @@ BUILT_IN = (
         install=_extra("mjx"),
         devices=("cuda", "cpu"),
         precision=("float32",),
-        scenes=("inclined-collision", "free-fall", "franka"),
     ),
     Entry(
         "playground",
@@ -128,7 +126,6 @@ BUILT_IN = (
         install=_extra("playground"),
         devices=("cuda", "cpu"),
         precision=("float32",),
-        scenes=("inclined-collision", "free-fall", "franka"),
     ),
     Entry(
         "brax",
@@ -138,7 +135,6 @@ BUILT_IN = (
         install=_extra("brax"),
         devices=("cuda", "cpu"),
         precision=("float32",),
-        scenes=("inclined-collision", "free-fall"),
     ),
     Entry(
         "newton",
@@ -148,7 +144,6 @@ BUILT_IN = (
         install=_extra("newton"),
         devices=("cuda", "cpu"),
         precision=("float32",),
-        scenes=("inclined-collision", "free-fall"),
     ),
     Entry(
         "genesis",
@@ -158,7 +153,6 @@ BUILT_IN = (
         install=_set_up("genesis"),
         devices=("cuda", "cpu"),
         precision=("float32", "float64"),
-        scenes=("inclined-collision", "free-fall", "franka"),
     ),
     Entry(
         "physx",
@@ -168,7 +162,6 @@ BUILT_IN = (
         install=_set_up("physx"),
         devices=("cuda", "cpu"),
         precision=("float32",),
-        scenes=("inclined-collision", "free-fall", "franka"),
     ),
     Entry(
         "isaaclab",
@@ -178,7 +171,6 @@ BUILT_IN = (
         install=_set_up("isaaclab"),
         devices=("cuda", "cpu"),
         precision=("float32",),
-        scenes=("inclined-collision", "free-fall"),
     ),
     Entry(
         "sapien",
@@ -188,7 +180,6 @@ BUILT_IN = (
         install=_set_up("sapien"),
         devices=("cuda", "cpu"),
         precision=("float32",),
-        scenes=("inclined-collision", "free-fall", "franka"),
     ),
     Entry(
         "maniskill",
@@ -198,7 +189,6 @@ BUILT_IN = (
         install=_set_up("maniskill"),
         devices=("cuda", "cpu"),
         precision=("float32",),
-        scenes=("inclined-collision", "free-fall"),
     ),
     Entry(
         "madrona",
@@ -218,7 +208,6 @@ BUILT_IN = (
         install=_set_up("calibration"),
         devices=("cuda", "cpu"),
         precision=("float32",),
-        scenes=("inclined-collision", "free-fall"),
     ),
 )
 

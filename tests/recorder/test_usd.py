@@ -11,8 +11,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from recorder.scenes.base import Body, Box, Capsule, Material, Plane, Scene, Shape, Sphere
-from recorder.scenes.emit.usd import emit_usd, identifiers, solid_inertia
+from recorder.scenes.base import Body, Box, Capsule, Material, Plane, Scene, Shape, Sphere, solid_inertia
+from recorder.scenes.emit.usd import emit_usd, identifiers
 from recorder.scenes.franka import PANDA
 from recorder.scenes.registry import SCENES, make_scene
 

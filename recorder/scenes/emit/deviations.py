@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from recorder.scenes.articulation import Robot
+from recorder.scenes.base import Robot
 from schemas.provenance import Deviation
 
 

@@ -5,8 +5,7 @@ from __future__ import annotations
 import xml.etree.ElementTree as ET
 from collections.abc import Iterable, Mapping
 
-from recorder.scenes.articulation import Robot
-from recorder.scenes.base import IDENTITY, Body, Box, Capsule, Plane, Scene, Shape, Sphere
+from recorder.scenes.base import IDENTITY, Body, Box, Capsule, Plane, Robot, Scene, Shape, Sphere
 from recorder.scenes.emit.deviations import unlimited_speed
 from schemas.provenance import Deviation
 

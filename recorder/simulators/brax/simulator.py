@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from recorder.abilities import BODIES
 from recorder.simulators.base import Description, States
 from recorder.simulators.brax.options import BraxOptions, deviations
 from recorder.simulators.counters import CANDIDATE_PAIRS, CONTACTS
@@ -18,7 +19,6 @@ from recorder.simulators.jax import runtime as jax_runtime
 from recorder.simulators.jax.block import OVERFLOW
 from recorder.simulators.jax.simulator import JaxSimulator, Physics
 from recorder.simulators.mujoco.options import MjcfOptions
-from schemas.errors import UsageError
 from schemas.fields import BODY_FIELDS, StateField, body_fields
 
 
@@ -31,13 +31,9 @@ class Brax(JaxSimulator):
     """
 
     Options = BraxOptions
+    abilities = BODIES  # its solvers have no position actuators with a scene's force limits
 
     def _load(self, device: Any) -> tuple[Physics, Description]:
-        if self.scene.robot is not None or self.scene.actions is not None:
-            raise UsageError(
-                f"simulator 'brax' does not simulate scene '{self.scene.name}': its solvers have no position actuators "
-                "with the scene's force limits; see gsb-record --list"
-            )
         options: BraxOptions = self.options
         compiled, caps = _compile(self, options)
         with _unheeded():

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from recorder.abilities import BODIES, Ability
 from recorder.failure import Refused, cause_of
 from recorder.simulators.base import Description, Simulator, States
 from recorder.simulators.evidence import Evidence
@@ -38,6 +39,7 @@ class IsaacLab(Simulator):
     """N environments of an InteractiveScene."""
 
     Options = IsaacLabOptions
+    abilities = BODIES - {Ability.TILTED_PLANES}  # environments beside each other share a plane
     timing_interval = 10  # Newton's steps are queued; synchronising after each would be charged to it
     determinism_levels = {
         "default": "as it ships, on any backend",

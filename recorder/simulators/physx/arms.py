@@ -12,8 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from recorder.scenes.articulation import Robot
-from recorder.scenes.base import Scene
+from recorder.scenes.base import Robot, Scene
 from recorder.scenes.emit.usd import env_path, prim_names
 from recorder.simulators.base import States
 from recorder.simulators.physx import libraries

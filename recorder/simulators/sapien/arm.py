@@ -7,8 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from recorder.scenes.articulation import Hinge, Inertial, Link, Robot
-from recorder.scenes.base import Quaternion, Vector
+from recorder.scenes.base import Hinge, Inertial, Link, Quaternion, Robot, Vector
 from recorder.scenes.emit.deviations import unlimited_speed
 from recorder.simulators.sapien.bodies import X_TO_Z, limit, make_material, make_shape
 from recorder.simulators.sapien.options import SapienOptions
