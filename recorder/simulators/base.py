@@ -64,7 +64,7 @@ class Simulator(ABC):
     """N identical environments of one scene on one engine.
 
     Options          frozen dataclass of the engine's own options; every field has a default
-    abilities        what the engine can do, each at least with some of its options
+    abilities        what the engine can do, with some of its options at least; none where a class does not say
     timing_interval  steps between two clock readings of the timed phase; 1 unless reading the clock would cost
     determinism      levels that can be asked for, and what each sets, in words; "default" is the engine as it ships
     draws_actions    True where the adapter makes the scene's actions on its device, step by step, instead of taking
@@ -73,7 +73,7 @@ class Simulator(ABC):
     """
 
     Options: ClassVar[type]
-    abilities: ClassVar[frozenset[Ability]]
+    abilities: ClassVar[frozenset[Ability]] = frozenset()
     timing_interval: ClassVar[int] = 1
     determinism_levels: ClassVar[dict[str, str]] = {"default": "the engine as it ships"}
     draws_actions: ClassVar[bool] = False

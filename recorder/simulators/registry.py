@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from importlib import import_module, metadata
+from importlib.machinery import PathFinder
 from importlib.util import find_spec
 
 from recorder.interruption import blocked
@@ -66,18 +67,18 @@ class Entry:
         except Exception as error:  # whatever a third party's module raises
             text = " ".join(f"{type(error).__name__}: {error}".split())
             raise UsageError(f"simulator '{self.name}' cannot be loaded: {text}") from None
-        declares = hasattr(adapter, "Options") and hasattr(adapter, "abilities")
-        if not (isinstance(adapter, type) and issubclass(adapter, Simulator) and declares):
-            raise UsageError(
-                f"simulator '{self.name}' cannot be loaded: {self.target} is no Simulator with Options and abilities"
-            )
+        if not (isinstance(adapter, type) and issubclass(adapter, Simulator) and hasattr(adapter, "Options")):
+            raise UsageError(f"simulator '{self.name}' cannot be loaded: {self.target} is no Simulator with Options")
         return adapter
 
 
 def _is_there(name: str) -> bool:
+    package, *inner = name.split(".")
     try:
-        found = find_spec(name)
-    except Exception:  # of a package whose parent is missing, or cannot be imported
+        found = find_spec(package)
+        for part in inner:  # find_spec itself would import the package
+            found = found and PathFinder.find_spec(f"{found.name}.{part}", found.submodule_search_locations)
+    except Exception:  # whatever a finder raises
         return False
     return found is not None and found.origin is not None  # a folder of that name is no package
 

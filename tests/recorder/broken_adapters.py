@@ -331,7 +331,7 @@ class FirstEnvOnly(MujocoC):
 
 
 class Choosy(MujocoC):
-    """Promises free-fall and refuses it."""
+    """Has the abilities that free-fall needs, and refuses it."""
 
     def build(self):
         if self.scene.name == "free-fall":

@@ -10,7 +10,6 @@ import pytest
 
 from recorder.options import parse_options
 from recorder.scenes.base import Scene
-from recorder.scenes.franka import franka
 from recorder.scenes.inclined_collision import inclined_collision
 from recorder.simulators.base import Description, Simulator
 from schemas.errors import UsageError
@@ -56,12 +55,6 @@ def bits(simulator: Simulator) -> int:
     assert evidence is not None
     assert evidence.overflow is not None
     return int(np.bitwise_or.reduce(evidence.overflow, axis=None))
-
-
-def test_robots_are_refused() -> None:
-    """Say that there is no robot in Brax, instead of simulating another one."""
-    with pytest.raises(UsageError, match="franka"):
-        make(franka()).build()
 
 
 @pytest.mark.parametrize("options", [{"solver": "xpbd"}, {"collide_scale": 0}, {"solver_maxls": 0}])

@@ -252,12 +252,6 @@ def test_deviations_name_every_material(solver: str) -> None:
         assert {f"{body.material.name}.static_friction", f"{body.material.name}.restitution"} <= set(names)
 
 
-def test_robots_are_refused() -> None:
-    """Say that there are none, before anything is built."""
-    with pytest.raises(UsageError, match="robot"):
-        build(make_scene("franka"), "mujoco")
-
-
 def test_import_is_light() -> None:
     """Import the adapter without Newton, Warp or MuJoCo."""
     engines = {"newton", "warp", "mujoco"}

@@ -216,7 +216,7 @@ _CLOCKS = '''
 import time
 from dataclasses import dataclass
 import numpy as np
-from recorder.simulators.base import Description, Simulator
+from recorder.simulators.base import Ability, Description, Simulator
 from schemas.fields import body_field
 
 _HOUR = 3600 * 10**9
@@ -229,6 +229,7 @@ class Options:
 
 class Jumping(Simulator):
     Options = Options
+    abilities = frozenset(Ability)
 
     def build(self):
         global _offset

@@ -36,7 +36,7 @@ import os, time
 from dataclasses import dataclass
 from pathlib import Path
 import numpy as np
-from recorder.simulators.base import Description, Simulator
+from recorder.simulators.base import Ability, Description, Simulator
 from schemas.fields import body_field
 
 @dataclass(frozen=True)
@@ -46,6 +46,7 @@ class Options:
 
 class Limited(Simulator):
     Options = Options
+    abilities = frozenset(Ability)
 
     def build(self):
         if self.n_env >= self.options.limit:

@@ -21,7 +21,7 @@ _PLUGIN = '''
 import atexit, hashlib, os, time
 from dataclasses import dataclass
 import numpy as np
-from recorder.simulators.base import Description, Simulator
+from recorder.simulators.base import Ability, Description, Simulator
 from schemas.fields import body_field
 
 def compute_for_long():
@@ -35,6 +35,7 @@ class Options:
 
 class Endless(Simulator):
     Options = Options
+    abilities = frozenset(Ability)
 
     def build(self):
         self.slow = self.n_env >= self.options.from_n_env

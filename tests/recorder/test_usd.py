@@ -16,7 +16,7 @@ from recorder.scenes.emit.usd import emit_usd, identifiers
 from recorder.scenes.franka import PANDA
 from recorder.scenes.registry import SCENES, make_scene
 
-NUMBER = st.floats(-1e6, 1e6)
+NUMBER = st.floats(-1e6, 1e6, allow_subnormal=False)
 SIZE = st.floats(1e-3, 1e3)
 VECTOR = st.tuples(NUMBER, NUMBER, NUMBER)
 
