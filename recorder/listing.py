@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from typing import Any
 
-from recorder.abilities import Ability, listed, titles
-from recorder.environments.store import Prepared, find
-from recorder.scenes.base import Scene
-from recorder.scenes.registry import make_scene, scene_names
-from recorder.simulators.base import Simulator
-from recorder.simulators.registry import Entry, simulators
-from schemas.errors import UsageError
-from schemas.provenance import REAL
+from gpusimbench.recorder.abilities import Ability, listed, titles
+from gpusimbench.recorder.environments.store import Prepared, find
+from gpusimbench.recorder.scenes.base import Scene
+from gpusimbench.recorder.scenes.registry import make_scene, scene_names
+from gpusimbench.recorder.simulators.base import Simulator
+from gpusimbench.recorder.simulators.registry import Entry, simulators
+from gpusimbench.schemas.errors import UsageError
+from gpusimbench.schemas.provenance import REAL
 
 Json = dict[str, Any]
 

@@ -12,8 +12,8 @@ import math
 from dataclasses import dataclass, field, fields, is_dataclass
 from typing import Any
 
-from recorder.abilities import Ability
-from recorder.scenes.actions import JointTargets
+from gpusimbench.recorder.abilities import Ability
+from gpusimbench.recorder.scenes.actions import JointTargets
 
 Vector = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]

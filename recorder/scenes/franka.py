@@ -13,8 +13,8 @@ from __future__ import annotations
 
 import math
 
-from recorder.scenes.actions import JointTargets
-from recorder.scenes.base import (
+from gpusimbench.recorder.scenes.actions import JointTargets
+from gpusimbench.recorder.scenes.base import (
     IDENTITY,
     Box,
     Capsule,

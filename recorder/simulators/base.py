@@ -17,13 +17,13 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from recorder.abilities import Ability, listed, titles
-from recorder.scenes.base import Scene
-from recorder.simulators.captured import Captured, Held, States
-from recorder.simulators.evidence import Evidence
-from schemas.errors import UsageError
-from schemas.fields import StateField
-from schemas.provenance import Buffer, Counter, Deviation, OverflowBit
+from gpusimbench.recorder.abilities import Ability, listed, titles
+from gpusimbench.recorder.scenes.base import Scene
+from gpusimbench.recorder.simulators.captured import Captured, Held, States
+from gpusimbench.recorder.simulators.evidence import Evidence
+from gpusimbench.schemas.errors import UsageError
+from gpusimbench.schemas.fields import StateField
+from gpusimbench.schemas.provenance import Buffer, Counter, Deviation, OverflowBit
 
 __all__ = ["Ability", "Captured", "Description", "Evidence", "Held", "Simulator", "States"]
 

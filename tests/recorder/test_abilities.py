@@ -12,13 +12,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from recorder.abilities import BODIES, ROBOTS, Ability, titles
-from recorder.scenes.base import Body, Box, Capsule, Plane, Scene, Sphere
-from recorder.scenes.cube_stack import SMOOTH_WOOD
-from recorder.scenes.registry import SCENES, make_scene
-from recorder.simulators.base import Simulator
-from recorder.simulators.registry import BUILT_IN, find_simulator
-from schemas.errors import UsageError
+from gpusimbench.recorder.abilities import BODIES, ROBOTS, Ability, titles
+from gpusimbench.recorder.scenes.base import Body, Box, Capsule, Plane, Scene, Sphere
+from gpusimbench.recorder.scenes.cube_stack import SMOOTH_WOOD
+from gpusimbench.recorder.scenes.registry import SCENES, make_scene
+from gpusimbench.recorder.simulators.base import Simulator
+from gpusimbench.recorder.simulators.registry import BUILT_IN, find_simulator
+from gpusimbench.schemas.errors import UsageError
 from tests.conftest import Command
 
 A = Ability
@@ -150,9 +150,9 @@ def added(tmp_path: Path) -> dict[str, str]:
     (tmp_path / "theirs.py").write_text(
         """
 from dataclasses import dataclass, replace
-from recorder.scenes.base import Scene
-from recorder.scenes.franka import franka
-from recorder.simulators.base import Ability, Simulator
+from gpusimbench.recorder.scenes.base import Scene
+from gpusimbench.recorder.scenes.franka import franka
+from gpusimbench.recorder.simulators.base import Ability, Simulator
 
 class Walker(Scene):
     def needs(self):

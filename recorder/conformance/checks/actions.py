@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from recorder.conformance.subject import SEED, Subject
-from recorder.conformance.verdict import NotApplicable, expect
+from gpusimbench.recorder.conformance.subject import SEED, Subject
+from gpusimbench.recorder.conformance.verdict import NotApplicable, expect
 
 _BLOCKS = (3, 2)
 _ENVS = 2

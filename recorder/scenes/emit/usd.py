@@ -21,7 +21,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from recorder.scenes.base import (
+from gpusimbench.recorder.scenes.base import (
     IDENTITY,
     Body,
     Box,

@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from recorder.scenes.base import Body, Box, Plane, Scene, Sphere
-from recorder.scenes.emit.mjcf import emit_mjcf
-from recorder.simulators.genesis.options import GenesisOptions
-from recorder.simulators.genesis.sizes import Sizes
-from recorder.simulators.mujoco.model import rotate_to_body
+from gpusimbench.recorder.scenes.base import Body, Box, Plane, Scene, Sphere
+from gpusimbench.recorder.scenes.emit.mjcf import emit_mjcf
+from gpusimbench.recorder.simulators.genesis.options import GenesisOptions
+from gpusimbench.recorder.simulators.genesis.sizes import Sizes
+from gpusimbench.recorder.simulators.mujoco.model import rotate_to_body
 
 
 @dataclass(frozen=True)

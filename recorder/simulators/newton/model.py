@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from recorder.scenes.base import Body, Box, Capsule, Plane, Quaternion, Scene, Sphere, Vector, solid_inertia
-from recorder.simulators.newton.options import NewtonOptions
+from gpusimbench.recorder.scenes.base import Body, Box, Capsule, Plane, Quaternion, Scene, Sphere, Vector, solid_inertia
+from gpusimbench.recorder.simulators.newton.options import NewtonOptions
 
 _FREE = 6  # speeds of a free joint: linear of the centre of mass, then angular, both in the world frame
 

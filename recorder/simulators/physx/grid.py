@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from recorder.scenes.base import Plane, Scene, Vector
+from gpusimbench.recorder.scenes.base import Plane, Scene, Vector
 
 
 def origins(n_env: int, spacing: float) -> tuple[Vector, ...]:

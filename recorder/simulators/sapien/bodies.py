@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from recorder.scenes.base import (
+from gpusimbench.recorder.scenes.base import (
     Body,
     Box,
     Capsule,
@@ -18,7 +18,7 @@ from recorder.scenes.base import (
     Vector,
     solid_inertia,
 )
-from recorder.simulators.sapien.options import SapienOptions
+from gpusimbench.recorder.simulators.sapien.options import SapienOptions
 
 _HALF = math.sqrt(0.5)
 
