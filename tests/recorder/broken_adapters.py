@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from gpusimbench.recorder.conformance.rotation import turn_between
+from gpusimbench.recorder.conformance.checks.motion import turn_between
 from gpusimbench.recorder.simulators.captured import Held
 from gpusimbench.recorder.simulators.counters import CONTACTS
 from gpusimbench.recorder.simulators.evidence import Evidence

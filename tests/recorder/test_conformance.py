@@ -18,7 +18,7 @@ import pytest
 
 from gpusimbench.recorder.abilities import Ability
 from gpusimbench.recorder.conformance import CHECKS, NotApplicable, Subject, conformance_scene
-from gpusimbench.recorder.conformance.rotation import turn_between
+from gpusimbench.recorder.conformance.checks.motion import turn_between
 from gpusimbench.recorder.conformance.scene import N_STEP, UPPER
 from gpusimbench.recorder.conformance.verdict import expect_close
 from gpusimbench.recorder.simulators.mujoco.simulator import MujocoC, MujocoOptions

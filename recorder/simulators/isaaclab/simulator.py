@@ -65,9 +65,9 @@ class IsaacLab(Simulator):
         if options.backend == "ovphysx" and find_spec("ovphysx") is None:
             raise UsageError("backend 'ovphysx' of simulator 'isaaclab' needs ovphysx, which is not installed")
         if options.backend == "physx":
-            from gpusimbench.recorder.simulators.isaaclab import kit
+            from gpusimbench.recorder.simulators.isaaclab.physx import start_isaac_sim
 
-            kit.start()
+            start_isaac_sim()
         self._device = warp_runtime.start(options.device)
         _without_pinned_memory()
         from gpusimbench.recorder.simulators.isaaclab.deviations import deviations
