@@ -254,7 +254,7 @@ class Scene:
         return {group: tuple(names) for group, names in groups.items()}
 
     def needs(self) -> frozenset[Ability]:
-        """What an engine has to be able to do to simulate this scene."""
+        """What an engine has to be able to do to simulate this scene; a scene that needs more overrides it."""
         needs = {_ability_for(body) for body in self.bodies}
         if self.moving():
             needs.add(Ability.FREE_BODIES)
