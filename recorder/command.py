@@ -54,22 +54,25 @@ def configure(arguments: argparse.Namespace) -> RunConfiguration:
 
 
 def check_configuration(configuration: RunConfiguration) -> None:
-    """UsageError where no run can be made of it, whoever asks: a number, an option or a determinism level."""
+    """UsageError where no run can be made of it, whoever asks: a number, an option, a determinism level or a scene."""
     with shielded():
         from gpusimbench.recorder.options import parse_options
         from gpusimbench.recorder.plan import check
+        from gpusimbench.recorder.scenes.registry import make_scene
         from gpusimbench.recorder.simulators.registry import find_simulator
 
     check(configuration)
     simulator = configuration.simulator
     adapter = find_simulator(simulator).adapter()
-    parse_options(simulator, adapter.Options, configuration.options)
+    options = parse_options(simulator, adapter.Options, configuration.options)
     levels = adapter.determinism_levels
     if configuration.determinism not in levels:
         has = "; ".join(f"{level} ({meaning})" for level, meaning in levels.items())
         raise UsageError(
             f"simulator '{simulator}' has no determinism level '{configuration.determinism}'; it has: {has}"
         )
+    if refusal := adapter.refusal(simulator, make_scene(configuration.scene), options):
+        raise UsageError(refusal)
 
 
 def _options(arguments: argparse.Namespace) -> dict[str, str]:
@@ -94,8 +97,8 @@ def record(arguments: argparse.Namespace, argv: tuple[str, ...]) -> int:
     points = () if arguments.sweep is None else parse_points(arguments.sweep)
     if points:
         arguments.n_env = points[0]
-    interpreter = _interpreter(arguments, arguments.sim)
     configuration = configure(arguments)
+    interpreter = _interpreter(arguments, arguments.sim)
     out = arguments.out or OUT
     request = Request(configuration, out, argv, quiet=arguments.json, end_killed=bool(points))
     with _maker(arguments, configuration, interpreter) as maker:
