@@ -26,7 +26,7 @@ from benchmarks.machine import machine, spread
 from evaluator import open_recording
 from schemas import topics
 from schemas.blocks import decode_state, raw_bytes
-from schemas.container import Container
+from schemas.mcap.reader import Container
 from schemas.packing import pack, unpack
 
 Arrays = list[NDArray[Any]]

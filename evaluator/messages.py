@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
-from schemas.container import Container
 from schemas.errors import DamagedRecording
 from schemas.location import Place
+from schemas.mcap.reader import Container
 from schemas.messages import message_class
 
 _FREE_BYTES = 64 << 20

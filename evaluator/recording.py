@@ -36,13 +36,13 @@ from evaluator.streams import (
 )
 from schemas import checks, topics
 from schemas.configuration import RunConfiguration
-from schemas.container import Container
-from schemas.declarations import Channel
 from schemas.digest import ContentDigest, content_hash
 from schemas.errors import DamagedRecording
 from schemas.fields import StateField
 from schemas.fingerprint import fingerprint
 from schemas.location import Place, place
+from schemas.mcap.declarations import Channel
+from schemas.mcap.reader import Container
 from schemas.messages import enum_values
 from schemas.provenance import PROVENANCE, SCENE, SIMULATION, Provenance, Simulation
 from schemas.source import Source

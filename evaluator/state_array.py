@@ -16,9 +16,10 @@ from schemas import topics
 from schemas.blocks import STATE_HEAD_BYTES, BlockHeader, decode_state, state_bytes, state_header, state_header_in
 from schemas.checks import MAX_COUNT
 from schemas.configuration import EPOCH_NS, RunConfiguration, sim_time_ns
-from schemas.container import Container, Message
 from schemas.errors import DamagedRecording
 from schemas.fields import StateField
+from schemas.mcap.contents import Message
+from schemas.mcap.reader import Container
 
 _BLOCK_ROWS = 50  # at most, by the format
 _GAP_ROWS = 1 << 22  # that may be missing before nothing else can be read

@@ -12,8 +12,8 @@ from recorder.environments.interpreter import Interpreter
 from recorder.sweep import Outcome, Place
 from schemas import PARTIAL, topics
 from schemas.configuration import RunConfiguration
-from schemas.container import Container
 from schemas.errors import DamagedRecording, RecordingError
+from schemas.mcap.reader import Container
 from schemas.messages import enum_values, message_class
 from schemas.provenance import ENGINE_LOG, PROVENANCE, Provenance
 

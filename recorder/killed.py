@@ -16,8 +16,8 @@ from recorder.plan import release, reserve
 from recorder.probes.gpu import Gpus
 from recorder.probes.host import describe_host
 from schemas.configuration import RunConfiguration
-from schemas.container import Container
 from schemas.errors import RecordingError
+from schemas.mcap.reader import Container
 from schemas.provenance import PACKAGES, PROVENANCE, SCENE, SIMULATION, Provenance
 
 _JSON = "application/json"

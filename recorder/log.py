@@ -39,7 +39,7 @@ from schemas import topics
 from schemas.configuration import RunConfiguration
 from schemas.errors import DamagedRecording, DataLost, UsageError
 from schemas.fields import StateField
-from schemas.mcap_writer import COMPRESSIONS
+from schemas.mcap.writer import COMPRESSIONS
 from schemas.messages import message_class
 from schemas.provenance import LOGGED, PACKAGES, PROVENANCE, REAL, SCENE, SIMULATION, Deviation, Provenance, Simulation
 

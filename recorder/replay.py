@@ -21,10 +21,10 @@ from recorder.scenes.base import Scene
 from recorder.traces import check_traces, content_bytes, least_memory, peak_bytes, ran_s
 from schemas.checks import Budget
 from schemas.configuration import RunConfiguration
-from schemas.container import Container
 from schemas.digest import attachment_name, content_hash
 from schemas.errors import DamagedRecording, RecordingError, UsageError
 from schemas.fields import StateField
+from schemas.mcap.reader import Container
 from schemas.provenance import LOGGED, PROVENANCE, REAL, SCENE, SIMULATION, Provenance, ReplayOf, Simulation
 
 """What recordings of programs that are no adapter (recorder.log) say of their fresh start."""

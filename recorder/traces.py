@@ -14,9 +14,10 @@ import numpy as np
 from schemas import topics
 from schemas.blocks import STATE_HEAD_BYTES, decode_fingerprints, state_bytes, state_header_in
 from schemas.configuration import RunConfiguration
-from schemas.container import Container, Message
 from schemas.errors import DamagedRecording, UsageError
 from schemas.fields import StateField
+from schemas.mcap.contents import Message
+from schemas.mcap.reader import Container
 from schemas.messages import message_class
 
 _MOST_PER_INTERVAL = 1000

@@ -18,9 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from schemas import packing, wire
-from schemas.crc import second
 from schemas.errors import DamagedRecording
-from schemas.mcap_writer import Part
+from schemas.mcap.crc import second
+from schemas.mcap.writer import Part
 from schemas.messages import message_class
 
 _STATE = "gsb.v1.StateBlock"

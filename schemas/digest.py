@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from schemas.blocks import little_endian, raw_bytes
 from schemas.fields import StateField
-from schemas.mcap_writer import Buffer
+from schemas.mcap.writer import Buffer
 
 
 def attachment_name(name: str) -> str:

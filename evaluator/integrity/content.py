@@ -15,11 +15,11 @@ from evaluator.state_array import StateArray
 from evaluator.streams import Fingerprints, read_fingerprints
 from schemas import topics
 from schemas.configuration import RunConfiguration
-from schemas.container import Container
 from schemas.digest import ContentDigest, attachment_name, content_hash, state_name
 from schemas.errors import RecordingError
 from schemas.fields import StateField
 from schemas.fingerprint import fingerprint
+from schemas.mcap.reader import Container
 from schemas.messages import enum_values, message_class
 from schemas.provenance import Provenance, Simulation
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from evaluator.integrity.scan import Scan, Stream
 from schemas import topics
 from schemas.blocks import STATE_HEAD_BYTES, state_header_in
-from schemas.container import Container
+from schemas.mcap.reader import Container
 
 
 def outline(container: Container) -> Scan:
@@ -13,7 +13,7 @@ def outline(container: Container) -> Scan:
 
     A stream's encodings are those of its last block alone; its sequences are not looked at.
     """
-    found = Scan(memoryview(b""), container.size, library=container.library, finished=container.finished)
+    found = Scan(container.size, library=container.library, finished=container.finished)
     for chunk in container.chunks:
         found.compressions[chunk.compression] = found.compressions.get(chunk.compression, 0) + 1
         found.stored += chunk.end - chunk.begin

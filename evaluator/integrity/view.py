@@ -15,8 +15,8 @@ from evaluator.recording import Recording
 from evaluator.state_array import StateArray
 from schemas import topics
 from schemas.configuration import EPOCH_NS, MAX_VIEW
-from schemas.container import Container
 from schemas.errors import DamagedRecording
+from schemas.mcap.reader import Container
 from schemas.view import foxglove
 from schemas.view.log import event_line, status_line
 from schemas.view.recorded import LOG_TOPIC, LOG_TYPE, RecordedView, ViewMessage

@@ -9,8 +9,8 @@ from evaluator.player.clip import Clip
 from evaluator.recording import Recording
 from evaluator.sharing.viewer import write_view
 from schemas import topics
-from schemas.container import Container
 from schemas.errors import UsageError
+from schemas.mcap.reader import Container
 
 _DRAWN = "foxglove.SceneUpdate"  # with which an environment's poses come
 

@@ -6,11 +6,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from evaluator.recording import Recording
-from evaluator.sharing.copying import Change, Copier
+from evaluator.sharing.copying import Change, Copier, records_of
 from schemas.blocks import pack_state, unpack_state
-from schemas.container import Container
 from schemas.errors import DamagedRecording, DataLost
-from schemas.records import read_records
+from schemas.mcap.reader import Container
 from schemas.writing import new_file
 
 
@@ -52,7 +51,7 @@ def _copy(source: Path, path: Path, change: Change, *, compression: str) -> Copi
     recording.verify()
     with new_file(path) as target:
         copier = Copier(target, source, compression=compression, change=change)
-        for record in read_records(source):
+        for record, _, _ in records_of(source):
             copier.add(record)
         copier.finish()
         copy = Recording(target.path)

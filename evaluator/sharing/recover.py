@@ -6,12 +6,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from evaluator.recording import Recording
-from evaluator.sharing.copying import Copier
+from evaluator.sharing.copying import Copier, records_of
 from schemas import topics
-from schemas.container import Container
 from schemas.errors import DamagedRecording, RecordingError, UsageError
-from schemas.mcap_writer import MAGIC
-from schemas.records import read_records
+from schemas.mcap.reader import Container
+from schemas.mcap.records import MAGIC, MESSAGE
 from schemas.writing import new_file
 
 
@@ -64,9 +63,9 @@ def recover(source: Path, path: Path) -> Recovered:
     with new_file(path) as target:
         copier = Copier(target, source, compression=_compression(source))
         try:
-            for record in read_records(source):
+            for record, _, end_of_it in records_of(source):
                 copier.add(record)
-                end = record.end
+                end = end_of_it
         except DamagedRecording as error:
             damage = str(error)
         copier.finish()
@@ -92,7 +91,7 @@ def _is_whole(source: Path) -> bool:
 def _compression(source: Path) -> str:
     # that of the first chunk, so that the file stays as large as it was
     try:
-        found = next((record.compression for record in read_records(source) if record.kind == "message"), "")
+        found = next((compression for record, compression, _ in records_of(source) if record.opcode == MESSAGE), "")
     except DamagedRecording:
         return "none"
     return found or "none"

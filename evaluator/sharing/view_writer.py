@@ -7,7 +7,7 @@ from typing import Any
 
 from evaluator.recording import Recording
 from schemas.configuration import EPOCH_NS
-from schemas.mcap_writer import McapWriter
+from schemas.mcap.writer import McapWriter
 from schemas.printable import printable
 from schemas.view import foxglove
 from schemas.view.env_view import ROOT, EnvView

@@ -12,7 +12,7 @@ from evaluator.sharing.copying import LIBRARY
 from evaluator.sharing.view_writer import Shown, ViewWriter
 from schemas.configuration import EPOCH_NS, sim_time_ns
 from schemas.errors import DamagedRecording, UsageError
-from schemas.mcap_writer import McapWriter
+from schemas.mcap.writer import McapWriter
 from schemas.view.env_view import EnvView
 from schemas.view.motion import Frame, Motion, one_of
 from schemas.view.shapes import Solid, Vector, solids_of

@@ -15,7 +15,7 @@ from recorder.scenes.actions import JointTargets
 from schemas import topics
 from schemas.blocks import action_parts
 from schemas.configuration import sim_time_ns
-from schemas.mcap_writer import Part
+from schemas.mcap.writer import Part
 from schemas.messages import message_class
 
 

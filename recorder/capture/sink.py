@@ -21,7 +21,7 @@ from schemas import FORMAT, __version__, topics
 from schemas.configuration import EPOCH_NS
 from schemas.digest import ContentDigest, content_hash
 from schemas.errors import DataLost, UsageError
-from schemas.mcap_writer import McapWriter, Part
+from schemas.mcap.writer import McapWriter, Part
 from schemas.messages import embedded_schema, enum_values, message_class
 from schemas.view import foxglove
 from schemas.writing import create, reopen

@@ -19,7 +19,7 @@ from schemas.configuration import sim_time_ns
 from schemas.errors import DataLost
 from schemas.fields import StateField
 from schemas.fingerprint import ALGORITHM, fingerprint
-from schemas.mcap_writer import Part
+from schemas.mcap.writer import Part
 
 STEPS_PER_BLOCK = 50
 _ENV_BLOCK_MIN = 64

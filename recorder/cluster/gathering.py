@@ -13,8 +13,8 @@ from recorder.finished import run_end
 from recorder.plan import partial_of, publish, reserve
 from recorder.task import Task
 from schemas import PARTIAL
-from schemas.container import Container
 from schemas.errors import GsbError, RecordingError
+from schemas.mcap.reader import Container
 from schemas.provenance import PROVENANCE, Provenance
 from schemas.writing import reopen
 

@@ -12,8 +12,8 @@ from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 
 from evaluator import open_recording
-from schemas.container import Container
 from schemas.errors import DamagedRecording, NotARecording, RecordingError
+from schemas.mcap.reader import Container
 from tests.synthetic import grid, write_recording
 
 compressions = pytest.mark.parametrize("compression", ["none", "lz4", "zstd"])

@@ -18,8 +18,8 @@ from evaluator.rules.findings import check
 from evaluator.rules.rule import Level, load_rules
 from recorder.capture.sink import Sink
 from schemas import checks
-from schemas.decompression import decompress
 from schemas.errors import DamagedRecording, ExitCode
+from schemas.mcap.decompression import decompress
 from schemas.messages import message_class
 from schemas.provenance import LOGGED, PROVENANCE, SCENE, SIMULATION
 from tests.evaluator.damaged import BYTES, REWRITTEN, SCENE_CHANGED, WRITTEN, hashes_of_others, rewritten, whole

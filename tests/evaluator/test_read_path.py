@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 from benchmarks import read_path
 from evaluator import open_recording, state_array
 from schemas.blocks import STATE_HEAD_BYTES, decode_state, encode_state, state_header, state_header_in
-from schemas.crc import second
 from schemas.errors import DamagedRecording
+from schemas.mcap.crc import second
 from schemas.source import MappedFile
 from tests.synthetic import grid, write_recording
 

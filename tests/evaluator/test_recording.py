@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 
 from evaluator import open_recording
 from evaluator.recording import Recording
-from schemas.container import Container
 from schemas.errors import DamagedRecording
+from schemas.mcap.reader import Container
 from schemas.provenance import Provenance
 from tests.synthetic import grid, write_recording
 

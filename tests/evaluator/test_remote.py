@@ -34,11 +34,12 @@ from evaluator.cli import eval as evaluation
 from evaluator.integrity import examine
 from evaluator.locations import expand
 from evaluator.recording import Recording
-from schemas import container, decompression, remote
-from schemas.container import Container
+from schemas import remote
 from schemas.errors import DamagedRecording, NotARecording, RecordingError, Unreachable
 from schemas.location import Location, redacted, shown, shown_argument
-from schemas.mcap_writer import MAGIC
+from schemas.mcap import contents, decompression
+from schemas.mcap.reader import Container
+from schemas.mcap.records import MAGIC
 from schemas.patience import Patience, TooSlow
 from schemas.remote import RemoteFile
 from tests.evaluator.test_container import rewrite
@@ -203,7 +204,7 @@ def test_cut_short(memory: Any, tmp_path: Path, caplog: pytest.LogCaptureFixture
     recording = open_recording(_put(memory, whole, "part.mcap"))
     assert recording.status == "incomplete"
     assert "memory://set/part.mcap has no index: all of its" in caplog.text
-    monkeypatch.setattr(container, "MAX_WALKED_BYTES", 1000)
+    monkeypatch.setattr(contents, "MAX_WALKED_BYTES", 1000)
     with pytest.raises(DamagedRecording, match="download it"):
         open_recording("memory://set/part.mcap")
 
@@ -593,7 +594,7 @@ def test_records_that_are_too_long(memory: Any, tmp_path: Path, monkeypatch: pyt
     """Refuse a long record of a remote file before it is read."""
     path = write_recording(tmp_path, grid(4))
     address = _put(memory, path)
-    monkeypatch.setattr(container, "MAX_HEADER_BYTES", 3)
+    monkeypatch.setattr(contents, "MAX_HEADER_BYTES", 3)
     with pytest.raises(DamagedRecording, match="more than the 3 that are read from elsewhere"):
         open_recording(address)
     monkeypatch.undo()

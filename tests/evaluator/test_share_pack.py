@@ -15,14 +15,13 @@ from google.protobuf import descriptor_pb2, descriptor_pool, message_factory, un
 from mcap.reader import make_reader
 
 from evaluator import open_recording
-from evaluator.sharing.copying import Copier
+from evaluator.sharing.copying import Copier, records_of
 from evaluator.sharing.pack import pack, unpack
 from evaluator.sharing.recover import recover
 from evaluator.sharing.viewer import write_view
 from schemas.blocks import pack_state
 from schemas.errors import DamagedRecording, DataLost, UsageError
 from schemas.messages import embedded_schema, widened_schema
-from schemas.records import read_records
 from schemas.writing import new_file
 from tests.synthetic import grid, write_recording
 from tests.test_docs import ROOT, commands
@@ -121,7 +120,7 @@ def test_a_packed_file_cannot_announce_more_than_it_holds(tmp_path: Path) -> Non
     source = write_recording(tmp_path, grid(4), steps=50, dt=0.01, change=change)
     with new_file(tmp_path / "packed.mcap") as target:
         copier = Copier(target, source, compression="zstd", change=pack_state)
-        for record in read_records(source):
+        for record, _, _ in records_of(source):
             copier.add(record)
         copier.finish()
     states = open_recording(tmp_path / "packed.mcap").state("cubes", "position")

@@ -16,7 +16,7 @@ from psutil import Process
 from evaluator import open_recording
 from evaluator.sharing.recover import recover
 from schemas.errors import DamagedRecording, RecordingError, UsageError
-from schemas.mcap_writer import MAGIC
+from schemas.mcap.records import MAGIC
 from tests.conftest import wait_for
 from tests.evaluator.test_share_pack import contents, share
 from tests.synthetic import grid, write_recording

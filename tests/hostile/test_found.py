@@ -8,8 +8,8 @@ import pytest
 
 from evaluator.integrity import examine
 from evaluator.integrity.problem import Kind
-from schemas.container import Container
 from schemas.errors import DamagedRecording
+from schemas.mcap.reader import Container
 from tests.hostile.corpus import make_synthetic
 from tests.hostile.oracles import Parts, disagreement
 

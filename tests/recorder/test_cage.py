@@ -28,8 +28,8 @@ from recorder.task import Task
 from recorder.traces import content_bytes, peak_bytes
 from schemas import topics
 from schemas.configuration import RunConfiguration
-from schemas.container import Container
 from schemas.errors import UsageError
+from schemas.mcap.reader import Container
 from schemas.messages import message_class
 from schemas.provenance import PROVENANCE, SCENE, SIMULATION
 from tests.forging import forge

@@ -23,8 +23,8 @@ from mcap.stream_reader import StreamReader
 
 from evaluator import open_recording
 from evaluator.recording import Recording
-from schemas.container import Container
 from schemas.errors import RecordingError
+from schemas.mcap.reader import Container
 from tests.conftest import SMALL, Command, call, command
 
 pytestmark = pytest.mark.alone

@@ -26,9 +26,9 @@ from recorder.log import RecordingWriter
 from recorder.plan import view_of
 from recorder.scenes.registry import make_scene
 from schemas.configuration import RunConfiguration
-from schemas.container import Container
 from schemas.errors import DamagedRecording, ExitCode, UsageError
 from schemas.fields import body_field
+from schemas.mcap.reader import Container
 from tests.conftest import Command, call
 from tests.evaluator.viewing import placed, read, states
 from tests.test_docs import ROOT, commands, shell
@@ -179,7 +179,7 @@ def test_links_are_where_the_engine_puts_them(tmp_path: Path) -> None:
 
 def without_view(source: Path, target: Path) -> Path:
     """The same recording as --no-view would have written it, but for what it was asked for."""
-    from schemas.mcap_writer import McapWriter
+    from schemas.mcap.writer import McapWriter
 
     with source.open("rb") as stream, target.open("xb", buffering=0) as out:
         writer: Any = None

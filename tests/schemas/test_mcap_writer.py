@@ -14,9 +14,9 @@ from hypothesis import strategies as st
 from mcap.reader import NonSeekingReader, make_reader
 
 from schemas import FORMAT
-from schemas.container import Container
-from schemas.crc import combine
-from schemas.mcap_writer import COMPRESSIONS, McapWriter, Part
+from schemas.mcap.crc import combine
+from schemas.mcap.reader import Container
+from schemas.mcap.writer import COMPRESSIONS, McapWriter, Part
 
 Sent = list[tuple[str, int, bytes]]
 

@@ -7,11 +7,10 @@ from collections import OrderedDict
 from collections.abc import Iterator
 from threading import Lock
 
-from schemas import decompression
-from schemas.cursor import Cursor
 from schemas.errors import DamagedRecording
 from schemas.location import Place
-from schemas.parts import CHUNK, RECORD_HEAD, Chunk, check_head, read_chunk
+from schemas.mcap import decompression
+from schemas.mcap.records import CHUNK, RECORD_HEAD, Chunk, ChunkHead, Cursor, check_head
 from schemas.source import Source
 
 _CACHED_CHUNKS = 4
@@ -65,8 +64,9 @@ class Chunks:
             )
         record = self._source.read(begin, chunk.end)
         check_head(self._place, CHUNK, record, chunk.end - chunk.record)
-        there, crc = read_chunk(Cursor(self._place, record, RECORD_HEAD, len(record), begin))
-        if there != chunk:
+        head = ChunkHead.read(Cursor(self._place, record, RECORD_HEAD, len(record), begin))
+        crc = head.crc
+        if head.chunk != chunk:
             raise DamagedRecording(f"{self._place}: the chunk at byte {begin} is not what the file's index says")
         stored = record[chunk.begin - begin : chunk.end - begin]
         try:
