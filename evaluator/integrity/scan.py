@@ -8,7 +8,7 @@ second opinion (evaluator.integrity.library).
 from __future__ import annotations
 
 from array import array
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,27 +21,19 @@ from schemas.errors import DamagedRecording
 from schemas.mcap.contents import MAX_ATTACHMENTS, most_messages
 from schemas.mcap.declarations import NewDeclarations, TooMuch
 from schemas.mcap.records import (
-    ATTACHMENT,
-    CHANNEL,
-    CHUNK,
-    DATA_END,
-    FOOTER,
-    HEADER,
     MAGIC,
-    MESSAGE,
-    MESSAGE_INDEX,
-    METADATA,
-    SCHEMA,
     AttachmentIndex,
     ChannelRecord,
     ChunkIndex,
     Header,
     Metadata,
     MetadataIndex,
+    Op,
     Record,
     Schema,
+    parse,
 )
-from schemas.mcap.walk import Fault, Walk, split
+from schemas.mcap.walk import Walk, split
 from schemas.source import Source
 
 _SHOWN = 3
@@ -133,13 +125,10 @@ class _Scanner:
         self._place = source.place
         self._problems = problems
         self._found = Scan(source.size)
-        self._walk = Walk(source, self._report)
+        self._walk = Walk(source, lambda fault, what: problems.add(Kind[fault], what))
         self._new = NewDeclarations(source.place)
         self._chunk: _ChunkPlace | None = None  # that message indexes belong to
         self._messages = 0
-
-    def _report(self, fault: Fault, what: str) -> None:
-        self._problems.add(Kind[fault], what)
 
     def scan(self) -> Scan:
         """Visit every record, up to where there is more of something than is read."""
@@ -174,25 +163,25 @@ class _Scanner:
         self._found.summary.append(record)
 
     def _in_data(self, record: Record) -> None:
-        if record.opcode == MESSAGE_INDEX:
+        if record.opcode == Op.MESSAGE_INDEX:
             if self._chunk is not None:
                 self._chunk.add_index(record, *record.message_index(self._place))
             return
         self._close_chunk()
-        if record.opcode == HEADER:
-            header = Header.read(record.cursor(self._place))
+        if record.opcode == Op.HEADER:
+            header = parse(Header, record.cursor(self._place))
             self._found.profile, self._found.library = header.profile, header.library
-        elif record.opcode in (SCHEMA, CHANNEL):
+        elif record.opcode in (Op.SCHEMA, Op.CHANNEL):
             self._declare(record)
-        elif record.opcode == MESSAGE:
+        elif record.opcode == Op.MESSAGE:
             self._message(record)
-        elif record.opcode == CHUNK:
+        elif record.opcode == Op.CHUNK:
             self._visit_chunk(record)
-        elif record.opcode == ATTACHMENT:
+        elif record.opcode == Op.ATTACHMENT:
             self._attachment(record)
-        elif record.opcode == METADATA:
+        elif record.opcode == Op.METADATA:
             self._metadata(record)
-        elif record.opcode == DATA_END:
+        elif record.opcode == Op.DATA_END:
             self._walk.data_end(record)
 
     def _declare(self, record: Record) -> None:
@@ -267,7 +256,7 @@ class _Scanner:
         self._chunk = place = _ChunkPlace(entry)
         for inner in self._walk.within(data, record.begin):
             try:
-                if inner.opcode != MESSAGE:
+                if inner.opcode != Op.MESSAGE:
                     self._declare(inner)
                 elif placed := self._message(inner):
                     place.add_message(*placed, inner.begin)
@@ -278,7 +267,7 @@ class _Scanner:
 
     def _held(self, data: memoryview) -> str:
         # the topics of a chunk, as far as its bytes still say
-        numbers = dict.fromkeys(int.from_bytes(r.content[:2], "little") for r in split(data) if r.opcode == MESSAGE)
+        numbers = dict.fromkeys(int.from_bytes(r.content[:2], "little") for r in split(data) if r.opcode == Op.MESSAGE)
         names = [self._found.channels[number].topic for number in numbers if number in self._found.channels]
         more = f" and {len(names) - _SHOWN} more" if len(names) > _SHOWN else ""
         return ", ".join(names[:_SHOWN]) + more if names else "topics that it does not tell"
@@ -309,13 +298,13 @@ class _Scanner:
         self._found.metadata_records += 1
         if self._found.metadata_records > MAX_METADATA:
             raise TooMuch(f"{self._place}: it has more than the {MAX_METADATA} records of metadata that are read")
-        name = Metadata.read(record.cursor(self._place)).name
+        name = parse(Metadata, record.cursor(self._place)).name
         self._found.metadata[record.begin] = MetadataIndex(record.begin, record.length, name)
 
     def _end(self) -> None:
         position, summary = self._walk.end, self._found.summary
         left = self._source.size - position
-        if not summary or summary[-1].opcode != FOOTER:
+        if not summary or summary[-1].opcode != Op.FOOTER:
             what = (
                 f"{left} bytes behind the last whole record belong to one that was cut short" if left else "no footer"
             )
@@ -375,7 +364,7 @@ class _ChunkPlace:
         if self._indexed and wrong:
             channels = ", ".join(map(str, sorted(wrong)[:_SHOWN]))
             problems.add(Kind.index, f"behind the chunk at byte {begin}, for channel {channels}")
-        return replace(self.entry, index_bytes=self._index_bytes)
+        return self.entry._replace(index_bytes=self._index_bytes)
 
 
 def _sorted(flat: array[int] | None) -> NDArray[np.uint64]:

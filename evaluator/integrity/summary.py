@@ -9,33 +9,27 @@ from evaluator.integrity.problem import Kind, Problems
 from evaluator.integrity.scan import Scan
 from schemas.mcap.declarations import Declarations
 from schemas.mcap.records import (
-    ATTACHMENT_INDEX,
-    CHANNEL,
-    CHUNK_INDEX,
-    FOOTER,
-    METADATA_INDEX,
-    SCHEMA,
-    STATISTICS,
-    SUMMARY_OFFSET,
     AttachmentIndex,
     ChannelRecord,
     ChunkIndex,
     Footer,
     MetadataIndex,
+    Op,
     Schema,
     Statistics,
+    parse,
 )
 from schemas.mcap.walk import data_crc
 from schemas.source import Source
 
 _KINDS = {
-    SCHEMA: Schema,
-    CHANNEL: ChannelRecord,
-    STATISTICS: Statistics,
-    CHUNK_INDEX: ChunkIndex,
-    ATTACHMENT_INDEX: AttachmentIndex,
-    METADATA_INDEX: MetadataIndex,
-    FOOTER: Footer,
+    Op.SCHEMA: Schema,
+    Op.CHANNEL: ChannelRecord,
+    Op.STATISTICS: Statistics,
+    Op.CHUNK_INDEX: ChunkIndex,
+    Op.ATTACHMENT_INDEX: AttachmentIndex,
+    Op.METADATA_INDEX: MetadataIndex,
+    Op.FOOTER: Footer,
 }
 _CRC = 4
 
@@ -46,21 +40,21 @@ def check_summary(source: Source, scan: Scan, problems: Problems) -> None:
         return
     found: dict[int, list[Any]] = {}
     for record in scan.summary:
-        if record.opcode == SUMMARY_OFFSET:
+        if record.opcode == Op.SUMMARY_OFFSET:
             continue
         if record.opcode not in _KINDS:
             problems.add(Kind.record, f"a record of type {record.opcode} lies behind the data section's end")
             continue
         with problems.noting(Kind.summary, path=source.place):
-            said = _KINDS[record.opcode].read(record.cursor(source.place))  # type: ignore[attr-defined]
+            said = parse(_KINDS[record.opcode], record.cursor(source.place))
             found.setdefault(record.opcode, []).append(said)
-    if found.get(FOOTER):
-        _check_crc(source, scan, found[FOOTER][0], problems)
+    if found.get(Op.FOOTER):
+        _check_crc(source, scan, found[Op.FOOTER][0], problems)
     with problems.noting(Kind.summary, path=source.place):
         _check_declarations(source, scan)
     _check_declared(scan, found, problems)
     _check_places(scan, found, problems)
-    if found.get(STATISTICS):
+    if found.get(Op.STATISTICS):
         _check_statistics(scan, found, problems)
 
 
@@ -81,14 +75,14 @@ def _check_declarations(source: Source, scan: Scan) -> None:
     # as the readers do, who refuse a summary that contradicts itself
     declared = Declarations(source.place)
     for record in scan.summary:
-        if record.opcode in (SCHEMA, CHANNEL):
+        if record.opcode in (Op.SCHEMA, Op.CHANNEL):
             declared.take(record)
 
 
 def _check_declared(scan: Scan, found: dict[int, list[Any]], problems: Problems) -> None:
     for opcode, declared, what in (
-        (SCHEMA, scan.schemas, "schema"),
-        (CHANNEL, scan.channels, "channel"),
+        (Op.SCHEMA, scan.schemas, "schema"),
+        (Op.CHANNEL, scan.channels, "channel"),
     ):
         said = {record.id: record for record in found.get(opcode, [])}
         for number, record in declared.items() if said else ():
@@ -100,9 +94,9 @@ def _check_declared(scan: Scan, found: dict[int, list[Any]], problems: Problems)
 
 def _check_places(scan: Scan, found: dict[int, list[Any]], problems: Problems) -> None:
     there: dict[int, tuple[str, Mapping[int, Any]]] = {
-        CHUNK_INDEX: ("chunks", scan.chunks),
-        ATTACHMENT_INDEX: ("attachments", scan.attached),
-        METADATA_INDEX: ("metadata records", scan.metadata),
+        Op.CHUNK_INDEX: ("chunks", scan.chunks),
+        Op.ATTACHMENT_INDEX: ("attachments", scan.attached),
+        Op.METADATA_INDEX: ("metadata records", scan.metadata),
     }
     for opcode, (what, expected) in there.items():
         listed = found.get(opcode, [])
@@ -115,8 +109,8 @@ def _check_places(scan: Scan, found: dict[int, list[Any]], problems: Problems) -
 
 
 def _check_statistics(scan: Scan, found: dict[int, list[Any]], problems: Problems) -> None:
-    said = found[STATISTICS][0]
-    declared = {channel.id for channel in found.get(CHANNEL, [])}
+    said = found[Op.STATISTICS][0]
+    declared = {channel.id for channel in found.get(Op.CHANNEL, [])}
     there = {
         "messages": (said.messages, sum(scan.counts.values())),
         "channels": (said.channels, len(scan.channels.keys() | declared)),

@@ -8,22 +8,7 @@ from typing import NamedTuple
 
 from schemas import FORMAT, __version__, topics
 from schemas.errors import DamagedRecording
-from schemas.mcap.records import (
-    ATTACHMENT,
-    CHANNEL,
-    CHUNK,
-    DATA_END,
-    FOOTER,
-    MESSAGE,
-    MESSAGE_HEAD,
-    METADATA,
-    SCHEMA,
-    Attachment,
-    ChannelRecord,
-    Metadata,
-    Record,
-    Schema,
-)
+from schemas.mcap.records import MESSAGE_HEAD, Attachment, ChannelRecord, Metadata, Op, Record, Schema, parse
 from schemas.mcap.walk import Walk
 from schemas.mcap.writer import McapWriter
 from schemas.messages import widened_schema
@@ -58,11 +43,11 @@ def records_of(path: Path) -> Iterator[Placed]:
     """
     walk = Walk(MappedFile(path))
     for record in walk:
-        if record.opcode in (DATA_END, FOOTER):
+        if record.opcode in (Op.DATA_END, Op.FOOTER):
             return
-        if record.opcode == ATTACHMENT:
+        if record.opcode == Op.ATTACHMENT:
             walk.attached(record, walk.attachment(record))
-        if record.opcode != CHUNK:
+        if record.opcode != Op.CHUNK:
             yield Placed(record, "", record.end)
             continue
         head = walk.head(record)
@@ -93,22 +78,22 @@ class Copier:
         DamagedRecording where it cannot be read.
         """
         cursor = record.cursor(self._source)
-        if record.opcode == MESSAGE:
+        if record.opcode == Op.MESSAGE:
             self._message(record)
-        elif record.opcode == SCHEMA:
-            schema = Schema.read(cursor)
+        elif record.opcode == Op.SCHEMA:
+            schema = parse(Schema, cursor)
             if schema.id not in self._schemas:
                 self._schemas[schema.id] = self._writer.schema(schema.name, schema.encoding, _described(schema))
-        elif record.opcode == CHANNEL:
-            self._channel(ChannelRecord.read(cursor))
-        elif record.opcode == ATTACHMENT:
+        elif record.opcode == Op.CHANNEL:
+            self._channel(parse(ChannelRecord, cursor))
+        elif record.opcode == Op.ATTACHMENT:
             found = Attachment.read(cursor)
             content = bytes(cursor.take(found.end - found.begin))
             self._writer.attachment(
                 found.name, found.media_type, content, log_time=found.log_time, create_time=found.create_time
             )
-        elif record.opcode == METADATA:
-            metadata = Metadata.read(cursor)
+        elif record.opcode == Op.METADATA:
+            metadata = parse(Metadata, cursor)
             self._writer.metadata(metadata.name, metadata.metadata)
 
     def finish(self) -> None:

@@ -10,7 +10,7 @@ from evaluator.sharing.copying import Copier, records_of
 from schemas import topics
 from schemas.errors import DamagedRecording, RecordingError, UsageError
 from schemas.mcap.reader import Container
-from schemas.mcap.records import MAGIC, MESSAGE
+from schemas.mcap.records import MAGIC, Op
 from schemas.writing import new_file
 
 
@@ -91,7 +91,7 @@ def _is_whole(source: Path) -> bool:
 def _compression(source: Path) -> str:
     # that of the first chunk, so that the file stays as large as it was
     try:
-        found = next((compression for record, compression, _ in records_of(source) if record.opcode == MESSAGE), "")
+        found = next((compression for record, compression, _ in records_of(source) if record.opcode == Op.MESSAGE), "")
     except DamagedRecording:
         return "none"
     return found or "none"

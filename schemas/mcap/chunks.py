@@ -10,7 +10,7 @@ from threading import Lock
 from schemas.errors import DamagedRecording
 from schemas.location import Place
 from schemas.mcap import decompression
-from schemas.mcap.records import CHUNK, RECORD_HEAD, Chunk, ChunkHead, Cursor, check_head
+from schemas.mcap.records import RECORD_HEAD, Chunk, ChunkHead, Cursor, Op, check_head
 from schemas.source import Source
 
 _CACHED_CHUNKS = 4
@@ -63,7 +63,7 @@ class Chunks:
                 f"{decompression.MAX_BYTES} that are read from elsewhere; download it"
             )
         record = self._source.read(begin, chunk.end)
-        check_head(self._place, CHUNK, record, chunk.end - chunk.record)
+        check_head(self._place, Op.CHUNK, record, chunk.end - chunk.record)
         head = ChunkHead.read(Cursor(self._place, record, RECORD_HEAD, len(record), begin))
         crc = head.crc
         if head.chunk != chunk:

@@ -15,23 +15,16 @@ from schemas.mcap.chunks import Chunks
 from schemas.mcap.declarations import Declarations
 from schemas.mcap.index import Index, IndexedChunk, read_index
 from schemas.mcap.records import (
-    ATTACHMENT,
-    CHANNEL,
-    CHUNK,
-    DATA_END,
-    FOOTER,
-    HEADER,
     INDEX_ENTRY,
     MAGIC,
-    MESSAGE,
     MESSAGE_HEAD,
-    MESSAGE_INDEX,
     RECORD_HEAD,
-    SCHEMA,
     Attachment,
     Footer,
     Header,
+    Op,
     Record,
+    parse,
 )
 from schemas.mcap.walk import Walk, split
 from schemas.source import Source
@@ -135,7 +128,7 @@ class Contents:
 
     def content(self, message: Message, record: Record) -> tuple[int, memoryview]:
         """Sequence number and content of a message from its record."""
-        if record.opcode != MESSAGE or len(record.content) < MESSAGE_HEAD.size:
+        if record.opcode != Op.MESSAGE or len(record.content) < MESSAGE_HEAD.size:
             raise self.damaged("an index points to something that is no message")
         channel, sequence, log_time, content = record.message(self.place)
         if (channel, log_time) != (message.channel, message.log_time):
@@ -149,7 +142,7 @@ class Contents:
     def sole_offset(self, data: memoryview) -> int:
         """Of the only message of a chunk, behind what declares its channel; it has to be the last record."""
         for record in split(data):
-            if record.opcode not in (SCHEMA, CHANNEL):
+            if record.opcode not in (Op.SCHEMA, Op.CHANNEL):
                 if record.end == len(data):
                     return record.begin
                 break
@@ -177,7 +170,7 @@ class Contents:
 
     def _take(self, index: Index) -> None:
         head = self.read_record(len(MAGIC), MAX_HEADER_BYTES)
-        if head.opcode != HEADER:
+        if head.opcode != Op.HEADER:
             raise self.damaged("the file does not begin with a header, or has a second one")
         self._take_header(head)
         self.declared = index.declared
@@ -213,7 +206,7 @@ class Contents:
             return
         place = found.place_of(channel)
         record = self.read_record(place, min(found.index_bytes, MAX_INDEX_BYTES))
-        if record.opcode != MESSAGE_INDEX:
+        if record.opcode != Op.MESSAGE_INDEX:
             raise self.damaged("the file's index points to a record of another type or length")
         if record.end > found.chunk.end + found.index_bytes:
             raise self.damaged(f"an index of messages at byte {place} is longer than its file's says")
@@ -230,25 +223,25 @@ class Contents:
         summary = Declarations(self.place)  # taken for themselves, as by a reader that begins with the summary
         for record in walk:
             opcode = record.opcode
-            if opcode == HEADER:
+            if opcode == Op.HEADER:
                 self._take_header(record)
-            elif opcode in (SCHEMA, CHANNEL):
+            elif opcode in (Op.SCHEMA, Op.CHANNEL):
                 if not walk.in_data:
                     summary.take(record)
                 self.declared.take(record)
-            elif opcode == MESSAGE:
+            elif opcode == Op.MESSAGE:
                 channel, _, log_time, _ = record.message(self.place)
                 self._add(channel, log_time, -1, record.begin)
-            elif opcode == CHUNK:
+            elif opcode == Op.CHUNK:
                 self.chunks.append(walk.head(record).chunk)
-            elif opcode == MESSAGE_INDEX and self.chunks:
+            elif opcode == Op.MESSAGE_INDEX and self.chunks:
                 indexed.add(len(self.chunks) - 1)
                 self._add_index(record, len(self.chunks) - 1)
-            elif opcode == ATTACHMENT:
+            elif opcode == Op.ATTACHMENT:
                 self._add_attachment(walk.attachment(record))
-            elif opcode == DATA_END:
+            elif opcode == Op.DATA_END:
                 self.data_end, self.data_crc = record.begin, walk.data_end(record)
-            elif opcode == FOOTER:
+            elif opcode == Op.FOOTER:
                 self._end(record)
         if not self.finished or self._messages.keys() - self.declared.topics.keys():
             # No CRC covers an index, and what a crash left may lack some; without a summary, channels may be declared
@@ -271,7 +264,7 @@ class Contents:
         _log.warning("%s has no index: all of its %d bytes are read to find what is in it", self.place, size)
 
     def _end(self, record: Record) -> None:
-        footer, size = Footer.read(record.cursor(self.place)), self.source.size
+        footer, size = parse(Footer, record.cursor(self.place)), self.source.size
         if self.source.read(record.end, min(record.end + len(MAGIC), size)) != MAGIC:
             return  # cut short within the last bytes
         if record.end + len(MAGIC) != size:
@@ -296,7 +289,7 @@ class Contents:
     def _scan_chunk(self, number: int) -> None:
         data, _ = self.chunks.open(number)
         for record in Walk(self.source).within(data, self.chunks[number].record - RECORD_HEAD):
-            if record.opcode == MESSAGE:
+            if record.opcode == Op.MESSAGE:
                 channel, _, log_time, _ = record.message(self.place)
                 self._add(channel, log_time, number, record.begin)
             else:
@@ -305,7 +298,7 @@ class Contents:
     # -- from either
 
     def _take_header(self, record: Record) -> None:
-        header = Header.read(record.cursor(self.place))
+        header = parse(Header, record.cursor(self.place))
         if header.profile.startswith(f"{FORMAT.partition('.')[0]}.") and header.profile != FORMAT:
             raise NotARecording(
                 f"{self.place} has format {header.profile}, this version reads {FORMAT}: update gpusimbench"

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from schemas.errors import DamagedRecording
 from schemas.location import Place
-from schemas.mcap.records import SCHEMA, ChannelRecord, Record, Schema
+from schemas.mcap.records import ChannelRecord, Op, Record, Schema, parse
 
 MAX_DECLARED_BYTES = 64 << 20
 """Of all schemas and channels of a file together, each taken once."""
@@ -39,13 +39,13 @@ class NewDeclarations:
         if key in self._taken:
             return None
         size = len(record.content)
-        if record.opcode != SCHEMA and size > MAX_CHANNEL_BYTES:
+        if record.opcode != Op.SCHEMA and size > MAX_CHANNEL_BYTES:
             raise TooMuch(
                 f"{self._place}: a channel takes {size} bytes to declare; at most {MAX_CHANNEL_BYTES} are read of one"
             )
         self._bytes += size
         cursor = record.cursor(self._place)
-        found = Schema.read(cursor) if record.opcode == SCHEMA else ChannelRecord.read(cursor)
+        found = parse(Schema, cursor) if record.opcode == Op.SCHEMA else parse(ChannelRecord, cursor)
         self._texts += len(found.metadata) if isinstance(found, ChannelRecord) else 0
         if self._bytes > MAX_DECLARED_BYTES or self._texts > MAX_DECLARED_TEXTS:
             raise TooMuch(
@@ -87,7 +87,7 @@ class Declarations:
     def take(self, record: Record) -> None:
         """Add a record of one of the two types; DamagedRecording where it contradicts another, or is too much."""
         schema = int.from_bytes(record.content[2:4], "little")
-        found = self._new.parse(record, "" if record.opcode == SCHEMA else self.schemas.get(schema, ""))
+        found = self._new.parse(record, "" if record.opcode == Op.SCHEMA else self.schemas.get(schema, ""))
         if isinstance(found, Schema):
             if self.schemas.setdefault(found.id, found.name) != found.name:
                 raise self._damaged(f"schema {found.id} has two names")

@@ -16,29 +16,18 @@ from schemas.errors import DamagedRecording
 from schemas.mcap import decompression
 from schemas.mcap.declarations import Declarations
 from schemas.mcap.records import (
-    ATTACHMENT,
-    ATTACHMENT_INDEX,
-    CHANNEL,
-    CHUNK,
-    CHUNK_INDEX,
-    DATA_END,
-    FOOTER,
-    HEADER,
     INDEX_ENTRY,
     MAGIC,
-    MESSAGE,
     MESSAGE_HEAD,
-    MESSAGE_INDEX,
-    METADATA,
     RECORD_HEAD,
-    SCHEMA,
-    STATISTICS,
     Attachment,
     AttachmentIndex,
     Chunk,
     ChunkIndex,
+    Op,
     Record,
     Statistics,
+    parse,
 )
 from schemas.mcap.walk import split
 from schemas.source import Source
@@ -50,7 +39,7 @@ _FOOTER = struct.Struct("<BQQQI")
 _DATA_END = struct.Struct("<BQI")
 _INDEX_HEAD = RECORD_HEAD + 6  # of a message index, before its entries
 _CHUNK_HEAD = 40  # of a chunk, without the name of its compression
-_NOT_HERE = (0, HEADER, FOOTER, MESSAGE, CHUNK, MESSAGE_INDEX, ATTACHMENT, METADATA, DATA_END)
+_NOT_HERE = (0, Op.HEADER, Op.FOOTER, Op.MESSAGE, Op.CHUNK, Op.MESSAGE_INDEX, Op.ATTACHMENT, Op.METADATA, Op.DATA_END)
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,7 +96,7 @@ def read_index(source: Source) -> Index | None:
         return None
     tail = source.read(footer_at, source.size)
     opcode, length, begin, offsets, crc = _FOOTER.unpack_from(tail)
-    if tail[-len(MAGIC) :] != MAGIC or (opcode, length) != (FOOTER, _FOOTER.size - RECORD_HEAD) or not begin:
+    if tail[-len(MAGIC) :] != MAGIC or (opcode, length) != (Op.FOOTER, _FOOTER.size - RECORD_HEAD) or not begin:
         return None
     data_end = begin - _DATA_END.size
     if not len(MAGIC) <= data_end <= footer_at or not (offsets == 0 or begin <= offsets <= footer_at):
@@ -120,7 +109,7 @@ def read_index(source: Source) -> Index | None:
     if crc and zlib.crc32(section[_DATA_END.size : -len(MAGIC) - 4]) != crc:
         raise DamagedRecording(f"{source.place}: the summary fails its CRC: bytes were changed")
     opcode, length, data_crc = _DATA_END.unpack_from(section)
-    if (opcode, length) != (DATA_END, _DATA_END.size - RECORD_HEAD):
+    if (opcode, length) != (Op.DATA_END, _DATA_END.size - RECORD_HEAD):
         return None
     return _Summary(source, data_end).read(section[_DATA_END.size : footer_at - data_end], data_crc)
 
@@ -153,15 +142,15 @@ class _Summary:
         opcode, cursor = record.opcode, record.cursor(self._place)
         if opcode in _NOT_HERE:
             raise self._damaged(f"its summary has a record of type {opcode}, which none can have")
-        if opcode in (SCHEMA, CHANNEL):
+        if opcode in (Op.SCHEMA, Op.CHANNEL):
             self._declared.take(record)
-            self._channels += opcode == CHANNEL
-        elif opcode == CHUNK_INDEX:
-            self._chunks.append(self._chunk(ChunkIndex.read(cursor)))
-        elif opcode == ATTACHMENT_INDEX:
-            self._attachments.append(self._attachment(AttachmentIndex.read(cursor)))
-        elif opcode == STATISTICS:
-            said = Statistics.read(cursor)
+            self._channels += opcode == Op.CHANNEL
+        elif opcode == Op.CHUNK_INDEX:
+            self._chunks.append(self._chunk(parse(ChunkIndex, cursor)))
+        elif opcode == Op.ATTACHMENT_INDEX:
+            self._attachments.append(self._attachment(parse(AttachmentIndex, cursor)))
+        elif opcode == Op.STATISTICS:
+            said = parse(Statistics, cursor)
             self._counts = said.messages, said.channels, said.attachments, said.chunks
 
     def _found(self) -> tuple[int, int, int, int]:

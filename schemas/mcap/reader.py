@@ -20,7 +20,7 @@ from schemas.mcap import decompression
 from schemas.mcap.contents import Contents, Message
 from schemas.mcap.crc import second
 from schemas.mcap.declarations import Channel
-from schemas.mcap.records import ATTACHMENT, MESSAGE, MESSAGE_HEAD, RECORD_HEAD, Chunk, Record, check_head
+from schemas.mcap.records import MESSAGE_HEAD, RECORD_HEAD, Chunk, Op, Record, check_head
 from schemas.mcap.verify import verify
 from schemas.mcap.walk import Walk
 from schemas.remote import open_source
@@ -101,7 +101,7 @@ class Container:
         if message.chunk >= 0 and not (chunk := self._chunks[message.chunk]).compression:
             begin = min(chunk.begin + message.offset, chunk.end)  # an index may point anywhere
             head = self.source.read(begin, min(begin + RECORD_HEAD + MESSAGE_HEAD.size + size, chunk.end))
-            if len(head) >= RECORD_HEAD + MESSAGE_HEAD.size and head[0] == MESSAGE:
+            if len(head) >= RECORD_HEAD + MESSAGE_HEAD.size and head[0] == Op.MESSAGE:
                 length = int.from_bytes(head[1:RECORD_HEAD], "little") - MESSAGE_HEAD.size
                 channel, _, log_time, _ = MESSAGE_HEAD.unpack_from(head, RECORD_HEAD)
                 if (channel, log_time) == (message.channel, message.log_time) and length >= 0:
@@ -147,10 +147,10 @@ class Container:
             )
         begin = found.record - RECORD_HEAD
         data = self.source.read(begin, found.end + 4)
-        record = Record(ATTACHMENT, begin, data[RECORD_HEAD:])
+        record = Record(Op.ATTACHMENT, begin, data[RECORD_HEAD:])
         walk = Walk(self.source)
         if self.indexed:
-            check_head(self.path, ATTACHMENT, data, len(record.content))
+            check_head(self.path, Op.ATTACHMENT, data, len(record.content))
             if walk.attachment(record) != found:
                 raise self._contents.damaged(f"the attachment {name} is not what the file's index says")
         content, _ = walk.attached(record, found)

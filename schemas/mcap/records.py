@@ -4,16 +4,20 @@ from __future__ import annotations
 
 import struct
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 from schemas.errors import DamagedRecording
 from schemas.location import Place
 
 MAGIC = b"\x89MCAP0\r\n"
 
-HEADER, FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, MESSAGE_INDEX, CHUNK_INDEX = range(1, 9)
-ATTACHMENT, ATTACHMENT_INDEX, STATISTICS, METADATA, METADATA_INDEX, SUMMARY_OFFSET, DATA_END = range(9, 16)
-"""Opcodes."""
+
+class Op:
+    """Opcodes."""
+
+    HEADER, FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, MESSAGE_INDEX, CHUNK_INDEX = range(1, 9)
+    ATTACHMENT, ATTACHMENT_INDEX, STATISTICS, METADATA, METADATA_INDEX, SUMMARY_OFFSET, DATA_END = range(9, 16)
+
 
 PRIVATE = 0x80
 """Opcodes from here on belong to applications: readers pass over them."""
@@ -92,29 +96,32 @@ class Cursor:
             raise DamagedRecording(f"{self.place}: the name at byte {self.at} has {len(text)} characters")
         return text
 
-    def rest(self) -> memoryview:
-        """What is left of the record, which is not taken by this."""
-        return self._data[self.position : self._end]
+    def library(self) -> str:
+        """A name that may be missing at the end of a record."""
+        return self.name() if self.left else ""
 
-    def inner(self, size: int) -> Cursor:
-        """The next bytes, as a record of their own."""
-        begin = self.position
-        self.take(size)
-        return Cursor(self.place, self._data, begin, self.position, self._base)
+    def data(self) -> bytes:
+        """Bytes, their number first."""
+        return bytes(self.take(self.u32()))
 
-    def pairs(self, size: int) -> list[tuple[int, int]]:
-        """Numbers by channel, in so many bytes."""
-        if size % _PAIR.size or size > _PAIR.size << 16:
-            raise DamagedRecording(f"{self.place}: {size} bytes are no list of numbers by channel, at byte {self.at}")
-        return list(_PAIR.iter_unpack(self.take(size)))
+    def pairs(self) -> dict[int, int]:
+        """Numbers by channel."""
+        at, data = self.at, self.take(self.u32())
+        if len(data) % _PAIR.size == 0 and len(data) <= _PAIR.size << 16:
+            found = dict(_PAIR.iter_unpack(data))
+            if len(found) * _PAIR.size == len(data):
+                return found
+        raise DamagedRecording(f"{self.place}: what is listed at byte {at} is not one number for each channel")
 
     def text_map(self) -> dict[str, str]:
         """Texts by their names."""
-        found = self.inner(self.u32())
+        end = self.u32() + self.position
         values = dict[str, str]()
-        while found.left:
-            key = found.text()
-            values[key] = found.text()
+        while self.position < end:
+            key = self.text()
+            values[key] = self.text()
+        if self.position != end:
+            raise DamagedRecording(f"{self.place}: a list of texts ends within one, at byte {self.at}")
         return values
 
 
@@ -156,21 +163,14 @@ class Record(NamedTuple):
         return channel, entries
 
 
-@dataclass(frozen=True, slots=True)
-class Header:
+class Header(NamedTuple):
     """What stands first in a file; `library` is the writer, by its own word."""
 
     profile: str
     library: str
 
-    @classmethod
-    def read(cls, cursor: Cursor) -> Header:
-        """From a record; and so on for each type."""
-        return cls(cursor.name(), cursor.name() if cursor.left else "")
 
-
-@dataclass(frozen=True, slots=True)
-class Schema:
+class Schema(NamedTuple):
     """The definition of a message type."""
 
     id: int
@@ -178,14 +178,8 @@ class Schema:
     encoding: str
     data: bytes
 
-    @classmethod
-    def read(cls, cursor: Cursor) -> Schema:
-        """See Header.read."""
-        return cls(cursor.u16(), cursor.name(), cursor.text(), bytes(cursor.take(cursor.u32())))
 
-
-@dataclass(frozen=True, slots=True)
-class ChannelRecord:
+class ChannelRecord(NamedTuple):
     """A channel, by its numbers: `schema_id` is 0 where it has no schema."""
 
     id: int
@@ -194,10 +188,94 @@ class ChannelRecord:
     message_encoding: str
     metadata: dict[str, str]
 
-    @classmethod
-    def read(cls, cursor: Cursor) -> ChannelRecord:
-        """See Header.read."""
-        return cls(cursor.u16(), cursor.u16(), cursor.name(), cursor.text(), cursor.text_map())
+
+class Metadata(NamedTuple):
+    """Texts by name, for whoever knows them."""
+
+    name: str
+    metadata: dict[str, str]
+
+
+class Footer(NamedTuple):
+    """Where the summary and its offsets begin, zero where there are none; the CRC of the bytes before it."""
+
+    summary_start: int
+    offsets_start: int
+    summary_crc: int
+
+
+class ChunkIndex(NamedTuple):
+    """What the summary says of a chunk.
+
+    start, length  of the chunk's record
+    places         by channel, where the record is that lists its messages
+    index_bytes    of all these records
+    """
+
+    first_time: int
+    last_time: int
+    start: int
+    length: int
+    places: dict[int, int]
+    index_bytes: int
+    compression: str
+    stored: int
+    uncompressed_size: int
+
+
+class AttachmentIndex(NamedTuple):
+    """What the summary says of an attachment; `start` and `length` are of its record."""
+
+    start: int
+    length: int
+    log_time: int
+    create_time: int
+    data_size: int
+    name: str
+    media_type: str
+
+
+class MetadataIndex(NamedTuple):
+    """What the summary says of a metadata record; `start` and `length` are of that."""
+
+    start: int
+    length: int
+    name: str
+
+
+class Statistics(NamedTuple):
+    """What the summary counts; times are in ns, `by_channel` are messages."""
+
+    messages: int
+    schemas: int
+    channels: int
+    attachments: int
+    metadata: int
+    chunks: int
+    first_time: int
+    last_time: int
+    by_channel: dict[int, int]
+
+
+_Said = TypeVar("_Said", bound=tuple[Any, ...])
+
+_FIELDS: dict[type[Any], str] = {
+    Header: "name library",
+    Schema: "u16 name text data",
+    ChannelRecord: "u16 u16 name text text_map",
+    Metadata: "text text_map",
+    Footer: "u64 u64 u32",
+    ChunkIndex: "u64 u64 u64 u64 pairs u64 name u64 u64",
+    AttachmentIndex: "u64 u64 u64 u64 u64 name name",
+    MetadataIndex: "u64 u64 text",
+    Statistics: "u64 u16 u32 u32 u32 u32 u64 u64 pairs",
+}
+"""Methods of Cursor that read the fields of each type, in their order."""
+
+
+def parse(kind: type[_Said], cursor: Cursor) -> _Said:
+    """What a record of one of these types says; DamagedRecording where it cannot be read."""
+    return kind(*[getattr(cursor, name)() for name in _FIELDS[kind].split()])
 
 
 @dataclass(frozen=True, slots=True)
@@ -225,7 +303,7 @@ class ChunkHead(NamedTuple):
 
     @classmethod
     def read(cls, cursor: Cursor) -> ChunkHead:
-        """See Header.read; the chunk's bytes need not be there yet."""
+        """From a record's beginning; the chunk's bytes need not be there yet."""
         record, first, last = cursor.at, cursor.u64(), cursor.u64()
         uncompressed_size, crc, compression = cursor.u64(), cursor.u32(), cursor.name()
         stored = cursor.u64()
@@ -251,123 +329,10 @@ class Attachment:
 
     @classmethod
     def read(cls, cursor: Cursor) -> Attachment:
-        """See Header.read; the attachment's bytes need not be there yet."""
+        """From a record's beginning; the attachment's bytes need not be there yet."""
         record, log_time, create_time = cursor.at, cursor.u64(), cursor.u64()
         name, media_type, size = cursor.name(), cursor.name(), cursor.u64()
         return cls(name, media_type, record, cursor.at, cursor.at + size, log_time, create_time)
-
-
-@dataclass(frozen=True, slots=True)
-class Metadata:
-    """Texts by name, for whoever knows them."""
-
-    name: str
-    metadata: dict[str, str]
-
-    @classmethod
-    def read(cls, cursor: Cursor) -> Metadata:
-        """See Header.read."""
-        return cls(cursor.text(), cursor.text_map())
-
-
-@dataclass(frozen=True, slots=True)
-class Footer:
-    """Where the summary and its offsets begin, zero where there are none; the CRC of the bytes before it."""
-
-    summary_start: int
-    offsets_start: int
-    summary_crc: int
-
-    @classmethod
-    def read(cls, cursor: Cursor) -> Footer:
-        """See Header.read."""
-        return cls(cursor.u64(), cursor.u64(), cursor.u32())
-
-
-@dataclass(frozen=True, slots=True)
-class ChunkIndex:
-    """What the summary says of a chunk.
-
-    start, length  of the chunk's record
-    places         by channel, where the record is that lists its messages
-    index_bytes    of all these records
-    """
-
-    first_time: int
-    last_time: int
-    start: int
-    length: int
-    places: dict[int, int]
-    index_bytes: int
-    compression: str
-    stored: int
-    uncompressed_size: int
-
-    @classmethod
-    def read(cls, cursor: Cursor) -> ChunkIndex:
-        """See Header.read."""
-        first, last, start, length = cursor.u64(), cursor.u64(), cursor.u64(), cursor.u64()
-        listed = cursor.pairs(cursor.u32())
-        places = dict(listed)
-        if len(places) < len(listed):
-            raise DamagedRecording(f"{cursor.place}: the index of the chunk at byte {start} lists a channel twice")
-        return cls(first, last, start, length, places, cursor.u64(), cursor.name(), cursor.u64(), cursor.u64())
-
-
-@dataclass(frozen=True, slots=True)
-class AttachmentIndex:
-    """What the summary says of an attachment; `start` and `length` are of its record."""
-
-    start: int
-    length: int
-    log_time: int
-    create_time: int
-    data_size: int
-    name: str
-    media_type: str
-
-    @classmethod
-    def read(cls, cursor: Cursor) -> AttachmentIndex:
-        """See Header.read."""
-        start, length, log_time, create_time = cursor.u64(), cursor.u64(), cursor.u64(), cursor.u64()
-        return cls(start, length, log_time, create_time, cursor.u64(), cursor.name(), cursor.name())
-
-
-@dataclass(frozen=True, slots=True)
-class MetadataIndex:
-    """What the summary says of a metadata record; `start` and `length` are of that."""
-
-    start: int
-    length: int
-    name: str
-
-    @classmethod
-    def read(cls, cursor: Cursor) -> MetadataIndex:
-        """See Header.read."""
-        return cls(cursor.u64(), cursor.u64(), cursor.text())
-
-
-@dataclass(frozen=True, slots=True)
-class Statistics:
-    """What the summary counts; times are in ns, `by_channel` are messages."""
-
-    messages: int
-    schemas: int
-    channels: int
-    attachments: int
-    metadata: int
-    chunks: int
-    first_time: int
-    last_time: int
-    by_channel: dict[int, int]
-
-    @classmethod
-    def read(cls, cursor: Cursor) -> Statistics:
-        """See Header.read."""
-        messages, schemas, channels, attachments = cursor.u64(), cursor.u16(), cursor.u32(), cursor.u32()
-        metadata, chunks, first, last = cursor.u32(), cursor.u32(), cursor.u64(), cursor.u64()
-        by_channel = dict(cursor.pairs(cursor.u32()))
-        return cls(messages, schemas, channels, attachments, metadata, chunks, first, last, by_channel)
 
 
 def check_head(place: Place, opcode: int, record: memoryview, length: int) -> None:

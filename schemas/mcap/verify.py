@@ -5,24 +5,18 @@ from __future__ import annotations
 from schemas.mcap.contents import MAX_INDEX_BYTES, Contents, Message
 from schemas.mcap.crc import combine
 from schemas.mcap.declarations import Declarations
-from schemas.mcap.records import (
-    ATTACHMENT,
-    CHANNEL,
-    CHUNK,
-    DATA_END,
-    HEADER,
-    INDEX_ENTRY,
-    MESSAGE,
-    MESSAGE_INDEX,
-    METADATA,
-    RECORD_HEAD,
-    SCHEMA,
-    Attachment,
-    Cursor,
-)
+from schemas.mcap.records import INDEX_ENTRY, RECORD_HEAD, Attachment, Cursor, Op
 from schemas.mcap.walk import Head, Walk, data_crc
 
-_EXPECTED = (HEADER, SCHEMA, CHANNEL, CHUNK, MESSAGE_INDEX, ATTACHMENT, METADATA)  # of a file that has an index
+_EXPECTED = (
+    Op.HEADER,
+    Op.SCHEMA,
+    Op.CHANNEL,
+    Op.CHUNK,
+    Op.MESSAGE_INDEX,
+    Op.ATTACHMENT,
+    Op.METADATA,
+)  # of a file that has an index
 
 
 def verify(contents: Contents) -> None:
@@ -68,7 +62,7 @@ class _Verification:
             raise contents.damaged("the data section fails its CRC: bytes were changed")
 
     def _visit(self, head: Head, end: int) -> None:
-        if head.opcode == CHUNK and head.begin == self._expected(end):
+        if head.opcode == Op.CHUNK and head.begin == self._expected(end):
             self._close_chunk()
             self._visit_chunk()
         elif self._contents.indexed:
@@ -88,7 +82,7 @@ class _Verification:
         data, known = contents.chunks.open(number)
         # what a chunk declares, which nobody looks at where an index says what is in it, and other readers do
         for record in self._walk.within(data, chunk.record - RECORD_HEAD):
-            if record.opcode != MESSAGE:
+            if record.opcode != Op.MESSAGE:
                 self._inside.take(record)
         if chunk.compression or not known:
             self._add_crc(chunk.end)
@@ -113,15 +107,15 @@ class _Verification:
         self._listed = {}
 
     def _visit_beside(self, head: Head) -> None:
-        if head.opcode == MESSAGE_INDEX and self._chunks:
+        if head.opcode == Op.MESSAGE_INDEX and self._chunks:
             channel = self._check_index(head.begin, self._chunks - 1)
             if self._listed.setdefault(channel, head.begin) != head.begin:
                 raise self._contents.damaged(f"the messages of a channel are listed twice, at byte {head.begin} again")
-        elif head.opcode == ATTACHMENT:
+        elif head.opcode == Op.ATTACHMENT:
             self._check_attachment(self._attachments.get(head.begin + RECORD_HEAD), head)
-        elif head.opcode in (SCHEMA, CHANNEL):
+        elif head.opcode in (Op.SCHEMA, Op.CHANNEL):
             self._beside.take(self._contents.read_record(head.begin, MAX_INDEX_BYTES))
-        elif head.opcode <= DATA_END and head.opcode not in _EXPECTED or head.opcode in (CHUNK, MESSAGE_INDEX):
+        elif head.opcode <= Op.DATA_END and head.opcode not in _EXPECTED or head.opcode in (Op.CHUNK, Op.MESSAGE_INDEX):
             raise self._contents.damaged(
                 f"a record of type {head.opcode} at byte {head.begin} is not in the file's index"
             )

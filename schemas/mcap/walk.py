@@ -12,24 +12,7 @@ from typing import Literal, NamedTuple
 
 from schemas.errors import DamagedRecording
 from schemas.mcap.decompression import decompress
-from schemas.mcap.records import (
-    ATTACHMENT,
-    CHANNEL,
-    CHUNK,
-    DATA_END,
-    FOOTER,
-    HEADER,
-    MAGIC,
-    MESSAGE,
-    MESSAGE_INDEX,
-    METADATA,
-    PRIVATE,
-    RECORD_HEAD,
-    SCHEMA,
-    Attachment,
-    ChunkHead,
-    Record,
-)
+from schemas.mcap.records import MAGIC, PRIVATE, RECORD_HEAD, Attachment, ChunkHead, Op, Record
 from schemas.source import Source
 
 Fault = Literal["record", "unknown_record", "chunk_crc", "attachment_crc", "data_crc", "crc_missing"]
@@ -37,10 +20,10 @@ Fault = Literal["record", "unknown_record", "chunk_crc", "attachment_crc", "data
 
 Report = Callable[[Fault, str], None]
 
-OF_DATA = (MESSAGE, CHUNK, MESSAGE_INDEX, ATTACHMENT, METADATA, DATA_END)
+OF_DATA = (Op.MESSAGE, Op.CHUNK, Op.MESSAGE_INDEX, Op.ATTACHMENT, Op.METADATA, Op.DATA_END)
 """Records that stand in the data section alone."""
 
-_IN_DATA = (HEADER, SCHEMA, CHANNEL, *OF_DATA)
+_IN_DATA = (Op.HEADER, Op.SCHEMA, Op.CHANNEL, *OF_DATA)
 _PIECE_BYTES = 4 << 20  # that a CRC is computed of at once
 
 
@@ -107,26 +90,26 @@ class Walk:
             self.end = head.end
             if self._in_place(head):
                 yield head
-            if head.opcode in (DATA_END, FOOTER):
+            if head.opcode in (Op.DATA_END, Op.FOOTER):
                 self.in_data = False
-            if head.opcode == FOOTER:
+            if head.opcode == Op.FOOTER:
                 return
 
     def _in_place(self, head: Head) -> bool:
         # whether there is something to be read of it, where it stands
         opcode, first = head.opcode, head.begin == len(MAGIC)
         if self._report is None:
-            if first != (opcode == HEADER):
+            if first != (opcode == Op.HEADER):
                 raise self._damaged("the file does not begin with a header, or has a second one")
             if not self.in_data and opcode in OF_DATA:
                 raise self._damaged("data follow behind the end of the data")
             return True
-        if first and opcode != HEADER:
+        if first and opcode != Op.HEADER:
             self._report("record", "the first record is no header")
-        if not 0 < opcode <= DATA_END:
+        if not 0 < opcode <= Op.DATA_END:
             self._unknown(opcode, head.end - head.begin - RECORD_HEAD, f"byte {head.begin}")
             return False
-        if self.in_data and opcode == HEADER and not first:
+        if self.in_data and opcode == Op.HEADER and not first:
             self._report("record", f"there is a second header at byte {head.begin}")
             return False
         if self.in_data and opcode not in _IN_DATA:
@@ -178,9 +161,9 @@ class Walk:
         end = 0
         for inner in split(data):
             end = inner.end
-            if inner.opcode in (SCHEMA, CHANNEL, MESSAGE):
+            if inner.opcode in (Op.SCHEMA, Op.CHANNEL, Op.MESSAGE):
                 yield inner
-            elif not 0 < inner.opcode <= DATA_END:
+            elif not 0 < inner.opcode <= Op.DATA_END:
                 self._unknown(inner.opcode, len(inner.content), f"byte {inner.begin} of the chunk at byte {at}")
             else:
                 self._skip("record", f"the chunk at byte {at} holds a record of type {inner.opcode}")
