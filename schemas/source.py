@@ -8,9 +8,9 @@ import stat
 from abc import ABC, abstractmethod
 from pathlib import Path
 
-from schemas.errors import DamagedRecording, NotARecording
-from schemas.location import Place
-from schemas.mcap.records import MAGIC
+from gpusimbench.schemas.errors import DamagedRecording, NotARecording
+from gpusimbench.schemas.location import Place
+from gpusimbench.schemas.mcap.records import MAGIC
 
 _MOST_WORKERS = 4
 

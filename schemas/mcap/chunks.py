@@ -7,11 +7,11 @@ from collections import OrderedDict
 from collections.abc import Iterator
 from threading import Lock
 
-from schemas.errors import DamagedRecording
-from schemas.location import Place
-from schemas.mcap import decompression
-from schemas.mcap.records import RECORD_HEAD, Chunk, ChunkHead, Cursor, Op, check_head
-from schemas.source import Source
+from gpusimbench.schemas.errors import DamagedRecording
+from gpusimbench.schemas.location import Place
+from gpusimbench.schemas.mcap import decompression
+from gpusimbench.schemas.mcap.records import RECORD_HEAD, Chunk, ChunkHead, Cursor, Op, check_head
+from gpusimbench.schemas.source import Source
 
 _CACHED_CHUNKS = 4
 _CACHED_BYTES = 64 << 20  # of chunks that are in memory; the one read last is kept whatever it takes

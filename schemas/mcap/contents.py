@@ -8,13 +8,13 @@ from array import array
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from schemas import FORMAT
-from schemas.errors import DamagedRecording, NotARecording
-from schemas.location import Place
-from schemas.mcap.chunks import Chunks
-from schemas.mcap.declarations import Declarations
-from schemas.mcap.index import Index, IndexedChunk, read_index
-from schemas.mcap.records import (
+from gpusimbench.schemas import FORMAT
+from gpusimbench.schemas.errors import DamagedRecording, NotARecording
+from gpusimbench.schemas.location import Place
+from gpusimbench.schemas.mcap.chunks import Chunks
+from gpusimbench.schemas.mcap.declarations import Declarations
+from gpusimbench.schemas.mcap.index import Index, IndexedChunk, read_index
+from gpusimbench.schemas.mcap.records import (
     INDEX_ENTRY,
     MAGIC,
     MESSAGE_HEAD,
@@ -26,8 +26,8 @@ from schemas.mcap.records import (
     Record,
     parse,
 )
-from schemas.mcap.walk import Walk, split
-from schemas.source import Source
+from gpusimbench.schemas.mcap.walk import Walk, split
+from gpusimbench.schemas.source import Source
 
 MAX_ATTACHMENTS = 4096
 """A file with more is refused."""

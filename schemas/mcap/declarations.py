@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from schemas.errors import DamagedRecording
-from schemas.location import Place
-from schemas.mcap.records import ChannelRecord, Op, Record, Schema, parse
+from gpusimbench.schemas.errors import DamagedRecording
+from gpusimbench.schemas.location import Place
+from gpusimbench.schemas.mcap.records import ChannelRecord, Op, Record, Schema, parse
 
 MAX_DECLARED_BYTES = 64 << 20
 """Of all schemas and channels of a file together, each taken once."""

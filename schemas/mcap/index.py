@@ -12,10 +12,10 @@ from array import array
 from bisect import bisect_left
 from dataclasses import dataclass
 
-from schemas.errors import DamagedRecording
-from schemas.mcap import decompression
-from schemas.mcap.declarations import Declarations
-from schemas.mcap.records import (
+from gpusimbench.schemas.errors import DamagedRecording
+from gpusimbench.schemas.mcap import decompression
+from gpusimbench.schemas.mcap.declarations import Declarations
+from gpusimbench.schemas.mcap.records import (
     INDEX_ENTRY,
     MAGIC,
     MESSAGE_HEAD,
@@ -29,8 +29,8 @@ from schemas.mcap.records import (
     Statistics,
     parse,
 )
-from schemas.mcap.walk import split
-from schemas.source import Source
+from gpusimbench.schemas.mcap.walk import split
+from gpusimbench.schemas.source import Source
 
 MAX_SUMMARY_BYTES = 64 << 20
 """A larger summary is not read."""

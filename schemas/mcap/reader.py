@@ -15,16 +15,16 @@ import zlib
 from collections.abc import Iterator
 from functools import cached_property
 
-from schemas.location import Place
-from schemas.mcap import decompression
-from schemas.mcap.contents import Contents, Message
-from schemas.mcap.crc import second
-from schemas.mcap.declarations import Channel
-from schemas.mcap.records import MESSAGE_HEAD, RECORD_HEAD, Chunk, Op, Record, check_head
-from schemas.mcap.verify import verify
-from schemas.mcap.walk import Walk
-from schemas.remote import open_source
-from schemas.source import Source
+from gpusimbench.schemas.location import Place
+from gpusimbench.schemas.mcap import decompression
+from gpusimbench.schemas.mcap.contents import Contents, Message
+from gpusimbench.schemas.mcap.crc import second
+from gpusimbench.schemas.mcap.declarations import Channel
+from gpusimbench.schemas.mcap.records import MESSAGE_HEAD, RECORD_HEAD, Chunk, Op, Record, check_head
+from gpusimbench.schemas.mcap.verify import verify
+from gpusimbench.schemas.mcap.walk import Walk
+from gpusimbench.schemas.remote import open_source
+from gpusimbench.schemas.source import Source
 
 MAX_ATTACHMENT_BYTES = 1 << 30
 """A larger attachment is refused before it is read."""

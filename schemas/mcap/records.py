@@ -6,8 +6,8 @@ import struct
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple, TypeVar
 
-from schemas.errors import DamagedRecording
-from schemas.location import Place
+from gpusimbench.schemas.errors import DamagedRecording
+from gpusimbench.schemas.location import Place
 
 MAGIC = b"\x89MCAP0\r\n"
 

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from schemas.mcap.contents import MAX_INDEX_BYTES, Contents, Message
-from schemas.mcap.crc import combine
-from schemas.mcap.declarations import Declarations
-from schemas.mcap.records import INDEX_ENTRY, RECORD_HEAD, Attachment, Cursor, Op
-from schemas.mcap.walk import Head, Walk, data_crc
+from gpusimbench.schemas.mcap.contents import MAX_INDEX_BYTES, Contents, Message
+from gpusimbench.schemas.mcap.crc import combine
+from gpusimbench.schemas.mcap.declarations import Declarations
+from gpusimbench.schemas.mcap.records import INDEX_ENTRY, RECORD_HEAD, Attachment, Cursor, Op
+from gpusimbench.schemas.mcap.walk import Head, Walk, data_crc
 
 _EXPECTED = (
     Op.HEADER,

@@ -10,10 +10,10 @@ import zlib
 from collections.abc import Callable, Iterator
 from typing import Literal, NamedTuple
 
-from schemas.errors import DamagedRecording
-from schemas.mcap.decompression import decompress
-from schemas.mcap.records import MAGIC, PRIVATE, RECORD_HEAD, Attachment, ChunkHead, Op, Record
-from schemas.source import Source
+from gpusimbench.schemas.errors import DamagedRecording
+from gpusimbench.schemas.mcap.decompression import decompress
+from gpusimbench.schemas.mcap.records import MAGIC, PRIVATE, RECORD_HEAD, Attachment, ChunkHead, Op, Record
+from gpusimbench.schemas.source import Source
 
 Fault = Literal["record", "unknown_record", "chunk_crc", "attachment_crc", "data_crc", "crc_missing"]
 """Kinds of problems that a walk meets."""

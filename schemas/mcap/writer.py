@@ -19,8 +19,8 @@ from contextlib import suppress
 from io import FileIO
 from typing import NamedTuple
 
-from schemas.mcap.crc import combine
-from schemas.mcap.records import INDEX_ENTRY, MAGIC, Op
+from gpusimbench.schemas.mcap.crc import combine
+from gpusimbench.schemas.mcap.records import INDEX_ENTRY, MAGIC, Op
 
 _CHUNK_BYTES = 128 * 1024
 

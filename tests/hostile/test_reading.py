@@ -9,10 +9,10 @@ from pathlib import Path
 
 import pytest
 
-from evaluator import messages
-from evaluator.integrity import scan
-from schemas import checks, configuration, provenance
-from schemas.mcap import contents, declarations, decompression, reader
+from gpusimbench.evaluator.check.integrity import scan
+from gpusimbench.evaluator.read import messages
+from gpusimbench.schemas import checks, configuration, provenance
+from gpusimbench.schemas.mcap import contents, declarations, decompression, reader
 from tests.hostile.mutate import MUTATORS, Promise
 from tests.hostile.soak import MEMORY_BYTES
 from tests.test_docs import ROOT, commands, shell

@@ -13,10 +13,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from mcap.reader import NonSeekingReader, make_reader
 
-from schemas import FORMAT
-from schemas.mcap.crc import combine
-from schemas.mcap.reader import Container
-from schemas.mcap.writer import COMPRESSIONS, McapWriter, Part
+from gpusimbench.schemas import FORMAT
+from gpusimbench.schemas.mcap.crc import combine
+from gpusimbench.schemas.mcap.reader import Container
+from gpusimbench.schemas.mcap.writer import COMPRESSIONS, McapWriter, Part
 
 Sent = list[tuple[str, int, bytes]]
 

@@ -1,0 +1,139 @@
+"""Everything that a file holds into another one, record by record and in its order."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+from gpusimbench.schemas import FORMAT, __version__, topics
+from gpusimbench.schemas.errors import DamagedRecording
+from gpusimbench.schemas.mcap.records import (
+    MESSAGE_HEAD,
+    Attachment,
+    ChannelRecord,
+    Metadata,
+    Op,
+    Record,
+    Schema,
+    parse,
+)
+from gpusimbench.schemas.mcap.walk import Walk
+from gpusimbench.schemas.mcap.writer import McapWriter
+from gpusimbench.schemas.messages import widened_schema
+from gpusimbench.schemas.source import MappedFile
+from gpusimbench.schemas.writing import Target
+
+LIBRARY = f"gpusimbench {__version__}"
+
+Change = Callable[[memoryview], bytes]
+"""A StateBlock to what is written in its place."""
+
+_STATE = "gsb.v1.StateBlock"
+
+
+class Placed(NamedTuple):
+    """A record to be copied.
+
+    compression  of the chunk that it is in; empty outside of chunks
+    end          byte of the file behind it, or behind its chunk
+    """
+
+    record: Record
+    compression: str
+    end: int
+
+
+def records_of(path: Path) -> Iterator[Placed]:
+    """All whole records of the data section that say something, those of a chunk in its place.
+
+    Chunks and attachments are checked against their CRC. DamagedRecording at the first that cannot be read, after all
+    records before it.
+    """
+    walk = Walk(MappedFile(path))
+    for record in walk:
+        if record.opcode in (Op.DATA_END, Op.FOOTER):
+            return
+        if record.opcode == Op.ATTACHMENT:
+            walk.attached(record, walk.attachment(record))
+        if record.opcode != Op.CHUNK:
+            yield Placed(record, "", record.end)
+            continue
+        head = walk.head(record)
+        for inner in walk.inside(record, head):
+            yield Placed(inner, head.chunk.compression, record.end)
+
+
+class Copier:
+    """Writes the records of one recording into a new file.
+
+    target       the new file
+    source       the recording's path, for messages of errors
+    compression  of the new file's chunks
+    change       what becomes of blocks of states; everything else is copied byte for byte, but the schema of these
+                 blocks, which may be older than what is written into them
+    """
+
+    def __init__(self, target: Target, source: Path, *, compression: str, change: Change | None = None) -> None:
+        self._writer = McapWriter(target.stream, profile=FORMAT, library=LIBRARY, compression=compression)
+        self._source = source
+        self._change = change
+        self._schemas = {0: 0}  # new numbers by old ones; a channel of schema 0 has none
+        self._channels: dict[int, tuple[int, str]] = {}
+
+    def add(self, record: Record) -> None:
+        """Write a record; times, sequence numbers and names stay, indexes are made anew.
+
+        DamagedRecording where it cannot be read.
+        """
+        cursor = record.cursor(self._source)
+        if record.opcode == Op.MESSAGE:
+            self._message(record)
+        elif record.opcode == Op.SCHEMA:
+            schema = parse(Schema, cursor)
+            if schema.id not in self._schemas:
+                self._schemas[schema.id] = self._writer.schema(schema.name, schema.encoding, _described(schema))
+        elif record.opcode == Op.CHANNEL:
+            self._channel(parse(ChannelRecord, cursor))
+        elif record.opcode == Op.ATTACHMENT:
+            found = Attachment.read(cursor)
+            content = bytes(cursor.take(found.end - found.begin))
+            self._writer.attachment(
+                found.name, found.media_type, content, log_time=found.log_time, create_time=found.create_time
+            )
+        elif record.opcode == Op.METADATA:
+            metadata = parse(Metadata, cursor)
+            self._writer.metadata(metadata.name, metadata.metadata)
+
+    def finish(self) -> None:
+        """Write the summary and the end of the file."""
+        self._writer.finish()
+
+    def _channel(self, channel: ChannelRecord) -> None:
+        if channel.id in self._channels:
+            return
+        if channel.schema_id not in self._schemas:
+            raise DamagedRecording(f"{self._source}: {channel.topic} is of schema {channel.schema_id}, not declared")
+        number = self._writer.channel(
+            channel.topic, self._schemas[channel.schema_id], channel.metadata, encoding=channel.message_encoding
+        )
+        self._channels[channel.id] = number, channel.topic
+
+    def _message(self, record: Record) -> None:
+        channel, sequence, log_time, content = record.message(self._source)
+        if channel not in self._channels:
+            raise DamagedRecording(
+                f"{self._source}: a message is of channel {channel}, which is not declared before it"
+            )
+        number, topic = self._channels[channel]
+        data: bytes | memoryview = content
+        if self._change is not None and topics.parse_state(topic) is not None:
+            data = self._change(content)
+        publish_time = MESSAGE_HEAD.unpack_from(record.content)[3]
+        self._writer.message(number, data, log_time=log_time, publish_time=publish_time, sequence=sequence)
+
+
+def _described(record: Schema) -> bytes:
+    # also where blocks are copied as they are: a file may have been packed before this rule
+    ours = record.name == _STATE and record.encoding == "protobuf"
+    return widened_schema(_STATE, record.data) if ours else record.data
