@@ -11,6 +11,7 @@ from importlib import import_module, metadata
 from importlib.util import find_spec
 
 from gpusimbench.recorder.interruption import blocked
+from gpusimbench.recorder.plugins import in_words
 from gpusimbench.recorder.simulators.base import Simulator
 from gpusimbench.schemas.errors import UsageError
 
@@ -66,8 +67,7 @@ class Entry:
             with blocked():
                 adapter: type[Simulator] = getattr(import_module(module), name)
         except Exception as error:  # whatever a third party's module raises
-            text = " ".join(f"{type(error).__name__}: {error}".split())
-            raise UsageError(f"simulator '{self.name}' cannot be loaded: {text}") from None
+            raise UsageError(f"simulator '{self.name}' cannot be loaded: {in_words(error)}") from None
         if not (isinstance(adapter, type) and issubclass(adapter, Simulator) and hasattr(adapter, "Options")):
             raise UsageError(f"simulator '{self.name}' cannot be loaded: {self.target} is no Simulator with Options")
         return adapter
