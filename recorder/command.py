@@ -14,8 +14,8 @@ from gpusimbench.recorder.output import flush, show, show_document
 from gpusimbench.schemas.command_line import add_common
 from gpusimbench.schemas.configuration import CAPTURE_MODES, OPTIONAL_PHASES, RunConfiguration
 from gpusimbench.schemas.errors import ExitCode, UsageError
-from gpusimbench.schemas.printable import block, line
 from gpusimbench.schemas.provenance import REAL
+from gpusimbench.schemas.text import block, line
 
 if TYPE_CHECKING:
     from gpusimbench.recorder.environments.interpreter import Interpreter

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from gpusimbench.schemas import printing
 from gpusimbench.schemas.errors import GsbError
-from gpusimbench.schemas.printable import Block, Line, line
+from gpusimbench.schemas.text import Block, Line, line
 
 
 def show(text: Line | Block) -> None:
