@@ -22,7 +22,7 @@ from gpusimbench.schemas.mcap.records import (
 from gpusimbench.schemas.mcap.walk import data_crc
 from gpusimbench.schemas.source import Source
 
-_KINDS = {
+_KINDS: dict[int, type[Any]] = {
     Op.SCHEMA: Schema,
     Op.CHANNEL: ChannelRecord,
     Op.STATISTICS: Statistics,
@@ -46,8 +46,7 @@ def check_summary(source: Source, scan: Scan, problems: Problems) -> None:
             problems.add(Kind.record, f"a record of type {record.opcode} lies behind the data section's end")
             continue
         with problems.noting(Kind.summary, path=source.place):
-            said = parse(_KINDS[record.opcode], record.cursor(source.place))
-            found.setdefault(record.opcode, []).append(said)
+            found.setdefault(record.opcode, []).append(parse(_KINDS[record.opcode], record.cursor(source.place)))
     if found.get(Op.FOOTER):
         _check_crc(source, scan, found[Op.FOOTER][0], problems)
     with problems.noting(Kind.summary, path=source.place):
@@ -90,6 +89,8 @@ def _check_declared(scan: Scan, found: dict[int, list[Any]], problems: Problems)
                 problems.add(Kind.summary, f"{what} {number} is not in it")
             elif said[number] != record:
                 problems.add(Kind.summary, f"{what} {number} is another one than in the data section")
+        for number in said.keys() - declared.keys():
+            problems.add(Kind.summary, f"{what} {number} is not in the data section")
 
 
 def _check_places(scan: Scan, found: dict[int, list[Any]], problems: Problems) -> None:
