@@ -13,8 +13,8 @@ from gpusimbench.recorder.interruption import shielded
 from gpusimbench.recorder.output import flush, show, show_document
 from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.errors import ExitCode, UsageError
-from gpusimbench.schemas.printable import block, line
 from gpusimbench.schemas.provenance import REAL
+from gpusimbench.schemas.text import block, line
 
 if TYPE_CHECKING:
     from gpusimbench.recorder.environments.interpreter import Interpreter

@@ -353,7 +353,7 @@ def test_reading_leaves_no_trace(gsb_eval: Command, good: Path, tmp_path: Path) 
 
 def test_a_chunk_is_decompressed_once_for_all_its_messages(good: Path, tmp_path: Path) -> None:
     """Read messages as they lie, not as their numbers tell, so that no order of them costs more than another."""
-    from gpusimbench.schemas import decompression
+    from gpusimbench.schemas.mcap import decompression
 
     file = mcap.parse(good.read_bytes())
     events = [message_class("gsb.v1.Event")(kind=3, text=f"{i}").SerializeToString() for i in range(60)]
