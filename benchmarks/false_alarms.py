@@ -23,8 +23,8 @@ from pathlib import Path
 import numpy as np
 from scipy import stats
 
-from evaluator.histories import Histories
 from evaluator.metrics.memory import Checkpoints
+from evaluator.missing import Missing
 from evaluator.physics.facts import PhysicsFacts
 from evaluator.reading import Read, Reader
 from evaluator.run_data import RunData
@@ -246,14 +246,13 @@ def _read(run: Run, run_id: str) -> Read:
     summary = Summary(
         Path(f"{run_id}.mcap"), "complete", "", "", run_id, provenance, simulation, (), (), {}, {}, {}, None
     )  # fmt: skip
-    none: Histories | None = None
     host = Checkpoints(baseline=run.host_baseline, peak=run.host_peak)
-    why = "no states were captured"
+    missing = Missing("no states were captured")
     return Read(
         summary,
         RunData(
-            summary, run.elapsed_s, None, host, None, None, {}, None, 0.0, none, None, None, why,
-            False, None, None, None, why, None, why, PhysicsFacts("free-fall", N_ENV, (), (), why),
+            summary, run.elapsed_s, missing, host, missing, missing, {}, missing, 0.0, missing, missing, missing,
+            False, None, missing, missing, missing, PhysicsFacts("free-fall", N_ENV, (), missing), missing,
         ),
     )  # fmt: skip
 

@@ -22,6 +22,7 @@ from evaluator.metrics.variability import (
     parallel_variability,
     run_to_run_variability,
 )
+from evaluator.missing import why_missing
 from evaluator.over_runs import NO_RUN, Runs, differ, ends_of, mean_over_runs
 from evaluator.results import Metric, Reference, not_computed
 from evaluator.sampled import no_positions
@@ -189,9 +190,9 @@ def left_board(runs: Runs) -> Metric:
 def sank(runs: Runs) -> Metric:
     """Mean number of cubes per environment that went through the floor or the board."""
     name, unit = "sank", "cubes per env"
-    found = [r.sunk for r in runs if r.sunk is not None]
+    found = [r.sunk for r in runs if r.sunk]
     if not found:
-        return not_computed(name, unit, "lower", runs[0].no_sunk if runs else NO_RUN)
+        return not_computed(name, unit, "lower", why_missing(runs[0].sunk) if runs else NO_RUN)
     counts = [sum(s.per_env) for s in found]
     envs = sum(len(s.per_env) for s in found)
     return Metric(

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from evaluator.fidelity import Fidelity
 from evaluator.groups import Group
 from evaluator.metrics.density import Density, HexGrid
+from evaluator.missing import Missing
 from evaluator.protocol import Unmet
 from evaluator.reading import Unreadable
 from evaluator.spread import Spread
@@ -83,12 +84,11 @@ class RunSpread:
     """How the environments of one run moved apart.
 
     run      its index
-    spread   None where it cannot be said, and `why_not` says why
+    spread   distances between them
     """
 
     run: int
-    spread: Spread | None
-    why_not: str
+    spread: Spread | Missing
 
 
 @dataclass(frozen=True)

@@ -18,6 +18,7 @@ from evaluator.diff.compare import compare
 from evaluator.diff.result import Difference
 from evaluator.groups import Group
 from evaluator.metrics.variability import sampling_step
+from evaluator.missing import Missing
 from evaluator.positions import sample_positions
 from evaluator.recording import Recording
 from schemas.errors import DamagedRecording, NothingComparable, UsageError
@@ -171,9 +172,9 @@ def law_of(originals: Sequence[Recording], replays: Sequence[Recording]) -> LawT
     for side in (originals, replays):
         sides.append([])
         for recording in side:
-            positions, why_not = sample_positions(recording, time)
-            if positions is None:
-                return f"{recording.path.name}: {why_not}"
+            positions = sample_positions(recording, time)
+            if isinstance(positions, Missing):
+                return f"{recording.path.name}: {positions.reason}"
             sides[-1].append(positions.planar)
     if len({run.shape for side in sides for run in side}) > 1:
         return "the replays have other numbers of environments or cubes"

@@ -16,7 +16,8 @@ from evaluator.metrics.levels import Level, Verdict, Worst
 from evaluator.metrics.memory import Checkpoints, GpuMemory, Listing
 from evaluator.metrics.split_tree import Branch, SplitTree
 from evaluator.metrics.variability import ParallelVariability
-from evaluator.physics.facts import Check, Measured, NotMeasured, PhysicsFacts
+from evaluator.missing import Missing
+from evaluator.physics.facts import Check, Measured, PhysicsFacts
 from evaluator.positions import Positions
 from evaluator.reading import Reader
 from evaluator.run_data import RunData
@@ -41,7 +42,7 @@ _CLASSES = (
     Simulation, Deviation, StateField, Buffer, Counter, OverflowBit, RunData, Histories, Positions, Checkpoints, Sunk,
     GpuMemory, Listing, CoTenants, Sign,
     Stamp, Reader, SplitTree, Branch, Spread, GrowthFit, Verdict, Worst, Level, PhysicsFacts,
-    Measured, NotMeasured, Check, ParallelVariability, Transport, Gap, GapTo, SummaryBlock,
+    Measured, Missing, Check, ParallelVariability, Transport, Gap, GapTo, SummaryBlock,
     MatchedPoint, MatchedVariability, Interval, Checkup, UnitDoubt,
 )  # fmt: skip
 

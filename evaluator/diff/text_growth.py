@@ -9,6 +9,7 @@ from rich.console import Console
 from evaluator.diff import words
 from evaluator.diff.result import Difference, Growth
 from evaluator.diff.text_numbers import print_numbers
+from evaluator.missing import Missing
 from evaluator.report.text import printable
 
 _ROWS, _WIDTH = 6, 60
@@ -57,8 +58,8 @@ def _lines(growth: Growth) -> list[str]:
     for size, when in (("1 mm", growth.to_1mm), ("1 cm", growth.to_1cm)):
         lines.append(f"{size}: {'never' if when is None else f'first recorded at {when:g} s'}")
     fit = growth.fit
-    if fit is None:
-        lines.append(f"growth rate: none; {growth.no_fit}")
+    if isinstance(fit, Missing):
+        lines.append(f"growth rate: none; {fit.reason}")
     else:
         doubling = "" if fit.doubling_time is None else f", doubling every {fit.doubling_time * 1000:.3g} ms"
         lines.append(

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from evaluator.fidelity import Fidelity, FidelityRow, Verdict, fidelity
+from evaluator.missing import Missing
 from evaluator.over_runs import Runs
 from evaluator.physics.facts import Check, Measured
 from evaluator.versus.counted import Counted
@@ -70,5 +71,6 @@ def _said(row: FidelityRow) -> str:
 
 def _broken(check: Check, runs: Runs) -> tuple[int, int]:
     """In how many runs a check is broken, of how many that were measured."""
-    facts = [fact for run in runs for fact in run.physics.facts if fact.check is check and isinstance(fact, Measured)]
+    found = [run.physics.facts.get(check) for run in runs if not isinstance(run.physics.facts, Missing)]
+    facts = [fact for fact in found if isinstance(fact, Measured)]
     return sum(fact.broken > 0 for fact in facts), len(facts)

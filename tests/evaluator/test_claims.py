@@ -19,7 +19,8 @@ from evaluator.claims import Claim, Tally, every, identical, tally
 from evaluator.fidelity import Verdict, fidelity
 from evaluator.histories import histories_of
 from evaluator.metrics.levels import verdict
-from evaluator.physics.facts import Check, NotMeasured, PhysicsFacts, measured
+from evaluator.missing import Missing
+from evaluator.physics.facts import Check, PhysicsFacts, measured
 from evaluator.report import words
 from evaluator.report.fidelity import cells
 from evaluator.report.page import summary
@@ -184,10 +185,10 @@ def test_checks_of_mechanics(parts: list[bool | None]) -> None:
     def facts(part: bool | None) -> PhysicsFacts:
         check = Check.FINITE
         values = [0.0 if part else 1.0]
-        fact = NotMeasured(check, "no") if part is None else measured(
-            check, values, low=0.0, high=0.0, tolerance=0.0, of="none"
+        fact = Missing("no") if part is None else measured(
+            values, low=0.0, high=0.0, tolerance=0.0, of="none"
         )  # fmt: skip
-        return PhysicsFacts("scene", 1, ((0, 0),), (fact,), "")
+        return PhysicsFacts("scene", 1, ((0, 0),), {check: fact})
 
     found = fidelity("group", [facts(part) for part in parts])
     told = [part for part in parts if part is not None]
