@@ -26,8 +26,11 @@ HEAVY = (
 @pytest.mark.parametrize(
     "module",
     [
-        "recorder.cli",
-        *(f"evaluator.cli.{name}" for name in ("audit", "check", "compare", "diff", "eval", "info", "share", "view")),
+        "gpusimbench.recorder.cli",
+        *(
+            f"gpusimbench.evaluator.cli.{name}"
+            for name in ("audit", "check", "compare", "diff", "eval", "info", "share", "view")
+        ),
     ],
 )
 @pytest.mark.parametrize("argument", ["--help", "--version"])
@@ -44,12 +47,20 @@ def test_help_imports_nothing_heavy(module: str, argument: str) -> None:
     assert done.stderr.strip() == "[]"
 
 
-@pytest.mark.parametrize("module", ["evaluator.evaluate", "evaluator.report.html", "evaluator.report.tables"])
+@pytest.mark.parametrize(
+    "module",
+    [
+        "gpusimbench.evaluator.results.evaluate",
+        "gpusimbench.evaluator.report.html",
+        "gpusimbench.evaluator.report.tables",
+    ],
+)
 def test_evaluation_needs_no_simulator(module: str) -> None:
     """Evaluate without importing any simulator, JAX, torch, or the recorder."""
     code = (
         f"import sys, {module}\n"
-        "print([m for m in ('mujoco', 'jax', 'torch', 'warp', 'pynvml', 'psutil', 'recorder') if m in sys.modules])"
+        "others = ('mujoco', 'jax', 'torch', 'warp', 'pynvml', 'psutil', 'gpusimbench.recorder')\n"
+        "print([m for m in others if m in sys.modules])"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
     assert done.returncode == 0, done.stderr

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import Enum
 
-from evaluator.metrics.divergence import GrowthFit
-from evaluator.missing import Missing
-from schemas.location import Place
+from gpusimbench.evaluator.metrics.divergence import GrowthFit
+from gpusimbench.evaluator.missing import Missing
+from gpusimbench.schemas.location import Place
 
 SCHEMA_VERSION = 1
 

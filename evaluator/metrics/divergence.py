@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from evaluator.missing import Missing
+from gpusimbench.evaluator.missing import Missing
 
 _WORDS = {2: np.uint16, 4: np.uint32, 8: np.uint64}
 

@@ -15,10 +15,10 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from evaluator.cli.diff import main
-from evaluator.diff.result import Change
-from evaluator.diff.text_numbers import print_numbers
-from evaluator.diff.words import amount, changes, length, ranges, sparkline
+from gpusimbench.evaluator.cli.diff import main
+from gpusimbench.evaluator.diff.result import Change
+from gpusimbench.evaluator.diff.text_numbers import print_numbers
+from gpusimbench.evaluator.diff.words import amount, changes, length, ranges, sparkline
 from tests import test_start_up as start_up
 from tests.synthetic import cubes_field, grid, write_recording
 
@@ -214,7 +214,7 @@ def test_names_of_strangers(tmp_path: Path, capsys: pytest.CaptureFixture[str]) 
 @pytest.mark.parametrize("argument", ["--help", "--version"])
 def test_starts_fast(argument: str) -> None:
     """Print help and version without a numerical library or a file format."""
-    start_up.test_help_imports_nothing_heavy("evaluator.cli.diff", argument)
+    start_up.test_help_imports_nothing_heavy("gpusimbench.evaluator.cli.diff", argument)
 
 
 def test_help_lists_exit_codes(capsys: pytest.CaptureFixture[str]) -> None:

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from evaluator.metrics.divergence import (
+from gpusimbench.evaluator.metrics.divergence import (
     GrowthFit,
     by_first_appearance,
     differs,
@@ -21,7 +21,7 @@ from evaluator.metrics.divergence import (
     resolution,
     ulp_distance,
 )
-from evaluator.missing import Missing
+from gpusimbench.evaluator.missing import Missing
 
 WORDS = {"<f2": 16, "<f4": 32, "<f8": 64}
 PATTERNS = st.sampled_from(list(WORDS)).flatmap(

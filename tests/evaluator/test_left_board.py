@@ -16,17 +16,17 @@ from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial.distance import cdist
 
-from evaluator.evaluate import evaluate, evaluate_files
-from evaluator.metrics.board import Board, clamped
-from evaluator.reading import Read, Reader
-from evaluator.recording import Recording
-from evaluator.report.html import render_html
-from evaluator.report.json import to_json
-from evaluator.report.numbers import figure
-from evaluator.report.paper.tables import tables
-from evaluator.report.parquet import frames
-from evaluator.report.tables import print_tables
-from evaluator.results import Evaluation
+from gpusimbench.evaluator.metrics.board import Board, clamped
+from gpusimbench.evaluator.read.recording import Recording
+from gpusimbench.evaluator.render.numbers import figure
+from gpusimbench.evaluator.report.html import render_html
+from gpusimbench.evaluator.report.json import to_json
+from gpusimbench.evaluator.report.paper.tables import tables
+from gpusimbench.evaluator.report.parquet import frames
+from gpusimbench.evaluator.report.tables import print_tables
+from gpusimbench.evaluator.results.evaluate import evaluate, evaluate_files
+from gpusimbench.evaluator.results.result import Evaluation
+from gpusimbench.evaluator.runs.reading import Read, Reader
 from tests.synthetic import grid, write_recording
 
 H200 = Path(__file__).resolve().parents[2] / "recordings" / "h200"
@@ -140,7 +140,7 @@ def test_floor_and_p_stand_beside_runs(tmp_path: Path) -> None:
     files = [write_recording(tmp_path, grid(4) + rng.normal(0, 0.01, (4, 27, 3)), run=r) for r in range(3)]
     found = evaluate_files(files)
     floor = to_json(found)["groups"][0]["metrics"]["w1_run_to_run"]["extra"]["floor"]
-    shown = f"{floor['floor_mean_cm']:.3f}; {floor['p_value']:.2g} of {floor['observed_cm']:.3f}"
+    shown = f"{floor['observed_cm']:.3f}; {floor['floor_mean_cm']:.3f}; {floor['p_value']:.2g}"
     stream = io.StringIO()
     print_tables(found, stream)
     assert shown in stream.getvalue()

@@ -13,10 +13,10 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from psutil import Process
 
-from evaluator import open_recording
-from evaluator.sharing.recover import recover
-from schemas.errors import DamagedRecording, RecordingError, UsageError
-from schemas.mcap_writer import MAGIC
+from gpusimbench import open_recording
+from gpusimbench.evaluator.share.recover import recover
+from gpusimbench.schemas.errors import DamagedRecording, RecordingError, UsageError
+from gpusimbench.schemas.mcap_writer import MAGIC
 from tests.conftest import wait_for
 from tests.evaluator.test_share_pack import contents, share
 from tests.synthetic import grid, write_recording
@@ -99,7 +99,10 @@ def test_a_finished_file_without_an_end_is_incomplete(whole: Path, tmp_path: Pat
     with pytest.raises(UsageError, match="whole file"):
         recover(done.path, tmp_path / "again.mcap")
     evaluated = subprocess.run(
-        [sys.executable, "-m", "evaluator.cli.eval", str(done.path)], capture_output=True, text=True, timeout=120
+        [sys.executable, "-m", "gpusimbench.evaluator.cli.eval", str(done.path)],
+        capture_output=True,
+        text=True,
+        timeout=120,
     )
     assert evaluated.returncode == 3
     packed = share("pack", done.path, "--out", tmp_path / "packed")
@@ -155,7 +158,8 @@ def test_no_name_is_taken(whole: Path, tmp_path: Path) -> None:
 def test_a_killed_run(tmp_path: Path) -> None:
     """Recover what SIGKILL leaves of a real run, with every block that it had written."""
     process = subprocess.Popen(
-        [sys.executable, "-m", "recorder.cli", "--sim", "mujoco", "--n-env", "8", "--steps", "100000", "--runs", "1",
+        [sys.executable, "-m", "gpusimbench.recorder.cli",
+         "--sim", "mujoco", "--n-env", "8", "--steps", "100000", "--runs", "1",
          "--phases", "capture", "--out", str(tmp_path)],
         stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
     )  # fmt: skip

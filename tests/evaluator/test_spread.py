@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from evaluator import spread as module
-from evaluator.missing import Missing
-from evaluator.recording import Recording
-from evaluator.spread import Spread, spread
-from schemas.errors import DamagedRecording
+from gpusimbench.evaluator.missing import Missing
+from gpusimbench.evaluator.read.recording import Recording
+from gpusimbench.evaluator.runs import spread as module
+from gpusimbench.evaluator.runs.spread import Spread, spread
+from gpusimbench.schemas.errors import DamagedRecording
 from tests.synthetic import cubes_field, write_recording
 
 DT = 0.01
