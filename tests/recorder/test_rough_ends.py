@@ -24,8 +24,8 @@ from mcap.stream_reader import StreamReader
 from gpusimbench import open_recording
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.runs.validation import verify
-from gpusimbench.schemas.container import Container
 from gpusimbench.schemas.errors import RecordingError
+from gpusimbench.schemas.mcap.reader import Container
 from tests.conftest import SMALL, Command, call, command
 
 pytestmark = pytest.mark.alone
