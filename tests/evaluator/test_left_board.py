@@ -140,7 +140,7 @@ def test_floor_and_p_stand_beside_runs(tmp_path: Path) -> None:
     files = [write_recording(tmp_path, grid(4) + rng.normal(0, 0.01, (4, 27, 3)), run=r) for r in range(3)]
     found = evaluate_files(files)
     floor = to_json(found)["groups"][0]["metrics"]["w1_run_to_run"]["extra"]["floor"]
-    shown = f"{floor['floor_mean_cm']:.3f}; {floor['p_value']:.2g} of {floor['observed_cm']:.3f}"
+    shown = f"{floor['observed_cm']:.3f}; {floor['floor_mean_cm']:.3f}; {floor['p_value']:.2g}"
     stream = io.StringIO()
     print_tables(found, stream)
     assert shown in stream.getvalue()
