@@ -12,9 +12,12 @@ import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import HealthCheck, settings
+
+from tests.in_process import in_process
 
 # The machine that runs the tests may be slow or busy; a test says what is right, not how fast.
 settings.register_profile("any-machine", deadline=None, suppress_health_check=[HealthCheck.too_slow])
@@ -40,11 +43,18 @@ def command(name: str) -> list[str]:
     return [str(Path(sys.executable).parent / name)]
 
 
-def call(name: str, *arguments: object, **keywords: object) -> subprocess.CompletedProcess[str]:
-    """Run a command to its end; nothing is raised for its exit code."""
-    return subprocess.run(  # type: ignore[call-overload,no-any-return]
+def call(name: str, *arguments: object, **keywords: Any) -> subprocess.CompletedProcess[str]:
+    """Run a command to its end; nothing is raised for its exit code.
+
+    It runs in this process where nothing but its working directory and its environment is asked for (see in_process),
+    and in a process of its own with any other keyword of subprocess.run.
+    """
+    if not keywords.keys() - {"cwd", "env"}:
+        return in_process(name, *arguments, **keywords)
+    done: subprocess.CompletedProcess[str] = subprocess.run(
         [*command(name), *map(str, arguments)], **{"capture_output": True, "text": True, "timeout": 600, **keywords}
     )
+    return done
 
 
 def wait_for(condition: Callable[[], bool]) -> None:

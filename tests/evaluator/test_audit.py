@@ -118,8 +118,7 @@ def _audit(
     *arguments: object, environment: dict[str, str] | None = None, planted: str = "nothing", cwd: Path | None = None
 ) -> subprocess.CompletedProcess[str]:
     env = {**(environment or dict(os.environ)), "MUJOCO_PLANTED": planted}
-    command = [sys.executable, "-P", "-m", "evaluator.cli.audit", *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True, timeout=300, env=env, cwd=cwd)
+    return call("gsb-audit", *arguments, env=env, cwd=cwd)
 
 
 def _one(done: subprocess.CompletedProcess[str]) -> dict[str, Any]:
