@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import atexit
+import fcntl
+import hashlib
+import json
 import os
 import shutil
 import signal
@@ -28,9 +31,17 @@ settings.load_profile("any-machine")
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
-# What commands keep between evaluations belongs to these tests; and theirs finds nothing that another run left.
-os.environ["GSB_CACHE"] = tempfile.mkdtemp(prefix="gsb-cache-")
-atexit.register(shutil.rmtree, os.environ["GSB_CACHE"], ignore_errors=True)
+# What all processes of these tests share, workers of pytest-xdist too, and nothing that another run of them left.
+if "GSB_TESTS_SHARE" not in os.environ:
+    os.environ["GSB_TESTS_SHARE"] = tempfile.mkdtemp(prefix="gsb-tests-")
+    atexit.register(shutil.rmtree, os.environ["GSB_TESTS_SHARE"], ignore_errors=True)
+SHARE = Path(os.environ["GSB_TESTS_SHARE"])
+os.environ["GSB_CACHE"] = str(SHARE / "results")
+os.environ.update(  # what XLA compiles
+    JAX_COMPILATION_CACHE_DIR=str(SHARE / "jax"),
+    JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS="0.1",
+    JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES="-1",
+)
 
 Command = Callable[..., subprocess.CompletedProcess[str]]
 
@@ -78,19 +89,55 @@ def gsb_eval() -> Command:
     return lambda *arguments, **keywords: call("gsb-eval", *arguments, **keywords)
 
 
+def made_once(name: str, make: Callable[[Path], object]) -> Path:
+    """A folder that the first process which asks for it fills, for all processes of these tests.
+
+    make  fills the folder, which exists; where it fails, the next that asks for the folder tries anew
+    """
+    folder, whole = SHARE / name, SHARE / f"{name}.whole"
+    with (SHARE / f"{name}.lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if not whole.exists():
+            shutil.rmtree(folder, ignore_errors=True)
+            folder.mkdir()
+            make(folder)
+            whole.touch()
+    return folder
+
+
+def recorded(*arguments: object) -> list[Path]:
+    """The recordings that gsb-record makes of these arguments, in their names' order; must not be written to.
+
+    They are made once, for all that ask for the same.
+    """
+
+    def record(folder: Path) -> None:
+        done = call("gsb-record", *arguments, "--out", folder)
+        assert done.returncode == 0, done.stderr
+
+    name = hashlib.sha256(json.dumps([str(argument) for argument in arguments]).encode()).hexdigest()
+    return sorted(made_once(name[:16], record).glob("*.mcap"))
+
+
 @pytest.fixture(scope="session")
-def small_set(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+def small_set() -> list[Path]:
     """Three runs of four environments of inclined-collision, 1 s each; must not be written to."""
-    folder = tmp_path_factory.mktemp("small-set")
-    done = call("gsb-record", "--sim", "mujoco", "--n-env", "4", "--runs", "3", *SMALL, "--out", folder)
-    assert done.returncode == 0, done.stderr
-    return sorted(folder.glob("*.mcap"))
+    return recorded("--sim", "mujoco", "--n-env", "4", "--runs", "3", *SMALL)
 
 
 @pytest.fixture(scope="session")
 def small(small_set: list[Path]) -> Path:
     """The first of the small set."""
     return small_set[0]
+
+
+@pytest.fixture(scope="session")
+def arms() -> Path:
+    """Two arms of the scene franka, 50 captured steps of MuJoCo C; must not be written to."""
+    (path,) = recorded(
+        "--sim", "mujoco", "--scene", "franka", "--n-env", 2, "--steps", 50, "--phases", "capture", "--runs", 1
+    )
+    return path
 
 
 _ENGINES = ("test_warp", "test_mjx", "test_brax", "test_newton")

@@ -127,6 +127,7 @@ def test_readme_python() -> None:
         assert "(501, 16, 27, 3)" in done.stdout
 
 
+@pytest.mark.slow
 def test_the_adapter_of_the_guide(tmp_path: Path) -> None:
     """Write the guide's adapter and its entry point as shown, and run the guide's commands with it."""
     guide = ROOT / "docs" / "your-simulator.md"

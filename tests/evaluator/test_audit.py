@@ -290,16 +290,6 @@ def test_arguments_that_cannot_be(small: Path, given: tuple[str, str], said: str
     assert said in done.stderr
 
 
-def test_help_loads_nothing_heavy() -> None:
-    """Print the help without numpy, a file format or the recorder."""
-    code = (
-        "import sys\nfrom evaluator.cli.audit import main\ntry:\n    main(['--help'])\nexcept SystemExit:\n    pass\n"
-        "print([m for m in ('numpy', 'scipy', 'google.protobuf', 'mcap', 'rich', 'recorder') if m in sys.modules])"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
-    assert done.stdout.splitlines()[-1] == "[]"
-
-
 def _law(p: float, least: float) -> LawTest:
     return LawTest(5.0, Unit.RUNS, 3, 3, 4, 4, 1.0, 2.0, p, least, 199, False, 0)
 
@@ -492,6 +482,7 @@ def test_an_interruption_ends_the_replay(number: signal.Signals, plugin: dict[st
     assert ended.reason.startswith("interrupted in phase ")
 
 
+@pytest.mark.slow
 def test_the_commands_of_the_page(tmp_path: Path) -> None:
     """Run what docs/audit.md shows on the sample recordings: those of another machine come out bit for bit."""
     lines = commands(ROOT / "docs" / "audit.md")

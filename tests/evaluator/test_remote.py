@@ -490,6 +490,7 @@ def test_checked_as_a_whole(memory: Any, large: list[Path]) -> None:
     remote_one.recording.verify()
 
 
+@pytest.mark.slow
 def test_commands_of_the_guide(tmp_path: Path) -> None:
     """Run every command that docs/remote.md shows in a console block, in a folder that has the sample recordings."""
     (tmp_path / "recordings").symlink_to(ROOT / "recordings")

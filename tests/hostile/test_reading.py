@@ -65,6 +65,7 @@ def test_the_judge_can_fail(corpus: list[Path], tmp_path: Path) -> None:
         judge.read(Mutant(corpus[0].read_bytes()[:-1], 0, Promise.SAME), 0)
 
 
+@pytest.mark.slow
 def test_the_commands_of_the_page() -> None:
     """Run what docs/strangers.md shows."""
     lines = commands(ROOT / "docs" / "strangers.md")

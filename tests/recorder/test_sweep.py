@@ -63,8 +63,11 @@ class Limited(Simulator):
         return Description("1.0", "cpu", {}, {}, (), (field,), timing_covers="nothing")
 
     def step(self, n_step):
+        command = os.getppid()
         while "GSB_TEST_SLOW" in os.environ and self.n_env >= self.options.limit:
             time.sleep(0.01)
+            if os.getppid() != command:
+                os._exit(9)  # no test waits for it
 
     def state(self):
         return (np.zeros((self.n_env, 1, 3), dtype=np.float32),)
