@@ -13,13 +13,14 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 from hypothesis import HealthCheck, settings
 
+from tests.browser import Browser
 from tests.in_process import in_process
 
 # The machine that runs the tests may be slow or busy; a test says what is right, not how fast.
@@ -138,6 +139,13 @@ def arms() -> Path:
         "--sim", "mujoco", "--scene", "franka", "--n-env", 2, "--steps", 50, "--phases", "capture", "--runs", 1
     )
     return path
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    """One browser for all tests of a file that need one."""
+    with Browser() as opened:
+        yield opened
 
 
 _ENGINES = ("test_warp", "test_mjx", "test_brax", "test_newton")
