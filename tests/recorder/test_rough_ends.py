@@ -92,9 +92,10 @@ def _cut(process: subprocess.Popen[str], out: Path, how: signal.Signals) -> Coun
             before[file] = file.read_bytes()
     seen: Counter[str] = Counter()
     if how == signal.SIGKILL:
-        for pid in descendants(process.pid):
-            with suppress(ProcessLookupError):
-                os.kill(pid, how)
+        for each in (signal.SIGSTOP, signal.SIGKILL):  # at once for all: a run sees the end of its command
+            for pid in descendants(process.pid):
+                with suppress(ProcessLookupError):
+                    os.kill(pid, each)
     else:
         process.send_signal(how)
     _, err = process.communicate(timeout=120)
