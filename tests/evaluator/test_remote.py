@@ -572,6 +572,7 @@ def test_indexes_that_are_never_read(memory: Any, tmp_path: Path) -> None:
             opened.verify()
 
 
+@pytest.mark.slow
 def test_memory_of_a_summary(memory: Any) -> None:
     """Take a summary of 60,000 declarations in little memory, and refuse lists that no file has room for."""
     head = MAGIC + _record(1, struct.pack("<I", 6) + b"gsb.v1" + bytes(4))
