@@ -136,7 +136,7 @@ def test_a_full_disk(gsb_record: Command, tmp_path: Path, limit: int) -> None:
         assert _status(file) in ("incomplete", "unreadable")
 
 
-@pytest.mark.alone
+@pytest.mark.slow
 def test_killed_at_any_moment(tmp_path: Path) -> None:
     """Leave, after SIGKILL at 24 moments over a whole run, either a complete file or one that says it is not."""
     arguments = [*command("gsb-record"), "--sim", "mujoco", "--n-env", "4", "--runs", "1", *SMALL]

@@ -28,8 +28,6 @@ from schemas.errors import RecordingError
 from tests.conftest import SMALL, Command, call, command
 from tests.moments import descendants, has_worked, has_written, wait_until, whole
 
-pytestmark = pytest.mark.alone
-
 _KILLS = 50
 _AT_ONCE = 4
 
