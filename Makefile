@@ -67,14 +67,14 @@ test-engines: environments
 	  python="$(GSB_ENVIRONMENTS)/$$engine/bin/python"; tools="$(abspath $(VENV))/lent/$$engine"; \
 	  test "$$tools/.whole" -nt "$$python" || { rm -rf "$$tools" && "$$python" -m pip install --quiet \
 	    --disable-pip-version-check --target "$$tools" -c constraints.txt pytest hypothesis && touch "$$tools/.whole"; } || exit; \
-	  PYTHONPATH="$(CURDIR):$$tools" "$$python" -P -m pytest tests/recorder/test_$$engine.py || exit; \
+	  PYTHONPATH="$(CURDIR)/src:$(CURDIR):$$tools" "$$python" -P -m pytest tests/recorder/test_$$engine.py || exit; \
 	done
 
 proto: $(VENV)/.installed-test
 	$(BIN)/python schemas/build_descriptors.py
 
 locks: $(VENV)/.installed-test
-	$(BIN)/python -m recorder.environments.lock --index $(INDEX)
+	$(BIN)/python -m gpusimbench.recorder.environments.lock --index $(INDEX)
 
 figures: install
 	$(BIN)/python docs/make_figures.py

@@ -23,11 +23,11 @@ import zstandard
 from numpy.typing import NDArray
 
 from benchmarks.machine import machine, spread
-from evaluator import open_recording
-from schemas import topics
-from schemas.blocks import decode_state, raw_bytes
-from schemas.container import Container
-from schemas.packing import pack, unpack
+from gpusimbench import open_recording
+from gpusimbench.schemas import topics
+from gpusimbench.schemas.blocks import decode_state, raw_bytes
+from gpusimbench.schemas.container import Container
+from gpusimbench.schemas.packing import pack, unpack
 
 Arrays = list[NDArray[Any]]
 
@@ -43,7 +43,8 @@ def _arrays(path: Path) -> Arrays:
 def _record(folder: Path) -> Iterator[Path]:
     for options in (("--scene", "inclined-collision", "--n-env", "16"), ("--scene", "franka", "--n-env", "64")):
         subprocess.run(
-            [sys.executable, "-m", "recorder.cli", "--sim", "mujoco", "--runs", "1", "--phases", "capture", *options,
+            [sys.executable, "-m", "gpusimbench.recorder.cli",
+             "--sim", "mujoco", "--runs", "1", "--phases", "capture", *options,
              "--out", str(folder)], check=True, capture_output=True,
         )  # fmt: skip
     yield from sorted(folder.glob("*.mcap"))

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.work import Done, Work
-from evaluator.metrics.throughput import frames_per_second
+from gpusimbench.evaluator.metrics.throughput import frames_per_second
 
 
 def main() -> None:
@@ -24,7 +24,7 @@ def main() -> None:
     import jax
     from mujoco import mjx
 
-    from recorder.simulators.mjx import physics
+    from gpusimbench.recorder.simulators.mjx import physics
 
     work = Work(Path(sys.argv[1]), physics.MjxOptions)
     asked = work.asked

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.work import Done, Work
-from evaluator.metrics.throughput import frames_per_second
+from gpusimbench.evaluator.metrics.throughput import frames_per_second
 
 
 def main() -> None:
@@ -21,8 +21,8 @@ def main() -> None:
     import mujoco_warp as mjw
     import warp as wp
 
-    from recorder.simulators.mujoco.model import compile_scene
-    from recorder.simulators.warp.simulator import WarpOptions
+    from gpusimbench.recorder.simulators.mujoco.model import compile_scene
+    from gpusimbench.recorder.simulators.warp.simulator import WarpOptions
 
     work = Work(Path(sys.argv[1]), WarpOptions)
     asked = work.asked

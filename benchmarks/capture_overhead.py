@@ -20,8 +20,8 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.machine import machine, spread
-from evaluator import open_recording
-from recorder.capture.states import row_bytes
+from gpusimbench import open_recording
+from gpusimbench.recorder.capture.states import row_bytes
 
 MODES = {
     "lossless": ("--capture", "lossless"),
@@ -88,7 +88,8 @@ def main() -> None:
         for _ in range(a.rounds):
             for mode, costs in found.items():
                 done = subprocess.run(
-                    [sys.executable, "-m", "recorder.cli", "--sim", a.sim, "--scene", a.scene, "--n-env", str(a.n_env),
+                    [sys.executable, "-m", "gpusimbench.recorder.cli",
+                     "--sim", a.sim, "--scene", a.scene, "--n-env", str(a.n_env),
                      "--runs", "1", "--warmup", "0", "--timed-steps", str(a.steps), "--steps", str(a.steps),
                      *MODES[mode], *options, "--out", str(a.out or name)],
                     stdout=subprocess.PIPE, text=True,

@@ -15,11 +15,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import stdtrit
 
-from evaluator.metrics.regime import Regime, published_regime
-from evaluator.statistics.energy import energy_distance
-from evaluator.statistics.jackknife import jackknife_pair_mean
-from evaluator.statistics.permutation import permutation_floor
-from evaluator.statistics.regimes import Resampling, regime_probabilities, upper_bound_of_none
+from gpusimbench.evaluator.metrics.regime import Regime, published_regime
+from gpusimbench.evaluator.statistics.energy import energy_distance
+from gpusimbench.evaluator.statistics.jackknife import jackknife_pair_mean
+from gpusimbench.evaluator.statistics.permutation import permutation_floor
+from gpusimbench.evaluator.statistics.regimes import Resampling, regime_probabilities, upper_bound_of_none
 
 RUNS = (3, 5, 10, 20)
 LEVEL = 0.05

@@ -22,9 +22,9 @@ from pathlib import Path
 
 from benchmarks.machine import machine, spread
 from benchmarks.work import Done
-from evaluator import open_recording
-from evaluator.metrics.throughput import frames_per_second
-from evaluator.recording import Recording
+from gpusimbench import open_recording
+from gpusimbench.evaluator.metrics.throughput import frames_per_second
+from gpusimbench.evaluator.read.recording import Recording
 
 WARMUP = 100
 
@@ -32,7 +32,8 @@ WARMUP = 100
 def recorded(sim: str, scene: str, folder: Path, n_env: int, steps: int) -> Recording:
     """A recording of the timed phase alone."""
     done = subprocess.run(
-        [sys.executable, "-m", "recorder.cli", "--sim", sim, "--scene", scene, "--n-env", str(n_env), "--runs", "1",
+        [sys.executable, "-m", "gpusimbench.recorder.cli",
+         "--sim", sim, "--scene", scene, "--n-env", str(n_env), "--runs", "1",
          "--warmup", str(WARMUP), "--timed-steps", str(steps), "--phases", "timed", "--out", str(folder)],
         check=True, capture_output=True, text=True,
     )  # fmt: skip

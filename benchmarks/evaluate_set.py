@@ -29,7 +29,8 @@ def main() -> None:
     a = p.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         subprocess.run(
-            [sys.executable, "-m", "recorder.cli", "--sim", "mujoco", "--timed-steps", "100", "--out", folder],
+            [sys.executable, "-m", "gpusimbench.recorder.cli",
+             "--sim", "mujoco", "--timed-steps", "100", "--out", folder],
             check=True, capture_output=True,
         )  # fmt: skip
         files = sorted(str(f) for f in Path(folder).glob("*.mcap"))
@@ -37,7 +38,7 @@ def main() -> None:
         table, page, known, floor = [], [], [], []
         time.sleep(3)  # what was written a moment ago is not kept
         for _ in range(a.repeats):
-            command = [sys.executable, "-m", "evaluator.cli.eval", *files]
+            command = [sys.executable, "-m", "gpusimbench.evaluator.cli.eval", *files]
             table.append(_timed([*command, "--no-cache"]))
             page.append(_timed([*command, "--no-cache", "--html", f"{folder}/report"]))
             kept = [*command, "--cache", f"{folder}/cache"]

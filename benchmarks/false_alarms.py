@@ -2,7 +2,7 @@
 
 Runs of one configuration, made one after another, are dealt to sets of twelve, and each set to base and head in the
 order A B B A. Nothing differs between the two, so every alarm is a false one. Sets do not overlap. What compares them
-is `evaluator.versus.compare`, which gsb-compare calls with what it read from files.
+is `evaluator.compare.compare`, which gsb-compare calls with what it read from files.
 
     python -m benchmarks.false_alarms                                   the tables, from the runs in false_alarms.csv
     python -m benchmarks.false_alarms --record 1200 --out runs/         records them (under an hour)
@@ -23,19 +23,19 @@ from pathlib import Path
 import numpy as np
 from scipy import stats
 
-from evaluator.histories import Histories
-from evaluator.metrics.memory import Checkpoints
-from evaluator.physics.facts import PhysicsFacts
-from evaluator.reading import Read, Reader
-from evaluator.run_data import RunData
-from evaluator.summary import Summary
-from evaluator.versus.compare import compare
-from evaluator.versus.finding import Settings
-from evaluator.versus.sides import Side
-from evaluator.work import HERE
-from schemas.configuration import RunConfiguration
-from schemas.errors import ExitCode
-from schemas.provenance import Provenance, Simulation
+from gpusimbench.evaluator.compare.compare import compare
+from gpusimbench.evaluator.compare.finding import Settings
+from gpusimbench.evaluator.compare.sides import Side
+from gpusimbench.evaluator.compute.work import HERE
+from gpusimbench.evaluator.metrics.memory import Checkpoints
+from gpusimbench.evaluator.runs.physics.facts import PhysicsFacts
+from gpusimbench.evaluator.runs.reading import Read, Reader
+from gpusimbench.evaluator.runs.run_data import RunData
+from gpusimbench.evaluator.runs.state_hashes import Histories
+from gpusimbench.evaluator.runs.summary import Summary
+from gpusimbench.schemas.configuration import RunConfiguration
+from gpusimbench.schemas.errors import ExitCode
+from gpusimbench.schemas.provenance import Provenance, Simulation
 
 CSV = Path(__file__).resolve().parent / "false_alarms.csv"
 CONFIGURATION = ("--sim", "mujoco", "--scene", "free-fall", "--n-env", "4", "--phases", "timed", "--warmup", "50")
@@ -69,7 +69,7 @@ PASSED, FAILED, UNDECIDED = ExitCode.OK, ExitCode.GATE_FAILED, ExitCode.NOTHING_
 
 def record(count: int, folder: Path) -> None:
     """Make runs of one configuration, one after another."""
-    command = [sys.executable, "-m", "recorder.cli", *CONFIGURATION, "--timed-steps", str(TIMED_STEPS)]
+    command = [sys.executable, "-m", "gpusimbench.recorder.cli", *CONFIGURATION, "--timed-steps", str(TIMED_STEPS)]
     subprocess.run([*command, "--runs", str(count), "--out", str(folder)], check=True)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import statistics
 from collections.abc import Sequence
 
-from recorder.probes.host import describe_host
+from gpusimbench.recorder.probes.host import describe_host
 
 
 def machine() -> str:

@@ -18,13 +18,13 @@ from typing import Any
 import numpy as np
 
 from benchmarks.machine import machine, spread
-from evaluator.metrics.throughput import frames_per_second
-from recorder.probes.gpu import Gpus
-from recorder.probes.memory import MemorySampler
-from recorder.scenes.registry import make_scene
-from recorder.simulators.jax.block import OVERFLOW
-from recorder.simulators.mjx.physics import MjxOptions
-from recorder.simulators.mjx.simulator import Mjx
+from gpusimbench.evaluator.metrics.throughput import frames_per_second
+from gpusimbench.recorder.probes.gpu import Gpus
+from gpusimbench.recorder.probes.memory import MemorySampler
+from gpusimbench.recorder.scenes.registry import make_scene
+from gpusimbench.recorder.simulators.jax.block import OVERFLOW
+from gpusimbench.recorder.simulators.mjx.physics import MjxOptions
+from gpusimbench.recorder.simulators.mjx.simulator import Mjx
 
 WARMUP = 100
 

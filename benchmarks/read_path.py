@@ -20,11 +20,12 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.machine import machine, spread
-from evaluator import open_recording
-from evaluator.recording import Recording
-from recorder.log import RecordingWriter
-from schemas.fields import BODY_FIELDS, StateField, body_field
-from schemas.fingerprint import fingerprint
+from gpusimbench import open_recording
+from gpusimbench.evaluator.read.recording import Recording
+from gpusimbench.evaluator.runs import validation
+from gpusimbench.recorder.log import RecordingWriter
+from gpusimbench.schemas.fields import BODY_FIELDS, StateField, body_field
+from gpusimbench.schemas.fingerprint import fingerprint
 
 ROWS, ENVS = 50, 64
 """Of a block; the initial state is one of its own."""
@@ -64,7 +65,7 @@ def view_states(path: Path) -> None:
 
 def verify(path: Path) -> None:
     """Everything that verifying does: CRCs, digests, state hashes."""
-    open_recording(path).verify()
+    validation.verify(open_recording(path))
 
 
 def copy(path: Path) -> None:

@@ -17,14 +17,15 @@ import numpy as np
 from mujoco import rollout
 
 from benchmarks.machine import machine, spread
-from evaluator import open_recording
-from evaluator.metrics.throughput import frames_per_second
+from gpusimbench import open_recording
+from gpusimbench.evaluator.metrics.throughput import frames_per_second
 
 
 def recorded(folder: Path, n_env: int, steps: int) -> tuple[float, Path]:
     """Env-steps/s of the recorder's timed phase, from the recording."""
     done = subprocess.run(
-        [sys.executable, "-m", "recorder.cli", "--sim", "mujoco", "--n-env", str(n_env), "--runs", "1", "--warmup", "0",
+        [sys.executable, "-m", "gpusimbench.recorder.cli",
+         "--sim", "mujoco", "--n-env", str(n_env), "--runs", "1", "--warmup", "0",
          "--timed-steps", str(steps), "--phases", "timed", "--out", str(folder)],
         check=True, capture_output=True, text=True,
     )  # fmt: skip

@@ -26,17 +26,18 @@ from benchmarks.machine import machine
 from benchmarks.scale_cost import Plan, Prices, Rates, extrapolate
 from benchmarks.scale_runs import SHIPPED, record
 from benchmarks.transport_large import thrown
-from evaluator.evaluate import evaluate
-from evaluator.group_metrics import floor
-from evaluator.identity_metrics import identical_steps
-from evaluator.mapping import serial
-from evaluator.metrics.variability import MAX_CERTIFIED_POINTS, parallel_variability, run_to_run_variability
-from evaluator.reading import Read, Reader
-from evaluator.recording import Recording
-from evaluator.report.parquet import parquet_tables
-from evaluator.run_data import RunData
-from evaluator.sharing.pack import pack
-from evaluator.transport.large import certified_wasserstein1
+from gpusimbench.evaluator.compute.mapping import serial
+from gpusimbench.evaluator.metrics.variability import MAX_CERTIFIED_POINTS, parallel_variability, run_to_run_variability
+from gpusimbench.evaluator.read.recording import Recording
+from gpusimbench.evaluator.report.parquet import parquet_tables
+from gpusimbench.evaluator.results.evaluate import evaluate
+from gpusimbench.evaluator.results.group_metrics import floor
+from gpusimbench.evaluator.results.identity_metrics import identical_steps
+from gpusimbench.evaluator.runs.reading import Read, Reader
+from gpusimbench.evaluator.runs.run_data import RunData
+from gpusimbench.evaluator.runs.validation import verify
+from gpusimbench.evaluator.share.pack import pack
+from gpusimbench.evaluator.transport.large import certified_wasserstein1
 
 _Result = TypeVar("_Result")
 
@@ -61,7 +62,7 @@ def _read(paths: Sequence[Path], sample_time: float) -> list[Read]:
 
 def _verify(paths: Sequence[Path]) -> None:
     for path in paths:
-        Recording(path).verify()
+        verify(Recording(path))
 
 
 def _kept(paths: Sequence[Path], sample_time: float) -> float:
@@ -100,7 +101,8 @@ def _command(paths: Sequence[Path], sample_time: float, folder: Path) -> float:
     # CPU seconds of the whole command on one group, start and tables included
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     subprocess.run(
-        [sys.executable, "-m", "evaluator.cli.eval", *map(str, paths), "--sample-time", str(sample_time), "--no-cache",
+        [sys.executable, "-m", "gpusimbench.evaluator.cli.eval",
+         *map(str, paths), "--sample-time", str(sample_time), "--no-cache",
          "--tables", str(folder / "tables")], check=True, capture_output=True,
     )  # fmt: skip
     after = resource.getrusage(resource.RUSAGE_CHILDREN)

@@ -12,10 +12,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from evaluator import open_recording
-from recorder.log import RecordingWriter
-from recorder.scenes.registry import make_scene
-from schemas.fields import StateField
+from gpusimbench import open_recording
+from gpusimbench.recorder.log import RecordingWriter
+from gpusimbench.recorder.scenes.registry import make_scene
+from gpusimbench.schemas.fields import StateField
 
 SHIPPED = Path(__file__).resolve().parent.parent / "recordings"
 _MODEL = SHIPPED / "mujoco-amd-r0.mcap"

@@ -12,7 +12,7 @@ import time
 
 from benchmarks.machine import machine, spread
 
-COMMANDS = {"gsb-record": "recorder.cli", "gsb-eval": "evaluator.cli.eval"}
+COMMANDS = {"gsb-record": "gpusimbench.recorder.cli", "gsb-eval": "gpusimbench.evaluator.cli.eval"}
 
 
 def _timed(*arguments: str) -> float:

@@ -23,8 +23,8 @@ from scipy.optimize import linear_sum_assignment
 from scipy.spatial.distance import cdist
 
 from benchmarks.machine import machine
-from evaluator.metrics.variability import parallel_variability, run_to_run_variability
-from evaluator.transport.small import KERNEL_PAIRS, pairwise_summary, pairwise_wasserstein1
+from gpusimbench.evaluator.metrics.variability import parallel_variability, run_to_run_variability
+from gpusimbench.evaluator.transport.small import KERNEL_PAIRS, pairwise_summary, pairwise_wasserstein1
 
 Points = NDArray[np.float64]
 Peer = Callable[[Points], float]

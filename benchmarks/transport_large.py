@@ -70,8 +70,8 @@ def _nearest(a: Floats, b: Floats) -> None:
 
 
 def _exact(a: Floats, b: Floats) -> float:
-    from evaluator.transport.assignment import mean_assignment_distance
-    from evaluator.transport.points import distance_matrix
+    from gpusimbench.evaluator.transport.assignment import mean_assignment_distance
+    from gpusimbench.evaluator.transport.points import distance_matrix
 
     return mean_assignment_distance(distance_matrix(a, b))
 
@@ -83,8 +83,8 @@ def main() -> None:
     a = p.parse_args()
     with tempfile.TemporaryDirectory() as cache:
         os.environ["NUMBA_CACHE_DIR"] = cache  # so that compiling is measured, not found done
-        from evaluator.transport.large import certified_wasserstein1
-        from evaluator.transport.pair import wasserstein1
+        from gpusimbench.evaluator.transport.large import certified_wasserstein1
+        from gpusimbench.evaluator.transport.pair import wasserstein1
 
         _, compiling = _timed(certified_wasserstein1, thrown(100, 1), thrown(100, 2))
         print(f"machine                    {machine()}")

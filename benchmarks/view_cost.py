@@ -20,7 +20,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from benchmarks.machine import machine, spread
-from evaluator import open_recording
+from gpusimbench import open_recording
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,8 @@ def record(arguments: list[str], folder: str) -> Cost:
     """Make a recording, and read what it cost."""
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     done = subprocess.run(
-        [sys.executable, "-m", "recorder.cli", "--runs", "1", "--phases", "capture", *arguments, "--out", folder],
+        [sys.executable, "-m", "gpusimbench.recorder.cli",
+         "--runs", "1", "--phases", "capture", *arguments, "--out", folder],
         capture_output=True, text=True,
     )  # fmt: skip
     after = resource.getrusage(resource.RUSAGE_CHILDREN)

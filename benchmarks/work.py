@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from evaluator import open_recording
-from recorder.options import parse_options
-from recorder.scenes.registry import make_scene
-from schemas.fingerprint import fingerprint
+from gpusimbench import open_recording
+from gpusimbench.recorder.options import parse_options
+from gpusimbench.recorder.scenes.registry import make_scene
+from gpusimbench.schemas.fingerprint import fingerprint
 
 
 @dataclass(frozen=True)

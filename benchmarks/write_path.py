@@ -17,10 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.machine import machine, spread
-from recorder.capture.sink import Sink
-from recorder.capture.states import StateWriter
-from schemas.fields import BODY_FIELDS, StateField, body_field
-from schemas.fingerprint import fingerprint
+from gpusimbench.recorder.capture.sink import Sink
+from gpusimbench.recorder.capture.states import StateWriter
+from gpusimbench.schemas.fields import BODY_FIELDS, StateField, body_field
+from gpusimbench.schemas.fingerprint import fingerprint
 
 _STEPS = 200
 _BLOCK = 50

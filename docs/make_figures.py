@@ -9,12 +9,12 @@ import io
 import re
 from pathlib import Path
 
-from evaluator.evaluate import evaluate_files
-from evaluator.report.figures import palette, style
-from evaluator.report.figures.svg import text
-from evaluator.report.html import render_html
-from evaluator.report.tables import print_tables
-from evaluator.results import Evaluation
+from gpusimbench.evaluator.render.figures import palette, style
+from gpusimbench.evaluator.render.figures.svg import text
+from gpusimbench.evaluator.report.html import render_html
+from gpusimbench.evaluator.report.tables import print_tables
+from gpusimbench.evaluator.results.evaluate import evaluate_files
+from gpusimbench.evaluator.results.result import Evaluation
 
 ROOT = Path(__file__).resolve().parent.parent
 BEGIN, END = "<!-- table: make figures -->", "<!-- end of table -->"

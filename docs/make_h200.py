@@ -8,14 +8,14 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
-from evaluator.evaluate import evaluate_files
-from evaluator.price_list import DEFAULT, price_list
-from evaluator.report import timed
-from evaluator.report.numbers import distance, figure
-from evaluator.report.price_table import of_family, ratio
-from evaluator.report.words import EXCHANGED, exchanged
-from evaluator.results import Evaluation, GroupResult
-from evaluator.sweeps import Sweep, SweepPoint
+from gpusimbench.evaluator.render.numbers import distance, figure
+from gpusimbench.evaluator.report import timed
+from gpusimbench.evaluator.report.price_table import of_family, ratio
+from gpusimbench.evaluator.report.words import EXCHANGED, exchanged
+from gpusimbench.evaluator.results.determinism_cost import DEFAULT, price_list
+from gpusimbench.evaluator.results.evaluate import evaluate_files
+from gpusimbench.evaluator.results.result import Evaluation, GroupResult
+from gpusimbench.evaluator.results.sweeps import Sweep, SweepPoint
 
 ROOT = Path(__file__).resolve().parent.parent
 FOLDER = ROOT / "recordings" / "h200"

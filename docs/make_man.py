@@ -11,7 +11,7 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 import make_reference  # noqa: E402 - a script beside this one
 
-import schemas  # noqa: E402
+from gpusimbench import schemas  # noqa: E402
 
 _TITLES = {"exit codes": "exit status", "environment variables": "environment"}
 _AFTER = ("files", "environment variables", "examples", "see also")

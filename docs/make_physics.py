@@ -9,13 +9,13 @@ import sys
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
-from evaluator.fidelity import Fidelity, FidelityRow, Verdict, fidelity
-from evaluator.groups import group, labels, options_given
-from evaluator.physics.facts import Check
-from evaluator.physics.measure import physics_of
-from evaluator.recording import Recording
-from evaluator.report.fidelity import allowed, number
-from evaluator.report.numbers import NONE
+from gpusimbench.evaluator.read.recording import Recording
+from gpusimbench.evaluator.render.numbers import NONE
+from gpusimbench.evaluator.report.fidelity import allowed, number
+from gpusimbench.evaluator.results.fidelity import Fidelity, FidelityRow, Verdict, fidelity
+from gpusimbench.evaluator.runs.groups import group, labels, options_given
+from gpusimbench.evaluator.runs.physics.facts import Check
+from gpusimbench.evaluator.runs.physics.measure import physics_of
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGE = ROOT / "docs" / "physics.md"

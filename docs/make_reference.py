@@ -19,12 +19,17 @@ from pathlib import Path
 from pkgutil import iter_modules
 from types import FunctionType, ModuleType
 
-from schemas import errors
-from schemas.errors import ExitCode, UsageError
+from gpusimbench.schemas import errors
+from gpusimbench.schemas.errors import ExitCode, UsageError
 
 ROOT = Path(__file__).resolve().parent.parent
 SAMPLE = ROOT / "recordings" / "mujoco-amd-r0.mcap"
-FORMULAS = ("evaluator.metrics", "evaluator.metrics.physics", "evaluator.statistics", "evaluator.transport")
+FORMULAS = (
+    "gpusimbench.evaluator.metrics",
+    "gpusimbench.evaluator.metrics.physics",
+    "gpusimbench.evaluator.statistics",
+    "gpusimbench.evaluator.transport",
+)
 """Packages of pure functions, whose docstrings have the formulas."""
 
 
@@ -72,7 +77,7 @@ def parsers() -> dict[str, argparse.ArgumentParser]:
 
 def modules() -> dict[str, ModuleType]:
     """The module with the parser and the work of every command; that of gsb-record's main imports next to nothing."""
-    elsewhere = {"recorder.cli": "recorder.command"}
+    elsewhere = {"gpusimbench.recorder.cli": "gpusimbench.recorder.command"}
     return {name: import_module(elsewhere.get(module, module)) for name, module in entry_points().items()}
 
 
@@ -129,7 +134,7 @@ def exit_codes() -> str:
 
 def metrics() -> str:
     """Every metric of an evaluation, with unit, direction and method, from the evaluation of a shipped recording."""
-    from evaluator.evaluate import evaluate_files
+    from gpusimbench.evaluator.results.evaluate import evaluate_files
 
     page = _read("docs/metrics.md").replace("](", "](../")
     defined = dict(re.findall(r"^\| `(\w+)` \|[^|]*\| (.*?) \|$", page, re.MULTILINE))
@@ -168,7 +173,7 @@ def messages() -> str:
 
 def rules() -> str:
     """Every rule of the sets that ship with gsb-check."""
-    from evaluator.rules.rule import SHIPPED, load_rules
+    from gpusimbench.evaluator.check.rules.rule import SHIPPED, load_rules
 
     text = [
         "# Rules of gsb-check",
@@ -183,7 +188,7 @@ def rules() -> str:
 
 def options() -> str:
     """Every simulator with its options, their defaults, and its levels of determinism."""
-    from recorder.simulators.registry import BUILT_IN
+    from gpusimbench.recorder.simulators.registry import BUILT_IN
 
     text = [
         "# Options of simulators",
@@ -209,7 +214,7 @@ def options() -> str:
 
 def scenes() -> str:
     """Every scene that ships, with its bodies and materials."""
-    from recorder.scenes.registry import SCENES
+    from gpusimbench.recorder.scenes.registry import SCENES
 
     text = ["# Scenes", "SI units, world frame, z up. Every recording has its scene whole, in `scene.json`."]
     for name, make in SCENES.items():

@@ -20,7 +20,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-from recorder.probes.host import memory_bytes
+from gpusimbench.recorder.probes.host import memory_bytes
 
 LEAST_MEMORY = 2 << 30
 """What a replay gets where less, or nothing, is recorded of its run's memory [bytes]: compiling an engine's kernels

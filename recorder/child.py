@@ -1,4 +1,4 @@
-"""The process of one run: ``python -m recorder.child FD``, started by ``recorder.launch``.
+"""The process of one run: ``python -m gpusimbench.recorder.child FD``, started by ``recorder.launch``.
 
 Standard input holds the task as JSON; the file descriptor FD takes progress and then how the run ended, one JSON object
 a line. The run works in a scratch folder, which holds what the engine prints as well. Whatever is there at the end
@@ -18,8 +18,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from schemas.configuration import RunConfiguration
-from schemas.errors import ExitCode, GsbError
+from gpusimbench.schemas.configuration import RunConfiguration
+from gpusimbench.schemas.errors import ExitCode, GsbError
 
 _LOG_BYTES = 1 << 20  # of each file; an engine that warns at every step would fill a disk
 
@@ -47,9 +47,9 @@ def main() -> int:
 
 
 def _record(task: dict[str, Any], report: Callable[[dict[str, Any]], None], scratch: Path) -> dict[str, Any]:
-    from recorder.interruption import MARK
-    from recorder.run import Run
-    from schemas.provenance import ReplayOf
+    from gpusimbench.recorder.interruption import MARK
+    from gpusimbench.recorder.run import Run
+    from gpusimbench.schemas.provenance import ReplayOf
 
     of = task["replay_of"]
     run = Run(

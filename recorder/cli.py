@@ -11,14 +11,14 @@ import sys
 def main(argv: list[str] | None = None) -> int:
     """Entry point of gsb-record."""
     try:
-        from recorder import interruption
+        from gpusimbench.recorder import interruption
 
         interruption.install()
         with interruption.shielded():
-            from recorder.command import run
-            from schemas.errors import GsbError
-            from schemas.printable import line
-            from schemas.printing import show
+            from gpusimbench.recorder.command import run
+            from gpusimbench.schemas.errors import GsbError
+            from gpusimbench.schemas.printable import line
+            from gpusimbench.schemas.printing import show
         try:
             return run(sys.argv[1:] if argv is None else argv)
         except GsbError as error:

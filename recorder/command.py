@@ -9,17 +9,17 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
-from recorder.interruption import shielded
-from recorder.output import flush, show, show_document
-from schemas.command_line import add_common
-from schemas.configuration import CAPTURE_MODES, OPTIONAL_PHASES, RunConfiguration
-from schemas.errors import ExitCode, UsageError
-from schemas.printable import block, line
-from schemas.provenance import REAL
+from gpusimbench.recorder.interruption import shielded
+from gpusimbench.recorder.output import flush, show, show_document
+from gpusimbench.schemas.command_line import add_common
+from gpusimbench.schemas.configuration import CAPTURE_MODES, OPTIONAL_PHASES, RunConfiguration
+from gpusimbench.schemas.errors import ExitCode, UsageError
+from gpusimbench.schemas.printable import block, line
+from gpusimbench.schemas.provenance import REAL
 
 if TYPE_CHECKING:
-    from recorder.environments.interpreter import Interpreter
-    from recorder.series import Maker
+    from gpusimbench.recorder.environments.interpreter import Interpreter
+    from gpusimbench.recorder.series import Maker
 
 _EPILOG = """\
 exit codes:
@@ -241,9 +241,9 @@ def parser() -> argparse.ArgumentParser:
 
 
 def _names() -> dict[str, tuple[str, ...]]:
-    from recorder.environments.specification import SPECIFICATIONS
-    from recorder.scenes.registry import scene_names
-    from recorder.simulators.registry import simulators
+    from gpusimbench.recorder.environments.specification import SPECIFICATIONS
+    from gpusimbench.recorder.scenes.registry import scene_names
+    from gpusimbench.recorder.simulators.registry import simulators
 
     return {"sim": (*simulators(), REAL), "scene": scene_names(), "setup": tuple(SPECIFICATIONS)}
 
@@ -251,8 +251,8 @@ def _names() -> dict[str, tuple[str, ...]]:
 def configure(arguments: argparse.Namespace) -> RunConfiguration:
     """The configuration that the arguments ask for; UsageError where it cannot be."""
     with shielded():  # an import that is interrupted shows as one that is broken
-        from recorder.plan import check_dt, view_of
-        from recorder.scenes.registry import make_scene
+        from gpusimbench.recorder.plan import check_dt, view_of
+        from gpusimbench.recorder.scenes.registry import make_scene
 
     scene = make_scene(arguments.scene)
     dt = scene.dt if arguments.dt is None else arguments.dt
@@ -283,9 +283,9 @@ def configure(arguments: argparse.Namespace) -> RunConfiguration:
 def check_configuration(configuration: RunConfiguration) -> None:
     """UsageError where no run can be made of it, whoever asks: a number, an option or a determinism level."""
     with shielded():
-        from recorder.options import parse_options
-        from recorder.plan import check
-        from recorder.simulators.registry import find_simulator
+        from gpusimbench.recorder.options import parse_options
+        from gpusimbench.recorder.plan import check
+        from gpusimbench.recorder.simulators.registry import find_simulator
 
     check(configuration)
     simulator = configuration.simulator
@@ -301,7 +301,7 @@ def check_configuration(configuration: RunConfiguration) -> None:
 
 def _options(arguments: argparse.Namespace) -> dict[str, str]:
     with shielded():
-        from recorder.options import split_options
+        from gpusimbench.recorder.options import split_options
     shorthands = [f"{name}={value}" for name in _SHORTHANDS for value in getattr(arguments, name)]
     return split_options([*arguments.option, *shorthands])
 
@@ -313,9 +313,9 @@ def _phases(text: str) -> tuple[str, ...]:
 def record(arguments: argparse.Namespace, argv: tuple[str, ...]) -> int:
     """Make all runs; returns the exit code."""
     with shielded():
-        from recorder.plan import check_runs
-        from recorder.series import Request, record_set, record_sweep
-        from recorder.sweep import Sweep, parse_points
+        from gpusimbench.recorder.plan import check_runs
+        from gpusimbench.recorder.series import Request, record_set, record_sweep
+        from gpusimbench.recorder.sweep import Sweep, parse_points
 
     check_runs(arguments.runs)
     points = () if arguments.sweep is None else parse_points(arguments.sweep)
@@ -338,8 +338,8 @@ def record(arguments: argparse.Namespace, argv: tuple[str, ...]) -> int:
 def _interpreter(arguments: argparse.Namespace, simulator: str) -> Interpreter | None:
     # that makes the runs here; None with --ray, where each node finds its own
     with shielded():
-        from recorder.environments.choice import interpreter_for
-        from recorder.simulators.registry import find_simulator
+        from gpusimbench.recorder.environments.choice import interpreter_for
+        from gpusimbench.recorder.simulators.registry import find_simulator
     entry = find_simulator(simulator)
     return interpreter_for(entry, arguments.python) if arguments.ray is None else None
 
@@ -348,25 +348,33 @@ def _maker(
     arguments: argparse.Namespace, configuration: RunConfiguration, interpreter: Interpreter | None
 ) -> AbstractContextManager[Maker]:
     with shielded():
-        from recorder.environments.choice import check_known
-        from recorder.series import Here
+        from gpusimbench.recorder.environments.choice import check_known
+        from gpusimbench.recorder.series import Here
     if interpreter is not None:
         check_known(interpreter, configuration.simulator, configuration.scene)
         return nullcontext(Here(interpreter))
     with shielded():
-        from recorder.cluster.team import team
+        from gpusimbench.recorder.cluster.team import team
     return team(arguments.ray, configuration, resource=arguments.ray_resource, python=arguments.python)
 
 
 def replay(arguments: argparse.Namespace, argv: tuple[str, ...]) -> int:
     """Make the run of a recording again; returns the exit code."""
     with shielded():
-        from recorder.environments.choice import check_known
-        from recorder.plan import check_runs, view_of
-        from recorder.progress import say
-        from recorder.replay import announcement, check_room, check_scene, origin, read_source, replayed, shown
-        from recorder.scenes.registry import make_scene
-        from recorder.series import Request, record_set
+        from gpusimbench.recorder.environments.choice import check_known
+        from gpusimbench.recorder.plan import check_runs, view_of
+        from gpusimbench.recorder.progress import say
+        from gpusimbench.recorder.replay import (
+            announcement,
+            check_room,
+            check_scene,
+            origin,
+            read_source,
+            replayed,
+            shown,
+        )
+        from gpusimbench.recorder.scenes.registry import make_scene
+        from gpusimbench.recorder.series import Request, record_set
 
     check_runs(arguments.runs)
     source = read_source(arguments.replay)
@@ -409,7 +417,7 @@ def _print_json(record: dict[str, Any]) -> None:
 
 def _list(as_json: bool) -> int:
     with shielded():
-        from recorder.listing import list_all, text_of
+        from gpusimbench.recorder.listing import list_all, text_of
     known = list_all()
     if as_json:
         _print_json(known)
@@ -420,8 +428,8 @@ def _list(as_json: bool) -> int:
 
 def _set_up(arguments: argparse.Namespace) -> int:
     with shielded():
-        from recorder.environments.setup import set_up
-        from recorder.listing import about_environment, environment_line
+        from gpusimbench.recorder.environments.setup import set_up
+        from gpusimbench.recorder.listing import about_environment, environment_line
     made = about_environment(set_up(arguments.setup, arguments.python))
     if arguments.json:
         _print_json({"environment": made})
@@ -450,8 +458,8 @@ def run(given: list[str]) -> int:
         raise UsageError("say which simulator with --sim NAME; gsb-record --list shows them")
     _fill(arguments)
     with shielded():
-        from recorder import clock
-        from recorder.progress import say
+        from gpusimbench.recorder import clock
+        from gpusimbench.recorder.progress import say
     if wrong := clock.problem():
         say(wrong)
     # Text that is no Unicode (a path in another encoding) cannot be stored as it is.
@@ -460,7 +468,7 @@ def run(given: list[str]) -> int:
         return replay(arguments, command)
     if arguments.sim == REAL:
         with shielded():
-            from recorder.real import record_trials
+            from gpusimbench.recorder.real import record_trials
 
         arguments.out = arguments.out or _OUT
         return record_trials(arguments, command)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from recorder.simulators.base import Description, Simulator
+from gpusimbench.recorder.simulators.base import Description, Simulator
 
 
 class Engine:

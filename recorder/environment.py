@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping
 
-from schemas.errors import UsageError
+from gpusimbench.schemas.errors import UsageError
 
 _FLAGS = "XLA_FLAGS"  # a list of flags, to which more can be added
 

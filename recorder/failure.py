@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from schemas.errors import GsbError, UsageError
+from gpusimbench.schemas.errors import GsbError, UsageError
 
 CAUSES = (
     "DEVICE_MEMORY", "HOST_MEMORY", "BUFFER", "NOT_FINITE", "TIMEOUT", "REFUSED", "INTERRUPTED", "ENGINE",

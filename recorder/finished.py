@@ -8,14 +8,14 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from recorder.environments.interpreter import Interpreter
-from recorder.sweep import Outcome, Place
-from schemas import PARTIAL, topics
-from schemas.configuration import RunConfiguration
-from schemas.container import Container
-from schemas.errors import DamagedRecording, RecordingError
-from schemas.messages import enum_values, message_class
-from schemas.provenance import ENGINE_LOG, PROVENANCE, Provenance
+from gpusimbench.recorder.environments.interpreter import Interpreter
+from gpusimbench.recorder.sweep import Outcome, Place
+from gpusimbench.schemas import PARTIAL, topics
+from gpusimbench.schemas.configuration import RunConfiguration
+from gpusimbench.schemas.container import Container
+from gpusimbench.schemas.errors import DamagedRecording, RecordingError
+from gpusimbench.schemas.messages import enum_values, message_class
+from gpusimbench.schemas.provenance import ENGINE_LOG, PROVENANCE, Provenance
 
 
 @dataclass(frozen=True)
@@ -96,8 +96,8 @@ def outcome_of(end: Any) -> Outcome:
 
 def where_am_i(interpreter: Interpreter) -> str:
     """The machine and the software that a run made now would have: CPU, GPUs and versions of packages that compute."""
-    from recorder.probes.gpu import Gpus
-    from recorder.probes.host import describe_host
+    from gpusimbench.recorder.probes.gpu import Gpus
+    from gpusimbench.recorder.probes.host import describe_host
 
     with Gpus() as gpus:
         return _where(describe_host(), gpus.describe(), interpreter.software())

@@ -10,15 +10,15 @@ from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
 
-from recorder.capture.sink import Sink
-from recorder.environments.interpreter import Interpreter
-from recorder.plan import release, reserve
-from recorder.probes.gpu import Gpus
-from recorder.probes.host import describe_host
-from schemas.configuration import RunConfiguration
-from schemas.container import Container
-from schemas.errors import RecordingError
-from schemas.provenance import PACKAGES, PROVENANCE, SCENE, SIMULATION, Provenance
+from gpusimbench.recorder.capture.sink import Sink
+from gpusimbench.recorder.environments.interpreter import Interpreter
+from gpusimbench.recorder.plan import release, reserve
+from gpusimbench.recorder.probes.gpu import Gpus
+from gpusimbench.recorder.probes.host import describe_host
+from gpusimbench.schemas.configuration import RunConfiguration
+from gpusimbench.schemas.container import Container
+from gpusimbench.schemas.errors import RecordingError
+from gpusimbench.schemas.provenance import PACKAGES, PROVENANCE, SCENE, SIMULATION, Provenance
 
 _JSON = "application/json"
 _SAID = {PROVENANCE: _JSON, PACKAGES: "text/plain", SCENE: _JSON, SIMULATION: _JSON}

@@ -17,14 +17,14 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-from recorder.cage import Cage, Guard
-from recorder.environments.interpreter import Interpreter
-from recorder.interruption import ENDING, MARK, SIGNALS, blocked
-from recorder.plan import partial_of, release
-from schemas.configuration import RunConfiguration
-from schemas.errors import ExitCode, GsbError
-from schemas.provenance import ReplayOf
-from schemas.writing import create
+from gpusimbench.recorder.cage import Cage, Guard
+from gpusimbench.recorder.environments.interpreter import Interpreter
+from gpusimbench.recorder.interruption import ENDING, MARK, SIGNALS, blocked
+from gpusimbench.recorder.plan import partial_of, release
+from gpusimbench.schemas.configuration import RunConfiguration
+from gpusimbench.schemas.errors import ExitCode, GsbError
+from gpusimbench.schemas.provenance import ReplayOf
+from gpusimbench.schemas.writing import create
 
 Progress = Callable[[str, int, int], None]
 
@@ -237,7 +237,7 @@ def _follow(
         try:
             with blocked():  # until the run can end its recording, an interruption waits
                 child = subprocess.Popen(
-                    interpreter.command("-m", "recorder.child", str(writer)),
+                    interpreter.command("-m", "gpusimbench.recorder.child", str(writer)),
                     stdin=given,
                     stdout=printed,
                     stderr=printed,

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from typing import Any
 
-from recorder.environments.store import Prepared, find
-from recorder.scenes.base import Scene
-from recorder.scenes.registry import make_scene, scene_names
-from recorder.simulators.registry import Entry, simulators
-from schemas.errors import UsageError
-from schemas.provenance import REAL
+from gpusimbench.recorder.environments.store import Prepared, find
+from gpusimbench.recorder.scenes.base import Scene
+from gpusimbench.recorder.scenes.registry import make_scene, scene_names
+from gpusimbench.recorder.simulators.registry import Entry, simulators
+from gpusimbench.schemas.errors import UsageError
+from gpusimbench.schemas.provenance import REAL
 
 Json = dict[str, Any]
 

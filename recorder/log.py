@@ -25,23 +25,33 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from recorder.capture.sink import Sink
-from recorder.capture.states import StateWriter
-from recorder.capture.view import ViewWriter
-from recorder.failure import cause_of
-from recorder.interruption import postponed
-from recorder.plan import check, utc_now
-from recorder.probes.gpu import Gpus
-from recorder.probes.host import describe_host, numeric_environment, peak_rss_bytes
-from recorder.probes.software import describe_software, package_list
-from recorder.scenes.base import Scene
-from schemas import topics
-from schemas.configuration import RunConfiguration
-from schemas.errors import DamagedRecording, DataLost, UsageError
-from schemas.fields import StateField
-from schemas.mcap_writer import COMPRESSIONS
-from schemas.messages import message_class
-from schemas.provenance import LOGGED, PACKAGES, PROVENANCE, REAL, SCENE, SIMULATION, Deviation, Provenance, Simulation
+from gpusimbench.recorder.capture.sink import Sink
+from gpusimbench.recorder.capture.states import StateWriter
+from gpusimbench.recorder.capture.view import ViewWriter
+from gpusimbench.recorder.failure import cause_of
+from gpusimbench.recorder.interruption import postponed
+from gpusimbench.recorder.plan import check, utc_now
+from gpusimbench.recorder.probes.gpu import Gpus
+from gpusimbench.recorder.probes.host import describe_host, numeric_environment, peak_rss_bytes
+from gpusimbench.recorder.probes.software import describe_software, package_list
+from gpusimbench.recorder.scenes.base import Scene
+from gpusimbench.schemas import topics
+from gpusimbench.schemas.configuration import RunConfiguration
+from gpusimbench.schemas.errors import DamagedRecording, DataLost, UsageError
+from gpusimbench.schemas.fields import StateField
+from gpusimbench.schemas.mcap_writer import COMPRESSIONS
+from gpusimbench.schemas.messages import message_class
+from gpusimbench.schemas.provenance import (
+    LOGGED,
+    PACKAGES,
+    PROVENANCE,
+    REAL,
+    SCENE,
+    SIMULATION,
+    Deviation,
+    Provenance,
+    Simulation,
+)
 
 
 class RecordingWriter:

@@ -7,9 +7,9 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
-from schemas import printing
-from schemas.errors import GsbError
-from schemas.printable import Block, Line, line
+from gpusimbench.schemas import printing
+from gpusimbench.schemas.errors import GsbError
+from gpusimbench.schemas.printable import Block, Line, line
 
 
 def show(text: Line | Block) -> None:

@@ -10,10 +10,10 @@ from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 
-from schemas import PARTIAL
-from schemas.configuration import CAPTURE_MODES, MAX_ENVS, MAX_VIEW, OPTIONAL_PHASES, RunConfiguration
-from schemas.errors import DataLost, GsbError, UsageError
-from schemas.writing import Taken, create, give_name
+from gpusimbench.schemas import PARTIAL
+from gpusimbench.schemas.configuration import CAPTURE_MODES, MAX_ENVS, MAX_VIEW, OPTIONAL_PHASES, RunConfiguration
+from gpusimbench.schemas.errors import DataLost, GsbError, UsageError
+from gpusimbench.schemas.writing import Taken, create, give_name
 
 MIN_DT = 1e-6
 """Shortest step [s]: times are recorded in whole nanoseconds, and a step is to be off by no more than a thousandth."""

@@ -9,10 +9,10 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Protocol
 
-from recorder.launch import Result
-from recorder.output import show_path
-from schemas.printable import line
-from schemas.printing import show
+from gpusimbench.recorder.launch import Result
+from gpusimbench.recorder.output import show_path
+from gpusimbench.schemas.printable import line
+from gpusimbench.schemas.printing import show
 
 
 class Progress(Protocol):

@@ -12,20 +12,20 @@ import uuid
 
 import numpy as np
 
-from recorder.capture.sink import Sink
-from recorder.output import show_path
-from recorder.plan import MIN_DT, prepare_folder, release, reserve, utc_now
-from recorder.probes.software import describe_software
-from recorder.progress import say
-from recorder.scenes.registry import make_scene
-from recorder.trials import UNITS, Trials, parse_trials
-from schemas import topics
-from schemas.blocks import state_parts
-from schemas.configuration import RunConfiguration, sim_time_ns
-from schemas.errors import DataLost, UsageError
-from schemas.fields import FIELD_KINDS, StateField
-from schemas.provenance import PROVENANCE, REAL, SCENE, SIMULATION, TRIALS, Provenance, Simulation
-from schemas.trial_units import extent_of, unit_doubt
+from gpusimbench.recorder.capture.sink import Sink
+from gpusimbench.recorder.output import show_path
+from gpusimbench.recorder.plan import MIN_DT, prepare_folder, release, reserve, utc_now
+from gpusimbench.recorder.probes.software import describe_software
+from gpusimbench.recorder.progress import say
+from gpusimbench.recorder.scenes.registry import make_scene
+from gpusimbench.recorder.trials import UNITS, Trials, parse_trials
+from gpusimbench.schemas import topics
+from gpusimbench.schemas.blocks import state_parts
+from gpusimbench.schemas.configuration import RunConfiguration, sim_time_ns
+from gpusimbench.schemas.errors import DataLost, UsageError
+from gpusimbench.schemas.fields import FIELD_KINDS, StateField
+from gpusimbench.schemas.provenance import PROVENANCE, REAL, SCENE, SIMULATION, TRIALS, Provenance, Simulation
+from gpusimbench.schemas.trial_units import extent_of, unit_doubt
 
 _GROUP = "cubes"
 

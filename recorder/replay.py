@@ -13,19 +13,19 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from recorder.cage import Cage, gib
-from recorder.finished import outcome_of, run_end
-from recorder.plan import free_bytes
-from recorder.probes.host import memory_bytes
-from recorder.scenes.base import Scene
-from recorder.traces import check_traces, content_bytes, least_memory, peak_bytes, ran_s
-from schemas.checks import Budget
-from schemas.configuration import RunConfiguration
-from schemas.container import Container
-from schemas.digest import attachment_name, content_hash
-from schemas.errors import DamagedRecording, RecordingError, UsageError
-from schemas.fields import StateField
-from schemas.provenance import LOGGED, PROVENANCE, REAL, SCENE, SIMULATION, Provenance, ReplayOf, Simulation
+from gpusimbench.recorder.cage import Cage, gib
+from gpusimbench.recorder.finished import outcome_of, run_end
+from gpusimbench.recorder.plan import free_bytes
+from gpusimbench.recorder.probes.host import memory_bytes
+from gpusimbench.recorder.scenes.base import Scene
+from gpusimbench.recorder.traces import check_traces, content_bytes, least_memory, peak_bytes, ran_s
+from gpusimbench.schemas.checks import Budget
+from gpusimbench.schemas.configuration import RunConfiguration
+from gpusimbench.schemas.container import Container
+from gpusimbench.schemas.digest import attachment_name, content_hash
+from gpusimbench.schemas.errors import DamagedRecording, RecordingError, UsageError
+from gpusimbench.schemas.fields import StateField
+from gpusimbench.schemas.provenance import LOGGED, PROVENANCE, REAL, SCENE, SIMULATION, Provenance, ReplayOf, Simulation
 
 """What recordings of programs that are no adapter (recorder.log) say of their fresh start."""
 

@@ -30,36 +30,45 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from recorder import clock, interruption
-from recorder.capture.actions import Actions, declare_actions, write_action_stream, write_actions
-from recorder.capture.evidence import EvidenceWriter
-from recorder.capture.kept import KeptStates
-from recorder.capture.memory import MemoryWriter
-from recorder.capture.sink import Sink
-from recorder.capture.states import StateWriter, declare_fingerprints, row_bytes, write_fingerprints
-from recorder.capture.stepping import CaptureClock, step_and_capture
-from recorder.capture.view import LogWriter, ViewWriter
-from recorder.capture.writing import Block, Writing
-from recorder.engine import Engine
-from recorder.environment import apply_environment
-from recorder.failure import Interrupted, TimedOut, cause_of
-from recorder.options import parse_options
-from recorder.probes.gpu import Gpus
-from recorder.probes.host import describe_host, numeric_environment, peak_rss_bytes
-from recorder.probes.memory import MemorySampler
-from recorder.probes.software import describe_software, package_list
-from recorder.scenes.base import Scene
-from recorder.scenes.registry import make_scene
-from recorder.simulators.base import Description, Simulator
-from recorder.simulators.captured import RING_BLOCKS
-from recorder.simulators.evidence import Evidence
-from recorder.simulators.registry import find_simulator
-from schemas import FORMAT, topics
-from schemas.configuration import RunConfiguration
-from schemas.errors import DamagedRecording, DataLost, GsbError
-from schemas.fingerprint import fingerprint
-from schemas.messages import enum_values, message_class
-from schemas.provenance import ENGINE_LOG, PACKAGES, PROVENANCE, SCENE, SIMULATION, Provenance, ReplayOf, Simulation
+from gpusimbench.recorder import clock, interruption
+from gpusimbench.recorder.capture.actions import Actions, declare_actions, write_action_stream, write_actions
+from gpusimbench.recorder.capture.evidence import EvidenceWriter
+from gpusimbench.recorder.capture.kept import KeptStates
+from gpusimbench.recorder.capture.memory import MemoryWriter
+from gpusimbench.recorder.capture.sink import Sink
+from gpusimbench.recorder.capture.states import StateWriter, declare_fingerprints, row_bytes, write_fingerprints
+from gpusimbench.recorder.capture.stepping import CaptureClock, step_and_capture
+from gpusimbench.recorder.capture.view import LogWriter, ViewWriter
+from gpusimbench.recorder.capture.writing import Block, Writing
+from gpusimbench.recorder.engine import Engine
+from gpusimbench.recorder.environment import apply_environment
+from gpusimbench.recorder.failure import Interrupted, TimedOut, cause_of
+from gpusimbench.recorder.options import parse_options
+from gpusimbench.recorder.probes.gpu import Gpus
+from gpusimbench.recorder.probes.host import describe_host, numeric_environment, peak_rss_bytes
+from gpusimbench.recorder.probes.memory import MemorySampler
+from gpusimbench.recorder.probes.software import describe_software, package_list
+from gpusimbench.recorder.scenes.base import Scene
+from gpusimbench.recorder.scenes.registry import make_scene
+from gpusimbench.recorder.simulators.base import Description, Simulator
+from gpusimbench.recorder.simulators.captured import RING_BLOCKS
+from gpusimbench.recorder.simulators.evidence import Evidence
+from gpusimbench.recorder.simulators.registry import find_simulator
+from gpusimbench.schemas import FORMAT, topics
+from gpusimbench.schemas.configuration import RunConfiguration
+from gpusimbench.schemas.errors import DamagedRecording, DataLost, GsbError
+from gpusimbench.schemas.fingerprint import fingerprint
+from gpusimbench.schemas.messages import enum_values, message_class
+from gpusimbench.schemas.provenance import (
+    ENGINE_LOG,
+    PACKAGES,
+    PROVENANCE,
+    SCENE,
+    SIMULATION,
+    Provenance,
+    ReplayOf,
+    Simulation,
+)
 
 Progress = Callable[[str, int, int], None]
 """Called with a phase, the steps done in it, and the steps that it has; with interruption.ENDING at the end."""

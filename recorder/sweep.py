@@ -11,8 +11,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from schemas.configuration import MAX_ENVS
-from schemas.errors import UsageError
+from gpusimbench.schemas.configuration import MAX_ENVS
+from gpusimbench.schemas.errors import UsageError
 
 CERTAIN = ("DEVICE_MEMORY", "HOST_MEMORY", "BUFFER", "REFUSED", "TIMEOUT")
 """Causes that meet every run of the same configuration: one such failure need not be repeated."""

@@ -18,11 +18,11 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-from recorder.finished import in_common
-from recorder.progress import say
-from schemas.configuration import RunConfiguration
-from schemas.errors import GsbError
-from schemas.writing import open_lock
+from gpusimbench.recorder.finished import in_common
+from gpusimbench.recorder.progress import say
+from gpusimbench.schemas.configuration import RunConfiguration
+from gpusimbench.schemas.errors import GsbError
+from gpusimbench.schemas.writing import open_lock
 
 _NO_LOCKS = {errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP, errno.ENOTSUP, errno.EINVAL}
 """What flock fails with on a file system without locks."""

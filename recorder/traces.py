@@ -11,13 +11,13 @@ from typing import Any
 
 import numpy as np
 
-from schemas import topics
-from schemas.blocks import STATE_HEAD_BYTES, decode_fingerprints, state_bytes, state_header_in
-from schemas.configuration import RunConfiguration
-from schemas.container import Container, Message
-from schemas.errors import DamagedRecording, UsageError
-from schemas.fields import StateField
-from schemas.messages import message_class
+from gpusimbench.schemas import topics
+from gpusimbench.schemas.blocks import STATE_HEAD_BYTES, decode_fingerprints, state_bytes, state_header_in
+from gpusimbench.schemas.configuration import RunConfiguration
+from gpusimbench.schemas.container import Container, Message
+from gpusimbench.schemas.errors import DamagedRecording, UsageError
+from gpusimbench.schemas.fields import StateField
+from gpusimbench.schemas.messages import message_class
 
 _MOST_PER_INTERVAL = 1000
 """Steps between two clock readings, of which one trace is left; no adapter takes more than a hundred."""

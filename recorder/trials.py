@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from schemas.errors import UsageError
-from schemas.trial_units import METRES
+from gpusimbench.schemas.errors import UsageError
+from gpusimbench.schemas.trial_units import METRES
 
 COLUMNS = ("trial", "cube", "x", "y")
 HEIGHT = "z"

@@ -16,7 +16,8 @@ from mcap.records import Attachment, Channel, Header, Message, Metadata, Schema
 from mcap.stream_reader import StreamReader
 from mcap.writer import CompressionType, IndexType, Writer
 
-from evaluator import open_recording
+from gpusimbench import open_recording
+from gpusimbench.evaluator.runs.validation import verify
 
 _CHUNK_BYTES = 4 << 20
 _LEVEL = 19
@@ -31,7 +32,7 @@ def repack(path: Path) -> tuple[int, int]:
             index_types=IndexType.ALL & ~IndexType.MESSAGE,
         ))  # fmt: skip
     before, after = open_recording(path), open_recording(small)
-    after.verify()
+    verify(after)
     if before.content_hash != after.content_hash:
         raise SystemExit(f"{path}: another content hash, {after.content_hash}; left as it was, see {small}")
     sizes = path.stat().st_size, small.stat().st_size

@@ -17,11 +17,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from schemas import packing, wire
-from schemas.crc import second
-from schemas.errors import DamagedRecording
-from schemas.mcap_writer import Part
-from schemas.messages import message_class
+from gpusimbench.schemas import packing, wire
+from gpusimbench.schemas.crc import second
+from gpusimbench.schemas.errors import DamagedRecording
+from gpusimbench.schemas.mcap_writer import Part
+from gpusimbench.schemas.messages import message_class
 
 _STATE = "gsb.v1.StateBlock"
 _ACTION = "gsb.v1.ActionBlock"

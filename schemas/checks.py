@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from itertools import chain
 from typing import Any, NoReturn
 
-from schemas.errors import DamagedRecording
+from gpusimbench.schemas.errors import DamagedRecording
 
 MAX_COUNT = 1 << 40
 """No step or number of steps in a recording is beyond it."""

@@ -7,12 +7,12 @@ from collections import OrderedDict
 from collections.abc import Iterator
 from threading import Lock
 
-from schemas import decompression
-from schemas.cursor import Cursor
-from schemas.errors import DamagedRecording
-from schemas.location import Place
-from schemas.parts import CHUNK, RECORD_HEAD, Chunk, check_head, read_chunk
-from schemas.source import Source
+from gpusimbench.schemas import decompression
+from gpusimbench.schemas.cursor import Cursor
+from gpusimbench.schemas.errors import DamagedRecording
+from gpusimbench.schemas.location import Place
+from gpusimbench.schemas.parts import CHUNK, RECORD_HEAD, Chunk, check_head, read_chunk
+from gpusimbench.schemas.source import Source
 
 _CACHED_CHUNKS = 4
 _CACHED_BYTES = 64 << 20  # of chunks that are in memory; the one read last is kept whatever it takes

@@ -5,8 +5,8 @@ from __future__ import annotations
 import argparse
 import textwrap
 
-import schemas
-from schemas.completion import SHELLS, Names, PrintCompletion
+from gpusimbench import schemas
+from gpusimbench.schemas.completion import SHELLS, Names, PrintCompletion
 
 _WIDTH = 118
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
-from schemas import checks
-from schemas.errors import DamagedRecording
+from gpusimbench.schemas import checks
+from gpusimbench.schemas.errors import DamagedRecording
 
 OPTIONAL_PHASES = ("timed", "capture")
 """Phases that a run can leave out; "warmup" belongs to "timed"."""

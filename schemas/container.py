@@ -19,16 +19,16 @@ from dataclasses import dataclass
 from functools import cached_property
 from struct import Struct
 
-from schemas import FORMAT, decompression
-from schemas.chunks import Chunks
-from schemas.crc import combine, second
-from schemas.cursor import Cursor
-from schemas.declarations import Channel, Declarations
-from schemas.errors import DamagedRecording, NotARecording
-from schemas.index import Index, IndexedChunk, read_index
-from schemas.location import Place
-from schemas.mcap_writer import MAGIC
-from schemas.parts import (
+from gpusimbench.schemas import FORMAT, decompression
+from gpusimbench.schemas.chunks import Chunks
+from gpusimbench.schemas.crc import combine, second
+from gpusimbench.schemas.cursor import Cursor
+from gpusimbench.schemas.declarations import Channel, Declarations
+from gpusimbench.schemas.errors import DamagedRecording, NotARecording
+from gpusimbench.schemas.index import Index, IndexedChunk, read_index
+from gpusimbench.schemas.location import Place
+from gpusimbench.schemas.mcap_writer import MAGIC
+from gpusimbench.schemas.parts import (
     ATTACHMENT,
     CHANNEL,
     CHUNK,
@@ -47,7 +47,7 @@ from schemas.parts import (
     read_attachment,
     read_chunk,
 )
-from schemas.source import Source, open_source
+from gpusimbench.schemas.source import Source, open_source
 
 MAX_CHUNK_BYTES = decompression.MAX_BYTES
 

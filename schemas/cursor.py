@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from schemas.errors import DamagedRecording
-from schemas.location import Place
+from gpusimbench.schemas.errors import DamagedRecording
+from gpusimbench.schemas.location import Place
 
 _MAX_NAME = 1024
 

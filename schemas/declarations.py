@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from schemas.cursor import Cursor
-from schemas.errors import DamagedRecording
-from schemas.location import Place
-from schemas.parts import SCHEMA
+from gpusimbench.schemas.cursor import Cursor
+from gpusimbench.schemas.errors import DamagedRecording
+from gpusimbench.schemas.location import Place
+from gpusimbench.schemas.parts import SCHEMA
 
 MAX_DECLARED_BYTES = 64 << 20
 """Of all schemas and channels of a file together, each taken once."""

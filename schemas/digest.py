@@ -21,9 +21,9 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from schemas.blocks import little_endian, raw_bytes
-from schemas.fields import StateField
-from schemas.mcap_writer import Buffer
+from gpusimbench.schemas.blocks import little_endian, raw_bytes
+from gpusimbench.schemas.fields import StateField
+from gpusimbench.schemas.mcap_writer import Buffer
 
 
 def attachment_name(name: str) -> str:

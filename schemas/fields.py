@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from schemas import checks
-from schemas.errors import DamagedRecording
+from gpusimbench.schemas import checks
+from gpusimbench.schemas.errors import DamagedRecording
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from schemas.splitmix import GOLDEN, mix_in_place
+from gpusimbench.schemas.splitmix import GOLDEN, mix_in_place
 
 ALGORITHM = "sum-splitmix64-v1"
 

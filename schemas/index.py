@@ -12,12 +12,12 @@ from array import array
 from bisect import bisect_left
 from dataclasses import dataclass
 
-from schemas import decompression
-from schemas.cursor import Cursor
-from schemas.declarations import Declarations
-from schemas.errors import DamagedRecording
-from schemas.mcap_writer import MAGIC
-from schemas.parts import (
+from gpusimbench.schemas import decompression
+from gpusimbench.schemas.cursor import Cursor
+from gpusimbench.schemas.declarations import Declarations
+from gpusimbench.schemas.errors import DamagedRecording
+from gpusimbench.schemas.mcap_writer import MAGIC
+from gpusimbench.schemas.parts import (
     ATTACHMENT,
     ATTACHMENT_INDEX,
     CHANNEL,
@@ -36,7 +36,7 @@ from schemas.parts import (
     Attachment,
     Chunk,
 )
-from schemas.source import Source
+from gpusimbench.schemas.source import Source
 
 MAX_SUMMARY_BYTES = 64 << 20
 """A larger summary is not read."""

@@ -19,7 +19,7 @@ from contextlib import suppress
 from io import FileIO
 from typing import NamedTuple
 
-from schemas.crc import combine
+from gpusimbench.schemas.crc import combine
 
 MAGIC = b"\x89MCAP0\r\n"
 

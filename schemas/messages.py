@@ -19,7 +19,7 @@ _LARGEST_SCHEMA = 1 << 20  # bytes of a stranger's schema that are looked at
 
 @cache
 def _files() -> descriptor_pb2.FileDescriptorSet:
-    data = (files("schemas") / DESCRIPTOR_SET).read_bytes()
+    data = (files("gpusimbench.schemas") / DESCRIPTOR_SET).read_bytes()
     return descriptor_pb2.FileDescriptorSet.FromString(data)
 
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import struct
 from dataclasses import dataclass
 
-from schemas.cursor import Cursor
-from schemas.errors import DamagedRecording
-from schemas.location import Place
+from gpusimbench.schemas.cursor import Cursor
+from gpusimbench.schemas.errors import DamagedRecording
+from gpusimbench.schemas.location import Place
 
 HEADER, FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, MESSAGE_INDEX, CHUNK_INDEX = range(1, 9)
 ATTACHMENT, ATTACHMENT_INDEX, STATISTICS, METADATA, METADATA_INDEX, SUMMARY_OFFSET, DATA_END = range(9, 16)

@@ -1,6 +1,6 @@
 """Text of strangers, made harmless to whatever shows it: a line is one line, a block is lines of our own.
 
-Nothing else is printed: `schemas.printing` and `evaluator.report.console` take these and make nothing else of text.
+Nothing else is printed: `schemas.printing` and `evaluator.render.console` take these and make nothing else of text.
 """
 
 from __future__ import annotations

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import sys
 
-from schemas.printable import Block, Line
+from gpusimbench.schemas.printable import Block, Line
 
 
 def show(text: Line | Block, *, error: bool = False) -> None:

@@ -14,10 +14,10 @@ import json
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
-from schemas import FORMAT, checks
-from schemas.configuration import RunConfiguration
-from schemas.errors import DamagedRecording
-from schemas.fields import StateField
+from gpusimbench.schemas import FORMAT, checks
+from gpusimbench.schemas.configuration import RunConfiguration
+from gpusimbench.schemas.errors import DamagedRecording
+from gpusimbench.schemas.fields import StateField
 
 PROVENANCE = "provenance.json"
 SIMULATION = "simulation.json"

@@ -12,8 +12,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from schemas import decompression
-from schemas.errors import DamagedRecording
+from gpusimbench.schemas import decompression
+from gpusimbench.schemas.errors import DamagedRecording
 
 _MAGIC_BYTES = 8
 _CHUNK, _ATTACHMENT = 6, 9

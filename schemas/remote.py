@@ -13,11 +13,11 @@ from threading import Lock
 from typing import Any
 from urllib.parse import unquote
 
-from schemas.errors import DamagedRecording, Unreachable
-from schemas.location import Location, chain, is_address, redacted
-from schemas.patience import Patience, TooSlow
-from schemas.source import Source
-from schemas.web import WrongAnswer, web_options, web_part
+from gpusimbench.schemas.errors import DamagedRecording, Unreachable
+from gpusimbench.schemas.location import Location, chain, is_address, redacted
+from gpusimbench.schemas.patience import Patience, TooSlow
+from gpusimbench.schemas.source import Source
+from gpusimbench.schemas.web import WrongAnswer, web_options, web_part
 
 _BLOCK = 64 << 10
 _CACHED_BYTES = 32 << 20

@@ -8,9 +8,9 @@ import stat
 from abc import ABC, abstractmethod
 from pathlib import Path
 
-from schemas.errors import DamagedRecording, NotARecording
-from schemas.location import Location, Place
-from schemas.mcap_writer import MAGIC
+from gpusimbench.schemas.errors import DamagedRecording, NotARecording
+from gpusimbench.schemas.location import Location, Place
+from gpusimbench.schemas.mcap_writer import MAGIC
 
 _MOST_WORKERS = 4
 
@@ -44,7 +44,7 @@ class Source(ABC):
 def open_source(place: Place) -> Source:
     """Open a file; RecordingError where it cannot be read."""
     if isinstance(place, Location):
-        from schemas.remote import RemoteFile
+        from gpusimbench.schemas.remote import RemoteFile
 
         return RemoteFile(place)
     return MappedFile(place)

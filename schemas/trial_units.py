@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from schemas import checks
+from gpusimbench.schemas import checks
 
 METRES = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 """Of a unit that measured positions may be in."""

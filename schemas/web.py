@@ -11,7 +11,7 @@ import re
 from typing import Any
 from urllib.parse import SplitResult, urljoin, urlsplit
 
-from schemas.location import shown
+from gpusimbench.schemas.location import shown
 
 _AT_ONCE = 1 << 20
 _MOST_LISTED = 16 << 20  # bytes of a page that lists files

@@ -16,8 +16,8 @@ from io import FileIO
 from pathlib import Path
 from typing import NamedTuple
 
-from schemas import PARTIAL
-from schemas.errors import GsbError, UsageError
+from gpusimbench.schemas import PARTIAL
+from gpusimbench.schemas.errors import GsbError, UsageError
 
 _NO_LINKS = {errno.EPERM, errno.EOPNOTSUPP, errno.ENOTSUP, errno.ENOSYS, errno.EMLINK, errno.EXDEV}
 """What os.link fails with on a file system without hard links."""

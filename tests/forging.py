@@ -12,10 +12,10 @@ from mcap.records import Attachment, Channel, Header, Message, Metadata, Schema
 from mcap.stream_reader import StreamReader
 from mcap.writer import Writer
 
-from schemas import topics
-from schemas.digest import attachment_name, content_hash
-from schemas.messages import enum_values, message_class
-from schemas.provenance import PROVENANCE
+from gpusimbench.schemas import topics
+from gpusimbench.schemas.digest import attachment_name, content_hash
+from gpusimbench.schemas.messages import enum_values, message_class
+from gpusimbench.schemas.provenance import PROVENANCE
 
 
 def forge(

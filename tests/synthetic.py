@@ -12,17 +12,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from recorder.capture.evidence import EvidenceWriter
-from recorder.capture.sink import Sink
-from recorder.capture.states import StateWriter
-from recorder.scenes.registry import make_scene
-from recorder.simulators.base import Description
-from recorder.simulators.evidence import Evidence
-from schemas import topics
-from schemas.configuration import RunConfiguration
-from schemas.fields import StateField, body_field
-from schemas.messages import message_class
-from schemas.provenance import (
+from gpusimbench.recorder.capture.evidence import EvidenceWriter
+from gpusimbench.recorder.capture.sink import Sink
+from gpusimbench.recorder.capture.states import StateWriter
+from gpusimbench.recorder.scenes.registry import make_scene
+from gpusimbench.recorder.simulators.base import Description
+from gpusimbench.recorder.simulators.evidence import Evidence
+from gpusimbench.schemas import topics
+from gpusimbench.schemas.configuration import RunConfiguration
+from gpusimbench.schemas.fields import StateField, body_field
+from gpusimbench.schemas.messages import message_class
+from gpusimbench.schemas.provenance import (
     PACKAGES,
     PROVENANCE,
     SCENE,

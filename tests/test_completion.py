@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from schemas.completion import SHELLS
+from gpusimbench.schemas.completion import SHELLS
 from tests.test_site import script
 
 pytestmark = pytest.mark.skipif(importlib.util.find_spec("shtab") is None, reason="shtab is not installed")
@@ -97,7 +97,7 @@ def test_every_shell(shell: str) -> None:
 
 def test_help_and_work_are_as_they_were() -> None:
     """Let names that only completion knows neither show in the help nor limit what an option takes."""
-    from recorder.command import parser
+    from gpusimbench.recorder.command import parser
 
     (sim,) = (action for action in parser()._actions if action.dest == "sim")
     assert sim.choices is None
@@ -107,7 +107,10 @@ def test_help_and_work_are_as_they_were() -> None:
 def test_an_unknown_shell() -> None:
     """End with 2 and name the shells that are known."""
     done = subprocess.run(
-        [sys.executable, "-m", "recorder.cli", "--print-completion", "ksh"], capture_output=True, text=True, timeout=60
+        [sys.executable, "-m", "gpusimbench.recorder.cli", "--print-completion", "ksh"],
+        capture_output=True,
+        text=True,
+        timeout=60,
     )
     assert done.returncode == 2
     assert "bash" in done.stderr

@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from evaluator import open_recording
-from recorder.environments.choice import interpreter_for
-from recorder.simulators.calibration.chance import fraction
-from recorder.simulators.registry import find_simulator
-from schemas.errors import UsageError
+from gpusimbench import open_recording
+from gpusimbench.recorder.environments.choice import interpreter_for
+from gpusimbench.recorder.simulators.calibration.chance import fraction
+from gpusimbench.recorder.simulators.registry import find_simulator
+from gpusimbench.schemas.errors import UsageError
 from tests.conftest import call
 
 try:
@@ -33,8 +33,8 @@ KNOWN: Json = {"scene": "free-fall", "n_env": 5, "steps": 5, "phases": ["capture
 MANY = """
 import json, sys, uuid
 from pathlib import Path
-from recorder.run import Run
-from schemas.configuration import RunConfiguration
+from gpusimbench.recorder.run import Run
+from gpusimbench.schemas.configuration import RunConfiguration
 for index, task in enumerate(json.load(sys.stdin)):
     configuration = RunConfiguration(simulator="calibration", dt=0.01, run_index=index, **task)
     run = Run(configuration, Path(sys.argv[1]) / f"{uuid.uuid4()}.mcap", run_id=str(uuid.uuid4()), argv=(),

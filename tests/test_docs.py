@@ -13,6 +13,7 @@ from pathlib import Path
 
 import pytest
 
+from gpusimbench.evaluator.runs.validation import verify
 from tests.conftest import command
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -168,14 +169,14 @@ def test_readme_table_is_what_the_recordings_give() -> None:
 
 def test_sample_recordings_are_whole() -> None:
     """Ship recordings that are complete, verify, name no machine's paths and stay small."""
-    from evaluator import open_recording
+    from gpusimbench import open_recording
 
     files = sorted((ROOT / "recordings").glob("*.mcap"))
     assert len(files) >= 8
     assert sum(f.stat().st_size for f in files) < 60e6
     for file in files:
         recording = open_recording(file)
-        recording.verify()
+        verify(recording)
         assert recording.status == "complete"
         for name in recording.attachment_names():
             text = (recording.attachment(name) or b"").decode()
@@ -206,7 +207,7 @@ def test_make_demo(tmp_path: Path) -> None:
 
 def test_how_to_cite() -> None:
     """Name the version and the licence of the package, an author, and the format that the file is in."""
-    import schemas
+    from gpusimbench import schemas
 
     text = (ROOT / "CITATION.cff").read_text(encoding="utf-8")
     said = dict(re.findall(r"^([\w-]+): (.+)$", text, re.MULTILINE))

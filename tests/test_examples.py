@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 
+from gpusimbench.evaluator.runs.validation import verify
 from tests.test_docs import commands, shell
 
 EXAMPLES = Path(__file__).resolve().parent.parent / "examples"
@@ -62,7 +63,7 @@ def test_the_packages_commands(installed: str, tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_a_program_that_logs(tmp_path: Path) -> None:
     """Run what the document shows beside the program, and evaluate its recordings."""
-    from evaluator import open_recording
+    from gpusimbench import open_recording
 
     shutil.copy(EXAMPLES / "log_your_own" / "log_states.py", tmp_path)
     for line in commands(EXAMPLES / "log_your_own" / "README.md"):
@@ -71,6 +72,6 @@ def test_a_program_that_logs(tmp_path: Path) -> None:
     assert "three-balls" in done.stdout
     assert "throughput" in done.stdout
     recording = open_recording(tmp_path / "run-1.mcap")
-    recording.verify()
+    verify(recording)
     assert recording.status == "complete"
     assert recording.state("cubes", "position").shape == (101, 8, 3, 3)

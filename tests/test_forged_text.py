@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from evaluator.cli import audit, check, compare, diff, info, share, view
-from evaluator.cli import eval as evaluate
-from schemas.provenance import PROVENANCE, SIMULATION
+from gpusimbench.evaluator.cli import audit, check, compare, diff, info, share, view
+from gpusimbench.evaluator.cli import eval as evaluate
+from gpusimbench.schemas.provenance import PROVENANCE, SIMULATION
 from tests.synthetic import grid, write_recording
 
 EVIL = (

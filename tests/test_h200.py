@@ -8,10 +8,11 @@ from typing import Any
 
 import pytest
 
-from evaluator import open_recording
-from evaluator.recording import Recording
-from evaluator.report.page import summary
-from evaluator.report.page.section import Source
+from gpusimbench import open_recording
+from gpusimbench.evaluator.read.recording import Recording
+from gpusimbench.evaluator.report.page import summary
+from gpusimbench.evaluator.report.page.section import Source
+from gpusimbench.evaluator.runs.validation import verify
 from tests.conftest import call
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -87,7 +88,7 @@ def test_every_file_is_whole() -> None:
     assert len(FILES) == 207
     for path in FILES:
         recording = open_recording(path)
-        recording.verify()
+        verify(recording)
         assert recording.simulation is None or recording.simulation.device == "NVIDIA H200"
 
 

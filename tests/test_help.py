@@ -11,8 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from schemas import errors
-from schemas.errors import ExitCode
+from gpusimbench.schemas import errors
+from gpusimbench.schemas.errors import ExitCode
 from tests.conftest import command
 from tests.test_site import script
 
@@ -50,7 +50,7 @@ def test_every_option_is_explained(name: str) -> None:
 
 def test_the_recorder_says_its_defaults() -> None:
     """Name in the help of gsb-record each default that its tables have."""
-    from recorder import command
+    from gpusimbench.recorder import command
 
     helps = {action.dest: action.help or "" for action in _options(PARSERS["gsb-record"])}
     for table in (command._SIMULATED, command._MEASURED, command._REPLAYED):

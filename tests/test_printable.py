@@ -12,9 +12,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from evaluator.report.console import Screen, plain_table
-from schemas import printing
-from schemas.printable import block, line, printable
+from gpusimbench.evaluator.render.console import Screen, plain_table
+from gpusimbench.schemas import printing
+from gpusimbench.schemas.printable import block, line, printable
 
 _ROOT = Path(__file__).parents[1]
 _HIDDEN = ("Cc", "Cf", "Cs", "Co", "Cn", "Zl", "Zp")
@@ -79,7 +79,7 @@ def test_documents_are_no_commands(capsys: pytest.CaptureFixture[str]) -> None:
     assert capsys.readouterr().out == '{"a": "\\\\\\u0023#[error]\\u0023\\u0023#vso["}\n'
 
 
-_PRINTERS = {"schemas/printing.py", "evaluator/report/console.py", "recorder/output.py", "recorder/progress.py"}
+_PRINTERS = {"schemas/printing.py", "evaluator/render/console.py", "recorder/output.py", "recorder/progress.py"}
 
 
 def _prints(tree: ast.AST) -> Iterator[ast.AST]:

@@ -89,9 +89,9 @@ def test_every_command_has_a_page(sources: Path) -> None:
 
 def test_the_reference_is_of_the_code(sources: Path) -> None:
     """Show every rule, metric, message, simulator, option and scene that there is."""
-    from evaluator.rules.rule import SHIPPED, load_rules
-    from recorder.scenes.registry import SCENES
-    from recorder.simulators.registry import BUILT_IN
+    from gpusimbench.evaluator.check.rules.rule import SHIPPED, load_rules
+    from gpusimbench.recorder.scenes.registry import SCENES
+    from gpusimbench.recorder.simulators.registry import BUILT_IN
 
     text = {page.stem: page.read_text(encoding="utf-8") for page in (sources / "reference").glob("*.md")}
     assert all(f"`{rule.id}`" in text["rules"] for name in SHIPPED for rule in load_rules(name).rules)

@@ -27,8 +27,11 @@ HEAVY = (
 @pytest.mark.parametrize(
     "module",
     [
-        "recorder.cli",
-        *(f"evaluator.cli.{name}" for name in ("audit", "check", "compare", "diff", "eval", "info", "share", "view")),
+        "gpusimbench.recorder.cli",
+        *(
+            f"gpusimbench.evaluator.cli.{name}"
+            for name in ("audit", "check", "compare", "diff", "eval", "info", "share", "view")
+        ),
     ],
 )
 def test_help_imports_nothing_heavy(module: str) -> None:
@@ -47,13 +50,20 @@ def test_help_imports_nothing_heavy(module: str) -> None:
 
 
 @pytest.mark.parametrize(
-    "module", ["evaluator.evaluate", "evaluator.report.html", "evaluator.report.tables", "evaluator.versus.compare"]
+    "module",
+    [
+        "gpusimbench.evaluator.results.evaluate",
+        "gpusimbench.evaluator.report.html",
+        "gpusimbench.evaluator.report.tables",
+        "gpusimbench.evaluator.compare.compare",
+    ],
 )
 def test_evaluation_needs_no_simulator(module: str) -> None:
     """Evaluate without importing any simulator, JAX, torch, or the recorder."""
     code = (
         f"import sys, {module}\n"
-        "print([m for m in ('mujoco', 'jax', 'torch', 'warp', 'pynvml', 'psutil', 'recorder') if m in sys.modules])"
+        "others = ('mujoco', 'jax', 'torch', 'warp', 'pynvml', 'psutil', 'gpusimbench.recorder')\n"
+        "print([m for m in others if m in sys.modules])"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
     assert done.returncode == 0, done.stderr

@@ -15,9 +15,9 @@ from typing import Any
 import rerun as rr
 import rerun.blueprint as rrb
 
-from evaluator import open_recording
-from schemas import topics
-from schemas.view.shapes import solids_of
+from gpusimbench import open_recording
+from gpusimbench.schemas import topics
+from gpusimbench.schemas.view.shapes import solids_of
 
 AXIS_M = 0.03
 """Length of a frame's axes [m]."""

@@ -9,20 +9,21 @@ from enum import Enum
 import numpy as np
 import numpy.typing as npt
 
-from evaluator.audit.distribution import LawTest, same_law
-from evaluator.audit.matching import closest, compared, distinct, match_of, unreproduced
-from evaluator.audit.replaying import Replay, ReplayPlan, Replays, make_replays
-from evaluator.audit.settings import Settings, sorted_out
-from evaluator.audit.verdict import Level, Verdict, ladder
-from evaluator.diff.compare import compare
-from evaluator.diff.result import Difference
-from evaluator.groups import Group
-from evaluator.metrics.variability import sampling_step
-from evaluator.positions import sample_positions
-from evaluator.recording import Recording
-from schemas.errors import DamagedRecording, NothingComparable, UsageError
-from schemas.location import Location
-from schemas.provenance import REAL
+from gpusimbench.evaluator.audit.distribution import LawTest, same_law
+from gpusimbench.evaluator.audit.matching import closest, compared, distinct, match_of, unreproduced
+from gpusimbench.evaluator.audit.replaying import Replay, ReplayPlan, Replays, make_replays
+from gpusimbench.evaluator.audit.settings import Settings, sorted_out
+from gpusimbench.evaluator.audit.verdict import Level, Verdict, ladder
+from gpusimbench.evaluator.diff.compare import compare
+from gpusimbench.evaluator.diff.result import Difference
+from gpusimbench.evaluator.metrics.variability import sampling_step
+from gpusimbench.evaluator.read.recording import Recording
+from gpusimbench.evaluator.runs.groups import Group
+from gpusimbench.evaluator.runs.positions import sample_positions
+from gpusimbench.evaluator.runs.validation import verify
+from gpusimbench.schemas.errors import DamagedRecording, NothingComparable, UsageError
+from gpusimbench.schemas.location import Location
+from gpusimbench.schemas.provenance import REAL
 
 
 class Outcome(Enum):
@@ -158,7 +159,7 @@ def _open(replay: Replay) -> Recording:
     if replay.path is None:
         raise DamagedRecording("a replay that is complete has left no file")
     recording = Recording(replay.path)
-    recording.verify()
+    verify(recording)
     return recording
 
 

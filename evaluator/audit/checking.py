@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence, Set
 from dataclasses import dataclass
 
-from evaluator.integrity import examine
-from evaluator.recording import Recording
-from evaluator.rules.findings import Unchecked, check
-from evaluator.rules.rule import Level, load_rules
-from schemas.location import Place
+from gpusimbench.evaluator.check.integrity import examine
+from gpusimbench.evaluator.check.rules.findings import Unchecked, check
+from gpusimbench.evaluator.check.rules.rule import Level, load_rules
+from gpusimbench.evaluator.read.recording import Recording
+from gpusimbench.schemas.location import Place
 
 RULES = "integrity-1"
 

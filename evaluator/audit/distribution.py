@@ -16,9 +16,9 @@ from enum import Enum
 import numpy as np
 import numpy.typing as npt
 
-from evaluator.metrics.identity import bitwise_classes
-from evaluator.metrics.variability import CM_PER_M
-from evaluator.statistics.permutation import arrangements, exhaustive_floor, permutation_floor
+from gpusimbench.evaluator.metrics.identity import bitwise_classes
+from gpusimbench.evaluator.metrics.variability import CM_PER_M
+from gpusimbench.evaluator.statistics.permutation import arrangements, exhaustive_floor, permutation_floor
 
 ALPHA = 0.05
 """A p-value up to this rejects one law."""

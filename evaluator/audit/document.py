@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from evaluator.audit.audit import Audit
-from evaluator.audit.checking import RULES, Check
-from evaluator.audit.verdict import Level
-from evaluator.document import dump, values_of
-from evaluator.recording import Recording
-from schemas.location import Place
+from gpusimbench.evaluator.audit.audit import Audit
+from gpusimbench.evaluator.audit.checking import RULES, Check
+from gpusimbench.evaluator.audit.verdict import Level
+from gpusimbench.evaluator.json_values import dump, values_of
+from gpusimbench.evaluator.read.recording import Recording
+from gpusimbench.schemas.location import Place
 
 SCHEMA_VERSION = 1
 

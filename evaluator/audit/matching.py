@@ -6,9 +6,9 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from evaluator.audit.verdict import Match
-from evaluator.diff.result import Basis, Difference
-from evaluator.recording import Recording
+from gpusimbench.evaluator.audit.verdict import Match
+from gpusimbench.evaluator.diff.result import Basis, Difference
+from gpusimbench.evaluator.read.recording import Recording
 
 _PHASES = ("capture", "timed")
 _MOST_NAMED = 3

@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import IO, Any
 
-from schemas.errors import ExitCode, GsbError
+from gpusimbench.schemas.errors import ExitCode, GsbError
 
 _COMMAND = "gsb-record"
 _KEPT_LINES = 50
@@ -95,7 +95,9 @@ def make_replays(recording: Path, plan: ReplayPlan, say: Callable[[str], None]) 
     """
     given = plan.arguments(recording)
     with tempfile.TemporaryFile() as printed:
-        returncode, said = _run([sys.executable, "-P", "-m", "recorder.cli", *given, "--json"], printed, say)
+        returncode, said = _run(
+            [sys.executable, "-P", "-m", "gpusimbench.recorder.cli", *given, "--json"], printed, say
+        )
         printed.seek(0)
         output = printed.read(_MOST_BYTES)
     command = shlex.join([_COMMAND, *given])

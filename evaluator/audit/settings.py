@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from evaluator.diff.result import Setting
-from evaluator.recording import Recording
+from gpusimbench.evaluator.diff.result import Setting
+from gpusimbench.evaluator.read.recording import Recording
 
 _FREE = ("compression", "timeout")  # a replay's own; they decide no number
 _PACKAGE = "software.packages."

@@ -5,13 +5,13 @@ from __future__ import annotations
 import textwrap
 from collections.abc import Iterator
 
-from evaluator.audit.audit import Audit, Outcome
-from evaluator.audit.checking import RULES, Check
-from evaluator.audit.settings import Settings
-from evaluator.audit.verdict import Rung
-from evaluator.diff.result import Divergence
-from evaluator.groups import shown_status
-from schemas.printable import Block, block
+from gpusimbench.evaluator.audit.audit import Audit, Outcome
+from gpusimbench.evaluator.audit.checking import RULES, Check
+from gpusimbench.evaluator.audit.settings import Settings
+from gpusimbench.evaluator.audit.verdict import Rung
+from gpusimbench.evaluator.diff.result import Divergence
+from gpusimbench.evaluator.runs.groups import shown_status
+from gpusimbench.schemas.printable import Block, block
 
 _TICKS = {True: "[x]", False: "[ ]", None: "[?]"}  # plain characters: no terminal shows them alike
 

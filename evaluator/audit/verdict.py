@@ -6,8 +6,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import Enum
 
-from evaluator.audit.distribution import ALPHA, LawTest, Unit, runs_needed
-from evaluator.claims import every
+from gpusimbench.evaluator.audit.distribution import ALPHA, LawTest, Unit, runs_needed
+from gpusimbench.evaluator.results.claims import every
 
 
 class Level(Enum):

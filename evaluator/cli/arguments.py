@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from schemas.location import is_address, shown
+from gpusimbench.schemas.location import is_address, shown
 
 
 def local_name(text: str) -> str:

@@ -8,16 +8,16 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from evaluator.cli.arguments import local_name, local_path
-from evaluator.cli.entry import complain, enter, new_parser
-from evaluator.cli.json_target import check_target, write_json
-from schemas.errors import ExitCode, UsageError
-from schemas.printable import block, line
-from schemas.printing import show
+from gpusimbench.evaluator.cli.arguments import local_name, local_path
+from gpusimbench.evaluator.cli.entry import complain, enter, new_parser
+from gpusimbench.evaluator.cli.json_target import check_target, write_json
+from gpusimbench.schemas.errors import ExitCode, UsageError
+from gpusimbench.schemas.printable import block, line
+from gpusimbench.schemas.printing import show
 
 if TYPE_CHECKING:
-    from evaluator.audit.audit import Audit
-    from evaluator.audit.verdict import Level
+    from gpusimbench.evaluator.audit.audit import Audit
+    from gpusimbench.evaluator.audit.verdict import Level
 
 _LEVELS = ("bit-identical", "same-up-to-env-order", "within-ulps", "same-distribution")
 
@@ -95,13 +95,13 @@ def parser() -> argparse.ArgumentParser:
 
 def run(arguments: argparse.Namespace, command: str) -> int:
     """Audit and print; returns the exit code."""
-    from evaluator.audit.audit import audit
-    from evaluator.audit.checking import check_files
-    from evaluator.audit.document import dump_json
-    from evaluator.audit.replaying import ReplayPlan
-    from evaluator.audit.text import text_of
-    from evaluator.audit.verdict import Level
-    from evaluator.groups import group
+    from gpusimbench.evaluator.audit.audit import audit
+    from gpusimbench.evaluator.audit.checking import check_files
+    from gpusimbench.evaluator.audit.document import dump_json
+    from gpusimbench.evaluator.audit.replaying import ReplayPlan
+    from gpusimbench.evaluator.audit.text import text_of
+    from gpusimbench.evaluator.audit.verdict import Level
+    from gpusimbench.evaluator.runs.groups import group
 
     _check(arguments)
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # no replay goes on that nobody waits for

@@ -5,12 +5,12 @@ from __future__ import annotations
 import argparse
 import sys
 
-from evaluator.cli.arguments import local_name
-from evaluator.cli.entry import enter, new_parser
-from evaluator.cli.json_target import check_target, write_json
-from schemas.errors import ExitCode, UsageError
-from schemas.location import place
-from schemas.printing import show
+from gpusimbench.evaluator.cli.arguments import local_name
+from gpusimbench.evaluator.cli.entry import enter, new_parser
+from gpusimbench.evaluator.cli.json_target import check_target, write_json
+from gpusimbench.schemas.errors import ExitCode, UsageError
+from gpusimbench.schemas.location import place
+from gpusimbench.schemas.printing import show
 
 _EPILOG = """\
 exit codes:
@@ -57,10 +57,10 @@ def parser() -> argparse.ArgumentParser:
 
 def run(arguments: argparse.Namespace, command: str) -> int:
     """Check and print; returns the exit code."""
-    from evaluator.report.check_json import dump_check, dump_rules
-    from evaluator.report.check_text import check_text, rules_text, vocabulary_text
-    from evaluator.rules.findings import check
-    from evaluator.rules.rule import SHIPPED, load_rules
+    from gpusimbench.evaluator.check.rules.findings import check
+    from gpusimbench.evaluator.check.rules.rule import SHIPPED, load_rules
+    from gpusimbench.evaluator.report.check_json import dump_check, dump_rules
+    from gpusimbench.evaluator.report.check_text import check_text, rules_text, vocabulary_text
 
     check_target(arguments.json)
     names = arguments.rules or (SHIPPED if arguments.list_rules else ["integrity-1"])
@@ -75,8 +75,8 @@ def run(arguments: argparse.Namespace, command: str) -> int:
         return int(ExitCode.OK)
     if not arguments.files:
         raise UsageError("name the recordings to check, or --list-rules")
-    from evaluator.integrity import examine
-    from evaluator.locations import expand
+    from gpusimbench.evaluator.check.integrity import examine
+    from gpusimbench.evaluator.read.addresses import expand
 
     report = check([examine(path) for path in expand(arguments.files)], rule_sets)
     if arguments.json:

@@ -6,15 +6,15 @@ import argparse
 import sys
 from typing import TYPE_CHECKING
 
-from evaluator.cli.arguments import local_name, local_path
-from evaluator.cli.entry import complain, enter, new_parser
-from evaluator.cli.json_target import check_target, write_json
-from schemas.errors import UsageError
-from schemas.location import Place, place
-from schemas.writing import write_file
+from gpusimbench.evaluator.cli.arguments import local_name, local_path
+from gpusimbench.evaluator.cli.entry import complain, enter, new_parser
+from gpusimbench.evaluator.cli.json_target import check_target, write_json
+from gpusimbench.schemas.errors import UsageError
+from gpusimbench.schemas.location import Place, place
+from gpusimbench.schemas.writing import write_file
 
 if TYPE_CHECKING:
-    from evaluator.versus.finding import Settings
+    from gpusimbench.evaluator.compare.finding import Settings
 
 _GATES = "throughput,memory,physics,validity,determinism"
 
@@ -109,11 +109,11 @@ def run(arguments: argparse.Namespace, command: str) -> int:
         check_target(str(target) if target else None)
     base, head = _given(arguments)
 
-    from evaluator.cache.place import default_folder, open_store
-    from evaluator.reading import Reader
-    from evaluator.versus.compare import compare
-    from evaluator.versus.sides import places_of, read_sides
-    from evaluator.work import Work
+    from gpusimbench.evaluator.compare.compare import compare
+    from gpusimbench.evaluator.compare.sides import places_of, read_sides
+    from gpusimbench.evaluator.compute.cache.place import default_folder, open_store
+    from gpusimbench.evaluator.compute.work import Work
+    from gpusimbench.evaluator.runs.reading import Reader
 
     if arguments.cache and arguments.cache.exists() and not arguments.cache.is_dir():
         raise UsageError(f"--cache is a folder, and {arguments.cache} is none")
@@ -128,19 +128,19 @@ def run(arguments: argparse.Namespace, command: str) -> int:
         complain("gsb-compare", str(failure.error))
 
     if arguments.json != "-":
-        from evaluator.versus.text import print_result
+        from gpusimbench.evaluator.compare.text import print_result
 
         print_result(result, sys.stdout)
     if arguments.json:
-        from evaluator.versus.json import dump_json
+        from gpusimbench.evaluator.compare.json import dump_json
 
         write_json(arguments.json, dump_json(result))
     if arguments.markdown:
-        from evaluator.versus.markdown import markdown
+        from gpusimbench.evaluator.compare.markdown import markdown
 
         write_file(arguments.markdown, markdown(result, command))
     if arguments.junit:
-        from evaluator.versus.junit import junit
+        from gpusimbench.evaluator.compare.junit import junit
 
         write_file(arguments.junit, junit(result))
     return int(result.exit_code)
@@ -156,7 +156,7 @@ def _given(arguments: argparse.Namespace) -> tuple[list[Place], list[Place]]:
 
 
 def _settings(arguments: argparse.Namespace) -> Settings:
-    from evaluator.versus.finding import Axis, Settings
+    from gpusimbench.evaluator.compare.finding import Axis, Settings
 
     if not 0 < arguments.alpha < 1:
         raise UsageError(f"--alpha is a probability between 0 and 1, not {arguments.alpha:g}")

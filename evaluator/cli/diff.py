@@ -7,16 +7,16 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from evaluator.cli.arguments import local_name, local_path
-from evaluator.cli.entry import complain, enter, new_parser
-from evaluator.cli.json_target import check_target
-from schemas.errors import ExitCode, UsageError
-from schemas.location import place
-from schemas.printing import show_document
-from schemas.writing import write_file
+from gpusimbench.evaluator.cli.arguments import local_name, local_path
+from gpusimbench.evaluator.cli.entry import complain, enter, new_parser
+from gpusimbench.evaluator.cli.json_target import check_target
+from gpusimbench.schemas.errors import ExitCode, UsageError
+from gpusimbench.schemas.location import place
+from gpusimbench.schemas.printing import show_document
+from gpusimbench.schemas.writing import write_file
 
 if TYPE_CHECKING:
-    from evaluator.diff.result import Difference
+    from gpusimbench.evaluator.diff.result import Difference
 
 _EPILOG = """\
 exit codes:
@@ -59,13 +59,13 @@ def parser() -> argparse.ArgumentParser:
 
 def run(arguments: argparse.Namespace, command: str) -> int:
     """Compare and print; returns the exit code."""
-    from evaluator.locations import expand
+    from gpusimbench.evaluator.read.addresses import expand
 
     arguments.files = expand(arguments.files, copies=True)
     _check(arguments)
     found = _compare(arguments)
     if arguments.plot:
-        from evaluator.diff.figure import figure_of
+        from gpusimbench.evaluator.diff.figure import figure_of
 
         drawn = figure_of(found)
         if drawn:
@@ -73,15 +73,15 @@ def run(arguments: argparse.Namespace, command: str) -> int:
         else:
             complain("gsb-diff", f"no difference to draw; {arguments.plot} was not written")
     if arguments.json == "-":
-        from evaluator.diff.json import dump_json
+        from gpusimbench.evaluator.diff.json import dump_json
 
         show_document(dump_json(found))
         return _exit_code(found)
-    from evaluator.diff.text import print_difference
+    from gpusimbench.evaluator.diff.text import print_difference
 
     print_difference(found, sys.stdout)
     if arguments.json:
-        from evaluator.diff.json import dump_json
+        from gpusimbench.evaluator.diff.json import dump_json
 
         write_file(Path(arguments.json), dump_json(found))
     return _exit_code(found)
@@ -99,13 +99,14 @@ def _check(arguments: argparse.Namespace) -> None:
 
 
 def _compare(arguments: argparse.Namespace) -> Difference:
-    from evaluator.diff.compare import compare, compare_all_envs, compare_envs
-    from evaluator.recording import Recording
+    from gpusimbench.evaluator.diff.compare import compare, compare_all_envs, compare_envs
+    from gpusimbench.evaluator.read.recording import Recording
+    from gpusimbench.evaluator.runs.validation import verify
 
     recordings = [Recording(path) for path in arguments.files]
     if not arguments.no_verify:
         for recording in recordings:
-            recording.verify()
+            verify(recording)
     envs = arguments.env
     if len(recordings) == 1:
         return compare_envs(recordings[0], *envs) if envs else compare_all_envs(recordings[0])

@@ -11,11 +11,11 @@ import warnings
 from collections.abc import Callable
 from typing import NoReturn
 
-from schemas.command_line import add_common
-from schemas.errors import ExitCode, GsbError
-from schemas.location import redacted, shown_argument
-from schemas.printable import line
-from schemas.printing import show
+from gpusimbench.schemas.command_line import add_common
+from gpusimbench.schemas.errors import ExitCode, GsbError
+from gpusimbench.schemas.location import redacted, shown_argument
+from gpusimbench.schemas.printable import line
+from gpusimbench.schemas.printing import show
 
 _NO_THREAD = "can't start new thread"
 """What Python says of a thread whose stack finds no memory."""

@@ -8,21 +8,21 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from evaluator.cli.arguments import local_name, local_path
-from evaluator.cli.entry import complain, enter, new_parser
-from evaluator.cli.json_target import check_target
-from schemas.errors import ExitCode, NothingComparable, UsageError
-from schemas.location import Place, place
-from schemas.printable import line
-from schemas.printing import show, show_document
-from schemas.writing import write_file, write_files
+from gpusimbench.evaluator.cli.arguments import local_name, local_path
+from gpusimbench.evaluator.cli.entry import complain, enter, new_parser
+from gpusimbench.evaluator.cli.json_target import check_target
+from gpusimbench.schemas.errors import ExitCode, NothingComparable, UsageError
+from gpusimbench.schemas.location import Place, place
+from gpusimbench.schemas.printable import line
+from gpusimbench.schemas.printing import show, show_document
+from gpusimbench.schemas.writing import write_file, write_files
 
 if TYPE_CHECKING:
-    from evaluator.mapping import Mapper
-    from evaluator.reading import Read, Unreadable
-    from evaluator.results import Evaluation
-    from evaluator.summary import Summary
-    from evaluator.work import Work
+    from gpusimbench.evaluator.compute.mapping import Mapper
+    from gpusimbench.evaluator.compute.work import Work
+    from gpusimbench.evaluator.results.result import Evaluation
+    from gpusimbench.evaluator.runs.reading import Read, Unreadable
+    from gpusimbench.evaluator.runs.summary import Summary
 
 _FORMATS = ("parquet", "csv", "md", "tex")
 
@@ -95,10 +95,10 @@ def _formats(text: str) -> tuple[str, ...]:
 
 def run(arguments: argparse.Namespace, command: str) -> int:
     """Evaluate and print; returns the exit code."""
-    from evaluator.cache.known_files import read_all
-    from evaluator.evaluate import evaluate
-    from evaluator.locations import expand
-    from evaluator.reading import Read, Reader
+    from gpusimbench.evaluator.read.addresses import expand
+    from gpusimbench.evaluator.results.evaluate import evaluate
+    from gpusimbench.evaluator.runs.known_files import read_all
+    from gpusimbench.evaluator.runs.reading import Read, Reader
 
     if not 0 < arguments.sample_time < float("inf"):
         raise UsageError(f"--sample-time is a time in seconds above 0, not {arguments.sample_time}")
@@ -106,11 +106,11 @@ def run(arguments: argparse.Namespace, command: str) -> int:
     if arguments.format != ("parquet",) and not arguments.tables:
         raise UsageError("--format says what --tables DIR writes; give both")
     if arguments.tables and "parquet" in arguments.format:
-        from evaluator.report.parquet import polars
+        from gpusimbench.evaluator.report.parquet import polars
 
         polars()  # before anything is computed
     if arguments.figures:
-        from evaluator.report.paper.pdf import reportlab
+        from gpusimbench.evaluator.report.paper.pdf import reportlab
 
         reportlab()
     with ExitStack() as stack:
@@ -137,13 +137,13 @@ def run(arguments: argparse.Namespace, command: str) -> int:
 
 
 def _work(arguments: argparse.Namespace, stack: ExitStack) -> Work:
-    from evaluator.cache.place import default_folder, open_store
-    from evaluator.mapping import serial
-    from evaluator.work import Work
+    from gpusimbench.evaluator.compute.cache.place import default_folder, open_store
+    from gpusimbench.evaluator.compute.mapping import serial
+    from gpusimbench.evaluator.compute.work import Work
 
     mapper: Mapper = serial
     if arguments.ray:
-        from evaluator.cluster import Cluster
+        from gpusimbench.evaluator.compute.cluster import Cluster
 
         mapper = stack.enter_context(Cluster(arguments.ray))
     folder = None if arguments.no_cache else arguments.cache or default_folder()
@@ -153,7 +153,7 @@ def _work(arguments: argparse.Namespace, stack: ExitStack) -> Work:
 
 
 def _one(given: Place | None) -> Place | None:
-    from evaluator.locations import expand
+    from gpusimbench.evaluator.read.addresses import expand
 
     found = expand([given]) if given else []
     if len(found) > 1:
@@ -162,7 +162,7 @@ def _one(given: Place | None) -> Place | None:
 
 
 def _readable(file: Read | Unreadable) -> Read:
-    from evaluator.reading import Unreadable
+    from gpusimbench.evaluator.runs.reading import Unreadable
 
     if isinstance(file, Unreadable):
         raise file.error
@@ -170,17 +170,17 @@ def _readable(file: Read | Unreadable) -> Read:
 
 
 def _present(evaluation: Evaluation, arguments: argparse.Namespace, command: str) -> None:
-    from evaluator.report.json import dump_json
+    from gpusimbench.evaluator.report.json import dump_json
 
     if arguments.json == "-":
         show_document(dump_json(evaluation))
     else:
-        from evaluator.report.published_tables import print_published
-        from evaluator.report.tables import print_tables
+        from gpusimbench.evaluator.report.published_tables import print_published
+        from gpusimbench.evaluator.report.tables import print_tables
 
         print_tables(evaluation, sys.stdout)
         if arguments.physics:
-            from evaluator.report.fidelity import print_fidelity
+            from gpusimbench.evaluator.report.fidelity import print_fidelity
 
             print_fidelity([result.fidelity for result in evaluation.results], sys.stdout)
         if arguments.published:
@@ -188,9 +188,9 @@ def _present(evaluation: Evaluation, arguments: argparse.Namespace, command: str
         if arguments.json:
             write_file(Path(arguments.json), dump_json(evaluation))
     if arguments.tables:
-        from evaluator.report.paper.tables import text_tables
-        from evaluator.report.paper.text_table import Format
-        from evaluator.report.parquet import parquet_tables
+        from gpusimbench.evaluator.report.paper.tables import text_tables
+        from gpusimbench.evaluator.report.paper.text_table import Format
+        from gpusimbench.evaluator.report.parquet import parquet_tables
 
         formats = [Format(name) for name in arguments.format]
         tables = parquet_tables(evaluation) if Format.PARQUET in formats else {}
@@ -200,14 +200,14 @@ def _present(evaluation: Evaluation, arguments: argparse.Namespace, command: str
         for table in paths:
             show(line(f"table: {table}"), error=arguments.json == "-")
     if arguments.figures:
-        from evaluator.report.paper.figures import write_figures
+        from gpusimbench.evaluator.report.paper.figures import write_figures
 
         written = write_figures(evaluation, arguments.figures, published=arguments.published)
         count = sum(path.suffix == ".pdf" for path in written)
         said = f"figures: {count} in {arguments.figures}, listed in {written[-1]}"
         show(line(said), error=arguments.json == "-")
     if arguments.html:
-        from evaluator.report.html import write_html
+        from gpusimbench.evaluator.report.html import write_html
 
         page = write_html(evaluation, arguments.html, published=arguments.published, command=command)
         show(line(f"report: {page}"), error=arguments.json == "-")

@@ -5,13 +5,13 @@ from __future__ import annotations
 import argparse
 import sys
 
-from evaluator.cli.arguments import local_name
-from evaluator.cli.entry import complain, enter, new_parser
-from evaluator.cli.json_target import check_target, write_json
-from schemas.errors import ExitCode, GsbError
-from schemas.location import Place, place
-from schemas.printable import block
-from schemas.printing import show
+from gpusimbench.evaluator.cli.arguments import local_name
+from gpusimbench.evaluator.cli.entry import complain, enter, new_parser
+from gpusimbench.evaluator.cli.json_target import check_target, write_json
+from gpusimbench.schemas.errors import ExitCode, GsbError
+from gpusimbench.schemas.location import Place, place
+from gpusimbench.schemas.printable import block
+from gpusimbench.schemas.printing import show
 
 _EPILOG = """\
 exit codes:
@@ -42,12 +42,12 @@ def parser() -> argparse.ArgumentParser:
 
 def run(arguments: argparse.Namespace, command: str) -> int:
     """Print a block for each file; returns the exit code."""
-    from evaluator.inspection import Inspection, inspect
-    from evaluator.integrity import examine
-    from evaluator.integrity.problem import DAMAGE
-    from evaluator.locations import expand
-    from evaluator.report.info_json import dump_info
-    from evaluator.report.info_text import info_text
+    from gpusimbench.evaluator.check.inspection import Inspection, inspect
+    from gpusimbench.evaluator.check.integrity import examine
+    from gpusimbench.evaluator.check.integrity.problem import DAMAGE
+    from gpusimbench.evaluator.read.addresses import expand
+    from gpusimbench.evaluator.report.info_json import dump_info
+    from gpusimbench.evaluator.report.info_text import info_text
 
     check_target(arguments.json)
     found: list[Inspection] = []

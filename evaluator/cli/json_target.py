@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from schemas import PARTIAL
-from schemas.errors import UsageError
-from schemas.printing import show_document
-from schemas.writing import write_file
+from gpusimbench.schemas import PARTIAL
+from gpusimbench.schemas.errors import UsageError
+from gpusimbench.schemas.printing import show_document
+from gpusimbench.schemas.writing import write_file
 
 
 def check_target(target: str | None) -> None:

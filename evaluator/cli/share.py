@@ -8,17 +8,17 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from evaluator.cli import share_leaderboard, share_set
-from evaluator.cli.arguments import local_path
-from evaluator.cli.entry import complain, enter, new_parser
-from schemas import PARTIAL
-from schemas.errors import ExitCode, GsbError, UsageError
-from schemas.printable import block, line
-from schemas.printing import show
+from gpusimbench.evaluator.cli import share_leaderboard, share_set
+from gpusimbench.evaluator.cli.arguments import local_path
+from gpusimbench.evaluator.cli.entry import complain, enter, new_parser
+from gpusimbench.schemas import PARTIAL
+from gpusimbench.schemas.errors import ExitCode, GsbError, UsageError
+from gpusimbench.schemas.printable import block, line
+from gpusimbench.schemas.printing import show
 
 if TYPE_CHECKING:
-    from evaluator.sharing.pack import Copied
-    from evaluator.sharing.recover import Recovered
+    from gpusimbench.evaluator.share.pack import Copied
+    from gpusimbench.evaluator.share.recover import Recovered
 
 _EPILOG = """\
 exit codes:
@@ -113,8 +113,8 @@ def run(arguments: argparse.Namespace, command: str) -> int:
 
 
 def _pack(arguments: argparse.Namespace) -> int:
-    from evaluator.sharing.pack import pack, unpack
-    from schemas.packing import LEVELS
+    from gpusimbench.evaluator.share.pack import pack, unpack
+    from gpusimbench.schemas.packing import LEVELS
 
     packing = arguments.verb == "pack"
     if packing and arguments.level not in LEVELS:
@@ -152,7 +152,7 @@ def _line(copied: Copied) -> str:
 
 
 def _recover(arguments: argparse.Namespace) -> int:
-    from evaluator.sharing.recover import recover
+    from gpusimbench.evaluator.share.recover import recover
 
     source: Path = arguments.file
     name = source.name.removesuffix(PARTIAL).removesuffix(".mcap")
@@ -176,8 +176,8 @@ def _told(done: Recovered) -> Iterator[str]:
 
 
 def _viewer(arguments: argparse.Namespace) -> int:
-    from evaluator.sharing.viewer import write_view
-    from schemas.writing import check_free, write_new
+    from gpusimbench.evaluator.player.viewer import write_view
+    from gpusimbench.schemas.writing import check_free, write_new
 
     if arguments.layout:
         if arguments.layout.resolve() == arguments.out.resolve():

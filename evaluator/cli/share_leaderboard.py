@@ -5,16 +5,16 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING, Any
 
-from evaluator.cli.arguments import local_path
-from evaluator.cli.entry import complain
-from evaluator.cli.share_set import check_time
-from schemas.errors import UsageError
-from schemas.location import place
-from schemas.printable import block
-from schemas.printing import show
+from gpusimbench.evaluator.cli.arguments import local_path
+from gpusimbench.evaluator.cli.entry import complain
+from gpusimbench.evaluator.cli.share_set import check_time
+from gpusimbench.schemas.errors import UsageError
+from gpusimbench.schemas.location import place
+from gpusimbench.schemas.printable import block
+from gpusimbench.schemas.printing import show
 
 if TYPE_CHECKING:
-    from evaluator.work import Work
+    from gpusimbench.evaluator.compute.work import Work
 
 _LEADERBOARD = (
     "Write a page that ranks simulators within each scene and device, from recordings alone: there is no way to type a "
@@ -37,8 +37,8 @@ def add_verb(verbs: Any) -> None:
 
 def leaderboard(arguments: argparse.Namespace) -> int:
     """Write a leaderboard; returns the exit code."""
-    from evaluator.sharing.leaderboard.make import make_leaderboard
-    from evaluator.sharing.leaderboard.text import leaderboard_lines
+    from gpusimbench.evaluator.share.leaderboard.make import make_leaderboard
+    from gpusimbench.evaluator.share.leaderboard.text import leaderboard_lines
 
     check_time(arguments.sample_time)
     if not arguments.title.strip() or not arguments.title.isprintable():
@@ -57,8 +57,8 @@ def leaderboard(arguments: argparse.Namespace) -> int:
 
 
 def _work(arguments: argparse.Namespace) -> Work:
-    from evaluator.cache.place import default_folder, open_store
-    from evaluator.work import Work
+    from gpusimbench.evaluator.compute.cache.place import default_folder, open_store
+    from gpusimbench.evaluator.compute.work import Work
 
     folder = None if arguments.no_cache else arguments.cache or default_folder()
     if arguments.cache and arguments.cache.exists() and not arguments.cache.is_dir():

@@ -6,13 +6,13 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from evaluator.cli.arguments import local_name, local_path
-from evaluator.cli.entry import complain
-from evaluator.cli.json_target import check_target, write_json
-from schemas.errors import ExitCode, GsbError, UsageError
-from schemas.location import place
-from schemas.printable import block
-from schemas.printing import show
+from gpusimbench.evaluator.cli.arguments import local_name, local_path
+from gpusimbench.evaluator.cli.entry import complain
+from gpusimbench.evaluator.cli.json_target import check_target, write_json
+from gpusimbench.schemas.errors import ExitCode, GsbError, UsageError
+from gpusimbench.schemas.location import place
+from gpusimbench.schemas.printable import block
+from gpusimbench.schemas.printing import show
 
 _CARD = (
     "Describe a folder of recordings for those who find it: README.md (a card for the Hugging Face Hub), tables of all "
@@ -54,11 +54,11 @@ def add_verbs(verbs: Any) -> None:
 
 def card(arguments: argparse.Namespace) -> int:
     """Describe a folder; returns the exit code."""
-    from evaluator.sharing.dataset.checkup import BROKEN, DAMAGED
-    from evaluator.sharing.dataset.citation import Publication, check_doi, check_url, parse_author
-    from evaluator.sharing.dataset.licences import check_licence
-    from evaluator.sharing.dataset.publish import publish
-    from evaluator.sharing.dataset.text import published_lines, warnings_of
+    from gpusimbench.evaluator.share.dataset.checkup import BROKEN, DAMAGED
+    from gpusimbench.evaluator.share.dataset.citation import Publication, check_doi, check_url, parse_author
+    from gpusimbench.evaluator.share.dataset.licences import check_licence
+    from gpusimbench.evaluator.share.dataset.publish import publish
+    from gpusimbench.evaluator.share.dataset.text import published_lines, warnings_of
 
     check_time(arguments.sample_time)
     licence = check_licence(arguments.licence)
@@ -102,8 +102,8 @@ def _about(path: Path | None) -> str:
 
 def verify(arguments: argparse.Namespace) -> int:
     """Verify a set; returns the exit code."""
-    from evaluator.sharing.dataset.text import dump_verification, verification_lines
-    from evaluator.sharing.dataset.verify import verify_set
+    from gpusimbench.evaluator.share.dataset.text import dump_verification, verification_lines
+    from gpusimbench.evaluator.share.dataset.verify import verify_set
 
     check_target(arguments.json)
     if not 0 <= arguments.tolerance < 1:

@@ -7,18 +7,18 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from evaluator.cli.arguments import local_path
-from evaluator.cli.entry import complain, enter, new_parser
-from schemas.errors import ExitCode, UsageError
-from schemas.location import place
-from schemas.printable import line
-from schemas.printing import show
-from schemas.writing import write_file
+from gpusimbench.evaluator.cli.arguments import local_path
+from gpusimbench.evaluator.cli.entry import complain, enter, new_parser
+from gpusimbench.schemas.errors import ExitCode, UsageError
+from gpusimbench.schemas.location import place
+from gpusimbench.schemas.printable import line
+from gpusimbench.schemas.printing import show
+from gpusimbench.schemas.writing import write_file
 
 if TYPE_CHECKING:
-    from evaluator.player.clip import Clip
-    from evaluator.player.programs import Program
-    from evaluator.recording import Recording
+    from gpusimbench.evaluator.player.clip import Clip
+    from gpusimbench.evaluator.player.programs import Program
+    from gpusimbench.evaluator.read.recording import Recording
 
 _PROGRAMS = ("auto", "page", "rerun", "foxglove", "lichtblick")
 
@@ -63,11 +63,11 @@ def parser() -> argparse.ArgumentParser:
 
 def run(arguments: argparse.Namespace, command: str) -> int:
     """Read, write and open; returns the exit code."""
-    from evaluator.locations import expand
-    from evaluator.player.clip import make_clip
-    from evaluator.player.programs import Program, found
-    from evaluator.player.words import sentences
-    from evaluator.recording import Recording
+    from gpusimbench.evaluator.player.clip import make_clip
+    from gpusimbench.evaluator.player.programs import Program, found
+    from gpusimbench.evaluator.player.words import sentences
+    from gpusimbench.evaluator.read.addresses import expand
+    from gpusimbench.evaluator.read.recording import Recording
 
     out: Path | None = arguments.out
     if out is not None and out.suffix not in (".html", ".htm"):
@@ -88,8 +88,8 @@ def run(arguments: argparse.Namespace, command: str) -> int:
 
 
 def _page(clip: Clip, recordings: list[Recording], out: Path | None, command: str, *, opened: bool) -> None:
-    from evaluator.player.page import render_page
-    from evaluator.player.programs import open_page
+    from gpusimbench.evaluator.player.page import render_page
+    from gpusimbench.evaluator.player.programs import open_page
 
     path = out or _folder() / f"{Path(recordings[0].path.name).stem}.html"
     write_file(path, render_page(clip, recordings, command=command))
@@ -99,8 +99,8 @@ def _page(clip: Clip, recordings: list[Recording], out: Path | None, command: st
 
 
 def _elsewhere(program: Program, clip: Clip, recordings: list[Recording], spread: float, *, started: bool) -> None:
-    from evaluator.player.programs import start
-    from evaluator.player.viewable import views
+    from gpusimbench.evaluator.player.programs import start
+    from gpusimbench.evaluator.player.viewable import views
 
     files = views(recordings, clip, _folder(), spread=spread)
     for recording, file in zip(recordings, files, strict=True):

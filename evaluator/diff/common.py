@@ -9,10 +9,10 @@ from fractions import Fraction
 import numpy as np
 from numpy.typing import NDArray
 
-from evaluator.diff.result import Basis
-from evaluator.diff.selection import Selection
-from schemas.checks import MAX_COUNT
-from schemas.fields import StateField
+from gpusimbench.evaluator.diff.result import Basis
+from gpusimbench.evaluator.diff.selection import Selection
+from gpusimbench.schemas.checks import MAX_COUNT
+from gpusimbench.schemas.fields import StateField
 
 _LARGEST_RATIO = 1000  # of two time steps, and of its parts as a fraction
 _TOLERANCE = 1e-9

@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-from evaluator.diff import remarks
-from evaluator.diff.common import common_fields, step_ratio
-from evaluator.diff.first import first_divergence, first_of_timed
-from evaluator.diff.hashes import CommonHashes, common_hashes, timed_hashes
-from evaluator.diff.numbers import pairing
-from evaluator.diff.order import BodyOrder
-from evaluator.diff.result import Basis, Compared, Difference, Splits
-from evaluator.diff.selection import Selection, one
-from evaluator.diff.settings import differing_settings
-from evaluator.diff.splits import Agreement, Classes, step_range, without_classes
-from evaluator.diff.states import CommonStates
-from evaluator.diff.walk import walk_hashes, walk_states
-from evaluator.recording import Recording
-from schemas.errors import NothingComparable, UsageError
+from gpusimbench.evaluator.diff import remarks
+from gpusimbench.evaluator.diff.common import common_fields, step_ratio
+from gpusimbench.evaluator.diff.first import first_divergence, first_of_timed
+from gpusimbench.evaluator.diff.hashes import CommonHashes, common_hashes, timed_hashes
+from gpusimbench.evaluator.diff.numbers import pairing
+from gpusimbench.evaluator.diff.order import BodyOrder
+from gpusimbench.evaluator.diff.result import Basis, Compared, Difference, Splits
+from gpusimbench.evaluator.diff.selection import Selection, one
+from gpusimbench.evaluator.diff.settings import differing_settings
+from gpusimbench.evaluator.diff.splits import Agreement, Classes, step_range, without_classes
+from gpusimbench.evaluator.diff.states import CommonStates
+from gpusimbench.evaluator.diff.walk import walk_hashes, walk_states
+from gpusimbench.evaluator.read.recording import Recording
+from gpusimbench.schemas.errors import NothingComparable, UsageError
 
 
 def compare(a: Recording, b: Recording, *, envs: tuple[int, int] | None = None) -> Difference:

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from fractions import Fraction
 
-from evaluator.diff.hashes import CommonHashes
-from evaluator.diff.locate import envs_of, state_difference
-from evaluator.diff.result import Divergence
-from evaluator.diff.selection import Selection
-from evaluator.diff.splits import Agreement
-from evaluator.diff.states import CommonStates
+from gpusimbench.evaluator.diff.hashes import CommonHashes
+from gpusimbench.evaluator.diff.locate import envs_of, state_difference
+from gpusimbench.evaluator.diff.result import Divergence
+from gpusimbench.evaluator.diff.selection import Selection
+from gpusimbench.evaluator.diff.splits import Agreement
+from gpusimbench.evaluator.diff.states import CommonStates
 
 
 def first_divergence(

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from evaluator.diff.numbers import Pairing
-from evaluator.diff.result import Basis, Growth
-from evaluator.metrics.divergence import FIT_LIMIT_M, GrowthFit, first_reaching, fit_growth
+from gpusimbench.evaluator.diff.numbers import Pairing
+from gpusimbench.evaluator.diff.result import Basis, Growth
+from gpusimbench.evaluator.metrics.divergence import FIT_LIMIT_M, GrowthFit, first_reaching, fit_growth
 
 _MM, _CM = 1e-3, 1e-2
 

@@ -8,10 +8,10 @@ from fractions import Fraction
 import numpy as np
 from numpy.typing import NDArray
 
-from evaluator.diff.common import CommonField, common_steps
-from evaluator.diff.result import Basis
-from evaluator.diff.selection import Selection
-from schemas.errors import DamagedRecording
+from gpusimbench.evaluator.diff.common import CommonField, common_steps
+from gpusimbench.evaluator.diff.result import Basis
+from gpusimbench.evaluator.diff.selection import Selection
+from gpusimbench.schemas.errors import DamagedRecording
 
 PHASES = ("capture", "timed")
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from evaluator.diff.result import SCHEMA_VERSION, Difference
-from evaluator.document import dump, values_of
+from gpusimbench.evaluator.diff.result import SCHEMA_VERSION, Difference
+from gpusimbench.evaluator.json_values import dump, values_of
 
 
 def to_json(found: Difference) -> dict[str, Any]:

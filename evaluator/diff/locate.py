@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from evaluator.diff.numbers import number
-from evaluator.diff.result import StateDifference
-from evaluator.diff.selection import Selection
-from evaluator.diff.states import CommonStates
-from evaluator.metrics.divergence import first_true
+from gpusimbench.evaluator.diff.numbers import number
+from gpusimbench.evaluator.diff.result import StateDifference
+from gpusimbench.evaluator.diff.selection import Selection
+from gpusimbench.evaluator.diff.states import CommonStates
+from gpusimbench.evaluator.metrics.divergence import first_true
 
 
 def state_difference(states: CommonStates, row: int, a: Selection, b: Selection) -> StateDifference:

@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from evaluator.diff.common import CommonField
-from evaluator.diff.result import Basis, FieldDifference, Number
-from evaluator.diff.selection import Selection
-from evaluator.metrics.divergence import as_words, differs, resolution, ulp_distance
+from gpusimbench.evaluator.diff.common import CommonField
+from gpusimbench.evaluator.diff.result import Basis, FieldDifference, Number
+from gpusimbench.evaluator.diff.selection import Selection
+from gpusimbench.evaluator.metrics.divergence import as_words, differs, resolution, ulp_distance
 
 
 @dataclass(frozen=True)

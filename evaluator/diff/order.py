@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from evaluator.diff.selection import Selection
-from evaluator.diff.states import CommonStates
-from schemas.fingerprint import fingerprint
-from schemas.splitmix import GOLDEN, mix
+from gpusimbench.evaluator.diff.selection import Selection
+from gpusimbench.evaluator.diff.states import CommonStates
+from gpusimbench.schemas.fingerprint import fingerprint
+from gpusimbench.schemas.splitmix import GOLDEN, mix
 
 Words = NDArray[np.uint64]
 

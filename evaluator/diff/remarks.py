@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from evaluator.diff import words
-from evaluator.diff.common import CommonField
-from evaluator.diff.hashes import CommonHashes
-from evaluator.diff.result import Basis
-from evaluator.diff.selection import Selection
-from evaluator.diff.splits import Agreement
-from evaluator.diff.states import CommonStates, Ends
+from gpusimbench.evaluator.diff import words
+from gpusimbench.evaluator.diff.common import CommonField
+from gpusimbench.evaluator.diff.hashes import CommonHashes
+from gpusimbench.evaluator.diff.result import Basis
+from gpusimbench.evaluator.diff.selection import Selection
+from gpusimbench.evaluator.diff.splits import Agreement
+from gpusimbench.evaluator.diff.states import CommonStates, Ends
 
 Fields = tuple[CommonField, ...]
 

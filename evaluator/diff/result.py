@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import Enum
 
-from evaluator.metrics.divergence import GrowthFit
-from schemas.location import Place
+from gpusimbench.evaluator.metrics.divergence import GrowthFit
+from gpusimbench.schemas.location import Place
 
 SCHEMA_VERSION = 1
 

@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from evaluator.diff.result import Contacts, Side
-from evaluator.recording import Recording
-from schemas.errors import UsageError
-from schemas.fields import StateField
+from gpusimbench.evaluator.diff.result import Contacts, Side
+from gpusimbench.evaluator.read.recording import Recording
+from gpusimbench.schemas.errors import UsageError
+from gpusimbench.schemas.fields import StateField
 
 
 @dataclass(frozen=True)

@@ -8,9 +8,9 @@ from collections.abc import Iterator, Mapping
 from dataclasses import asdict
 from typing import Any
 
-from evaluator.diff.result import Setting
-from evaluator.recording import Recording
-from schemas.provenance import ENGINE_LOG, PACKAGES, PROVENANCE, SIMULATION
+from gpusimbench.evaluator.diff.result import Setting
+from gpusimbench.evaluator.read.recording import Recording
+from gpusimbench.schemas.provenance import ENGINE_LOG, PACKAGES, PROVENANCE, SIMULATION
 
 _UNSET = "(unset)"
 _LONGEST = 200

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from evaluator.diff.result import Change, Splits, StepRange
-from evaluator.metrics.divergence import by_first_appearance
-from schemas.splitmix import GOLDEN, mix
+from gpusimbench.evaluator.diff.result import Change, Splits, StepRange
+from gpusimbench.evaluator.metrics.divergence import by_first_appearance
+from gpusimbench.schemas.splitmix import GOLDEN, mix
 
 
 class Counts:

@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from evaluator.diff.common import common_steps
-from evaluator.diff.numbers import Pairing
-from evaluator.diff.selection import Selection, picked
-from evaluator.state_array import StateArray
+from gpusimbench.evaluator.diff.common import common_steps
+from gpusimbench.evaluator.diff.numbers import Pairing
+from gpusimbench.evaluator.diff.selection import Selection, picked
+from gpusimbench.evaluator.read.state_array import StateArray
 
 _ROWS = 50  # a block's rows, so that few are decoded twice
 _BYTES = 16 << 20  # of one field on one side; never less than a row

@@ -8,13 +8,13 @@ from typing import IO
 from rich.console import Console
 from rich.text import Text
 
-from evaluator.diff import words
-from evaluator.diff.result import Basis, Difference, Divergence, Number, Verdict
-from evaluator.diff.text_growth import print_growth
-from evaluator.diff.text_numbers import print_numbers
-from evaluator.diff.text_splits import print_splits
-from evaluator.report.console import make_console, plain_table
-from evaluator.report.text import printable
+from gpusimbench.evaluator.diff import words
+from gpusimbench.evaluator.diff.result import Basis, Difference, Divergence, Number, Verdict
+from gpusimbench.evaluator.diff.text_growth import print_growth
+from gpusimbench.evaluator.diff.text_numbers import print_numbers
+from gpusimbench.evaluator.diff.text_splits import print_splits
+from gpusimbench.evaluator.render.console import make_console, plain_table
+from gpusimbench.evaluator.render.text import printable
 
 _ITEMS, _SETTINGS, _VALUE, _INDENT = 6, 16, 48, 18
 _BASIS = {

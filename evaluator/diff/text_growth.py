@@ -6,10 +6,10 @@ import math
 
 from rich.console import Console
 
-from evaluator.diff import words
-from evaluator.diff.result import Difference, Growth
-from evaluator.diff.text_numbers import print_numbers
-from evaluator.report.text import printable
+from gpusimbench.evaluator.diff import words
+from gpusimbench.evaluator.diff.result import Difference, Growth
+from gpusimbench.evaluator.diff.text_numbers import print_numbers
+from gpusimbench.evaluator.render.text import printable
 
 _ROWS, _WIDTH = 6, 60
 _FEWEST = 8  # steps that are worth a sparkline

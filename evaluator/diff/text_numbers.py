@@ -8,8 +8,8 @@ from rich.cells import cell_len
 from rich.console import Console
 from rich.text import Text
 
-from evaluator.report.console import plain_table
-from evaluator.report.text import printable
+from gpusimbench.evaluator.render.console import plain_table
+from gpusimbench.evaluator.render.text import printable
 
 _GAP = 2  # columns of a terminal between those of a table
 _NAME = 5  # of them for names, at least

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from rich.console import Console
 
-from evaluator.diff import words
-from evaluator.diff.result import Difference, Splits
-from evaluator.report.text import printable
+from gpusimbench.evaluator.diff import words
+from gpusimbench.evaluator.diff.result import Difference, Splits
+from gpusimbench.evaluator.render.text import printable
 
 _CHANGES, _CLASSES = 8, 8
 

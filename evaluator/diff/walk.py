@@ -8,15 +8,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from evaluator.diff.growth import Distances
-from evaluator.diff.hashes import CommonHashes
-from evaluator.diff.numbers import Tally
-from evaluator.diff.result import FieldDifference, Growth
-from evaluator.diff.selection import Selection
-from evaluator.diff.splits import Agreement, Classes
-from evaluator.diff.states import CommonStates
-from schemas.fingerprint import fingerprint
-from schemas.splitmix import GOLDEN, mix
+from gpusimbench.evaluator.diff.growth import Distances
+from gpusimbench.evaluator.diff.hashes import CommonHashes
+from gpusimbench.evaluator.diff.numbers import Tally
+from gpusimbench.evaluator.diff.result import FieldDifference, Growth
+from gpusimbench.evaluator.diff.selection import Selection
+from gpusimbench.evaluator.diff.splits import Agreement, Classes
+from gpusimbench.evaluator.diff.states import CommonStates
+from gpusimbench.schemas.fingerprint import fingerprint
+from gpusimbench.schemas.splitmix import GOLDEN, mix
 
 _HASH_ROWS = 512
 

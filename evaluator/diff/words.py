@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from itertools import groupby
 
-from evaluator.diff.result import Change
+from gpusimbench.evaluator.diff.result import Change
 
 NONE = "-"
 _BARS = "▁▂▃▄▅▆▇█"

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from evaluator.metrics.variability import CM_PER_M
-from evaluator.transport.pair import wasserstein1
-from evaluator.transport.points import planar_array
+from gpusimbench.evaluator.metrics.variability import CM_PER_M
+from gpusimbench.evaluator.transport.pair import wasserstein1
+from gpusimbench.evaluator.transport.points import planar_array
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
 
-from evaluator.metrics.memory import Checkpoints, GpuMemory
+from gpusimbench.evaluator.metrics.memory import Checkpoints, GpuMemory
 
 UNEXPLAINED_BYTES = 32 << 20
 """So many bytes at the baseline are a process: the driver's own share varies by less than 1 MB between readings, and a

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from evaluator.metrics.radar import SimulatorResult, radar, require_unique_names
-from evaluator.metrics.regime import is_present
+from gpusimbench.evaluator.metrics.radar import SimulatorResult, radar, require_unique_names
+from gpusimbench.evaluator.metrics.regime import is_present
 
 Results = Sequence[SimulatorResult]
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from evaluator.metrics.divergence import by_first_appearance
+from gpusimbench.evaluator.metrics.divergence import by_first_appearance
 
 
 def bitwise_classes(samples: npt.ArrayLike) -> npt.NDArray[np.int64]:

@@ -8,8 +8,8 @@ from enum import IntEnum
 import numpy as np
 import numpy.typing as npt
 
-from evaluator.metrics.divergence import as_words
-from evaluator.metrics.identity import count_distinct
+from gpusimbench.evaluator.metrics.divergence import as_words
+from gpusimbench.evaluator.metrics.identity import count_distinct
 
 MAX_ULP = 8.0
 """A position that a step recomputes in another order of its sums is off by an ULP or a few: each addition rounds by

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from evaluator.metrics.identity import DistinctOverTime
+from gpusimbench.evaluator.metrics.identity import DistinctOverTime
 
 MAX_BRANCHES = 64
 """Branches that are kept; of more, those that left first."""

@@ -9,11 +9,11 @@ from itertools import combinations
 import numpy as np
 import numpy.typing as npt
 
-from evaluator.mapping import Mapper, serial
-from evaluator.metrics.identity import bitwise_classes, count_distinct
-from evaluator.transport.pair import MATRIX_LIMIT, Transport, wasserstein1
-from evaluator.transport.points import in_canonical_order, planar_array
-from evaluator.transport.small import PairwiseSummary, pairwise_summary, pairwise_wasserstein1
+from gpusimbench.evaluator.compute.mapping import Mapper, serial
+from gpusimbench.evaluator.metrics.identity import bitwise_classes, count_distinct
+from gpusimbench.evaluator.transport.pair import MATRIX_LIMIT, Transport, wasserstein1
+from gpusimbench.evaluator.transport.points import in_canonical_order, planar_array
+from gpusimbench.evaluator.transport.small import PairwiseSummary, pairwise_summary, pairwise_wasserstein1
 
 CM_PER_M = 100.0
 

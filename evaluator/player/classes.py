@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from evaluator.metrics.identity import refined
-from evaluator.recording import Recording
+from gpusimbench.evaluator.metrics.identity import refined
+from gpusimbench.evaluator.read.recording import Recording
 
 _MOST_HASHES = 1 << 25
 """That are held at once, of all recordings together; environments beyond are left out, and that is said."""

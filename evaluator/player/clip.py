@@ -9,11 +9,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from evaluator.player.classes import Changes, Compared, changes, compared, representatives
-from evaluator.player.labels import Labels, labels_of
-from evaluator.player.poses import Items, Surroundings, items_of, recorded_steps, surroundings
-from evaluator.recording import Recording
-from schemas.errors import NothingComparable, UsageError
+from gpusimbench.evaluator.player.classes import Changes, Compared, changes, compared, representatives
+from gpusimbench.evaluator.player.labels import Labels, labels_of
+from gpusimbench.evaluator.player.poses import Items, Surroundings, items_of, recorded_steps, surroundings
+from gpusimbench.evaluator.read.recording import Recording
+from gpusimbench.schemas.errors import NothingComparable, UsageError
 
 MOST_SHOWN = 8
 """Environments at a time; there are as many colours that every reader can keep apart."""

@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from evaluator.player.clip import Clip, Track
-from evaluator.player.poses import Shape, Surroundings
-from evaluator.report.text import printable
+from gpusimbench.evaluator.player.clip import Clip, Track
+from gpusimbench.evaluator.player.poses import Shape, Surroundings
+from gpusimbench.evaluator.render.text import printable
 
 RESOLUTION_M = 2.0**-17
 """Positions are rounded to multiples of it, 0.0076 mm, and are float32."""

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from evaluator.recording import Recording
-from evaluator.report.text import printable
+from gpusimbench.evaluator.read.recording import Recording
+from gpusimbench.evaluator.render.text import printable
 
 
 @dataclass(frozen=True)

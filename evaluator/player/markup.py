@@ -9,10 +9,10 @@ from pathlib import Path
 import jinja2
 from markupsafe import Markup
 
-from evaluator.player.clip import Clip
-from evaluator.player.encode import RESOLUTION_M, RESOLUTION_QUATERNION, encode
-from evaluator.player.words import distinct, sentences
-from evaluator.report.templating import page_templates
+from gpusimbench.evaluator.player.clip import Clip
+from gpusimbench.evaluator.player.encode import RESOLUTION_M, RESOLUTION_QUATERNION, encode
+from gpusimbench.evaluator.player.words import distinct, sentences
+from gpusimbench.evaluator.render.templating import page_templates
 
 _HERE = Path(__file__).parent
 

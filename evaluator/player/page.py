@@ -8,16 +8,16 @@ from pathlib import Path
 import jinja2
 from markupsafe import Markup
 
-import schemas
-from evaluator.player.clip import Clip
-from evaluator.player.labels import labels_of
-from evaluator.player.markup import markup, script, style
-from evaluator.player.words import distinct, first_divergence
-from evaluator.recording import Recording
-from evaluator.report.figures import palette
-from evaluator.report.page.scripts import allowed
-from evaluator.report.templating import page_templates
-from evaluator.report.text import printable
+from gpusimbench import schemas
+from gpusimbench.evaluator.player.clip import Clip
+from gpusimbench.evaluator.player.labels import labels_of
+from gpusimbench.evaluator.player.markup import markup, script, style
+from gpusimbench.evaluator.player.words import distinct, first_divergence
+from gpusimbench.evaluator.read.recording import Recording
+from gpusimbench.evaluator.render.figures import palette
+from gpusimbench.evaluator.render.scripts import allowed
+from gpusimbench.evaluator.render.templating import page_templates
+from gpusimbench.evaluator.render.text import printable
 
 _HERE = Path(__file__).parent
 

@@ -6,13 +6,13 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from evaluator.groups import Group
-from evaluator.player.clip import Clip, make_clip
-from evaluator.player.encode import encode
-from evaluator.recording import Recording
-from evaluator.results import GroupResult
-from evaluator.summary import Summary
-from schemas.errors import NUMBERS_OF_A_STRANGER, GsbError
+from gpusimbench.evaluator.player.clip import Clip, make_clip
+from gpusimbench.evaluator.player.encode import encode
+from gpusimbench.evaluator.read.recording import Recording
+from gpusimbench.evaluator.results.result import GroupResult
+from gpusimbench.evaluator.runs.groups import Group
+from gpusimbench.evaluator.runs.summary import Summary
+from gpusimbench.schemas.errors import NUMBERS_OF_A_STRANGER, GsbError
 
 BUDGET_BYTES = 6_000_000
 """Of all clips of a page, as text."""
@@ -68,7 +68,7 @@ def _clip(group: Group[Summary], title: str) -> Clip | str:
     try:
         clip = make_clip([Recording(path) for path in paths], title=title, budget=_CLIP_BYTES)
     except _UNREADABLE as error:
-        # numbers of a stranger that numpy cannot take, too; evaluator.run_data reads them the same way
+        # numbers of a stranger that numpy cannot take, too; evaluator.runs.run_data reads them the same way
         return str(error) or type(error).__name__
     return clip
 

@@ -8,12 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from evaluator.recording import Recording
-from schemas.configuration import sim_time_ns
-from schemas.errors import DamagedRecording
-from schemas.view.motion import ROBOT, Frame, Motion
-from schemas.view.rotation import product, rotate
-from schemas.view.shapes import Shape, Solid, solids_of
+from gpusimbench.evaluator.read.recording import Recording
+from gpusimbench.schemas.configuration import sim_time_ns
+from gpusimbench.schemas.errors import DamagedRecording
+from gpusimbench.schemas.view.motion import ROBOT, Frame, Motion
+from gpusimbench.schemas.view.rotation import product, rotate
+from gpusimbench.schemas.view.shapes import Shape, Solid, solids_of
 
 _PIECE_ROWS = 4096  # read at once, so that memory does not grow with the length of a run
 _MOST_SHAPES = 4000  # that are drawn in every picture

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from enum import Enum
 from pathlib import Path
 
-from schemas.errors import GsbError, UsageError
+from gpusimbench.schemas.errors import GsbError, UsageError
 
 _GRACE_S = 1.0  # in which a program that cannot start says so
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from evaluator.player.clip import Clip
-from evaluator.recording import Recording
-from evaluator.sharing.viewer import write_view
-from schemas import topics
-from schemas.container import Container
-from schemas.errors import UsageError
+from gpusimbench.evaluator.player.clip import Clip
+from gpusimbench.evaluator.player.viewer import write_view
+from gpusimbench.evaluator.read.recording import Recording
+from gpusimbench.schemas import topics
+from gpusimbench.schemas.container import Container
+from gpusimbench.schemas.errors import UsageError
 
 _DRAWN = "foxglove.SceneUpdate"  # with which an environment's poses come
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from evaluator.player.clip import Clip
+from gpusimbench.evaluator.player.clip import Clip
 
 _MOST_SPLITS = 8
 

@@ -7,12 +7,12 @@ from collections.abc import Iterator
 from rich.console import Console
 from rich.text import Text
 
-from evaluator.accumulation import Accumulation
-from evaluator.report.console import plain_table
-from evaluator.report.numbers import NONE, distance
-from evaluator.report.text import printable
-from evaluator.statistics.jackknife import Interval
-from evaluator.statistics.matched import Variability
+from gpusimbench.evaluator.render.console import plain_table
+from gpusimbench.evaluator.render.numbers import NONE, distance
+from gpusimbench.evaluator.render.text import printable
+from gpusimbench.evaluator.results.accumulation import Accumulation
+from gpusimbench.evaluator.statistics.jackknife import Interval
+from gpusimbench.evaluator.statistics.matched import Variability
 
 TITLES = ("N", "runs", "between runs", "floor", "between envs", "between runs, all envs", "floor, all envs")
 """Distances are W1 in cm; the first three are of as many environments at each N."""

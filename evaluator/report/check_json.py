@@ -5,11 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from evaluator.document import dump
-from evaluator.plain import plain
-from evaluator.rules.findings import Report
-from evaluator.rules.rule import Rule, RuleSet
-from schemas import __version__
+from gpusimbench.evaluator.check.rules.findings import Report
+from gpusimbench.evaluator.check.rules.rule import Rule, RuleSet
+from gpusimbench.evaluator.json_values import dump, plain
+from gpusimbench.schemas import __version__
 
 SCHEMA_VERSION = 1
 

@@ -5,13 +5,13 @@ from __future__ import annotations
 import textwrap
 from collections.abc import Iterator, Sequence
 
-from evaluator.integrity.problem import Kind
-from evaluator.report.text import block, line
-from evaluator.rules.facts import CONDITIONS, FACTS
-from evaluator.rules.findings import Checked, Finding, Report
-from evaluator.rules.predicates import FILE_PREDICATES, SET_PREDICATES
-from evaluator.rules.rule import Level, RuleSet, Scope
-from schemas.printable import Block
+from gpusimbench.evaluator.check.integrity.problem import Kind
+from gpusimbench.evaluator.check.rules.facts import CONDITIONS, FACTS
+from gpusimbench.evaluator.check.rules.findings import Checked, Finding, Report
+from gpusimbench.evaluator.check.rules.predicates import FILE_PREDICATES, SET_PREDICATES
+from gpusimbench.evaluator.check.rules.rule import Level, RuleSet, Scope
+from gpusimbench.evaluator.render.text import block, line
+from gpusimbench.schemas.printable import Block
 
 _WIDTH = 80
 _FILES = 5

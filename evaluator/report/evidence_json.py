@@ -6,14 +6,14 @@ from typing import Any
 
 import numpy as np
 
-from evaluator.comparison import Contender
-from evaluator.fidelity import Verdict
-from evaluator.metrics.divergence import FIT_LIMIT_M, first_reaching
-from evaluator.price_list import Cost, Family, Price
-from evaluator.remade import AtMax, Capability
-from evaluator.report.timed import timed_record
-from evaluator.results import GroupResult, Metric, RunSpread
-from evaluator.soundness import Faults, faults
+from gpusimbench.evaluator.metrics.divergence import FIT_LIMIT_M, first_reaching
+from gpusimbench.evaluator.report.timed import timed_record
+from gpusimbench.evaluator.results.determinism_cost import Cost, Family, Price
+from gpusimbench.evaluator.results.faults import Faults, faults
+from gpusimbench.evaluator.results.fidelity import Verdict
+from gpusimbench.evaluator.results.paper_tables import AtMax, Capability
+from gpusimbench.evaluator.results.ranking import Contender
+from gpusimbench.evaluator.results.result import GroupResult, Metric, RunSpread
 
 
 def family_record(family: Family) -> dict[str, Any]:

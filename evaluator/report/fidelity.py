@@ -8,10 +8,10 @@ from typing import IO, Any
 from markupsafe import Markup
 from rich.text import Text
 
-from evaluator.fidelity import Fidelity, FidelityRow, Verdict
-from evaluator.report.console import make_console, plain_table
-from evaluator.report.numbers import NONE
-from evaluator.report.text import printable
+from gpusimbench.evaluator.render.console import make_console, plain_table
+from gpusimbench.evaluator.render.numbers import NONE
+from gpusimbench.evaluator.render.text import printable
+from gpusimbench.evaluator.results.fidelity import Fidelity, FidelityRow, Verdict
 
 TITLES = ("check", "measured", "range", "allowed", "tolerance", "verdict")
 _AT_REST = "at rest at the sample time (mechanics does not demand it)"

@@ -12,10 +12,11 @@ from pathlib import Path
 
 from markupsafe import Markup
 
-import schemas
-from evaluator.player.playback import Playback, playback_of
-from evaluator.report.figures import palette, style
-from evaluator.report.page import (
+from gpusimbench import schemas
+from gpusimbench.evaluator.player.playback import Playback, playback_of
+from gpusimbench.evaluator.render.figures import palette, style
+from gpusimbench.evaluator.render.scripts import policy, script
+from gpusimbench.evaluator.report.page import (
     accumulation,
     consistency,
     density,
@@ -37,12 +38,11 @@ from evaluator.report.page import (
     validity,
     variability,
 )
-from evaluator.report.page.environment import environment
-from evaluator.report.page.header import header
-from evaluator.report.page.scripts import policy, script
-from evaluator.report.page.section import Section, Source
-from evaluator.results import Evaluation
-from schemas.writing import write_files
+from gpusimbench.evaluator.report.page.environment import environment
+from gpusimbench.evaluator.report.page.header import header
+from gpusimbench.evaluator.report.page.section import Section, Source
+from gpusimbench.evaluator.results.result import Evaluation
+from gpusimbench.schemas.writing import write_files
 
 SECTIONS: tuple[Callable[[Source], Section | None], ...] = (
     summary.section,

@@ -6,12 +6,11 @@ from collections.abc import Sequence
 from dataclasses import fields, is_dataclass
 from typing import Any
 
-from evaluator.document import dump
-from evaluator.inspection import Inspection
-from evaluator.plain import plain
-from schemas import __version__
-from schemas.errors import GsbError
-from schemas.location import Place
+from gpusimbench.evaluator.check.inspection import Inspection
+from gpusimbench.evaluator.json_values import dump, plain
+from gpusimbench.schemas import __version__
+from gpusimbench.schemas.errors import GsbError
+from gpusimbench.schemas.location import Place
 
 SCHEMA_VERSION = 1
 

@@ -6,17 +6,17 @@ import textwrap
 from collections.abc import Iterator
 from typing import Any
 
-from evaluator.cotenancy import described
-from evaluator.inspection import Array, CoTenancy, Inspection, Memory, Rate
-from evaluator.integrity.problem import REMARKS, Kind
-from evaluator.metrics.cotenants import Presence
-from evaluator.plain import brief, plain
-from evaluator.report.numbers import plural
-from evaluator.report.text import block, line
-from evaluator.timed_work import SHORT_S
-from schemas.configuration import MAX_VIEW, RunConfiguration
-from schemas.printable import Block
-from schemas.provenance import REAL, Provenance, Simulation
+from gpusimbench.evaluator.check.inspection import Array, CoTenancy, Inspection, Memory, Rate
+from gpusimbench.evaluator.check.integrity.problem import REMARKS, Kind
+from gpusimbench.evaluator.json_values import brief, plain
+from gpusimbench.evaluator.metrics.cotenants import Presence
+from gpusimbench.evaluator.render.numbers import plural
+from gpusimbench.evaluator.render.text import block, line
+from gpusimbench.evaluator.results.timed_work import SHORT_S
+from gpusimbench.evaluator.runs.cotenancy import described
+from gpusimbench.schemas.configuration import MAX_VIEW, RunConfiguration
+from gpusimbench.schemas.printable import Block
+from gpusimbench.schemas.provenance import REAL, Provenance, Simulation
 
 _WIDTH = 80
 _LABEL = 12

@@ -5,23 +5,23 @@ from __future__ import annotations
 import json
 from typing import Any
 
-from evaluator.document import dump, values_of
-from evaluator.metrics.memory_model import MemoryModel
-from evaluator.remade import capability
-from evaluator.report.evidence_json import (
+from gpusimbench.evaluator.json_values import dump, values_of
+from gpusimbench.evaluator.metrics.memory_model import MemoryModel
+from gpusimbench.evaluator.report.evidence_json import (
     capability_record,
     contender_record,
     divergence_records,
     family_record,
     faults_record,
 )
-from evaluator.report.fidelity import fidelity_record
-from evaluator.report.timed import timed_record
-from evaluator.results import SCHEMA_VERSION, Evaluation, GroupResult, Metric
-from evaluator.soundness import faults
-from evaluator.summary import Summary
-from evaluator.sweeps import SOURCES, Sweep, SweepPoint
-from evaluator.validity import Validity
+from gpusimbench.evaluator.report.fidelity import fidelity_record
+from gpusimbench.evaluator.report.timed import timed_record
+from gpusimbench.evaluator.results.faults import faults
+from gpusimbench.evaluator.results.paper_tables import capability
+from gpusimbench.evaluator.results.result import SCHEMA_VERSION, Evaluation, GroupResult, Metric
+from gpusimbench.evaluator.results.sweeps import SOURCES, Sweep, SweepPoint
+from gpusimbench.evaluator.results.validity import Validity
+from gpusimbench.evaluator.runs.summary import Summary
 
 
 def to_json(evaluation: Evaluation) -> dict[str, Any]:

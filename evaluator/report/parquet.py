@@ -12,11 +12,11 @@ import json
 from collections.abc import Iterator
 from typing import Any
 
-from evaluator.report.text import printable
-from evaluator.results import Evaluation, GroupResult, Metric
-from evaluator.summary import Summary
-from evaluator.timed_work import SETTINGS, TimedWork
-from schemas.errors import UsageError
+from gpusimbench.evaluator.render.text import printable
+from gpusimbench.evaluator.results.result import Evaluation, GroupResult, Metric
+from gpusimbench.evaluator.results.timed_work import SETTINGS, TimedWork
+from gpusimbench.evaluator.runs.summary import Summary
+from gpusimbench.schemas.errors import UsageError
 
 METRICS, RUNS = "metrics.parquet", "runs.parquet"
 

@@ -7,13 +7,13 @@ from collections.abc import Iterator, Sequence
 from rich.console import Console
 from rich.text import Text
 
-from evaluator.price_list import NO_EFFECT, Cost, Family, Price
-from evaluator.report import timed, words
-from evaluator.report.console import plain_table
-from evaluator.report.numbers import NONE
-from evaluator.report.text import printable
-from evaluator.results import GroupResult, Metric
-from evaluator.soundness import faults
+from gpusimbench.evaluator.render.console import plain_table
+from gpusimbench.evaluator.render.numbers import NONE
+from gpusimbench.evaluator.render.text import printable
+from gpusimbench.evaluator.report import timed, words
+from gpusimbench.evaluator.results.determinism_cost import NO_EFFECT, Cost, Family, Price
+from gpusimbench.evaluator.results.faults import faults
+from gpusimbench.evaluator.results.result import GroupResult, Metric
 
 SAME = "cannot be told apart from 1"
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import IO
 
-from evaluator.published import SCALING, SOURCE, VARIABILITY, AtLargest
-from evaluator.report.console import make_console, plain_table
-from evaluator.report.numbers import NONE
+from gpusimbench.evaluator.render.console import make_console, plain_table
+from gpusimbench.evaluator.render.numbers import NONE
+from gpusimbench.evaluator.results.published import SCALING, SOURCE, VARIABILITY, AtLargest
 
 
 def print_published(stream: IO[str]) -> None:

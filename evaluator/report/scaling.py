@@ -7,14 +7,14 @@ from dataclasses import dataclass
 
 from markupsafe import Markup
 
-from evaluator.cost_metrics import GPU_MEMORY, HOST_MEMORY
-from evaluator.published import SCALING, AtLargest
-from evaluator.report import timed, words
-from evaluator.report.csv import Cell
-from evaluator.report.figures import lines
-from evaluator.report.figures.scaling import Curve, Foreign, scaling_chart
-from evaluator.report.page.picture import Numbers, Picture, file_name
-from evaluator.sweeps import Sweep
+from gpusimbench.evaluator.render.figures import lines
+from gpusimbench.evaluator.render.figures.scaling import Curve, Foreign, scaling_chart
+from gpusimbench.evaluator.report import timed, words
+from gpusimbench.evaluator.report.csv import Cell
+from gpusimbench.evaluator.report.page.picture import Numbers, Picture, file_name
+from gpusimbench.evaluator.results.cost_metrics import GPU_MEMORY, HOST_MEMORY
+from gpusimbench.evaluator.results.published import SCALING, AtLargest
+from gpusimbench.evaluator.results.sweeps import Sweep
 
 _DEVICE, _PROCESS = GPU_MEMORY
 _MEMORY = {

@@ -7,11 +7,11 @@ from collections.abc import Sequence
 from rich.console import Console
 from rich.text import Text
 
-from evaluator.report import timed, words
-from evaluator.report.console import plain_table
-from evaluator.report.numbers import NONE, mean_sd
-from evaluator.report.text import printable
-from evaluator.sweeps import SOURCES, Sweep, SweepPoint
+from gpusimbench.evaluator.render.console import plain_table
+from gpusimbench.evaluator.render.numbers import NONE, mean_sd
+from gpusimbench.evaluator.render.text import printable
+from gpusimbench.evaluator.report import timed, words
+from gpusimbench.evaluator.results.sweeps import SOURCES, Sweep, SweepPoint
 
 
 def print_sweeps(console: Console, scene: str, sweeps: Sequence[Sweep]) -> None:

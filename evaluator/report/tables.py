@@ -7,19 +7,19 @@ from typing import IO
 from rich.console import Console
 from rich.text import Text
 
-from evaluator.clamped_metrics import SUFFIX
-from evaluator.fidelity import Verdict
-from evaluator.metrics.radar import SimulatorResult
-from evaluator.metrics.regime import REGIME_MEANING
-from evaluator.report import timed, words
-from evaluator.report.accumulation import print_accumulation
-from evaluator.report.console import PlainTable, make_console, plain_table
-from evaluator.report.numbers import NONE, distance, interval, mean_sd
-from evaluator.report.price_table import print_prices
-from evaluator.report.sweep_tables import print_sweeps
-from evaluator.report.text import printable
-from evaluator.results import Evaluation, GroupResult, Metric
-from evaluator.sweeps import swept_only
+from gpusimbench.evaluator.metrics.radar import SimulatorResult
+from gpusimbench.evaluator.metrics.regime import REGIME_MEANING
+from gpusimbench.evaluator.render.console import PlainTable, make_console, plain_table
+from gpusimbench.evaluator.render.numbers import NONE, distance, interval, mean_sd
+from gpusimbench.evaluator.render.text import printable
+from gpusimbench.evaluator.report import timed, words
+from gpusimbench.evaluator.report.accumulation import print_accumulation
+from gpusimbench.evaluator.report.price_table import print_prices
+from gpusimbench.evaluator.report.sweep_tables import print_sweeps
+from gpusimbench.evaluator.results.clamped_metrics import SUFFIX
+from gpusimbench.evaluator.results.fidelity import Verdict
+from gpusimbench.evaluator.results.result import Evaluation, GroupResult, Metric
+from gpusimbench.evaluator.results.sweeps import swept_only
 
 _COLUMNS = 4
 _UNSHOWN = (

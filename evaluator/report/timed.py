@@ -10,10 +10,17 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from evaluator.report import words
-from evaluator.report.numbers import NONE
-from evaluator.results import GroupResult
-from evaluator.timed_work import SETTINGS, SHORT_S, TimedWork, Window, differing_settings, most_common
+from gpusimbench.evaluator.render.numbers import NONE
+from gpusimbench.evaluator.report import words
+from gpusimbench.evaluator.results.result import GroupResult
+from gpusimbench.evaluator.results.timed_work import (
+    SETTINGS,
+    SHORT_S,
+    TimedWork,
+    Window,
+    differing_settings,
+    most_common,
+)
 
 _NAMED = 6  # rows that a remark names
 _SHORT = f"(< {SHORT_S:g} s)"

@@ -5,15 +5,15 @@ from __future__ import annotations
 from collections.abc import Mapping
 from statistics import median
 
-from evaluator.claims import identical
-from evaluator.fidelity import Fidelity, Verdict
-from evaluator.groups import Described, Group, shown_status
-from evaluator.metrics.cotenants import Presence
-from evaluator.metrics.levels import Level
-from evaluator.metrics.memory_model import MemoryModel
-from evaluator.report.numbers import NONE, distance
-from evaluator.results import Metric
-from evaluator.validity import BufferUse, Counted, OverflowSeen, Validity
+from gpusimbench.evaluator.metrics.cotenants import Presence
+from gpusimbench.evaluator.metrics.levels import Level
+from gpusimbench.evaluator.metrics.memory_model import MemoryModel
+from gpusimbench.evaluator.render.numbers import NONE, distance
+from gpusimbench.evaluator.results.claims import identical
+from gpusimbench.evaluator.results.fidelity import Fidelity, Verdict
+from gpusimbench.evaluator.results.result import Metric
+from gpusimbench.evaluator.results.validity import BufferUse, Counted, OverflowSeen, Validity
+from gpusimbench.evaluator.runs.groups import Described, Group, shown_status
 
 BYTES = {"GB": 1e9, "MB": 1e6}
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from evaluator.metrics.identity import bitwise_classes
-from evaluator.transport.points import in_canonical_order, planar_array
+from gpusimbench.evaluator.metrics.identity import bitwise_classes
+from gpusimbench.evaluator.transport.points import in_canonical_order, planar_array
 
 MAX_ENVS = 8192
 """Distinct envs of both sides together; the matrix of their sums then takes 0.5 GiB."""

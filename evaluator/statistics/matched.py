@@ -10,8 +10,8 @@ from itertools import combinations
 import numpy as np
 import numpy.typing as npt
 
-from evaluator.statistics.jackknife import Interval, jackknife_mean, jackknife_pair_mean
-from evaluator.transport.points import in_canonical_order, planar_array
+from gpusimbench.evaluator.statistics.jackknife import Interval, jackknife_mean, jackknife_pair_mean
+from gpusimbench.evaluator.transport.points import in_canonical_order, planar_array
 
 Points = npt.NDArray[np.float64]
 Distance = Callable[[Points, Points], float]

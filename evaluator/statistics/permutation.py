@@ -9,10 +9,10 @@ from itertools import combinations
 import numpy as np
 import numpy.typing as npt
 
-from evaluator.mapping import Mapper, serial
-from evaluator.metrics.identity import bitwise_classes
-from evaluator.transport.pair import Transport, wasserstein1
-from evaluator.transport.points import in_canonical_order, point_array
+from gpusimbench.evaluator.compute.mapping import Mapper, serial
+from gpusimbench.evaluator.metrics.identity import bitwise_classes
+from gpusimbench.evaluator.transport.pair import Transport, wasserstein1
+from gpusimbench.evaluator.transport.points import in_canonical_order, point_array
 
 # Arrangements that are equal in exact arithmetic may differ in the last bits; they count as ties.
 _TIE = 1e-9

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from evaluator.statistics.jackknife import CONFIDENCE, Interval
+from gpusimbench.evaluator.statistics.jackknife import CONFIDENCE, Interval
 
 MIN_RUNS = 3
 """Of either side, for an interval."""

@@ -8,7 +8,7 @@ from enum import Enum
 import numpy as np
 import numpy.typing as npt
 
-from evaluator.metrics.regime import PRESENT_FROM_CM, Regime, published_regime
+from gpusimbench.evaluator.metrics.regime import PRESENT_FROM_CM, Regime, published_regime
 
 CONFIDENCE = 0.95
 MIN_RUNS = 3

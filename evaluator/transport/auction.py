@@ -11,8 +11,8 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from evaluator.transport.compiled import compiled
-from evaluator.transport.kd_tree import DEPTH, Floats, Integers, lift_planes, search
+from gpusimbench.evaluator.transport.compiled import compiled
+from gpusimbench.evaluator.transport.kd_tree import DEPTH, Floats, Integers, lift_planes, search
 
 Counts = npt.NDArray[np.int64]
 

@@ -16,7 +16,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from evaluator.transport.compiled import compiled_without_nan
+from gpusimbench.evaluator.transport.compiled import compiled_without_nan
 
 _Floats = npt.NDArray[np.float64]
 _Ints = npt.NDArray[np.int64]

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from evaluator.transport.points import planar_array
+from gpusimbench.evaluator.transport.points import planar_array
 
 METHOD = "multiscale auction"
 SAME_POINTS = "same points"
@@ -76,7 +76,7 @@ def certified_wasserstein1(
         return Certified(0.0, 0.0, SAME_POINTS, n, 0)
     points, exponent = _scaled(points)
 
-    from evaluator.transport.multiscale import solve
+    from gpusimbench.evaluator.transport.multiscale import solve
 
     in_a, in_b = only_a > 0, only_b > 0
     with np.errstate(over="ignore"):

@@ -18,8 +18,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from evaluator.transport.auction import Counts, hold_auction, least_values
-from evaluator.transport.kd_tree import Floats, Tree, build, set_planes
+from gpusimbench.evaluator.transport.auction import Counts, hold_auction, least_values
+from gpusimbench.evaluator.transport.kd_tree import Floats, Tree, build, set_planes
 
 COARSEST = 600
 """Points of the coarsest level, at least, where there are as many."""

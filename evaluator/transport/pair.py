@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from evaluator.transport.assignment import mean_assignment_distance
-from evaluator.transport.points import (
+from gpusimbench.evaluator.transport.assignment import mean_assignment_distance
+from gpusimbench.evaluator.transport.points import (
     NetMass,
     distance_matrix,
     net_mass,
@@ -18,7 +18,7 @@ from evaluator.transport.points import (
     scaled_back,
     squares_vanish,
 )
-from evaluator.transport.simplex import mean_transport_distance
+from gpusimbench.evaluator.transport.simplex import mean_transport_distance
 
 # A dense assignment solver is the faster one for small or like clouds; for clouds that are shifted
 # against each other it takes longer (1000 points, CPU time: 0.11 s alike, 0.55 s shifted), where the
@@ -110,7 +110,7 @@ def _exact(net: NetMass, *, alike: bool) -> tuple[float, str]:
     if net.total <= ASSIGNMENT_LIMIT:
         return mean_assignment_distance(distance_matrix(*_repeated(net))), "assignment (scipy)"
     if alike and net.single and net.total <= ALIKE_LIMIT and _can_compile(net):
-        from evaluator.transport.kernel import distances_to_later
+        from gpusimbench.evaluator.transport.kernel import distances_to_later
 
         found = np.empty(2)
         distances_to_later(np.stack([net.sources.T, net.sinks.T]), 0, found)
@@ -140,7 +140,7 @@ def _certified(net: NetMass, scale: float, extension: str | None, n: int, m: int
         raise ValueError(too_many)
     if n != m and net.total > REPEATED_LIMIT:
         raise ValueError(f"{too_many}, and repeated to one count for bounds (limit: {REPEATED_LIMIT} points)")
-    from evaluator.transport.large import certified_wasserstein1
+    from gpusimbench.evaluator.transport.large import certified_wasserstein1
 
     relative = next(part for points, part in _TOLERANCES if points is None or net.total <= points)
     bounds = certified_wasserstein1(*_repeated(net), relative=relative, max_work=_BIDS * net.total)

@@ -10,10 +10,10 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from evaluator.mapping import Mapper, serial
-from evaluator.metrics.identity import bitwise_classes
-from evaluator.transport.assignment import mean_assignment_distance
-from evaluator.transport.points import (
+from gpusimbench.evaluator.compute.mapping import Mapper, serial
+from gpusimbench.evaluator.metrics.identity import bitwise_classes
+from gpusimbench.evaluator.transport.assignment import mean_assignment_distance
+from gpusimbench.evaluator.transport.points import (
     distance_matrix,
     in_canonical_order,
     point_array,
@@ -143,7 +143,7 @@ def _rows(sets: npt.NDArray[np.float64], first: int, last: int, threads: int) ->
     unit = sets / scale
     result = np.zeros((last - first, len(sets)))
     if _use_kernel(unit):
-        from evaluator.transport.kernel import distances_to_later
+        from gpusimbench.evaluator.transport.kernel import distances_to_later
 
         columns = np.ascontiguousarray(unit.swapaxes(1, 2))
 

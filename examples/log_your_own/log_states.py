@@ -8,8 +8,8 @@ import time
 
 import numpy as np
 
-from recorder.log import RecordingWriter
-from schemas.fields import body_field
+from gpusimbench.recorder.log import RecordingWriter
+from gpusimbench.schemas.fields import body_field
 
 N_ENV, STEPS, TIMED, DT = 8, 100, 500, 0.01
 NAMES = ("red", "green", "blue")

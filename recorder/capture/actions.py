@@ -8,15 +8,15 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from recorder.capture.sink import Sink
-from recorder.capture.states import env_block
-from recorder.capture.workers import Workers
-from recorder.scenes.actions import JointTargets
-from schemas import topics
-from schemas.blocks import action_parts
-from schemas.configuration import sim_time_ns
-from schemas.mcap_writer import Part
-from schemas.messages import message_class
+from gpusimbench.recorder.capture.sink import Sink
+from gpusimbench.recorder.capture.states import env_block
+from gpusimbench.recorder.capture.workers import Workers
+from gpusimbench.recorder.scenes.actions import JointTargets
+from gpusimbench.schemas import topics
+from gpusimbench.schemas.blocks import action_parts
+from gpusimbench.schemas.configuration import sim_time_ns
+from gpusimbench.schemas.mcap_writer import Part
+from gpusimbench.schemas.messages import message_class
 
 
 def declare_actions(sink: Sink, actions: JointTargets, *, n_env: int) -> None:

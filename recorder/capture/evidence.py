@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from recorder.capture.sink import Sink
-from recorder.capture.workers import Workers
-from recorder.simulators.base import Description
-from recorder.simulators.evidence import Evidence
-from schemas import topics
-from schemas.configuration import sim_time_ns
-from schemas.messages import message_class
+from gpusimbench.recorder.capture.sink import Sink
+from gpusimbench.recorder.capture.workers import Workers
+from gpusimbench.recorder.simulators.base import Description
+from gpusimbench.recorder.simulators.evidence import Evidence
+from gpusimbench.schemas import topics
+from gpusimbench.schemas.configuration import sim_time_ns
+from gpusimbench.schemas.messages import message_class
 
 _QUANTILE = 0.95
 

@@ -7,12 +7,12 @@ from collections.abc import Callable, Sequence
 import numpy as np
 import psutil
 
-from recorder.capture.states import env_block, row_bytes
-from recorder.capture.workers import Workers
-from recorder.capture.writing import Block
-from recorder.failure import NoHostMemory
-from recorder.simulators.captured import Held
-from schemas.fields import StateField
+from gpusimbench.recorder.capture.states import env_block, row_bytes
+from gpusimbench.recorder.capture.workers import Workers
+from gpusimbench.recorder.capture.writing import Block
+from gpusimbench.recorder.failure import NoHostMemory
+from gpusimbench.recorder.simulators.captured import Held
+from gpusimbench.schemas.fields import StateField
 
 _USABLE = 0.8  # of what the system says is available
 

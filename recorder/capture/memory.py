@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from recorder import interruption
-from recorder.capture.sink import Sink
-from recorder.probes.memory import MemorySampler
-from schemas import topics
-from schemas.messages import message_class
+from gpusimbench.recorder import interruption
+from gpusimbench.recorder.capture.sink import Sink
+from gpusimbench.recorder.probes.memory import MemorySampler
+from gpusimbench.schemas import topics
+from gpusimbench.schemas.messages import message_class
 
 
 class MemoryWriter:

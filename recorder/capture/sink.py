@@ -14,17 +14,17 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-from recorder.clock import calendar_ns
-from recorder.interruption import shielded
-from recorder.plan import partial_of, publish
-from schemas import FORMAT, __version__, topics
-from schemas.configuration import EPOCH_NS
-from schemas.digest import ContentDigest, content_hash
-from schemas.errors import DataLost, UsageError
-from schemas.mcap_writer import McapWriter, Part
-from schemas.messages import embedded_schema, enum_values, message_class
-from schemas.view import foxglove
-from schemas.writing import create, reopen
+from gpusimbench.recorder.clock import calendar_ns
+from gpusimbench.recorder.interruption import shielded
+from gpusimbench.recorder.plan import partial_of, publish
+from gpusimbench.schemas import FORMAT, __version__, topics
+from gpusimbench.schemas.configuration import EPOCH_NS
+from gpusimbench.schemas.digest import ContentDigest, content_hash
+from gpusimbench.schemas.errors import DataLost, UsageError
+from gpusimbench.schemas.mcap_writer import McapWriter, Part
+from gpusimbench.schemas.messages import embedded_schema, enum_values, message_class
+from gpusimbench.schemas.view import foxglove
+from gpusimbench.schemas.writing import create, reopen
 
 
 class Sink:

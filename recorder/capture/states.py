@@ -8,18 +8,18 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from recorder.capture.sink import Sink
-from recorder.capture.view import ViewWriter
-from recorder.capture.workers import Workers
-from recorder.interruption import shielded
-from recorder.simulators.captured import Captured, Held, States
-from schemas import topics
-from schemas.blocks import encode_fingerprints, little_endian, state_parts
-from schemas.configuration import sim_time_ns
-from schemas.errors import DataLost
-from schemas.fields import StateField
-from schemas.fingerprint import ALGORITHM, fingerprint
-from schemas.mcap_writer import Part
+from gpusimbench.recorder.capture.sink import Sink
+from gpusimbench.recorder.capture.view import ViewWriter
+from gpusimbench.recorder.capture.workers import Workers
+from gpusimbench.recorder.interruption import shielded
+from gpusimbench.recorder.simulators.captured import Captured, Held, States
+from gpusimbench.schemas import topics
+from gpusimbench.schemas.blocks import encode_fingerprints, little_endian, state_parts
+from gpusimbench.schemas.configuration import sim_time_ns
+from gpusimbench.schemas.errors import DataLost
+from gpusimbench.schemas.fields import StateField
+from gpusimbench.schemas.fingerprint import ALGORITHM, fingerprint
+from gpusimbench.schemas.mcap_writer import Part
 
 STEPS_PER_BLOCK = 50
 _ENV_BLOCK_MIN = 64

@@ -14,10 +14,10 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from recorder.capture.actions import Actions
-from recorder.capture.writing import Block, Writing
-from recorder.simulators.base import Simulator
-from recorder.simulators.captured import RING_BLOCKS, Held
+from gpusimbench.recorder.capture.actions import Actions
+from gpusimbench.recorder.capture.writing import Block, Writing
+from gpusimbench.recorder.simulators.base import Simulator
+from gpusimbench.recorder.simulators.captured import RING_BLOCKS, Held
 
 
 class CaptureClock:

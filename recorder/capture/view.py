@@ -6,13 +6,13 @@ import json
 from collections.abc import Sequence
 from typing import Any
 
-from recorder.capture.sink import Sink
-from recorder.scenes.base import Scene
-from recorder.simulators.captured import States
-from schemas.configuration import RunConfiguration
-from schemas.fields import StateField
-from schemas.view.log import event_line, status_line
-from schemas.view.recorded import LOG_TOPIC, LOG_TYPE, METADATA, RecordedView, ViewMessage, layout_of
+from gpusimbench.recorder.capture.sink import Sink
+from gpusimbench.recorder.scenes.base import Scene
+from gpusimbench.recorder.simulators.captured import States
+from gpusimbench.schemas.configuration import RunConfiguration
+from gpusimbench.schemas.fields import StateField
+from gpusimbench.schemas.view.log import event_line, status_line
+from gpusimbench.schemas.view.recorded import LOG_TOPIC, LOG_TYPE, METADATA, RecordedView, ViewMessage, layout_of
 
 
 class ViewWriter:

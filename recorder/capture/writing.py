@@ -7,9 +7,9 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from recorder.capture.actions import Actions
-from recorder.interruption import shielded
-from recorder.simulators.captured import Captured
+from gpusimbench.recorder.capture.actions import Actions
+from gpusimbench.recorder.interruption import shielded
+from gpusimbench.recorder.simulators.captured import Captured
 
 
 @dataclass(frozen=True)

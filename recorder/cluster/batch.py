@@ -8,9 +8,9 @@ from collections.abc import Sequence
 from queue import SimpleQueue
 from typing import NamedTuple
 
-from recorder.launch import Result
-from schemas.configuration import RunConfiguration
-from schemas.errors import ExitCode
+from gpusimbench.recorder.launch import Result
+from gpusimbench.schemas.configuration import RunConfiguration
+from gpusimbench.schemas.errors import ExitCode
 
 TRIES = 3
 """How often a run is begun at most, where the nodes that make it die."""

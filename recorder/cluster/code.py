@@ -7,9 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import recorder
-import schemas
-from recorder.probes.software import describe_software
+from gpusimbench import recorder, schemas
+from gpusimbench.recorder.probes.software import describe_software
 
 _READ = (".py", ".binpb")
 

@@ -17,10 +17,10 @@ from importlib import import_module
 from types import TracebackType
 from typing import Any
 
-from recorder.cluster import agent
-from recorder.interruption import SIGNALS, shielded
-from schemas.errors import UsageError
-from schemas.output import OfMainThread, unheard
+from gpusimbench.recorder.cluster import agent
+from gpusimbench.recorder.interruption import SIGNALS, shielded
+from gpusimbench.schemas.errors import UsageError
+from gpusimbench.schemas.output import OfMainThread, unheard
 
 LOCAL = "local"
 """Address that means: a cluster of this machine alone, for as long as the command runs."""

@@ -9,14 +9,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from recorder.finished import run_end
-from recorder.plan import partial_of, publish, reserve
-from recorder.task import Task
-from schemas import PARTIAL
-from schemas.container import Container
-from schemas.errors import GsbError, RecordingError
-from schemas.provenance import PROVENANCE, Provenance
-from schemas.writing import reopen
+from gpusimbench.recorder.finished import run_end
+from gpusimbench.recorder.plan import partial_of, publish, reserve
+from gpusimbench.recorder.task import Task
+from gpusimbench.schemas import PARTIAL
+from gpusimbench.schemas.container import Container
+from gpusimbench.schemas.errors import GsbError, RecordingError
+from gpusimbench.schemas.provenance import PROVENANCE, Provenance
+from gpusimbench.schemas.writing import reopen
 
 Read = Callable[[str, int, int], bytes]
 """Bytes of a file on the node: its path, an offset, a number of bytes."""

@@ -1,4 +1,4 @@
-"""The process of one run on a node of a cluster: ``python -m recorder.cluster.node``.
+"""The process of one run on a node of a cluster: ``python -m gpusimbench.recorder.cluster.node``.
 
 The first line of standard input says what is wanted, as JSON; what happens is said on standard output, one JSON object
 a line. A further line is how often the user has interrupted by now. The end of standard input means that nobody waits
@@ -24,14 +24,14 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from recorder.cluster.code import code
-from recorder.environments.choice import check_known, interpreter_for
-from recorder.finished import where_am_i
-from recorder.launch import Interruptions
-from recorder.probes.gpu import Gpus
-from recorder.simulators.registry import find_simulator
-from recorder.task import Task, make
-from schemas.errors import ExitCode, GsbError, UsageError
+from gpusimbench.recorder.cluster.code import code
+from gpusimbench.recorder.environments.choice import check_known, interpreter_for
+from gpusimbench.recorder.finished import where_am_i
+from gpusimbench.recorder.launch import Interruptions
+from gpusimbench.recorder.probes.gpu import Gpus
+from gpusimbench.recorder.simulators.registry import find_simulator
+from gpusimbench.recorder.task import Task, make
+from gpusimbench.schemas.errors import ExitCode, GsbError, UsageError
 
 Say = Callable[[dict[str, Any]], None]
 

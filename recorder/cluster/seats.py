@@ -9,14 +9,14 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from recorder.cluster.code import code
-from recorder.cluster.connection import Cluster, Lost, Node
-from recorder.cluster.gathering import Spoiled, gather
-from recorder.launch import Interruptions, Result
-from recorder.launch import Progress as Report
-from recorder.task import Task
-from schemas.configuration import RunConfiguration
-from schemas.errors import ExitCode, UsageError
+from gpusimbench.recorder.cluster.code import code
+from gpusimbench.recorder.cluster.connection import Cluster, Lost, Node
+from gpusimbench.recorder.cluster.gathering import Spoiled, gather
+from gpusimbench.recorder.launch import Interruptions, Result
+from gpusimbench.recorder.launch import Progress as Report
+from gpusimbench.recorder.task import Task
+from gpusimbench.schemas.configuration import RunConfiguration
+from gpusimbench.schemas.errors import ExitCode, UsageError
 
 _REOPEN_S = 60.0  # for another agent on a node whose first was lost: or else the node is
 
@@ -157,7 +157,9 @@ class Seat:
             "task": task.to_json() if task else None,
         }
         self._key = key
-        self._cluster.call(self.agent, "begin", key, ["-P", "-m", "recorder.cluster.node"], json.dumps(first))
+        self._cluster.call(
+            self.agent, "begin", key, ["-P", "-m", "gpusimbench.recorder.cluster.node"], json.dumps(first)
+        )
         if count := interruptions.count:  # of before there was a process to tell
             self.interrupt(count)
         known, ended, said = 0, False, "nothing"

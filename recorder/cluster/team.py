@@ -12,18 +12,18 @@ from pathlib import Path
 from queue import Empty
 from types import TracebackType
 
-from recorder.cluster.batch import Batch, Ended, Phase, Said, lost
-from recorder.cluster.connection import Cluster, Lost
-from recorder.cluster.gathering import Stopped
-from recorder.cluster.node import KILLING
-from recorder.cluster.seats import Seat, Spot, Wanted, needs_gpu, spots
-from recorder.launch import Interruptions, Result
-from recorder.options import parse_options
-from recorder.progress import Progress, say
-from recorder.series import Request
-from recorder.simulators.registry import find_simulator
-from schemas.configuration import RunConfiguration
-from schemas.errors import ExitCode, GsbError, UsageError
+from gpusimbench.recorder.cluster.batch import Batch, Ended, Phase, Said, lost
+from gpusimbench.recorder.cluster.connection import Cluster, Lost
+from gpusimbench.recorder.cluster.gathering import Stopped
+from gpusimbench.recorder.cluster.node import KILLING
+from gpusimbench.recorder.cluster.seats import Seat, Spot, Wanted, needs_gpu, spots
+from gpusimbench.recorder.launch import Interruptions, Result
+from gpusimbench.recorder.options import parse_options
+from gpusimbench.recorder.progress import Progress, say
+from gpusimbench.recorder.series import Request
+from gpusimbench.recorder.simulators.registry import find_simulator
+from gpusimbench.schemas.configuration import RunConfiguration
+from gpusimbench.schemas.errors import ExitCode, GsbError, UsageError
 
 _PATIENCE_S = 30.0  # for the seats that others still occupy
 _LOOK_S = 0.5  # between looks at what the user wants

@@ -1,6 +1,6 @@
 """What every simulator adapter must do, as checks that anyone can run against theirs.
 
-    python -m recorder.conformance --sim NAME
+    python -m gpusimbench.recorder.conformance --sim NAME
 
 or from pytest, with one build shared by all checks:
 
@@ -14,9 +14,9 @@ A check that the adapter gives no occasion for is skipped, with the reason.
 
 from __future__ import annotations
 
-from recorder.conformance.checks import CHECKS, Check
-from recorder.conformance.scene import conformance_scene
-from recorder.conformance.subject import Subject
-from recorder.conformance.verdict import NotApplicable
+from gpusimbench.recorder.conformance.checks import CHECKS, Check
+from gpusimbench.recorder.conformance.scene import conformance_scene
+from gpusimbench.recorder.conformance.subject import Subject
+from gpusimbench.recorder.conformance.verdict import NotApplicable
 
 __all__ = ["CHECKS", "Check", "NotApplicable", "Subject", "conformance_scene"]

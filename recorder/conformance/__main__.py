@@ -1,4 +1,4 @@
-"""``python -m recorder.conformance --sim NAME``: all checks of one adapter, a line each."""
+"""``python -m gpusimbench.recorder.conformance --sim NAME``: all checks of one adapter, a line each."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from contextlib import redirect_stdout
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from recorder.conformance import CHECKS, Check, NotApplicable, Subject
-from recorder.environments.choice import interpreter_for
-from recorder.environments.interpreter import Interpreter
-from recorder.options import split_options
-from recorder.output import show, show_document
-from recorder.progress import say
-from recorder.simulators.registry import find_simulator
-from schemas.errors import ExitCode, GsbError, UsageError
-from schemas.printable import line
+from gpusimbench.recorder.conformance import CHECKS, Check, NotApplicable, Subject
+from gpusimbench.recorder.environments.choice import interpreter_for
+from gpusimbench.recorder.environments.interpreter import Interpreter
+from gpusimbench.recorder.options import split_options
+from gpusimbench.recorder.output import show, show_document
+from gpusimbench.recorder.progress import say
+from gpusimbench.recorder.simulators.registry import find_simulator
+from gpusimbench.schemas.errors import ExitCode, GsbError, UsageError
+from gpusimbench.schemas.printable import line
 
 _EPILOG = """\
 exit codes:
@@ -30,8 +30,8 @@ exit codes:
   2  the command asks for something that cannot be, such as an option that the simulator does not have
 
 examples:
-  python -m recorder.conformance --sim mujoco
-  python -m recorder.conformance --sim mujoco --option cone=pyramidal --json
+  python -m gpusimbench.recorder.conformance --sim mujoco
+  python -m gpusimbench.recorder.conformance --sim mujoco --option cone=pyramidal --json
 """
 
 _INSIDE = "GSB_CONFORMANCE_INSIDE"  # set where another Python was chosen already
@@ -81,7 +81,7 @@ def judge(check: Check, subject: Subject) -> Verdict:
 def parser() -> argparse.ArgumentParser:
     """The command's arguments."""
     p = argparse.ArgumentParser(
-        prog="python -m recorder.conformance",
+        prog="python -m gpusimbench.recorder.conformance",
         description="Check a simulator's adapter against the contract, formulas and itself.",
         epilog=_EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
@@ -119,7 +119,7 @@ def run(given: list[str]) -> int:
 
 def _elsewhere(interpreter: Interpreter, given: list[str]) -> int:
     with tempfile.TemporaryDirectory(prefix="gsb-code-") as folder:
-        command = interpreter.command("-m", "recorder.conformance", *given)
+        command = interpreter.command("-m", "gpusimbench.recorder.conformance", *given)
         environment = {**interpreter.environment(Path(folder)), _INSIDE: "1"}
         code = subprocess.run(command, stdout=sys.stdout, env=environment).returncode
     return code if code >= 0 else int(ExitCode.FAILURE)
@@ -138,12 +138,12 @@ def main() -> int:
         _take_standard_output()
         return run(sys.argv[1:])
     except GsbError as error:
-        say(f"recorder.conformance: {error}")
+        say(f"gpusimbench.recorder.conformance: {error}")
         return int(error.exit_code)
     except BrokenPipeError:
         return int(ExitCode.FAILURE)
     except KeyboardInterrupt:
-        say("recorder.conformance: interrupted")
+        say("gpusimbench.recorder.conformance: interrupted")
         return int(ExitCode.FAILURE)
 
 

@@ -8,9 +8,9 @@ from typing import Any
 
 from mcap.reader import make_reader
 
-from recorder.launch import Result
-from schemas.configuration import RunConfiguration
-from schemas.messages import message_class
+from gpusimbench.recorder.launch import Result
+from gpusimbench.schemas.configuration import RunConfiguration
+from gpusimbench.schemas.messages import message_class
 
 
 @dataclass(frozen=True)

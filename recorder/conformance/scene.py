@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import math
 
-from recorder.scenes.base import Body, Box, Quaternion, Scene, Sphere, Vector
-from recorder.scenes.cube_stack import EDGE, MASS, ROUGH_WOOD, SMOOTH_WOOD
-from recorder.scenes.inclined_collision import SLOPE_ANGLE, STEEL_304
+from gpusimbench.recorder.scenes.base import Body, Box, Quaternion, Scene, Sphere, Vector
+from gpusimbench.recorder.scenes.cube_stack import EDGE, MASS, ROUGH_WOOD, SMOOTH_WOOD
+from gpusimbench.recorder.scenes.inclined_collision import SLOPE_ANGLE, STEEL_304
 
 G = 9.81
 N_ENV = 3

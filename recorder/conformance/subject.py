@@ -14,19 +14,19 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from recorder.conformance.recording import RecordedRun, read
-from recorder.conformance.scene import DT, LANDING, N_ENV, N_STEP, conformance_scene
-from recorder.conformance.trajectory import Trajectory
-from recorder.environment import apply_environment
-from recorder.options import parse_options
-from recorder.scenes.base import Scene
-from recorder.scenes.registry import SCENES, make_scene
-from recorder.simulators.base import Captured, Description, Simulator, States
-from recorder.simulators.captured import RING_BLOCKS
-from recorder.simulators.evidence import Evidence
-from recorder.simulators.registry import Entry, find_simulator
-from schemas.configuration import RunConfiguration
-from schemas.errors import UsageError
+from gpusimbench.recorder.conformance.recording import RecordedRun, read
+from gpusimbench.recorder.conformance.scene import DT, LANDING, N_ENV, N_STEP, conformance_scene
+from gpusimbench.recorder.conformance.trajectory import Trajectory
+from gpusimbench.recorder.environment import apply_environment
+from gpusimbench.recorder.options import parse_options
+from gpusimbench.recorder.scenes.base import Scene
+from gpusimbench.recorder.scenes.registry import SCENES, make_scene
+from gpusimbench.recorder.simulators.base import Captured, Description, Simulator, States
+from gpusimbench.recorder.simulators.captured import RING_BLOCKS
+from gpusimbench.recorder.simulators.evidence import Evidence
+from gpusimbench.recorder.simulators.registry import Entry, find_simulator
+from gpusimbench.schemas.configuration import RunConfiguration
+from gpusimbench.schemas.errors import UsageError
 
 SEED = (3 << 32) + 7
 """Of every build: both of its 32-bit words count."""
@@ -215,9 +215,9 @@ class Subject:
             return Stepped(_copy(simulator.state()), tuple(evidence), tuple(simulator.gates()))
 
     def _record(self) -> RecordedRun:
-        from recorder.environments.interpreter import own
-        from recorder.launch import Interruptions, launch
-        from recorder.plan import reserve, utc_now
+        from gpusimbench.recorder.environments.interpreter import own
+        from gpusimbench.recorder.launch import Interruptions, launch
+        from gpusimbench.recorder.plan import reserve, utc_now
 
         configuration = RunConfiguration(
             simulator=self.name,
@@ -239,7 +239,7 @@ class Subject:
                     reserve(folder, configuration, created),
                     run_id=str(uuid.uuid4()),
                     created=created,
-                    argv=("python", "-m", "recorder.conformance", "--sim", self.name),
+                    argv=("python", "-m", "gpusimbench.recorder.conformance", "--sim", self.name),
                     interpreter=own(),
                     progress=lambda phase, done, of: None,
                     interruptions=interruptions,

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from recorder.conformance.verdict import NotApplicable
-from recorder.scenes.base import Body, Scene
-from recorder.simulators.base import Description, States
-from recorder.simulators.evidence import Evidence
+from gpusimbench.recorder.conformance.verdict import NotApplicable
+from gpusimbench.recorder.scenes.base import Body, Scene
+from gpusimbench.recorder.simulators.base import Description, States
+from gpusimbench.recorder.simulators.evidence import Evidence
 
 
 @dataclass(frozen=True)

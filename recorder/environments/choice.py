@@ -6,18 +6,18 @@ import subprocess
 import tempfile
 from pathlib import Path
 
-from recorder.environments.interpreter import RECORDING, Interpreter, at, own
-from recorder.environments.store import find
-from recorder.progress import say
-from recorder.scenes.registry import SCENES
-from recorder.simulators.registry import BUILT_IN, Entry
-from schemas.errors import UsageError
+from gpusimbench.recorder.environments.interpreter import RECORDING, Interpreter, at, own
+from gpusimbench.recorder.environments.store import find
+from gpusimbench.recorder.progress import say
+from gpusimbench.recorder.scenes.registry import SCENES
+from gpusimbench.recorder.simulators.registry import BUILT_IN, Entry
+from gpusimbench.schemas.errors import UsageError
 
 _KNOWS = """
 import sys
-from recorder.scenes.registry import make_scene
-from recorder.simulators.registry import find_simulator
-from schemas.errors import UsageError
+from gpusimbench.recorder.scenes.registry import make_scene
+from gpusimbench.recorder.simulators.registry import find_simulator
+from gpusimbench.schemas.errors import UsageError
 try:
     make_scene(sys.argv[2])
     find_simulator(sys.argv[1]).load()

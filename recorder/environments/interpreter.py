@@ -14,10 +14,9 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-import recorder
-import schemas
-from recorder.probes.software import describe_software
-from schemas.errors import UsageError
+from gpusimbench import schemas
+from gpusimbench.recorder.probes.software import describe_software
+from gpusimbench.schemas.errors import UsageError
 
 RECORDING = ("google.protobuf", "lz4", "mcap", "numpy", "psutil", "zstandard")
 """Import names that a run needs whatever its engine is."""
@@ -39,7 +38,8 @@ print(json.dumps({"version": list(sys.version_info[:3]), "missing": [n for n in 
 
 _SOFTWARE = """
 import json
-from recorder.probes.software import describe_software
+from gpusimbench import schemas
+from gpusimbench.recorder.probes.software import describe_software
 print(json.dumps(describe_software()))
 """
 
@@ -79,9 +79,9 @@ class Interpreter:
         folder  empty, or used for the same before; it must stay as long as the processes
         """
         given = filter(None, os.environ.get("PYTHONPATH", "").split(os.pathsep))
-        root = Path(schemas.__file__).resolve().parent.parent
+        root = _package().parent
         if not self.own:
-            root = _only_our_packages(folder)
+            root = _only_our_package(folder)
         paths = [str(root), *map(os.path.abspath, given)]  # a run works in a folder of its own
         theirs = {k: v for k, v in os.environ.items() if self.own or k != "PYTHONHOME"}
         return {**theirs, "PYTHONPATH": os.pathsep.join(dict.fromkeys(paths))}
@@ -121,15 +121,19 @@ def forget() -> None:
     _probe.cache_clear()
 
 
-def _only_our_packages(folder: Path) -> Path:
-    # Installed, the parent of a package is all of site-packages: links to the two packages leave the rest behind.
+def _only_our_package(folder: Path) -> Path:
+    # Installed, the parent of the package is all of site-packages: a link to the package leaves the rest behind.
     code = folder / "code"
     code.mkdir(exist_ok=True)
-    for package in (recorder, schemas):
-        link = code / package.__name__
-        if not link.is_symlink():
-            link.symlink_to(Path(package.__path__[0]).resolve())
+    link = code / _package().name
+    if not link.is_symlink():
+        link.symlink_to(_package())
     return code
+
+
+def _package() -> Path:
+    # in a checkout schemas is a link, and what it lies in is found by where the link is
+    return Path(os.path.abspath(schemas.__path__[0])).parent
 
 
 @cache

@@ -1,4 +1,4 @@
-"""``python -m recorder.environments.lock --index URL [NAME...]``: requirements/NAME.in to requirements/NAME.txt.
+"""``python -m gpusimbench.recorder.environments.lock --index URL [NAME...]``: NAME.in to NAME.txt.
 
 uv resolves each for every Python of its specification, and an index in PEP 503's form tells the hashes. Only files for
 Linux and these Pythons are kept: a hash for every platform would be ten times as much text.
@@ -19,8 +19,8 @@ from packaging.requirements import Requirement
 from packaging.tags import Tag
 from packaging.utils import InvalidWheelFilename, canonicalize_name, parse_wheel_filename
 
-from recorder.environments.specification import SPECIFICATIONS, Specification
-from schemas.writing import write_file
+from gpusimbench.recorder.environments.specification import SPECIFICATIONS, Specification
+from gpusimbench.schemas.writing import write_file
 
 _HEAD = """\
 # Made by recorder/environments/lock.py from {source}: not to be edited.
@@ -110,7 +110,7 @@ def _page(index: str, name: str) -> str:
 
 def main() -> int:
     """Entry point."""
-    p = argparse.ArgumentParser(prog="python -m recorder.environments.lock", description=__doc__)
+    p = argparse.ArgumentParser(prog="python -m gpusimbench.recorder.environments.lock", description=__doc__)
     p.add_argument("--index", required=True, metavar="URL", help="simple index that has hashes in its links (PEP 503)")
     p.add_argument("simulators", nargs="*", metavar="NAME", default=list(SPECIFICATIONS), help="default: all")
     arguments = p.parse_args()

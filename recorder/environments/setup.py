@@ -13,15 +13,15 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from recorder.environments.interpreter import RECORDING, Interpreter, at, forget
-from recorder.environments.specification import Specification, specification_of
-from recorder.environments.store import FOLDER_VARIABLE, MANIFEST, Prepared, find, folder_of, store
-from recorder.plan import utc_now
-from recorder.probes.software import NUMERIC_PACKAGES
-from recorder.progress import say
-from recorder.simulators.registry import find_simulator
-from schemas.errors import GsbError, UsageError
-from schemas.writing import open_lock
+from gpusimbench.recorder.environments.interpreter import RECORDING, Interpreter, at, forget
+from gpusimbench.recorder.environments.specification import Specification, specification_of
+from gpusimbench.recorder.environments.store import FOLDER_VARIABLE, MANIFEST, Prepared, find, folder_of, store
+from gpusimbench.recorder.plan import utc_now
+from gpusimbench.recorder.probes.software import NUMERIC_PACKAGES
+from gpusimbench.recorder.progress import say
+from gpusimbench.recorder.simulators.registry import find_simulator
+from gpusimbench.schemas.errors import GsbError, UsageError
+from gpusimbench.schemas.writing import open_lock
 
 _ELSEWHERE = ("PYTHONPATH", "PYTHONHOME", "VIRTUAL_ENV", "PIP_USER", "PIP_TARGET", "PIP_PREFIX", "PIP_ROOT")
 """Variables that would lead Python or pip into another environment."""

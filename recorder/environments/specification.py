@@ -6,7 +6,7 @@ import hashlib
 from dataclasses import dataclass
 from pathlib import Path
 
-from schemas.errors import UsageError
+from gpusimbench.schemas.errors import UsageError
 
 FOLDER = Path(__file__).parent / "requirements"
 

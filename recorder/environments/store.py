@@ -8,9 +8,9 @@ from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from recorder.environments.specification import SPECIFICATIONS
-from schemas.errors import UsageError
-from schemas.writing import write_file
+from gpusimbench.recorder.environments.specification import SPECIFICATIONS
+from gpusimbench.schemas.errors import UsageError
+from gpusimbench.schemas.writing import write_file
 
 FOLDER_VARIABLE = "GSB_ENVIRONMENTS"
 """Environment variable that says where they lie."""

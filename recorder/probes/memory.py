@@ -8,9 +8,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 
-from recorder.probes.gpu import Gpus
-from schemas import topics
-from schemas.messages import enum_values
+from gpusimbench.recorder.probes.gpu import Gpus
+from gpusimbench.schemas import topics
+from gpusimbench.schemas.messages import enum_values
 
 INTERVAL_S = 0.01
 

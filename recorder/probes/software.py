@@ -9,7 +9,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-import schemas
+from gpusimbench import schemas
 
 NUMERIC_PACKAGES = (
     "brax",

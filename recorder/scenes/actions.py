@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from schemas.mix32 import GOLDEN32, mix32
+from gpusimbench.schemas.mix32 import GOLDEN32, mix32
 
 GRID_BITS = 13
 GRID = 2.0**-GRID_BITS

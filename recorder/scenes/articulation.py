@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from recorder.scenes.base import IDENTITY, Material, Quaternion, Shape, Vector
+from gpusimbench.recorder.scenes.base import IDENTITY, Material, Quaternion, Shape, Vector
 
 
 @dataclass(frozen=True)

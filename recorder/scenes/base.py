@@ -12,8 +12,8 @@ from dataclasses import dataclass, field, fields, is_dataclass
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from recorder.scenes.actions import JointTargets
-    from recorder.scenes.articulation import Robot
+    from gpusimbench.recorder.scenes.actions import JointTargets
+    from gpusimbench.recorder.scenes.articulation import Robot
 
 Vector = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]

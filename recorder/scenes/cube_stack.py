@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from recorder.scenes.base import Body, Box, Material, Vector
+from gpusimbench.recorder.scenes.base import Body, Box, Material, Vector
 
 SMOOTH_WOOD = Material("smooth wood", static_friction=0.35, kinetic_friction=0.25, restitution=0.40)
 ROUGH_WOOD = Material("rough wood", static_friction=0.65, kinetic_friction=0.45, restitution=0.40)

@@ -13,9 +13,9 @@ from __future__ import annotations
 
 import math
 
-from recorder.scenes.actions import JointTargets
-from recorder.scenes.articulation import Hinge, Inertial, Link, Placed, Robot
-from recorder.scenes.base import IDENTITY, Box, Capsule, Material, Quaternion, Scene, Shape, Vector
+from gpusimbench.recorder.scenes.actions import JointTargets
+from gpusimbench.recorder.scenes.articulation import Hinge, Inertial, Link, Placed, Robot
+from gpusimbench.recorder.scenes.base import IDENTITY, Box, Capsule, Material, Quaternion, Scene, Shape, Vector
 
 SHELL = Material("robot shell", static_friction=0.6, kinetic_friction=0.5, restitution=0.0)
 

@@ -6,8 +6,8 @@ the lowest faces start 0.5 m above the ground, reached after sqrt(2 * 0.5 / 9.81
 
 from __future__ import annotations
 
-from recorder.scenes.base import Body, Plane, Scene
-from recorder.scenes.cube_stack import COUNT, EDGE, ROUGH_WOOD, cube_stack
+from gpusimbench.recorder.scenes.base import Body, Plane, Scene
+from gpusimbench.recorder.scenes.cube_stack import COUNT, EDGE, ROUGH_WOOD, cube_stack
 
 DROP_HEIGHT = 0.5
 

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import math
 
-from recorder.scenes.base import Body, Box, Material, Scene, Sphere
-from recorder.scenes.cube_stack import ROUGH_WOOD, SMOOTH_WOOD, cube_stack
+from gpusimbench.recorder.scenes.base import Body, Box, Material, Scene, Sphere
+from gpusimbench.recorder.scenes.cube_stack import ROUGH_WOOD, SMOOTH_WOOD, cube_stack
 
 STEEL_304 = Material("304 steel", static_friction=0.35, kinetic_friction=0.25, restitution=0.55)
 

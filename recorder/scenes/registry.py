@@ -9,11 +9,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from importlib import metadata
 
-from recorder.scenes.base import Scene
-from recorder.scenes.franka import franka
-from recorder.scenes.free_fall import free_fall
-from recorder.scenes.inclined_collision import inclined_collision
-from schemas.errors import UsageError
+from gpusimbench.recorder.scenes.base import Scene
+from gpusimbench.recorder.scenes.franka import franka
+from gpusimbench.recorder.scenes.free_fall import free_fall
+from gpusimbench.recorder.scenes.inclined_collision import inclined_collision
+from gpusimbench.schemas.errors import UsageError
 
 ENTRY_POINTS = "gsb.scenes"
 

@@ -17,11 +17,11 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from recorder.scenes.base import Scene
-from recorder.simulators.captured import Captured, Held, States
-from recorder.simulators.evidence import Evidence
-from schemas.fields import StateField
-from schemas.provenance import Buffer, Counter, Deviation, OverflowBit
+from gpusimbench.recorder.scenes.base import Scene
+from gpusimbench.recorder.simulators.captured import Captured, Held, States
+from gpusimbench.recorder.simulators.evidence import Evidence
+from gpusimbench.schemas.fields import StateField
+from gpusimbench.schemas.provenance import Buffer, Counter, Deviation, OverflowBit
 
 __all__ = ["Captured", "Description", "Evidence", "Held", "Simulator", "States"]
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from recorder.simulators.mujoco.model import MjcfModel
+from gpusimbench.recorder.simulators.mujoco.model import MjcfModel
 
 _PROTOCOL_STEPS = 1100  # warm-up and timed steps
 _PILOT_ENVS = 16  # of a scene whose environments are given different actions

@@ -7,7 +7,7 @@ from abc import ABC, abstractmethod
 import numpy as np
 from numpy.typing import NDArray
 
-from recorder.simulators.evidence import Evidence
+from gpusimbench.recorder.simulators.evidence import Evidence
 
 RING_BLOCKS = 3
 """Blocks of captured steps that the recorder holds at once: being made, on their way to the host, being written."""

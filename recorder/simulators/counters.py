@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from schemas.provenance import Counter
+from gpusimbench.schemas.provenance import Counter
 
 CONTACTS = Counter("contacts", "contact points that the engine kept")
 CONSTRAINT_ROWS = Counter("constraint_rows", "scalar constraints handed to the solver")

@@ -10,9 +10,9 @@ from dataclasses import dataclass
 from importlib import import_module, metadata
 from importlib.util import find_spec
 
-from recorder.interruption import blocked
-from recorder.simulators.base import Simulator
-from schemas.errors import UsageError
+from gpusimbench.recorder.interruption import blocked
+from gpusimbench.recorder.simulators.base import Simulator
+from gpusimbench.schemas.errors import UsageError
 
 ENTRY_POINTS = "gsb.simulators"
 
@@ -93,7 +93,7 @@ BUILT_IN = (
     Entry(
         "mujoco",
         "MuJoCo C on the CPU, float64, environments spread over threads",
-        "recorder.simulators.mujoco.simulator:MujocoC",
+        "gpusimbench.recorder.simulators.mujoco.simulator:MujocoC",
         requires=("mujoco", "psutil"),
         install=_extra("mujoco"),
         devices=("cpu",),
@@ -103,7 +103,7 @@ BUILT_IN = (
     Entry(
         "warp",
         "MuJoCo Warp: MuJoCo in Warp kernels, CUDA graph capture on a GPU",
-        "recorder.simulators.warp.simulator:MujocoWarp",
+        "gpusimbench.recorder.simulators.warp.simulator:MujocoWarp",
         requires=("mujoco_warp", "psutil"),
         install=_extra("warp"),
         devices=("cuda", "cpu"),
@@ -113,7 +113,7 @@ BUILT_IN = (
     Entry(
         "mjx",
         "MJX: MuJoCo in JAX (--impl jax) or in Warp kernels called from JAX (--impl warp)",
-        "recorder.simulators.mjx.simulator:Mjx",
+        "gpusimbench.recorder.simulators.mjx.simulator:Mjx",
         requires=("jax", "mujoco.mjx", "psutil"),
         install=_extra("mjx"),
         devices=("cuda", "cpu"),
@@ -123,7 +123,7 @@ BUILT_IN = (
     Entry(
         "playground",
         "MuJoCo Playground: an environment of its own kind over MJX, with its default implementation",
-        "recorder.simulators.playground.simulator:Playground",
+        "gpusimbench.recorder.simulators.playground.simulator:Playground",
         requires=("mujoco_playground", "psutil"),
         install=_extra("playground"),
         devices=("cuda", "cpu"),
@@ -133,7 +133,7 @@ BUILT_IN = (
     Entry(
         "brax",
         "Brax: --solver positional, spring or generalized, in JAX",
-        "recorder.simulators.brax.simulator:Brax",
+        "gpusimbench.recorder.simulators.brax.simulator:Brax",
         requires=("brax", "psutil"),
         install=_extra("brax"),
         devices=("cuda", "cpu"),
@@ -143,7 +143,7 @@ BUILT_IN = (
     Entry(
         "newton",
         "Newton: --solver mujoco, xpbd, steel and others, in Warp kernels",
-        "recorder.simulators.newton.simulator:Newton",
+        "gpusimbench.recorder.simulators.newton.simulator:Newton",
         requires=("newton", "psutil"),
         install=_extra("newton"),
         devices=("cuda", "cpu"),
@@ -153,7 +153,7 @@ BUILT_IN = (
     Entry(
         "genesis",
         "Genesis: its rigid solver in Quadrants kernels",
-        "recorder.simulators.genesis.simulator:Genesis",
+        "gpusimbench.recorder.simulators.genesis.simulator:Genesis",
         requires=("genesis", "torch", "psutil"),
         install=_set_up("genesis"),
         devices=("cuda", "cpu"),
@@ -163,7 +163,7 @@ BUILT_IN = (
     Entry(
         "physx",
         "PhysX by way of ovphysx, the engine of Isaac Lab 3, without Isaac Lab",
-        "recorder.simulators.physx.simulator:Physx",
+        "gpusimbench.recorder.simulators.physx.simulator:Physx",
         requires=("ovphysx", "ovstage", "warp", "psutil"),
         install=_set_up("physx"),
         devices=("cuda", "cpu"),
@@ -173,7 +173,7 @@ BUILT_IN = (
     Entry(
         "isaaclab",
         "Isaac Lab 3 without Isaac Sim: --backend ovphysx or newton",
-        "recorder.simulators.isaaclab.simulator:IsaacLab",
+        "gpusimbench.recorder.simulators.isaaclab.simulator:IsaacLab",
         requires=("isaaclab", "torch", "mujoco", "psutil"),
         install=_set_up("isaaclab"),
         devices=("cuda", "cpu"),
@@ -183,7 +183,7 @@ BUILT_IN = (
     Entry(
         "sapien",
         "SAPIEN: PhysX, one system for each environment on the CPU",
-        "recorder.simulators.sapien.simulator:Sapien",
+        "gpusimbench.recorder.simulators.sapien.simulator:Sapien",
         requires=("sapien", "psutil"),
         install=_set_up("sapien"),
         devices=("cuda", "cpu"),
@@ -193,7 +193,7 @@ BUILT_IN = (
     Entry(
         "maniskill",
         "ManiSkill: an environment of its own kind on SAPIEN; one environment on the CPU",
-        "recorder.simulators.maniskill.simulator:ManiSkill",
+        "gpusimbench.recorder.simulators.maniskill.simulator:ManiSkill",
         requires=("mani_skill", "sapien", "torch", "psutil"),
         install=_set_up("maniskill"),
         devices=("cuda", "cpu"),
@@ -203,7 +203,7 @@ BUILT_IN = (
     Entry(
         "madrona",
         "Madrona: worlds of an entity component system, stepped by a module that you compile",
-        "recorder.simulators.madrona.simulator:Madrona",
+        "gpusimbench.recorder.simulators.madrona.simulator:Madrona",
         requires=("psutil",),
         install=_extra("record"),
         devices=("cuda", "cpu"),
@@ -213,7 +213,7 @@ BUILT_IN = (
     Entry(
         "calibration",
         "an instrument, no engine: results known beforehand, to test the whole pipeline with",
-        "recorder.simulators.calibration.simulator:Calibration",
+        "gpusimbench.recorder.simulators.calibration.simulator:Calibration",
         requires=("taichi", "psutil"),
         install=_set_up("calibration"),
         devices=("cuda", "cpu"),

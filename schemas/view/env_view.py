@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
-from schemas.configuration import EPOCH_NS
-from schemas.printable import printable
-from schemas.view import foxglove
-from schemas.view.motion import ROBOT, Frame, Motion
-from schemas.view.shapes import IDENTITY, Solid, Vector
+from gpusimbench.schemas.configuration import EPOCH_NS
+from gpusimbench.schemas.printable import printable
+from gpusimbench.schemas.view import foxglove
+from gpusimbench.schemas.view.motion import ROBOT, Frame, Motion
+from gpusimbench.schemas.view.shapes import IDENTITY, Solid, Vector
 
 ROOT = "world"
 

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 
-from schemas.view.rotation import rotate
-from schemas.view.shapes import IDENTITY, Shape, Vector
+from gpusimbench.schemas.view.rotation import rotate
+from gpusimbench.schemas.view.shapes import IDENTITY, Shape, Vector
 
 Colour = tuple[float, float, float]
 
@@ -22,7 +22,7 @@ _NS = 1_000_000_000
 @cache
 def _files() -> dict[str, Any]:
     # by name, each behind those that it refers to
-    data = (files("schemas") / DESCRIPTOR_SET).read_bytes()
+    data = (files("gpusimbench.schemas") / DESCRIPTOR_SET).read_bytes()
     return {file.name: file for file in descriptor_pb2.FileDescriptorSet.FromString(data).file}
 
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from schemas.printable import line
-from schemas.view import foxglove
+from gpusimbench.schemas.printable import line
+from gpusimbench.schemas.view import foxglove
 
 
 def event_line(kind: str, phase: str, text: str, unix_ns: int) -> Any:

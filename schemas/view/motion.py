@@ -10,10 +10,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from schemas.errors import DamagedRecording
-from schemas.fields import StateField
-from schemas.view.rotation import about_z, product
-from schemas.view.shapes import IDENTITY, Link, links_of
+from gpusimbench.schemas.errors import DamagedRecording
+from gpusimbench.schemas.fields import StateField
+from gpusimbench.schemas.view.rotation import about_z, product
+from gpusimbench.schemas.view.shapes import IDENTITY, Link, links_of
 
 ROBOT = "robot"
 

@@ -11,15 +11,15 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from schemas import topics
-from schemas.configuration import EPOCH_NS, sim_time_ns
-from schemas.errors import DamagedRecording
-from schemas.fields import StateField
-from schemas.view import foxglove
-from schemas.view.env_view import ROOT, EnvView
-from schemas.view.layout import layout
-from schemas.view.motion import Motion, one_of
-from schemas.view.shapes import solids_of
+from gpusimbench.schemas import topics
+from gpusimbench.schemas.configuration import EPOCH_NS, sim_time_ns
+from gpusimbench.schemas.errors import DamagedRecording
+from gpusimbench.schemas.fields import StateField
+from gpusimbench.schemas.view import foxglove
+from gpusimbench.schemas.view.env_view import ROOT, EnvView
+from gpusimbench.schemas.view.layout import layout
+from gpusimbench.schemas.view.motion import Motion, one_of
+from gpusimbench.schemas.view.shapes import solids_of
 
 RATE = 30.0
 """Most poses a second of simulated time [Hz]."""

@@ -14,13 +14,13 @@ import pytest
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 
-from recorder.capture import states
-from recorder.capture.sink import Sink
-from recorder.scenes.registry import make_scene
-from schemas.blocks import encode_fingerprints
-from schemas.fingerprint import fingerprint
-from schemas.messages import message_class
-from schemas.provenance import PACKAGES, PROVENANCE, SCENE
+from gpusimbench.recorder.capture import states
+from gpusimbench.recorder.capture.sink import Sink
+from gpusimbench.recorder.scenes.registry import make_scene
+from gpusimbench.schemas.blocks import encode_fingerprints
+from gpusimbench.schemas.fingerprint import fingerprint
+from gpusimbench.schemas.messages import message_class
+from gpusimbench.schemas.provenance import PACKAGES, PROVENANCE, SCENE
 from tests.synthetic import Shown, grid, write_recording
 
 Messages = list[tuple[str, int, int, bytes]]

@@ -6,11 +6,11 @@ import shutil
 from collections.abc import Iterable
 from pathlib import Path
 
-from evaluator.cli.share import main
-from evaluator.sharing.dataset.checksums import CHECKSUMS, write_sums
-from evaluator.sharing.dataset.contents import sum_of
-from evaluator.sharing.dataset.folder import find
-from evaluator.sharing.dataset.manifest import MANIFEST
+from gpusimbench.evaluator.cli.share import main
+from gpusimbench.evaluator.share.dataset.checksums import CHECKSUMS, write_sums
+from gpusimbench.evaluator.share.dataset.contents import sum_of
+from gpusimbench.evaluator.share.dataset.folder import find
+from gpusimbench.evaluator.share.dataset.manifest import MANIFEST
 
 WORDS = ("--title", "Three short runs", "--licence", "CC-BY-4.0", "--author", "Doe, Jane; Some University")
 WHEN = ("--sample-time", "1")

@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from evaluator.cache.place import open_store
-from evaluator.evaluate import evaluate, evaluate_files
-from evaluator.reading import Reader
-from evaluator.report.html import render_html
-from evaluator.report.json import to_json
-from evaluator.report.tables import print_tables
-from evaluator.work import Work
+from gpusimbench.evaluator.compute.cache.place import open_store
+from gpusimbench.evaluator.compute.work import Work
+from gpusimbench.evaluator.report.html import render_html
+from gpusimbench.evaluator.report.json import to_json
+from gpusimbench.evaluator.report.tables import print_tables
+from gpusimbench.evaluator.results.evaluate import evaluate, evaluate_files
+from gpusimbench.evaluator.runs.reading import Reader
 from tests.synthetic import grid, write_recording
 
 

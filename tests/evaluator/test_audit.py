@@ -19,11 +19,19 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from evaluator import open_recording
-from evaluator.audit.distribution import ALPHA, MOST_ARRANGEMENTS, LawTest, Unit, least_p, runs_needed, same_law
-from evaluator.audit.replaying import ReplayPlan
-from evaluator.audit.verdict import Level, Match, ladder
-from schemas.provenance import SIMULATION
+from gpusimbench import open_recording
+from gpusimbench.evaluator.audit.distribution import (
+    ALPHA,
+    MOST_ARRANGEMENTS,
+    LawTest,
+    Unit,
+    least_p,
+    runs_needed,
+    same_law,
+)
+from gpusimbench.evaluator.audit.replaying import ReplayPlan
+from gpusimbench.evaluator.audit.verdict import Level, Match, ladder
+from gpusimbench.schemas.provenance import SIMULATION
 from tests.conftest import call, wait_for
 from tests.forging import forge
 from tests.synthetic import grid, write_recording
@@ -34,8 +42,8 @@ _PLUGIN = '''
 """MuJoCo C, but for what the environment variable MUJOCO_PLANTED says."""
 import os, threading, time
 import numpy as np
-from recorder.cage import most_threads
-from recorder.simulators.mujoco.simulator import MujocoC
+from gpusimbench.recorder.cage import most_threads
+from gpusimbench.recorder.simulators.mujoco.simulator import MujocoC
 
 def planted():
     return os.environ.get("MUJOCO_PLANTED", "nothing").partition(":")[0]
@@ -468,7 +476,7 @@ def test_large_runs_are_drawn_from() -> None:
 def test_an_interruption_ends_the_replay(number: signal.Signals, plugin: dict[str, str], tmp_path: Path) -> None:
     """Pass an interruption on: the replay's recording gets its end, and nothing goes on behind."""
     (original,) = _recorded(tmp_path, plugin)
-    command = [sys.executable, "-P", "-m", "evaluator.cli.audit", original, "--out", tmp_path / "here"]
+    command = [sys.executable, "-P", "-m", "gpusimbench.evaluator.cli.audit", original, "--out", tmp_path / "here"]
     environment = {**plugin, "MUJOCO_PLANTED": "slow"}
     audit = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment)
     wait_for(lambda: any(path.stat().st_size > 0 for path in (tmp_path / "here").glob("*.partial")))
@@ -489,6 +497,6 @@ def test_the_commands_of_the_page(tmp_path: Path) -> None:
     assert len(lines) == 2
     (tmp_path / "recordings").symlink_to(ROOT / "recordings")
     for line in lines:
-        done = shell(line.replace("gsb-audit", f"{sys.executable} -P -m evaluator.cli.audit"), tmp_path)
+        done = shell(line.replace("gsb-audit", f"{sys.executable} -P -m gpusimbench.evaluator.cli.audit"), tmp_path)
         assert done.returncode == 0, f"{line}\n{done.stdout}\n{done.stderr}"
         assert done.stdout

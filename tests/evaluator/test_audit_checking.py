@@ -5,10 +5,10 @@ from __future__ import annotations
 import shutil
 from pathlib import Path
 
-from evaluator.audit.checking import check_files
-from evaluator.audit.matching import unreproduced
-from evaluator.audit.verdict import Match, ladder
-from evaluator.recording import Recording
+from gpusimbench.evaluator.audit.checking import check_files
+from gpusimbench.evaluator.audit.matching import unreproduced
+from gpusimbench.evaluator.audit.verdict import Match, ladder
+from gpusimbench.evaluator.read.recording import Recording
 from tests.conftest import SMALL, Command
 from tests.synthetic import grid, write_recording
 

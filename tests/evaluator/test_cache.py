@@ -19,18 +19,18 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from evaluator import stamp
-from evaluator.cache import known_files
-from evaluator.cache import store as store_module
-from evaluator.cache.codec import Codec
-from evaluator.cache.known_files import read_all
-from evaluator.cache.place import default_folder, open_store
-from evaluator.cache.store import Store
-from evaluator.evaluate import evaluate
-from evaluator.reading import Read, Reader, Unreadable
-from evaluator.recording import Recording
-from evaluator.report.json import dump_json
-from evaluator.work import Work
+from gpusimbench.evaluator.compute.cache import store as store_module
+from gpusimbench.evaluator.compute.cache.codec import Codec
+from gpusimbench.evaluator.compute.cache.place import default_folder, open_store
+from gpusimbench.evaluator.compute.cache.store import Store
+from gpusimbench.evaluator.compute.work import Work
+from gpusimbench.evaluator.read import stamp
+from gpusimbench.evaluator.read.recording import Recording
+from gpusimbench.evaluator.report.json import dump_json
+from gpusimbench.evaluator.results.evaluate import evaluate
+from gpusimbench.evaluator.runs import known_files
+from gpusimbench.evaluator.runs.known_files import read_all
+from gpusimbench.evaluator.runs.reading import Read, Reader, Unreadable
 from tests.conftest import Command
 
 

@@ -14,16 +14,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from evaluator.cli.check import main
-from evaluator.integrity import examine
-from evaluator.rules.facts import CONDITIONS, FACTS, Unknown, applies, fact_of
-from evaluator.rules.findings import check
-from evaluator.rules.predicates import FILE_PREDICATES, SET_PREDICATES
-from evaluator.rules.rule import SHIPPED, Level, Scope, load_rules, parse_rules
-from recorder.scenes.registry import make_scene
-from schemas.errors import ExitCode, UsageError
-from schemas.messages import message_class
-from schemas.provenance import PROVENANCE, SCENE, SIMULATION
+from gpusimbench.evaluator.check.integrity import examine
+from gpusimbench.evaluator.check.rules.facts import CONDITIONS, FACTS, Unknown, applies, fact_of
+from gpusimbench.evaluator.check.rules.findings import check
+from gpusimbench.evaluator.check.rules.predicates import FILE_PREDICATES, SET_PREDICATES
+from gpusimbench.evaluator.check.rules.rule import SHIPPED, Level, Scope, load_rules, parse_rules
+from gpusimbench.evaluator.cli.check import main
+from gpusimbench.recorder.scenes.registry import make_scene
+from gpusimbench.schemas.errors import ExitCode, UsageError
+from gpusimbench.schemas.messages import message_class
+from gpusimbench.schemas.provenance import PROVENANCE, SCENE, SIMULATION
 from tests.conftest import Command
 from tests.evaluator.damaged import BYTES, whole
 from tests.synthetic import Shown, write_recording

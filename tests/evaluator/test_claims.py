@@ -11,25 +11,25 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from evaluator import identity_metrics as identity
-from evaluator.audit import matching
-from evaluator.audit.distribution import LawTest
-from evaluator.audit.verdict import Level, Match, ladder
-from evaluator.claims import Claim, Tally, every, identical, tally
-from evaluator.fidelity import Verdict, fidelity
-from evaluator.histories import histories_of
-from evaluator.metrics.levels import verdict
-from evaluator.physics.facts import Check, NotMeasured, PhysicsFacts, measured
-from evaluator.report import words
-from evaluator.report.fidelity import cells
-from evaluator.report.page import summary
-from evaluator.results import Metric, not_computed
-from evaluator.sharing.leaderboard import words as board_words
-from evaluator.sharing.leaderboard.reproduction import Replay, Reproduction
-from evaluator.streams import Fingerprints
-from evaluator.validity import validity_of
-from evaluator.versus.finding import Change
-from evaluator.versus.sameness import all_alike, compare_bits, compare_determinism
+from gpusimbench.evaluator.audit import matching
+from gpusimbench.evaluator.audit.distribution import LawTest
+from gpusimbench.evaluator.audit.verdict import Level, Match, ladder
+from gpusimbench.evaluator.compare.finding import Change
+from gpusimbench.evaluator.compare.sameness import all_alike, compare_bits, compare_determinism
+from gpusimbench.evaluator.metrics.levels import verdict
+from gpusimbench.evaluator.read.streams import Fingerprints
+from gpusimbench.evaluator.report import words
+from gpusimbench.evaluator.report.fidelity import cells
+from gpusimbench.evaluator.report.page import summary
+from gpusimbench.evaluator.results import identity_metrics as identity
+from gpusimbench.evaluator.results.claims import Claim, Tally, every, identical, tally
+from gpusimbench.evaluator.results.fidelity import Verdict, fidelity
+from gpusimbench.evaluator.results.result import Metric, not_computed
+from gpusimbench.evaluator.results.validity import validity_of
+from gpusimbench.evaluator.runs.physics.facts import Check, NotMeasured, PhysicsFacts, measured
+from gpusimbench.evaluator.runs.state_hashes import histories_of
+from gpusimbench.evaluator.share.leaderboard import words as board_words
+from gpusimbench.evaluator.share.leaderboard.reproduction import Replay, Reproduction
 
 THREE = st.lists(st.sampled_from([True, False, None]), max_size=5)
 """What is known of some parts: any mixture of yes, no and not compared, and no part at all."""
@@ -228,8 +228,8 @@ def test_environments_at_other_origins(tmp_path: Any) -> None:
     """Call no group "bit-identical" whose environments and runs nobody compared, on the page itself."""
     import re
 
-    from evaluator.evaluate import evaluate_files
-    from evaluator.report.html import render_html
+    from gpusimbench.evaluator.report.html import render_html
+    from gpusimbench.evaluator.results.evaluate import evaluate_files
     from tests.synthetic import grid, write_recording
 
     final = grid(2)

@@ -12,8 +12,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from evaluator.cli.compare import main
-from schemas.provenance import PROVENANCE
+from gpusimbench.evaluator.cli.compare import main
+from gpusimbench.schemas.provenance import PROVENANCE
 from tests.synthetic import Shown, grid, write_recording
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -472,11 +472,11 @@ def test_exchanging_base_and_head_mirrors_every_verdict(
     tmp_path_factory: pytest.TempPathFactory, base: list[float], head: list[float], order: str, more: int
 ) -> None:
     """Turn every regression into an improvement and leave all else, and do not mind the order of files."""
-    from evaluator.reading import Reader
-    from evaluator.versus.compare import compare
-    from evaluator.versus.finding import Settings
-    from evaluator.versus.sides import places_of, read_sides
-    from evaluator.work import HERE
+    from gpusimbench.evaluator.compare.compare import compare
+    from gpusimbench.evaluator.compare.finding import Settings
+    from gpusimbench.evaluator.compare.sides import places_of, read_sides
+    from gpusimbench.evaluator.compute.work import HERE
+    from gpusimbench.evaluator.runs.reading import Reader
 
     folder = tmp_path_factory.mktemp("mirror")
     bad = {"status": "INVALID", "reason": "overflow", "cause": "BUFFER"}

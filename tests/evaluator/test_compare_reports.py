@@ -15,9 +15,9 @@ import numpy as np
 import pytest
 from markdown_it import MarkdownIt
 
-from evaluator.cli.compare import main
-from evaluator.versus.markdown import code, safe
-from schemas.provenance import PROVENANCE, SIMULATION
+from gpusimbench.evaluator.cli.compare import main
+from gpusimbench.evaluator.compare.markdown import code, safe
+from gpusimbench.schemas.provenance import PROVENANCE, SIMULATION
 from tests.evaluator.test_compare import NOISE, ROOT, compared, finding, stamped, timed, write_sides
 from tests.synthetic import grid, write_recording
 from tests.test_docs import command
@@ -38,7 +38,9 @@ def path(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
     """A PATH on which gsb-compare is, whether or not it is installed."""
     programs = tmp_path / "programs"
     programs.mkdir()
-    (programs / "gsb-compare").write_text(f'#!/bin/sh\nexec {sys.executable} -m evaluator.cli.compare "$@"\n')
+    (programs / "gsb-compare").write_text(
+        f'#!/bin/sh\nexec {sys.executable} -m gpusimbench.evaluator.cli.compare "$@"\n'
+    )
     (programs / "gsb-compare").chmod(0o755)
     return os.pathsep.join([str(programs), str(Path(command("gsb-eval")[0]).parent), os.environ["PATH"]])
 

@@ -11,10 +11,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
-from evaluator.statistics import exchange
-from evaluator.statistics.exchange import compare_distances, compare_means, count_dealings, dealings, least_p
-from evaluator.statistics.families import able_to_reject, fisher, holm, least_fisher
-from evaluator.versus.schedule import neighbours
+from gpusimbench.evaluator.compare.schedule import neighbours
+from gpusimbench.evaluator.statistics import exchange
+from gpusimbench.evaluator.statistics.exchange import (
+    compare_distances,
+    compare_means,
+    count_dealings,
+    dealings,
+    least_p,
+)
+from gpusimbench.evaluator.statistics.families import able_to_reject, fisher, holm, least_fisher
 
 ABBA = [False, True, True, False]
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from evaluator.comparison import Comparison
-from evaluator.evaluate import evaluate_files
-from evaluator.metrics.guidelines import Guideline
-from evaluator.metrics.radar import Axis
+from gpusimbench.evaluator.metrics.guidelines import Guideline
+from gpusimbench.evaluator.metrics.radar import Axis
+from gpusimbench.evaluator.results.evaluate import evaluate_files
+from gpusimbench.evaluator.results.ranking import Comparison
 from tests.synthetic import grid, write_recording
 
 REPRODUCIBLE = "reproducible and fair comparison, repeated runs"

@@ -11,9 +11,10 @@ import pytest
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 
-from evaluator import open_recording
-from schemas.container import Container
-from schemas.errors import DamagedRecording, NotARecording, RecordingError
+from gpusimbench import open_recording
+from gpusimbench.evaluator.runs.validation import verify
+from gpusimbench.schemas.container import Container
+from gpusimbench.schemas.errors import DamagedRecording, NotARecording, RecordingError
 from tests.synthetic import grid, write_recording
 
 compressions = pytest.mark.parametrize("compression", ["none", "lz4", "zstd"])
@@ -30,7 +31,7 @@ def test_same_content_however_compressed(tmp_path: Path, compression: str) -> No
     """Give the same arrays and the same digests whatever the chunks are compressed with."""
     final = np.random.default_rng(0).standard_normal((3, 27, 3))
     recording = open_recording(write_recording(tmp_path, final, compression=compression))
-    recording.verify()
+    verify(recording)
     assert np.array_equal(recording.state("cubes", "position")[-1], final)
 
 
@@ -59,7 +60,7 @@ def test_rewritten_by_another_tool(tmp_path: Path, compression: str) -> None:
     copy = tmp_path / "copy.mcap"
     rewrite(original, copy, CompressionType[compression.upper()], chunk_size=700)
     a, b = open_recording(original), open_recording(copy)
-    b.verify()
+    verify(b)
     assert a.content_hash == b.content_hash
     assert np.array_equal(np.asarray(a.state("cubes", "position")), np.asarray(b.state("cubes", "position")))
 
@@ -69,7 +70,7 @@ def test_without_chunks_or_indexes(tmp_path: Path) -> None:
     original = write_recording(tmp_path, grid(2))
     copy = tmp_path / "flat.mcap"
     rewrite(original, copy, CompressionType.NONE, use_chunking=False)
-    open_recording(copy).verify()
+    verify(open_recording(copy))
 
 
 def rewrite(source: Path, target: Path, compression: CompressionType, **options: object) -> None:
@@ -133,7 +134,7 @@ def test_no_flipped_bit_passes(tmp_path: Path, compression: str) -> None:
         flipped.write_bytes(changed)
         try:
             recording = open_recording(flipped)
-            recording.verify()
+            verify(recording)
         except RecordingError:
             continue
         if recording.status == "incomplete":
@@ -162,7 +163,7 @@ def test_any_mutation_is_an_error_of_ours(tiny: Path, tmp_path: Path) -> None:
         mutated.write_bytes(changed)
         try:
             recording = open_recording(mutated)
-            recording.verify()
+            verify(recording)
             for field in recording.fields:
                 np.asarray(recording.state(field.group, field.field))
             _ = recording.timing, recording.memory, recording.events, recording.dropouts, recording.scene
@@ -198,7 +199,7 @@ def test_bytes_that_change_after_they_were_verified(tmp_path: Path) -> None:
     """Notice that a number of a state was overwritten in the file itself, though its chunk was read before."""
     path = write_recording(tmp_path, grid(3), steps=5)
     recording = open_recording(path)
-    recording.verify()
+    verify(recording)
     container = recording._container
     (topic,) = [topic for topic in container.channels if topic.startswith("/state/")]
     content = container.read(container.messages(topic)[0])[1]

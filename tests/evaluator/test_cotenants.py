@@ -12,14 +12,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from evaluator.cli.compare import main as gsb_compare
-from evaluator.cli.eval import main as gsb_eval
-from evaluator.cli.info import main as gsb_info
-from evaluator.cost_metrics import GPU_MEMORY, HOST_MEMORY, common_memory
-from evaluator.evaluate import evaluate_files
-from evaluator.metrics.cotenants import BASELINE, Presence, cotenants, peers_of
-from evaluator.metrics.memory import Checkpoints, GpuMemory, Listing
-from evaluator.results import GroupResult, Metric
+from gpusimbench.evaluator.cli.compare import main as gsb_compare
+from gpusimbench.evaluator.cli.eval import main as gsb_eval
+from gpusimbench.evaluator.cli.info import main as gsb_info
+from gpusimbench.evaluator.metrics.cotenants import BASELINE, Presence, cotenants, peers_of
+from gpusimbench.evaluator.metrics.memory import Checkpoints, GpuMemory, Listing
+from gpusimbench.evaluator.results.cost_metrics import GPU_MEMORY, HOST_MEMORY, common_memory
+from gpusimbench.evaluator.results.evaluate import evaluate_files
+from gpusimbench.evaluator.results.result import GroupResult, Metric
 from tests.synthetic import write_recording
 
 H200 = Path(__file__).resolve().parents[2] / "recordings" / "h200"

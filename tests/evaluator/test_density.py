@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import array_shapes, arrays
 
-from evaluator.metrics.density import HexGrid, log_density, marginal
+from gpusimbench.evaluator.metrics.density import HexGrid, log_density, marginal
 
 GRID = HexGrid((-0.2, 0.6, -0.3, 0.3), 0.05)
 POINTS = arrays(

@@ -14,19 +14,19 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from evaluator.cli.diff import main as diff_command
-from evaluator.diff.common import CommonField
-from evaluator.diff.compare import compare, compare_all_envs, compare_envs
-from evaluator.diff.numbers import Pairing
-from evaluator.diff.result import Basis, Change, Difference, StepRange, Verdict
-from evaluator.identity_metrics import equality_of_runs
-from evaluator.recording import Recording
-from evaluator.run_data import read_run
-from evaluator.summary import summarise
-from recorder.capture import states as capture
-from recorder.capture.states import StateWriter
-from schemas.errors import DamagedRecording, NothingComparable, UsageError
-from schemas.fields import body_field
+from gpusimbench.evaluator.cli.diff import main as diff_command
+from gpusimbench.evaluator.diff.common import CommonField
+from gpusimbench.evaluator.diff.compare import compare, compare_all_envs, compare_envs
+from gpusimbench.evaluator.diff.numbers import Pairing
+from gpusimbench.evaluator.diff.result import Basis, Change, Difference, StepRange, Verdict
+from gpusimbench.evaluator.read.recording import Recording
+from gpusimbench.evaluator.results.identity_metrics import equality_of_runs
+from gpusimbench.evaluator.runs.run_data import read_run
+from gpusimbench.evaluator.runs.summary import summarise
+from gpusimbench.recorder.capture import states as capture
+from gpusimbench.recorder.capture.states import StateWriter
+from gpusimbench.schemas.errors import DamagedRecording, NothingComparable, UsageError
+from gpusimbench.schemas.fields import body_field
 from tests import synthetic
 from tests.synthetic import Shown, cubes_field, grid, write_recording
 

@@ -15,10 +15,10 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from evaluator.cli.diff import main
-from evaluator.diff.result import Change
-from evaluator.diff.text_numbers import print_numbers
-from evaluator.diff.words import amount, changes, length, ranges, sparkline
+from gpusimbench.evaluator.cli.diff import main
+from gpusimbench.evaluator.diff.result import Change
+from gpusimbench.evaluator.diff.text_numbers import print_numbers
+from gpusimbench.evaluator.diff.words import amount, changes, length, ranges, sparkline
 from tests.synthetic import cubes_field, grid, write_recording
 
 ROOT = Path(__file__).resolve().parents[2]

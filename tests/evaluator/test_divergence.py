@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from evaluator.metrics.divergence import (
+from gpusimbench.evaluator.metrics.divergence import (
     GrowthFit,
     by_first_appearance,
     differs,

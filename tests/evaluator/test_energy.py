@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from scipy.stats import energy_distance as of_a_line
 
-from evaluator.statistics import energy
-from evaluator.statistics.energy import energy_distance, env_pair_means
+from gpusimbench.evaluator.statistics import energy
+from gpusimbench.evaluator.statistics.energy import energy_distance, env_pair_means
 
 
 def envs(n_env: int, seed: int, shift: float = 0.0, n_item: int = 5) -> np.ndarray:

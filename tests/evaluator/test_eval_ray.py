@@ -11,14 +11,14 @@ from typing import Any
 
 import pytest
 
-from evaluator import cluster as cluster_module
-from evaluator.cache.known_files import read_all
-from evaluator.cluster import Cluster
-from evaluator.evaluate import evaluate
-from evaluator.reading import Reader
-from evaluator.report.json import dump_json
-from evaluator.work import HERE, Work
-from schemas.errors import GsbError, UsageError
+from gpusimbench.evaluator.compute import cluster as cluster_module
+from gpusimbench.evaluator.compute.cluster import Cluster
+from gpusimbench.evaluator.compute.work import HERE, Work
+from gpusimbench.evaluator.report.json import dump_json
+from gpusimbench.evaluator.results.evaluate import evaluate
+from gpusimbench.evaluator.runs.known_files import read_all
+from gpusimbench.evaluator.runs.reading import Reader
+from gpusimbench.schemas.errors import GsbError, UsageError
 from tests.conftest import Command
 
 pytestmark = pytest.mark.alone

@@ -11,15 +11,15 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from evaluator.evaluate import evaluate_files
-from evaluator.metrics.radar import Axis
-from evaluator.remade import Limit, capability, variability
-from evaluator.report.html import render_html
-from evaluator.report.json import to_json
-from evaluator.report.page import consistency, deviations, divergence, dot_plot, remade
-from evaluator.report.page.section import Source
-from evaluator.results import Evaluation
-from schemas.provenance import Deviation
+from gpusimbench.evaluator.metrics.radar import Axis
+from gpusimbench.evaluator.report.html import render_html
+from gpusimbench.evaluator.report.json import to_json
+from gpusimbench.evaluator.report.page import consistency, deviations, divergence, dot_plot, remade
+from gpusimbench.evaluator.report.page.section import Source
+from gpusimbench.evaluator.results.evaluate import evaluate_files
+from gpusimbench.evaluator.results.paper_tables import Limit, capability, variability
+from gpusimbench.evaluator.results.result import Evaluation
+from gpusimbench.schemas.provenance import Deviation
 from tests.synthetic import cubes_field, grid, write_recording, write_sweep
 
 DT = 0.01

@@ -8,10 +8,10 @@ from dataclasses import replace
 
 import pytest
 
-from evaluator.fidelity import Fidelity, Verdict, fidelity
-from evaluator.physics.facts import Check, Measured, NotMeasured, PhysicsFacts, measured
-from evaluator.report.fidelity import fidelity_html, fidelity_record, print_fidelity
-from evaluator.report.words import mechanics
+from gpusimbench.evaluator.report.fidelity import fidelity_html, fidelity_record, print_fidelity
+from gpusimbench.evaluator.report.words import mechanics
+from gpusimbench.evaluator.results.fidelity import Fidelity, Verdict, fidelity
+from gpusimbench.evaluator.runs.physics.facts import Check, Measured, NotMeasured, PhysicsFacts, measured
 
 
 def run(*values: float, why: str = "") -> PhysicsFacts:

@@ -16,17 +16,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 from markupsafe import Markup
 
-from evaluator.cli.eval import main
-from evaluator.evaluate import evaluate_files
-from evaluator.metrics.density import HexGrid
-from evaluator.report.figures import matrix, style, svg
-from evaluator.report.html import sections_of
-from evaluator.report.page.picture import Numbers, Picture, file_name
-from evaluator.report.page.section import Section, Source
-from evaluator.report.paper import latex
-from evaluator.report.paper.figures import HEAD, INDEX, named, write_figures
-from evaluator.report.paper.pdf import to_pdf
-from evaluator.results import Evaluation
+from gpusimbench.evaluator.cli.eval import main
+from gpusimbench.evaluator.metrics.density import HexGrid
+from gpusimbench.evaluator.render.figures import matrix, style, svg
+from gpusimbench.evaluator.report.html import sections_of
+from gpusimbench.evaluator.report.page.picture import Numbers, Picture, file_name
+from gpusimbench.evaluator.report.page.section import Section, Source
+from gpusimbench.evaluator.report.paper import latex
+from gpusimbench.evaluator.report.paper.figures import HEAD, INDEX, named, write_figures
+from gpusimbench.evaluator.report.paper.pdf import to_pdf
+from gpusimbench.evaluator.results.evaluate import evaluate_files
+from gpusimbench.evaluator.results.result import Evaluation
 from tests.synthetic import grid, write_recording, write_sweep
 
 HOSTILE = r"\input{/etc/passwd} $x^2$ & 50 % #1 {_} ~ <script> \x00"

@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import pytest
 
-from evaluator.metrics.guidelines import Guideline, guidelines
-from evaluator.metrics.radar import SimulatorResult
+from gpusimbench.evaluator.metrics.guidelines import Guideline, guidelines
+from gpusimbench.evaluator.metrics.radar import SimulatorResult
 
 PUBLISHED = [
     SimulatorResult("Genesis", 2.234e4, 2**11, 7.8, 4.78, 0.0, 0.0, 11.124e6, 2**17),

@@ -14,21 +14,21 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from evaluator import group_metrics, published
-from evaluator.comparison import Comparison, Contender
-from evaluator.evaluate import evaluate_files
-from evaluator.metrics import variability
-from evaluator.metrics.density import HexGrid, marginal
-from evaluator.metrics.guidelines import guidelines
-from evaluator.metrics.radar import SimulatorResult, radar
-from evaluator.player.playback import playback_of
-from evaluator.reading import Unreadable
-from evaluator.recording import Recording
-from evaluator.report.html import render_html, write_html
-from evaluator.report.page.scripts import script
-from evaluator.results import Cloud, Evaluation, GroupResult, Map, Metric, Reference, not_computed
-from evaluator.summary import Summary, summarise
-from schemas.errors import DamagedRecording, GsbError
+from gpusimbench.evaluator.metrics import variability
+from gpusimbench.evaluator.metrics.density import HexGrid, marginal
+from gpusimbench.evaluator.metrics.guidelines import guidelines
+from gpusimbench.evaluator.metrics.radar import SimulatorResult, radar
+from gpusimbench.evaluator.player.playback import playback_of
+from gpusimbench.evaluator.read.recording import Recording
+from gpusimbench.evaluator.render.scripts import script
+from gpusimbench.evaluator.report.html import render_html, write_html
+from gpusimbench.evaluator.results import group_metrics, published
+from gpusimbench.evaluator.results.evaluate import evaluate_files
+from gpusimbench.evaluator.results.ranking import Comparison, Contender
+from gpusimbench.evaluator.results.result import Cloud, Evaluation, GroupResult, Map, Metric, Reference, not_computed
+from gpusimbench.evaluator.runs.reading import Unreadable
+from gpusimbench.evaluator.runs.summary import Summary, summarise
+from gpusimbench.schemas.errors import DamagedRecording, GsbError
 from tests.synthetic import write_recording, write_sweep
 
 ROOT = Path(__file__).parents[2]

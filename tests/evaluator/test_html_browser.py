@@ -12,12 +12,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from evaluator.evaluate import evaluate_files
-from evaluator.report.figures import matrix, palette, style
-from evaluator.report.html import sections_of, write_html
-from evaluator.report.page.picture import Picture
-from evaluator.report.page.section import Source
-from evaluator.results import Evaluation
+from gpusimbench.evaluator.render.figures import matrix, palette, style
+from gpusimbench.evaluator.report.html import sections_of, write_html
+from gpusimbench.evaluator.report.page.picture import Picture
+from gpusimbench.evaluator.report.page.section import Source
+from gpusimbench.evaluator.results.evaluate import evaluate_files
+from gpusimbench.evaluator.results.result import Evaluation
 from tests.browser import Browser, needs_chromium
 from tests.synthetic import grid, write_recording, write_sweep
 

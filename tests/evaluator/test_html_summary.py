@@ -7,12 +7,12 @@ from pathlib import Path
 
 import numpy as np
 
-from evaluator.claims import Tally
-from evaluator.evaluate import evaluate_files
-from evaluator.report.html import render_html
-from evaluator.report.page import summary
-from evaluator.report.page.section import Source
-from evaluator.results import Evaluation
+from gpusimbench.evaluator.report.html import render_html
+from gpusimbench.evaluator.report.page import summary
+from gpusimbench.evaluator.report.page.section import Source
+from gpusimbench.evaluator.results.claims import Tally
+from gpusimbench.evaluator.results.evaluate import evaluate_files
+from gpusimbench.evaluator.results.result import Evaluation
 from tests.synthetic import grid, write_recording, write_sweep
 
 

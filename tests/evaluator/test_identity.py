@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from evaluator.metrics.identity import bitwise_classes, changes, count_distinct, distinct_over_time
+from gpusimbench.evaluator.metrics.identity import bitwise_classes, changes, count_distinct, distinct_over_time
 
 
 def test_classes_in_order_of_appearance() -> None:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial.distance import cdist
 
-from evaluator import open_recording
+from gpusimbench import open_recording
 from tests.conftest import Command
 from tests.synthetic import grid, metrics_of, write_recording
 

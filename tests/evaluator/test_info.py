@@ -9,12 +9,12 @@ from typing import Any
 
 import pytest
 
-from evaluator.cli.info import main
-from evaluator.inspection import inspect
-from evaluator.integrity import examine
-from evaluator.report.info_text import info_text
-from schemas.errors import ExitCode
-from schemas.provenance import PROVENANCE, SIMULATION, OverflowBit
+from gpusimbench.evaluator.check.inspection import inspect
+from gpusimbench.evaluator.check.integrity import examine
+from gpusimbench.evaluator.cli.info import main
+from gpusimbench.evaluator.report.info_text import info_text
+from gpusimbench.schemas.errors import ExitCode
+from gpusimbench.schemas.provenance import PROVENANCE, SIMULATION, OverflowBit
 from tests.conftest import Command, call
 from tests.evaluator.damaged import BYTES, whole
 from tests.evaluator.test_strangers import FORGERIES

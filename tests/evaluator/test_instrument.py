@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from evaluator.comparison import Comparison
-from evaluator.evaluate import evaluate_files
+from gpusimbench.evaluator.results.evaluate import evaluate_files
+from gpusimbench.evaluator.results.ranking import Comparison
 from tests.synthetic import grid, write_recording, write_sweep
 
 NOTE = "radar and guidelines leave out instruments: control"

@@ -12,16 +12,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from evaluator.integrity import examine
-from evaluator.integrity.problem import DAMAGE, MAX_KEPT, REMARKS, Kind, Problems
-from evaluator.rules.findings import check
-from evaluator.rules.rule import Level, load_rules
-from recorder.capture.sink import Sink
-from schemas import checks
-from schemas.decompression import decompress
-from schemas.errors import DamagedRecording, ExitCode
-from schemas.messages import message_class
-from schemas.provenance import LOGGED, PROVENANCE, SCENE, SIMULATION
+from gpusimbench.evaluator.check.integrity import examine
+from gpusimbench.evaluator.check.integrity.problem import DAMAGE, MAX_KEPT, REMARKS, Kind, Problems
+from gpusimbench.evaluator.check.rules.findings import check
+from gpusimbench.evaluator.check.rules.rule import Level, load_rules
+from gpusimbench.recorder.capture.sink import Sink
+from gpusimbench.schemas import checks
+from gpusimbench.schemas.decompression import decompress
+from gpusimbench.schemas.errors import DamagedRecording, ExitCode
+from gpusimbench.schemas.messages import message_class
+from gpusimbench.schemas.provenance import LOGGED, PROVENANCE, SCENE, SIMULATION
 from tests.evaluator.damaged import BYTES, REWRITTEN, SCENE_CHANGED, WRITTEN, hashes_of_others, rewritten, whole
 from tests.evaluator.test_strangers import FORGERIES
 from tests.synthetic import Shown, grid, write_recording
@@ -401,7 +401,7 @@ def test_every_rule_of_integrity_can_be_broken() -> None:
 
 def test_a_reader_that_disagrees_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Say what the mcap library makes of a file, where it reads it in another way."""
-    from evaluator.integrity import library
+    from gpusimbench.evaluator.check.integrity import library
 
     class Deaf(library.StreamReader):  # type: ignore[misc]
         @property

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from evaluator.statistics.jackknife import jackknife_mean, jackknife_pair_mean
+from gpusimbench.evaluator.statistics.jackknife import jackknife_mean, jackknife_pair_mean
 
 
 def distances(points: np.ndarray) -> np.ndarray:

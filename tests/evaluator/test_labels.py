@@ -7,8 +7,8 @@ from typing import Any
 
 import pytest
 
-from evaluator import open_recording
-from evaluator.groups import group, labels, options_given
+from gpusimbench import open_recording
+from gpusimbench.evaluator.runs.groups import group, labels, options_given
 from tests.synthetic import grid, write_recording
 
 

@@ -16,17 +16,17 @@ from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial.distance import cdist
 
-from evaluator.evaluate import evaluate, evaluate_files
-from evaluator.metrics.board import Board, clamped
-from evaluator.reading import Read, Reader
-from evaluator.recording import Recording
-from evaluator.report.html import render_html
-from evaluator.report.json import to_json
-from evaluator.report.numbers import figure
-from evaluator.report.paper.tables import tables
-from evaluator.report.parquet import frames
-from evaluator.report.tables import print_tables
-from evaluator.results import Evaluation
+from gpusimbench.evaluator.metrics.board import Board, clamped
+from gpusimbench.evaluator.read.recording import Recording
+from gpusimbench.evaluator.render.numbers import figure
+from gpusimbench.evaluator.report.html import render_html
+from gpusimbench.evaluator.report.json import to_json
+from gpusimbench.evaluator.report.paper.tables import tables
+from gpusimbench.evaluator.report.parquet import frames
+from gpusimbench.evaluator.report.tables import print_tables
+from gpusimbench.evaluator.results.evaluate import evaluate, evaluate_files
+from gpusimbench.evaluator.results.result import Evaluation
+from gpusimbench.evaluator.runs.reading import Read, Reader
 from tests.synthetic import grid, write_recording
 
 H200 = Path(__file__).resolve().parents[2] / "recordings" / "h200"

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from evaluator.metrics.levels import Level, verdict
+from gpusimbench.evaluator.metrics.levels import Level, verdict
 
 
 def samples(n: int = 4, dtype: Any = np.float32) -> np.ndarray:

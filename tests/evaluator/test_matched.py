@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from evaluator.metrics.variability import parallel_variability, run_to_run_variability
-from evaluator.statistics.matched import Scheme, draws, matched_variability
-from evaluator.transport.pair import wasserstein1
+from gpusimbench.evaluator.metrics.variability import parallel_variability, run_to_run_variability
+from gpusimbench.evaluator.statistics.matched import Scheme, draws, matched_variability
+from gpusimbench.evaluator.transport.pair import wasserstein1
 
 
 def w1(a: np.ndarray, b: np.ndarray) -> float:

@@ -14,7 +14,7 @@ from typing import Any
 
 import pytest
 
-from schemas.provenance import PROVENANCE, SCENE, SIMULATION
+from gpusimbench.schemas.provenance import PROVENANCE, SCENE, SIMULATION
 from tests.evaluator.test_strangers import FORGERIES
 from tests.hostile.corpus import _shown
 from tests.hostile.mutate import MUTATORS
@@ -39,7 +39,7 @@ def _write(folder: Path, name: str, **changed: Any) -> Path:
 
 def _run(command: str, *arguments: object) -> tuple[int, str]:
     """Exit code and complaints of a command; whatever it raises fails the test."""
-    main = import_module(f"evaluator.cli.{command}").main
+    main = import_module(f"gpusimbench.evaluator.cli.{command}").main
     said = io.StringIO()
     with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said):
         code = main([str(one) for one in arguments])

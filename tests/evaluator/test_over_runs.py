@@ -5,7 +5,7 @@ from __future__ import annotations
 from hypothesis import given
 from hypothesis import strategies as st
 
-from evaluator.over_runs import mean_over_runs
+from gpusimbench.evaluator.results.aggregate import mean_over_runs
 
 
 @given(st.floats(0, 1e9), st.integers(1, 12))

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from evaluator.report.figures import palette, style
+from gpusimbench.evaluator.render.figures import palette, style
 
 # G. M. Machado, M. M. Oliveira, L. A. F. Fernandes, "A physiologically-based model for simulation of color vision
 # deficiency", 2009: severity 1.0, of linear sRGB.

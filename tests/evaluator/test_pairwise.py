@@ -20,14 +20,9 @@ from hypothesis.extra.numpy import arrays
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial.distance import cdist
 
-from evaluator.transport import kernel, small
-from evaluator.transport.pair import wasserstein1
-from evaluator.transport.small import (
-    SUMMARY_ROWS,
-    distinct_sets,
-    pairwise_summary,
-    pairwise_wasserstein1,
-)
+from gpusimbench.evaluator.transport import kernel, small
+from gpusimbench.evaluator.transport.pair import wasserstein1
+from gpusimbench.evaluator.transport.small import SUMMARY_ROWS, distinct_sets, pairwise_summary, pairwise_wasserstein1
 
 FEW = settings(max_examples=60, deadline=None)
 # Few distinct values: ties and duplicates are the rule.
@@ -213,15 +208,15 @@ def test_summary_needs_no_matrix() -> None:
 def test_read_only_install_compiles_into_the_users_cache(tmp_path: Path) -> None:
     """Keep machine code in the user's cache folder where the package's own cannot be written."""
     source = Path(small.__file__).parents[1]
-    package = tmp_path / "evaluator" / "transport"
+    package = tmp_path / "gpusimbench" / "evaluator" / "transport"
     package.mkdir(parents=True)
     for name in ("kernel.py", "compiled.py"):
         shutil.copy(source / "transport" / name, package)
-    for folder in (package, package.parent):
+    for folder in (package, package.parent, package.parent.parent):
         (folder / "__init__.py").touch()
     (package / "__pycache__").touch()  # a file: nothing can be written beneath it, by anyone
     code = (
-        "import numpy as np\nfrom evaluator.transport import kernel\n"
+        "import numpy as np\nfrom gpusimbench.evaluator.transport import kernel\n"
         "out = np.zeros(2)\nkernel.distances_to_later(np.array([[[0.0]], [[1.0]]]), 0, out)\nassert out[1] == 1.0"
     )
     cache = tmp_path / "cache"

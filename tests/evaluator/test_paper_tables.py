@@ -12,12 +12,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from evaluator.cli.eval import main
-from evaluator.evaluate import evaluate_files
-from evaluator.report.numbers import mean_sd
-from evaluator.report.paper.tables import tables, text_tables
-from evaluator.report.paper.text_table import Format, TextTable, as_csv, as_latex, as_markdown
-from evaluator.results import Evaluation
+from gpusimbench.evaluator.cli.eval import main
+from gpusimbench.evaluator.render.numbers import mean_sd
+from gpusimbench.evaluator.report.paper.tables import tables, text_tables
+from gpusimbench.evaluator.report.paper.text_table import Format, TextTable, as_csv, as_latex, as_markdown
+from gpusimbench.evaluator.results.evaluate import evaluate_files
+from gpusimbench.evaluator.results.result import Evaluation
 from tests.conftest import Command
 from tests.synthetic import grid, write_recording, write_sweep
 

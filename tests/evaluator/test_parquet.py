@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from evaluator.cli.eval import main
-from evaluator.evaluate import evaluate_files
-from evaluator.report.json import to_json
-from evaluator.report.parquet import METRICS, RUNS, parquet_tables
-from schemas.errors import UsageError
-from schemas.provenance import PROVENANCE
+from gpusimbench.evaluator.cli.eval import main
+from gpusimbench.evaluator.report.json import to_json
+from gpusimbench.evaluator.report.parquet import METRICS, RUNS, parquet_tables
+from gpusimbench.evaluator.results.evaluate import evaluate_files
+from gpusimbench.schemas.errors import UsageError
+from gpusimbench.schemas.provenance import PROVENANCE
 from tests.conftest import Command
 from tests.synthetic import grid, write_recording
 

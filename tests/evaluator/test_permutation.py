@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from evaluator.statistics import permutation
-from evaluator.statistics.permutation import arrangements, exhaustive_floor, permutation_floor
-from evaluator.transport.pair import Transport
+from gpusimbench.evaluator.statistics import permutation
+from gpusimbench.evaluator.statistics.permutation import arrangements, exhaustive_floor, permutation_floor
+from gpusimbench.evaluator.transport.pair import Transport
 
 
 def envs(n_env: int, seed: int, shift: float = 0.0, n_item: int = 27) -> np.ndarray:

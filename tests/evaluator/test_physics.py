@@ -10,13 +10,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from evaluator.physics.facts import Check, Measured, NotMeasured, PhysicsFacts
-from evaluator.physics.measure import physics_of
-from evaluator.physics.states import MOST_ENVS, drawn_envs
-from evaluator.recording import Recording
-from recorder.scenes.base import Scene
-from recorder.scenes.registry import make_scene
-from schemas.errors import DamagedRecording
+from gpusimbench.evaluator.read.recording import Recording
+from gpusimbench.evaluator.runs.physics.facts import Check, Measured, NotMeasured, PhysicsFacts
+from gpusimbench.evaluator.runs.physics.measure import physics_of
+from gpusimbench.evaluator.runs.physics.states import MOST_ENVS, drawn_envs
+from gpusimbench.recorder.scenes.base import Scene
+from gpusimbench.recorder.scenes.registry import make_scene
+from gpusimbench.schemas.errors import DamagedRecording
 from tests.evaluator.trajectories import Motion, at_rest, falling, heavier_gravity, rolling, write_motion
 
 RECORDINGS = Path(__file__).parents[2] / "recordings"

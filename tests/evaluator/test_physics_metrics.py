@@ -9,12 +9,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from evaluator.metrics.physics.energy import FrictionCone, Rises, mechanical_energy
-from evaluator.metrics.physics.falling import impact
-from evaluator.metrics.physics.kinematics import Displacements
-from evaluator.metrics.physics.rolling import descent, foot_speed
-from evaluator.metrics.physics.sliding import Stretches
-from evaluator.metrics.physics.solids import (
+from gpusimbench.evaluator.metrics.physics.energy import FrictionCone, Rises, mechanical_energy
+from gpusimbench.evaluator.metrics.physics.falling import impact
+from gpusimbench.evaluator.metrics.physics.kinematics import Displacements
+from gpusimbench.evaluator.metrics.physics.rolling import descent, foot_speed
+from gpusimbench.evaluator.metrics.physics.sliding import Stretches
+from gpusimbench.evaluator.metrics.physics.solids import (
     FixedBox,
     HalfSpace,
     box_distance,
@@ -24,7 +24,7 @@ from evaluator.metrics.physics.solids import (
     rotations,
     sphere_depth,
 )
-from evaluator.metrics.physics.trend import rounding, trend
+from gpusimbench.evaluator.metrics.physics.trend import rounding, trend
 
 seeds = st.integers(0, 2**32 - 1)
 

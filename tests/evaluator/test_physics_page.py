@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from evaluator.physics.facts import Check
+from gpusimbench.evaluator.runs.physics.facts import Check
 
 ROOT = Path(__file__).parents[2]
 PAGE = ROOT / "docs" / "physics.md"

@@ -9,9 +9,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from evaluator.metrics.identity import distinct_over_time
-from evaluator.player.classes import Compared, changes, compared, representatives
-from evaluator.recording import Recording
+from gpusimbench.evaluator.metrics.identity import distinct_over_time
+from gpusimbench.evaluator.player.classes import Compared, changes, compared, representatives
+from gpusimbench.evaluator.read.recording import Recording
 from tests.synthetic import cubes_field, grid, write_recording
 
 HASHES = st.integers(1, 6).flatmap(

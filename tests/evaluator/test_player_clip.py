@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from evaluator.player.clip import make_clip
-from evaluator.player.encode import RESOLUTION_M, RESOLUTION_QUATERNION, encode
-from evaluator.player.poses import items_of
-from evaluator.player.words import sentences
-from evaluator.recording import Recording
-from schemas.errors import DamagedRecording, NothingComparable, UsageError
+from gpusimbench.evaluator.player.clip import make_clip
+from gpusimbench.evaluator.player.encode import RESOLUTION_M, RESOLUTION_QUATERNION, encode
+from gpusimbench.evaluator.player.poses import items_of
+from gpusimbench.evaluator.player.words import sentences
+from gpusimbench.evaluator.read.recording import Recording
+from gpusimbench.schemas.errors import DamagedRecording, NothingComparable, UsageError
 from tests.synthetic import grid, write_recording
 
 SHIPPED = Path(__file__).resolve().parents[2] / "recordings"
@@ -38,7 +38,7 @@ def diverging(folder: Path, **keywords: Any) -> Path:
 
 
 def _start() -> NDArray[np.float64]:
-    from recorder.scenes.registry import make_scene
+    from gpusimbench.recorder.scenes.registry import make_scene
 
     return np.array([b.position for b in make_scene("inclined-collision").moving()[-27:]])
 

@@ -7,12 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from evaluator.metrics.identity import distinct_over_time
-from evaluator.player.clip import make_clip
-from evaluator.player.markup import markup, script
-from evaluator.player.page import render_page
-from evaluator.recording import Recording
-from evaluator.report.figures.palette import GROUPS_DARK, GROUPS_LIGHT
+from gpusimbench.evaluator.metrics.identity import distinct_over_time
+from gpusimbench.evaluator.player.clip import make_clip
+from gpusimbench.evaluator.player.markup import markup, script
+from gpusimbench.evaluator.player.page import render_page
+from gpusimbench.evaluator.read.recording import Recording
+from gpusimbench.evaluator.render.figures.palette import GROUPS_DARK, GROUPS_LIGHT
 from tests.browser import Browser, needs_chromium
 from tests.evaluator.test_player_clip import diverging
 from tests.synthetic import grid, write_recording

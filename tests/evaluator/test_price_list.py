@@ -9,16 +9,16 @@ from typing import Any
 
 import pytest
 
-from evaluator.evaluate import evaluate_files
-from evaluator.price_list import NO_EFFECT, Family, Price
-from evaluator.report.html import render_html
-from evaluator.report.json import to_json
-from evaluator.report.paper.tables import text_tables
-from evaluator.report.paper.text_table import Format
-from evaluator.report.price_table import SAME, ratio
-from evaluator.report.tables import print_tables
-from evaluator.results import Evaluation
-from evaluator.soundness import faults
+from gpusimbench.evaluator.report.html import render_html
+from gpusimbench.evaluator.report.json import to_json
+from gpusimbench.evaluator.report.paper.tables import text_tables
+from gpusimbench.evaluator.report.paper.text_table import Format
+from gpusimbench.evaluator.report.price_table import SAME, ratio
+from gpusimbench.evaluator.report.tables import print_tables
+from gpusimbench.evaluator.results.determinism_cost import NO_EFFECT, Family, Price
+from gpusimbench.evaluator.results.evaluate import evaluate_files
+from gpusimbench.evaluator.results.faults import faults
+from gpusimbench.evaluator.results.result import Evaluation
 from tests.synthetic import cubes_field, grid, write_recording
 
 SWITCH = {"exact": True}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from evaluator.metrics.radar import Axis, SimulatorResult, radar
+from gpusimbench.evaluator.metrics.radar import Axis, SimulatorResult, radar
 
 SLOW = SimulatorResult("slow", 1e3, 2**8, 2.0, 5.0, 0.0, 0.0)
 MIDDLE = SimulatorResult("middle", 2e3, 2**9, 3.0, 3.0, 0.0, 1.0)

@@ -12,11 +12,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from benchmarks import read_path
-from evaluator import open_recording, state_array
-from schemas.blocks import STATE_HEAD_BYTES, decode_state, encode_state, state_header, state_header_in
-from schemas.crc import second
-from schemas.errors import DamagedRecording
-from schemas.source import MappedFile
+from gpusimbench import open_recording
+from gpusimbench.evaluator.read import state_array
+from gpusimbench.schemas.blocks import STATE_HEAD_BYTES, decode_state, encode_state, state_header, state_header_in
+from gpusimbench.schemas.crc import second
+from gpusimbench.schemas.errors import DamagedRecording
+from gpusimbench.schemas.source import MappedFile
 from tests.synthetic import grid, write_recording
 
 N_ENV, STEPS = 192, 260

@@ -11,11 +11,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from evaluator import open_recording
-from evaluator.recording import Recording
-from schemas.container import Container
-from schemas.errors import DamagedRecording
-from schemas.provenance import Provenance
+from gpusimbench import open_recording
+from gpusimbench.evaluator.read.recording import Recording
+from gpusimbench.evaluator.runs.validation import verify
+from gpusimbench.schemas.container import Container
+from gpusimbench.schemas.errors import DamagedRecording
+from gpusimbench.schemas.provenance import Provenance
 from tests.synthetic import grid, write_recording
 
 _SHAPE = (101, 4, 27, 3)
@@ -103,7 +104,7 @@ def test_an_absurd_configuration_allocates_nothing(tmp_path: Path) -> None:
     _with_provenance(tmp_path, forged, lambda text: text.replace(b'"n_env": 2,', b'"n_env": 16000000,'))
     recording = open_recording(forged)
     with pytest.raises(DamagedRecording, match="more"):
-        recording.verify()
+        verify(recording)
 
 
 def _with_provenance(folder: Path, target: Path, change: Callable[[bytes], bytes]) -> None:
@@ -119,7 +120,7 @@ def test_status_and_reason(tmp_path: Path) -> None:
     for status in ("COMPLETE", "FAILED", "INVALID"):
         recording = open_recording(write_recording(tmp_path, grid(1), status=status, reason="because"))
         assert (recording.status, recording.reason) == (status.lower(), "because")
-        recording.verify()
+        verify(recording)
     recording = open_recording(write_recording(tmp_path, grid(1), end=False))
     assert recording.status == "incomplete"
     assert recording.content_hash == ""
@@ -137,7 +138,7 @@ def test_a_changed_end_is_noticed(tmp_path: Path) -> None:
 
     rewrite(forged, copy, CompressionType.NONE)
     with pytest.raises(DamagedRecording, match="end record was changed"):
-        open_recording(copy).verify()
+        verify(open_recording(copy))
 
 
 def test_a_changed_number_is_noticed(tmp_path: Path) -> None:
@@ -152,4 +153,4 @@ def test_a_changed_number_is_noticed(tmp_path: Path) -> None:
     copy = tmp_path / "copy.mcap"
     rewrite(forged, copy, CompressionType.NONE)
     with pytest.raises(DamagedRecording):
-        open_recording(copy).verify()
+        verify(open_recording(copy))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from evaluator.metrics.regime import REGIME_MEANING, Regime, is_present, published_regime
+from gpusimbench.evaluator.metrics.regime import REGIME_MEANING, Regime, is_present, published_regime
 
 PUBLISHED = [
     ("Isaac Lab", 4.21, 0.00, 1),

@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from evaluator.metrics.regime import PRESENT_FROM_CM, Regime, is_present
-from evaluator.statistics.regimes import Resampling, regime_probabilities, upper_bound_of_none
+from gpusimbench.evaluator.metrics.regime import PRESENT_FROM_CM, Regime, is_present
+from gpusimbench.evaluator.statistics.regimes import Resampling, regime_probabilities, upper_bound_of_none
 
 SAME = np.zeros((6, 6))
 

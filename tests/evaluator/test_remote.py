@@ -27,20 +27,21 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-import schemas.web
-from evaluator import open_recording
-from evaluator.cli import audit, check, diff, info, share
-from evaluator.cli import eval as evaluation
-from evaluator.integrity import examine
-from evaluator.locations import expand
-from evaluator.recording import Recording
-from schemas import container, decompression, remote
-from schemas.container import Container
-from schemas.errors import DamagedRecording, NotARecording, RecordingError, Unreachable
-from schemas.location import Location, redacted, shown, shown_argument
-from schemas.mcap_writer import MAGIC
-from schemas.patience import Patience, TooSlow
-from schemas.remote import RemoteFile
+from gpusimbench import open_recording
+from gpusimbench.evaluator.check.integrity import examine
+from gpusimbench.evaluator.cli import audit, check, diff, info, share
+from gpusimbench.evaluator.cli import eval as evaluation
+from gpusimbench.evaluator.read.addresses import expand
+from gpusimbench.evaluator.read.recording import Recording
+from gpusimbench.evaluator.runs.validation import verify
+from gpusimbench.schemas import container, decompression, remote
+from gpusimbench.schemas import web as addresses_of_web
+from gpusimbench.schemas.container import Container
+from gpusimbench.schemas.errors import DamagedRecording, NotARecording, RecordingError, Unreachable
+from gpusimbench.schemas.location import Location, redacted, shown, shown_argument
+from gpusimbench.schemas.mcap_writer import MAGIC
+from gpusimbench.schemas.patience import Patience, TooSlow
+from gpusimbench.schemas.remote import RemoteFile
 from tests.evaluator.test_container import rewrite
 from tests.synthetic import grid, write_recording
 from tests.test_docs import ROOT, commands, shell
@@ -162,14 +163,14 @@ def test_verified_in_bounded_memory(
     """Verify a remote file with a cache that is smaller than the file, and find a bit that was changed."""
     monkeypatch.setattr(remote, "_CACHED_BYTES", 2 << 20)
     recording = open_recording(_put(memory, large[0]))
-    recording.verify()
+    verify(recording)
     assert len(_source(recording)._blocks) * remote._BLOCK <= 2 << 20
     data = bytearray(large[0].read_bytes())
     data[len(data) // 2] ^= 1
     changed = tmp_path / "changed.mcap"
     changed.write_bytes(data)
     with pytest.raises(DamagedRecording, match="CRC"):
-        open_recording(_put(memory, changed)).verify()
+        verify(open_recording(_put(memory, changed)))
 
 
 @pytest.mark.parametrize("compression", ["none", "zstd"])
@@ -192,7 +193,7 @@ def test_files_of_other_writers(memory: Any, tmp_path: Path, compression: str) -
         copy = tmp_path / f"{number}.mcap"
         rewrite(original, copy, CompressionType[compression.upper()], **options)
         recording = open_recording(_put(memory, copy))
-        recording.verify()
+        verify(recording)
         assert np.array_equal(np.asarray(recording.state("cubes", "position")), whole), options
         assert recording.events == open_recording(copy).events
 
@@ -218,7 +219,7 @@ def test_a_server_that_gives_no_parts(web: Web, large: list[Path], tmp_path: Pat
     small = write_recording(tmp_path, grid(2), steps=5)
     assert small.stat().st_size < remote._BLOCK
     web.files["b.mcap"] = small.read_bytes()
-    open_recording(f"{web.address}/b.mcap").verify()
+    verify(open_recording(f"{web.address}/b.mcap"))
 
 
 def test_a_connection_that_breaks(web: Web, large: list[Path], capsys: pytest.CaptureFixture[str]) -> None:
@@ -250,7 +251,7 @@ def test_verify_asks_whether_it_changed(memory: Any, large: list[Path]) -> None:
     recording = open_recording(_put(memory, large[0]))
     _put(memory, large[1], large[0].name)
     with pytest.raises(RecordingError):
-        recording.verify()
+        verify(recording)
 
 
 def test_what_cannot_be_had(web: Web, memory: Any, capsys: pytest.CaptureFixture[str]) -> None:
@@ -280,7 +281,7 @@ def test_missing_package() -> None:
     """Name what to install where fsspec is not there."""
     code = (
         "import sys; sys.modules['fsspec'] = None\n"
-        "from evaluator.cli.info import main\n"
+        "from gpusimbench.evaluator.cli.info import main\n"
         "raise SystemExit(main(['--no-verify', 'https://localhost/a.mcap']))"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
@@ -291,9 +292,9 @@ def test_missing_package() -> None:
 def test_local_files_need_no_package(large: list[Path]) -> None:
     """Read a local file without loading anything that reads remote ones."""
     code = (
-        "import sys\nfrom evaluator.cli.info import main\n"
+        "import sys\nfrom gpusimbench.evaluator.cli.info import main\n"
         f"assert main(['--no-verify', {str(large[0])!r}]) == 0\n"
-        "assert not {'fsspec', 'aiohttp', 'schemas.remote'} & set(sys.modules)"
+        "assert not {'fsspec', 'aiohttp', 'gpusimbench.schemas.remote'} & set(sys.modules)"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
     assert done.returncode == 0, done.stderr
@@ -425,7 +426,7 @@ def test_a_summary_that_lies(memory: Any, tmp_path: Path) -> None:
         memory.pipe("/lie", _resealed(changed[: len(data)]))
         try:
             recording = open_recording("memory://lie")
-            recording.verify()
+            verify(recording)
             assert np.array_equal(np.asarray(recording.state("cubes", "position")), whole)
         except (RecordingError, KeyError):
             refused += 1
@@ -469,7 +470,7 @@ def test_no_flipped_bit_passes(memory: Any, tmp_path: Path) -> None:
         memory.pipe("/flipped", bytes(changed))
         try:
             recording = open_recording("memory://flipped")
-            recording.verify()
+            verify(recording)
         except RecordingError:
             continue
         if recording.status != "incomplete":
@@ -487,7 +488,7 @@ def test_checked_as_a_whole(memory: Any, large: list[Path]) -> None:
     assert remote_one.scan.counts == local.scan.counts
     assert remote_one.recording is not None
     assert str(remote_one.recording.path) == str(remote_one.path) == f"memory://set/{large[0].name}"
-    remote_one.recording.verify()
+    verify(remote_one.recording)
 
 
 @pytest.mark.slow
@@ -551,11 +552,11 @@ def test_nothing_that_a_walk_would_trip_over(memory: Any, tmp_path: Path, more: 
     data = write_recording(tmp_path, grid(4)).read_bytes()
     memory.pipe("/good", _with(data))
     recording = open_recording("memory://good")
-    recording.verify()
+    verify(recording)
     assert recording._container.indexed
     memory.pipe("/bad", _with(data, **more))
     with pytest.raises(DamagedRecording):
-        open_recording("memory://bad").verify()
+        verify(open_recording("memory://bad"))
 
 
 def test_indexes_that_are_never_read(memory: Any, tmp_path: Path) -> None:
@@ -601,7 +602,7 @@ def test_records_that_are_too_long(memory: Any, tmp_path: Path, monkeypatch: pyt
     monkeypatch.undo()
     monkeypatch.setattr(decompression, "MAX_BYTES", 100)
     with pytest.raises(DamagedRecording, match="more than the 100 that are read from elsewhere"):
-        open_recording(address).verify()
+        verify(open_recording(address))
 
 
 def test_no_more_than_was_asked_for(web: Web, large: list[Path]) -> None:
@@ -703,7 +704,7 @@ def test_a_slow_server(
 def test_patience_is_for_all_of_a_file(monkeypatch: pytest.MonkeyPatch) -> None:
     """Wait for many answers that are each in time only as long as their bytes are worth it, then ask no more."""
     clock = SimpleNamespace(now=0.0)
-    monkeypatch.setattr("schemas.patience.time", SimpleNamespace(monotonic=lambda: clock.now))
+    monkeypatch.setattr("gpusimbench.schemas.patience.time", SimpleNamespace(monotonic=lambda: clock.now))
 
     def answer() -> bytes:
         clock.now += 30
@@ -726,7 +727,7 @@ def test_patience_is_for_all_of_a_file(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_patience_counts_what_is_asked_at_once_once(monkeypatch: pytest.MonkeyPatch) -> None:
     """Wait for eight answers at the same time as long as for one of them."""
     clock = SimpleNamespace(now=0.0)
-    monkeypatch.setattr("schemas.patience.time", SimpleNamespace(monotonic=lambda: clock.now))
+    monkeypatch.setattr("gpusimbench.schemas.patience.time", SimpleNamespace(monotonic=lambda: clock.now))
     patience = Patience(answer_s=100, file_s=100, rate=1e6)
     together = Barrier(8, action=lambda: setattr(clock, "now", 60.0))
     with ThreadPoolExecutor(8) as pool:
@@ -759,7 +760,7 @@ def test_redirections_stay_on_the_server(web: Web, tmp_path: Path, capsys: pytes
     data = write_recording(tmp_path, grid(2)).read_bytes()
     web.files["a.mcap"] = data
     web.redirects["here.mcap"] = "/a.mcap"
-    open_recording(f"{web.address}/here.mcap").verify()
+    verify(open_recording(f"{web.address}/here.mcap"))
     with serving() as other:
         other.files["a.mcap"] = data
         port = other.address.rpartition(":")[2]
@@ -790,7 +791,7 @@ def test_redirections_stay_on_the_server(web: Web, tmp_path: Path, capsys: pytes
 )
 def test_what_one_server_is(begin: str, end: str, same: bool) -> None:
     """Call scheme, host and port a server, and its encrypted self the same."""
-    assert schemas.web.same_server(urlsplit(begin), urlsplit(end)) is same
+    assert addresses_of_web.same_server(urlsplit(begin), urlsplit(end)) is same
 
 
 @pytest.mark.parametrize(
@@ -804,13 +805,13 @@ def test_what_one_server_is(begin: str, end: str, same: bool) -> None:
 )  # fmt: skip
 def test_what_a_public_address_is(address: str, public: bool) -> None:
     """Call public what the whole internet reaches: no loopback, no private network, no cloud's metadata."""
-    assert schemas.web.is_public(ipaddress.ip_address(address)) is public
+    assert addresses_of_web.is_public(ipaddress.ip_address(address)) is public
 
 
 def test_a_public_server_may_send_to_another_public_one(web: Web, tmp_path: Path, monkeypatch: Any) -> None:
     """Follow a hub to its store, as long as both are public and the store is encrypted; never to a private address."""
     web.files["a.mcap"] = write_recording(tmp_path, grid(2)).read_bytes()
-    monkeypatch.setattr(schemas.web, "is_public", lambda address: not str(address).startswith("10."))
+    monkeypatch.setattr(addresses_of_web, "is_public", lambda address: not str(address).startswith("10."))
     followed = "Cannot connect to host localhost|ssl|SSL"
     for target, message in (
         (f"https://localhost:{web.address.rpartition(':')[2]}/a.mcap", followed),

@@ -11,9 +11,9 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from evaluator.evaluate import evaluate_files
-from evaluator.metrics.sank import Sinking, Support, may_have_sunk
-from evaluator.results import Metric
+from gpusimbench.evaluator.metrics.sank import Sinking, Support, may_have_sunk
+from gpusimbench.evaluator.results.evaluate import evaluate_files
+from gpusimbench.evaluator.results.result import Metric
 from tests.synthetic import grid, write_recording
 
 GROUND = Support(0.0, (-math.inf, -math.inf), (math.inf, math.inf))

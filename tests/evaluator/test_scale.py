@@ -19,8 +19,8 @@ from hypothesis import strategies as st
 from benchmarks.scale import report
 from benchmarks.scale_cost import Plan, Prices, Rates, extrapolate
 from benchmarks.scale_runs import record
-from evaluator.reading import Read, Reader
-from evaluator.transport.pair import MATRIX_LIMIT
+from gpusimbench.evaluator.runs.reading import Read, Reader
+from gpusimbench.evaluator.transport.pair import MATRIX_LIMIT
 from tests.synthetic import grid, write_recording
 from tests.test_docs import blocks, commands, shell
 
@@ -194,10 +194,10 @@ def test_the_page_shows_the_script() -> None:
 def test_the_page_names_limits_that_are() -> None:
     """Name the limits of the code."""
     page = re.sub(r"\s+", " ", PAGE.read_text(encoding="utf-8"))
-    from evaluator.cache.store import MAX_BYTES
-    from evaluator.locations import MAX_FILES
-    from evaluator.metrics.variability import MATRIX_ENVS, MAX_DISTINCT, SAMPLED_ENVS
-    from evaluator.transport.small import SUMMARY_ROWS
+    from gpusimbench.evaluator.compute.cache.store import MAX_BYTES
+    from gpusimbench.evaluator.metrics.variability import MATRIX_ENVS, MAX_DISTINCT, SAMPLED_ENVS
+    from gpusimbench.evaluator.read.addresses import MAX_FILES
+    from gpusimbench.evaluator.transport.small import SUMMARY_ROWS
 
     for said in (
         f"{MATRIX_LIMIT // 10**6} million pairs of points", f"cut down to {MAX_BYTES >> 30} GiB",

@@ -16,14 +16,14 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
-from evaluator.cli.share import main
-from evaluator.evaluate import evaluate_files
-from evaluator.sharing.dataset.citation import parse_author
-from evaluator.sharing.dataset.contents import identity
-from evaluator.sharing.dataset.licences import HUB_NAMES, check_licence
-from evaluator.sharing.dataset.markdown import cell, fenced
-from evaluator.sharing.dataset.names import why_not
-from schemas.errors import UsageError
+from gpusimbench.evaluator.cli.share import main
+from gpusimbench.evaluator.results.evaluate import evaluate_files
+from gpusimbench.evaluator.share.dataset.citation import parse_author
+from gpusimbench.evaluator.share.dataset.contents import identity
+from gpusimbench.evaluator.share.dataset.licences import HUB_NAMES, check_licence
+from gpusimbench.evaluator.share.dataset.markdown import cell, fenced
+from gpusimbench.evaluator.share.dataset.names import why_not
+from gpusimbench.schemas.errors import UsageError
 from tests.conftest import call
 from tests.evaluator.sets import WHEN, WORDS, described
 from tests.synthetic import grid, write_recording
@@ -424,7 +424,7 @@ def test_polars_is_asked_for_before_any_work(tmp_path: Path, small: Path) -> Non
     """Say which package is missing, with how to get it, and write nothing."""
     shutil.copy(small, tmp_path)
     code = (
-        "import sys\nsys.modules['polars'] = None\nfrom evaluator.cli.share import main\n"
+        "import sys\nsys.modules['polars'] = None\nfrom gpusimbench.evaluator.cli.share import main\n"
         f"sys.exit(main({['card', str(tmp_path), *WORDS]!r}))"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)

@@ -14,13 +14,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from evaluator.cache.place import open_store
-from evaluator.cli.share import main, parser
-from evaluator.recording import Recording
-from evaluator.sharing.dataset import checkup
-from evaluator.sharing.leaderboard import gathering
-from evaluator.work import Work
-from schemas.provenance import ReplayOf
+from gpusimbench.evaluator.cli.share import main, parser
+from gpusimbench.evaluator.compute.cache.place import open_store
+from gpusimbench.evaluator.compute.work import Work
+from gpusimbench.evaluator.read.recording import Recording
+from gpusimbench.evaluator.share.dataset import checkup
+from gpusimbench.evaluator.share.leaderboard import gathering
+from gpusimbench.schemas.provenance import ReplayOf
 from tests.conftest import call
 from tests.evaluator.test_share_card import HOSTILE
 from tests.synthetic import grid, write_recording, write_sweep
@@ -293,7 +293,7 @@ def test_what_is_known_is_not_checked_again(runs: Path, tmp_path: Path, monkeypa
     """Check a file once, and again when it is another one."""
     path = write(runs, grid(2))
     work = Work(store=open_store(tmp_path / "cache"))
-    monkeypatch.setattr("evaluator.stamp._SETTLED_NS", -(10**12))  # as if it had been written long ago
+    monkeypatch.setattr("gpusimbench.evaluator.read.stamp._SETTLED_NS", -(10**12))  # as if it had been written long ago
     calls: list[Path] = []
     real = checkup.examine
     monkeypatch.setattr(checkup, "examine", lambda given: calls.append(given) or real(given))  # type: ignore[func-returns-value]

@@ -13,16 +13,17 @@ import pytest
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory, unknown_fields
 from mcap.reader import make_reader
 
-from evaluator import open_recording
-from evaluator.sharing.copying import Copier
-from evaluator.sharing.pack import pack, unpack
-from evaluator.sharing.recover import recover
-from evaluator.sharing.viewer import write_view
-from schemas.blocks import pack_state
-from schemas.errors import DamagedRecording, DataLost, UsageError
-from schemas.messages import embedded_schema, widened_schema
-from schemas.records import read_records
-from schemas.writing import new_file
+from gpusimbench import open_recording
+from gpusimbench.evaluator.player.viewer import write_view
+from gpusimbench.evaluator.read.copying import Copier
+from gpusimbench.evaluator.runs.validation import verify
+from gpusimbench.evaluator.share.pack import pack, unpack
+from gpusimbench.evaluator.share.recover import recover
+from gpusimbench.schemas.blocks import pack_state
+from gpusimbench.schemas.errors import DamagedRecording, DataLost, UsageError
+from gpusimbench.schemas.messages import embedded_schema, widened_schema
+from gpusimbench.schemas.records import read_records
+from gpusimbench.schemas.writing import new_file
 from tests.conftest import call
 from tests.synthetic import grid, write_recording
 from tests.test_docs import ROOT, commands
@@ -67,7 +68,7 @@ def test_real_recordings_keep_their_identity(source: Path, tmp_path: Path) -> No
     """Pack a shipped recording: the same hash and digests, the same states."""
     packed = pack(source, tmp_path / "packed" / source.name, level=1)
     before, after = open_recording(source), open_recording(packed.path)
-    after.verify()
+    verify(after)
     assert before.content_hash == after.content_hash == packed.content_hash
     assert (packed.bytes_before, packed.bytes_after) == (source.stat().st_size, packed.path.stat().st_size)
     for field in before.fields:
@@ -271,7 +272,7 @@ def test_a_file_that_was_packed_without_its_schema_is_recovered_with_one(
     """Give recovered blocks a schema that describes them, and keep what is newer, or is no schema, as it is."""
     packed, cut = tmp_path / "packed.mcap", tmp_path / "cut.mcap.partial"
     with monkeypatch.context() as older:
-        older.setattr("evaluator.sharing.copying.widened_schema", lambda _, stored: stored)
+        older.setattr("gpusimbench.evaluator.read.copying.widened_schema", lambda _, stored: stored)
         pack(SHIPPED, packed, level=1)
     assert undescribed(packed)
     cut.write_bytes(packed.read_bytes()[:-100])

@@ -13,10 +13,10 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from psutil import Process
 
-from evaluator import open_recording
-from evaluator.sharing.recover import recover
-from schemas.errors import DamagedRecording, RecordingError, UsageError
-from schemas.mcap_writer import MAGIC
+from gpusimbench import open_recording
+from gpusimbench.evaluator.share.recover import recover
+from gpusimbench.schemas.errors import DamagedRecording, RecordingError, UsageError
+from gpusimbench.schemas.mcap_writer import MAGIC
 from tests.conftest import call, wait_for
 from tests.evaluator.test_share_pack import contents, share
 from tests.synthetic import grid, write_recording
@@ -152,7 +152,8 @@ def test_no_name_is_taken(whole: Path, tmp_path: Path) -> None:
 def test_a_killed_run(tmp_path: Path) -> None:
     """Recover what SIGKILL leaves of a real run, with every block that it had written."""
     process = subprocess.Popen(
-        [sys.executable, "-m", "recorder.cli", "--sim", "mujoco", "--n-env", "8", "--steps", "100000", "--runs", "1",
+        [sys.executable, "-m", "gpusimbench.recorder.cli",
+         "--sim", "mujoco", "--n-env", "8", "--steps", "100000", "--runs", "1",
          "--phases", "capture", "--out", str(tmp_path)],
         stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
     )  # fmt: skip

@@ -16,12 +16,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from evaluator.cli.share import main
-from evaluator.sharing.dataset.contents import sum_of
-from evaluator.sharing.dataset.manifest import load_manifest
-from evaluator.sharing.dataset.places import child
-from schemas.errors import DamagedRecording
-from schemas.location import Location
+from gpusimbench.evaluator.cli.share import main
+from gpusimbench.evaluator.share.dataset.contents import sum_of
+from gpusimbench.evaluator.share.dataset.manifest import load_manifest
+from gpusimbench.evaluator.share.dataset.places import child
+from gpusimbench.schemas.errors import DamagedRecording
+from gpusimbench.schemas.location import Location
 from tests.evaluator.sets import WHEN, WORDS, described, rename_in
 from tests.synthetic import write_recording
 from tests.web import serving

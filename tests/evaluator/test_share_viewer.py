@@ -17,11 +17,11 @@ from hypothesis import strategies as st
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
-from evaluator import open_recording
-from evaluator.sharing.viewer import write_view
-from schemas.errors import DamagedRecording, NotARecording, UsageError
-from schemas.view.rotation import about_z, product, rotate
-from schemas.view.shapes import links_of
+from gpusimbench import open_recording
+from gpusimbench.evaluator.player.viewer import write_view
+from gpusimbench.schemas.errors import DamagedRecording, NotARecording, UsageError
+from gpusimbench.schemas.view.rotation import about_z, product, rotate
+from gpusimbench.schemas.view.shapes import links_of
 from tests.evaluator.test_share_pack import share
 from tests.synthetic import grid, write_recording
 from tests.test_docs import ROOT
@@ -232,7 +232,8 @@ def test_names_of_strangers(tmp_path: Path) -> None:
 def test_it_needs_no_other_package(tmp_path: Path) -> None:
     """Write a view where the messages' own package is not installed."""
     code = (
-        "import sys\nsys.modules['foxglove_schemas_protobuf'] = None\nfrom evaluator.cli.share import main\n"
+        "import sys\nsys.modules['foxglove_schemas_protobuf'] = None\n"
+        "from gpusimbench.evaluator.cli.share import main\n"
         f"sys.exit(main(['viewer', {str(SHIPPED)!r}, '--out', {str(tmp_path / 'v.mcap')!r}]))"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)

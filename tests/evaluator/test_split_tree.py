@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from evaluator.metrics.identity import distinct_over_time
-from evaluator.metrics.split_tree import MAX_BRANCHES, MAX_MEMBERS, SplitTree, split_tree
+from gpusimbench.evaluator.metrics.identity import distinct_over_time
+from gpusimbench.evaluator.metrics.split_tree import MAX_BRANCHES, MAX_MEMBERS, SplitTree, split_tree
 
 
 def tree_of(hashes: np.ndarray) -> SplitTree:

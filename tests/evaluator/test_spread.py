@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from evaluator import spread as module
-from evaluator.recording import Recording
-from evaluator.spread import Spread, spread
-from schemas.errors import DamagedRecording
+from gpusimbench.evaluator.read.recording import Recording
+from gpusimbench.evaluator.runs import spread as module
+from gpusimbench.evaluator.runs.spread import Spread, spread
+from gpusimbench.schemas.errors import DamagedRecording
 from tests.synthetic import cubes_field, write_recording
 
 DT = 0.01

@@ -11,14 +11,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from evaluator import open_recording
-from recorder.capture import states
-from recorder.capture.sink import Sink
-from schemas.blocks import encode_fingerprints
-from schemas.errors import DamagedRecording
-from schemas.fields import StateField
-from schemas.messages import message_class
-from schemas.provenance import PROVENANCE, SCENE, SIMULATION, Buffer, OverflowBit
+from gpusimbench import open_recording
+from gpusimbench.evaluator.runs.validation import verify
+from gpusimbench.recorder.capture import states
+from gpusimbench.recorder.capture.sink import Sink
+from gpusimbench.schemas.blocks import encode_fingerprints
+from gpusimbench.schemas.errors import DamagedRecording
+from gpusimbench.schemas.fields import StateField
+from gpusimbench.schemas.messages import message_class
+from gpusimbench.schemas.provenance import PROVENANCE, SCENE, SIMULATION, Buffer, OverflowBit
 from tests.conftest import Command
 from tests.synthetic import Shown, cubes_field, grid, metrics_of, write_recording
 
@@ -136,7 +137,7 @@ FORGERIES: dict[str, dict[str, Any]] = {
 @pytest.mark.parametrize("forgery", FORGERIES)
 def test_a_forged_file_is_named_and_the_rest_evaluated(forgery: str, tmp_path: Path) -> None:
     """Set the forged file aside with one clear message; the good one gets its numbers, the exit code is 3."""
-    from evaluator.cli.eval import main
+    from gpusimbench.evaluator.cli.eval import main
 
     good = write_recording(tmp_path, grid(2), simulator="good")
     bad = write_recording(tmp_path, grid(2), simulator="bad", name="bad.mcap", **FORGERIES[forgery])
@@ -179,7 +180,7 @@ def test_hashes_may_be_split_by_environment(tmp_path: Path, monkeypatch: pytest.
     whole = open_recording(write_recording(tmp_path, final)).fingerprints("capture")
     monkeypatch.setattr(states, "write_fingerprints", split)
     recording = open_recording(write_recording(tmp_path, final))
-    recording.verify()
+    verify(recording)
     parts = recording.fingerprints("capture")
     assert whole is not None
     assert parts is not None
@@ -200,12 +201,12 @@ def test_hashes_of_the_wrong_shape(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     )
     recording = open_recording(write_recording(tmp_path, grid(3)))
     with pytest.raises(DamagedRecording):
-        recording.verify()
+        verify(recording)
 
 
 def test_overlapping_topics_expose_no_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Refuse a second topic for the same environments instead of counting it for the missing ones."""
-    from schemas import topics
+    from gpusimbench.schemas import topics
 
     monkeypatch.setattr(topics, "state", lambda group, field, start: f"/state/{group}/{field}/{start}")
     path = write_recording(tmp_path, grid(2))
@@ -365,7 +366,7 @@ def test_identical_runs_claim_no_interval(gsb_eval: Command, tmp_path: Path) -> 
 
 def test_a_recording_that_grows_while_it_is_read(tmp_path: Path) -> None:
     """Read a file that another process is writing as incomplete, again and again, without an error."""
-    from recorder.capture.states import StateWriter
+    from gpusimbench.recorder.capture.states import StateWriter
 
     path = write_recording(tmp_path, grid(2), end=False)
     assert open_recording(path).status == "incomplete"
@@ -398,7 +399,7 @@ def test_a_recording_that_grows_while_it_is_read(tmp_path: Path) -> None:
 )
 def test_forged_evidence_of_a_run_that_failed(forgery: str, tmp_path: Path) -> None:
     """Set a damaged file aside also where no value is computed from it."""
-    from evaluator.evaluate import evaluate_files
+    from gpusimbench.evaluator.results.evaluate import evaluate_files
 
     path = write_recording(tmp_path, grid(2), status="FAILED", reason="gone", **_EVIDENCE[forgery])
     evaluation = evaluate_files([path])
@@ -407,8 +408,8 @@ def test_forged_evidence_of_a_run_that_failed(forgery: str, tmp_path: Path) -> N
 
 def test_strange_names_of_counters_and_buffers(tmp_path: Path) -> None:
     """Show counters, buffers and phases that nobody foresaw, as text."""
-    from evaluator.evaluate import evaluate_files
-    from evaluator.report.html import render_html
+    from gpusimbench.evaluator.report.html import render_html
+    from gpusimbench.evaluator.results.evaluate import evaluate_files
 
     evil = "<script>alert(1)</script>\x1b[2J"
     buffers = (Buffer(evil, 2**63, evil, "contacts", evil), Buffer("zero", 0, "env", "contacts"))

@@ -8,11 +8,11 @@ import xml.etree.ElementTree as ET
 import numpy as np
 import pytest
 
-from evaluator.metrics.density import HexGrid, marginal
-from evaluator.metrics.divergence import GrowthFit
-from evaluator.metrics.radar import SimulatorResult, radar
-from evaluator.metrics.split_tree import Branch, SplitTree
-from evaluator.report.figures import (
+from gpusimbench.evaluator.metrics.density import HexGrid, marginal
+from gpusimbench.evaluator.metrics.divergence import GrowthFit
+from gpusimbench.evaluator.metrics.radar import SimulatorResult, radar
+from gpusimbench.evaluator.metrics.split_tree import Branch, SplitTree
+from gpusimbench.evaluator.render.figures import (
     axis,
     density_map,
     divergence,
@@ -26,7 +26,7 @@ from evaluator.report.figures import (
     svg,
     tree,
 )
-from evaluator.results import Map
+from gpusimbench.evaluator.results.result import Map
 
 GRID = HexGrid((-0.1, 0.7, -0.3, 0.3), 0.02)
 EDGES = (np.linspace(-0.1, 0.7, 41), np.linspace(-0.3, 0.3, 31))

@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from evaluator.evaluate import evaluate_files
-from evaluator.metrics.radar import Axis
-from evaluator.report.html import render_html
-from evaluator.report.tables import print_tables
-from evaluator.results import Evaluation
-from evaluator.sweeps import Sweep
+from gpusimbench.evaluator.metrics.radar import Axis
+from gpusimbench.evaluator.report.html import render_html
+from gpusimbench.evaluator.report.tables import print_tables
+from gpusimbench.evaluator.results.evaluate import evaluate_files
+from gpusimbench.evaluator.results.result import Evaluation
+from gpusimbench.evaluator.results.sweeps import Sweep
 from tests.conftest import Command
 from tests.synthetic import grid, write_recording, write_sweep
 
@@ -232,7 +232,7 @@ def test_radar_without_a_shared_sweep(tmp_path: Path) -> None:
 
 def test_guidelines_of_a_robot(tmp_path: Path) -> None:
     """Pick for articulated robots from the sweeps of a scene with one."""
-    from schemas.fields import StateField
+    from gpusimbench.schemas.fields import StateField
 
     joints = StateField("robot", "qpos", "float32", ("j1",), ("angle",), "rad", "joint")
     for name, speed in (("one", 1e4), ("other", 2e4)):

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from evaluator.metrics.memory import Checkpoints, peak_increment
-from evaluator.metrics.throughput import frames_per_second
+from gpusimbench.evaluator.metrics.memory import Checkpoints, peak_increment
+from gpusimbench.evaluator.metrics.throughput import frames_per_second
 
 
 def test_frames_per_second() -> None:

@@ -9,15 +9,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from evaluator.audit.matching import compared, distinct, match_of
-from evaluator.audit.verdict import Level, Verdict, ladder
-from evaluator.cli.diff import main
-from evaluator.diff.compare import compare
-from evaluator.diff.result import Difference, StepRange
-from evaluator.diff.result import Verdict as Found
-from evaluator.recording import Recording
-from schemas import topics
-from schemas.messages import message_class
+from gpusimbench.evaluator.audit.matching import compared, distinct, match_of
+from gpusimbench.evaluator.audit.verdict import Level, Verdict, ladder
+from gpusimbench.evaluator.cli.diff import main
+from gpusimbench.evaluator.diff.compare import compare
+from gpusimbench.evaluator.diff.result import Difference, StepRange
+from gpusimbench.evaluator.diff.result import Verdict as Found
+from gpusimbench.evaluator.read.recording import Recording
+from gpusimbench.schemas import topics
+from gpusimbench.schemas.messages import message_class
 from tests.synthetic import Shown, grid, write_recording
 
 _RUN = itertools.count()

@@ -12,22 +12,22 @@ from typing import Any
 
 import pytest
 
-from evaluator.cli.compare import main as compare
-from evaluator.cli.eval import main as evaluate
-from evaluator.cli.share import main as share
-from evaluator.evaluate import evaluate_files
-from evaluator.integrity import examine
-from evaluator.report import timed
-from evaluator.report.html import render_html
-from evaluator.report.json import to_json
-from evaluator.report.paper.tables import text_tables
-from evaluator.report.paper.text_table import Format
-from evaluator.report.parquet import METRICS, frames
-from evaluator.report.tables import print_tables
-from evaluator.results import Evaluation
-from evaluator.rules.findings import check
-from evaluator.rules.rule import Level, Scope, load_rules
-from evaluator.timed_work import SHORT_S, TimedWork, Window
+from gpusimbench.evaluator.check.integrity import examine
+from gpusimbench.evaluator.check.rules.findings import check
+from gpusimbench.evaluator.check.rules.rule import Level, Scope, load_rules
+from gpusimbench.evaluator.cli.compare import main as compare
+from gpusimbench.evaluator.cli.eval import main as evaluate
+from gpusimbench.evaluator.cli.share import main as share
+from gpusimbench.evaluator.report import timed
+from gpusimbench.evaluator.report.html import render_html
+from gpusimbench.evaluator.report.json import to_json
+from gpusimbench.evaluator.report.paper.tables import text_tables
+from gpusimbench.evaluator.report.paper.text_table import Format
+from gpusimbench.evaluator.report.parquet import METRICS, frames
+from gpusimbench.evaluator.report.tables import print_tables
+from gpusimbench.evaluator.results.evaluate import evaluate_files
+from gpusimbench.evaluator.results.result import Evaluation
+from gpusimbench.evaluator.results.timed_work import SHORT_S, TimedWork, Window
 from tests.evaluator.sets import WORDS
 from tests.synthetic import grid, write_recording, write_sweep
 
@@ -188,7 +188,7 @@ def test_comparisons_warn_where_sides_differ(tmp_path: Path, capsys: pytest.Capt
 
 def test_info_marks_a_short_phase(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Say of one file from which step on it was timed, and that this was too short."""
-    from evaluator.cli.info import main as info
+    from gpusimbench.evaluator.cli.info import main as info
 
     assert info([str(write_recording(tmp_path, grid(2), warmup=20, elapsed_s=0.5))]) == 0
     assert "1000 steps, from step 20, in 0.5 s (< 1 s)" in " ".join(capsys.readouterr().out.split())

@@ -15,9 +15,9 @@ from hypothesis.extra.numpy import arrays
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial.distance import cdist
 
-from evaluator.transport import pair, simplex
-from evaluator.transport.pair import UNEQUAL_COUNTS, wasserstein1
-from evaluator.transport.points import net_mass
+from gpusimbench.evaluator.transport import pair, simplex
+from gpusimbench.evaluator.transport.pair import UNEQUAL_COUNTS, wasserstein1
+from gpusimbench.evaluator.transport.points import net_mass
 
 COORDINATE = st.floats(-10.0, 10.0, width=32)
 # Few distinct values: ties and duplicates are the rule.
@@ -180,8 +180,8 @@ def test_raises_without_convergence(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_solvers_load_only_when_needed() -> None:
     """Import the transport modules without importing any solver."""
     code = (
-        "import sys, evaluator.transport.small, evaluator.metrics.variability, "
-        "evaluator.statistics.permutation, evaluator.statistics.jackknife;"
+        "import sys, gpusimbench.evaluator.transport.small, gpusimbench.evaluator.metrics.variability, "
+        "gpusimbench.evaluator.statistics.permutation, gpusimbench.evaluator.statistics.jackknife;"
         "sys.exit(any(m in sys.modules for m in ('scipy', 'ot', 'torch', 'jax')))"
     )
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
@@ -191,7 +191,7 @@ def test_few_pairs_load_little() -> None:
     """Solve like and shifted runs of one benchmark's size with SciPy alone."""
     code = (
         "import sys, numpy as np\n"
-        "from evaluator.metrics.variability import parallel_variability, run_to_run_variability\n"
+        "from gpusimbench.evaluator.metrics.variability import parallel_variability, run_to_run_variability\n"
         "runs = np.random.default_rng(0).normal(size=(3, 4, 27, 2)) + np.arange(3)[:, None, None, None]\n"
         "parallel_variability(runs[0]), run_to_run_variability(runs)\n"
         "sys.exit(any(m in sys.modules for m in ('numba', 'ot', 'torch', 'jax')))"

@@ -15,9 +15,9 @@ from hypothesis.extra.numpy import arrays
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial.distance import cdist
 
-from evaluator.transport.kd_tree import build, set_planes
-from evaluator.transport.large import SAME_POINTS, Certified, certified_wasserstein1
-from evaluator.transport.multiscale import COARSEST, RATIO, Solution, solve
+from gpusimbench.evaluator.transport.kd_tree import build, set_planes
+from gpusimbench.evaluator.transport.large import SAME_POINTS, Certified, certified_wasserstein1
+from gpusimbench.evaluator.transport.multiscale import COARSEST, RATIO, Solution, solve
 
 COORDINATE = st.floats(-10.0, 10.0, width=32)
 # Few distinct values: ties and duplicates are the rule.
@@ -240,7 +240,7 @@ def test_refusals(a: object, b: object, options: dict[str, float], says: str) ->
 PROGRAM = """
 import json, resource, sys
 import numpy as np
-from evaluator.transport.large import certified_wasserstein1
+from gpusimbench.evaluator.transport.large import certified_wasserstein1
 a, b = np.load(sys.argv[1])
 certified_wasserstein1(a[:2000], b[:2000])
 before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss

@@ -12,16 +12,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from evaluator.evaluate import evaluate_files
-from evaluator.histories import Histories, side_by_side
-from evaluator.metrics.identity import distinct_over_time
-from evaluator.metrics.split_tree import Branch, SplitTree
-from evaluator.report.html import render_html
-from evaluator.report.json import to_json
-from evaluator.report.tables import print_tables
-from evaluator.results import Evaluation, GroupResult
-from schemas import topics
-from schemas.messages import message_class
+from gpusimbench.evaluator.metrics.identity import distinct_over_time
+from gpusimbench.evaluator.metrics.split_tree import Branch, SplitTree
+from gpusimbench.evaluator.report.html import render_html
+from gpusimbench.evaluator.report.json import to_json
+from gpusimbench.evaluator.report.tables import print_tables
+from gpusimbench.evaluator.results.evaluate import evaluate_files
+from gpusimbench.evaluator.results.result import Evaluation, GroupResult
+from gpusimbench.evaluator.runs.state_hashes import Histories, side_by_side
+from gpusimbench.schemas import topics
+from gpusimbench.schemas.messages import message_class
 from tests.synthetic import Shown, grid, write_recording
 
 

@@ -10,15 +10,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from evaluator import open_recording
-from evaluator.evaluate import evaluate_files
-from evaluator.report import words
-from evaluator.report.html import render_html
-from evaluator.report.json import to_json
-from evaluator.report.tables import print_tables
-from evaluator.results import Evaluation, GroupResult
-from schemas.messages import message_class
-from schemas.provenance import Buffer, OverflowBit
+from gpusimbench import open_recording
+from gpusimbench.evaluator.report import words
+from gpusimbench.evaluator.report.html import render_html
+from gpusimbench.evaluator.report.json import to_json
+from gpusimbench.evaluator.report.tables import print_tables
+from gpusimbench.evaluator.results.evaluate import evaluate_files
+from gpusimbench.evaluator.results.result import Evaluation, GroupResult
+from gpusimbench.evaluator.runs.validation import verify
+from gpusimbench.schemas.messages import message_class
+from gpusimbench.schemas.provenance import Buffer, OverflowBit
 from tests.conftest import Command, call
 from tests.synthetic import Shown, grid, write_recording
 
@@ -256,7 +257,7 @@ def test_what_capturing_costs(tmp_path: Path) -> None:
 
 def test_a_cause_of_a_later_version(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Read a cause that this version does not know, and show its number."""
-    from recorder.capture import sink
+    from gpusimbench.recorder.capture import sink
 
     original = sink.enum_values
     monkeypatch.setattr(sink, "enum_values", lambda name: {**original(name), "CAUSE_LATER": 77})
@@ -266,7 +267,7 @@ def test_a_cause_of_a_later_version(tmp_path: Path, monkeypatch: pytest.MonkeyPa
 
 
 def _known_causes() -> list[str]:
-    from recorder.failure import CAUSES
+    from gpusimbench.recorder.failure import CAUSES
 
     return list(CAUSES)
 
@@ -275,7 +276,7 @@ def _known_causes() -> list[str]:
 def test_causes(tmp_path: Path, cause: str) -> None:
     """Read back every cause that the recorder writes."""
     recording = open_recording(write_recording(tmp_path, grid(1), status="FAILED", reason="r", cause=cause))
-    recording.verify()
+    verify(recording)
     assert recording.cause == cause.replace("_", " ").lower()
 
 

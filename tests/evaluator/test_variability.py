@@ -8,15 +8,11 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from evaluator.metrics import variability
-from evaluator.metrics.variability import (
-    parallel_variability,
-    run_to_run_variability,
-    sampling_step,
-)
-from evaluator.transport import small
-from evaluator.transport.pair import Transport, wasserstein1
-from evaluator.transport.small import pairwise_summary
+from gpusimbench.evaluator.metrics import variability
+from gpusimbench.evaluator.metrics.variability import parallel_variability, run_to_run_variability, sampling_step
+from gpusimbench.evaluator.transport import small
+from gpusimbench.evaluator.transport.pair import Transport, wasserstein1
+from gpusimbench.evaluator.transport.small import pairwise_summary
 
 
 @pytest.fixture

@@ -16,13 +16,13 @@ from mcap.records import Channel, Header, Message, Metadata, Schema
 from mcap.stream_reader import StreamReader
 from mcap.writer import Writer
 
-from evaluator.integrity import examine
-from evaluator.integrity.agreement import difference
-from evaluator.integrity.problem import Kind
-from evaluator.rules.findings import check
-from evaluator.rules.rule import load_rules
-from schemas.errors import ExitCode
-from schemas.view import foxglove
+from gpusimbench.evaluator.check.integrity import examine
+from gpusimbench.evaluator.check.integrity.agreement import difference
+from gpusimbench.evaluator.check.integrity.problem import Kind
+from gpusimbench.evaluator.check.rules.findings import check
+from gpusimbench.evaluator.check.rules.rule import load_rules
+from gpusimbench.schemas.errors import ExitCode
+from gpusimbench.schemas.view import foxglove
 from tests.conftest import call
 from tests.evaluator.damaged import rewritten
 

@@ -26,7 +26,7 @@ def view(*arguments: object, **environment: str) -> subprocess.CompletedProcess[
     """Run gsb-view without a display, a browser and other viewers, unless they are given."""
     kept = {name: value for name, value in os.environ.items() if name not in ("DISPLAY", "WAYLAND_DISPLAY", "BROWSER")}
     return subprocess.run(
-        [sys.executable, "-m", "evaluator.cli.view", *map(str, arguments)],
+        [sys.executable, "-m", "gpusimbench.evaluator.cli.view", *map(str, arguments)],
         env={**kept, "PATH": "/usr/bin:/bin", **environment}, capture_output=True, text=True, timeout=300,
     )  # fmt: skip
 
@@ -184,7 +184,7 @@ def test_the_guide_shows_what_happens(tmp_path: Path) -> None:
             name, *arguments = shlex.split(line)
             assert name == "gsb-view"
             done = subprocess.run(
-                [sys.executable, "-m", "evaluator.cli.view", *arguments],
+                [sys.executable, "-m", "gpusimbench.evaluator.cli.view", *arguments],
                 cwd=tmp_path, capture_output=True, text=True, timeout=300,
                 env={**os.environ, "PYTHONPATH": str(ROOT)},
             )  # fmt: skip

@@ -11,13 +11,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from recorder.capture.sink import Sink
-from recorder.capture.states import StateWriter
-from recorder.scenes.base import Scene, Sphere
-from recorder.scenes.registry import make_scene
-from schemas.configuration import RunConfiguration
-from schemas.fields import body_fields
-from schemas.provenance import PROVENANCE, SCENE, SIMULATION, Provenance, Simulation
+from gpusimbench.recorder.capture.sink import Sink
+from gpusimbench.recorder.capture.states import StateWriter
+from gpusimbench.recorder.scenes.base import Scene, Sphere
+from gpusimbench.recorder.scenes.registry import make_scene
+from gpusimbench.schemas.configuration import RunConfiguration
+from gpusimbench.schemas.fields import body_fields
+from gpusimbench.schemas.provenance import PROVENANCE, SCENE, SIMULATION, Provenance, Simulation
 
 Array = NDArray[np.float64]
 Motion = dict[str, Array]

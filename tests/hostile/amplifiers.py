@@ -7,7 +7,7 @@ import struct
 from collections.abc import Iterator
 from pathlib import Path
 
-from schemas.messages import message_class
+from gpusimbench.schemas.messages import message_class
 from tests.hostile import records as mcap
 from tests.hostile.contents import with_right_digests
 from tests.hostile.records import Attachment, Chunk, File, Message, Record

@@ -10,8 +10,8 @@ from dataclasses import replace
 from random import Random
 from typing import Any
 
-from schemas.digest import content_hash
-from schemas.messages import message_class
+from gpusimbench.schemas.digest import content_hash
+from gpusimbench.schemas.messages import message_class
 from tests.hostile import records as mcap
 from tests.hostile.records import Attachment, File, Message
 

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from schemas.messages import message_class
-from schemas.provenance import Buffer, OverflowBit
+from gpusimbench.schemas.messages import message_class
+from gpusimbench.schemas.provenance import Buffer, OverflowBit
 from tests.conftest import call
 from tests.synthetic import Shown, grid, write_recording
 

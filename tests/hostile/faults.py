@@ -29,6 +29,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from gpusimbench.evaluator.runs.validation import verify
+
 SHIM = Path(__file__).with_name("faults.c")
 KINDS = ("write", "fsync", "rename", "link", "create", "unlink", "mkdir")
 _WRITE, _UNLINK = KINDS.index("write"), KINDS.index("unlink")
@@ -80,7 +82,7 @@ SCENARIOS = {
 
 def prepare(folder: Path) -> None:
     """Make the recordings that the commands read."""
-    from evaluator.cli import share
+    from gpusimbench.evaluator.cli import share
     from tests.synthetic import grid, write_recording
 
     write_recording(folder, grid(2), name="a.mcap")
@@ -96,9 +98,9 @@ class Faults:
     """Runs commands with faults, in processes of their own that this one is copied to."""
 
     def __init__(self, shim: Path, folder: Path) -> None:
-        from evaluator.cli import eval as evaluate
-        from evaluator.cli import share, view
-        from recorder import cli as record
+        from gpusimbench.evaluator.cli import eval as evaluate
+        from gpusimbench.evaluator.cli import share, view
+        from gpusimbench.recorder import cli as record
 
         self._mains: dict[str, Callable[[list[str]], int]] = {
             "eval": evaluate.main, "share": share.main, "view": view.main, "record": record.main,
@@ -234,12 +236,12 @@ def judge(
 
 
 def _is_whole(path: Path) -> bool:
-    from evaluator.recording import Recording
-    from schemas.errors import GsbError
+    from gpusimbench.evaluator.read.recording import Recording
+    from gpusimbench.schemas.errors import GsbError
 
     try:
         recording = Recording(path)
-        recording.verify()
+        verify(recording)
     except GsbError:
         return False
     return recording.status == "complete"

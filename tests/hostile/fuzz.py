@@ -37,9 +37,9 @@ def main(argv: list[str] | None = None) -> int:
     import atheris
 
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    with atheris.instrument_imports(include=["schemas", "evaluator"]):
-        import evaluator.integrity  # noqa: F401
-        import evaluator.recording  # noqa: F401
+    with atheris.instrument_imports(include=["gpusimbench"]):
+        import gpusimbench.evaluator.check.integrity  # noqa: F401
+        import gpusimbench.evaluator.read.recording  # noqa: F401
     folder = Path(tempfile.mkdtemp(dir="/dev/shm" if Path("/dev/shm").is_dir() else None))
     seeds = folder / "seeds"
     seeds.mkdir()

@@ -17,11 +17,12 @@ from pathlib import Path
 from mcap.records import Attachment, Channel, Message
 from mcap.stream_reader import StreamReader
 
-from evaluator.integrity import examine
-from evaluator.recording import Recording
-from schemas.errors import GsbError
-from schemas.location import Location
-from schemas.source import Source
+from gpusimbench.evaluator.check.integrity import examine
+from gpusimbench.evaluator.read.recording import Recording
+from gpusimbench.evaluator.runs.validation import verify
+from gpusimbench.schemas.errors import GsbError
+from gpusimbench.schemas.location import Location
+from gpusimbench.schemas.source import Source
 from tests.hostile.reading import in_time, parts, seen
 
 SECONDS = 10.0
@@ -62,7 +63,7 @@ class Outcome:
 
 
 def _read(recording: Recording) -> Outcome:
-    recording.verify()
+    verify(recording)
     return Outcome("", recording.status, seen(recording))
 
 

@@ -14,11 +14,11 @@ from typing import Any
 
 import numpy as np
 
-from evaluator import open_recording
-from evaluator.evaluate import evaluate
-from evaluator.reading import Read, Reader
-from evaluator.recording import Recording
-from schemas.errors import GsbError
+from gpusimbench import open_recording
+from gpusimbench.evaluator.read.recording import Recording
+from gpusimbench.evaluator.results.evaluate import evaluate
+from gpusimbench.evaluator.runs.reading import Read, Reader
+from gpusimbench.schemas.errors import GsbError
 
 SECONDS_A_STEP = 20
 """No file of the soak's size may take longer over any one thing that is done with it."""
@@ -155,7 +155,7 @@ def command_lines(path: Path, other: Path, out: Path) -> list[tuple[str, list[st
 
 
 def _call(name: str, arguments: list[str]) -> int:
-    module = __import__(f"evaluator.cli.{name}", fromlist=["main"])
+    module = __import__(f"gpusimbench.evaluator.cli.{name}", fromlist=["main"])
     with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()) as complaints:
         try:
             code = int(module.main(arguments))

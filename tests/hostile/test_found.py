@@ -6,10 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from evaluator.integrity import examine
-from evaluator.integrity.problem import Kind
-from schemas.container import Container
-from schemas.errors import DamagedRecording
+from gpusimbench.evaluator.check.integrity import examine
+from gpusimbench.evaluator.check.integrity.problem import Kind
+from gpusimbench.schemas.container import Container
+from gpusimbench.schemas.errors import DamagedRecording
 from tests.hostile.corpus import make_synthetic
 from tests.hostile.oracles import Parts, disagreement
 

@@ -15,11 +15,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from evaluator import open_recording
-from evaluator.recording import Recording
-from schemas.blocks import decode_state, encode_state
-from schemas.errors import DamagedRecording, NotARecording
-from schemas.messages import message_class
+from gpusimbench import open_recording
+from gpusimbench.evaluator.read.recording import Recording
+from gpusimbench.evaluator.runs.validation import verify
+from gpusimbench.schemas.blocks import decode_state, encode_state
+from gpusimbench.schemas.errors import DamagedRecording, NotARecording
+from gpusimbench.schemas.messages import message_class
 from tests.conftest import Command
 from tests.hostile import records as mcap
 from tests.hostile.contents import with_right_digests
@@ -48,10 +49,10 @@ def test_bombs(kind: str, good: Path, tmp_path: Path) -> None:
     path = tmp_path / "bomb.mcap"
     path.write_bytes(bomb(kind, random.Random(0), mcap.parse(good.read_bytes()), 0).data)
     if kind in _ACCEPTED:
-        open_recording(path).verify()
+        verify(open_recording(path))
     else:
         with pytest.raises(DamagedRecording, match=r"chunk at byte|duplicate"):
-            open_recording(path).verify()
+            verify(open_recording(path))
 
 
 def _lines(function: Callable[[], object]) -> int:
@@ -113,7 +114,7 @@ def test_work_grows_as_the_file_does(multiply: Callable[[File, int], File], tmp_
         def read() -> None:
             try:
                 recording = open_recording(path)
-                recording.verify()
+                verify(recording)
                 _ = recording.events, recording.counts, recording.action_names
             except DamagedRecording:
                 pass
@@ -162,7 +163,7 @@ def test_zeros_behind_a_crash(tmp_path: Path) -> None:
     after = _lines(lambda: open_recording(path))
     assert after < before + 100
     recording = open_recording(path)
-    recording.verify()
+    verify(recording)
     assert recording.status == "incomplete"
     assert np.array_equal(recording.state("cubes", "position")[-1], grid(2))
 
@@ -231,7 +232,7 @@ def test_depth_of_json(depth: int, good_one: bool, good: Path, tmp_path: Path) -
     ]  # fmt: skip
     path = _written(tmp_path, with_right_digests(File(tuple(items))))
     if good_one:
-        open_recording(path).verify()
+        verify(open_recording(path))
     else:
         with pytest.raises(DamagedRecording, match="deep within each other"):
             open_recording(path)
@@ -264,13 +265,13 @@ def test_a_channel_that_tells_another_unit(good: Path, tmp_path: Path) -> None:
         for r in file.records()
     ]  # fmt: skip
     with pytest.raises(DamagedRecording, match=r"position/000000 and simulation\.json disagree on unit"):
-        open_recording(_written(tmp_path, file.with_records(found))).verify()
+        verify(open_recording(_written(tmp_path, file.with_records(found))))
 
 
 _READ_BEHIND_THE_END = """
 import os, sys
-from evaluator import open_recording
-from schemas.errors import DamagedRecording
+from gpusimbench import open_recording
+from gpusimbench.schemas.errors import DamagedRecording
 recording = open_recording(sys.argv[1])
 os.truncate(sys.argv[1], 4096)
 for read in (recording.verify, lambda: recording.timing, lambda: recording.state("cubes", "position")[:],
@@ -307,7 +308,7 @@ def test_what_is_no_plain_file(good: Path, tmp_path: Path) -> None:
     for path in ("/proc/self/status", "nul\0.mcap"):
         with pytest.raises(NotARecording):
             open_recording(path)
-    open_recording(tmp_path / "link.mcap").verify()
+    verify(open_recording(tmp_path / "link.mcap"))
 
 
 def test_a_name_that_is_not_utf8(gsb_eval: Command, tmp_path: Path) -> None:
@@ -320,7 +321,9 @@ def test_a_name_that_is_not_utf8(gsb_eval: Command, tmp_path: Path) -> None:
     assert "Traceback" not in done.stderr
     assert "\x1b" not in done.stdout + done.stderr
     for name in ("info", "check"):
-        shown = subprocess.run([sys.executable, "-m", f"evaluator.cli.{name}", path], capture_output=True, timeout=60)
+        shown = subprocess.run(
+            [sys.executable, "-m", f"gpusimbench.evaluator.cli.{name}", path], capture_output=True, timeout=60
+        )
         assert shown.returncode in (0, 4), shown.stderr  # 4: a rule of provenance that the tests leave out
         assert b"\x1b" not in shown.stdout
 
@@ -343,14 +346,14 @@ def test_reading_leaves_no_trace(gsb_eval: Command, good: Path, tmp_path: Path) 
     """Write nothing beside a file that is read, nor to it: it may lie in a folder that is not ours."""
     before = {p: (p.stat().st_mtime_ns, p.read_bytes()) for p in tmp_path.iterdir()}
     recording = Recording(good)
-    recording.verify()
+    verify(recording)
     assert gsb_eval(good, cwd="/").returncode == 0
     assert {p: (p.stat().st_mtime_ns, p.read_bytes()) for p in tmp_path.iterdir()} == before
 
 
 def test_a_chunk_is_decompressed_once_for_all_its_messages(good: Path, tmp_path: Path) -> None:
     """Read messages as they lie, not as their numbers tell, so that no order of them costs more than another."""
-    from schemas import decompression
+    from gpusimbench.schemas import decompression
 
     file = mcap.parse(good.read_bytes())
     events = [message_class("gsb.v1.Event")(kind=3, text=f"{i}").SerializeToString() for i in range(60)]

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from schemas.errors import ExitCode
+from gpusimbench.schemas.errors import ExitCode
 from tests.hostile.amplifiers import write_amplifiers
 
 _LIMIT = 600 << 20
@@ -18,7 +18,7 @@ _LIMIT = 600 << 20
 _RUN = """
 import contextlib, importlib, io, json, re, sys
 name, *calls = json.loads(sys.stdin.read())
-main = importlib.import_module(f"evaluator.cli.{name}").main
+main = importlib.import_module(f"gpusimbench.evaluator.cli.{name}").main
 found = []
 for call in calls:
     with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):

@@ -9,9 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from evaluator import messages
-from evaluator.integrity import scan
-from schemas import checks, configuration, container, declarations, decompression, provenance
+from gpusimbench.evaluator.check.integrity import scan
+from gpusimbench.evaluator.read import messages
+from gpusimbench.schemas import checks, configuration, container, declarations, decompression, provenance
 from tests.hostile.mutate import MUTATORS, Promise
 from tests.hostile.soak import MEMORY_BYTES
 from tests.test_docs import ROOT, commands, shell

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from evaluator.cli import eval as evaluate
+from gpusimbench.evaluator.cli import eval as evaluate
 from tests.synthetic import grid, write_recording
 
 
@@ -22,7 +22,7 @@ def test_short_memory_is_said(
     write_recording(tmp_path, grid(1), name="a.mcap")
     result = tmp_path / "r.json"
     result.write_text("earlier")
-    monkeypatch.setattr("evaluator.evaluate.evaluate", fails)
+    monkeypatch.setattr("gpusimbench.evaluator.results.evaluate.evaluate", fails)
     assert evaluate.main([str(tmp_path / "a.mcap"), "--no-cache", "--json", str(result)]) == 1
     assert "not enough memory" in capsys.readouterr().err
     assert result.read_text() == "earlier"

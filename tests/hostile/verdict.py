@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from evaluator import open_recording
-from evaluator.recording import Recording
-from schemas.errors import GsbError
+from gpusimbench import open_recording
+from gpusimbench.evaluator.read.recording import Recording
+from gpusimbench.evaluator.runs.validation import verify
+from gpusimbench.schemas.errors import GsbError
 from tests.hostile.mutate import Mutant, Promise
 from tests.hostile.reading import first_states, in_time, seen, use
 
@@ -46,7 +47,7 @@ class Judge:
         original = self._recordings[mutant.original]
         try:
             recording = open_recording(self.path)
-            recording.verify()
+            verify(recording)
             if recording.status == "incomplete" and mutant.promise is not Promise.SAME:
                 if mutant.prefix:
                     self._check_prefix(recording, original)

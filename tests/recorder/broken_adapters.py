@@ -7,13 +7,13 @@ from typing import Any
 
 import numpy as np
 
-from recorder.conformance.rotation import turn_between
-from recorder.simulators.captured import Held
-from recorder.simulators.counters import CONTACTS
-from recorder.simulators.evidence import Evidence
-from recorder.simulators.mujoco.simulator import MujocoC
-from schemas.errors import UsageError
-from schemas.provenance import Buffer, Counter, OverflowBit
+from gpusimbench.recorder.conformance.rotation import turn_between
+from gpusimbench.recorder.simulators.captured import Held
+from gpusimbench.recorder.simulators.counters import CONTACTS
+from gpusimbench.recorder.simulators.evidence import Evidence
+from gpusimbench.recorder.simulators.mujoco.simulator import MujocoC
+from gpusimbench.schemas.errors import UsageError
+from gpusimbench.schemas.provenance import Buffer, Counter, OverflowBit
 
 
 class Spoiled(MujocoC):

@@ -11,8 +11,8 @@ _PLUGIN = '''
 import os, signal, time
 from dataclasses import dataclass
 import numpy as np
-from recorder.simulators.base import Description, Simulator
-from schemas.fields import body_field
+from gpusimbench.recorder.simulators.base import Description, Simulator
+from gpusimbench.schemas.fields import body_field
 
 @dataclass(frozen=True)
 class Options:

@@ -8,19 +8,19 @@ from typing import Any
 import numpy as np
 import pytest
 
-from recorder.options import parse_options
-from recorder.scenes.base import Scene
-from recorder.scenes.franka import franka
-from recorder.scenes.inclined_collision import inclined_collision
-from recorder.simulators.base import Description, Simulator
-from schemas.errors import UsageError
+from gpusimbench.recorder.options import parse_options
+from gpusimbench.recorder.scenes.base import Scene
+from gpusimbench.recorder.scenes.franka import franka
+from gpusimbench.recorder.scenes.inclined_collision import inclined_collision
+from gpusimbench.recorder.simulators.base import Description, Simulator
+from gpusimbench.schemas.errors import UsageError
 
 pytest.importorskip("brax")
 
 
 def make(scene: Scene, *, n_env: int = 2, **options: Any) -> Simulator:
     """A simulator on the CPU, not built yet."""
-    from recorder.simulators.brax.simulator import Brax
+    from gpusimbench.recorder.simulators.brax.simulator import Brax
 
     parsed = parse_options("brax", Brax.Options, {"device": "cpu", **{k: str(v) for k, v in options.items()}})
     return Brax(scene, n_env=n_env, dt=0.01, seed=0, options=parsed)

@@ -18,20 +18,20 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from recorder import cage, replay
-from recorder.cage import LEAST_MEMORY, Cage, Guard
-from recorder.cli import main
-from recorder.probes.host import memory_bytes
-from recorder.replay import check_room, read_source
-from recorder.scenes.registry import make_scene
-from recorder.task import Task
-from recorder.traces import content_bytes, peak_bytes
-from schemas import topics
-from schemas.configuration import RunConfiguration
-from schemas.container import Container
-from schemas.errors import UsageError
-from schemas.messages import message_class
-from schemas.provenance import PROVENANCE, SCENE, SIMULATION
+from gpusimbench.recorder import cage, replay
+from gpusimbench.recorder.cage import LEAST_MEMORY, Cage, Guard
+from gpusimbench.recorder.cli import main
+from gpusimbench.recorder.probes.host import memory_bytes
+from gpusimbench.recorder.replay import check_room, read_source
+from gpusimbench.recorder.scenes.registry import make_scene
+from gpusimbench.recorder.task import Task
+from gpusimbench.recorder.traces import content_bytes, peak_bytes
+from gpusimbench.schemas import topics
+from gpusimbench.schemas.configuration import RunConfiguration
+from gpusimbench.schemas.container import Container
+from gpusimbench.schemas.errors import UsageError
+from gpusimbench.schemas.messages import message_class
+from gpusimbench.schemas.provenance import PROVENANCE, SCENE, SIMULATION
 from tests.forging import forge
 from tests.synthetic import Shown, grid, write_recording
 
@@ -283,6 +283,6 @@ def test_content_of_what_is_asked(tmp_path: Path) -> None:
 
 def read_configuration(path: Path) -> RunConfiguration:
     """Of a recording."""
-    from recorder.finished import read_end
+    from gpusimbench.recorder.finished import read_end
 
     return read_end(path).configuration

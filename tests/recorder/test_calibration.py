@@ -10,14 +10,14 @@ from numpy.typing import NDArray
 
 pytest.importorskip("taichi")
 
-from recorder.conformance import Subject
-from recorder.options import parse_options
-from recorder.scenes.registry import make_scene
-from recorder.simulators.base import Description
-from recorder.simulators.calibration.chance import places, shares
-from recorder.simulators.calibration.options import REGIMES, CalibrationOptions
-from recorder.simulators.calibration.simulator import Calibration
-from schemas.errors import UsageError
+from gpusimbench.recorder.conformance import Subject
+from gpusimbench.recorder.options import parse_options
+from gpusimbench.recorder.scenes.registry import make_scene
+from gpusimbench.recorder.simulators.base import Description
+from gpusimbench.recorder.simulators.calibration.chance import places, shares
+from gpusimbench.recorder.simulators.calibration.options import REGIMES, CalibrationOptions
+from gpusimbench.recorder.simulators.calibration.simulator import Calibration
+from gpusimbench.schemas.errors import UsageError
 
 Json = dict[str, Any]
 

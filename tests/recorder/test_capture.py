@@ -14,21 +14,22 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from evaluator import open_recording
-from recorder.capture.kept import KeptStates
-from recorder.capture.sink import Sink
-from recorder.capture.states import StateWriter, env_block
-from recorder.capture.stepping import CaptureClock, step_and_capture
-from recorder.capture.workers import Workers
-from recorder.capture.writing import Block, Writing
-from recorder.failure import NoHostMemory, cause_of
-from recorder.scenes.registry import make_scene
-from recorder.simulators.captured import RING_BLOCKS, Held
-from recorder.simulators.evidence import Evidence
-from recorder.simulators.mujoco.simulator import MujocoC
-from schemas.errors import DataLost
-from schemas.fields import BODY_FIELDS, body_field
-from schemas.fingerprint import fingerprint
+from gpusimbench import open_recording
+from gpusimbench.evaluator.runs.validation import verify
+from gpusimbench.recorder.capture.kept import KeptStates
+from gpusimbench.recorder.capture.sink import Sink
+from gpusimbench.recorder.capture.states import StateWriter, env_block
+from gpusimbench.recorder.capture.stepping import CaptureClock, step_and_capture
+from gpusimbench.recorder.capture.workers import Workers
+from gpusimbench.recorder.capture.writing import Block, Writing
+from gpusimbench.recorder.failure import NoHostMemory, cause_of
+from gpusimbench.recorder.scenes.registry import make_scene
+from gpusimbench.recorder.simulators.captured import RING_BLOCKS, Held
+from gpusimbench.recorder.simulators.evidence import Evidence
+from gpusimbench.recorder.simulators.mujoco.simulator import MujocoC
+from gpusimbench.schemas.errors import DataLost
+from gpusimbench.schemas.fields import BODY_FIELDS, body_field
+from gpusimbench.schemas.fingerprint import fingerprint
 from tests.conftest import SMALL, Command, wait_for
 
 FIELDS = [body_field("cubes", name, "float32", ("a", "b")) for name in BODY_FIELDS]
@@ -98,9 +99,9 @@ def test_an_engine_that_cannot_take_a_block_back() -> None:
 
 _INTERRUPTED = """
 import os, signal, threading, time
-from recorder import interruption
-from recorder.capture.writing import Block, Writing
-from recorder.simulators.captured import Held
+from gpusimbench.recorder import interruption
+from gpusimbench.recorder.capture.writing import Block, Writing
+from gpusimbench.recorder.simulators.captured import Held
 
 interruption.install()
 written = []
@@ -187,7 +188,7 @@ def test_modes_give_the_same_recording(gsb_record: Command, tmp_path: Path) -> N
         )  # fmt: skip
         assert done.returncode == 0, done.stderr
         recording = open_recording(done.stdout.strip())
-        recording.verify()
+        verify(recording)
         assert recording.configuration.capture == mode
         hashes = recording.fingerprints("capture")
         assert hashes is not None

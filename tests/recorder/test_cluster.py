@@ -20,17 +20,18 @@ from typing import Any
 
 import pytest
 
-from evaluator import open_recording
-from recorder.cluster import gathering
-from recorder.cluster.batch import TRIES, Batch, Ended, Said
-from recorder.cluster.code import code
-from recorder.cluster.connection import Node
-from recorder.cluster.gathering import Spoiled, Stopped, gather
-from recorder.cluster.seats import needs_gpu, spots
-from recorder.launch import Result
-from recorder.task import Task
-from schemas.configuration import RunConfiguration
-from schemas.errors import ExitCode, UsageError
+from gpusimbench import open_recording
+from gpusimbench.evaluator.runs.validation import verify
+from gpusimbench.recorder.cluster import gathering
+from gpusimbench.recorder.cluster.batch import TRIES, Batch, Ended, Said
+from gpusimbench.recorder.cluster.code import code
+from gpusimbench.recorder.cluster.connection import Node
+from gpusimbench.recorder.cluster.gathering import Spoiled, Stopped, gather
+from gpusimbench.recorder.cluster.seats import needs_gpu, spots
+from gpusimbench.recorder.launch import Result
+from gpusimbench.recorder.task import Task
+from gpusimbench.schemas.configuration import RunConfiguration
+from gpusimbench.schemas.errors import ExitCode, UsageError
 from tests.conftest import call, command, wait_for
 from tests.test_docs import commands, shell
 
@@ -262,8 +263,9 @@ def test_copying_can_be_given_up(made: tuple[Task, Path], tmp_path: Path) -> Non
 def _node(tmp_path: Path, **wanted: Any) -> subprocess.Popen[str]:
     first = {"simulator": "mujoco", "scene": "free-fall", "python": "", "code": code().sha256, "task": None, **wanted}
     process = subprocess.Popen(
-        [sys.executable, "-P", "-m", "recorder.cluster.node"], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
-        env={**os.environ, "TMPDIR": str(tmp_path), "PYTHONPATH": str(ROOT)},
+        [sys.executable, "-P", "-m", "gpusimbench.recorder.cluster.node"
+         ], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
+        env={**os.environ, "TMPDIR": str(tmp_path), "PYTHONPATH": str(ROOT / "src")},
     )  # fmt: skip
     assert process.stdin is not None
     process.stdin.write(json.dumps(first) + "\n")
@@ -358,7 +360,7 @@ def nodes(plugin: dict[str, str], tmp_path_factory: pytest.TempPathFactory) -> I
     folder = tmp_path_factory.mktemp("nodes")
     with tempfile.TemporaryDirectory(prefix="ray-", ignore_cleanup_errors=True) as short:  # names of sockets are short
         environment = {
-            "PYTHONPATH": os.pathsep.join([plugin["PYTHONPATH"], str(ROOT)]),
+            "PYTHONPATH": os.pathsep.join([plugin["PYTHONPATH"], str(ROOT / "src")]),
             "TMPDIR": str(folder),
             "RAY_TMPDIR": short,
             "RAY_AUTH_MODE": "disabled",
@@ -385,7 +387,7 @@ def _names(folder: Path) -> list[str]:
 
 def _states(path: Path) -> tuple[int, int, bytes]:
     recording = open_recording(path)
-    recording.verify()
+    verify(recording)
     hashes = recording.fingerprints("capture")
     assert hashes is not None
     c = recording.configuration
@@ -466,7 +468,7 @@ def test_an_interruption(nodes: Nodes, tmp_path: Path) -> None:
     assert len(out.split()) == 2
     for path in tmp_path.iterdir():
         recording = open_recording(path)
-        recording.verify()
+        verify(recording)
         assert recording.status == "failed"
         assert recording.reason.startswith("interrupted in phase ")
 
@@ -483,7 +485,7 @@ def test_two_interruptions(nodes: Nodes, tmp_path: Path) -> None:
     assert "Traceback" not in err
     for path in tmp_path.glob("*.mcap"):  # of a run that heeded the first
         recording = open_recording(path)
-        recording.verify()
+        verify(recording)
         assert recording.reason.startswith("interrupted in phase ")
 
 
@@ -506,7 +508,7 @@ def test_the_commands_of_the_guide(tmp_path: Path) -> None:
     scratch = tmp_path / "scratch"
     scratch.mkdir()
     with tempfile.TemporaryDirectory(prefix="ray-") as short:
-        own = {"PYTHONPATH": str(ROOT), "HOME": str(tmp_path), "RAY_ADDRESS": "", "TMPDIR": str(scratch)}
+        own = {"PYTHONPATH": str(ROOT / "src"), "HOME": str(tmp_path), "RAY_ADDRESS": "", "TMPDIR": str(scratch)}
         done = shell(line, tmp_path, {**own, "RAY_TMPDIR": short})
         assert not [process for process in _processes() if short in process]
     assert done.returncode == 0, done.stderr
@@ -535,14 +537,14 @@ def _processes() -> list[str]:
 def test_without_ray(tmp_path: Path) -> None:
     """Say how to get Ray where it is not installed."""
     (tmp_path / "ray.py").write_text("raise ImportError('no ray')\n")
-    environment = {**os.environ, "PYTHONPATH": f"{tmp_path}{os.pathsep}{ROOT}"}
+    environment = {**os.environ, "PYTHONPATH": f"{tmp_path}{os.pathsep}{ROOT / 'src'}"}
     done = call("gsb-record", *TINY, "--ray", "local", "--out", tmp_path / "out", env=environment)
     assert done.returncode == ExitCode.USAGE
     assert done.stderr.startswith("gsb-record: --ray needs Ray, which is not installed: pip install 'gpusimbench[ray]'")
     assert len(done.stderr.splitlines()) == 1
 
 
-@pytest.mark.parametrize("module", ["recorder.cluster.connection", "evaluator.cluster"])
+@pytest.mark.parametrize("module", ["gpusimbench.recorder.cluster.connection", "gpusimbench.evaluator.compute.cluster"])
 def test_no_process_holds_the_output(module: str) -> None:
     """Let the output end with the command, though a process that Ray started lives on."""
     script = (
@@ -551,7 +553,7 @@ def test_no_process_holds_the_output(module: str) -> None:
         "    child = subprocess.Popen(['sh', '-c', 'echo within; exec sleep 100'], stdin=subprocess.DEVNULL)\n"
         "print(child.pid)\nprint('after', file=sys.stderr)\nchild.returncode = 0\n"
     )
-    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    environment = {**os.environ, "PYTHONPATH": str(ROOT / "src")}
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=60, env=environment)
     before, pid = done.stdout.split()
     assert (before, done.stderr) == ("before", "after\n")

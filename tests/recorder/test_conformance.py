@@ -16,12 +16,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from recorder.conformance import CHECKS, NotApplicable, Subject, conformance_scene
-from recorder.conformance.rotation import turn_between
-from recorder.conformance.scene import N_STEP, UPPER
-from recorder.conformance.verdict import expect_close
-from recorder.simulators.mujoco.simulator import MujocoC, MujocoOptions
-from recorder.simulators.registry import Entry
+from gpusimbench.recorder.conformance import CHECKS, NotApplicable, Subject, conformance_scene
+from gpusimbench.recorder.conformance.rotation import turn_between
+from gpusimbench.recorder.conformance.scene import N_STEP, UPPER
+from gpusimbench.recorder.conformance.verdict import expect_close
+from gpusimbench.recorder.simulators.mujoco.simulator import MujocoC, MujocoOptions
+from gpusimbench.recorder.simulators.registry import Entry
 from tests.recorder import broken_adapters as broken
 
 ROOT = Path(__file__).resolve().parent.parent.parent
@@ -214,7 +214,9 @@ def test_a_build_that_fails_is_not_tried_again() -> None:
 
 def test_importing_an_engine_too_early(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Catch an adapter that imports its engine at the top, and one that only looks whether it is there."""
-    head = "from importlib.util import find_spec\nfrom recorder.simulators.mujoco.simulator import MujocoC\n"
+    head = (
+        "from importlib.util import find_spec\nfrom gpusimbench.recorder.simulators.mujoco.simulator import MujocoC\n"
+    )
     (tmp_path / "early.py").write_text(head + "import mujoco\nclass Early(MujocoC): pass\n")
     (tmp_path / "hidden.py").write_text(
         head + "try:\n    import jax.numpy\nexcept ImportError:\n    pass\nclass Hidden(MujocoC): pass\n"
@@ -277,7 +279,7 @@ def test_a_comparison_says_where() -> None:
 def conformance(*arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
     """Run the command."""
     return subprocess.run(
-        [sys.executable, "-m", "recorder.conformance", *arguments],
+        [sys.executable, "-m", "gpusimbench.recorder.conformance", *arguments],
         capture_output=True, text=True, timeout=120, env={**os.environ, **environment},
     )  # fmt: skip
 

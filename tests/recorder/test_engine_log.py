@@ -11,7 +11,7 @@ from typing import IO
 
 import pytest
 
-from recorder.simulators.engine_log import EngineLog
+from gpusimbench.recorder.simulators.engine_log import EngineLog
 
 LOST = (r"buffer overflow detected", r"Contacts have been dropped")
 
@@ -26,7 +26,7 @@ def printed(tmp_path: Path) -> Iterator[IO[bytes]]:
 
 def run(code: str, **streams: object) -> subprocess.CompletedProcess[bytes]:
     """Run Python code that has an EngineLog at hand in a process of its own."""
-    head = "import ctypes, os, sys\nfrom recorder.simulators.engine_log import EngineLog\n"
+    head = "import ctypes, os, sys\nfrom gpusimbench.recorder.simulators.engine_log import EngineLog\n"
     return subprocess.run(  # type: ignore[call-overload,no-any-return]
         [sys.executable, "-c", head + textwrap.dedent(code)], **{"timeout": 60, "check": True, **streams}
     )

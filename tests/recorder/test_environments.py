@@ -12,13 +12,13 @@ from pathlib import Path
 import pytest
 from packaging.requirements import Requirement
 
-from recorder.environments.choice import check_known, interpreter_for
-from recorder.environments.interpreter import Interpreter, at, own
-from recorder.environments.setup import set_up, size_of
-from recorder.environments.specification import SPECIFICATIONS, Specification
-from recorder.environments.store import FOLDER_VARIABLE, Prepared, find, folder_of, prepared
-from recorder.simulators.registry import BUILT_IN, Entry
-from schemas.errors import GsbError, UsageError
+from gpusimbench.recorder.environments.choice import check_known, interpreter_for
+from gpusimbench.recorder.environments.interpreter import Interpreter, at, own
+from gpusimbench.recorder.environments.setup import set_up, size_of
+from gpusimbench.recorder.environments.specification import SPECIFICATIONS, Specification
+from gpusimbench.recorder.environments.store import FOLDER_VARIABLE, Prepared, find, folder_of, prepared
+from gpusimbench.recorder.simulators.registry import BUILT_IN, Entry
+from gpusimbench.schemas.errors import GsbError, UsageError
 from tests.conftest import SMALL, Command
 
 specifications = pytest.mark.parametrize("specification", SPECIFICATIONS.values(), ids=lambda s: s.simulator)
@@ -126,8 +126,10 @@ def test_an_environment_that_lost_something_is_made_anew(folder: Path, monkeypat
     away = Entry("sapien", "", "x:Y", requires=("an_engine_that_is_not_there",))
     with pytest.raises(UsageError, match="any more; gsb-record --setup sapien"):
         interpreter_for(away)
-    monkeypatch.setattr("recorder.environments.setup._make", lambda *_: _make("sapien", Path(sys.executable)))
-    monkeypatch.setattr("recorder.environments.setup.find_simulator", lambda name: away)
+    monkeypatch.setattr(
+        "gpusimbench.recorder.environments.setup._make", lambda *_: _make("sapien", Path(sys.executable))
+    )
+    monkeypatch.setattr("gpusimbench.recorder.environments.setup.find_simulator", lambda name: away)
     (made.folder / "old").touch()
     set_up("sapien")
     assert not (made.folder / "old").exists()
@@ -160,7 +162,7 @@ def test_a_failed_installation_brings_the_old_one_back(folder: Path, monkeypatch
         made.folder.mkdir()
         raise GsbError("no network")
 
-    monkeypatch.setattr("recorder.environments.setup._make", fail)
+    monkeypatch.setattr("gpusimbench.recorder.environments.setup._make", fail)
     with pytest.raises(GsbError, match="no network"):
         set_up("sapien")
     assert find("sapien") == made
@@ -236,10 +238,10 @@ def test_what_is_no_python_is_refused(path: str) -> None:
 
 
 def test_another_python_gets_our_code_and_nothing_else(borrowing: Path, tmp_path: Path) -> None:
-    """Import recorder and schemas from here, and no other package of this Python."""
+    """Import gpusimbench from here, and no other package of this Python."""
     other = Interpreter(borrowing / "bin" / "python")
-    code = "import recorder, schemas, sys; print(recorder.__file__); import importlib.util as u; "
-    code += "print(u.find_spec('evaluator'), u.find_spec('tests'))"
+    code = "import gpusimbench.recorder, gpusimbench.schemas; print(gpusimbench.__file__); import importlib.util as u; "
+    code += "print(u.find_spec('recorder'), u.find_spec('tests'))"
     done = subprocess.run(
         other.command("-c", code), env=other.environment(tmp_path), capture_output=True, text=True, check=True
     )
@@ -270,7 +272,7 @@ def test_a_sweep_goes_on_in_the_same_python_only(borrowing: Path, tmp_path: Path
 
 def test_conformance_runs_in_another_python(borrowing: Path, tmp_path: Path) -> None:
     """Check an adapter in the Python that has its engine."""
-    command = [sys.executable, "-m", "recorder.conformance", "--sim", "mujoco", "--json"]
+    command = [sys.executable, "-m", "gpusimbench.recorder.conformance", "--sim", "mujoco", "--json"]
     done = subprocess.run([*command, "--python", str(borrowing)], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     assert {check["outcome"] for check in json.loads(done.stdout)["checks"]} <= {"ok", "skipped"}
@@ -281,7 +283,7 @@ def test_conformance_asks_once(borrowing: Path, tmp_path: Path) -> None:
     wrapper = tmp_path / "python"
     wrapper.write_text(f'#!/bin/sh\nexec {borrowing}/bin/python "$@"\n')
     wrapper.chmod(0o755)
-    command = [sys.executable, "-m", "recorder.conformance", "--sim", "mujoco", "--option", "no=1"]
+    command = [sys.executable, "-m", "gpusimbench.recorder.conformance", "--sim", "mujoco", "--option", "no=1"]
     done = subprocess.run([*command, "--python", str(wrapper)], capture_output=True, text=True, timeout=100)
     assert done.returncode == 2
     assert "has no option 'no'" in done.stderr

@@ -16,9 +16,10 @@ from pathlib import Path
 
 import pytest
 
-from evaluator import open_recording
-from recorder.capture.sink import Sink
-from schemas.errors import DamagedRecording, DataLost, RecordingError
+from gpusimbench import open_recording
+from gpusimbench.evaluator.runs.validation import verify
+from gpusimbench.recorder.capture.sink import Sink
+from gpusimbench.schemas.errors import DamagedRecording, DataLost, RecordingError
 from tests.conftest import SMALL, Command, command, wait_for
 from tests.moments import descendants, has_worked, has_written, wait_until, whole
 
@@ -35,7 +36,7 @@ def test_a_third_party_simulator_records(gsb_record: Command, plugin: dict[str, 
     done = _run(gsb_record, plugin, tmp_path, "good")
     assert done.returncode == 0, done.stderr
     recording = open_recording(sorted(tmp_path.glob("*.mcap"))[0])
-    recording.verify()
+    verify(recording)
     assert recording.state("cubes", "position")[20, 0, 0, 0] == 20.0
     assert b"printed while building" in (recording.attachment("engine-log.txt") or b"")
     assert "printed" not in done.stdout + done.stderr
@@ -63,7 +64,7 @@ def test_a_run_that_fails_says_why(
     assert [f.suffix for f in files] == [".mcap", ".mcap"]
     for file in files:
         recording = open_recording(file)
-        recording.verify()
+        verify(recording)
         assert (recording.status, recording.reason) == (status, reason)
 
 
@@ -99,7 +100,7 @@ def test_an_interruption_ends_the_recording(plugin: dict[str, str], tmp_path: Pa
     (file,) = tmp_path.iterdir()
     assert str(file) == out.strip()
     recording = open_recording(file)
-    recording.verify()
+    verify(recording)
     assert (recording.status, recording.reason) == ("failed", "interrupted in phase capture")
 
 
@@ -170,7 +171,7 @@ def test_killed_at_any_moment(tmp_path: Path) -> None:
 def _check_states(file: Path) -> None:
     # what was reported as written is there, and right: rows from the start on, without gaps
     recording = open_recording(file)
-    recording.verify()
+    verify(recording)
     if recording.simulation is None:
         return
     array = recording.state("cubes", "position")
@@ -196,7 +197,7 @@ def test_gates_are_asked_after_every_phase(gsb_record: Command, plugin: dict[str
     assert done.returncode == 1
     for file in tmp_path.iterdir():
         recording = open_recording(file)
-        recording.verify()
+        verify(recording)
         assert (recording.status, recording.reason) == ("invalid", "contacts were dropped")
         fired = [(e.phase, e.text) for e in recording.events if e.kind == "GATE"]
         assert fired == [("warmup", "contacts were dropped"), ("timed", "contacts were dropped")]
@@ -219,7 +220,7 @@ def test_a_simulator_is_closed_once(
     _run(gsb_record, plugin, tmp_path, mode, "--runs", 1)
     (file,) = tmp_path.iterdir()
     recording = open_recording(file)
-    recording.verify()
+    verify(recording)
     assert reason in recording.reason
     said = (recording.attachment("engine-log.txt") or b"").decode().split()
     assert [word for word in said if word.startswith("closed")] == [f"closed{number}" for number in range(made)]
@@ -297,8 +298,8 @@ def test_a_file_system_without_links(tmp_path: Path, monkeypatch: pytest.MonkeyP
 
 def test_a_missing_package_is_named() -> None:
     """Say which package a simulator needs and how to get it."""
-    from recorder.simulators.registry import Entry
-    from schemas.errors import UsageError
+    from gpusimbench.recorder.simulators.registry import Entry
+    from gpusimbench.schemas.errors import UsageError
 
     entry = Entry(
         "warped", "", "recorder.nowhere:Nothing", requires=("surely_not_installed",), install="pip install it"
@@ -313,7 +314,7 @@ def test_without_mujoco_the_command_says_how_to_get_it(tmp_path: Path) -> None:
     code = (
         "import sys, importlib.util as u; f = u.find_spec; "
         "u.find_spec = lambda n, *a: None if n == 'mujoco' else f(n, *a); "
-        "from recorder.cli import main; sys.exit(main(['--sim', 'mujoco']))"
+        "from gpusimbench.recorder.cli import main; sys.exit(main(['--sim', 'mujoco']))"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=tmp_path)
     assert done.returncode == 2

@@ -15,9 +15,10 @@ from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 from numpy.typing import NDArray
 
-from evaluator import open_recording
-from recorder.scenes.emit.mjcf import emit_mjcf
-from recorder.scenes.franka import PANDA, START, franka
+from gpusimbench import open_recording
+from gpusimbench.evaluator.runs.validation import verify
+from gpusimbench.recorder.scenes.emit.mjcf import emit_mjcf
+from gpusimbench.recorder.scenes.franka import PANDA, START, franka
 from tests.conftest import SMALL, Command
 
 G = 9.81
@@ -195,7 +196,7 @@ def test_a_recording_of_the_arm(gsb_record: Command, gsb_eval: Command, tmp_path
     done = gsb_record("--sim", "mujoco", "--scene", "franka", "--n-env", 3, "--runs", 2, *SMALL, "--out", tmp_path)
     assert done.returncode == 0, done.stderr
     first, second = (open_recording(p) for p in done.stdout.split())
-    first.verify()
+    verify(first)
     qpos = first.state("robot", "qpos")
     assert qpos.shape == (101, 3, 7, 1)
     assert qpos.field.unit == "rad"

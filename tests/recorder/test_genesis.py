@@ -14,17 +14,17 @@ import pytest
 
 pytest.importorskip("genesis")
 
-from recorder.failure import Refused
-from recorder.options import parse_options
-from recorder.scenes.base import Body, Capsule, Scene
-from recorder.scenes.cube_stack import SMOOTH_WOOD
-from recorder.scenes.registry import make_scene
-from recorder.simulators.base import Description, States
-from recorder.simulators.genesis.deviations import deviations
-from recorder.simulators.genesis.options import GenesisOptions
-from recorder.simulators.genesis.simulator import Genesis
-from recorder.simulators.mujoco.simulator import MujocoC
-from schemas.errors import GsbError, UsageError
+from gpusimbench.recorder.failure import Refused
+from gpusimbench.recorder.options import parse_options
+from gpusimbench.recorder.scenes.base import Body, Capsule, Scene
+from gpusimbench.recorder.scenes.cube_stack import SMOOTH_WOOD
+from gpusimbench.recorder.scenes.registry import make_scene
+from gpusimbench.recorder.simulators.base import Description, States
+from gpusimbench.recorder.simulators.genesis.deviations import deviations
+from gpusimbench.recorder.simulators.genesis.options import GenesisOptions
+from gpusimbench.recorder.simulators.genesis.simulator import Genesis
+from gpusimbench.recorder.simulators.mujoco.simulator import MujocoC
+from gpusimbench.schemas.errors import GsbError, UsageError
 
 # Genesis leaves the picture on its ground planes open
 pytestmark = [
@@ -128,8 +128,8 @@ def test_what_is_dropped_shows(build: Build, too_small: dict[str, str], bit: str
 
 def test_an_overflow_makes_a_run_invalid(tmp_path: Path) -> None:
     """Record a run whose buffer is too small as INVALID, for the reason BUFFER."""
-    from recorder.run import Run
-    from schemas.configuration import RunConfiguration
+    from gpusimbench.recorder.run import Run
+    from gpusimbench.schemas.configuration import RunConfiguration
 
     configuration = RunConfiguration(
         simulator="genesis", scene="inclined-collision", n_env=2, dt=0.01, steps=12, warmup=0, timed_steps=1, seed=0,
@@ -255,7 +255,9 @@ def test_deviations_name_every_material() -> None:
 def test_import_is_light() -> None:
     """Import the adapter without Genesis, torch or MuJoCo."""
     engines = {"genesis", "torch", "mujoco"}
-    code = f"import sys, recorder.simulators.genesis.simulator; sys.exit(bool({engines} & set(sys.modules)))"
+    code = (
+        f"import sys, gpusimbench.recorder.simulators.genesis.simulator; sys.exit(bool({engines} & set(sys.modules)))"
+    )
     assert subprocess.run([sys.executable, "-c", code]).returncode == 0
 
 

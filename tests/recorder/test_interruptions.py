@@ -13,7 +13,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from evaluator import open_recording
+from gpusimbench import open_recording
+from gpusimbench.evaluator.runs.validation import verify
 from tests.conftest import Command, command, wait_for
 
 pytestmark = pytest.mark.alone
@@ -22,10 +23,10 @@ _INTERRUPTED_BETWEEN = '''
 """Interrupt a capture right after the digest of its n-th piece of a kind; print how it ended."""
 import os, signal, sys
 from pathlib import Path
-from recorder import interruption
-from recorder.run import Run
-from schemas import digest
-from schemas.configuration import RunConfiguration
+from gpusimbench.recorder import interruption
+from gpusimbench.recorder.run import Run
+from gpusimbench.schemas import digest
+from gpusimbench.schemas.configuration import RunConfiguration
 
 kind, path = sys.argv[1], Path(sys.argv[2])
 original, calls = getattr(digest.ContentDigest, kind), []
@@ -55,7 +56,7 @@ def test_digests_and_bytes_go_together(tmp_path: Path, kind: str) -> None:
     assert done.returncode == 0, done.stderr
     assert done.stdout.startswith("FAILED interrupted in phase")
     recording = open_recording(path)
-    recording.verify()
+    verify(recording)
     assert recording.status == "failed"
 
 
@@ -74,7 +75,7 @@ def test_a_strided_capture_that_ends_early(
     assert done.returncode == 1
     (file,) = tmp_path.iterdir()
     recording = open_recording(file)
-    recording.verify()
+    verify(recording)
     assert (recording.status, recording.reason) == ("failed", reason)
     cubes = recording.state("cubes", "position")
     assert cubes.steps.tolist() == list(range(0, 751, 20))
@@ -104,7 +105,7 @@ def test_an_interruption_at_any_moment_of_the_start(tmp_path: Path) -> None:
         assert "interrupted" in err
         for file in out.iterdir() if out.exists() else ():
             assert file.suffix == ".mcap"
-            open_recording(file).verify()
+            verify(open_recording(file))
 
 
 # The interpreter's own start is not ours to guard: say when it is over.
@@ -112,7 +113,7 @@ _TELLING = """
 import sys
 try:
     print(flush=True)
-    from recorder.cli import main
+    from gpusimbench.recorder.cli import main
     code = main()
 except KeyboardInterrupt:  # the moment before main
     print("interrupted", file=sys.stderr)

@@ -14,15 +14,15 @@ import pytest
 pytest.importorskip("isaaclab")
 pytest.importorskip("ovphysx")
 
-from recorder.options import parse_options
-from recorder.scenes.base import Body, Box, Plane, Scene
-from recorder.scenes.cube_stack import ROUGH_WOOD, SMOOTH_WOOD
-from recorder.scenes.registry import make_scene
-from recorder.simulators.base import Description, States
-from recorder.simulators.isaaclab.options import IsaacLabOptions
-from recorder.simulators.isaaclab.physx import Physx
-from recorder.simulators.isaaclab.simulator import IsaacLab
-from schemas.errors import UsageError
+from gpusimbench.recorder.options import parse_options
+from gpusimbench.recorder.scenes.base import Body, Box, Plane, Scene
+from gpusimbench.recorder.scenes.cube_stack import ROUGH_WOOD, SMOOTH_WOOD
+from gpusimbench.recorder.scenes.registry import make_scene
+from gpusimbench.recorder.simulators.base import Description, States
+from gpusimbench.recorder.simulators.isaaclab.options import IsaacLabOptions
+from gpusimbench.recorder.simulators.isaaclab.physx import Physx
+from gpusimbench.recorder.simulators.isaaclab.simulator import IsaacLab
+from gpusimbench.schemas.errors import UsageError
 
 N_ENV = 2
 

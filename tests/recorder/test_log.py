@@ -11,11 +11,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from evaluator import open_recording
-from recorder.log import RecordingWriter
-from recorder.scenes.registry import make_scene
-from schemas.errors import DataLost, UsageError
-from schemas.fields import body_field
+from gpusimbench import open_recording
+from gpusimbench.evaluator.runs.validation import verify
+from gpusimbench.recorder.log import RecordingWriter
+from gpusimbench.recorder.scenes.registry import make_scene
+from gpusimbench.schemas.errors import DataLost, UsageError
+from gpusimbench.schemas.fields import body_field
 from tests.conftest import Command
 from tests.synthetic import metrics_of
 
@@ -46,7 +47,7 @@ def test_a_program_logs_its_states(tmp_path: Path) -> None:
             reused[:] = position[step]
             log.append(reused, velocity[step])
     recording = open_recording(tmp_path / "a.mcap")
-    recording.verify()
+    verify(recording)
     assert (recording.status, recording.reason) == ("complete", "")
     assert np.array_equal(recording.state("cubes", "position")[:], position)
     assert np.array_equal(recording.state("cubes", "linear_velocity")[:], velocity)
@@ -238,8 +239,8 @@ def test_clocks_of_no_nanoseconds(tmp_path: Path, start: list[float], end: list[
 _INTERRUPTED = """
 import os, signal, sys, threading
 import numpy as np
-from recorder.log import RecordingWriter
-from schemas.fields import body_field
+from gpusimbench.recorder.log import RecordingWriter
+from gpusimbench.schemas.fields import body_field
 
 signal.signal(signal.SIGINT, signal.default_int_handler)
 field = body_field("cubes", "position", "float32", tuple(map(str, range(20))))
@@ -264,5 +265,5 @@ def test_an_interruption_leaves_a_good_file(tmp_path: Path, seconds: float) -> N
     assert done.stdout == "interrupted\n", done.stderr
     if path.exists():  # it may have come before the file was begun
         recording = open_recording(path)
-        recording.verify()
+        verify(recording)
         assert recording.status == "failed"

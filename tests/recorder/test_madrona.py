@@ -15,14 +15,15 @@ import madrona_stand_in as stand_in
 import numpy as np
 import pytest
 
-from recorder.conformance import CHECKS, NotApplicable, Subject
-from recorder.failure import Refused
-from recorder.scenes.registry import make_scene
-from recorder.simulators.madrona.columns import TorchColumns
-from recorder.simulators.madrona.module import METHODS, REQUIRED_SETTINGS
-from recorder.simulators.madrona.options import VARIABLE, MadronaOptions
-from recorder.simulators.madrona.simulator import Madrona
-from schemas.errors import UsageError
+from gpusimbench.evaluator.runs.validation import verify
+from gpusimbench.recorder.conformance import CHECKS, NotApplicable, Subject
+from gpusimbench.recorder.failure import Refused
+from gpusimbench.recorder.scenes.registry import make_scene
+from gpusimbench.recorder.simulators.madrona.columns import TorchColumns
+from gpusimbench.recorder.simulators.madrona.module import METHODS, REQUIRED_SETTINGS
+from gpusimbench.recorder.simulators.madrona.options import VARIABLE, MadronaOptions
+from gpusimbench.recorder.simulators.madrona.simulator import Madrona
+from gpusimbench.schemas.errors import UsageError
 
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parent.parent
@@ -384,8 +385,8 @@ def test_columns_on_a_device_are_read_in_batches(use: Use, monkeypatch: pytest.M
     expected = made(use())
     expected.build()
     simulator = made(use(**tensors(Torch, *TENSORS)))
-    monkeypatch.setattr("recorder.simulators.madrona.simulator.HostColumns", TorchColumns)
-    monkeypatch.setattr("recorder.simulators.madrona.columns._RING_ROWS", 4)
+    monkeypatch.setattr("gpusimbench.recorder.simulators.madrona.simulator.HostColumns", TorchColumns)
+    monkeypatch.setattr("gpusimbench.recorder.simulators.madrona.columns._RING_ROWS", 4)
     description = simulator.build()
     assert description.device == "cpu"
     one, other = expected.states(10), simulator.states(10)
@@ -464,10 +465,10 @@ def test_conforms(subject: Subject, check: Any) -> None:
 
 def test_a_recording_from_end_to_end(tmp_path: Path) -> None:
     """Record by the command, evaluate, and find in the file that this was no Madrona."""
-    from evaluator import open_recording
+    from gpusimbench import open_recording
 
     command = [
-        sys.executable, "-m", "recorder.cli", "--sim", "madrona", "--option", "module=madrona_stand_in",
+        sys.executable, "-m", "gpusimbench.recorder.cli", "--sim", "madrona", "--option", "module=madrona_stand_in",
         "--scene", "free-fall", "--n-env", "4", "--runs", "2", "--steps", "60", "--warmup", "3", "--timed-steps", "5",
         "--out", str(tmp_path / "out"),
     ]  # fmt: skip
@@ -476,13 +477,22 @@ def test_a_recording_from_end_to_end(tmp_path: Path) -> None:
     files = sorted((tmp_path / "out").glob("madrona-free-fall-n4-*.mcap"))
     assert len(files) == 2
     recording = open_recording(files[0])
-    recording.verify()
+    verify(recording)
     assert recording.status == "complete"
     assert recording.simulation is not None
     assert "not Madrona" in recording.simulation.version
     assert recording.simulation.options["module"] == "madrona_stand_in"
     assert recording.state("cubes", "position").shape == (61, 4, 27, 3)
-    evaluate = [sys.executable, "-m", "evaluator.cli.eval", *map(str, files), "--sample-time", "0.6", "--json", "-"]
+    evaluate = [
+        sys.executable,
+        "-m",
+        "gpusimbench.evaluator.cli.eval",
+        *map(str, files),
+        "--sample-time",
+        "0.6",
+        "--json",
+        "-",
+    ]
     evaluated = subprocess.run(
         evaluate, env={**os.environ, "PYTHONPATH": PATHS}, capture_output=True, text=True, timeout=300
     )
@@ -492,7 +502,7 @@ def test_a_recording_from_end_to_end(tmp_path: Path) -> None:
 def test_a_refused_module_ends_the_run_with_its_reason(tmp_path: Path) -> None:
     """Record, of a run whose module is not there, that it was refused and why."""
     command = [
-        sys.executable, "-m", "recorder.cli", "--sim", "madrona", "--option", "module=no_such_module",
+        sys.executable, "-m", "gpusimbench.recorder.cli", "--sim", "madrona", "--option", "module=no_such_module",
         "--scene", "free-fall", "--n-env", "1", "--runs", "1", "--out", str(tmp_path / "out"),
     ]  # fmt: skip
     done = subprocess.run(command, env={**os.environ, "PYTHONPATH": PATHS}, capture_output=True, text=True, timeout=300)

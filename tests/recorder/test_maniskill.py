@@ -15,21 +15,21 @@ import pytest
 
 pytest.importorskip("mani_skill")
 
-from recorder.conformance import CHECKS, Subject
-from recorder.conformance import subject as conformance_subject
-from recorder.conformance.checks import start
-from recorder.conformance.scene import MARBLE, STONE, conformance_scene
-from recorder.conformance.verdict import NotApplicable
-from recorder.scenes.base import Scene
-from recorder.scenes.registry import make_scene
-from recorder.simulators.base import Description, Simulator, States
-from recorder.simulators.maniskill.options import ManiSkillOptions
-from recorder.simulators.maniskill.simulator import ManiSkill
-from recorder.simulators.sapien.complaints import Complaints
-from recorder.simulators.sapien.gpu import GpuWorlds
-from recorder.simulators.sapien.options import SapienOptions
-from recorder.simulators.sapien.simulator import Sapien
-from schemas.errors import UsageError
+from gpusimbench.recorder.conformance import CHECKS, Subject
+from gpusimbench.recorder.conformance import subject as conformance_subject
+from gpusimbench.recorder.conformance.checks import start
+from gpusimbench.recorder.conformance.scene import MARBLE, STONE, conformance_scene
+from gpusimbench.recorder.conformance.verdict import NotApplicable
+from gpusimbench.recorder.scenes.base import Scene
+from gpusimbench.recorder.scenes.registry import make_scene
+from gpusimbench.recorder.simulators.base import Description, Simulator, States
+from gpusimbench.recorder.simulators.maniskill.options import ManiSkillOptions
+from gpusimbench.recorder.simulators.maniskill.simulator import ManiSkill
+from gpusimbench.recorder.simulators.sapien.complaints import Complaints
+from gpusimbench.recorder.simulators.sapien.gpu import GpuWorlds
+from gpusimbench.recorder.simulators.sapien.options import SapienOptions
+from gpusimbench.recorder.simulators.sapien.simulator import Sapien
+from gpusimbench.schemas.errors import UsageError
 
 IMPACT = 80  # steps after which the ball has met the cubes of inclined-collision
 
@@ -139,7 +139,9 @@ def alone() -> Iterator[Subject]:
 
 @pytest.mark.parametrize(
     "check",
-    [check for check in CHECKS if check.__module__ != "recorder.conformance.checks.recorded"],  # runs of two
+    [
+        check for check in CHECKS if check.__module__ != "gpusimbench.recorder.conformance.checks.recorded"
+    ],  # runs of two
     ids=lambda check: check.__name__,
 )
 def test_one_environment_conforms(alone: Subject, check: Any) -> None:
@@ -199,7 +201,7 @@ def test_worlds_on_a_gpu_read_rows_by_their_places(monkeypatch: pytest.MonkeyPat
 
     monkeypatch.setattr(torch.cuda, "synchronize", lambda: None)
     monkeypatch.setattr(torch.cuda, "get_device_name", lambda: "stand-in")
-    monkeypatch.setattr("recorder.simulators.sapien.gpu._RING_ROWS", 3)
+    monkeypatch.setattr("gpusimbench.recorder.simulators.sapien.gpu._RING_ROWS", 3)
     template = make_scene("inclined-collision")
     ball = next(body for body in template.bodies if body.name == "ball")
     cube = template.moving()[1]

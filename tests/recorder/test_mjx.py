@@ -17,14 +17,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from recorder.failure import Refused
-from recorder.options import parse_options
-from recorder.scenes.base import Scene
-from recorder.scenes.franka import franka
-from recorder.scenes.inclined_collision import inclined_collision
-from recorder.simulators.base import Description, Simulator
-from recorder.simulators.registry import find_simulator
-from schemas.errors import UsageError
+from gpusimbench.recorder.failure import Refused
+from gpusimbench.recorder.options import parse_options
+from gpusimbench.recorder.scenes.base import Scene
+from gpusimbench.recorder.scenes.franka import franka
+from gpusimbench.recorder.scenes.inclined_collision import inclined_collision
+from gpusimbench.recorder.simulators.base import Description, Simulator
+from gpusimbench.recorder.simulators.registry import find_simulator
+from gpusimbench.schemas.errors import UsageError
 
 pytest.importorskip("jax")
 pytest.importorskip("mujoco.mjx")
@@ -105,7 +105,7 @@ def test_the_cpu_is_asked_for_before_jax_looks_for_others() -> None:
 @given(seed=st.integers(0, 2**64 - 1), step=st.integers(0, 2**31 - 2), n_env=st.integers(1, 3))
 def test_targets_are_drawn_on_the_device(seed: int, step: int, n_env: int) -> None:
     """Make on the device, bit for bit, the targets that the scene defines."""
-    from recorder.simulators.jax.actions import device_draw
+    from gpusimbench.recorder.simulators.jax.actions import device_draw
 
     actions = franka().actions
     assert actions is not None
@@ -211,7 +211,7 @@ class TestJax:
         import jax
         from mujoco import mjx
 
-        from recorder.simulators.mjx import physics as mjx_physics
+        from gpusimbench.recorder.simulators.mjx import physics as mjx_physics
 
         options = find_simulator("mjx").load().Options(max_geom_pairs=pairs, max_contact_points=points)
         model = mjx_physics.load(PAIR, n_env=1, dt=0.01, seed=0, options=options, impl="jax")
@@ -230,8 +230,8 @@ class TestJax:
         import jax.numpy as jnp
         import mujoco
 
-        from recorder.simulators.mjx.caps import Certificate, choose
-        from recorder.simulators.mujoco.model import compile_scene
+        from gpusimbench.recorder.simulators.mjx.caps import Certificate, choose
+        from gpusimbench.recorder.simulators.mujoco.model import compile_scene
 
         options = find_simulator("mjx").load().Options().physics("jax")
         scene = cubes("cube_0_0_0", "cube_1_0_0", "cube_2_0_0")

@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from recorder.options import parse_options
-from recorder.scenes.base import IDENTITY, Scene
-from recorder.scenes.registry import make_scene
-from recorder.simulators.base import Description
-from recorder.simulators.mujoco.simulator import MujocoC
-from schemas.errors import UsageError
+from gpusimbench.recorder.options import parse_options
+from gpusimbench.recorder.scenes.base import IDENTITY, Scene
+from gpusimbench.recorder.scenes.registry import make_scene
+from gpusimbench.recorder.simulators.base import Description
+from gpusimbench.recorder.simulators.mujoco.simulator import MujocoC
+from gpusimbench.schemas.errors import UsageError
 
 
 def build(scene: Scene, *, n_env: int = 2, **options: str) -> tuple[MujocoC, Description]:

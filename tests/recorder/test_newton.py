@@ -13,17 +13,17 @@ from numpy.typing import NDArray
 
 pytest.importorskip("newton")
 
-from recorder.failure import Refused
-from recorder.options import parse_options
-from recorder.scenes.base import Body, Box, Plane, Scene, Sphere
-from recorder.scenes.cube_stack import ROUGH_WOOD, SMOOTH_WOOD
-from recorder.scenes.registry import make_scene
-from recorder.simulators.base import Description
-from recorder.simulators.newton.deviations import deviations
-from recorder.simulators.newton.options import SOLVERS, NewtonOptions
-from recorder.simulators.newton.simulator import Newton
-from schemas.errors import UsageError
-from schemas.fields import BODY_FIELDS
+from gpusimbench.recorder.failure import Refused
+from gpusimbench.recorder.options import parse_options
+from gpusimbench.recorder.scenes.base import Body, Box, Plane, Scene, Sphere
+from gpusimbench.recorder.scenes.cube_stack import ROUGH_WOOD, SMOOTH_WOOD
+from gpusimbench.recorder.scenes.registry import make_scene
+from gpusimbench.recorder.simulators.base import Description
+from gpusimbench.recorder.simulators.newton.deviations import deviations
+from gpusimbench.recorder.simulators.newton.options import SOLVERS, NewtonOptions
+from gpusimbench.recorder.simulators.newton.simulator import Newton
+from gpusimbench.schemas.errors import UsageError
+from gpusimbench.schemas.fields import BODY_FIELDS
 
 G = 9.81
 
@@ -261,7 +261,7 @@ def test_robots_are_refused() -> None:
 def test_import_is_light() -> None:
     """Import the adapter without Newton, Warp or MuJoCo."""
     engines = {"newton", "warp", "mujoco"}
-    code = f"import sys, recorder.simulators.newton.simulator; sys.exit(bool({engines} & set(sys.modules)))"
+    code = f"import sys, gpusimbench.recorder.simulators.newton.simulator; sys.exit(bool({engines} & set(sys.modules)))"
     assert subprocess.run([sys.executable, "-c", code]).returncode == 0
 
 

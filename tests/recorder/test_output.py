@@ -13,7 +13,8 @@ from pathlib import Path
 
 import pytest
 
-from evaluator import open_recording
+from gpusimbench import open_recording
+from gpusimbench.evaluator.runs.validation import verify
 from tests.conftest import SMALL, Command, command
 
 
@@ -122,17 +123,17 @@ def test_two_recorders_in_one_folder(tmp_path: Path) -> None:
     assert len(set(printed)) == 4
     recordings = [open_recording(path) for path in printed]
     for recording in recordings:
-        recording.verify()
+        verify(recording)
         assert recording.status == "complete"
     assert len({r.provenance.run_id for r in recordings}) == 4
 
 
 def test_a_name_is_reserved_once(tmp_path: Path) -> None:
     """Give a name to one recorder alone, give it back when nothing was written, and keep what was."""
-    from recorder.capture.sink import Sink
-    from recorder.plan import release, reserve
-    from schemas.configuration import RunConfiguration
-    from schemas.errors import UsageError
+    from gpusimbench.recorder.capture.sink import Sink
+    from gpusimbench.recorder.plan import release, reserve
+    from gpusimbench.schemas.configuration import RunConfiguration
+    from gpusimbench.schemas.errors import UsageError
 
     configuration = RunConfiguration("s", "free-fall", n_env=3, dt=0.01, steps=1)
     first, second = (reserve(tmp_path, configuration, "2026-01-02T03:04:05Z") for _ in range(2))

@@ -14,17 +14,17 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from recorder.failure import Refused
-from recorder.options import parse_options
-from recorder.scenes.base import Body, Box, Material, Plane, Scene, Sphere
-from recorder.scenes.emit.usd import emit_usd
-from recorder.scenes.registry import make_scene
-from recorder.simulators.base import Description
-from recorder.simulators.physx import grid, libraries, log
-from recorder.simulators.physx.deviations import deviations
-from recorder.simulators.physx.options import PhysxOptions, apis
-from recorder.simulators.physx.simulator import Physx
-from schemas.errors import GsbError, UsageError
+from gpusimbench.recorder.failure import Refused
+from gpusimbench.recorder.options import parse_options
+from gpusimbench.recorder.scenes.base import Body, Box, Material, Plane, Scene, Sphere
+from gpusimbench.recorder.scenes.emit.usd import emit_usd
+from gpusimbench.recorder.scenes.registry import make_scene
+from gpusimbench.recorder.simulators.base import Description
+from gpusimbench.recorder.simulators.physx import grid, libraries, log
+from gpusimbench.recorder.simulators.physx.deviations import deviations
+from gpusimbench.recorder.simulators.physx.options import PhysxOptions, apis
+from gpusimbench.recorder.simulators.physx.simulator import Physx
+from gpusimbench.schemas.errors import GsbError, UsageError
 
 G = 9.81
 DT = 0.01
@@ -163,7 +163,7 @@ def test_what_a_gpu_is_given() -> None:
 
 def test_sizes_of_buffers(monkeypatch: pytest.MonkeyPatch) -> None:
     """Buffers grow with the environments, on MuJoCo's count or by shapes; what cannot be given is refused."""
-    from recorder.simulators.physx import sizes
+    from gpusimbench.recorder.simulators.physx import sizes
 
     pytest.importorskip("mujoco")
     scene = replace(make_scene("inclined-collision"), sample_time=0.1)
@@ -198,7 +198,7 @@ def test_deviations_say_how_materials_meet() -> None:
 @pytest.mark.usefixtures("engine")
 def test_first_state_is_exact() -> None:
     """Clones begin at the sum of origin and position, rounded once; what turns or leans within two roundings."""
-    from recorder.simulators.physx.bodies import described
+    from gpusimbench.recorder.simulators.physx.bodies import described
 
     leaning = Body(
         "stone", Box((0.02, 0.04, 0.06)), Material("stone", 0.5, 0.4, 0.3), (0.1, 0.2, 5.0), 0.1, "stones",
@@ -345,8 +345,8 @@ def test_arm_holds_as_in_mujoco() -> None:
     TGS gets there as its iterations grow: 1.4 mrad lower with 16 of them.
     """
     mujoco = pytest.importorskip("mujoco")
-    from recorder.simulators.mujoco.model import compile_scene
-    from recorder.simulators.mujoco.options import MjcfOptions
+    from gpusimbench.recorder.simulators.mujoco.model import compile_scene
+    from gpusimbench.recorder.simulators.mujoco.options import MjcfOptions
 
     scene = make_scene("franka")
     assert scene.robot is not None

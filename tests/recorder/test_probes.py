@@ -11,16 +11,17 @@ from typing import Any, NamedTuple
 
 import pytest
 
-from evaluator import open_recording
-from recorder.capture.memory import MemoryWriter
-from recorder.capture.sink import Sink
-from recorder.environment import apply_environment
-from recorder.probes.gpu import Gpus, Processes
-from recorder.probes.memory import MemorySampler
-from recorder.probes.software import package_list
-from schemas.configuration import RunConfiguration
-from schemas.errors import UsageError
-from schemas.provenance import PROVENANCE, Provenance
+from gpusimbench import open_recording
+from gpusimbench.evaluator.runs.validation import verify
+from gpusimbench.recorder.capture.memory import MemoryWriter
+from gpusimbench.recorder.capture.sink import Sink
+from gpusimbench.recorder.environment import apply_environment
+from gpusimbench.recorder.probes.gpu import Gpus, Processes
+from gpusimbench.recorder.probes.memory import MemorySampler
+from gpusimbench.recorder.probes.software import package_list
+from gpusimbench.schemas.configuration import RunConfiguration
+from gpusimbench.schemas.errors import UsageError
+from gpusimbench.schemas.provenance import PROVENANCE, Provenance
 from tests.conftest import SMALL, Command
 
 _NVML = '''
@@ -80,7 +81,7 @@ def test_a_driver_that_fails(gsb_record: Command, tmp_path: Path, how: str, gpus
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     recording = open_recording(done.stdout.strip())
-    recording.verify()
+    verify(recording)
     assert len(recording.provenance.gpus) == gpus
     notes = [e.text for e in recording.events if e.kind == "NOTE"]
     assert len(notes) == (note is not None)

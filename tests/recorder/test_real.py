@@ -10,12 +10,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from evaluator import open_recording
-from recorder.cli import main
-from recorder.scenes.registry import make_scene
-from recorder.trials import parse_trials
-from schemas.errors import UsageError
-from schemas.trial_units import extent_of, unit_doubt
+from gpusimbench import open_recording
+from gpusimbench.evaluator.runs.validation import verify
+from gpusimbench.recorder.cli import main
+from gpusimbench.recorder.scenes.registry import make_scene
+from gpusimbench.recorder.trials import parse_trials
+from gpusimbench.schemas.errors import UsageError
+from gpusimbench.schemas.trial_units import extent_of, unit_doubt
 from tests.conftest import Command
 from tests.synthetic import grid, metrics_of, write_recording
 
@@ -38,7 +39,7 @@ def test_trials_are_a_recording(gsb_record: Command, gsb_eval: Command, tmp_path
     path = Path(done.stdout.strip())
     assert path.name.startswith("real-inclined-collision-n4-r0-")
     recording = open_recording(path)
-    recording.verify()
+    verify(recording)
     array = recording.state("cubes", "position")
     assert array.shape == (1, 4, 27, 3 if z else 2)
     assert array.steps.tolist() == [1]
@@ -207,7 +208,7 @@ def test_a_recording_in_the_wrong_unit_is_no_reference(
 ) -> None:
     """Refuse trials that an older recorder took in the wrong unit, with the reason in place of 3,000 cm."""
     (tmp_path / "trials.csv").write_text(csv(grid(2), scale=100.0))
-    monkeypatch.setattr("recorder.real.unit_doubt", lambda *_: None)
+    monkeypatch.setattr("gpusimbench.recorder.real.unit_doubt", lambda *_: None)
     text = ["--sim", "real", "--trials", str(tmp_path / "trials.csv"), "--unit", "m", "--out", str(tmp_path / "out")]
     assert main(text) == 0
     (path,) = (tmp_path / "out").glob("*.mcap")

@@ -11,11 +11,12 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 
-from evaluator import open_recording
-from recorder.capture.states import StateWriter, env_block, steps_per_block
-from recorder.scenes.registry import make_scene
-from schemas.configuration import RunConfiguration
-from schemas.fields import BODY_FIELDS, body_field
+from gpusimbench import open_recording
+from gpusimbench.evaluator.runs.validation import verify
+from gpusimbench.recorder.capture.states import StateWriter, env_block, steps_per_block
+from gpusimbench.recorder.scenes.registry import make_scene
+from gpusimbench.schemas.configuration import RunConfiguration
+from gpusimbench.schemas.fields import BODY_FIELDS, body_field
 from tests.conftest import SMALL, Command
 
 _NAME = re.compile(r"mujoco-inclined-collision-n4-r(\d)-\d{8}T\d{6}Z\.mcap")
@@ -31,7 +32,7 @@ def test_one_whole_file_a_run(small_set: list[Path]) -> None:
     assert len({r.provenance.run_id for r in recordings}) == 3
     assert len({r.content_hash for r in recordings}) == 3
     for recording in recordings:
-        recording.verify()
+        verify(recording)
 
 
 def test_provenance_is_complete(small: Path) -> None:
@@ -115,7 +116,7 @@ def test_stride_keeps_all_fingerprints(gsb_record: Command, tmp_path: Path, smal
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     strided, whole = open_recording(done.stdout.strip()), open_recording(small)
-    strided.verify()
+    verify(strided)
     cubes = strided.state("cubes", "position")
     assert cubes.steps.tolist() == [0, 20, 40, 60, 80, 100]
     assert np.array_equal(np.asarray(cubes), whole.state("cubes", "position")[::20])
@@ -129,7 +130,7 @@ def test_stride_keeps_all_fingerprints(gsb_record: Command, tmp_path: Path, smal
 @pytest.mark.parametrize("stride", [1, 3, 7, 50, 120, 840])
 def test_strided_rows_are_the_right_ones(tmp_path: Path, stride: int) -> None:
     """Keep rows 0, stride, 2 stride... whatever the sizes of the pieces that arrive."""
-    from recorder.capture.sink import Sink
+    from gpusimbench.recorder.capture.sink import Sink
 
     fields = [body_field("cubes", name, "float32", ("a", "b")) for name in BODY_FIELDS]
     rng = np.random.default_rng(stride)
@@ -146,13 +147,13 @@ def test_strided_rows_are_the_right_ones(tmp_path: Path, stride: int) -> None:
     assert writer.last_recorded_step == 840 // stride * stride
     path = _finish(sink, fields, stride, writer.last_recorded_step)
     recording = open_recording(path)
-    recording.verify()
+    verify(recording)
     for field, expected in zip(fields, states, strict=True):
         assert np.array_equal(np.asarray(recording.state(field.group, field.field)), expected[::stride])
 
 
 def _finish(sink, fields, stride, last_step):  # type: ignore[no-untyped-def]
-    from schemas.provenance import PROVENANCE, SIMULATION, Provenance, Simulation
+    from gpusimbench.schemas.provenance import PROVENANCE, SIMULATION, Provenance, Simulation
 
     configuration = RunConfiguration("s", "free-fall", n_env=3, dt=0.01, steps=840, stride=stride)
     sink.attach(PROVENANCE, "application/json", Provenance("i", "t", (), configuration).to_json().encode())

@@ -13,15 +13,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from evaluator import open_recording
-from recorder.log import RecordingWriter
-from recorder.replay import read_source, replayed
-from recorder.scenes.registry import make_scene
-from schemas import topics
-from schemas.errors import DamagedRecording, UsageError
-from schemas.fields import body_field
-from schemas.messages import message_class
-from schemas.provenance import PROVENANCE, SCENE, SIMULATION
+from gpusimbench import open_recording
+from gpusimbench.evaluator.runs.validation import verify
+from gpusimbench.recorder.log import RecordingWriter
+from gpusimbench.recorder.replay import read_source, replayed
+from gpusimbench.recorder.scenes.registry import make_scene
+from gpusimbench.schemas import topics
+from gpusimbench.schemas.errors import DamagedRecording, UsageError
+from gpusimbench.schemas.fields import body_field
+from gpusimbench.schemas.messages import message_class
+from gpusimbench.schemas.provenance import PROVENANCE, SCENE, SIMULATION
 from tests.conftest import Command, call
 from tests.forging import forge
 from tests.synthetic import Shown, write_recording
@@ -53,7 +54,7 @@ def test_a_replay_runs_what_was_recorded(original: Path, gsb_record: Command, tm
     assert "2 envs, dt 0.01 s, seed 7, 3 + 4 timed steps and 6 captured steps; a run took" in first
     for index, path in enumerate(map(Path, done.stdout.split())):
         here = open_recording(path)
-        here.verify()
+        verify(here)
         assert here.configuration.to_json() == {**there.configuration.to_json(), "run_index": index}
         assert here.provenance.run_id != there.provenance.run_id
         of = here.provenance.replay_of
@@ -92,7 +93,7 @@ def test_arguments_that_contradict_are_refused(
     original: Path, given: tuple[str, ...], capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Refuse whatever the recording says already, by name."""
-    from recorder.cli import main
+    from gpusimbench.recorder.cli import main
 
     assert main(["--replay", str(original), *given]) == 2
     said = capsys.readouterr().err
@@ -138,7 +139,7 @@ def test_hostile_configurations_are_refused(
     original: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], change: Any, said: str
 ) -> None:
     """Run nothing of a forged file whose configuration no user could ask for, or whose run shows less than it asks."""
-    from recorder.cli import main
+    from gpusimbench.recorder.cli import main
 
     forged = forge(original, tmp_path / "forged.mcap", change)
     assert main(["--replay", str(forged), "--out", str(tmp_path / "out")]) == 2
@@ -158,7 +159,7 @@ def test_impossible_configurations_are_damage(
     original: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], change: Any
 ) -> None:
     """Call a file damaged whose configuration is of the wrong kind."""
-    from recorder.cli import main
+    from gpusimbench.recorder.cli import main
 
     assert main(["--replay", str(forge(original, tmp_path / "forged.mcap", change))]) == 3
     assert "forged.mcap: provenance.json: " in capsys.readouterr().err
@@ -173,7 +174,7 @@ def test_a_changed_attachment_is_damage(original: Path, tmp_path: Path) -> None:
 
 def test_a_scene_that_is_another_one_here(original: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Refuse a scene of the same name with other contents, and one that the simulator was not given."""
-    from recorder.cli import main
+    from gpusimbench.recorder.cli import main
 
     def heavier(scene: dict[str, Any]) -> None:
         scene["gravity"] = [0.0, 0.0, -1.62]

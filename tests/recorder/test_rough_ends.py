@@ -21,10 +21,11 @@ from mcap.exceptions import McapError
 from mcap.records import Channel, Message
 from mcap.stream_reader import StreamReader
 
-from evaluator import open_recording
-from evaluator.recording import Recording
-from schemas.container import Container
-from schemas.errors import RecordingError
+from gpusimbench import open_recording
+from gpusimbench.evaluator.read.recording import Recording
+from gpusimbench.evaluator.runs.validation import verify
+from gpusimbench.schemas.container import Container
+from gpusimbench.schemas.errors import RecordingError
 from tests.conftest import SMALL, Command, call, command
 from tests.moments import descendants, has_worked, has_written, wait_until, whole
 
@@ -71,7 +72,7 @@ def _check_partial(path: Path, before: bytes, folder: Path) -> str:
     assert ours == official
     for topic, contents in seen.items():
         assert official[topic][: len(contents)] == contents
-    recording.verify()
+    verify(recording)
     assert recording.status in ("incomplete", "complete")  # whole, where only the new name was missing
     for field in recording.fields:
         array = recording.state(field.group, field.field)
@@ -102,7 +103,7 @@ def _cut(process: subprocess.Popen[str], out: Path, how: signal.Signals) -> Coun
         assert file.suffix in (".mcap", ".partial"), file
         if file.suffix == ".mcap":
             recording = open_recording(file)
-            recording.verify()
+            verify(recording)
             assert recording.status == "complete" or (how == signal.SIGTERM and recording.status == "failed")
             seen[recording.status] += 1
         else:
@@ -157,7 +158,7 @@ def test_two_recorders_and_one_folder(tmp_path: Path) -> None:
     assert sorted(told) == sorted(map(str, tmp_path.iterdir()))
     recordings = [open_recording(path) for path in told]
     for recording in recordings:
-        recording.verify()
+        verify(recording)
         assert recording.status == "complete"
     assert len({recording.provenance.run_id for recording in recordings}) == 20
 
@@ -199,7 +200,7 @@ def test_a_disk_that_is_really_full(tmp_path: Path, size: int) -> None:
         assert size <= 64
         return
     assert recording.status == "incomplete"
-    recording.verify()
+    verify(recording)
     if size >= 1500:
         array = recording.state("cubes", "position")
         assert len(array[:]) > 50
@@ -210,8 +211,8 @@ _CLOCKS = '''
 import time
 from dataclasses import dataclass
 import numpy as np
-from recorder.simulators.base import Description, Simulator
-from schemas.fields import body_field
+from gpusimbench.recorder.simulators.base import Description, Simulator
+from gpusimbench.schemas.fields import body_field
 
 _HOUR = 3600 * 10**9
 _offset = 0
@@ -264,7 +265,7 @@ def _record_jumps(gsb_record: Command, environment: dict[str, str], out: Path, j
                       40, "--option", f"jumps={jumps}", "--out", out, env=environment)  # fmt: skip
     assert done.returncode == 0, done.stderr
     recording = open_recording(done.stdout.strip())
-    recording.verify()
+    verify(recording)
     return recording
 
 
@@ -300,7 +301,8 @@ def _official_messages(path: Path) -> dict[str, list[Message]]:
 
 def _metrics(recording: Recording) -> dict[str, object]:
     done = subprocess.run(
-        [sys.executable, "-m", "evaluator.cli.eval", str(recording.path), "--sample-time", "1", "--json", "-"],
+        [sys.executable, "-m", "gpusimbench.evaluator.cli.eval",
+         str(recording.path), "--sample-time", "1", "--json", "-"],
         capture_output=True, text=True, timeout=60,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
@@ -339,7 +341,7 @@ def test_a_wall_clock_that_no_field_can_hold(
     assert done.returncode == 0, done.stderr
     assert f"clock stands {said}" in done.stderr
     recording = open_recording(done.stdout.strip())
-    recording.verify()
+    verify(recording)
     assert recording.status == "complete"
     assert {event.unix_ns for event in recording.events} == {held}
     assert any(event.kind == "NOTE" and said in event.text for event in recording.events)

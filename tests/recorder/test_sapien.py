@@ -17,21 +17,21 @@ from numpy.typing import NDArray
 
 pytest.importorskip("sapien")
 
-from recorder.options import parse_options
-from recorder.scenes.articulation import Inertial
-from recorder.scenes.base import Body, Box, Capsule, Material, Plane, Scene, Sphere
-from recorder.scenes.registry import make_scene
-from recorder.simulators.base import States
-from recorder.simulators.counters import AWAKE_BODIES, CONTACTS
-from recorder.simulators.sapien import gpu_library
-from recorder.simulators.sapien.arm import principal_axes
-from recorder.simulators.sapien.bodies import make_component, principal_inertia
-from recorder.simulators.sapien.complaints import OVERFLOW_BITS, Complaints, bits_of
-from recorder.simulators.sapien.gpu import square_grid
-from recorder.simulators.sapien.options import SapienOptions
-from recorder.simulators.sapien.simulator import Sapien
-from recorder.simulators.sapien.sizes import DEFAULTS, choose_sizes
-from schemas.errors import UsageError
+from gpusimbench.recorder.options import parse_options
+from gpusimbench.recorder.scenes.articulation import Inertial
+from gpusimbench.recorder.scenes.base import Body, Box, Capsule, Material, Plane, Scene, Sphere
+from gpusimbench.recorder.scenes.registry import make_scene
+from gpusimbench.recorder.simulators.base import States
+from gpusimbench.recorder.simulators.counters import AWAKE_BODIES, CONTACTS
+from gpusimbench.recorder.simulators.sapien import gpu_library
+from gpusimbench.recorder.simulators.sapien.arm import principal_axes
+from gpusimbench.recorder.simulators.sapien.bodies import make_component, principal_inertia
+from gpusimbench.recorder.simulators.sapien.complaints import OVERFLOW_BITS, Complaints, bits_of
+from gpusimbench.recorder.simulators.sapien.gpu import square_grid
+from gpusimbench.recorder.simulators.sapien.options import SapienOptions
+from gpusimbench.recorder.simulators.sapien.simulator import Sapien
+from gpusimbench.recorder.simulators.sapien.sizes import DEFAULTS, choose_sizes
+from gpusimbench.schemas.errors import UsageError
 
 G = 9.81
 IMPACT = 80  # steps after which the ball has met the cubes of inclined-collision
@@ -128,7 +128,7 @@ def test_processes_agree_and_need_no_torch() -> None:
     """A fresh process makes the same bits, and imports no torch for it."""
     code = (
         "import sys\n"
-        "from recorder.scenes.registry import make_scene\n"
+        "from gpusimbench.recorder.scenes.registry import make_scene\n"
         "from tests.recorder.test_sapien import IMPACT, digest, states_of\n"
         "print(digest(states_of(make_scene('inclined-collision'), IMPACT)), 'torch' in sys.modules)\n"
     )

@@ -11,12 +11,12 @@ import mujoco
 import numpy as np
 import pytest
 
-from recorder.scenes.base import Box, Plane, Sphere
-from recorder.scenes.emit.mjcf import deviations, emit_mjcf
-from recorder.scenes.free_fall import DROP_HEIGHT
-from recorder.scenes.inclined_collision import SLOPE_ANGLE
-from recorder.scenes.registry import SCENES, make_scene
-from schemas.errors import UsageError
+from gpusimbench.recorder.scenes.base import Box, Plane, Sphere
+from gpusimbench.recorder.scenes.emit.mjcf import deviations, emit_mjcf
+from gpusimbench.recorder.scenes.free_fall import DROP_HEIGHT
+from gpusimbench.recorder.scenes.inclined_collision import SLOPE_ANGLE
+from gpusimbench.recorder.scenes.registry import SCENES, make_scene
+from gpusimbench.schemas.errors import UsageError
 from tests.conftest import SMALL, Command
 
 scenes = pytest.mark.parametrize("name", SCENES)
@@ -136,7 +136,7 @@ def _distribution(folder: Path, code: str, names: dict[str, str]) -> None:
 
 _THEIRS = """
 from dataclasses import replace
-from recorder.scenes.free_fall import free_fall
+from gpusimbench.recorder.scenes.free_fall import free_fall
 
 def low_drop():
     return replace(free_fall(), name="low-drop", summary="a drop of another height")

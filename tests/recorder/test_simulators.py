@@ -15,9 +15,9 @@ from typing import Any
 
 import pytest
 
-from recorder.conformance import CHECKS
-from recorder.environments.store import find
-from recorder.simulators.registry import BUILT_IN, find_simulator
+from gpusimbench.recorder.conformance import CHECKS
+from gpusimbench.recorder.environments.store import find
+from gpusimbench.recorder.simulators.registry import BUILT_IN, find_simulator
 
 _NO_BITS = {"overflow_stays_silent": "the adapter declares no overflow bits"}
 _NO_COUNTS = {
@@ -122,12 +122,12 @@ ELSEWHERE = {"madrona", "maniskill"}
 def _checked(variant: str) -> subprocess.CompletedProcess[str]:
     simulator, *options = variant.split(" ")
     given = [word for option in options for word in ("--option", option)]
-    command = [sys.executable, "-m", "recorder.conformance", "--sim", simulator, *given, "--json"]
+    command = [sys.executable, "-m", "gpusimbench.recorder.conformance", "--sim", simulator, *given, "--json"]
     return subprocess.run(command, capture_output=True, text=True)
 
 
 def verdict(variant: Variant, check: str) -> dict[str, Any]:
-    """What `python -m recorder.conformance` finds; it runs once for all checks of a variant."""
+    """What `python -m gpusimbench.recorder.conformance` finds; it runs once for all checks of a variant."""
     done = _checked(variant.name)
     assert done.returncode in (0, 1), f"exit code {done.returncode}: {done.stderr[-2000:]}"
     found: dict[str, Any] = next(v for v in json.loads(done.stdout)["checks"] if v["check"] == check)

@@ -10,10 +10,10 @@ from pathlib import Path
 
 import pytest
 
-from evaluator import open_recording
-from recorder.finished import read_end
-from recorder.launch import _End, _result
-from schemas.configuration import RunConfiguration
+from gpusimbench import open_recording
+from gpusimbench.recorder.finished import read_end
+from gpusimbench.recorder.launch import _End, _result
+from gpusimbench.schemas.configuration import RunConfiguration
 from tests.conftest import command, wait_for
 from tests.synthetic import write_recording
 
@@ -25,8 +25,8 @@ import os, signal, time
 from dataclasses import dataclass
 from pathlib import Path
 import numpy as np
-from recorder.simulators.base import Description, Simulator
-from schemas.fields import body_field
+from gpusimbench.recorder.simulators.base import Description, Simulator
+from gpusimbench.schemas.fields import body_field
 
 @dataclass(frozen=True)
 class Options:

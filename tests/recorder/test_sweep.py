@@ -20,12 +20,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from evaluator import open_recording
-from recorder.finished import Finished, matching, read_folder
-from recorder.sweep import CERTAIN, Outcome, Place, Sweep, parse_points
-from recorder.sweep_lock import locked
-from schemas.configuration import MAX_ENVS, RunConfiguration
-from schemas.errors import GsbError, UsageError
+from gpusimbench import open_recording
+from gpusimbench.evaluator.runs.validation import verify
+from gpusimbench.recorder.finished import Finished, matching, read_folder
+from gpusimbench.recorder.sweep import CERTAIN, Outcome, Place, Sweep, parse_points
+from gpusimbench.recorder.sweep_lock import locked
+from gpusimbench.schemas.configuration import MAX_ENVS, RunConfiguration
+from gpusimbench.schemas.errors import GsbError, UsageError
 from tests.conftest import Command, command, wait_for
 
 _TINY = ("--steps", "5", "--warmup", "1", "--timed-steps", "2", "--phases", "timed")
@@ -36,8 +37,8 @@ import os, time
 from dataclasses import dataclass
 from pathlib import Path
 import numpy as np
-from recorder.simulators.base import Description, Simulator
-from schemas.fields import body_field
+from gpusimbench.recorder.simulators.base import Description, Simulator
+from gpusimbench.schemas.fields import body_field
 
 @dataclass(frozen=True)
 class Options:
@@ -313,7 +314,7 @@ def test_a_sweep_and_its_continuation(gsb_record: Command, tmp_path: Path) -> No
     ]  # fmt: skip
     assert first.stderr.splitlines()[-1] == "N_env^max 8: 8 is the end of the sweep"
     for file in tmp_path.iterdir():
-        open_recording(file).verify()
+        verify(open_recording(file))
 
     files = sorted(tmp_path.iterdir())
     second = gsb_record(*_sweep(tmp_path, "--compression", "zstd"))
@@ -375,7 +376,7 @@ def test_more_environments_than_memory_holds(gsb_record: Command, tmp_path: Path
     assert "N_env^max 4: failed at 4194304: " in done.stderr
     (file,) = tmp_path.glob("*-n4194304-*.mcap")
     recording = open_recording(file)
-    recording.verify()
+    verify(recording)
     assert recording.status == "failed"
     again = gsb_record(*arguments, "--json", preexec_fn=little_memory)
     assert again.returncode == 0, again.stderr

@@ -10,8 +10,9 @@ from pathlib import Path
 
 import pytest
 
-from evaluator import open_recording
-from recorder.finished import read_end
+from gpusimbench import open_recording
+from gpusimbench.evaluator.runs.validation import verify
+from gpusimbench.recorder.finished import read_end
 from tests.conftest import Command
 
 pytestmark = pytest.mark.alone
@@ -21,8 +22,8 @@ _PLUGIN = '''
 import atexit, hashlib, os, time
 from dataclasses import dataclass
 import numpy as np
-from recorder.simulators.base import Description, Simulator
-from schemas.fields import body_field
+from gpusimbench.recorder.simulators.base import Description, Simulator
+from gpusimbench.schemas.fields import body_field
 
 def compute_for_long():
     # native code: as long as it runs, Python handles no signal
@@ -62,7 +63,8 @@ class Endless(Simulator):
 '''
 
 _IMPATIENT = (
-    "import sys; from recorder import launch; launch.GRACE_S = 1.0; from recorder.cli import main; sys.exit(main())"
+    "import sys; from gpusimbench.recorder import launch; launch.GRACE_S = 1.0; "
+    "from gpusimbench.recorder.cli import main; sys.exit(main())"
 )
 """gsb-record with less time between the timeout and the end of patience."""
 
@@ -105,7 +107,7 @@ def test_a_run_ends_itself(gsb_record: Command, tmp_path: Path, phases: list[str
     (file,) = tmp_path.iterdir()
     assert str(file) == done.stdout.strip()
     recording = open_recording(file)
-    recording.verify()
+    verify(recording)
     began = [event.phase for event in recording.events if event.kind == "PHASE_BEGIN"]
     assert (recording.status, recording.reason) == ("failed", f"timeout: more than 2 s, in phase {began[-1]}")
     assert read_end(file).outcome.cause == "TIMEOUT"
@@ -136,7 +138,7 @@ def test_an_engine_that_catches_every_exception(gsb_record: Command, endless: di
 _EXPIRES = '''
 """Let the time end inside a piece of shielded code; say what comes of it."""
 import signal
-from recorder import interruption
+from gpusimbench.recorder import interruption
 
 interruption.install()
 interruption.expire_after(1000)
@@ -156,7 +158,7 @@ print(*said)
 _INTERRUPTED = '''
 """Be interrupted by the user before the time ends; say which of the two it was."""
 import signal
-from recorder import interruption
+from gpusimbench.recorder import interruption
 
 interruption.install()
 interruption.expire_after(1000)
@@ -186,9 +188,9 @@ _EXPIRES_IN_A_WRITE = '''
 """Let the time of a capture end between the digest of a state and its writing; print how it ended."""
 import sys, time
 from pathlib import Path
-from recorder.run import Run
-from schemas import digest
-from schemas.configuration import RunConfiguration
+from gpusimbench.recorder.run import Run
+from gpusimbench.schemas import digest
+from gpusimbench.schemas.configuration import RunConfiguration
 
 original, calls = digest.ContentDigest.state_columns, []
 
@@ -213,7 +215,7 @@ def test_the_time_ends_within_a_write(tmp_path: Path) -> None:
         [sys.executable, "-c", _EXPIRES_IN_A_WRITE, str(path)], capture_output=True, text=True, timeout=120
     )
     assert done.stdout.startswith("FAILED TIMEOUT timeout: more than 3 s, in phase "), done.stderr
-    open_recording(path).verify()
+    verify(open_recording(path))
 
 
 def test_an_engine_that_never_returns(endless: dict[str, str], tmp_path: Path) -> None:
@@ -246,7 +248,7 @@ def test_a_sweep_ends_at_a_run_that_never_returns(endless: dict[str, str], tmp_p
     (file,) = tmp_path.glob("*-n2-*.mcap")
     assert str(file) in done.stdout.split()
     recording = open_recording(file)
-    recording.verify()
+    verify(recording)
     assert recording.status == "failed"
     assert partial.name in recording.reason
     assert recording.provenance == open_recording(partial).provenance

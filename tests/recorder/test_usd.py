@@ -11,10 +11,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from recorder.scenes.base import Body, Box, Capsule, Material, Plane, Scene, Shape, Sphere
-from recorder.scenes.emit.usd import emit_usd, identifiers, solid_inertia
-from recorder.scenes.franka import PANDA
-from recorder.scenes.registry import SCENES, make_scene
+from gpusimbench.recorder.scenes.base import Body, Box, Capsule, Material, Plane, Scene, Shape, Sphere
+from gpusimbench.recorder.scenes.emit.usd import emit_usd, identifiers, solid_inertia
+from gpusimbench.recorder.scenes.franka import PANDA
+from gpusimbench.recorder.scenes.registry import SCENES, make_scene
 
 NUMBER = st.floats(-1e6, 1e6)
 SIZE = st.floats(1e-3, 1e3)
@@ -178,8 +178,8 @@ def test_inertia_of_links() -> None:
 def test_links_stand_where_the_joints_put_them() -> None:
     """World poses of the links at the first joint angles are those that MuJoCo computes."""
     mujoco = pytest.importorskip("mujoco")
-    from recorder.simulators.mujoco.model import compile_scene
-    from recorder.simulators.mujoco.options import MjcfOptions
+    from gpusimbench.recorder.simulators.mujoco.model import compile_scene
+    from gpusimbench.recorder.simulators.mujoco.options import MjcfOptions
 
     scene = make_scene("franka")
     data = compile_scene(scene, dt=scene.dt, options=MjcfOptions()).data()

@@ -15,20 +15,21 @@ import pytest
 from mcap.reader import make_reader
 from mcap.stream_reader import StreamReader
 
-from evaluator import open_recording
-from evaluator.diff.settings import differing_settings
-from evaluator.integrity import examine
-from evaluator.sharing.pack import pack
-from evaluator.sharing.recover import recover
-from recorder.capture.sink import Sink
-from recorder.capture.view import ViewWriter
-from recorder.log import RecordingWriter
-from recorder.plan import view_of
-from recorder.scenes.registry import make_scene
-from schemas.configuration import RunConfiguration
-from schemas.container import Container
-from schemas.errors import DamagedRecording, ExitCode, UsageError
-from schemas.fields import body_field
+from gpusimbench import open_recording
+from gpusimbench.evaluator.check.integrity import examine
+from gpusimbench.evaluator.diff.settings import differing_settings
+from gpusimbench.evaluator.runs.validation import verify
+from gpusimbench.evaluator.share.pack import pack
+from gpusimbench.evaluator.share.recover import recover
+from gpusimbench.recorder.capture.sink import Sink
+from gpusimbench.recorder.capture.view import ViewWriter
+from gpusimbench.recorder.log import RecordingWriter
+from gpusimbench.recorder.plan import view_of
+from gpusimbench.recorder.scenes.registry import make_scene
+from gpusimbench.schemas.configuration import RunConfiguration
+from gpusimbench.schemas.container import Container
+from gpusimbench.schemas.errors import DamagedRecording, ExitCode, UsageError
+from gpusimbench.schemas.fields import body_field
 from tests.conftest import Command, call
 from tests.evaluator.viewing import placed, read, states
 from tests.test_docs import ROOT, commands, shell
@@ -179,7 +180,7 @@ def test_links_are_where_the_engine_puts_them(tmp_path: Path) -> None:
 
 def without_view(source: Path, target: Path) -> Path:
     """The same recording as --no-view would have written it, but for what it was asked for."""
-    from schemas.mcap_writer import McapWriter
+    from gpusimbench.schemas.mcap_writer import McapWriter
 
     with source.open("rb") as stream, target.open("xb", buffering=0) as out:
         writer: Any = None
@@ -216,8 +217,8 @@ def test_the_view_has_no_part_in_the_content_hash(plain: Path, tmp_path: Path) -
     bare = without_view(plain, tmp_path / "bare.mcap")
     assert not any("/view/" in topic for topic in read(bare)[0])
     one, other = open_recording(plain), open_recording(bare)
-    one.verify()
-    other.verify()
+    verify(one)
+    verify(other)
     assert one.content_hash == other.content_hash
     assert nothing_wrong(bare)
 
@@ -256,7 +257,7 @@ def test_five_environments_are_too_many() -> None:
     assert view_of((), off=False, phases=("capture",)) == (0,)
     assert view_of((), off=False, phases=("timed",)) == ()
     assert view_of((7, 2), off=False, phases=("timed", "capture")) == (7, 2)
-    from recorder.plan import check
+    from gpusimbench.recorder.plan import check
 
     with pytest.raises(UsageError, match="at most 4"):
         check(RunConfiguration("mujoco", "free-fall", n_env=9, dt=0.01, steps=1, view=(0, 1, 2, 3, 4)))

@@ -11,13 +11,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from evaluator import open_recording
-from recorder.options import parse_options
-from recorder.scenes.base import Scene
-from recorder.scenes.franka import franka
-from recorder.scenes.inclined_collision import inclined_collision
-from recorder.simulators.base import Description, Simulator
-from schemas.errors import UsageError
+from gpusimbench import open_recording
+from gpusimbench.recorder.options import parse_options
+from gpusimbench.recorder.scenes.base import Scene
+from gpusimbench.recorder.scenes.franka import franka
+from gpusimbench.recorder.scenes.inclined_collision import inclined_collision
+from gpusimbench.recorder.simulators.base import Description, Simulator
+from gpusimbench.schemas.errors import UsageError
 from tests.conftest import Command
 
 pytest.importorskip("mujoco_warp")
@@ -27,7 +27,7 @@ def build(
     scene: Scene, *, n_env: int = 2, determinism: str = "default", **options: Any
 ) -> tuple[Simulator, Description]:
     """A built simulator on the CPU."""
-    from recorder.simulators.warp.simulator import MujocoWarp
+    from gpusimbench.recorder.simulators.warp.simulator import MujocoWarp
 
     parsed = parse_options("warp", MujocoWarp.Options, {"device": "cpu", **{k: str(v) for k, v in options.items()}})
     simulator = MujocoWarp(scene, n_env=n_env, dt=0.01, seed=0, options=parsed, determinism=determinism)
@@ -73,8 +73,8 @@ def test_targets_are_drawn_on_the_device(seed: int, step: int, n_env: int) -> No
     """Make on the device, bit for bit, the targets that the scene defines."""
     import warp as wp
 
-    from recorder.scenes.actions import GRID
-    from recorder.simulators.warp import kernels
+    from gpusimbench.recorder.scenes.actions import GRID
+    from gpusimbench.recorder.simulators.warp import kernels
 
     actions = franka().actions
     assert actions is not None

@@ -11,7 +11,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from schemas.blocks import (
+from gpusimbench.schemas.blocks import (
     decode_action,
     decode_fingerprints,
     decode_state,
@@ -19,8 +19,8 @@ from schemas.blocks import (
     encode_fingerprints,
     encode_state,
 )
-from schemas.errors import DamagedRecording
-from schemas.messages import message_class
+from gpusimbench.schemas.errors import DamagedRecording
+from gpusimbench.schemas.messages import message_class
 
 _DTYPES = st.sampled_from(["<f4", "<f8", ">f4", ">f8"])
 

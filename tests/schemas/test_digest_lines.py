@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from schemas.digest import content_hash
+from gpusimbench.schemas.digest import content_hash
 
 
 def test_a_reason_cannot_pass_for_streams() -> None:

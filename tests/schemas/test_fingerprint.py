@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from schemas.fingerprint import fingerprint
+from gpusimbench.schemas.fingerprint import fingerprint
 
 _MASK = 2**64 - 1
 

@@ -13,10 +13,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from mcap.reader import NonSeekingReader, make_reader
 
-from schemas import FORMAT
-from schemas.container import Container
-from schemas.crc import combine
-from schemas.mcap_writer import COMPRESSIONS, McapWriter, Part
+from gpusimbench.schemas import FORMAT
+from gpusimbench.schemas.container import Container
+from gpusimbench.schemas.crc import combine
+from gpusimbench.schemas.mcap_writer import COMPRESSIONS, McapWriter, Part
 
 Sent = list[tuple[str, int, bytes]]
 

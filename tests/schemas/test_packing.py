@@ -13,10 +13,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from schemas.blocks import decode_state, encode_state, pack_state, state_bytes, state_header, unpack_state
-from schemas.errors import DamagedRecording
-from schemas.messages import enum_values, message_class
-from schemas.packing import LEVELS, pack, unpack
+from gpusimbench.schemas.blocks import decode_state, encode_state, pack_state, state_bytes, state_header, unpack_state
+from gpusimbench.schemas.errors import DamagedRecording
+from gpusimbench.schemas.messages import enum_values, message_class
+from gpusimbench.schemas.packing import LEVELS, pack, unpack
 
 _WORDS = {4: np.dtype("<u4"), 8: np.dtype("<u8")}
 

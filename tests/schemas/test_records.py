@@ -12,15 +12,15 @@ from google.protobuf import descriptor_pb2
 from hypothesis import given
 from hypothesis import strategies as st
 
-import schemas
-from schemas.build_descriptors import build
-from schemas.configuration import RunConfiguration, sim_time_ns
-from schemas.digest import ContentDigest, content_hash
-from schemas.errors import DamagedRecording
-from schemas.fields import BODY_FIELDS, body_field
-from schemas.messages import DESCRIPTOR_SET, embedded_schema, message_names
-from schemas.provenance import Deviation, Provenance, Simulation
-from schemas.topics import StateTopic, parse_state, state
+from gpusimbench import schemas
+from gpusimbench.schemas.build_descriptors import build
+from gpusimbench.schemas.configuration import RunConfiguration, sim_time_ns
+from gpusimbench.schemas.digest import ContentDigest, content_hash
+from gpusimbench.schemas.errors import DamagedRecording
+from gpusimbench.schemas.fields import BODY_FIELDS, body_field
+from gpusimbench.schemas.messages import DESCRIPTOR_SET, embedded_schema, message_names
+from gpusimbench.schemas.provenance import Deviation, Provenance, Simulation
+from gpusimbench.schemas.topics import StateTopic, parse_state, state
 
 _FIELDS = tuple(body_field("cubes", name, "float64", ("a", "b")) for name in BODY_FIELDS)
 

@@ -12,15 +12,15 @@ from google.protobuf import descriptor_pb2
 from hypothesis import given
 from hypothesis import strategies as st
 
-import schemas
-from recorder.scenes.registry import make_scene
-from schemas.build_descriptors import build
-from schemas.errors import DamagedRecording
-from schemas.fields import body_field
-from schemas.topics import has_digest, parse_state, parse_view, view
-from schemas.view import foxglove
-from schemas.view.motion import Motion, one_of
-from schemas.view.recorded import RecordedView
+from gpusimbench import schemas
+from gpusimbench.recorder.scenes.registry import make_scene
+from gpusimbench.schemas.build_descriptors import build
+from gpusimbench.schemas.errors import DamagedRecording
+from gpusimbench.schemas.fields import body_field
+from gpusimbench.schemas.topics import has_digest, parse_state, parse_view, view
+from gpusimbench.schemas.view import foxglove
+from gpusimbench.schemas.view.motion import Motion, one_of
+from gpusimbench.schemas.view.recorded import RecordedView
 
 TYPES = ("SceneUpdate", "FrameTransforms", "PosesInFrame", "Log")
 

@@ -15,8 +15,8 @@ from pathlib import Path
 
 import pytest
 
-from schemas import writing
-from schemas.errors import GsbError, UsageError
+from gpusimbench.schemas import writing
+from gpusimbench.schemas.errors import GsbError, UsageError
 
 _ROOT = Path(__file__).parents[2]
 _MODE = re.compile(r"[rbt]*[wax+][rwaxbt+]*")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from evaluator.metrics.physics.vectors import length
+from gpusimbench.evaluator.metrics.physics.vectors import length
 
 Array = npt.NDArray[np.float64]
 

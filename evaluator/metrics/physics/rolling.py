@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from evaluator.metrics.physics.solids import FixedBox
+from gpusimbench.evaluator.metrics.physics.solids import FixedBox
 
 Array = npt.NDArray[np.float64]
 

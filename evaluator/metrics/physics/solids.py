@@ -8,7 +8,7 @@ from itertools import product
 import numpy as np
 import numpy.typing as npt
 
-from evaluator.metrics.physics.vectors import largest, length, square
+from gpusimbench.evaluator.metrics.physics.vectors import largest, length, square
 
 Array = npt.NDArray[np.float64]
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from evaluator.report import accumulation
-from evaluator.report.page.section import Section, Source
+from gpusimbench.evaluator.report import accumulation
+from gpusimbench.evaluator.report.page.section import Section, Source
 
 
 def section(source: Source) -> Section | None:

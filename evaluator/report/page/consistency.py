@@ -8,11 +8,11 @@ import numpy as np
 from markupsafe import Markup
 from numpy.typing import NDArray
 
-from evaluator.report.figures import matrix
-from evaluator.report.figures.tree import in_ranges
-from evaluator.report.page.picture import Numbers, Picture
-from evaluator.report.page.section import Section, Source
-from evaluator.results import GroupResult
+from gpusimbench.evaluator.render.figures import matrix
+from gpusimbench.evaluator.render.figures.tree import in_ranges
+from gpusimbench.evaluator.report.page.picture import Numbers, Picture
+from gpusimbench.evaluator.report.page.section import Section, Source
+from gpusimbench.evaluator.results.result import GroupResult
 
 _CLASSES = 12  # that a caption names
 _PARTS = 8  # ranges of members that it names of each

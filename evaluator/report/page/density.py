@@ -9,12 +9,12 @@ import numpy as np
 from markupsafe import Markup
 from numpy.typing import NDArray
 
-from evaluator.metrics.density import Density, marginal
-from evaluator.report.csv import Cell
-from evaluator.report.figures import density_map
-from evaluator.report.page.picture import Numbers, Picture, file_name
-from evaluator.report.page.section import Section, Source
-from evaluator.results import Evaluation, GroupResult, Map, Reference
+from gpusimbench.evaluator.metrics.density import Density, marginal
+from gpusimbench.evaluator.render.figures import density_map
+from gpusimbench.evaluator.report.csv import Cell
+from gpusimbench.evaluator.report.page.picture import Numbers, Picture, file_name
+from gpusimbench.evaluator.report.page.section import Section, Source
+from gpusimbench.evaluator.results.result import Evaluation, GroupResult, Map, Reference
 
 _DIGITS = 9  # nanometres: the grid's own rounding is not told
 

@@ -6,10 +6,10 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from evaluator.report.figures.matrix import letter
-from evaluator.report.page.section import Section, Source
-from evaluator.results import Evaluation, GroupResult
-from schemas.provenance import Deviation
+from gpusimbench.evaluator.render.figures.matrix import letter
+from gpusimbench.evaluator.report.page.section import Section, Source
+from gpusimbench.evaluator.results.result import Evaluation, GroupResult
+from gpusimbench.schemas.provenance import Deviation
 
 _SHORT = 12
 """Characters of a cell; what is longer stands below the matrix, under a letter."""

@@ -9,15 +9,15 @@ import numpy as np
 from markupsafe import Markup
 from numpy.typing import NDArray
 
-from evaluator.metrics.divergence import FIT_LIMIT_M, first_reaching
-from evaluator.metrics.split_tree import SplitTree
-from evaluator.report import words
-from evaluator.report.figures import divergence as chart
-from evaluator.report.figures.tree import members, tree_chart, window
-from evaluator.report.numbers import NONE
-from evaluator.report.page.picture import Numbers, Picture
-from evaluator.report.page.section import Section, Source
-from evaluator.results import GroupResult, RunSpread, not_computed
+from gpusimbench.evaluator.metrics.divergence import FIT_LIMIT_M, first_reaching
+from gpusimbench.evaluator.metrics.split_tree import SplitTree
+from gpusimbench.evaluator.render.figures import divergence as chart
+from gpusimbench.evaluator.render.figures.tree import members, tree_chart, window
+from gpusimbench.evaluator.render.numbers import NONE
+from gpusimbench.evaluator.report import words
+from gpusimbench.evaluator.report.page.picture import Numbers, Picture
+from gpusimbench.evaluator.report.page.section import Section, Source
+from gpusimbench.evaluator.results.result import GroupResult, RunSpread, not_computed
 
 _MM = 1e3
 _CURVES = ("run", "simulated time [s]", "largest distance [m]", "rms distance [m]")

@@ -6,15 +6,15 @@ from collections.abc import Iterable, Iterator
 
 from markupsafe import Markup
 
-from evaluator.comparison import Contender
-from evaluator.fidelity import Verdict
-from evaluator.metrics.radar import LOWER_IS_BETTER, Axis
-from evaluator.report.figures.axis import tick_label
-from evaluator.report.figures.dot_plot import Dot, dot_plot, is_logarithmic
-from evaluator.report.numbers import figure, interval
-from evaluator.report.page.picture import Numbers, Picture
-from evaluator.report.page.section import Section, Source
-from evaluator.report.scaling import steps_label
+from gpusimbench.evaluator.metrics.radar import LOWER_IS_BETTER, Axis
+from gpusimbench.evaluator.render.figures.axis import tick_label
+from gpusimbench.evaluator.render.figures.dot_plot import Dot, dot_plot, is_logarithmic
+from gpusimbench.evaluator.render.numbers import figure, interval
+from gpusimbench.evaluator.report.page.picture import Numbers, Picture
+from gpusimbench.evaluator.report.page.section import Section, Source
+from gpusimbench.evaluator.report.scaling import steps_label
+from gpusimbench.evaluator.results.fidelity import Verdict
+from gpusimbench.evaluator.results.ranking import Contender
 
 _UNITS = {
     Axis.THROUGHPUT: "env-steps/s",

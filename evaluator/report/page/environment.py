@@ -10,12 +10,13 @@ from typing import Any
 import jinja2
 from markupsafe import Markup
 
-from evaluator.groups import shown_status
-from evaluator.report import numbers, timed, words
-from evaluator.report.page.picture import LARGEST_CSV, Picture
-from evaluator.report.templating import page_templates
-from evaluator.results import Metric
-from evaluator.sweeps import SOURCES
+from gpusimbench.evaluator.render import numbers
+from gpusimbench.evaluator.render.templating import page_templates
+from gpusimbench.evaluator.report import timed, words
+from gpusimbench.evaluator.report.page.picture import LARGEST_CSV, Picture
+from gpusimbench.evaluator.results.result import Metric
+from gpusimbench.evaluator.results.sweeps import SOURCES
+from gpusimbench.evaluator.runs.groups import shown_status
 
 _DEPTH = 3
 _ROWS = 1000  # of a record of a stranger, and items of a list in it

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from evaluator.groups import shown_status, status_notes
-from evaluator.report.page.section import Source
-from evaluator.results import Evaluation
-from schemas.location import Location
+from gpusimbench.evaluator.report.page.section import Source
+from gpusimbench.evaluator.results.result import Evaluation
+from gpusimbench.evaluator.runs.groups import shown_status, status_notes
+from gpusimbench.schemas.location import Location
 
 
 @dataclass(frozen=True)

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from evaluator.report.fidelity import fidelity_html
-from evaluator.report.page.section import Section, Source
+from gpusimbench.evaluator.report.fidelity import fidelity_html
+from gpusimbench.evaluator.report.page.section import Section, Source
 
 
 def section(source: Source) -> Section:

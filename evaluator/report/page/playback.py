@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from evaluator.player.markup import markup, script, style
-from evaluator.report.page.section import Section, Source
+from gpusimbench.evaluator.player.markup import markup, script, style
+from gpusimbench.evaluator.report.page.section import Section, Source
 
 
 def section(source: Source) -> Section | None:

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from evaluator.price_list import Cost, Family, Price
-from evaluator.report import timed
-from evaluator.report.page.section import Section, Source
-from evaluator.report.price_table import SAME, family_name, of_family
-from evaluator.results import GroupResult
-from evaluator.soundness import Faults, faults
+from gpusimbench.evaluator.report import timed
+from gpusimbench.evaluator.report.page.section import Section, Source
+from gpusimbench.evaluator.report.price_table import SAME, family_name, of_family
+from gpusimbench.evaluator.results.determinism_cost import Cost, Family, Price
+from gpusimbench.evaluator.results.faults import Faults, faults
+from gpusimbench.evaluator.results.result import GroupResult
 
 
 @dataclass(frozen=True)

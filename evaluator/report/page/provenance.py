@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from evaluator.report.page.section import Section, Source
-from evaluator.results import GroupResult
-from evaluator.summary import Summary
+from gpusimbench.evaluator.report.page.section import Section, Source
+from gpusimbench.evaluator.results.result import GroupResult
+from gpusimbench.evaluator.runs.summary import Summary
 
 
 def section(source: Source) -> Section:

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from evaluator import published
-from evaluator.report.page.section import Section, Source
-from evaluator.report.scaling import beside_published
+from gpusimbench.evaluator.report.page.section import Section, Source
+from gpusimbench.evaluator.report.scaling import beside_published
+from gpusimbench.evaluator.results import published
 
 
 def section(source: Source) -> Section | None:

@@ -6,12 +6,12 @@ from collections.abc import Sequence
 
 from markupsafe import Markup
 
-from evaluator.comparison import Contender
-from evaluator.metrics.radar import Axis, Radar
-from evaluator.report import timed
-from evaluator.report.figures import lines, radar_chart
-from evaluator.report.page.picture import Numbers, Picture
-from evaluator.report.page.section import Section, Source
+from gpusimbench.evaluator.metrics.radar import Axis, Radar
+from gpusimbench.evaluator.render.figures import lines, radar_chart
+from gpusimbench.evaluator.report import timed
+from gpusimbench.evaluator.report.page.picture import Numbers, Picture
+from gpusimbench.evaluator.report.page.section import Section, Source
+from gpusimbench.evaluator.results.ranking import Contender
 
 _AXIS_UNITS = {
     Axis.THROUGHPUT: "env-steps/s",

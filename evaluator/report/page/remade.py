@@ -6,16 +6,18 @@ import json
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
-from evaluator import published, remade
-from evaluator.clamped_metrics import SUFFIX
-from evaluator.cost_metrics import GPU_MEMORY
-from evaluator.groups import GroupKey
-from evaluator.price_list import DEFAULT
-from evaluator.published import AtLargest, Variability
-from evaluator.report import numbers, timed, words
-from evaluator.report.page.section import Section, Source
-from evaluator.results import GroupResult, Metric
-from evaluator.soundness import Faults, faults
+from gpusimbench.evaluator.render import numbers
+from gpusimbench.evaluator.report import timed, words
+from gpusimbench.evaluator.report.page.section import Section, Source
+from gpusimbench.evaluator.results import paper_tables as remade
+from gpusimbench.evaluator.results import published
+from gpusimbench.evaluator.results.clamped_metrics import SUFFIX
+from gpusimbench.evaluator.results.cost_metrics import GPU_MEMORY
+from gpusimbench.evaluator.results.determinism_cost import DEFAULT
+from gpusimbench.evaluator.results.faults import Faults, faults
+from gpusimbench.evaluator.results.published import AtLargest, Variability
+from gpusimbench.evaluator.results.result import GroupResult, Metric
+from gpusimbench.evaluator.runs.groups import GroupKey
 
 _SPEED = {"free-fall": 1e4, "franka": 1e6}
 _EXPONENT = {"free-fall": 4, "franka": 6}

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from evaluator.report.page.section import Section, Source
-from evaluator.report.scaling import scene_sweeps
+from gpusimbench.evaluator.report.page.section import Section, Source
+from gpusimbench.evaluator.report.scaling import scene_sweeps
 
 
 def section(source: Source) -> Section:

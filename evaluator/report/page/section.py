@@ -7,10 +7,10 @@ from dataclasses import dataclass, fields, is_dataclass
 from functools import cached_property
 from typing import Any
 
-from evaluator.player.playback import Playback
-from evaluator.report.page.picture import Picture
-from evaluator.results import Evaluation, GroupResult
-from evaluator.sweeps import swept_only
+from gpusimbench.evaluator.player.playback import Playback
+from gpusimbench.evaluator.report.page.picture import Picture
+from gpusimbench.evaluator.results.result import Evaluation, GroupResult
+from gpusimbench.evaluator.results.sweeps import swept_only
 
 
 @dataclass(frozen=True)
@@ -75,5 +75,5 @@ def _found(values: Iterable[Any]) -> Iterator[Picture]:
             yield from _found(value.values())
         elif isinstance(value, list | tuple):
             yield from _found(value)
-        elif is_dataclass(value) and type(value).__module__.startswith("evaluator.report."):
+        elif is_dataclass(value) and type(value).__module__.startswith("gpusimbench.evaluator.report."):
             yield from _found(getattr(value, field.name) for field in fields(value))

@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-from evaluator.claims import Tally, identical, tally
-from evaluator.fidelity import Verdict
-from evaluator.groups import is_instrument, shown_status
-from evaluator.report import timed
-from evaluator.report.page.section import Section, Source
-from evaluator.results import Evaluation, GroupResult
-from evaluator.soundness import faults_anywhere
-from evaluator.timed_work import most_common, window_key
+from gpusimbench.evaluator.report import timed
+from gpusimbench.evaluator.report.page.section import Section, Source
+from gpusimbench.evaluator.results.claims import Tally, identical, tally
+from gpusimbench.evaluator.results.faults import faults_anywhere
+from gpusimbench.evaluator.results.fidelity import Verdict
+from gpusimbench.evaluator.results.result import Evaluation, GroupResult
+from gpusimbench.evaluator.results.timed_work import most_common, window_key
+from gpusimbench.evaluator.runs.groups import is_instrument, shown_status
 
 
 @dataclass(frozen=True)

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from evaluator.report import timed
-from evaluator.report.page.section import Section, Source
+from gpusimbench.evaluator.report import timed
+from gpusimbench.evaluator.report.page.section import Section, Source
 
 
 def section(source: Source) -> Section:

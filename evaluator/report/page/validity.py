@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from evaluator.report.page.section import Section, Source
+from gpusimbench.evaluator.report.page.section import Section, Source
 
 
 def section(source: Source) -> Section:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from evaluator.metrics.regime import REGIME_MEANING
-from evaluator.report.page.section import Section, Source
+from gpusimbench.evaluator.metrics.regime import REGIME_MEANING
+from gpusimbench.evaluator.report.page.section import Section, Source
 
 
 def section(source: Source) -> Section:

@@ -5,16 +5,16 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
-from evaluator.report.figures.matrix import hatch
-from evaluator.report.figures.style import standalone
-from evaluator.report.html import sections_of
-from evaluator.report.page.picture import Picture
-from evaluator.report.page.section import Source
-from evaluator.report.paper import latex
-from evaluator.report.paper.pdf import to_pdf
-from evaluator.report.text import printable
-from evaluator.results import Evaluation
-from schemas.writing import write_files
+from gpusimbench.evaluator.render.figures.matrix import hatch
+from gpusimbench.evaluator.render.figures.style import standalone
+from gpusimbench.evaluator.render.text import printable
+from gpusimbench.evaluator.report.html import sections_of
+from gpusimbench.evaluator.report.page.picture import Picture
+from gpusimbench.evaluator.report.page.section import Source
+from gpusimbench.evaluator.report.paper import latex
+from gpusimbench.evaluator.report.paper.pdf import to_pdf
+from gpusimbench.evaluator.results.result import Evaluation
+from gpusimbench.schemas.writing import write_files
 
 INDEX = "figures.tex"
 

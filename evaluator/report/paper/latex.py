@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from evaluator.report.text import printable
+from gpusimbench.evaluator.render.text import printable
 
 _SPECIAL = {
     "\\": r"\textbackslash{}", "{": r"\{", "}": r"\}", "$": r"\$", "&": r"\&", "#": r"\#", "%": r"\%", "_": r"\_",

@@ -15,8 +15,8 @@ from collections.abc import Iterator, Mapping
 from importlib import import_module
 from typing import Any
 
-from evaluator.report.figures import palette
-from schemas.errors import UsageError
+from gpusimbench.evaluator.render.figures import palette
+from gpusimbench.schemas.errors import UsageError
 
 _POINTS_PER_PIXEL = 0.75
 _FONT, _FONT_FILE = "Vera", "Vera.ttf"

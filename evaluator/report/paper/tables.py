@@ -4,20 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 
-from evaluator.clamped_metrics import SUFFIX
-from evaluator.price_list import Family
-from evaluator.published import SCALING, SOURCE, VARIABILITY, AtLargest
-from evaluator.remade import AtMax, Capability, capability
-from evaluator.report import accumulation, fidelity, timed, words
-from evaluator.report.numbers import NONE, interval, mean_sd
-from evaluator.report.page.picture import file_name
-from evaluator.report.page.section import Source
-from evaluator.report.paper.text_table import WRITERS, Format, TextTable
-from evaluator.report.price_table import family_name, ratio
-from evaluator.report.sweep_tables import point_cells
-from evaluator.results import Evaluation, GroupResult, Metric
-from evaluator.soundness import faults
-from evaluator.sweeps import Sweep
+from gpusimbench.evaluator.render.numbers import NONE, interval, mean_sd
+from gpusimbench.evaluator.report import accumulation, fidelity, timed, words
+from gpusimbench.evaluator.report.page.picture import file_name
+from gpusimbench.evaluator.report.page.section import Source
+from gpusimbench.evaluator.report.paper.text_table import WRITERS, Format, TextTable
+from gpusimbench.evaluator.report.price_table import family_name, ratio
+from gpusimbench.evaluator.report.sweep_tables import point_cells
+from gpusimbench.evaluator.results.clamped_metrics import SUFFIX
+from gpusimbench.evaluator.results.determinism_cost import Family
+from gpusimbench.evaluator.results.faults import faults
+from gpusimbench.evaluator.results.paper_tables import AtMax, Capability, capability
+from gpusimbench.evaluator.results.published import SCALING, SOURCE, VARIABILITY, AtLargest
+from gpusimbench.evaluator.results.result import Evaluation, GroupResult, Metric
+from gpusimbench.evaluator.results.sweeps import Sweep
 
 _TIMED = tuple(column.title for column in timed.ALL)
 

@@ -7,7 +7,7 @@ import pytest
 from ballistic.adapter import Ballistic, Options
 from ballistic.scenes import EDGE, dice_drop
 
-from recorder.conformance import CHECKS, NotApplicable, Subject
+from gpusimbench.recorder.conformance import CHECKS, NotApplicable, Subject
 
 
 @pytest.fixture(scope="session")

@@ -4,19 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from recorder.conformance.checks.actions import actions_are_those_drawn
-from recorder.conformance.checks.agreement import (
+from gpusimbench.recorder.conformance.checks.actions import actions_are_those_drawn
+from gpusimbench.recorder.conformance.checks.agreement import (
     blocks_ahead_are_the_same,
     captured_states_stay,
     step_and_states_agree,
 )
-from recorder.conformance.checks.description import (
+from gpusimbench.recorder.conformance.checks.description import (
     buffers_are_measured,
     class_keeps_the_contract,
     layout_is_as_the_format_asks,
     says_what_it_is,
 )
-from recorder.conformance.checks.evidence import (
+from gpusimbench.recorder.conformance.checks.evidence import (
     buffers_are_larger_than_what_they_held,
     contacts_change_when_a_pebble_lands,
     contacts_hold_up_the_stack,
@@ -25,8 +25,8 @@ from recorder.conformance.checks.evidence import (
     gates_stay_silent,
     overflow_stays_silent,
 )
-from recorder.conformance.checks.importing import importing_needs_no_engine
-from recorder.conformance.checks.motion import (
+from gpusimbench.recorder.conformance.checks.importing import importing_needs_no_engine
+from gpusimbench.recorder.conformance.checks.motion import (
     angular_velocity_is_in_the_world_frame,
     ball_rolls_down_the_slope,
     free_flight_follows_gravity,
@@ -35,18 +35,18 @@ from recorder.conformance.checks.motion import (
     states_are_finite,
     turns_counter_clockwise,
 )
-from recorder.conformance.checks.recorded import (
+from gpusimbench.recorder.conformance.checks.recorded import (
     recording_says_what_it_is_of,
     run_is_recorded_whole,
     timed_steps_lead_where_captured_ones_do,
 )
-from recorder.conformance.checks.start import (
+from gpusimbench.recorder.conformance.checks.start import (
     compile_moves_nothing,
     envs_start_alike,
     first_state_is_the_scenes,
     registered_scenes_start_as_described,
 )
-from recorder.conformance.subject import Subject
+from gpusimbench.recorder.conformance.subject import Subject
 
 Check = Callable[[Subject], None]
 """Returns where all is well; AssertionError says what was expected and found, NotApplicable why it cannot be asked."""

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from recorder.conformance.subject import SEED, Subject
-from recorder.conformance.verdict import NotApplicable, expect
-from recorder.scenes.registry import make_scene
-from schemas.errors import UsageError
+from gpusimbench.recorder.conformance.subject import SEED, Subject
+from gpusimbench.recorder.conformance.verdict import NotApplicable, expect
+from gpusimbench.recorder.scenes.registry import make_scene
+from gpusimbench.schemas.errors import UsageError
 
 _SCENE = "franka"
 _BLOCKS = (3, 2)

@@ -7,10 +7,10 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from recorder.conformance.scene import N_STEP
-from recorder.conformance.subject import Subject
-from recorder.conformance.verdict import NotApplicable, fail
-from recorder.simulators.base import Description, Evidence, Simulator, States
+from gpusimbench.recorder.conformance.scene import N_STEP
+from gpusimbench.recorder.conformance.subject import Subject
+from gpusimbench.recorder.conformance.verdict import NotApplicable, fail
+from gpusimbench.recorder.simulators.base import Description, Evidence, Simulator, States
 
 
 def step_and_states_agree(subject: Subject) -> None:

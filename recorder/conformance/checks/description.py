@@ -5,11 +5,11 @@ from __future__ import annotations
 import dataclasses
 import json
 
-from recorder.conformance.subject import Subject
-from recorder.conformance.verdict import expect
-from recorder.scenes.base import Scene
-from recorder.simulators.base import Description, States
-from schemas.fields import DTYPES, FIELD_KINDS
+from gpusimbench.recorder.conformance.subject import Subject
+from gpusimbench.recorder.conformance.verdict import expect
+from gpusimbench.recorder.scenes.base import Scene
+from gpusimbench.recorder.simulators.base import Description, States
+from gpusimbench.schemas.fields import DTYPES, FIELD_KINDS
 
 _JOINT_FIELDS = ("qpos", "qvel")
 _PER = ("env", "all")

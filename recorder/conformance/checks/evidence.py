@@ -6,13 +6,13 @@ import re
 
 import numpy as np
 
-from recorder.conformance.checks.agreement import expect_repeatable, stepped_differently
-from recorder.conformance.scene import LANDING
-from recorder.conformance.subject import Subject
-from recorder.conformance.verdict import NotApplicable, expect, fail
-from recorder.simulators.base import Description
-from recorder.simulators.counters import CONTACTS
-from recorder.simulators.evidence import Evidence
+from gpusimbench.recorder.conformance.checks.agreement import expect_repeatable, stepped_differently
+from gpusimbench.recorder.conformance.scene import LANDING
+from gpusimbench.recorder.conformance.subject import Subject
+from gpusimbench.recorder.conformance.verdict import NotApplicable, expect, fail
+from gpusimbench.recorder.simulators.base import Description
+from gpusimbench.recorder.simulators.counters import CONTACTS
+from gpusimbench.recorder.simulators.evidence import Evidence
 
 _NAME = re.compile(r"[a-z0-9_]+")  # it becomes part of a topic
 _BITS = 32

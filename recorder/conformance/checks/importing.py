@@ -7,8 +7,8 @@ import os
 import subprocess
 import sys
 
-from recorder.conformance.subject import Subject
-from recorder.conformance.verdict import NotApplicable, expect
+from gpusimbench.recorder.conformance.subject import Subject
+from gpusimbench.recorder.conformance.verdict import NotApplicable, expect
 
 _DEVICE_LIBRARIES = ("cupy", "genesis", "jax", "jaxlib", "mujoco", "newton", "sapien", "taichi", "torch", "warp")
 """Import names of libraries that engines compute with; whatever the registry says of an adapter is added."""

@@ -6,12 +6,12 @@ import math
 
 import numpy as np
 
-from recorder.conformance.rotation import turn_between
-from recorder.conformance.scene import BALL, DT, LOWER, MARBLE, N_STEP, STONE, UPPER
-from recorder.conformance.subject import Subject
-from recorder.conformance.verdict import expect, expect_close
-from recorder.scenes.base import Sphere
-from recorder.scenes.inclined_collision import SLOPE_ANGLE
+from gpusimbench.recorder.conformance.rotation import turn_between
+from gpusimbench.recorder.conformance.scene import BALL, DT, LOWER, MARBLE, N_STEP, STONE, UPPER
+from gpusimbench.recorder.conformance.subject import Subject
+from gpusimbench.recorder.conformance.verdict import expect, expect_close
+from gpusimbench.recorder.scenes.base import Sphere
+from gpusimbench.recorder.scenes.inclined_collision import SLOPE_ANGLE
 
 _FLIERS = (STONE, MARBLE)
 _CUBES = (LOWER, UPPER)

@@ -6,15 +6,15 @@ import hashlib
 
 import numpy as np
 
-from recorder.conformance.checks.agreement import expect_repeatable
-from recorder.conformance.recording import RecordedRun
-from recorder.conformance.subject import Subject
-from recorder.conformance.verdict import NotApplicable, expect, fail
-from recorder.scenes.registry import make_scene
-from schemas import topics
-from schemas.blocks import decode_fingerprints, decode_state
-from schemas.messages import enum_values
-from schemas.provenance import PROVENANCE, SCENE, SIMULATION, Provenance, Simulation
+from gpusimbench.recorder.conformance.checks.agreement import expect_repeatable
+from gpusimbench.recorder.conformance.recording import RecordedRun
+from gpusimbench.recorder.conformance.subject import Subject
+from gpusimbench.recorder.conformance.verdict import NotApplicable, expect, fail
+from gpusimbench.recorder.scenes.registry import make_scene
+from gpusimbench.schemas import topics
+from gpusimbench.schemas.blocks import decode_fingerprints, decode_state
+from gpusimbench.schemas.messages import enum_values
+from gpusimbench.schemas.provenance import PROVENANCE, SCENE, SIMULATION, Provenance, Simulation
 
 _PHASES = ("baseline", "init", "warmup", "timed", "capture")
 _CLOCKED = ("build", "compile_timed", "warmup", "timed", "compile_capture")

@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from recorder.conformance.checks.description import expect_layout
-from recorder.conformance.subject import Subject
-from recorder.conformance.verdict import NotApplicable, expect, expect_close
-from recorder.scenes.base import Scene
-from recorder.scenes.registry import make_scene
-from recorder.simulators.base import Description, States
-from schemas.errors import UsageError
-from schemas.fields import StateField
+from gpusimbench.recorder.conformance.checks.description import expect_layout
+from gpusimbench.recorder.conformance.subject import Subject
+from gpusimbench.recorder.conformance.verdict import NotApplicable, expect, expect_close
+from gpusimbench.recorder.scenes.base import Scene
+from gpusimbench.recorder.scenes.registry import make_scene
+from gpusimbench.recorder.simulators.base import Description, States
+from gpusimbench.schemas.errors import UsageError
+from gpusimbench.schemas.fields import StateField
 
 _TOLERANCE = 2e-6  # absolute and relative: a few roundings of float32
 _ENVS = 2

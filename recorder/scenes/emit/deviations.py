@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from recorder.scenes.articulation import Robot
-from schemas.provenance import Deviation
+from gpusimbench.recorder.scenes.articulation import Robot
+from gpusimbench.schemas.provenance import Deviation
 
 
 def unlimited_speed(robot: Robot, why: str) -> Deviation:

@@ -5,10 +5,10 @@ from __future__ import annotations
 import xml.etree.ElementTree as ET
 from collections.abc import Iterable, Mapping
 
-from recorder.scenes.articulation import Robot
-from recorder.scenes.base import IDENTITY, Body, Box, Capsule, Plane, Scene, Shape, Sphere
-from recorder.scenes.emit.deviations import unlimited_speed
-from schemas.provenance import Deviation
+from gpusimbench.recorder.scenes.articulation import Robot
+from gpusimbench.recorder.scenes.base import IDENTITY, Body, Box, Capsule, Plane, Scene, Shape, Sphere
+from gpusimbench.recorder.scenes.emit.deviations import unlimited_speed
+from gpusimbench.schemas.provenance import Deviation
 
 _TORSIONAL = 0.005  # [m], MuJoCo's default; without effect at condim 3
 _ROLLING = 0.0001  # [m], MuJoCo's default; without effect below condim 6

@@ -21,8 +21,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from recorder.scenes.articulation import Inertial, Link, Robot
-from recorder.scenes.base import (
+from gpusimbench.recorder.scenes.articulation import Inertial, Link, Robot
+from gpusimbench.recorder.scenes.base import (
     IDENTITY,
     Body,
     Box,

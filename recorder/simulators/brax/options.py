@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from recorder.scenes.base import Scene
-from recorder.simulators.jax.runtime import JaxOptions
-from recorder.simulators.mujoco.options import one_of
-from schemas.provenance import Deviation
+from gpusimbench.recorder.scenes.base import Scene
+from gpusimbench.recorder.simulators.jax.runtime import JaxOptions
+from gpusimbench.recorder.simulators.mujoco.options import one_of
+from gpusimbench.schemas.provenance import Deviation
 
 SOLVERS = ("positional", "spring", "generalized")
 

@@ -11,15 +11,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from recorder.simulators.base import Description, States
-from recorder.simulators.brax.options import BraxOptions, deviations
-from recorder.simulators.counters import CANDIDATE_PAIRS, CONTACTS
-from recorder.simulators.jax import runtime as jax_runtime
-from recorder.simulators.jax.block import OVERFLOW
-from recorder.simulators.jax.simulator import JaxSimulator, Physics
-from recorder.simulators.mujoco.options import MjcfOptions
-from schemas.errors import UsageError
-from schemas.fields import BODY_FIELDS, StateField, body_fields
+from gpusimbench.recorder.simulators.base import Description, States
+from gpusimbench.recorder.simulators.brax.options import BraxOptions, deviations
+from gpusimbench.recorder.simulators.counters import CANDIDATE_PAIRS, CONTACTS
+from gpusimbench.recorder.simulators.jax import runtime as jax_runtime
+from gpusimbench.recorder.simulators.jax.block import OVERFLOW
+from gpusimbench.recorder.simulators.jax.simulator import JaxSimulator, Physics
+from gpusimbench.recorder.simulators.mujoco.options import MjcfOptions
+from gpusimbench.schemas.errors import UsageError
+from gpusimbench.schemas.fields import BODY_FIELDS, StateField, body_fields
 
 
 class Brax(JaxSimulator):
@@ -83,7 +83,7 @@ class Brax(JaxSimulator):
         from brax import contact
         from mujoco.mjx._src import collision_driver
 
-        from recorder.simulators.mjx.caps import Certificate
+        from gpusimbench.recorder.simulators.mjx.caps import Certificate
 
         certificate = Certificate(compiled.model, caps)
         dim = collision_driver.make_condim(compiled.model)
@@ -151,15 +151,15 @@ def _short(number: Any) -> float:
 
 
 def _bits() -> Any:
-    from recorder.simulators.mjx.caps import BITS
+    from gpusimbench.recorder.simulators.mjx.caps import BITS
 
     return BITS
 
 
 def _compile(simulator: Brax, options: BraxOptions) -> tuple[Any, Any]:
     """The scene's model as Brax takes it, with MJX's limits in it, and these limits."""
-    from recorder.simulators.mjx import caps as mjx_caps
-    from recorder.simulators.mujoco.model import compile_scene
+    from gpusimbench.recorder.simulators.mjx import caps as mjx_caps
+    from gpusimbench.recorder.simulators.mujoco.model import compile_scene
 
     # all that Brax accepts; of MuJoCo's solver options it reads only the iterations, and those in generalized alone
     physics = MjcfOptions(integrator="Euler", cone="pyramidal", iterations=options.solver_iterations)

@@ -8,7 +8,7 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-from recorder.simulators.calibration.options import BY_ENV, BY_RUN, DIGITS, CalibrationOptions
+from gpusimbench.recorder.simulators.calibration.options import BY_ENV, BY_RUN, DIGITS, CalibrationOptions
 
 
 def entropy_of(options: CalibrationOptions) -> str:

@@ -7,7 +7,7 @@ and `a = a + b` is written out where `a += b` would be an atomic addition.
 import taichi as ti
 import taichi.math as tm
 
-from recorder.simulators.calibration.model import DAMPING, GRIP, RATE
+from gpusimbench.recorder.simulators.calibration.model import DAMPING, GRIP, RATE
 
 Vectors = ti.types.ndarray(dtype=tm.vec3, ndim=2)  # [env, body]
 Rows = ti.types.ndarray(dtype=tm.vec3, ndim=3)  # [row, env, body]

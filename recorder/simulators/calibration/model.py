@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from recorder.scenes.base import Body, Box, Plane, Quaternion, Scene, Sphere
-from schemas.errors import UsageError
-from schemas.provenance import Deviation
+from gpusimbench.recorder.scenes.base import Body, Box, Plane, Quaternion, Scene, Sphere
+from gpusimbench.schemas.errors import UsageError
+from gpusimbench.schemas.provenance import Deviation
 
 RATE = 300.0
 """Of the springs of contacts: square root of stiffness over reduced mass [1/s]."""

@@ -13,15 +13,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from recorder.probes.gpu import Gpus
-from recorder.simulators.base import Description, Simulator, States
-from recorder.simulators.calibration.chance import entropy_of
-from recorder.simulators.calibration.model import deviations
-from recorder.simulators.calibration.options import BY_RUN, CalibrationOptions
-from recorder.simulators.counters import CONTACTS
-from recorder.simulators.evidence import Evidence
-from schemas.errors import UsageError
-from schemas.fields import body_field
+from gpusimbench.recorder.probes.gpu import Gpus
+from gpusimbench.recorder.simulators.base import Description, Simulator, States
+from gpusimbench.recorder.simulators.calibration.chance import entropy_of
+from gpusimbench.recorder.simulators.calibration.model import deviations
+from gpusimbench.recorder.simulators.calibration.options import BY_RUN, CalibrationOptions
+from gpusimbench.recorder.simulators.counters import CONTACTS
+from gpusimbench.recorder.simulators.evidence import Evidence
+from gpusimbench.schemas.errors import UsageError
+from gpusimbench.schemas.fields import body_field
 
 _FIELDS = ("position", "linear_velocity", "angular_velocity")
 _ENTROPY = "entropy.txt"
@@ -45,7 +45,7 @@ class Calibration(Simulator):
         device = _start(options.device)
         import taichi as ti
 
-        from recorder.simulators.calibration.world import World
+        from gpusimbench.recorder.simulators.calibration.world import World
 
         entropy = entropy_of(options)
         self._world = World(self.scene, n_env=self.n_env, dt=self.dt, options=options, entropy=entropy)

@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from recorder.scenes.base import Scene
-from recorder.simulators.calibration.chance import orders, places, shares
-from recorder.simulators.calibration.model import LONGEST_STEP, model_of
-from recorder.simulators.calibration.options import CalibrationOptions
+from gpusimbench.recorder.scenes.base import Scene
+from gpusimbench.recorder.simulators.calibration.chance import orders, places, shares
+from gpusimbench.recorder.simulators.calibration.model import LONGEST_STEP, model_of
+from gpusimbench.recorder.simulators.calibration.options import CalibrationOptions
 
 _RING_ROWS = 50
 _RING_BYTES = 256 << 20
@@ -23,7 +23,7 @@ class World:
     def __init__(self, scene: Scene, *, n_env: int, dt: float, options: CalibrationOptions, entropy: str) -> None:
         import taichi as ti
 
-        from recorder.simulators.calibration import kernels
+        from gpusimbench.recorder.simulators.calibration import kernels
 
         model = model_of(scene)
         n_body = len(model.start)

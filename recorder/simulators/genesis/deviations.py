@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from recorder.scenes.base import Scene
-from recorder.scenes.emit.deviations import unlimited_speed
-from recorder.simulators.genesis.options import GenesisOptions
-from schemas.provenance import Deviation
+from gpusimbench.recorder.scenes.base import Scene
+from gpusimbench.recorder.scenes.emit.deviations import unlimited_speed
+from gpusimbench.recorder.simulators.genesis.options import GenesisOptions
+from gpusimbench.schemas.provenance import Deviation
 
 
 def deviations(scene: Scene, options: GenesisOptions) -> tuple[Deviation, ...]:

@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from recorder.scenes.base import Body, Box, Capsule, Plane, Scene, Shape, Sphere
-from recorder.scenes.emit.mjcf import emit_mjcf
-from recorder.simulators.genesis.options import GenesisOptions
-from recorder.simulators.genesis.sizes import Sizes
-from recorder.simulators.mujoco.model import rotate_to_body
-from schemas.errors import UsageError
+from gpusimbench.recorder.scenes.base import Body, Box, Capsule, Plane, Scene, Shape, Sphere
+from gpusimbench.recorder.scenes.emit.mjcf import emit_mjcf
+from gpusimbench.recorder.simulators.genesis.options import GenesisOptions
+from gpusimbench.recorder.simulators.genesis.sizes import Sizes
+from gpusimbench.recorder.simulators.mujoco.model import rotate_to_body
+from gpusimbench.schemas.errors import UsageError
 
 
 @dataclass(frozen=True)

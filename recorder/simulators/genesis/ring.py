@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from recorder.simulators.evidence import Evidence
-from recorder.simulators.genesis.model import Model
-from recorder.simulators.genesis.watch import COUNTERS, Watch
+from gpusimbench.recorder.simulators.evidence import Evidence
+from gpusimbench.recorder.simulators.genesis.model import Model
+from gpusimbench.recorder.simulators.genesis.watch import COUNTERS, Watch
 
 _LINK = 13  # position 3, orientation wxyz 4, linear velocity 3, angular velocity 3
 _HINGE = 2  # angle, speed

@@ -6,8 +6,8 @@ import gc
 import sys
 from typing import Any
 
-from recorder.simulators.genesis.options import GenesisOptions
-from schemas.errors import GsbError, UsageError
+from gpusimbench.recorder.simulators.genesis.options import GenesisOptions
+from gpusimbench.schemas.errors import GsbError, UsageError
 
 _SEEDS = 1 << 31  # NumPy and Quadrants take 32-bit seeds, the latter signed
 

@@ -14,13 +14,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from recorder.failure import Refused
-from recorder.simulators.base import Description, Simulator, States
-from recorder.simulators.evidence import Evidence
-from recorder.simulators.genesis import runtime
-from recorder.simulators.genesis.deviations import deviations
-from recorder.simulators.genesis.options import GenesisOptions
-from schemas.fields import StateField, body_fields, joint_field
+from gpusimbench.recorder.failure import Refused
+from gpusimbench.recorder.simulators.base import Description, Simulator, States
+from gpusimbench.recorder.simulators.evidence import Evidence
+from gpusimbench.recorder.simulators.genesis import runtime
+from gpusimbench.recorder.simulators.genesis.deviations import deviations
+from gpusimbench.recorder.simulators.genesis.options import GenesisOptions
+from gpusimbench.schemas.fields import StateField, body_fields, joint_field
 
 _RING_ROWS = 50
 _RING_BYTES = 512 << 20
@@ -54,10 +54,10 @@ class Genesis(Simulator):
         """See Simulator.build."""
         options: GenesisOptions = self.options
         genesis = self._genesis = runtime.start(options, deterministic=_LEVELS[self.determinism], seed=self.seed)
-        from recorder.simulators.genesis.model import build_model
-        from recorder.simulators.genesis.ring import Ring
-        from recorder.simulators.genesis.sizes import choose_sizes
-        from recorder.simulators.genesis.watch import COUNTERS, Watch, buffers
+        from gpusimbench.recorder.simulators.genesis.model import build_model
+        from gpusimbench.recorder.simulators.genesis.ring import Ring
+        from gpusimbench.recorder.simulators.genesis.sizes import choose_sizes
+        from gpusimbench.recorder.simulators.genesis.watch import COUNTERS, Watch, buffers
 
         sizes = choose_sizes(self.scene, dt=self.dt, seed=self.seed, options=options)
         with self._refusals():
@@ -138,7 +138,7 @@ class Genesis(Simulator):
         runtime.synchronise(self._genesis)
 
     def _make_ring(self) -> Any:
-        from recorder.simulators.genesis.ring import Ring
+        from gpusimbench.recorder.simulators.genesis.ring import Ring
 
         if self._ring is None:
             rows = max(1, min(_RING_ROWS, _RING_BYTES // Ring.row_bytes(self._model)))

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from recorder.scenes.base import Scene
-from recorder.simulators.buffer_sizes import measure
-from recorder.simulators.genesis.options import GenesisOptions
-from recorder.simulators.mujoco.model import compile_scene
-from recorder.simulators.mujoco.options import MjcfOptions
+from gpusimbench.recorder.scenes.base import Scene
+from gpusimbench.recorder.simulators.buffer_sizes import measure
+from gpusimbench.recorder.simulators.genesis.options import GenesisOptions
+from gpusimbench.recorder.simulators.mujoco.model import compile_scene
+from gpusimbench.recorder.simulators.mujoco.options import MjcfOptions
 
 _MARGIN = 2.0  # over MuJoCo's contact points: Genesis has most while bodies that just touch settle into each other
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from recorder.simulators.counters import CONSTRAINT_ROWS, CONTACTS
-from recorder.simulators.genesis.sizes import Sizes
-from schemas.provenance import Buffer, Counter, OverflowBit
+from gpusimbench.recorder.simulators.counters import CONSTRAINT_ROWS, CONTACTS
+from gpusimbench.recorder.simulators.genesis.sizes import Sizes
+from gpusimbench.schemas.provenance import Buffer, Counter, OverflowBit
 
 BROAD_PAIRS = Counter("broad_phase_pairs", "pairs of shapes that the broad phase let through")
 

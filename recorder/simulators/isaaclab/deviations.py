@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from recorder.scenes.base import Scene
-from recorder.simulators.isaaclab.options import IsaacLabOptions
-from recorder.simulators.isaaclab.scene import BODY_LIMITS
-from recorder.simulators.physx.deviations import patch_friction
-from schemas.provenance import Deviation
+from gpusimbench.recorder.scenes.base import Scene
+from gpusimbench.recorder.simulators.isaaclab.options import IsaacLabOptions
+from gpusimbench.recorder.simulators.isaaclab.scene import BODY_LIMITS
+from gpusimbench.recorder.simulators.physx.deviations import patch_friction
+from gpusimbench.schemas.provenance import Deviation
 
 
 def deviations(scene: Scene, options: IsaacLabOptions) -> tuple[Deviation, ...]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from importlib.util import find_spec
 
-from schemas.errors import UsageError
+from gpusimbench.schemas.errors import UsageError
 
 
 def start() -> None:

@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from recorder.scenes.base import Scene
-from recorder.simulators.counters import CONSTRAINT_ROWS, CONTACTS, SOLVER_ITERATIONS
-from recorder.simulators.evidence import Evidence
-from recorder.simulators.isaaclab.options import IsaacLabOptions
-from schemas.provenance import Buffer, Counter, OverflowBit
+from gpusimbench.recorder.scenes.base import Scene
+from gpusimbench.recorder.simulators.counters import CONSTRAINT_ROWS, CONTACTS, SOLVER_ITERATIONS
+from gpusimbench.recorder.simulators.evidence import Evidence
+from gpusimbench.recorder.simulators.isaaclab.options import IsaacLabOptions
+from gpusimbench.schemas.provenance import Buffer, Counter, OverflowBit
 
 if TYPE_CHECKING:
-    from recorder.simulators.buffer_sizes import Need
+    from gpusimbench.recorder.simulators.buffer_sizes import Need
 
 MODES = {"default": "not_guaranteed", "run-to-run": "run_to_run", "gpu-to-gpu": "gpu_to_gpu"}
 """Isaac Lab's deterministic_mode by determinism level."""
@@ -89,7 +89,7 @@ class Newton:
     def _launch(self, kernel: str, dim: int, *inputs: Any) -> None:
         import warp as wp
 
-        from recorder.simulators.newton import kernels
+        from gpusimbench.recorder.simulators.newton import kernels
 
         wp.launch(getattr(kernels, kernel), dim=dim, inputs=list(inputs))
 
@@ -165,9 +165,9 @@ def _buffer(name: str, given: int, counter: Counter, wanted: int, by: str) -> Bu
 
 
 def _measure(scene: Scene, *, dt: float, seed: int, options: IsaacLabOptions) -> Need:
-    from recorder.simulators.buffer_sizes import measure
-    from recorder.simulators.mujoco.model import compile_scene
-    from recorder.simulators.mujoco.options import MjcfOptions
+    from gpusimbench.recorder.simulators.buffer_sizes import measure
+    from gpusimbench.recorder.simulators.mujoco.model import compile_scene
+    from gpusimbench.recorder.simulators.mujoco.options import MjcfOptions
 
     compiled = compile_scene(scene, dt=dt, options=MjcfOptions(cone=options.cone))
     compiled.model.geom_gap[:] = options.contact_offset - options.rest_offset  # as Newton reads them

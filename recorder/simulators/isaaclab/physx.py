@@ -6,15 +6,15 @@ from dataclasses import replace
 from importlib import metadata
 from typing import TYPE_CHECKING, Any
 
-from recorder.scenes.base import Scene
-from recorder.simulators.engine_log import EngineLog
-from recorder.simulators.evidence import Evidence
-from recorder.simulators.isaaclab.options import GPU_SIZES, IsaacLabOptions
-from recorder.simulators.isaaclab.scene import BODY_LIMITS
-from schemas.provenance import Buffer, Counter, OverflowBit
+from gpusimbench.recorder.scenes.base import Scene
+from gpusimbench.recorder.simulators.engine_log import EngineLog
+from gpusimbench.recorder.simulators.evidence import Evidence
+from gpusimbench.recorder.simulators.isaaclab.options import GPU_SIZES, IsaacLabOptions
+from gpusimbench.recorder.simulators.isaaclab.scene import BODY_LIMITS
+from gpusimbench.schemas.provenance import Buffer, Counter, OverflowBit
 
 if TYPE_CHECKING:
-    from recorder.simulators.buffer_sizes import Need
+    from gpusimbench.recorder.simulators.buffer_sizes import Need
 
 _LOST = (
     r"buffer overflow detected", r"will miss interactions", r"[Cc]ontacts have been dropped",
@@ -126,9 +126,9 @@ class Physx:
 
 
 def _measure(scene: Scene, *, dt: float, seed: int, options: IsaacLabOptions) -> Need:
-    from recorder.simulators.buffer_sizes import measure
-    from recorder.simulators.mujoco.model import compile_scene
-    from recorder.simulators.mujoco.options import MjcfOptions
+    from gpusimbench.recorder.simulators.buffer_sizes import measure
+    from gpusimbench.recorder.simulators.mujoco.model import compile_scene
+    from gpusimbench.recorder.simulators.mujoco.options import MjcfOptions
 
     compiled = compile_scene(scene, dt=dt, options=MjcfOptions())
     compiled.model.geom_gap[:] = options.contact_offset  # of each shape of a pair

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
-from recorder.scenes.base import IDENTITY, Body, Box, Capsule, Plane, Quaternion, Scene, Sphere
-from recorder.scenes.emit.usd import identifiers
-from recorder.simulators.isaaclab.options import IsaacLabOptions
-from schemas.errors import UsageError
+from gpusimbench.recorder.scenes.base import IDENTITY, Body, Box, Capsule, Plane, Quaternion, Scene, Sphere
+from gpusimbench.recorder.scenes.emit.usd import identifiers
+from gpusimbench.recorder.simulators.isaaclab.options import IsaacLabOptions
+from gpusimbench.schemas.errors import UsageError
 
 _AMBIGUOUS = (6, 7)
 """Numbers of bodies for which Isaac Lab 3.0 takes a binding of velocities (6 numbers a body) or of poses (7) for one

@@ -14,13 +14,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from recorder.failure import Refused, cause_of
-from recorder.simulators.base import Description, Simulator, States
-from recorder.simulators.evidence import Evidence
-from recorder.simulators.isaaclab.options import IsaacLabOptions
-from recorder.simulators.warp import runtime as warp_runtime
-from schemas.errors import UsageError
-from schemas.fields import StateField, body_fields
+from gpusimbench.recorder.failure import Refused, cause_of
+from gpusimbench.recorder.simulators.base import Description, Simulator, States
+from gpusimbench.recorder.simulators.evidence import Evidence
+from gpusimbench.recorder.simulators.isaaclab.options import IsaacLabOptions
+from gpusimbench.recorder.simulators.warp import runtime as warp_runtime
+from gpusimbench.schemas.errors import UsageError
+from gpusimbench.schemas.fields import StateField, body_fields
 
 _OLDEST = 3  # before it, quaternions were wxyz, and nothing ran without Isaac Sim
 _ROWS = 50
@@ -63,12 +63,12 @@ class IsaacLab(Simulator):
         if options.backend == "ovphysx" and find_spec("ovphysx") is None:
             raise UsageError("backend 'ovphysx' of simulator 'isaaclab' needs ovphysx, which is not installed")
         if options.backend == "physx":
-            from recorder.simulators.isaaclab import kit
+            from gpusimbench.recorder.simulators.isaaclab import kit
 
             kit.start()
         self._device = warp_runtime.start(options.device)
         _without_pinned_memory()
-        from recorder.simulators.isaaclab.deviations import deviations
+        from gpusimbench.recorder.simulators.isaaclab.deviations import deviations
 
         self._stepped = True  # what the last step showed has still to be asked for
         self._counted: Evidence | None = None
@@ -116,15 +116,15 @@ class IsaacLab(Simulator):
             "n_env": self.n_env, "dt": self.dt, "seed": self.seed, "options": self.options, "level": self.determinism
         }  # fmt: skip
         if self.options.backend == "newton":
-            from recorder.simulators.isaaclab.newton import Newton
+            from gpusimbench.recorder.simulators.isaaclab.newton import Newton
 
             return Newton(self.scene, **common)
-        from recorder.simulators.isaaclab.physx import Physx
+        from gpusimbench.recorder.simulators.isaaclab.physx import Physx
 
         return Physx(self.scene, gpu=self._device.is_cuda, **common)
 
     def _make_world(self) -> Any:
-        from recorder.simulators.isaaclab.world import World
+        from gpusimbench.recorder.simulators.isaaclab.world import World
 
         try:
             return World(

@@ -7,11 +7,11 @@ import warnings
 from contextlib import ExitStack
 from typing import Any
 
-from recorder.scenes.base import Scene
-from recorder.simulators.isaaclab.newton import Newton
-from recorder.simulators.isaaclab.options import IsaacLabOptions
-from recorder.simulators.isaaclab.physx import Physx
-from recorder.simulators.isaaclab.scene import scene_cfg, xyzw
+from gpusimbench.recorder.scenes.base import Scene
+from gpusimbench.recorder.simulators.isaaclab.newton import Newton
+from gpusimbench.recorder.simulators.isaaclab.options import IsaacLabOptions
+from gpusimbench.recorder.simulators.isaaclab.physx import Physx
+from gpusimbench.recorder.simulators.isaaclab.scene import scene_cfg, xyzw
 
 _WORLD = "/World"
 _ENVIRONMENTS = f"{_WORLD}/envs"

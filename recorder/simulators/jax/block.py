@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from recorder.simulators.captured import Captured, States
-from recorder.simulators.evidence import Evidence
+from gpusimbench.recorder.simulators.captured import Captured, States
+from gpusimbench.recorder.simulators.evidence import Evidence
 
 OVERFLOW = "overflow"
 

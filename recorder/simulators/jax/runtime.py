@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from recorder.simulators.mujoco.options import one_of
-from schemas.errors import UsageError
+from gpusimbench.recorder.simulators.mujoco.options import one_of
+from gpusimbench.schemas.errors import UsageError
 
 DEVICES = ("auto", "cpu", "cuda")
 

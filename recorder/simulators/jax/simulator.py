@@ -14,11 +14,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from recorder.simulators.base import Captured, Description, Simulator, States
-from recorder.simulators.evidence import Evidence
-from recorder.simulators.jax import runtime as jax_runtime
-from recorder.simulators.jax.actions import device_draw
-from recorder.simulators.jax.block import OVERFLOW, JaxBlock, evidence_of
+from gpusimbench.recorder.simulators.base import Captured, Description, Simulator, States
+from gpusimbench.recorder.simulators.evidence import Evidence
+from gpusimbench.recorder.simulators.jax import runtime as jax_runtime
+from gpusimbench.recorder.simulators.jax.actions import device_draw
+from gpusimbench.recorder.simulators.jax.block import OVERFLOW, JaxBlock, evidence_of
 
 _RING_BYTES = 256 << 20
 _RING_STEPS = 50

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from recorder.simulators.madrona.module import breach
-from schemas.errors import UsageError
+from gpusimbench.recorder.simulators.madrona.module import breach
+from gpusimbench.schemas.errors import UsageError
 
 _RING_ROWS = 50
 _RING_BYTES = 256 << 20

@@ -15,11 +15,11 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from recorder.failure import Refused, cause_of
-from recorder.scenes.base import Scene
-from recorder.simulators.madrona.options import VARIABLE, MadronaOptions
-from schemas.errors import UsageError
-from schemas.provenance import Deviation
+from gpusimbench.recorder.failure import Refused, cause_of
+from gpusimbench.recorder.scenes.base import Scene
+from gpusimbench.recorder.simulators.madrona.options import VARIABLE, MadronaOptions
+from gpusimbench.schemas.errors import UsageError
+from gpusimbench.schemas.provenance import Deviation
 
 CONTRACT = "docs/madrona.md"
 REQUIRED_SETTINGS = ("solver", "num_substeps", "delta_t", "gravity", "restitution", "friction_combination")

@@ -10,13 +10,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from recorder.simulators.base import Description, Simulator, States
-from recorder.simulators.counters import CONTACTS
-from recorder.simulators.evidence import Evidence
-from recorder.simulators.madrona.columns import HostColumns, TorchColumns
-from recorder.simulators.madrona.module import SimulatorModule, breach
-from recorder.simulators.madrona.options import MadronaOptions
-from schemas.fields import StateField, body_fields
+from gpusimbench.recorder.simulators.base import Description, Simulator, States
+from gpusimbench.recorder.simulators.counters import CONTACTS
+from gpusimbench.recorder.simulators.evidence import Evidence
+from gpusimbench.recorder.simulators.madrona.columns import HostColumns, TorchColumns
+from gpusimbench.recorder.simulators.madrona.module import SimulatorModule, breach
+from gpusimbench.recorder.simulators.madrona.options import MadronaOptions
+from gpusimbench.schemas.fields import StateField, body_fields
 
 _WIDTHS = {"position_tensor": 3, "rotation_tensor": 4, "velocity_tensor": 6}
 _COUNTS = "contact_count_tensor"

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
-from recorder.scenes.base import Body, Box, Capsule, Plane, Scene, Sphere
-from recorder.simulators.maniskill.options import ManiSkillOptions
-from recorder.simulators.sapien.bodies import X_TO_Z, half, limit, make_material, principal_inertia
-from schemas.errors import UsageError
+from gpusimbench.recorder.scenes.base import Body, Box, Capsule, Plane, Scene, Sphere
+from gpusimbench.recorder.simulators.maniskill.options import ManiSkillOptions
+from gpusimbench.recorder.simulators.sapien.bodies import X_TO_Z, half, limit, make_material, principal_inertia
+from gpusimbench.schemas.errors import UsageError
 
 _BACKENDS = {"cpu": "physx_cpu", "cuda": "physx_cuda"}
 

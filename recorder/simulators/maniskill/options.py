@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from recorder.simulators.mujoco.options import one_of
-from recorder.simulators.sapien.options import SapienOptions
+from gpusimbench.recorder.simulators.mujoco.options import one_of
+from gpusimbench.recorder.simulators.sapien.options import SapienOptions
 
 
 @dataclass(frozen=True)

@@ -5,12 +5,12 @@ from __future__ import annotations
 import warnings
 from typing import Any
 
-from recorder.simulators.maniskill.options import ManiSkillOptions
-from recorder.simulators.sapien.complaints import Complaints
-from recorder.simulators.sapien.cpu import CpuWorlds
-from recorder.simulators.sapien.settings import configure
-from recorder.simulators.sapien.stepper import Made, SapienStepper
-from schemas.errors import UsageError
+from gpusimbench.recorder.simulators.maniskill.options import ManiSkillOptions
+from gpusimbench.recorder.simulators.sapien.complaints import Complaints
+from gpusimbench.recorder.simulators.sapien.cpu import CpuWorlds
+from gpusimbench.recorder.simulators.sapien.settings import configure
+from gpusimbench.recorder.simulators.sapien.stepper import Made, SapienStepper
+from gpusimbench.schemas.errors import UsageError
 
 _COVERS = "BaseEnv.step without action, observation or reward: one step of PhysX, and ManiSkill's own bookkeeping"
 
@@ -45,7 +45,7 @@ class ManiSkill(SapienStepper):
     def _environment(self, frequency: int, device: str, capacities: dict[str, int]) -> Any:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of what ManiSkill imports for rendering and training
-            from recorder.simulators.maniskill.environment import make_environment
+            from gpusimbench.recorder.simulators.maniskill.environment import make_environment
 
             return make_environment(
                 self.scene,
@@ -76,9 +76,9 @@ class ManiSkill(SapienStepper):
         )
 
     def _on_gpu(self, frequency: int, complaints: Complaints) -> Made:
-        from recorder.simulators.sapien.gpu import GpuWorlds
-        from recorder.simulators.sapien.gpu_library import enable_gpu
-        from recorder.simulators.sapien.sizes import choose_sizes
+        from gpusimbench.recorder.simulators.sapien.gpu import GpuWorlds
+        from gpusimbench.recorder.simulators.sapien.gpu_library import enable_gpu
+        from gpusimbench.recorder.simulators.sapien.sizes import choose_sizes
 
         try:
             enable_gpu()
@@ -87,7 +87,7 @@ class ManiSkill(SapienStepper):
         import torch
         from mani_skill.utils.structs.types import GPUMemoryConfig
 
-        from recorder.simulators.maniskill.environment import components_of
+        from gpusimbench.recorder.simulators.maniskill.environment import components_of
 
         options: ManiSkillOptions = self.options
         configure(options, gravity=self.scene.gravity, enhanced_determinism=self.enhanced)
@@ -112,7 +112,7 @@ class ManiSkill(SapienStepper):
 
 
 def _only(actor: Any) -> Any:
-    from recorder.simulators.maniskill.environment import components_of
+    from gpusimbench.recorder.simulators.maniskill.environment import components_of
 
     (component,) = components_of(actor)
     return component

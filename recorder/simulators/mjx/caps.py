@@ -27,10 +27,10 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from recorder.simulators.buffer_sizes import Need, measure
-from recorder.simulators.counters import CANDIDATE_PAIRS
-from recorder.simulators.mujoco.model import MjcfModel
-from schemas.provenance import Buffer, Counter, OverflowBit
+from gpusimbench.recorder.simulators.buffer_sizes import Need, measure
+from gpusimbench.recorder.simulators.counters import CANDIDATE_PAIRS
+from gpusimbench.recorder.simulators.mujoco.model import MjcfModel
+from gpusimbench.schemas.provenance import Buffer, Counter, OverflowBit
 
 _TOUCHING_M = 1e-5
 

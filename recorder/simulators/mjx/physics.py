@@ -10,13 +10,13 @@ from typing import Any
 
 import numpy as np
 
-from recorder.failure import Refused
-from recorder.scenes.base import Scene
-from recorder.simulators.counters import CANDIDATE_PAIRS, CONSTRAINT_ROWS, CONTACTS, SOLVER_ITERATIONS
-from recorder.simulators.jax.block import OVERFLOW
-from recorder.simulators.jax.runtime import JaxOptions
-from recorder.simulators.mujoco.options import CONES, MjcfOptions, one_of
-from schemas.provenance import Buffer, Counter, OverflowBit
+from gpusimbench.recorder.failure import Refused
+from gpusimbench.recorder.scenes.base import Scene
+from gpusimbench.recorder.simulators.counters import CANDIDATE_PAIRS, CONSTRAINT_ROWS, CONTACTS, SOLVER_ITERATIONS
+from gpusimbench.recorder.simulators.jax.block import OVERFLOW
+from gpusimbench.recorder.simulators.jax.runtime import JaxOptions
+from gpusimbench.recorder.simulators.mujoco.options import CONES, MjcfOptions, one_of
+from gpusimbench.schemas.provenance import Buffer, Counter, OverflowBit
 
 IMPLEMENTATIONS = ("jax", "warp")
 
@@ -123,13 +123,13 @@ class MjxModel:
 
 def load(scene: Scene, *, n_env: int, dt: float, seed: int, options: MjxOptions, impl: str) -> MjxModel:
     """Compile a scene for MJX and size its buffers on MuJoCo C."""
-    from recorder.simulators.mujoco.model import compile_scene
+    from gpusimbench.recorder.simulators.mujoco.model import compile_scene
 
     physics = options.physics(impl)
     compiled = compile_scene(scene, dt=dt, options=physics)
     if impl == "warp":
         return _for_warp(compiled, n_env=n_env, dt=dt, seed=seed, options=options)
-    from recorder.simulators.mjx import caps as mjx_caps
+    from gpusimbench.recorder.simulators.mjx import caps as mjx_caps
 
     caps = mjx_caps.choose(
         compiled,
@@ -156,7 +156,7 @@ def _for_warp(compiled: Any, *, n_env: int, dt: float, seed: int, options: MjxOp
     import warp as wp
     from mujoco.mjx.third_party.mujoco_warp._src.types import OverflowType
 
-    from recorder.simulators.buffer_sizes import measure
+    from gpusimbench.recorder.simulators.buffer_sizes import measure
 
     wp.config.quiet = True  # one line for each of some hundred modules
     naconmax, njmax = options.naconmax, options.njmax

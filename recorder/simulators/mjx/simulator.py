@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
-from recorder.simulators.jax.simulator import Physics
-from recorder.simulators.mjx import physics as mjx_physics
-from recorder.simulators.mjx.physics import MjxModel, MjxOptions
-from recorder.simulators.mjx.stepper import MjxSimulator
+from gpusimbench.recorder.simulators.jax.simulator import Physics
+from gpusimbench.recorder.simulators.mjx import physics as mjx_physics
+from gpusimbench.recorder.simulators.mjx.physics import MjxModel, MjxOptions
+from gpusimbench.recorder.simulators.mjx.stepper import MjxSimulator
 
 
 class Mjx(MjxSimulator):

@@ -8,12 +8,12 @@ from typing import Any, ClassVar
 
 from numpy.typing import NDArray
 
-from recorder.scenes.emit.mjcf import deviations
-from recorder.simulators.base import Description, States
-from recorder.simulators.jax import runtime as jax_runtime
-from recorder.simulators.jax.simulator import JaxSimulator, Physics
-from recorder.simulators.mjx import physics as mjx_physics
-from recorder.simulators.mjx.physics import MjxModel
+from gpusimbench.recorder.scenes.emit.mjcf import deviations
+from gpusimbench.recorder.simulators.base import Description, States
+from gpusimbench.recorder.simulators.jax import runtime as jax_runtime
+from gpusimbench.recorder.simulators.jax.simulator import JaxSimulator, Physics
+from gpusimbench.recorder.simulators.mjx import physics as mjx_physics
+from gpusimbench.recorder.simulators.mjx.physics import MjxModel
 
 
 class MjxSimulator(JaxSimulator):
@@ -82,7 +82,7 @@ class MjxSimulator(JaxSimulator):
             return found
         import warp as wp
 
-        from recorder.simulators.warp import runtime as warp_runtime
+        from gpusimbench.recorder.simulators.warp import runtime as warp_runtime
 
         also = warp_runtime.allocator_bytes(wp.device_from_jax(self._device)) or (0, 0)
         return found[0] + also[0], found[1] + also[1]

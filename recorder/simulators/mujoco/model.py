@@ -10,12 +10,12 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from recorder.scenes.base import Scene
-from recorder.scenes.emit.mjcf import emit_mjcf
-from recorder.simulators.base import States
-from recorder.simulators.mujoco.options import GEOM_ATTRIBUTES, OPTION_ATTRIBUTES, MjcfOptions
-from schemas.errors import UsageError
-from schemas.fields import StateField, body_fields, joint_field
+from gpusimbench.recorder.scenes.base import Scene
+from gpusimbench.recorder.scenes.emit.mjcf import emit_mjcf
+from gpusimbench.recorder.simulators.base import States
+from gpusimbench.recorder.simulators.mujoco.options import GEOM_ATTRIBUTES, OPTION_ATTRIBUTES, MjcfOptions
+from gpusimbench.schemas.errors import UsageError
+from gpusimbench.schemas.fields import StateField, body_fields, joint_field
 
 _QPOS = 7  # of a free joint: position 3, orientation wxyz 4
 _QVEL = 6  # of a free joint: linear velocity in the world frame 3, angular velocity in the body's frame 3

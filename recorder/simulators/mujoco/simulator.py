@@ -12,11 +12,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from recorder.scenes.emit.mjcf import deviations
-from recorder.simulators.base import Description, Simulator, States
-from recorder.simulators.counters import CONSTRAINT_ROWS, CONTACTS
-from recorder.simulators.evidence import Evidence
-from recorder.simulators.mujoco.options import MjcfOptions
+from gpusimbench.recorder.scenes.emit.mjcf import deviations
+from gpusimbench.recorder.simulators.base import Description, Simulator, States
+from gpusimbench.recorder.simulators.counters import CONSTRAINT_ROWS, CONTACTS
+from gpusimbench.recorder.simulators.evidence import Evidence
+from gpusimbench.recorder.simulators.mujoco.options import MjcfOptions
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,7 @@ class MujocoC(Simulator):
         import mujoco
         from mujoco.batch import Batch
 
-        from recorder.simulators.mujoco.model import compile_scene
+        from gpusimbench.recorder.simulators.mujoco.model import compile_scene
 
         options: MujocoOptions = self.options
         compiled = self._compiled = compile_scene(self.scene, dt=self.dt, options=options)

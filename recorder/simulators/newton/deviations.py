@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from recorder.scenes.base import Scene
-from recorder.simulators.newton.options import NewtonOptions
-from schemas.provenance import Deviation
+from gpusimbench.recorder.scenes.base import Scene
+from gpusimbench.recorder.simulators.newton.options import NewtonOptions
+from gpusimbench.schemas.provenance import Deviation
 
 _ONE_FRICTION = "Newton has one friction coefficient a shape; the kinetic one is used"
 

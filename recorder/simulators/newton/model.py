@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from recorder.scenes.base import Body, Box, Capsule, Plane, Quaternion, Scene, Sphere, Vector
-from recorder.simulators.newton.options import NewtonOptions
-from schemas.errors import UsageError
+from gpusimbench.recorder.scenes.base import Body, Box, Capsule, Plane, Quaternion, Scene, Sphere, Vector
+from gpusimbench.recorder.simulators.newton.options import NewtonOptions
+from gpusimbench.schemas.errors import UsageError
 
 _FREE = 6  # speeds of a free joint: linear of the centre of mass, then angular, both in the world frame
 

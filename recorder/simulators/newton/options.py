@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from recorder.simulators.mujoco.options import CONES, one_of
+from gpusimbench.recorder.simulators.mujoco.options import CONES, one_of
 
 SOLVERS = ("mujoco", "xpbd", "steel", "semi-implicit", "featherstone", "vbd", "kamino")
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from recorder.simulators.evidence import Evidence
-from recorder.simulators.newton.watch import Watch
-from recorder.simulators.newton.worlds import Worlds
+from gpusimbench.recorder.simulators.evidence import Evidence
+from gpusimbench.recorder.simulators.newton.watch import Watch
+from gpusimbench.recorder.simulators.newton.worlds import Worlds
 
 _BODY = 4 * (7 + 6)  # bytes of a body's pose and speeds
 
@@ -42,7 +42,7 @@ class Ring:
         """Enqueue: store the present state and the counts of the last step, and go on to the next row."""
         import warp as wp
 
-        from recorder.simulators.newton import kernels
+        from gpusimbench.recorder.simulators.newton import kernels
 
         state, n_env = self._worlds.state, self._worlds.n_env
         wp.launch(

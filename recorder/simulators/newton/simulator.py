@@ -15,13 +15,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from recorder.failure import Refused, cause_of
-from recorder.simulators.base import Description, Simulator, States
-from recorder.simulators.evidence import Evidence
-from recorder.simulators.newton.options import NewtonOptions
-from recorder.simulators.warp import runtime as warp_runtime
-from schemas.errors import UsageError
-from schemas.fields import StateField, body_fields
+from gpusimbench.recorder.failure import Refused, cause_of
+from gpusimbench.recorder.simulators.base import Description, Simulator, States
+from gpusimbench.recorder.simulators.evidence import Evidence
+from gpusimbench.recorder.simulators.newton.options import NewtonOptions
+from gpusimbench.recorder.simulators.warp import runtime as warp_runtime
+from gpusimbench.schemas.errors import UsageError
+from gpusimbench.schemas.fields import StateField, body_fields
 
 _BLOCK = 10  # steps in a graph; even, so that it ends with the state that it began with
 _RING_ROWS = 50
@@ -55,11 +55,11 @@ class Newton(Simulator):
         import newton
         import warp as wp
 
-        from recorder.simulators.newton.deviations import deviations
-        from recorder.simulators.newton.ring import Ring
-        from recorder.simulators.newton.sizes import choose_sizes
-        from recorder.simulators.newton.solvers import in_force
-        from recorder.simulators.newton.watch import Watch
+        from gpusimbench.recorder.simulators.newton.deviations import deviations
+        from gpusimbench.recorder.simulators.newton.ring import Ring
+        from gpusimbench.recorder.simulators.newton.sizes import choose_sizes
+        from gpusimbench.recorder.simulators.newton.solvers import in_force
+        from gpusimbench.recorder.simulators.newton.watch import Watch
 
         self._mode = wp.DeterministicMode[warp_runtime.MODES[level]]
         self._sizes = choose_sizes(self.scene, dt=self.dt, seed=self.seed, options=options)
@@ -97,7 +97,7 @@ class Newton(Simulator):
         )
 
     def _make_worlds(self, n_env: int) -> Any:
-        from recorder.simulators.newton.worlds import Worlds
+        from gpusimbench.recorder.simulators.newton.worlds import Worlds
 
         with self._refusals():
             return Worlds(
@@ -135,7 +135,7 @@ class Newton(Simulator):
             self._build_kernels()
         storing = phase == "capture"
         if storing and self._ring is None:
-            from recorder.simulators.newton.ring import Ring
+            from gpusimbench.recorder.simulators.newton.ring import Ring
 
             rows = max(1, min(_RING_ROWS, _RING_BYTES // Ring.row_bytes(self._worlds, self._watch)))
             self._ring = Ring(self._worlds, self._watch, rows)
@@ -148,8 +148,8 @@ class Newton(Simulator):
     def _build_kernels(self) -> None:
         import warp as wp
 
-        from recorder.simulators.newton.ring import Ring
-        from recorder.simulators.newton.watch import Watch
+        from gpusimbench.recorder.simulators.newton.ring import Ring
+        from gpusimbench.recorder.simulators.newton.watch import Watch
 
         spare = self._make_worlds(1)
         watch = Watch(spare, self.options, self._sizes)

@@ -6,13 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from recorder.scenes.base import Scene
-from recorder.simulators.buffer_sizes import Need, measure
-from recorder.simulators.mujoco.model import MjcfModel, compile_scene
-from recorder.simulators.mujoco.options import MjcfOptions
-from recorder.simulators.newton.model import detection_distance
-from recorder.simulators.newton.options import NewtonOptions
-from recorder.simulators.newton.solvers import Sizes
+from gpusimbench.recorder.scenes.base import Scene
+from gpusimbench.recorder.simulators.buffer_sizes import Need, measure
+from gpusimbench.recorder.simulators.mujoco.model import MjcfModel, compile_scene
+from gpusimbench.recorder.simulators.mujoco.options import MjcfOptions
+from gpusimbench.recorder.simulators.newton.model import detection_distance
+from gpusimbench.recorder.simulators.newton.options import NewtonOptions
+from gpusimbench.recorder.simulators.newton.solvers import Sizes
 
 _MARGIN = 1.5  # Newton's collision detection makes other contacts of the same shapes, and its solvers other motions
 _STEEL_ROWS = 2  # of a contact: one along its normal, and its part of what a patch of contacts has along the surface

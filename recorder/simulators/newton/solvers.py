@@ -6,8 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, fields
 from typing import Any
 
-from recorder.simulators.newton.model import detection_distance
-from recorder.simulators.newton.options import NewtonOptions
+from gpusimbench.recorder.simulators.newton.model import detection_distance
+from gpusimbench.recorder.simulators.newton.options import NewtonOptions
 
 _CLASSES = {
     "mujoco": "SolverMuJoCo",

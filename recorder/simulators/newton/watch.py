@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from recorder.simulators.counters import CONSTRAINT_ROWS, CONTACTS, SOLVER_ITERATIONS
-from recorder.simulators.newton.options import NewtonOptions
-from recorder.simulators.newton.solvers import Sizes
-from recorder.simulators.newton.worlds import Worlds
-from schemas.provenance import Buffer, Counter, OverflowBit
+from gpusimbench.recorder.simulators.counters import CONSTRAINT_ROWS, CONTACTS, SOLVER_ITERATIONS
+from gpusimbench.recorder.simulators.newton.options import NewtonOptions
+from gpusimbench.recorder.simulators.newton.solvers import Sizes
+from gpusimbench.recorder.simulators.newton.worlds import Worlds
+from gpusimbench.schemas.provenance import Buffer, Counter, OverflowBit
 
 _NOT_FATAL = ("ITERATIONS", "LS_ITERATIONS")  # nothing is dropped
 _CONTACT_PIPELINE, _SOLVER_NCONMAX = 16, 17  # as in newton.solvers.SolverMuJoCo.OverflowBits
@@ -65,7 +65,7 @@ class Watch:
     def _watch_mujoco(self) -> None:
         import mujoco_warp as mjw
 
-        from recorder.simulators.newton import kernels
+        from gpusimbench.recorder.simulators.newton import kernels
 
         n_env, data, sizes = self._worlds.n_env, self._worlds.solver.mjw_data, self._sizes
         self.overflow_bits = tuple(
@@ -97,13 +97,13 @@ class Watch:
         ]
 
     def _store(self, row: Any, counts: Any, stored: Any) -> None:
-        from recorder.simulators.newton import kernels
+        from gpusimbench.recorder.simulators.newton import kernels
 
         self._launch(kernels.store_counts, self._worlds.n_env, row, counts, stored)
 
     def _watch_pool(self, bit: int, name: str, *, counted: bool = True) -> None:
         """The buffer of Newton's collision detection: it counts on where it is full, and drops what comes then."""
-        from recorder.simulators.newton import kernels
+        from gpusimbench.recorder.simulators.newton import kernels
 
         n_env, contacts = self._worlds.n_env, self._worlds.contacts
         capacity, found = contacts.rigid_contact_max, contacts.rigid_contact_count
@@ -123,7 +123,7 @@ class Watch:
 
     def _watch_solver(self) -> None:
         """The buffers that the solver has besides."""
-        from recorder.simulators.newton import kernels
+        from gpusimbench.recorder.simulators.newton import kernels
 
         worlds, solver, n_env = self._worlds, self._worlds.solver, self._worlds.n_env
         rows, by = self._sizes.rows, self._sizes.rows_by

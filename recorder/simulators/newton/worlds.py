@@ -5,10 +5,10 @@ from __future__ import annotations
 import warnings
 from typing import Any
 
-from recorder.scenes.base import Scene
-from recorder.simulators.newton.model import build_model
-from recorder.simulators.newton.options import NewtonOptions
-from recorder.simulators.newton.solvers import Sizes, make_solver, register
+from gpusimbench.recorder.scenes.base import Scene
+from gpusimbench.recorder.simulators.newton.model import build_model
+from gpusimbench.recorder.simulators.newton.options import NewtonOptions
+from gpusimbench.recorder.simulators.newton.solvers import Sizes, make_solver, register
 
 
 class Worlds:

@@ -12,14 +12,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from recorder.scenes.articulation import Robot
-from recorder.scenes.base import Scene
-from recorder.scenes.emit.usd import env_path, prim_names
-from recorder.simulators.base import States
-from recorder.simulators.physx import libraries
-from recorder.simulators.physx.session import Session
-from schemas.errors import GsbError
-from schemas.fields import StateField, joint_field
+from gpusimbench.recorder.scenes.articulation import Robot
+from gpusimbench.recorder.scenes.base import Scene
+from gpusimbench.recorder.scenes.emit.usd import env_path, prim_names
+from gpusimbench.recorder.simulators.base import States
+from gpusimbench.recorder.simulators.physx import libraries
+from gpusimbench.recorder.simulators.physx.session import Session
+from gpusimbench.schemas.errors import GsbError
+from gpusimbench.schemas.fields import StateField, joint_field
 
 _WIDTH = 2  # numbers of a joint: angle and speed
 

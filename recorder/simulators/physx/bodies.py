@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from recorder.scenes.base import Scene, Vector
-from recorder.scenes.emit.usd import env_path, prim_names
-from recorder.simulators.base import States
-from recorder.simulators.physx.session import Session
-from schemas.fields import BODY_FIELDS, StateField, body_fields
+from gpusimbench.recorder.scenes.base import Scene, Vector
+from gpusimbench.recorder.scenes.emit.usd import env_path, prim_names
+from gpusimbench.recorder.simulators.base import States
+from gpusimbench.recorder.simulators.physx.session import Session
+from gpusimbench.schemas.fields import BODY_FIELDS, StateField, body_fields
 
 _COLUMNS = ("position", "orientation", "linearVelocity", "angularVelocity")
 _WIDTH = 13  # numbers of a body: position, quaternion wxyz, linear and angular velocity
@@ -49,7 +49,7 @@ class Bodies:
         import warp as wp
         from ovphysx.types import SimObjectType
 
-        from recorder.simulators.physx import kernels
+        from gpusimbench.recorder.simulators.physx import kernels
 
         with self._session.columns(SimObjectType.RIGID_BODY, _COLUMNS) as groups:
             if not groups:

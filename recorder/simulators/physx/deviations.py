@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from recorder.scenes.base import Scene
-from recorder.scenes.emit.deviations import unlimited_speed
-from recorder.simulators.physx.options import NO_THRESHOLD, PhysxOptions
-from schemas.provenance import Deviation
+from gpusimbench.recorder.scenes.base import Scene
+from gpusimbench.recorder.scenes.emit.deviations import unlimited_speed
+from gpusimbench.recorder.simulators.physx.options import NO_THRESHOLD, PhysxOptions
+from gpusimbench.schemas.provenance import Deviation
 
 _RULES = {
     "average": "the mean of the two",

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 
-from recorder.scenes.base import Body, Plane, Scene, Vector
-from schemas.errors import UsageError
+from gpusimbench.recorder.scenes.base import Body, Plane, Scene, Vector
+from gpusimbench.schemas.errors import UsageError
 
 _UPRIGHT = 1e-12  # of a plane's normal
 

@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from importlib import metadata
 from pathlib import Path
 
-from schemas.errors import GsbError, UsageError
+from gpusimbench.schemas.errors import GsbError, UsageError
 
 _SCHEMAS = ("PhysxSchema", "OmniUsdPhysicsDeformableSchema")  # the engine asks for both
 

@@ -10,7 +10,7 @@ import logging
 import re
 from collections import Counter
 
-_LOGGER = "recorder.simulators.physx"
+_LOGGER = "gpusimbench.recorder.simulators.physx"
 
 _DROPPED = re.compile(
     r"buffer overflow detected|have been dropped|will miss interactions|collide with all environments"

@@ -8,12 +8,12 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from recorder.scenes.base import Vector
-from recorder.scenes.emit.usd import env_path
-from recorder.simulators.physx import libraries
-from recorder.simulators.physx.log import NativeLog
-from schemas.errors import GsbError
-from schemas.writing import write_pieces
+from gpusimbench.recorder.scenes.base import Vector
+from gpusimbench.recorder.scenes.emit.usd import env_path
+from gpusimbench.recorder.simulators.physx import libraries
+from gpusimbench.recorder.simulators.physx.log import NativeLog
+from gpusimbench.schemas.errors import GsbError
+from gpusimbench.schemas.writing import write_pieces
 
 _ORDINAL = 1  # of the one version of the stage that there is
 _NO_TURN = (0.0, 0.0, 0.0, 1.0)

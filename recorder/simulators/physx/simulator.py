@@ -15,14 +15,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from recorder.scenes.emit.usd import emit_usd
-from recorder.simulators.base import Description, Simulator, States
-from recorder.simulators.physx import grid
-from recorder.simulators.physx.deviations import deviations
-from recorder.simulators.physx.options import OF_THE_GPU, PhysxOptions, apis, broad_phase
-from recorder.simulators.warp import runtime as warp_runtime
-from schemas.errors import GsbError, UsageError
-from schemas.provenance import Buffer
+from gpusimbench.recorder.scenes.emit.usd import emit_usd
+from gpusimbench.recorder.simulators.base import Description, Simulator, States
+from gpusimbench.recorder.simulators.physx import grid
+from gpusimbench.recorder.simulators.physx.deviations import deviations
+from gpusimbench.recorder.simulators.physx.options import OF_THE_GPU, PhysxOptions, apis, broad_phase
+from gpusimbench.recorder.simulators.warp import runtime as warp_runtime
+from gpusimbench.schemas.errors import GsbError, UsageError
+from gpusimbench.schemas.provenance import Buffer
 
 _RING_ROWS = 50
 _RING_BYTES = 512 << 20
@@ -50,9 +50,9 @@ class Physx(Simulator):
             raise UsageError(
                 "option 'spacing' is above 0 where PhysX runs on the CPU: environments at the same place would collide"
             )
-        from recorder.simulators.physx import arms, bodies, libraries
-        from recorder.simulators.physx.session import Session
-        from recorder.simulators.physx.sizes import choose_buffers
+        from gpusimbench.recorder.simulators.physx import arms, bodies, libraries
+        from gpusimbench.recorder.simulators.physx.session import Session
+        from gpusimbench.recorder.simulators.physx.sizes import choose_buffers
 
         origins = grid.origins(self.n_env, options.spacing)
         buffers: tuple[Buffer, ...] = ()
@@ -124,7 +124,7 @@ class Physx(Simulator):
         if phase == "capture" and self._ring is None:
             import warp as wp
 
-            from recorder.simulators.physx import kernels
+            from gpusimbench.recorder.simulators.physx import kernels
 
             rows = max(1, min(_RING_ROWS, _RING_BYTES // self._source.row_bytes(self.scene, self.n_env)))
             self._ring = self._source.rows(rows)

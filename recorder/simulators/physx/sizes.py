@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from importlib.util import find_spec
 
-from recorder.failure import Refused
-from recorder.scenes.base import Plane, Scene
-from recorder.simulators.physx.options import LARGEST, PhysxOptions
-from schemas.provenance import Buffer
+from gpusimbench.recorder.failure import Refused
+from gpusimbench.recorder.scenes.base import Plane, Scene
+from gpusimbench.recorder.simulators.physx.options import LARGEST, PhysxOptions
+from gpusimbench.schemas.provenance import Buffer
 
 _MARGIN = 2  # PhysX makes other contacts of the same shapes, and its solvers other motions
 _NEIGHBOURS = 26  # of a cube in a stack of cubes
@@ -70,9 +70,9 @@ def measure(scene: Scene, *, dt: float, seed: int, options: PhysxOptions) -> Nee
     """Count on MuJoCo C, whose shapes see each other from as far as PhysX's; without it, by the number of shapes."""
     if find_spec("mujoco") is None:
         return _by_shapes(scene)
-    from recorder.simulators import buffer_sizes
-    from recorder.simulators.mujoco.model import compile_scene
-    from recorder.simulators.mujoco.options import MjcfOptions
+    from gpusimbench.recorder.simulators import buffer_sizes
+    from gpusimbench.recorder.simulators.mujoco.model import compile_scene
+    from gpusimbench.recorder.simulators.mujoco.options import MjcfOptions
 
     compiled = compile_scene(scene, dt=dt, options=MjcfOptions())
     compiled.model.geom_gap[:] = options.contact_offset

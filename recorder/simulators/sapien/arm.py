@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from recorder.scenes.articulation import Hinge, Inertial, Link, Robot
-from recorder.scenes.base import Quaternion, Vector
-from recorder.scenes.emit.deviations import unlimited_speed
-from recorder.simulators.sapien.bodies import X_TO_Z, limit, make_material, make_shape
-from recorder.simulators.sapien.options import SapienOptions
-from schemas.provenance import Deviation
+from gpusimbench.recorder.scenes.articulation import Hinge, Inertial, Link, Robot
+from gpusimbench.recorder.scenes.base import Quaternion, Vector
+from gpusimbench.recorder.scenes.emit.deviations import unlimited_speed
+from gpusimbench.recorder.simulators.sapien.bodies import X_TO_Z, limit, make_material, make_shape
+from gpusimbench.recorder.simulators.sapien.options import SapienOptions
+from gpusimbench.schemas.provenance import Deviation
 
 _ALL, _ROBOT = 1, 1  # the group that meets everything; the number of the only articulation of an environment
 

@@ -5,8 +5,19 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from recorder.scenes.base import Body, Box, Capsule, Material, Plane, Quaternion, Scene, Shape, Sphere, Vector
-from recorder.simulators.sapien.options import SapienOptions
+from gpusimbench.recorder.scenes.base import (
+    Body,
+    Box,
+    Capsule,
+    Material,
+    Plane,
+    Quaternion,
+    Scene,
+    Shape,
+    Sphere,
+    Vector,
+)
+from gpusimbench.recorder.simulators.sapien.options import SapienOptions
 
 _HALF = math.sqrt(0.5)
 

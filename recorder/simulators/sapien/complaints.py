@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import re
 
-from recorder.simulators.engine_log import EngineLog
-from schemas.provenance import OverflowBit
+from gpusimbench.recorder.simulators.engine_log import EngineLog
+from gpusimbench.schemas.provenance import OverflowBit
 
 _WORDS = {
     "CONTACT_BUFFER": r"Contact buffer overflow detected",

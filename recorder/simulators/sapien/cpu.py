@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from recorder.scenes.base import Scene
-from recorder.simulators.base import States
-from recorder.simulators.counters import AWAKE_BODIES, CONTACTS
-from recorder.simulators.evidence import Evidence
-from recorder.simulators.sapien.worlds import fields_of
-from schemas.provenance import Buffer, Counter, OverflowBit
+from gpusimbench.recorder.scenes.base import Scene
+from gpusimbench.recorder.simulators.base import States
+from gpusimbench.recorder.simulators.counters import AWAKE_BODIES, CONTACTS
+from gpusimbench.recorder.simulators.evidence import Evidence
+from gpusimbench.recorder.simulators.sapien.worlds import fields_of
+from gpusimbench.schemas.provenance import Buffer, Counter, OverflowBit
 
 # of a body in PhysxCpuSystem.pack(): quaternion wxyz, position, velocities, 13 float32 in all
 _COLUMNS = {

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from recorder.scenes.base import Scene
-from recorder.simulators.physx.deviations import patch_friction
-from recorder.simulators.sapien.arm import arm_deviations
-from recorder.simulators.sapien.options import SapienOptions
-from schemas.provenance import Deviation
+from gpusimbench.recorder.scenes.base import Scene
+from gpusimbench.recorder.simulators.physx.deviations import patch_friction
+from gpusimbench.recorder.simulators.sapien.arm import arm_deviations
+from gpusimbench.recorder.simulators.sapien.options import SapienOptions
+from gpusimbench.schemas.provenance import Deviation
 
 
 def deviations(scene: Scene, options: SapienOptions) -> tuple[Deviation, ...]:

@@ -13,14 +13,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from recorder.scenes.base import Scene, Vector
-from recorder.simulators.base import States
-from recorder.simulators.evidence import Evidence
-from recorder.simulators.sapien.complaints import OVERFLOW_BITS, Complaints
-from recorder.simulators.sapien.worlds import fields_of
-from schemas.errors import UsageError
-from schemas.fields import StateField
-from schemas.provenance import Buffer, Counter
+from gpusimbench.recorder.scenes.base import Scene, Vector
+from gpusimbench.recorder.simulators.base import States
+from gpusimbench.recorder.simulators.evidence import Evidence
+from gpusimbench.recorder.simulators.sapien.complaints import OVERFLOW_BITS, Complaints
+from gpusimbench.recorder.simulators.sapien.worlds import fields_of
+from gpusimbench.schemas.errors import UsageError
+from gpusimbench.schemas.fields import StateField
+from gpusimbench.schemas.provenance import Buffer, Counter
 
 # of a body in PhysxGpuSystem.cuda_rigid_body_data: position, quaternion wxyz, velocities, 13 float32 in all
 _COLUMNS = {

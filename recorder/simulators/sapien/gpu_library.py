@@ -7,7 +7,7 @@ import platform
 from importlib.util import find_spec
 from pathlib import Path
 
-from schemas.errors import UsageError
+from gpusimbench.schemas.errors import UsageError
 
 _PUBLISHED = "https://github.com/sapien-sim/physx-precompiled/releases/download"  # as in sapien/physx/__init__.py
 _ARCHIVES = {"x86_64": "linux-so.zip", "amd64": "linux-so.zip", "aarch64": "linux-aarch64-so.zip"}

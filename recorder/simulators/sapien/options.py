@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, fields
 
-from recorder.simulators.mujoco.options import one_of
+from gpusimbench.recorder.simulators.mujoco.options import one_of
 
 BUFFERS = (
     "max_rigid_contact_count", "max_rigid_patch_count", "found_lost_pairs_capacity", "collision_stack_size",

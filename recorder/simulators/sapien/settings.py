@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from recorder.scenes.base import Vector
-from recorder.simulators.sapien.options import SapienOptions
+from gpusimbench.recorder.scenes.base import Vector
+from gpusimbench.recorder.simulators.sapien.options import SapienOptions
 
 
 def configure(options: SapienOptions, *, gravity: Vector, enhanced_determinism: bool) -> None:

@@ -8,13 +8,13 @@ from __future__ import annotations
 
 from typing import Any
 
-from recorder.simulators.sapien.arm import add_arm
-from recorder.simulators.sapien.bodies import add_bodies
-from recorder.simulators.sapien.complaints import Complaints
-from recorder.simulators.sapien.cpu import CpuWorlds
-from recorder.simulators.sapien.options import SapienOptions
-from recorder.simulators.sapien.settings import configure
-from recorder.simulators.sapien.stepper import Made, SapienStepper
+from gpusimbench.recorder.simulators.sapien.arm import add_arm
+from gpusimbench.recorder.simulators.sapien.bodies import add_bodies
+from gpusimbench.recorder.simulators.sapien.complaints import Complaints
+from gpusimbench.recorder.simulators.sapien.cpu import CpuWorlds
+from gpusimbench.recorder.simulators.sapien.options import SapienOptions
+from gpusimbench.recorder.simulators.sapien.settings import configure
+from gpusimbench.recorder.simulators.sapien.stepper import Made, SapienStepper
 
 
 class Sapien(SapienStepper):
@@ -61,9 +61,9 @@ class Sapien(SapienStepper):
         import sapien
         from sapien import physx
 
-        from recorder.simulators.sapien.gpu import GpuWorlds, check_scene, square_grid
-        from recorder.simulators.sapien.gpu_library import enable_gpu
-        from recorder.simulators.sapien.sizes import DEFAULTS, choose_sizes
+        from gpusimbench.recorder.simulators.sapien.gpu import GpuWorlds, check_scene, square_grid
+        from gpusimbench.recorder.simulators.sapien.gpu_library import enable_gpu
+        from gpusimbench.recorder.simulators.sapien.sizes import DEFAULTS, choose_sizes
 
         options: SapienOptions = self.options
         check_scene("sapien", self.scene)

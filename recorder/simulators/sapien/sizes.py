@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from recorder.scenes.base import Scene
-from recorder.simulators.sapien.bodies import add_bodies
-from recorder.simulators.sapien.options import SapienOptions
-from schemas.provenance import Buffer
+from gpusimbench.recorder.scenes.base import Scene
+from gpusimbench.recorder.simulators.sapien.bodies import add_bodies
+from gpusimbench.recorder.simulators.sapien.options import SapienOptions
+from gpusimbench.schemas.provenance import Buffer
 
 _PROTOCOL_STEPS = 1100  # warm-up and timed steps
 _MARGIN = 1.5  # environments at different origins go different ways

@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from recorder.simulators.base import Description, Simulator, States
-from recorder.simulators.evidence import Evidence
-from recorder.simulators.sapien.complaints import Complaints
-from recorder.simulators.sapien.deviations import deviations
-from recorder.simulators.sapien.options import SapienOptions
-from recorder.simulators.sapien.worlds import Worlds
+from gpusimbench.recorder.simulators.base import Description, Simulator, States
+from gpusimbench.recorder.simulators.evidence import Evidence
+from gpusimbench.recorder.simulators.sapien.complaints import Complaints
+from gpusimbench.recorder.simulators.sapien.deviations import deviations
+from gpusimbench.recorder.simulators.sapien.options import SapienOptions
+from gpusimbench.recorder.simulators.sapien.worlds import Worlds
 
 LEVELS = {
     "default": "PhysX as it ships, without enhanced determinism",

@@ -7,11 +7,11 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from recorder.scenes.base import Scene
-from recorder.simulators.base import States
-from recorder.simulators.evidence import Evidence
-from schemas.fields import StateField, body_fields, joint_field
-from schemas.provenance import Buffer, Counter, OverflowBit
+from gpusimbench.recorder.scenes.base import Scene
+from gpusimbench.recorder.simulators.base import States
+from gpusimbench.recorder.simulators.evidence import Evidence
+from gpusimbench.schemas.fields import StateField, body_fields, joint_field
+from gpusimbench.schemas.provenance import Buffer, Counter, OverflowBit
 
 
 class Worlds(Protocol):

@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from recorder.simulators.captured import Captured, States
-from recorder.simulators.counters import CONSTRAINT_ROWS, CONTACTS, SOLVER_ITERATIONS
-from recorder.simulators.evidence import Evidence
-from recorder.simulators.warp.transfer import Slot, Slots
+from gpusimbench.recorder.simulators.captured import Captured, States
+from gpusimbench.recorder.simulators.counters import CONSTRAINT_ROWS, CONTACTS, SOLVER_ITERATIONS
+from gpusimbench.recorder.simulators.evidence import Evidence
+from gpusimbench.recorder.simulators.warp.transfer import Slot, Slots
 
 
 class WarpBlock(Captured):

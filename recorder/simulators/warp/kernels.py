@@ -5,7 +5,7 @@ Imported when a device is wanted, not before. Annotations are Warp's own, so the
 
 import warp as wp
 
-from schemas.mix32 import GOLDEN32
+from gpusimbench.schemas.mix32 import GOLDEN32
 
 _GOLDEN = wp.constant(wp.uint32(GOLDEN32))
 _FACTOR_1 = wp.constant(wp.uint32(0x85EBCA6B))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from schemas.errors import UsageError
+from gpusimbench.schemas.errors import UsageError
 
 DEVICES = "auto, cpu or cuda"
 

@@ -16,18 +16,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from recorder.failure import Refused, cause_of
-from recorder.scenes.actions import GRID
-from recorder.scenes.emit.mjcf import deviations
-from recorder.simulators.base import Description, Simulator, States
-from recorder.simulators.counters import CONSTRAINT_ROWS, CONTACTS, SOLVER_ITERATIONS
-from recorder.simulators.evidence import Evidence
-from recorder.simulators.mujoco.options import MjcfOptions
-from recorder.simulators.warp import runtime as warp_runtime
-from recorder.simulators.warp.block import WarpBlock, evidence_of
-from recorder.simulators.warp.transfer import Slot, Slots
-from schemas.errors import GsbError
-from schemas.provenance import Buffer, OverflowBit
+from gpusimbench.recorder.failure import Refused, cause_of
+from gpusimbench.recorder.scenes.actions import GRID
+from gpusimbench.recorder.scenes.emit.mjcf import deviations
+from gpusimbench.recorder.simulators.base import Description, Simulator, States
+from gpusimbench.recorder.simulators.counters import CONSTRAINT_ROWS, CONTACTS, SOLVER_ITERATIONS
+from gpusimbench.recorder.simulators.evidence import Evidence
+from gpusimbench.recorder.simulators.mujoco.options import MjcfOptions
+from gpusimbench.recorder.simulators.warp import runtime as warp_runtime
+from gpusimbench.recorder.simulators.warp.block import WarpBlock, evidence_of
+from gpusimbench.recorder.simulators.warp.transfer import Slot, Slots
+from gpusimbench.schemas.errors import GsbError
+from gpusimbench.schemas.provenance import Buffer, OverflowBit
 
 _HARMLESS = ("ITERATIONS", "LS_ITERATIONS")  # a limit was reached, nothing was dropped
 
@@ -95,8 +95,8 @@ class MujocoWarp(Simulator):
         import mujoco_warp as mjw
         import warp as wp
 
-        from recorder.simulators.buffer_sizes import measure
-        from recorder.simulators.mujoco.model import compile_scene
+        from gpusimbench.recorder.simulators.buffer_sizes import measure
+        from gpusimbench.recorder.simulators.mujoco.model import compile_scene
 
         compiled = self._compiled = compile_scene(self.scene, dt=self.dt, options=options)
         need = measure(compiled, dt=self.dt, seed=self.seed)
@@ -235,7 +235,7 @@ class MujocoWarp(Simulator):
         import mujoco_warp as mjw
         import warp as wp
 
-        from recorder.simulators.warp import kernels
+        from gpusimbench.recorder.simulators.warp import kernels
 
         if self.scene.actions is not None:
             seed_word = self.scene.actions.seed_word(self.seed)
@@ -251,7 +251,7 @@ class MujocoWarp(Simulator):
     def _snapshot(self, slot: Slot) -> None:
         import warp as wp
 
-        from recorder.simulators.warp import kernels
+        from gpusimbench.recorder.simulators.warp import kernels
 
         for name in (name for name in slot.arrays if name != "counts"):
             values = getattr(self._data, name)
@@ -262,7 +262,7 @@ class MujocoWarp(Simulator):
     def _snapshot_counts(self, counts: Any) -> None:
         import warp as wp
 
-        from recorder.simulators.warp import kernels
+        from gpusimbench.recorder.simulators.warp import kernels
 
         data = self._data
         wp.launch(

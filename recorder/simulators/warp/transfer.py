@@ -12,7 +12,7 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from recorder.simulators.captured import RING_BLOCKS
+from gpusimbench.recorder.simulators.captured import RING_BLOCKS
 
 
 class Slot:

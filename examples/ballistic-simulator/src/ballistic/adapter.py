@@ -7,13 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from ballistic.engine import World
-from recorder.scenes.base import Capsule, Scene
-from recorder.simulators.base import Description, Simulator, States
-from recorder.simulators.counters import CONTACTS
-from recorder.simulators.evidence import Evidence
-from schemas.errors import UsageError
-from schemas.fields import BODY_FIELDS, body_field
-from schemas.provenance import Deviation
+from gpusimbench.recorder.scenes.base import Capsule, Scene
+from gpusimbench.recorder.simulators.base import Description, Simulator, States
+from gpusimbench.recorder.simulators.counters import CONTACTS
+from gpusimbench.recorder.simulators.evidence import Evidence
+from gpusimbench.schemas.errors import UsageError
+from gpusimbench.schemas.fields import BODY_FIELDS, body_field
+from gpusimbench.schemas.provenance import Deviation
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from itertools import product
 
 import numpy as np
 
-from recorder.scenes.base import Box, Plane, Scene, Sphere
+from gpusimbench.recorder.scenes.base import Box, Plane, Scene, Sphere
 
 FREQUENCY = 250.0  # of a contact's spring and the mass behind it [rad/s]
 GRIP = 100.0  # friction up to its bound: acceleration per speed of slip [1/s]

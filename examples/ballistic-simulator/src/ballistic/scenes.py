@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from recorder.scenes.base import Body, Box, Material, Plane, Scene
+from gpusimbench.recorder.scenes.base import Body, Box, Material, Plane, Scene
 
 WOOD = Material("wood", static_friction=0.4, kinetic_friction=0.3, restitution=0.3)
 EDGE = 0.02

@@ -1,0 +1,1 @@
+"""Everything that is wrong with a file: damage, contradictions, rules that are not met."""

@@ -1,0 +1,86 @@
+"""Which rules of the benchmark's protocol recordings do not meet: the errors of ``gsb-check --protocol``.
+
+Rules of one file are asked while the file is open. Rules of a point are asked of what is left of the files then. Rules
+of the whole set find copies, which count once before anything is asked here.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cache
+from typing import TYPE_CHECKING, cast
+
+from gpusimbench.evaluator.check.integrity import Integrity
+from gpusimbench.evaluator.check.integrity.problem import Problems
+from gpusimbench.evaluator.check.rules.findings import check, points
+from gpusimbench.evaluator.check.rules.rule import Level, RuleSet, Scope, load_rules
+from gpusimbench.evaluator.read.recording import Recording
+
+if TYPE_CHECKING:
+    from gpusimbench.evaluator.runs.summary import Summary
+
+RULE_SET = "protocol-1"
+
+
+@dataclass(frozen=True)
+class Unmet:
+    """Rules that some recordings do not meet.
+
+    findings  by rule, how many files or points break it
+    """
+
+    findings: Mapping[str, int] = field(default_factory=dict)
+
+    @property
+    def count(self) -> int:
+        """Findings of all rules, as ``gsb-check --protocol`` counts errors."""
+        return sum(self.findings.values())
+
+
+def unmet_by_file(recording: Recording) -> tuple[str, ...]:
+    """The rules that an open recording breaks by itself."""
+    found = check([_shell(recording)], [_rules(Scope.file)]).findings
+    return tuple(finding.rule.id for finding in found)
+
+
+class Protocol:
+    """The rules that a set of recordings does not meet, for the whole set and for groups of it."""
+
+    def __init__(self, recordings: Sequence[Summary]) -> None:
+        shells = [_shell(cast(Recording, one)) for one in recordings]  # a point's facts are those that a summary has
+        by_point = Counter((f.of, f.rule.id) for f in check(shells, [_rules(Scope.point)]).findings)
+        run_ids = {id(shell): one.provenance.run_id for shell, one in zip(shells, recordings, strict=True)}
+        self._points = [
+            (
+                frozenset(run_ids[id(shell)] for shell in members),
+                {r: n for (of, r), n in by_point.items() if of == name},
+            )
+            for name, members in points(shells)
+        ]
+        self.whole = self.of(recordings)
+
+    def of(self, recordings: Iterable[Summary]) -> Unmet:
+        """What some of the recordings do not meet: rules of each file, and of the points that they belong to."""
+        found = list(recordings)
+        run_ids = {one.provenance.run_id for one in found}
+        count = Counter(rule for one in found for rule in one.unmet)
+        for members, findings in self._points:
+            if members & run_ids:
+                count.update(findings)
+        return Unmet(dict(count))
+
+
+@cache
+def _rules(scope: Scope) -> RuleSet:
+    everything = load_rules(RULE_SET)
+    return replace(everything, rules=tuple(r for r in everything.rules if r.of is scope and r.level is Level.error))
+
+
+def _shell(recording: Recording) -> Integrity:
+    # the evaluation has verified the file; nothing of it is looked at again
+    return Integrity(
+        path=recording.path, problems=Problems(), recording=recording, not_opened="", scan=None,
+        provenance=recording.provenance, simulation=recording.simulation, end=None, complete=False,
+    )  # fmt: skip

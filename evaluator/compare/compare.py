@@ -1,0 +1,269 @@
+"""The comparison of two sets: pairs, their findings, and verdicts for all of them at once."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
+
+from gpusimbench.evaluator.check.protocol import Protocol
+from gpusimbench.evaluator.compare.finding import FAILING, Axis, Change, Finding, Question, Settings
+from gpusimbench.evaluator.compare.matching import Pair, check_across, match
+from gpusimbench.evaluator.compare.measures import MEASURES, gpu_memory_by
+from gpusimbench.evaluator.compare.mechanics import compare_mechanics
+from gpusimbench.evaluator.compare.numbers import compare_numbers
+from gpusimbench.evaluator.compare.outcome import compare_outcomes
+from gpusimbench.evaluator.compare.sameness import all_alike, compare_bits, compare_determinism
+from gpusimbench.evaluator.compare.schedule import Schedule, schedule
+from gpusimbench.evaluator.compare.sides import Side
+from gpusimbench.evaluator.compare.validity import compare_validity
+from gpusimbench.evaluator.compute.work import Work
+from gpusimbench.evaluator.report import timed
+from gpusimbench.evaluator.results.aggregate import Runs
+from gpusimbench.evaluator.results.cost_metrics import GPU_MEMORY
+from gpusimbench.evaluator.results.timed_work import TimedWork, timed_work
+from gpusimbench.evaluator.runs.cotenancy import notes as cotenant_notes
+from gpusimbench.evaluator.runs.cotenancy import with_peers
+from gpusimbench.evaluator.runs.groups import group, status_notes
+from gpusimbench.evaluator.runs.reading import Unreadable
+from gpusimbench.evaluator.runs.run_data import RunData
+from gpusimbench.evaluator.statistics.families import able_to_reject, holm
+from gpusimbench.schemas.errors import ExitCode
+
+FEW_RUNS = 6
+"""With fewer runs a side, a warning: five can give p = 2/252 at best, which few comparisons at once exhaust."""
+
+
+@dataclass(frozen=True)
+class Compared:
+    """One configuration of both sets.
+
+    pair      its groups
+    order     of its complete runs in time
+    findings  in the order of the axes
+    warnings  what a reader must know of how far the findings can be relied on
+    notes     of runs that are not complete, and of those with another process on their GPU
+    timed     what the throughputs of base and head were measured over
+    """
+
+    pair: Pair
+    order: Schedule
+    findings: tuple[Finding, ...]
+    warnings: tuple[str, ...]
+    notes: tuple[str, ...]
+    timed: tuple[TimedWork, TimedWork] = (TimedWork(), TimedWork())
+
+
+@dataclass(frozen=True)
+class Result:
+    """What the comparison of two sets found.
+
+    compared    one for each configuration
+    alone       groups without a partner: side, label, reason
+    unreadable  side and file
+    settings    what counts
+    tests       statistical comparisons that count and could show something, which p-values are adjusted for
+    lost        recordings that were cut short or lost data
+    notes       about the sets as a whole
+    """
+
+    compared: tuple[Compared, ...]
+    alone: tuple[tuple[str, str, str], ...]
+    unreadable: tuple[tuple[str, Unreadable], ...]
+    settings: Settings
+    tests: int
+    lost: int
+    notes: tuple[str, ...]
+
+    @property
+    def findings(self) -> list[Finding]:
+        """Of all configurations."""
+        return [finding for one in self.compared for finding in one.findings]
+
+    @property
+    def failing(self) -> list[Finding]:
+        """Those that fail a gate."""
+        return [finding for finding in self.findings if finding.fails(self.settings)]
+
+    @property
+    def comparable(self) -> bool:
+        """Whether every configuration, and at least one, was compared on an axis that counts, beyond how runs ended."""
+        return bool(self.compared) and all(
+            any(
+                f.change is not Change.NOT_COMPARED and counts(f.axis, self.settings)
+                for f in one.findings
+                if f.name != "complete_runs" or f.change in FAILING
+            )
+            for one in self.compared
+        )
+
+    @property
+    def open(self) -> list[Finding]:
+        """Those on an axis with a gate that neither fail nor pass."""
+        return [finding for finding in self.findings if finding.undecided(self.settings)]
+
+    @property
+    def undecided(self) -> list[Axis]:
+        """Axes with a gate on which some configuration is neither failed nor passed."""
+        found = {finding.axis for finding in self.open}
+        return [axis for axis in Axis if axis in found]
+
+    @property
+    def exit_code(self) -> ExitCode:
+        """4 before 3, since what whole files show stands whatever others are; 3 before 5, 5 before 0."""
+        if self.failing:
+            return ExitCode.GATE_FAILED
+        if self.unreadable or self.lost:
+            return ExitCode.DATA_LOST
+        return ExitCode.OK if self.comparable and not self.open else ExitCode.NOTHING_COMPARABLE
+
+
+def counts(axis: Axis, settings: Settings) -> bool:
+    """Whether an axis decides."""
+    return settings.expect_same or axis in settings.gates
+
+
+def compare(base: Side, head: Side, settings: Settings, work: Work, across: Collection[str] = ()) -> Result:
+    """Compare two sets; UsageError where `across` names nothing that was asked for.
+
+    across  names of options, or of matching.ACROSS, that may differ between base and head
+    """
+    sides = [group([f.summary for f in side.files]) for side in (base, head)]
+    measured = sum(g.measured for side in sides for g in side)
+    groups = [[g for g in side if not g.measured] for side in sides]
+    check_across(across, [*groups[0], *groups[1]])
+    matching = match(groups[0], groups[1], across)
+    data = with_peers({f.summary.provenance.run_id: f.run for side in (base, head) for f in side.files if f.run})
+    protocols = [Protocol([f.summary for f in side.files]) for side in (base, head)]
+    drafts = [_draft(pair, data, protocols, settings, work) for pair in matching.pairs]
+    findings, tests = _answered([draft.items for draft in drafts], settings)
+    summaries = [f.summary for side in (base, head) for f in side.files]
+    notes = [*base.notes, *head.notes]
+    if measured:
+        notes.append("real trials are left out")
+    return Result(
+        tuple(_compared(draft, found, settings.alpha) for draft, found in zip(drafts, findings, strict=True)),
+        matching.alone,
+        tuple((name, u) for name, side in (("base", base), ("head", head)) for u in side.unreadable),
+        settings,
+        tests,
+        sum(s.status == "incomplete" or bool(s.dropouts) for s in summaries),
+        tuple(notes),
+    )
+
+
+@dataclass(frozen=True)
+class _Draft:
+    pair: Pair
+    base: Runs
+    head: Runs
+    order: Schedule
+    items: tuple[Finding | _Asked, ...]
+    timed: tuple[TimedWork, TimedWork]
+
+
+@dataclass(frozen=True)
+class _Asked:
+    axis: Axis
+    question: Question
+
+
+def _draft(
+    pair: Pair, data: dict[str, RunData], protocols: Sequence[Protocol], settings: Settings, work: Work
+) -> _Draft:
+    base, head = ([data[s.provenance.run_id] for s in g.complete] for g in (pair.base, pair.head))
+    items: list[Finding | _Asked] = []
+    other_sources = {*GPU_MEMORY} - {gpu_memory_by(base, head)}
+
+    def add(axis: Axis, *found: Finding | Question | None) -> None:
+        for one in found:
+            if one is not None:
+                items.append(one if isinstance(one, Finding) else _Asked(axis, one))
+
+    def numbers(axis: Axis) -> None:
+        for measure in MEASURES:
+            if measure.axis is axis and measure.name not in other_sources:
+                add(axis, compare_numbers(measure, base, head, settings, same_machine=pair.same_machine))
+
+    for axis in (Axis.THROUGHPUT, Axis.MEMORY, Axis.BUILD):
+        numbers(axis)
+    add(Axis.PHYSICS, *compare_mechanics(base, head, certain=all_alike(base) and all_alike(head)))
+    add(Axis.PHYSICS, compare_outcomes(base, head, settings, work))
+    add(Axis.VALIDITY, compare_validity(pair))
+    numbers(Axis.VALIDITY)
+    add(Axis.DETERMINISM, *compare_determinism(base, head))
+    add(Axis.BITS, compare_bits(base, head))
+    one, other = (
+        timed_work(group.key, runs, protocol.of(group.recordings))
+        for group, runs, protocol in zip((pair.base, pair.head), (base, head), protocols, strict=True)
+    )
+    return _Draft(pair, base, head, schedule(base, head), tuple(items), (one, other))
+
+
+def _answered(drafts: Sequence[Sequence[Finding | _Asked]], settings: Settings) -> tuple[list[list[Finding]], int]:
+    """Findings for all questions, their p-values adjusted for each other; and how many there were that count.
+
+    Those that do not count are a family of their own: they must not make the others' p-values larger.
+    """
+    asked = [item for draft in drafts for item in draft if isinstance(item, _Asked)]
+    verdicts: dict[int, Finding] = {}
+    tests = 0
+    for counted in (True, False):
+        family = [a for a in asked if counts(a.axis, settings) is counted]
+        able = able_to_reject([a.question.least_p for a in family], settings.alpha)
+        level = settings.alpha / max(sum(able), 1)
+        found = [a.question(level, able=can) for a, can in zip(family, able, strict=True)]
+        adjusted = iter(
+            holm([1.0 if f.p_value is None else f.p_value for (f, _), can in zip(found, able, strict=True) if can])
+        )
+        for one, (shown, not_shown), can in zip(family, found, able, strict=True):
+            p = next(adjusted) if can else None
+            significant = p is not None and p <= settings.alpha
+            verdicts[id(one)] = replace(shown if significant else not_shown, p_adjusted=p)
+        tests += sum(able) if counted else 0
+    return [[verdicts[id(i)] if isinstance(i, _Asked) else i for i in draft] for draft in drafts], tests
+
+
+def _compared(draft: _Draft, findings: list[Finding], alpha: float) -> Compared:
+    notes = [
+        f"{name}: {note}"
+        for name, side, runs in (("base", draft.pair.base, draft.base), ("head", draft.pair.head, draft.head))
+        for note in (*status_notes(side), *cotenant_notes(runs))
+    ]
+    return Compared(
+        draft.pair, draft.order, tuple(findings), tuple(_warnings(draft, findings, alpha)), tuple(notes), draft.timed
+    )  # fmt: skip
+
+
+def _warnings(draft: _Draft, findings: Sequence[Finding], alpha: float) -> list[str]:
+    order, pair = draft.order, draft.pair
+    lines = []
+    if not pair.same_machine:
+        lines.append("base and head were recorded on different machines: speed and memory are not compared")
+    clocked = any(f.axis is Axis.THROUGHPUT and f.p_value is not None for f in findings)
+    if clocked and not order.known:
+        lines.append(
+            "the recordings do not say in which order they were made: drift of the machine cannot be told from a change"
+        )
+    elif clocked and not order.interleaved:
+        lines.append(
+            f"base and head were not recorded in turn ({order.text}): drift of the machine cannot be told from a change"
+        )
+    elif clocked and order.one_first and max(order.n) > 1:
+        lines.append(f"one side always came first ({order.text}): a steady drift favours one; A B B A cancels it")
+    if 0 < min(order.n) < FEW_RUNS:
+        what = "complete run" if order.n[0] == 1 else "complete runs"
+        lines.append(f"{order.n[0]} {what} of base and {order.n[1]} of head are few: {FEW_RUNS} a side are advised")
+    return [*timed.of_sides(*draft.timed), *lines, *_blind(findings, alpha)]
+
+
+def _blind(findings: Sequence[Finding], alpha: float) -> list[str]:
+    """Which comparisons could have shown nothing, whatever the runs had been."""
+    found: dict[float, list[str]] = {}
+    for f in findings:
+        if f.least_p is not None and f.p_adjusted is None:
+            found.setdefault(f.least_p, []).append(f.title)
+    return [
+        f"too few runs{'' if least > alpha else ' for so many comparisons at once'} to show any change of "
+        f"{', '.join(titles)}, however large (smallest p possible: {least:.2g})"
+        for least, titles in found.items()
+    ]

@@ -1,0 +1,172 @@
+"""Which group of base is compared with which group of head: what was asked for the same."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Collection, Hashable, Sequence
+from dataclasses import dataclass, fields, replace
+from typing import Any
+
+from gpusimbench.evaluator.runs.groups import Group, GroupKey, asked, labels, options_given, precisions
+from gpusimbench.evaluator.runs.summary import Summary
+from gpusimbench.schemas.errors import UsageError
+
+ACROSS = ("simulator", "determinism", "warmup", "timed_steps")
+"""What --across takes besides names of options."""
+
+_SHOWN, _LENGTH = 12, 48
+
+Groups = Sequence[Group[Summary]]
+
+
+@dataclass(frozen=True)
+class Pair:
+    """A group of base and one of head that were asked for the same.
+
+    label         unique among the pairs
+    differs       what they differ in, each as "name: value -> value"
+    same_machine  whether CPU and GPUs are the same by name
+    """
+
+    label: str
+    base: Group[Summary]
+    head: Group[Summary]
+    differs: tuple[str, ...]
+    same_machine: bool
+
+
+@dataclass(frozen=True)
+class Matching:
+    """Pairs, and what has no partner: side, label, reason."""
+
+    pairs: tuple[Pair, ...]
+    alone: tuple[tuple[str, str, str], ...]
+
+
+def match(base: Groups, head: Groups, across: Collection[str] = ()) -> Matching:
+    """Pair the groups of two sets.
+
+    Those of equal keys first. Then those that were asked for the same on machines of one kind: versions, packages,
+    drivers, environment variables and options that nobody asked for may differ, since they are what is compared. Then
+    those on other machines. A group for which several could be the partner has none.
+
+    across  names of options, or of ACROSS, that may differ too
+    """
+    left, right = list(base), list(head)
+    found: list[tuple[Group[Summary], Group[Summary]]] = []
+    for rule in (lambda g: g.key, lambda g: _asked(g, across), lambda g: _anywhere(g, across)):
+        found += _unique(left, right, rule)
+    found.sort(key=lambda pair: list(base).index(pair[0]))
+    given = options_given(r for g in (*base, *head) for r in g.recordings)
+    names = labels([one.key for one, _ in found], given)
+    pairs = tuple(
+        Pair(name, one, other, _differences(one, other), _machine(one) == _machine(other))
+        for name, (one, other) in zip(names, found, strict=True)
+    )
+    alone = [
+        (side, f"{label}, {group.key.scene}, {group.key.n_env} envs", _why(group, others, across))
+        for side, groups, rest, others in (("base", base, left, head), ("head", head, right, base))
+        for group, label in zip(groups, labels([g.key for g in groups], given), strict=True)
+        if group in rest
+    ]
+    return Matching(pairs, tuple(alone))
+
+
+def check_across(across: Collection[str], groups: Groups) -> None:
+    """UsageError where --across names nothing that any recording was asked for."""
+    known = options_given(r for g in groups for r in g.recordings) | set(ACROSS)
+    for name in across:
+        if name not in known:
+            raise UsageError(f"--across takes an option that a run was given or {', '.join(ACROSS)}, not '{name}'")
+
+
+def _unique(
+    left: list[Group[Summary]], right: list[Group[Summary]], rule: Callable[[Group[Summary]], Hashable]
+) -> list[tuple[Group[Summary], Group[Summary]]]:
+    """Take those out of both lists whose key no other has."""
+    alike: dict[Hashable, tuple[list[Group[Summary]], list[Group[Summary]]]] = {}
+    for side, groups in enumerate((left, right)):
+        for group in groups:
+            alike.setdefault(rule(group), ([], []))[side].append(group)
+    found = [(a[0], b[0]) for a, b in alike.values() if len(a) == len(b) == 1 and _one_scene(a[0], b[0])]
+    for group, other in found:
+        left.remove(group)
+        right.remove(other)
+    return found
+
+
+def _asked(group: Group[Summary], across: Collection[str]) -> GroupKey:
+    # all recordings of a group were asked for the same
+    key = asked(group.recordings[0])
+    plain: dict[str, Any] = {"conditions": ""}
+    options = {name: value for name, value in json.loads(key.options).items() if name not in across}
+    plain["options"] = json.dumps(options, sort_keys=True)
+    for name in ACROSS:
+        if name in across:
+            plain[name] = 0 if isinstance(getattr(key, name), int) else ""
+    return replace(key, **plain)
+
+
+def _anywhere(group: Group[Summary], across: Collection[str]) -> GroupKey:
+    return replace(_asked(group, across), device="")
+
+
+def _machine(group: Group[Summary]) -> str:
+    return asked(group.recordings[0]).device
+
+
+def _one_scene(one: Group[Summary], other: Group[Summary]) -> bool:
+    hashes = {one.key.scene_hash, other.key.scene_hash} - {""}
+    return len(hashes) < 2
+
+
+def _why(group: Group[Summary], others: Groups, across: Collection[str]) -> str:
+    alike = [g for g in others if _anywhere(g, across) == _anywhere(group, across)]
+    if not alike:
+        return "nothing on the other side was asked for the same"
+    if not any(_one_scene(group, g) for g in alike):
+        return "the description of the scene is another one on the other side"
+    return "several groups were asked for the same, in versions or conditions that differ: compare them one by one"
+
+
+def _differences(base: Group[Summary], head: Group[Summary]) -> tuple[str, ...]:
+    found: list[str] = []
+    for field in fields(GroupKey):
+        one, other = getattr(base.key, field.name), getattr(head.key, field.name)
+        if one == other or "" in (base.key.version, head.key.version):
+            continue  # of a run that was never built, nothing is known but what was asked
+        if field.name in ("options", "switches", "conditions"):
+            found += _entries(json.loads(one or "{}"), json.loads(other or "{}"))
+        elif field.name == "layout" and precisions(base.key) != precisions(head.key):
+            found.append(_arrow("precision", *(" and ".join(precisions(side.key)) for side in (base, head))))
+        elif field.name in ("layout", "origins"):
+            found.append(f"{field.name} of the states")
+        else:
+            found.append(_arrow(field.name, one, other))
+    one, other = _commits(base), _commits(head)
+    if one != other:
+        found.append(_arrow("commit of the recorder", one, other))
+    more = len(found) - _SHOWN
+    return (*found[:_SHOWN], *([f"and {more} more"] if more > 0 else []))
+
+
+def _entries(one: dict[str, Any], other: dict[str, Any]) -> list[str]:
+    names = sorted({*one, *other})
+    return [_arrow(n, one.get(n, "unset"), other.get(n, "unset")) for n in names if one.get(n) != other.get(n)]
+
+
+def _commits(group: Group[Summary]) -> str:
+    recorders = [r.provenance.software.get("recorder") for r in group.recordings]
+    commits = {
+        str(r.get("commit") or "")[:12] + ("+" if r.get("modified") else "") for r in recorders if isinstance(r, dict)
+    }
+    return ", ".join(sorted(commits)[:3]) or "unknown"
+
+
+def _arrow(name: str, one: Any, other: Any) -> str:
+    return f"{_short(name)}: {_short(one)} -> {_short(other)}"
+
+
+def _short(value: Any) -> str:
+    text = " ".join(str(value).split()) or "none"
+    return text if len(text) <= _LENGTH else f"{text[: _LENGTH - 3]}..."

@@ -1,0 +1,74 @@
+"""Checks of mechanics: which held for base and are broken for head, and the other way round."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from gpusimbench.evaluator.compare.counted import Counted
+from gpusimbench.evaluator.compare.finding import Axis, Change, Direction, Finding, Question, not_compared
+from gpusimbench.evaluator.results.aggregate import Runs
+from gpusimbench.evaluator.results.fidelity import Fidelity, FidelityRow, Verdict, fidelity
+from gpusimbench.evaluator.runs.physics.facts import Check, Measured
+
+_NAME, _TITLE = "mechanics", "checks of mechanics"
+
+
+def compare_mechanics(base: Runs, head: Runs, *, certain: bool) -> Sequence[Finding | Question]:
+    """A finding for each check that could have changed, and one for all where none could; empty without states.
+
+    certain  all runs of a side are bit-identical, so that one speaks for all, and a check has changed where its verdict
+             has; otherwise it is counted in how many runs a check is broken, and tested whether that is another share
+    """
+    if not any("capture" in r.recording.configuration.phases for r in (*base, *head)):
+        return ()
+    one, other = (fidelity("", [r.physics for r in runs]) for runs in (base, head))
+    if why := "; ".join(dict.fromkeys(f.why_not for f in (one, other) if f.why_not)):
+        applies = not (base and head and one.why_not and other.why_not)
+        return (not_compared(Axis.PHYSICS, _NAME, _TITLE, why, applies=applies),)
+    rows = {row.check: row for row in other.rows}
+    both = [(row, rows[row.check]) for row in one.rows if row.check.demanded and row.check in rows]
+    none = Verdict.NOT_APPLICABLE
+    judged = [pair for pair in both if all(row.verdict is not none for row in pair)]
+    if not judged:
+        either = any(row.check.demanded and row.verdict is not none for row in (*one.rows, *other.rows))
+        return (not_compared(Axis.PHYSICS, _NAME, _TITLE, "no check applies to both sides", applies=either),)
+    found = [_found(a, b, base, head, certain=certain) for a, b in judged]
+    return [one for one in found if one is not None] or (_unchanged(one, other, (len(base), len(head))),)
+
+
+def _unchanged(one: Fidelity, other: Fidelity, n: tuple[int, int]) -> Finding:
+    held = [
+        f"{len(f.of(Verdict.HELD))} of {len(f.of(Verdict.HELD)) + len(f.of(Verdict.BROKEN))} held" for f in (one, other)
+    ]
+    method = "verdicts of gsb-eval --physics; those that apply to both sides are the same"
+    return Finding(
+        Axis.PHYSICS, _NAME, _TITLE, Change.SAME, Direction.HIGHER, said=(held[0], held[1]), n=n, method=method
+    )  # fmt: skip
+
+
+def _found(one: FidelityRow, other: FidelityRow, base: Runs, head: Runs, *, certain: bool) -> Finding | Question | None:
+    """The finding or the question of a check; None where it could not have changed.
+
+    Which tests are made must not depend on how broken runs fell to the sides, or their p-values mean nothing: a check
+    that only some runs of all break is asked, also where both sides have such runs.
+    """
+    counts = (bad, n1), (worse, n2) = _broken(one.check, base), _broken(one.check, head)
+    if (one.verdict is other.verdict) if certain else (bad + worse in (0, n1 + n2)):
+        return None
+    finding = Finding(
+        Axis.PHYSICS, f"mechanics.{one.check.key}", one.check.title,
+        Change.REGRESSION if worse * n1 > bad * n2 else Change.IMPROVEMENT, Direction.HIGHER,
+        said=(_said(one), _said(other)), n=(n1, n2), method="verdict of gsb-eval --physics over all runs",
+        note=f"broken in {bad} of {n1} runs of base, {worse} of {n2} of head",
+    )  # fmt: skip
+    return finding if certain else Counted(finding, *counts, of="in which it is broken")
+
+
+def _said(row: FidelityRow) -> str:
+    return f"BROKEN {row.broken} of {row.count}" if row.verdict is Verdict.BROKEN else row.verdict.value
+
+
+def _broken(check: Check, runs: Runs) -> tuple[int, int]:
+    """In how many runs a check is broken, of how many that were measured."""
+    facts = [fact for run in runs for fact in run.physics.facts if fact.check is check and isinstance(fact, Measured)]
+    return sum(fact.broken > 0 for fact in facts), len(facts)

@@ -1,0 +1,164 @@
+"""Numbers of runs: the ratio of head to base, tested by dealing the runs anew."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gpusimbench.evaluator.compare.finding import Axis, Change, Finding, Question, Settings, not_compared
+from gpusimbench.evaluator.compare.measures import Measure
+from gpusimbench.evaluator.compare.schedule import Schedule, schedule
+from gpusimbench.evaluator.results.aggregate import Runs
+from gpusimbench.evaluator.statistics.exchange import Shift, compare_means, least_p
+
+Values = NDArray[np.float64]
+
+_SPEED: Final = (Axis.THROUGHPUT, Axis.MEMORY, Axis.BUILD)
+
+_MOST = 1e100
+"""A file may hold any number; the ratio of larger ones, or of those below its inverse, is none."""
+
+_LEAST_BYTES = 1_000_000
+"""A change of fewer bytes matters to nobody, however large it is in proportion."""
+
+
+def compare_numbers(
+    measure: Measure, base: Runs, head: Runs, settings: Settings, *, same_machine: bool
+) -> Finding | Question | None:
+    """A verdict that needs no statistics, a question, or None where neither side has anything to compare.
+
+    Logarithms are compared, so that a factor counts the same up and down; the numbers themselves where one is zero.
+    """
+    reasons = [why for why in (measure.why_not(base), measure.why_not(head)) if why]
+    axis, name, title = measure.axis, measure.name, measure.title
+    if len(reasons) == 2 and measure.axis is Axis.VALIDITY:
+        return None
+    if reasons:
+        either = len(reasons) == 1 or not (base and head) or any(map(measure.spoilt, (*base, *head)))
+        return not_compared(axis, name, title, "; ".join(dict.fromkeys(reasons)), applies=either)
+    if axis in _SPEED and not same_machine:
+        return not_compared(axis, name, title, "base and head were recorded on different machines")
+    order = schedule(
+        [r for r in base if measure.of(r) is not None], [r for r in head if measure.of(r) is not None]
+    )  # fmt: skip
+    values = np.array([measure.of(run) for run in order.runs], dtype=np.float64)
+    if not ((values == 0) | ((values > 1 / _MOST) & (values < _MOST))).all():
+        return not_compared(axis, name, title, "a run has a value that is negative, not finite or beyond all measure")
+    second = np.array(order.head)
+    one, other = values[~second], values[second]
+    finding = Finding(
+        axis, name, title, Change.SAME, measure.direction, measure.unit,
+        base=_mean(one), head=_mean(other), ratio=_ratio(_mean(one), _mean(other)), n=order.n,
+        method=measure.method,
+    )  # fmt: skip
+    if np.ptp(one) == 0.0 and np.ptp(other) == 0.0:
+        if one[0] == other[0]:
+            return replace(finding, note="the same in every run")
+        if min(order.n) > 1:
+            return replace(
+                finding,
+                change=measure.direction.judged(rises=other[0] > one[0])
+                if _matters(measure, one[0], other[0], settings)
+                else Change.SMALL,
+                note=f"every run of a side has this very value; {_by_chance(order)}",
+            )
+    return _Asked(measure, order, values, finding, settings)
+
+
+@dataclass(frozen=True)
+class _Asked:
+    """The test of one measure."""
+
+    measure: Measure
+    order: Schedule
+    values: Values
+    finding: Finding
+    settings: Settings
+
+    @property
+    def least_p(self) -> float:
+        """See Question."""
+        return least_p(self.order.head, [0] * len(self.order.head))
+
+    def __call__(self, level: float, *, able: bool) -> tuple[Finding, Finding]:
+        """See Question; what is as large as matters is by the ends of the interval, not by its middle."""
+        logs = bool((self.values > 0).all())
+        blocks = self.order.blocks_for(level)
+        found = compare_means(
+            np.log(self.values) if logs else self.values, self.order.head, blocks, confidence=0.95
+        )  # fmt: skip
+        second = np.array(self.order.head)
+        one, other = self.values[~second], self.values[second]
+        center = _geometric if logs else _mean
+        base, head = center(one), center(other)
+        # within blocks of unequal sizes, the shift is no difference of these means: what was tested is shown
+        ratio = math.exp(found.difference) if logs else _ratio(base, head)
+        kind = "geometric means over runs" if logs else "means over runs"
+        tested = replace(
+            self.finding,
+            base=base,
+            head=head,
+            ratio=ratio,
+            p_value=found.p_value,
+            least_p=found.least_p,
+            test=f"{kind}; {_exchanged(found, blocks)}",
+        )
+        if found.low is None or found.high is None:
+            return self._judged(tested, falls=True, rises=True)
+        ends = [base * math.exp(end) if logs else base + end for end in (found.low, found.high)]
+        return self._judged(
+            replace(tested, ci95=(math.exp(found.low), math.exp(found.high)) if logs else None, bounded=True),
+            falls=ends[0] < base and self._matters(base, ends[0]),
+            rises=ends[1] > base and self._matters(base, ends[1]),
+            beyond=(ends[0] > base and self._matters(base, ends[0]))
+            or (ends[1] < base and self._matters(base, ends[1])),
+        )
+
+    def _matters(self, base: float, end: float) -> bool:
+        return _matters(self.measure, base, end, self.settings)
+
+    def _judged(self, tested: Finding, *, falls: bool, rises: bool, beyond: bool = False) -> tuple[Finding, Finding]:
+        """What is found where p is significant, and where it is not.
+
+        falls, rises  whether the interval holds so large a change downwards, upwards
+        beyond        whether it holds nothing else
+        """
+        ways = [way for way, held in ((False, falls), (True, rises)) if held]
+        left = tuple(dict.fromkeys(self.measure.direction.judged(rises=way) for way in ways))
+        not_shown = replace(tested, change=Change.UNCLEAR if left else Change.WITHIN, left_open=left)
+        if beyond:
+            return replace(tested, change=left[0]), not_shown
+        return replace(tested, change=Change.NEAR if left else Change.SMALL, left_open=left), not_shown
+
+
+def _by_chance(order: Schedule) -> str:
+    """How often two values that fell to runs whatever their side would part them like this."""
+    return f"runs dealt at random part them so in {least_p(order.head, [0] * len(order.head)):.2g} of all cases"
+
+
+def _exchanged(found: Shift, blocks: tuple[int, ...]) -> str:
+    count = len(set(blocks))
+    within = f"within {count} blocks of neighbours in time" if count > 1 else "with any other"
+    how = f"all {found.n} ways" if found.exhaustive else f"{found.n - 1} ways drawn with seed {found.seed}"
+    return f"permutation test, runs exchanged {within} ({how}); the interval inverts it"
+
+
+def _matters(measure: Measure, base: float, head: float, settings: Settings) -> bool:
+    return settings.matters(base, head) and (measure.unit != "B" or abs(head - base) >= _LEAST_BYTES)
+
+
+def _mean(values: Values) -> float:
+    # equal values have their very value for a mean: sums of them round
+    return float(values[0] + (values - values[0]).mean())
+
+
+def _geometric(values: Values) -> float:
+    return math.exp(_mean(np.log(values)))
+
+
+def _ratio(base: float, head: float) -> float | None:
+    return head / base if base > 0 else None

@@ -1,0 +1,98 @@
+"""Bits: whether environments and runs are as identical as they were, and whether head's states are base's."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from gpusimbench.evaluator.compare.finding import Axis, Change, Direction, Finding, not_compared
+from gpusimbench.evaluator.results import identity_metrics as identity
+from gpusimbench.evaluator.results.aggregate import Runs
+from gpusimbench.evaluator.results.claims import every, identical
+from gpusimbench.evaluator.results.result import Metric
+from gpusimbench.evaluator.runs.state_hashes import Histories
+
+_ENVS, _RUNS = "bits of environments", "bits of runs"
+_STATES = "states of head and base"
+
+
+def compare_determinism(base: Runs, head: Runs) -> Sequence[Finding]:
+    """Whether environments, and runs, are bit-identical on either side; empty where no states were captured."""
+    if not any(r.histories for r in (*base, *head)):
+        return ()
+    one, other = identity.distinct(base), identity.distinct(head)
+    return [
+        _level("distinct_envs", _ENVS, one[0], other[0], (len(base), len(head))),
+        _level("distinct_runs", _RUNS, one[1], other[1], (len(base), len(head))),
+    ]
+
+
+def all_alike(runs: Runs) -> bool:
+    """Whether at least two runs were compared, and all have the same bits at every captured step."""
+    return identical(identity.distinct(runs)[1]).yes
+
+
+def compare_bits(base: Runs, head: Runs) -> Finding | None:
+    """Whether head's states are base's, bit for bit, and if not, from which step on; None where none were captured."""
+    runs = [*base, *head]
+    if not any(r.histories for r in runs):
+        return None
+    n = (len(base), len(head))
+    method = "64-bit state hashes of every environment at every captured step"
+    if len(set(map(identity.comparable, runs))) > 1:
+        return not_compared(Axis.BITS, "states", _STATES, "other scene, seed of actions, or layout of the states")
+    found = [[r.histories for r in side if r.histories] for side in (base, head)]
+    if not all(found) or sum(map(len, found)) < len(runs):
+        return not_compared(Axis.BITS, "states", _STATES, "not all runs captured states")
+    for name, side in zip(("base", "head"), found, strict=True):
+        if len({h.until(len(h.steps)) for h in side}) > 1:
+            shared = _shared(*found)
+            return not_compared(Axis.BITS, "states", _STATES, f"runs of {name} differ among themselves; {shared}")
+    one, other = found[0][0], found[1][0]
+    rows = min(len(one.steps), len(other.steps))
+    if not rows or not np.array_equal(one.steps[:rows], other.steps[:rows]):
+        return not_compared(Axis.BITS, "states", _STATES, "other steps were captured")
+    apart = np.flatnonzero((one.digests[:rows] != other.digests[:rows]).any(axis=1))
+    same = not len(apart)
+    if not same and min(n) < 2:
+        why = f"they differ from step {int(one.steps[apart[0]])} on, as runs of one side may too: needs two runs a side"
+        return not_compared(Axis.BITS, "states", _STATES, why)
+    said = f"bit-identical at {rows} steps" if same else f"differ from step {int(one.steps[apart[0]])} on"
+    change = Change.SAME if same else Change.CHANGED
+    return Finding(Axis.BITS, "states", _STATES, change, said=("", said), n=n, method=method)
+
+
+def _shared(one: Sequence[Histories], other: Sequence[Histories]) -> str:
+    rows = min(len(h.steps) for h in (*one, *other))
+    common = {h.until(rows) for h in one} & {h.until(rows) for h in other}
+    return f"{len(common)} of their histories {'is' if len(common) == 1 else 'are'} on both sides"
+
+
+def _level(name: str, title: str, one: Metric, other: Metric, n: tuple[int, int]) -> Finding:
+    axis = Axis.DETERMINISM
+    claims = [identical(metric) for metric in (one, other)]
+    if unknown := [claim for claim in claims if claim.holds is None]:
+        # environments that differ by design, on either side, leave nothing to decide; too few runs do
+        designed = name == "distinct_envs" and len(unknown) == len(claims) and min(n) > 0
+        return not_compared(axis, name, title, every(unknown).why_not, applies=not designed)
+    alike, stays = (claim.yes for claim in claims)
+    change = Direction.LOWER.judged(rises=alike) if alike != stays else Change.SAME
+    return Finding(
+        axis, name, title, change, Direction.LOWER, said=(_said(one), _said(other)), base=one.value, head=other.value,
+        n=n, method="64-bit state hashes of every captured step", note=_bound(name, one if alike else other, change),
+    )  # fmt: skip
+
+
+def _bound(name: str, alike: Metric, change: Change) -> str:
+    # the rule of three, as in docs/statistics.md
+    if name != "distinct_runs" or change is Change.SAME:
+        return ""
+    below: Any = 1 - 0.05 ** (1 / (alike.n - 1))
+    return f"{alike.n} bit-identical runs: another one differs in some bit with a probability below {below:.0%} (95 %)"
+
+
+def _said(metric: Metric) -> str:
+    count = int(metric.value or 0)
+    return f"identical, all {metric.n}" if count == 1 else f"{count} of {metric.n} distinct"

@@ -1,0 +1,65 @@
+"""The files of base and of head."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from gpusimbench.evaluator.compute.work import Work
+from gpusimbench.evaluator.read.addresses import expand
+from gpusimbench.evaluator.results.evaluate import without_copies
+from gpusimbench.evaluator.runs.known_files import read_all
+from gpusimbench.evaluator.runs.reading import Read, Reader, Unreadable
+from gpusimbench.schemas import PARTIAL
+from gpusimbench.schemas.errors import UsageError
+from gpusimbench.schemas.location import Place
+
+
+@dataclass(frozen=True)
+class Side:
+    """One of the two sets.
+
+    files       recordings that could be read, each run once
+    unreadable  files that could not
+    notes       on copies
+    """
+
+    files: tuple[Read, ...]
+    unreadable: tuple[Unreadable, ...]
+    notes: tuple[str, ...]
+
+
+def places_of(given: Sequence[Place], name: str) -> list[Place]:
+    """Files, and of each folder its recordings, also those that were never finished; UsageError where it has none."""
+    found: list[Place] = []
+    for one in given:
+        if not isinstance(one, Path) or not one.is_dir():
+            found.append(one)
+            continue
+        inside = sorted(path for end in ("*.mcap", f"*.mcap{PARTIAL}") for path in one.glob(end))
+        if not inside:
+            raise UsageError(f"{one} has no recordings (*.mcap); {name} is a folder of them, or files")
+        found += inside
+    return expand(found)
+
+
+def read_sides(base: Sequence[Place], head: Sequence[Place], reader: Reader, work: Work) -> tuple[Side, Side]:
+    """Read both sets; UsageError where a run is in both."""
+    wanted = list(dict.fromkeys([*base, *head]))
+    read = dict(zip(wanted, read_all(wanted, reader, work), strict=True))
+    one, other = (_side([read[place] for place in places]) for places in (base, head))
+    ours = {file.summary.provenance.run_id: file for file in one.files}
+    for file in other.files:
+        if same := ours.get(file.summary.provenance.run_id):
+            raise UsageError(
+                f"{same.summary.path} of base and {file.summary.path} of head are one run, which tells nothing when it "
+                "is compared with itself; record a second set"
+            )
+    return one, other
+
+
+def _side(files: Sequence[Read | Unreadable]) -> Side:
+    failures = [f for f in files if isinstance(f, Unreadable)]
+    distinct, notes = without_copies([f for f in files if isinstance(f, Read)], failures)
+    return Side(tuple(distinct), tuple(failures), tuple(notes))

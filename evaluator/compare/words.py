@@ -1,0 +1,188 @@
+"""Findings as people read them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from gpusimbench.evaluator.compare.compare import Compared, Result, counts
+from gpusimbench.evaluator.compare.finding import Axis, Change, Direction, Finding
+from gpusimbench.evaluator.render.numbers import NONE, figure, plural
+from gpusimbench.evaluator.report.words import size
+
+TITLES = ("", "base", "head", "head / base", "95 % interval", "p", "verdict")
+
+
+def cells(finding: Finding, result: Result) -> tuple[str, ...]:
+    """A finding as the texts of a table's row, in the order of TITLES."""
+    base, head = (
+        _amount(value, said, finding) for value, said in zip((finding.base, finding.head), finding.said, strict=True)
+    )
+    interval = f"[{_times(finding.ci95[0])}, {_times(finding.ci95[1])}]" if finding.ci95 else NONE
+    p = NONE if finding.p_adjusted is None else f"{finding.p_adjusted:.2g}"
+    ratio = NONE if finding.ratio is None else _times(finding.ratio)
+    return title(finding), base, head, ratio, interval, p, verdict(finding, result)
+
+
+def title(finding: Finding) -> str:
+    """What is compared, in which unit."""
+    return f"{finding.title} [{finding.unit}]" if finding.unit not in ("", "B") else finding.title
+
+
+def verdict(finding: Finding, result: Result) -> str:
+    """The verdict; capitals where it fails a gate, and a word where its axis does not decide."""
+    few = finding.p_adjusted is None and not finding.bounded
+    if finding.undecided(result.settings):
+        return f"undecided{' (too few runs)' if few else ''}"
+    threshold = _threshold(finding, result)
+    word = {
+        Change.UNCLEAR: f"~{' (too few runs)' if few else ''}",
+        Change.WITHIN: f"~ within {threshold}",
+        Change.SMALL: f"differs, below {threshold}",
+        Change.NEAR: f"differs, perhaps below {threshold}",
+    }.get(finding.change, finding.change.value)
+    if finding.fails(result.settings):
+        return word.upper()
+    different = finding.change in (Change.REGRESSION, Change.CHANGED)
+    return f"{word} (not gated)" if different and not counts(finding.axis, result.settings) else word
+
+
+def headline(result: Result) -> str:
+    """The verdict of the whole in one line."""
+    failing, settings = result.failing, result.settings
+    if failing:
+        axes = ", ".join(dict.fromkeys(f.axis.value for f in failing))
+        what = "NOT THE SAME" if settings.expect_same else "REGRESSION"
+        if not settings.expect_same and all(f.change is Change.CHANGED for f in failing):
+            what = "CHANGED"
+        found = f"{what}: {axes} ({plural(len(failing), 'finding')} in {plural(len(result.compared), 'configuration')})"
+        undecided = ", ".join(axis.value for axis in result.undecided)
+        return f"{found}; not decided: {undecided}" if undecided else found
+    where = plural(len(result.compared), "configuration")
+    if result.open and result.comparable:
+        axes = ", ".join(axis.value for axis in result.undecided)
+        return f"NOT DECIDED: {axes} ({plural(len(result.open), 'finding')} in {where})"
+    if not result.comparable:
+        return "NOTHING COMPARED"
+    parts = [f"NO {'DIFFERENCE' if settings.expect_same else 'REGRESSION'} found in {where}"]
+    gained = dict.fromkeys(f.axis.value for f in result.findings if f.change is Change.IMPROVEMENT)
+    if gained:
+        parts.append(f"improved: {', '.join(gained)}")
+    if result.alone:
+        parts.append(f"{plural(len(result.alone), 'configuration')} without a partner")
+    return "; ".join(parts)
+
+
+def heading(compared: Compared) -> str:
+    """Which configuration."""
+    key = compared.pair.base.key
+    envs = f"{key.n_env} env{'' if key.n_env == 1 else 's'}"
+    return f"{compared.pair.label}, {key.scene}, {envs}, dt {key.dt:g} s"
+
+
+def runs(compared: Compared) -> str:
+    """How many runs, and in which order they were made."""
+    one, other = compared.order.n
+    order = f", in the order {compared.order.text} (A base, B head)" if one and other and compared.order.known else ""
+    return f"{plural(one, 'complete run')} of base, {other} of head{order}"
+
+
+def methods(compared: Sequence[Compared]) -> list[str]:
+    """What each finding is of, and which way is better; each once."""
+    lines = []
+    for f in (f for one in compared for f in one.findings if f.change is not Change.NOT_COMPARED):
+        better = "" if f.direction is Direction.NEITHER or not f.unit else f" ({f.direction.value} is better)"
+        lines.append(f"{f.title}{better}: {f.method}")
+    return list(dict.fromkeys(lines))
+
+
+def tests(compared: Compared) -> list[str]:
+    """How findings were tested, and of how many runs where these are not all; what shares a test shares a line."""
+    found: dict[str, list[str]] = {}
+    for f in compared.findings:
+        n = f"n = {f.n[0]} and {f.n[1]}"
+        if f.test:
+            found.setdefault(f"{f.test}, {n}", []).append(f.title)
+        elif f.change is not Change.NOT_COMPARED and f.n != compared.order.n and f.name != "complete_runs":
+            found.setdefault(n, []).append(f.title)
+    return [f"{', '.join(titles)}: {test}" for test, titles in found.items()]
+
+
+def remarks(compared: Compared) -> list[str]:
+    """What a reader must see beside the numbers: notes of findings, and what was not compared."""
+    lines = [f"{f.title}: {f.note}" for f in compared.findings if f.note]
+    reasons: dict[str, list[str]] = {}
+    for f in compared.findings:
+        if f.change is Change.NOT_COMPARED:
+            reasons.setdefault(f.why_not, []).append(f.title)
+    return [*lines, *(f"not compared: {', '.join(titles)}: {why}" for why, titles in reasons.items()), *compared.notes]
+
+
+def undecided(compared: Compared, result: Result) -> list[str]:
+    """What neither fails nor passes its gate, and why; what shares a reason shares a line."""
+    reasons: dict[str, list[str]] = {}
+    for finding in compared.findings:
+        if why := finding.undecided(result.settings):
+            reasons.setdefault(why, []).append(finding.title)
+    return [f"{', '.join(titles)}: {why}" for why, titles in reasons.items()]
+
+
+def legend(result: Result) -> list[str]:
+    """What the columns mean."""
+    findings, lines = result.findings, []
+    if result.tests:
+        alpha = _percent(result.settings.alpha)
+        tests = plural(result.tests, "statistical comparison")
+        lines.append(
+            f"p: adjusted for {tests} on axes that count, of enough runs to show something (Holm), so that any false "
+            f"alarm among them has a chance of at most {alpha}; intervals are of one comparison alone"
+        )
+    passed = [f for f in findings if not f.undecided(result.settings)]
+    if any(f.change in (Change.UNCLEAR, Change.WITHIN) for f in passed):
+        lines.append("~: not distinguishable by so many runs; what the interval holds is possible")
+    if result.open:
+        lines.append(
+            "undecided: neither failed nor passed, exit code 5 where nothing fails; more runs, longer runs, a larger "
+            "--threshold, or --gate without the axis decide"
+        )
+    if any(f.p_value is None and f.change not in (Change.NOT_COMPARED, Change.SAME) for f in findings):
+        lines.append("verdicts without a p say what these runs did, and are no statistics")
+    return lines
+
+
+def settings_line(result: Result) -> str:
+    """What decides."""
+    settings = result.settings
+    gates = ", ".join(axis.value for axis in Axis if axis in settings.gates)
+    if settings.expect_same:
+        return f"base and head are said to be the same: every difference counts; to be decided: {gates}"
+    least = f"{_percent(settings.threshold)} of an amount, or {settings.outcome_cm:g} cm"
+    return f"gates: {gates}; changes below {least}, do not count"
+
+
+def _threshold(finding: Finding, result: Result) -> str:
+    if finding.unit == "cm":
+        return f"{result.settings.outcome_cm:g} cm"
+    amounts = [finding.base, finding.head]
+    if finding.ci95 and finding.base is not None:
+        amounts += [finding.base * end for end in finding.ci95]
+    known = [amount for amount in amounts if amount is not None]
+    tiny = finding.unit == "B" and len(known) > 1 and result.settings.matters(min(known), max(known))
+    return "1 MB" if tiny else _percent(result.settings.threshold)
+
+
+def _times(ratio: float) -> str:
+    return f"{ratio:.3f}" if 0.001 <= ratio < 1000 else f"{ratio:.3g}"
+
+
+def _percent(share: float) -> str:
+    return f"{share * 100:.3g} %"
+
+
+def _amount(value: float | None, said: str, finding: Finding) -> str:
+    if said:
+        return said
+    if value is None:
+        return NONE
+    if finding.unit == "B":
+        return size(value, "#.4g")
+    return f"{value:.3g}" if finding.unit == "s" else figure(value, finding.unit)

@@ -1,0 +1,151 @@
+"""Some environments of a recording as a file for viewers: shapes once, poses over simulated time, events."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from gpusimbench.evaluator.player.view_writer import Shown, ViewWriter
+from gpusimbench.evaluator.read.copying import LIBRARY
+from gpusimbench.evaluator.read.recording import Recording
+from gpusimbench.schemas.configuration import EPOCH_NS, sim_time_ns
+from gpusimbench.schemas.errors import DamagedRecording, UsageError
+from gpusimbench.schemas.mcap_writer import McapWriter
+from gpusimbench.schemas.view.env_view import EnvView
+from gpusimbench.schemas.view.motion import Frame, Motion, one_of
+from gpusimbench.schemas.view.shapes import Solid, Vector, solids_of
+from gpusimbench.schemas.writing import new_file
+
+_LAST_NS = 1 << 62
+
+
+@dataclass(frozen=True)
+class View:
+    """A file that was written.
+
+    shapes      bodies and links that are drawn
+    frames      that move
+    times       points of simulated time
+    seconds     of simulated time, from the first to the last
+    notes       what is not drawn, and why
+    layout      for Foxglove, JSON
+    incomplete  the recording was cut short
+    """
+
+    path: Path
+    shapes: int
+    frames: int
+    times: int
+    seconds: float
+    notes: tuple[str, ...]
+    layout: str
+    incomplete: bool
+
+
+def write_view(source: Path, path: Path, *, envs: Sequence[int], rate: float, spread: float) -> View:
+    """Write the view of some environments.
+
+    rate    at most so many poses a second of simulated time [Hz]
+    spread  environments whose origins are the same are put side by side along y, this far apart [m]
+
+    UsageError where there is no such environment, no state, or the name is taken.
+    """
+    if not 1e-3 <= rate <= 1e6:
+        raise UsageError(f"--rate is a number from 0.001 to 1e6, not {rate:g}")
+    if not math.isfinite(spread):
+        raise UsageError(f"--spread is a distance in metres, not {spread}")
+    recording = Recording(source)
+    n_env = recording.configuration.n_env
+    for env in envs:
+        if not 0 <= env < n_env:
+            raise UsageError(f"--env is a number from 0 to {n_env - 1} in {source}, not {env}")
+    chosen = tuple(dict.fromkeys(envs))
+    views = _views(recording, chosen, spread)
+    rows = _rows(recording, views[0].motion, rate)
+    times = _times(recording, views[0].motion, rows)
+    if not times:
+        raise UsageError(f"{source} holds no states of bodies or joints; there is nothing to show")
+    shown = tuple((view, _frames(recording, view, rows)) for view in views)
+    with new_file(path) as target:
+        writer = ViewWriter(McapWriter(target.stream, profile="", library=LIBRARY, compression="zstd"))
+        writer.scene(views)
+        writer.events(recording)
+        for row, time in enumerate(times):
+            writer.row(shown, row, EPOCH_NS + time)
+        text = writer.about(recording, views)
+        writer.finish()
+    solids = views[0].solids
+    return View(
+        path, len(shown) * sum(bool(solid.shapes) for solid in solids), sum(len(frames) for _, frames in shown),
+        len(times), (times[-1] - times[0]) * 1e-9, tuple(_notes(recording, shown, solids)), text,
+        recording.status == "incomplete",
+    )  # fmt: skip
+
+
+def _views(recording: Recording, envs: Sequence[int], spread: float) -> tuple[EnvView, ...]:
+    origins = recording.simulation.env_origins if recording.simulation else ()
+    places = _places(origins, envs, spread)
+    try:
+        solids = solids_of(recording.scene)
+        return tuple(
+            EnvView(
+                env, place,
+                Motion(recording.fields, recording.scene, origin=origins[env] if origins else (0.0, 0.0, 0.0)), solids,
+            )
+            for env, place in zip(envs, places, strict=True)
+        )  # fmt: skip
+    except DamagedRecording as error:
+        said = str(error).removeprefix(f"{recording.path}: ")
+        raise DamagedRecording(f"{recording.path}: {said}") from None
+
+
+def _places(origins: Sequence[Vector], envs: Sequence[int], spread: float) -> list[Vector]:
+    places: list[Vector] = []
+    taken: dict[Vector, int] = {}
+    for env in envs:
+        x, y, z = origins[env] if origins else (0.0, 0.0, 0.0)
+        before = taken.get((x, y, z), 0)
+        taken[x, y, z] = before + 1
+        places.append((x, y + before * spread, z))
+    return places
+
+
+def _rows(recording: Recording, motion: Motion, rate: float) -> slice:
+    # at most `rate` times a simulated second; none where a field has none
+    stop = min((len(recording.state(field.group, field.field)) for field in motion.fields), default=0)
+    c = recording.configuration
+    return slice(0, stop, one_of(rate, dt=c.dt, stride=c.stride))
+
+
+def _times(recording: Recording, motion: Motion, rows: slice) -> tuple[int, ...]:
+    if not rows.stop:
+        return ()
+    field = motion.fields[0]
+    steps = recording.state(field.group, field.field).steps[rows]
+    times = tuple(sim_time_ns(int(step), recording.configuration.dt) for step in steps)
+    if times and times[-1] > _LAST_NS:
+        raise DamagedRecording(f"{recording.path}: {times[-1]} ns is no time that a run lasts")
+    return times
+
+
+def _frames(recording: Recording, view: EnvView, rows: slice) -> tuple[Frame, ...]:
+    states = [recording.state(field.group, field.field)[rows, view.number] for field in view.motion.fields]
+    return view.motion.frames(states)
+
+
+def _notes(recording: Recording, shown: Sequence[Shown], solids: Sequence[Solid]) -> list[str]:
+    notes = []
+    parts = shown[0][0].motion.parts
+    drawn = {solid.name for solid in solids if solid.shapes}
+    bare = [part.name for part in parts if part.name not in drawn]
+    if bare:
+        notes.append(f"no shape in the scene for {', '.join(bare[:5])}: only frames are shown")
+    moving = {part.group for part in parts}
+    for group in dict.fromkeys(field.group for field in recording.fields):
+        if group not in moving:
+            notes.append(f"the group {group} has no positions, and no robot that its joints belong to: it is not shown")
+    if len({view.place for view, _ in shown}) < len(shown):
+        notes.append("environments at the same place are drawn into each other; --spread puts them side by side")
+    return notes

@@ -1,0 +1,1 @@
+"""A recording as arrays, read on demand."""

@@ -1,0 +1,56 @@
+"""Recorded actions as arrays."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gpusimbench.evaluator.read.messages import Messages
+from gpusimbench.schemas import topics
+from gpusimbench.schemas.blocks import decode_action
+
+
+def action_names(messages: Messages) -> tuple[str, ...]:
+    """Names of the recorded action streams, in order of appearance."""
+    parsed = (topics.parse_action(topic) for topic in messages.topics("/action/"))
+    return tuple(dict.fromkeys(p.name for p in parsed if p))
+
+
+def read_actions(messages: Messages, name: str, *, n_env: int, cut_short: bool) -> NDArray[np.floating]:
+    """A stream of actions, shape [step, env, action]; row i leads from the state of step i to the next.
+
+    cut_short  steps that not every environment has are left out, instead of being damage
+
+    KeyError names the recorded streams. DamagedRecording where steps or environments are missing.
+    """
+    found = {p.env_start: t for t in messages.topics("/action/") if (p := topics.parse_action(t)) and p.name == name}
+    if not found:
+        known = ", ".join(action_names(messages)) or "none"
+        raise KeyError(f"{messages.path} has no actions {name}; it has: {known}")
+    starts = sorted(found)
+    blocks = {start: _column(messages, found[start], start) for start in starts}
+    if cut_short and not all(blocks.values()):
+        return np.empty((0, n_env, 0))
+    kinds = {(block.dtype, block.shape[2]) for rows in blocks.values() for block in rows}
+    if not kinds:
+        return np.empty((0, n_env, 0))
+    counts = {start: sum(len(block) for block in rows) for start, rows in blocks.items()}
+    if len(kinds) > 1 or (len(set(counts.values())) > 1 and not cut_short):
+        raise messages.damaged(f"the actions {name} are of different kinds, or of different numbers of steps")
+    for start, stop in zip(starts, [*starts[1:], n_env], strict=True):
+        if starts[0] or any(block.shape[1] != stop - start for block in blocks[start]):
+            raise messages.damaged(f"the actions {name} are not there once for every environment")
+    steps = min(counts.values())
+    return np.concatenate([np.concatenate(blocks[start])[:steps] for start in starts], axis=1)
+
+
+def _column(messages: Messages, topic: str, env_start: int) -> list[NDArray[np.floating]]:
+    rows: list[NDArray[np.floating]] = []
+    expected = 0
+    for content in messages.contents(topic):
+        header, block = decode_action(content)
+        if (header.first_step, header.env_start) != (expected, env_start) or header.stride > 1:
+            raise messages.damaged(f"actions from step {expected} on are missing in {topic}")
+        rows.append(block.copy())  # a view would keep the whole chunk that it came from
+        expected += header.steps
+    return rows

@@ -1,0 +1,305 @@
+"""One recording: what it says of itself, and its streams as arrays."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gpusimbench.evaluator.read.actions import action_names, read_actions
+from gpusimbench.evaluator.read.messages import MAX_END_BYTES, Messages
+from gpusimbench.evaluator.read.state_array import StateArray
+from gpusimbench.evaluator.read.step_evidence import (
+    ActionStream,
+    Overflows,
+    StepCounts,
+    read_action_streams,
+    read_counts,
+    read_overflows,
+)
+from gpusimbench.evaluator.read.streams import (
+    Event,
+    Fingerprints,
+    MemoryTrace,
+    StepTiming,
+    read_dropouts,
+    read_events,
+    read_fingerprints,
+    read_memory,
+    read_timing,
+)
+from gpusimbench.schemas import checks, topics
+from gpusimbench.schemas.configuration import RunConfiguration
+from gpusimbench.schemas.container import Container
+from gpusimbench.schemas.declarations import Channel
+from gpusimbench.schemas.digest import ContentDigest, content_hash
+from gpusimbench.schemas.errors import DamagedRecording
+from gpusimbench.schemas.fields import StateField
+from gpusimbench.schemas.fingerprint import fingerprint
+from gpusimbench.schemas.location import Place, place
+from gpusimbench.schemas.messages import enum_values
+from gpusimbench.schemas.provenance import PROVENANCE, SCENE, SIMULATION, Provenance, Simulation
+from gpusimbench.schemas.source import Source
+
+_HASHING = 4  # threads that compute digests of different fields
+_VERIFY_BYTES = 64 << 20
+_VERIFY_ROWS = 50  # a block's rows, so that none is decoded twice
+
+
+class Recording:
+    """A recording, opened for reading.
+
+    path           of the file, or its location
+    status         complete, incomplete (no end record), failed (the run said why) or invalid (a validity gate fired)
+    reason         why the status is not "complete"
+    cause          what kind of thing it was: "device memory", "buffer", "timeout", ...; empty where nothing is said
+    configuration  what was asked
+    provenance     by whom, where, with what software
+    simulation     what the simulator said of itself; None where the run ended before it was built
+    content_hash   the identity that the end record claims, empty without one; `verify` checks it
+    """
+
+    def __init__(self, path: str | Place, source: Source | None = None) -> None:
+        self.path: Place = place(path)
+        self._container = Container(self.path, source)
+        self._messages = Messages(self._container)
+        self._json = checks.Budget()
+        text = self._container.attachment(PROVENANCE)
+        if text is None:
+            raise DamagedRecording(
+                f"{self.path}: cut short before its provenance was written; nothing can be said of it"
+            )
+        self.provenance = self._named(Provenance.from_json, text)
+        self.configuration: RunConfiguration = self.provenance.configuration
+        text = self._container.attachment(SIMULATION)
+        self.simulation: Simulation | None = self._named(Simulation.from_json, text) if text is not None else None
+        self._check_origins()
+        self._end = self._read_end()
+        if self._end is None:
+            self.status, self.reason = "incomplete", "no end record: the run's process died or the file was cut short"
+        else:
+            names = {number: name for name, number in enum_values("gsb.v1.RunStatus").items()}
+            self.status = names.get(self._end.status, "unknown").removeprefix("RUN_STATUS_").lower()
+            self.reason = self._end.reason
+            if self.status not in ("complete", "failed", "invalid"):
+                raise DamagedRecording(f"{self.path}: the end record has no status")
+        self.cause = "" if self._end is None else _cause(self._end.cause)
+        self.content_hash: str = self._end.content_hash if self._end is not None else ""
+
+    def __repr__(self) -> str:
+        c = self.configuration
+        return f"<Recording {c.simulator} {c.scene} n_env={c.n_env} run={c.run_index} {self.status}>"
+
+    @property
+    def usable(self) -> bool:
+        """Whether metrics may be computed from it: the run ended well and nothing was lost."""
+        return self.status == "complete" and not self.dropouts
+
+    @property
+    def fields(self) -> tuple[StateField, ...]:
+        """The state fields, in recording order; empty where the run ended before the simulator was built."""
+        return self.simulation.fields if self.simulation else ()
+
+    def state(self, group: str, field: str) -> StateArray:
+        """A state field, shape [step, env, item, width], read when indexed; KeyError names the recorded ones."""
+        for described in self.fields:
+            if (described.group, described.field) == (group, field):
+                array = StateArray(self._container, self.configuration, described)
+                if self._end is not None and len(array) and array.steps[-1] != self._end.last_step:
+                    raise DamagedRecording(
+                        f"{self.path}: states of {described.name} end at step {array.steps[-1]}, the end record says "
+                        f"{self._end.last_step}"
+                    )
+                return array
+        known = ", ".join(f.name for f in self.fields) or "none"
+        raise KeyError(f"{self.path} has no state {group}/{field}; it has: {known}")
+
+    @property
+    def action_names(self) -> tuple[str, ...]:
+        """Names of the recorded action streams."""
+        return action_names(self._messages)
+
+    def actions(self, name: str) -> NDArray[np.floating]:
+        """An action stream, shape [step, env, action]; row i leads from the state of step i to the next.
+
+        KeyError names the recorded ones.
+        """
+        cut_short = self.status == "incomplete"
+        return read_actions(self._messages, name, n_env=self.configuration.n_env, cut_short=cut_short)
+
+    @cached_property
+    def timing(self) -> dict[str, StepTiming]:
+        """Clocks by phase: "build", "compile_timed", "warmup", "timed", "compile_capture"."""
+        return read_timing(self._messages)
+
+    @cached_property
+    def memory(self) -> dict[str, MemoryTrace]:
+        """Memory readings by source: "host", "gpu0/device", "gpu0/process", "gpu0/allocator", ..."""
+        return read_memory(self._messages)
+
+    @cached_property
+    def counts(self) -> dict[str, dict[str, StepCounts]]:
+        """Counters by phase ("timed", "capture") and name ("contacts", ...)."""
+        return read_counts(self._messages)
+
+    @cached_property
+    def overflows(self) -> dict[str, Overflows]:
+        """Buffers and limits that were run into, by phase; a phase that tells nothing is left out."""
+        return read_overflows(self._messages, n_env=self.configuration.n_env)
+
+    @cached_property
+    def action_streams(self) -> dict[str, ActionStream]:
+        """What each phase applied, by phase."""
+        return read_action_streams(self._messages, n_env=self.configuration.n_env)
+
+    def fingerprints(self, phase: str) -> Fingerprints | None:
+        """State hashes of a phase ("capture", "timed"); None where it has none."""
+        cut_short = self.status == "incomplete"
+        return read_fingerprints(self._messages, phase, n_env=self.configuration.n_env, cut_short=cut_short)
+
+    @cached_property
+    def events(self) -> tuple[Event, ...]:
+        """Phases, notes and gates, in order."""
+        return read_events(self._messages)
+
+    @cached_property
+    def dropouts(self) -> tuple[str, ...]:
+        """One sentence for each stretch of data that the recorder says was lost."""
+        return read_dropouts(self._messages)
+
+    @cached_property
+    def scene(self) -> dict[str, Any]:
+        """The engine-neutral description of the scene; empty where there is none."""
+        text = self._container.attachment(SCENE)
+        if text is None:
+            return {}
+        try:
+            return checks.load(SCENE, text, self._json)
+        except DamagedRecording as error:
+            raise DamagedRecording(f"{self.path}: {error}") from None
+
+    def attachment(self, name: str) -> bytes | None:
+        """An attachment's bytes, None where there is none of that name."""
+        return self._container.attachment(name)
+
+    def attachment_names(self) -> list[str]:
+        """Names of all attachments."""
+        return self._container.attachment_names()
+
+    def check_digests(self) -> None:
+        """Read everything and check it: CRCs of the file, digests of its content, the content hash.
+
+        Raises DamagedRecording that names the first thing that does not match. A recording without an end record has no
+        digests; only its CRCs are checked. `evaluator.runs.validation.verify` asks for more: that parts agree.
+        """
+        self._container.verify()
+        if self._end is None:
+            return
+        claimed = dict(self._end.digests)
+        found = self._recompute().digests()
+        for name in sorted(claimed.keys() | found.keys()):
+            if claimed.get(name) != found.get(name):
+                what = "is missing" if name not in found else "was added" if name not in claimed else "was changed"
+                raise DamagedRecording(f"{self.path}: {name} {what} since the recording was made")
+        if content_hash(claimed, self.status, self.reason) != self.content_hash:
+            raise DamagedRecording(f"{self.path}: the end record was changed since the recording was made")
+
+    def check_metadata(self) -> None:
+        """Hold what channels say of states against simulation.json: other programs take units and frames from there."""
+        for channel in self._container.channels.values():
+            if topic := topics.parse_state(channel.topic):
+                self._check_metadata(topic, channel)
+
+    def _recompute(self) -> ContentDigest:
+        digest = ContentDigest()
+        for name in self._container.attachment_names():
+            digest.attachment(name, self._container.attachment(name) or b"")
+        stated = {(p.group, p.field) for p in map(topics.parse_state, self._container.channels) if p}
+        arrays = [self.state(f.group, f.field) for f in self.fields if (f.group, f.field) in stated]
+        hashes = self.fingerprints("capture") if len(arrays) == len(self.fields) else None
+        with ThreadPoolExecutor(min(_HASHING, os.cpu_count() or 1)) as pool:
+            for rows in _row_ranges(arrays):
+                blocks = [array.read(rows, slice(None), copy=False) for array in arrays]
+                fed = [
+                    pool.submit(digest.state, array.field, self.configuration.n_env, block)
+                    for array, block in zip(arrays, blocks, strict=True)
+                ]
+                if hashes is not None:
+                    self._check_hashes(hashes, arrays[0].steps[rows], fingerprint(blocks))
+                for done in fed:
+                    done.result()
+        for topic in self._container.channels:
+            if topics.has_digest(topic):
+                for content in self._container.in_sequence(topic):
+                    digest.message(topic, content)
+        return digest
+
+    def _check_metadata(self, topic: topics.StateTopic, channel: Channel) -> None:
+        for field in self.fields:
+            if (field.group, field.field) == (topic.group, topic.field):
+                told = {key: value for key, value in field.to_metadata().items() if key in channel.metadata}
+                if wrong := [key for key, value in told.items() if channel.metadata[key] != value]:
+                    raise DamagedRecording(f"{self.path}: {channel.topic} and {SIMULATION} disagree on {wrong[0]}")
+
+    def _check_origins(self) -> None:
+        origins = self.simulation.env_origins if self.simulation else ()
+        if origins and len(origins) != self.configuration.n_env:
+            n_env = self.configuration.n_env
+            raise DamagedRecording(f"{self.path}: {len(origins)} env origins for {n_env} environments")
+
+    def _check_hashes(self, hashes: Fingerprints, steps: NDArray[np.int64], computed: NDArray[np.uint64]) -> None:
+        # what the bitwise counts rest on, held against the states that are there
+        _, at_recorded, at_computed = np.intersect1d(hashes.steps, steps, return_indices=True)
+        wrong = (hashes.hashes[at_recorded] != computed[at_computed]).any(axis=1)
+        if wrong.any() or len(at_computed) < len(steps):
+            step = steps[at_computed[np.argmax(wrong)]] if wrong.any() else steps[0]
+            raise DamagedRecording(f"{self.path}: the state hashes at step {step} are not those of the states")
+
+    def _read_end(self) -> Any:
+        if topics.RUN_END not in self._container.channels:
+            return None
+        contents = list(self._container.in_sequence(topics.RUN_END))
+        if not contents:
+            return None
+        if len(contents) > 1:
+            raise DamagedRecording(f"{self.path}: the run ends {len(contents)} times")
+        if not self._container.finished:
+            return None  # the end was written, but the file was cut short behind it
+        if len(contents[-1]) > MAX_END_BYTES:
+            raise DamagedRecording(
+                f"{self.path}: the end record has {len(contents[-1])} bytes; at most {MAX_END_BYTES} are read"
+            )
+        return self._messages.parse("gsb.v1.RunEnd", contents[-1])
+
+    def _named(self, parse: Any, text: bytes) -> Any:
+        try:
+            return parse(text, self._json)
+        except DamagedRecording as error:
+            raise DamagedRecording(f"{self.path}: {error}") from None
+
+
+def _cause(number: int) -> str:
+    names = {value: name for name, value in enum_values("gsb.v1.Cause").items()}
+    name = names.get(number, f"CAUSE_{number}").removeprefix("CAUSE_")  # a number of a later version is shown as it is
+    return "" if name == "UNSPECIFIED" else name.replace("_", " ").lower()
+
+
+def _row_ranges(arrays: Sequence[StateArray]) -> Iterator[slice]:
+    """Ranges of rows that fit into memory together; DamagedRecording where the fields have different ones."""
+    if not arrays:
+        return
+    if len({len(array) for array in arrays}) > 1:
+        raise DamagedRecording("the state fields have different numbers of rows")
+    row = sum(math.prod(array.shape[1:]) * array.dtype.itemsize for array in arrays)
+    count = max(1, min(_VERIFY_ROWS, _VERIFY_BYTES // max(row, 1)))
+    first = 1 if arrays[0].steps.size and arrays[0].steps[0] == 0 else 0  # the initial state is a block of its own
+    if first:
+        yield slice(0, 1)
+    for begin in range(first, len(arrays[0]), count):
+        yield slice(begin, begin + count)

@@ -1,0 +1,75 @@
+"""What metrics need of a recording's scene: the board, and everything horizontal that holds bodies up."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from gpusimbench.evaluator.metrics.board import Board
+from gpusimbench.evaluator.metrics.sank import Support
+from gpusimbench.evaluator.read.recording import Recording
+from gpusimbench.schemas import checks
+from gpusimbench.schemas.errors import DamagedRecording
+from gpusimbench.schemas.trial_units import Extent, extent_of
+
+_LEVEL = (1.0, 0.0, 0.0, 0.0)
+
+
+def board_of(recording: Recording) -> Board | None:
+    """The board that the recording's scene names, None where it names none; DamagedRecording where it is unreadable."""
+    scene = recording.scene
+    name = scene.get("board")
+    if not name:
+        return None
+    try:
+        for body in checks.objects(scene, "bodies"):
+            if body.get("name") == name:
+                size = checks.vector(checks.mapping(body, "shape").get("size"), 3, "the board's size")
+                centre = checks.vector(body.get("position"), 3, "the board's position")
+                return Board(size, centre)
+    except DamagedRecording as error:
+        raise DamagedRecording(f"{recording.path}: {error}") from None
+    raise DamagedRecording(f"{recording.path}: the scene has no body named {name!r}")
+
+
+def supports_of(recording: Recording) -> tuple[Support, ...]:
+    """Ground planes and level boxes among the scene's fixed bodies; DamagedRecording where one is unreadable.
+
+    What is inclined holds bodies up as well, but has no one height; nothing is said of it.
+    """
+    try:
+        bodies = [b for b in checks.objects(recording.scene, "bodies") if b.get("mass") is None]
+        return tuple(support for body in bodies if (support := _support(body)))
+    except DamagedRecording as error:
+        raise DamagedRecording(f"{recording.path}: {error}") from None
+
+
+def radius_of(recording: Recording, group: str) -> float:
+    """Half the diagonal of the largest box of a group of bodies [m]; 0 where it has none."""
+    try:
+        bodies = [b for b in checks.objects(recording.scene, "bodies") if b.get("group") == group]
+        shapes = [shape for body in bodies if (shape := checks.mapping(body, "shape")).get("kind") == "box"]
+        return max((math.hypot(*checks.vector(s.get("size"), 3, "a box's size")) / 2 for s in shapes), default=0.0)
+    except DamagedRecording as error:
+        raise DamagedRecording(f"{recording.path}: {error}") from None
+
+
+def extent_of_trials(recording: Recording, group: str) -> Extent | None:
+    """Where the bodies of a group should come to lie; DamagedRecording where the scene is unreadable."""
+    try:
+        return extent_of(recording.scene, group)
+    except DamagedRecording as error:
+        raise DamagedRecording(f"{recording.path}: {error}") from None
+
+
+def _support(body: dict[str, Any]) -> Support | None:
+    shape = checks.mapping(body, "shape")
+    if shape.get("kind") not in ("box", "plane"):
+        return None
+    if checks.vector(body.get("orientation", list(_LEVEL)), 4, "a body's orientation") != _LEVEL:
+        return None
+    x, y, z = checks.vector(body.get("position"), 3, "a body's position")
+    if shape["kind"] == "plane":
+        return Support(z, (-math.inf, -math.inf), (math.inf, math.inf))
+    length, width, height = checks.vector(shape.get("size"), 3, "a box's size")
+    return Support(z + height / 2, (x - length / 2, y - width / 2), (x + length / 2, y + width / 2))

@@ -1,0 +1,258 @@
+"""Streams of a run that say how it went: clocks, memory, state hashes, events."""
+
+from __future__ import annotations
+
+from array import array
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gpusimbench.evaluator.read.messages import MAX_NOTES, Messages
+from gpusimbench.schemas import topics
+from gpusimbench.schemas.blocks import decode_fingerprints
+from gpusimbench.schemas.checks import MAX_COUNT
+from gpusimbench.schemas.messages import enum_values
+
+_MAX_BYTES = 1 << 62
+_MAX_NS = 1 << 62  # differences of clocks stay within an int64
+_PEAK = "peak until "
+
+
+@dataclass(frozen=True)
+class StepTiming:
+    """Clocks of a phase.
+
+    first_step          simulator step that the first interval begins with
+    steps_per_interval  simulator steps per interval
+    start_ns, end_ns    host's monotonic clock at the begin and end of each interval [ns], shape [interval]
+    """
+
+    first_step: int
+    steps_per_interval: int
+    start_ns: NDArray[np.int64]
+    end_ns: NDArray[np.int64]
+
+    @property
+    def elapsed_s(self) -> float:
+        """From the first begin to the last end [s]."""
+        return float(self.end_ns[-1] - self.start_ns[0]) * 1e-9
+
+    @property
+    def total_s(self) -> float:
+        """Of all intervals, without what lies between them [s]."""
+        return float((self.end_ns - self.start_ns).sum()) * 1e-9
+
+
+_Others = tuple[int | None, int | None]
+_UNTOLD: _Others = (None, None)
+
+
+@dataclass(frozen=True)
+class MemoryTrace:
+    """Readings of one memory source, in order of time.
+
+    time_ns      host's monotonic clock, shape [sample]
+    used_bytes   shape [sample]
+    phase        of the run, one per sample
+    checkpoint   name of the protocol's checkpoint, or empty, one per sample
+    total_bytes  capacity, 0 where unknown
+    others       processes beside the run's own and their bytes, None where either is unknown, one per sample; empty
+                 where no sample tells
+    reserved     what the driver keeps for itself [byte], by checkpoint
+    """
+
+    time_ns: NDArray[np.int64]
+    used_bytes: NDArray[np.int64]
+    phase: tuple[str, ...]
+    checkpoint: tuple[str, ...]
+    total_bytes: int
+    others: tuple[_Others, ...] = ()
+    reserved: dict[str, int] = field(default_factory=dict)
+
+    def most_others(self, *, checkpoint: str = "", phase: str = "") -> tuple[int, int | None] | None:
+        """The most processes beside the run's own at a checkpoint, or in a phase, and the most bytes that they held.
+
+        None where there is no reading, and where a reading does not tell the processes, unless another one lists some.
+        """
+        wanted = self.checkpoint if checkpoint else self.phase
+        found = [o for name, o in zip(wanted, self.others, strict=False) if name == (checkpoint or phase)]
+        counts = [count for count, _ in found if count is not None]
+        if not any(counts) and (not counts or len(counts) < len(found)):
+            return None
+        return max(counts), max((used for _, used in found if used is not None), default=None)
+
+    def at(self, checkpoint: str) -> int | None:
+        """Bytes in use at a checkpoint, None where it was not reached."""
+        for name, used in zip(self.checkpoint, self.used_bytes, strict=True):
+            if name == checkpoint:
+                return int(used)
+        return None
+
+    def peak(self, phase: str, until_ns: int) -> int | None:
+        """Largest reading of a phase up to a time on the monotonic clock; the first one behind, where there is none.
+
+        None where the phase has no reading. What an engine does behind its last step, such as handing over its state,
+        is none of the phase's memory.
+        """
+        found = [
+            (int(t), int(u)) for t, u, p in zip(self.time_ns, self.used_bytes, self.phase, strict=True) if p == phase
+        ]
+        inside = [used for time, used in found if time <= until_ns]
+        return max(inside, default=found[0][1] if found else None)
+
+    def own_peak(self) -> int | None:
+        """Largest peak that the source itself kept, as an allocator does.
+
+        None where it keeps none, and where it was reached while the simulator was built: then it is the memory of a
+        compiler or a loader, and that of the simulation was smaller.
+        """
+        kept = [(c, int(u)) for c, u in zip(self.checkpoint, self.used_bytes, strict=True) if c.startswith(_PEAK)]
+        built = max((used for name, used in kept if name == f"{_PEAK}post-init"), default=-1)
+        used = [used for _, used in kept if used > built]
+        return max(used, default=None)
+
+
+@dataclass(frozen=True)
+class Fingerprints:
+    """State hashes of a phase.
+
+    steps   simulator step of each row, shape [row]
+    hashes  shape [row, env]
+    """
+
+    steps: NDArray[np.int64]
+    hashes: NDArray[np.uint64]
+
+
+@dataclass(frozen=True)
+class Event:
+    """A moment of the run: its kind (PHASE_BEGIN, PHASE_END, NOTE, GATE), phase, clocks and text."""
+
+    kind: str
+    phase: str
+    monotonic_ns: int
+    unix_ns: int
+    text: str
+
+
+def read_timing(messages: Messages) -> dict[str, StepTiming]:
+    """Clocks by phase ("warmup", "timed", "build", "compile_timed", "compile_capture")."""
+    found = {}
+    for topic in messages.topics("/timing/"):
+        parts = messages.read(topic, "gsb.v1.StepTiming")
+        if not parts:
+            continue
+        start = np.concatenate([np.fromiter(p.start_ns, np.int64, len(p.start_ns)) for p in parts])
+        end = np.concatenate([np.fromiter(p.end_ns, np.int64, len(p.end_ns)) for p in parts])
+        if len(start) != len(end):
+            raise messages.damaged(f"{topic} has {len(start)} begins and {len(end)} ends")
+        if not len(start):
+            continue  # a phase of no steps
+        if min(start.min(), end.min()) < -_MAX_NS or max(start.max(), end.max()) > _MAX_NS:
+            raise messages.damaged(f"{topic} has a time that no clock shows")
+        if len({p.steps_per_interval for p in parts}) > 1 or parts[0].first_step > MAX_COUNT:
+            raise messages.damaged(f"{topic} has intervals of different or impossible numbers of steps")
+        # what takes less than a tick of the clock, such as compiling nothing, ends when it begins
+        if (
+            (end < start).any()
+            or (start[1:] < end[:-1]).any()
+            or end[-1] - start[0] < (topic == topics.timing("timed"))
+        ):
+            raise messages.damaged(f"the clock of {topic} went backwards")
+        name = topic.removeprefix("/timing/")
+        found[name] = StepTiming(parts[0].first_step, parts[0].steps_per_interval, start, end)
+    return found
+
+
+def read_memory(messages: Messages) -> dict[str, MemoryTrace]:
+    """Memory readings by source: "host", "gpu0/device", "gpu0/process", "gpu0/allocator", ..."""
+    found = {}
+    for topic in messages.topics("/memory/"):
+        # hours of readings are many: nothing but numbers is kept of each, and one text for all that have it
+        times, used, total = array("q"), array("q"), 0
+        phases, checkpoints, texts = list[str](), list[str](), dict[str, str]()
+        others, kept, reserved = list[_Others](), dict[_Others, _Others](), dict[str, int]()
+        for sample in messages.each(topic, "gsb.v1.MemorySample"):
+            if max(sample.used_bytes, sample.other_bytes, sample.reserved_bytes) >= _MAX_BYTES:
+                raise messages.damaged(f"{topic} has a reading that no memory can have")
+            times.append(sample.monotonic_ns)
+            used.append(sample.used_bytes)
+            phases.append(texts.setdefault(sample.phase, sample.phase))
+            checkpoints.append(texts.setdefault(sample.checkpoint, sample.checkpoint))
+            total = int(sample.total_bytes)
+            present = _others(sample)
+            others.append(kept.setdefault(present, present))
+            if sample.checkpoint and sample.HasField("reserved_bytes"):
+                reserved[checkpoints[-1]] = int(sample.reserved_bytes)
+        if times:
+            found[topic.removeprefix("/memory/")] = MemoryTrace(
+                np.array(times, dtype=np.int64),
+                np.array(used, dtype=np.int64),
+                tuple(phases),
+                tuple(checkpoints),
+                total,
+                tuple(others) if set(kept) != {_UNTOLD} else (),
+                reserved,
+            )
+    return found
+
+
+def _others(sample: Any) -> _Others:
+    return (
+        int(sample.other_processes) if sample.HasField("other_processes") else None,
+        int(sample.other_bytes) if sample.HasField("other_bytes") else None,
+    )
+
+
+def read_fingerprints(messages: Messages, phase: str, *, n_env: int, cut_short: bool) -> Fingerprints | None:
+    """State hashes of a phase; None where it has none. Rows that lack environments are left out of a file cut short."""
+    topic = topics.fingerprint(phase)
+    if not messages.has(topic):
+        return None
+    most = messages.content_bytes // (n_env * np.dtype(np.uint64).itemsize)
+    rows: dict[int, NDArray[np.uint64]] = {}
+    filled: dict[int, int] = {}
+    for content in messages.contents(topic):
+        header, block = decode_fingerprints(content)
+        stop = header.env_start + header.envs
+        last = header.first_step + header.steps * header.stride
+        if not block.size or stop > n_env or last > MAX_COUNT or (header.steps > 1 and header.stride < 1):
+            raise messages.damaged(f"a block of {topic} has environments or steps that cannot be")
+        for row, hashes in enumerate(block):
+            step = header.first_step + row * header.stride
+            if step not in rows and len(rows) == most:
+                raise messages.damaged(
+                    f"{topic} has more steps of {n_env} environments than the file can hold hashes of"
+                )
+            whole = rows.setdefault(step, np.zeros(n_env, dtype=np.uint64))
+            whole[header.env_start : stop] = hashes
+            filled[step] = filled.get(step, 0) + header.envs
+    if not rows:
+        return None
+    if set(filled.values()) != {n_env}:
+        if not cut_short or max(filled.values()) > n_env:
+            raise messages.damaged(f"{topic} does not cover every environment once at every step")
+        rows = {step: hashes for step, hashes in rows.items() if filled[step] == n_env}
+        if not rows:
+            return None
+    steps = sorted(rows)
+    return Fingerprints(np.array(steps, dtype=np.int64), np.stack([rows[step] for step in steps]))
+
+
+def read_events(messages: Messages) -> tuple[Event, ...]:
+    """Phases, notes and gates, in order."""
+    names = {number: name.removeprefix("EVENT_KIND_") for name, number in enum_values("gsb.v1.EventKind").items()}
+    return tuple(
+        Event(names.get(e.kind, "UNSPECIFIED"), e.phase, e.monotonic_ns, e.unix_ns, e.text)
+        for e in messages.read(topics.RUN_EVENT, "gsb.v1.Event", MAX_NOTES)
+    )
+
+
+def read_dropouts(messages: Messages) -> tuple[str, ...]:
+    """One sentence for each stretch of data that the recorder says was lost."""
+    return tuple(
+        f"{d.topic}: {d.steps} steps from step {d.first_step}: {d.reason}"
+        for d in messages.read(topics.RUN_DROPOUT, "gsb.v1.Dropout", MAX_NOTES)
+    )

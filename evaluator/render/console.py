@@ -1,0 +1,89 @@
+"""Where tables are printed, and how they look: whatever is printed here is made of lines (see schemas.printable)."""
+
+from __future__ import annotations
+
+from typing import IO, Any
+
+from rich.console import Console
+from rich.measure import Measurement
+from rich.table import Table
+from rich.text import Text
+
+from gpusimbench.schemas.printable import line
+
+_WIDTH_WITHOUT_TERMINAL = 120
+_HANG = 4  # blanks before what a line goes on with: nothing that it says can look like another line
+
+
+class Hanging:
+    """A line, broken where there is no room, with blanks before each part but the first."""
+
+    def __init__(self, text: str | Text, style: str = "", hang: int = _HANG) -> None:
+        plain = text.plain if isinstance(text, Text) else text
+        self._text = Text(line(plain), style=text.style if isinstance(text, Text) else style)
+        self._hang = hang + len(plain) - len(plain.lstrip(" "))
+
+    def __rich_console__(self, console: Any, options: Any) -> Any:
+        """The parts, as rich wants them."""
+        width, how = options.max_width, {"justify": options.justify, "overflow": options.overflow or "fold"}
+        parts = self._text.wrap(console, width, **how)
+        hang = min(self._hang, width - 1)
+        if len(parts) > 1 and hang > 0:
+            parts = self._text.wrap(console, width - hang, **how)
+            for part in parts[1:]:
+                part.pad_left(hang)
+        for part in parts:
+            part.rstrip()
+        yield Text("\n").join(parts)
+
+    def __rich_measure__(self, console: Any, options: Any) -> Any:
+        """How much room it takes."""
+        return Measurement.get(console, options, self._text)
+
+
+class Screen(Console):  # type: ignore[misc]  # rich is not typed for us
+    """A console that prints text as lines, whatever is in it."""
+
+    def print(self, *objects: Any, style: str | None = None, **how: Any) -> None:
+        """See Console.print; a text is one line."""
+        shown = [Hanging(one, style or "") if isinstance(one, (str, Text)) else one for one in objects]
+        super().print(*shown, style=style, **how)
+
+
+class PlainTable(Table):  # type: ignore[misc]
+    """A table whose cells are lines."""
+
+    def add_column(self, header: Any = "", *arguments: Any, **how: Any) -> None:
+        """See Table.add_column."""
+        super().add_column(_cell(header), *arguments, **how)
+
+    def add_row(self, *cells: Any, **how: Any) -> None:
+        """See Table.add_row."""
+        super().add_row(*map(_cell, cells), **how)
+
+
+def _cell(cell: Any) -> Any:
+    return Hanging(cell, hang=2) if isinstance(cell, (str, Text)) else cell
+
+
+def make_console(stream: IO[str], *, columns: int = 0) -> Screen:
+    """A console that prints text as it is, in colour on a terminal alone; elsewhere as wide as `columns` need."""
+    console = Screen(file=stream, highlight=False, markup=False, emoji=False)
+    if console.is_terminal:
+        return console
+    return Screen(
+        file=stream,
+        highlight=False,
+        markup=False,
+        emoji=False,
+        width=max(_WIDTH_WITHOUT_TERMINAL, 30 * (columns + 1)),
+        color_system=None,
+    )
+
+
+def plain_table(*titles: str) -> PlainTable:
+    """A table without rules; the first column to the left, the others to the right."""
+    table = PlainTable(show_edge=False, pad_edge=False, box=None, header_style="bold")
+    for index, title in enumerate(titles):
+        table.add_column(title, overflow="fold", justify="right" if index else "left")
+    return table

@@ -1,0 +1,74 @@
+"""Axes: round tick values, and the lines and labels of a figure's frame."""
+
+from __future__ import annotations
+
+import math
+
+from gpusimbench.evaluator.render.figures.svg import element, number, text
+
+
+def ticks(low: float, high: float, *, at_most: int = 7) -> list[float]:
+    """Round values from low to high: multiples of 1, 2 or 5 times a power of ten, at most so many."""
+    if not (math.isfinite(low) and math.isfinite(high) and low < high):
+        raise ValueError(f"an axis goes from a smaller to a larger finite value, not from {low} to {high}")
+    rough = (high - low) / at_most
+    power = 10.0 ** math.floor(math.log10(rough))
+    step = next(step for factor in (1, 2, 5, 10, 20) if (high - low) / (step := factor * power) < at_most)
+    first, last = math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9)
+    return [round(i * step, 12) for i in range(first, last + 1)]
+
+
+def log_ticks(low: float, high: float, *, at_most: int = 7) -> list[float]:
+    """Round values from low to high for a logarithmic axis: powers of ten, with 2 and 5 between them where few fit."""
+    if not (math.isfinite(high) and 0 < low < high):
+        raise ValueError(f"a logarithmic axis goes from a smaller to a larger positive value, not from {low} to {high}")
+    exponents = range(math.floor(math.log10(low)), math.ceil(math.log10(high)) + 1)
+    for factors in ((1, 2, 5), (1,)):
+        found = [
+            f * 10.0**e for e in exponents for f in factors if low * (1 - 1e-9) <= f * 10.0**e <= high * (1 + 1e-9)
+        ]
+        if len(found) <= at_most:
+            return found
+    return found[:: -(-len(found) // at_most)]
+
+
+def power_ticks(low: float, high: float, *, at_most: int = 8) -> list[int]:
+    """Powers of two from low to high, evenly spaced, at most so many."""
+    exponents = list(range(math.ceil(math.log2(low) - 1e-9), math.floor(math.log2(high) + 1e-9) + 1))
+    return [2**e for e in exponents[:: max(1, -(-len(exponents) // at_most))]]
+
+
+def index_ticks(count: int, *, at_most: int = 8) -> list[int]:
+    """Indices from 0 to count - 1 at a round distance."""
+    if count < 3:
+        return list(range(count))
+    distance = max(1, round(ticks(0, count, at_most=at_most)[1]))
+    return list(range(0, count, distance))
+
+
+def bottom(x: float, y: float, label: str) -> str:
+    """A tick and its label below a frame."""
+    line = element("line", x1=x, x2=x, y1=y, y2=y + 4, class_="axis")
+    return line + text(label, x, y + 15, class_="mid")
+
+
+def left(x: float, y: float, label: str) -> str:
+    """A tick and its label left of a frame."""
+    line = element("line", x1=x - 4, x2=x, y1=y, y2=y, class_="axis")
+    return line + text(label, x - 7, y + 4, class_="end")
+
+
+def right(x: float, y: float, label: str) -> str:
+    """A tick and its label right of a frame."""
+    line = element("line", x1=x, x2=x + 4, y1=y, y2=y, class_="axis")
+    return line + text(label, x + 7, y + 4)
+
+
+def frame(x: float, y: float, width: float, height: float) -> str:
+    """The outline of the area that data is drawn in."""
+    return element("rect", x=x, y=y, width=width, height=height, class_="frame")
+
+
+def tick_label(value: float) -> str:
+    """A tick's value without needless digits, with a true minus sign."""
+    return (f"{value:g}" if abs(value) < 1e4 else number(value)).replace("-", "\u2212")

@@ -1,0 +1,58 @@
+"""SVG as text: elements, numbers and paths; whatever comes from a recording is escaped here."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from xml.sax.saxutils import escape, quoteattr
+
+from gpusimbench.evaluator.render.text import printable
+
+
+def number(value: float) -> str:
+    """A coordinate in at most two decimals.
+
+    Raises:
+        ValueError: the value is not finite; a figure decides what to do with it, not the file format.
+    """
+    if not math.isfinite(value):
+        raise ValueError(f"a coordinate must be finite: {value}")
+    text = f"{value:.2f}".rstrip("0").rstrip(".")
+    return "0" if text == "-0" else text
+
+
+def element(name: str, *children: str, **attributes: str | float | None) -> str:
+    """An element of SVG children.
+
+    children    SVG already
+    attributes  by name; `class_` is "class", other underscores are hyphens; None is left out
+    """
+    written = []
+    for key, value in attributes.items():
+        if value is not None:
+            plain = printable(value) if isinstance(value, str) else number(value)
+            written.append(f" {key.rstrip('_').replace('_', '-')}={quoteattr(plain)}")
+    opening = f"<{name}{''.join(written)}"
+    return f"{opening}>{''.join(children)}</{name}>" if children else f"{opening}/>"
+
+
+def text(content: str, x: float, y: float, *, class_: str = "", rotate: float = 0.0) -> str:
+    """A line of text at (x, y) in figure units, turned by `rotate` degrees around that point."""
+    turned = f"rotate({number(rotate)} {number(x)} {number(y)})" if rotate else None
+    return element("text", escape(printable(content)), x=x, y=y, class_=class_ or None, transform=turned)
+
+
+def title(content: str) -> str:
+    """What a pointer resting on the parent element shows."""
+    return element("title", escape(printable(content)))
+
+
+def figure(width: float, height: float, label: str, *children: str) -> str:
+    """The outermost element: a picture with a label for those who cannot see it."""
+    box = f"0 0 {number(width)} {number(height)}"
+    return element("svg", *children, viewBox=box, role="img", aria_label=label, style=f"max-width:{width / 14:.1f}rem")
+
+
+def closed_path(points: Iterable[Sequence[float]]) -> str:
+    """Path data of a polygon through the points (x, y)."""
+    return "M" + "L".join(f"{number(x)} {number(y)}" for x, y in points) + "Z"

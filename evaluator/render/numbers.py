@@ -1,0 +1,50 @@
+"""Numbers as people read them."""
+
+from __future__ import annotations
+
+from gpusimbench.evaluator.results.result import Metric
+
+NONE = "-"
+_MARKS = {"certified": "<= ", "sampled": "~ "}
+"""Of a value that is an upper bound, or of a sample."""
+
+
+def distance(value: float) -> str:
+    """A distance in cm: three decimals, and never "0.000" for what is not zero."""
+    if value == 0:
+        return "0"
+    return f"{value:.3f}" if abs(value) >= 0.0005 else f"{value:.1e}"
+
+
+def figure(value: float, unit: str) -> str:
+    """A value in its unit's usual precision."""
+    if unit == "cm":
+        return distance(value)
+    if unit == "env-steps/s":
+        return f"{value:,.0f}"
+    if unit in ("GB", "MB"):
+        return f"{value:.2f}"
+    if value == round(value):
+        return f"{value:.0f}"
+    return f"{value:.2f}" if abs(value) >= 0.005 else f"{value:.1g}"
+
+
+def mean_sd(metric: Metric) -> str:
+    """Mean and SD as published tables print them; a dash where there is no value."""
+    if metric.value is None:
+        return NONE
+    mean = _MARKS.get(metric.exactness, "") + figure(metric.value, metric.unit)
+    return mean if metric.sd is None else f"{mean} ± {figure(metric.sd, metric.unit)}"
+
+
+def interval(metric: Metric) -> str:
+    """The 95 % interval, a dash where there is none."""
+    if metric.value is None or metric.ci95 is None:
+        return NONE
+    low, high = metric.ci95
+    return f"[{figure(low, metric.unit)}, {figure(high, metric.unit)}]"
+
+
+def plural(number: int, what: str) -> str:
+    """A number of things, a single one without the s."""
+    return f"{number} {what}{'' if number == 1 else 's'}"

@@ -1,0 +1,5 @@
+"""Text of strangers, made harmless to whatever shows it."""
+
+from gpusimbench.schemas.printable import block, line, printable
+
+__all__ = ["block", "line", "printable"]

@@ -1,0 +1,1 @@
+"""From runs to metrics, sweeps, a ranking and the price of determinism."""

@@ -1,0 +1,73 @@
+"""Claims that can be true, false or not compared: what was never looked at is neither yes nor no."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from gpusimbench.evaluator.results.result import Metric
+
+
+@dataclass(frozen=True)
+class Claim:
+    """Whether something holds.
+
+    holds    None where it was not compared, and `why_not` says why
+    """
+
+    holds: bool | None
+    why_not: str = ""
+
+    @property
+    def yes(self) -> bool:
+        """Whether it was compared and holds: the one that a sentence may be made of."""
+        return self.holds is True
+
+
+def every(parts: Iterable[Claim | bool | None], why_not: str = "nothing was compared") -> Claim:
+    """Whether all parts hold: no where one does not, and not compared where one was not, or where there are none."""
+    found = [part if isinstance(part, Claim) else Claim(part, "" if part is not None else why_not) for part in parts]
+    if any(part.holds is False for part in found):
+        return Claim(False)
+    if reasons := [part.why_not or why_not for part in found if part.holds is None]:
+        return Claim(None, "; ".join(dict.fromkeys(reasons)))
+    return Claim(True) if found else Claim(None, why_not)
+
+
+@dataclass(frozen=True)
+class Tally:
+    """In how many of some things a claim holds, and in how many it was compared."""
+
+    yes: int
+    compared: int
+    all: int
+
+    @property
+    def not_compared(self) -> int:
+        """Things of which nothing is known."""
+        return self.all - self.compared
+
+
+def tally(claims: Iterable[Claim]) -> Tally:
+    """Count claims."""
+    found = list(claims)
+    return Tally(sum(c.yes for c in found), sum(c.holds is not None for c in found), len(found))
+
+
+def identical(metric: Metric) -> Claim:
+    """Whether all that a metric of distinct environments or runs is about has the same bits.
+
+    One environment or run is compared with nothing; runs without state hashes are named by the metric, and where those
+    that have them agree, nothing is known of all.
+    """
+    if metric.value is None:
+        return Claim(None, metric.why_not)
+    if metric.n < 2:
+        return Claim(None, "there is one alone, and nothing to compare it with")
+    if metric.value != 1:
+        return Claim(False)
+    if without := metric.extra.get("without_hashes"):
+        return Claim(None, f"{without} complete run{'s have' if without > 1 else ' has'} no state hashes")
+    return Claim(True)

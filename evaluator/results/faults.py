@@ -1,0 +1,74 @@
+"""What speaks against taking a group's figures for a merit: work that was not done, bodies that fell through."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from gpusimbench.evaluator.results.fidelity import Verdict
+from gpusimbench.evaluator.results.result import GroupResult
+from gpusimbench.evaluator.runs.groups import GroupKey, settings_asked, shown_status
+from gpusimbench.evaluator.runs.physics.facts import Check
+
+
+@dataclass(frozen=True)
+class Faults:
+    """What is wrong with a group, each in words; empty where nothing of the kind was found.
+
+    invalid  runs that are INVALID: their steps did not do all of their work
+    sunk     cubes that went through the floor
+    broken   other checks of mechanics that do not hold
+    """
+
+    invalid: str
+    sunk: str
+    broken: str
+
+    def __str__(self) -> str:
+        return "; ".join(part for part in (self.invalid, self.sunk, self.broken) if part)
+
+    def __bool__(self) -> bool:
+        return bool(str(self))
+
+
+def faults(result: GroupResult) -> Faults:
+    """What the recordings of a group show against it."""
+    return Faults(_invalid(result), _sunk(result), _broken(result))
+
+
+def faults_anywhere(result: GroupResult, results: Sequence[GroupResult]) -> tuple[str, ...]:
+    """What a group and all others of its engine show against it, in any scene, each with the scene.
+
+    An engine is a simulator of one version on one device, with the options and the level that were asked for.
+    """
+    engine = _engine(result)
+    ours = [result, *(r for r in results if r is not result and _engine(r) == engine)]
+    return tuple(dict.fromkeys(f"{wrong} ({r.group.key.scene})" for r in ours if (wrong := faults(r))))
+
+
+def _engine(result: GroupResult) -> GroupKey:
+    # packages, driver and variables may differ a little between scenes: what is wrong with one is held against all
+    return replace(settings_asked(result.group.recordings), conditions="", switches="")
+
+
+def _invalid(result: GroupResult) -> str:
+    runs = result.group.recordings
+    found = [r for r in runs if r.status == "invalid"]
+    if not found:
+        return ""
+    said = ", ".join(dict.fromkeys(shown_status(r) for r in found))
+    return f"{len(found)} of {len(runs)} {'run is' if len(runs) == 1 else 'runs are'} {said}"
+
+
+def _sunk(result: GroupResult) -> str:
+    metric = result.metrics.get("sank")
+    if metric is None or not metric.value:
+        return ""
+    if metric.value < 0.1:  # few enough to be counted one by one
+        return f"{metric.extra['total']:,} of {metric.extra['of']:,} cubes sank"
+    return f"{metric.value:.3g} of {metric.extra['of'] // metric.n} cubes per env sank"
+
+
+def _broken(result: GroupResult) -> str:
+    rows = [row for row in result.fidelity.of(Verdict.BROKEN) if row.check is not Check.SANK]
+    return "broken: " + ", ".join(row.check.title for row in rows) if rows else ""

@@ -1,0 +1,139 @@
+"""Whether the runs of a group keep to mechanics: the facts of several runs as one verdict for each check."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import Enum
+
+from gpusimbench.evaluator.runs.physics.facts import Check, Measured, NotMeasured, PhysicsFacts
+
+
+class Verdict(Enum):
+    """What a check says of a group.
+
+    HELD            every value of every run that was measured is within what mechanics allows and the step accounts for
+    BROKEN          some value is not
+    AT_REST         of a check that mechanics does not demand: every value is within its tolerance
+    MOVING          some value is not
+    NOT_APPLICABLE  no run could be measured
+    """
+
+    HELD = "held"
+    BROKEN = "broken"
+    AT_REST = "at rest"
+    MOVING = "still moving"
+    NOT_APPLICABLE = "not applicable"
+
+
+@dataclass(frozen=True)
+class FidelityRow:
+    """One check of one group.
+
+    mean         over environments (or stretches of sliding) of all runs that could be measured; None where none could,
+                 or where no value is finite
+    least, most  the range of the same
+    runs, count  runs that could be measured, and values they gave
+    of_runs      runs that were looked at: of the others nothing is known
+    low, high    what mechanics allows; None where that side is open
+    tolerance    that the step and the number type add on either side, by the formula `of`
+    broken       values beyond both
+    reason       why no run, or not every run, could be measured
+    notes        what else was found, each sentence once
+    """
+
+    check: Check
+    verdict: Verdict
+    mean: float | None = None
+    least: float | None = None
+    most: float | None = None
+    runs: int = 0
+    count: int = 0
+    low: float | None = None
+    high: float | None = None
+    tolerance: float | None = None
+    of: str = ""
+    broken: int = 0
+    reason: str = ""
+    notes: tuple[str, ...] = ()
+    of_runs: int = 0
+
+
+@dataclass(frozen=True)
+class Fidelity:
+    """All checks of one group.
+
+    label      of the group
+    scene      its name
+    runs       that were looked at
+    n_env      environments of each; `looked_at` of them were measured
+    exactness  "exact" where that is all, else "sampled"
+    rows       in the order of the checks; empty where `why_not` says why nothing can be said
+    """
+
+    label: str
+    scene: str
+    runs: int
+    n_env: int
+    looked_at: int
+    exactness: str
+    rows: tuple[FidelityRow, ...]
+    why_not: str = ""
+
+    def of(self, verdict: Verdict) -> tuple[FidelityRow, ...]:
+        """The rows of that verdict."""
+        return tuple(row for row in self.rows if row.verdict is verdict)
+
+
+def fidelity(label: str, facts: Sequence[PhysicsFacts]) -> Fidelity:
+    """The verdicts of a group, from the facts of its usable runs."""
+    if not facts:
+        return Fidelity(label, "", 0, 0, 0, "exact", (), "no run can be used")
+    told = [one for one in facts if not one.why_not]
+    first = (told or facts)[0]
+    if told:
+        rows = tuple(row for check in Check if (row := _row(check, told, len(facts))) is not None)
+        why_not = ""
+    else:
+        rows, why_not = (), "; ".join(dict.fromkeys(one.why_not for one in facts))
+    return Fidelity(
+        label, first.scene, len(facts), first.n_env, first.looked_at, first.exactness, rows, why_not
+    )  # fmt: skip
+
+
+def _row(check: Check, facts: Sequence[PhysicsFacts], of_runs: int) -> FidelityRow | None:
+    found = [fact for one in facts for fact in one.facts if fact.check is check]
+    if not found:
+        return None
+    told = [fact for fact in found if isinstance(fact, Measured)]
+    reason = "; ".join(dict.fromkeys(fact.why for fact in found if isinstance(fact, NotMeasured)))
+    if not told:
+        return FidelityRow(check, Verdict.NOT_APPLICABLE, reason=reason, of_runs=of_runs)
+    means = [(fact.mean, fact.count) for fact in told if fact.mean is not None]
+    weight = sum(share for _, share in means)
+    count, broken = sum(fact.count for fact in told), sum(fact.broken for fact in told)
+    # runs of a group share scene and step; where rounding makes the tolerances differ, the largest is shown
+    widest = max(told, key=lambda fact: fact.tolerance)
+    return FidelityRow(
+        check,
+        _verdict(check, broken),
+        mean=sum(mean * share for mean, share in means) / weight if means else None,
+        least=min((fact.least for fact in told if fact.least is not None), default=None),
+        most=max((fact.most for fact in told if fact.most is not None), default=None),
+        runs=len(told),
+        count=count,
+        low=widest.low,
+        high=widest.high,
+        tolerance=widest.tolerance,
+        of=widest.of,
+        broken=broken,
+        reason=reason,
+        notes=tuple(dict.fromkeys(fact.note for fact in told if fact.note)),
+        of_runs=of_runs,
+    )
+
+
+def _verdict(check: Check, broken: int) -> Verdict:
+    if check.demanded:
+        return Verdict.BROKEN if broken else Verdict.HELD
+    return Verdict.MOVING if broken else Verdict.AT_REST

@@ -1,0 +1,283 @@
+"""Radar and guidelines: which simulators can be compared with each other, and from which of their groups."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Hashable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TypeVar
+
+from gpusimbench.evaluator.metrics.guidelines import Guideline, guidelines
+from gpusimbench.evaluator.metrics.radar import Axis, Radar, SimulatorResult, radar
+from gpusimbench.evaluator.results.cost_metrics import GPU_MEMORY, common_memory
+from gpusimbench.evaluator.results.faults import faults_anywhere
+from gpusimbench.evaluator.results.result import GroupResult, Metric, Reference
+from gpusimbench.evaluator.results.sweeps import Sweep, swept_only
+from gpusimbench.evaluator.results.timed_work import most_common, window_key
+from gpusimbench.evaluator.runs.groups import GroupKey, is_instrument, labels, options_given, settings_asked
+
+AXIS_METRICS = {
+    Axis.THROUGHPUT: "fps",
+    Axis.MEMORY: GPU_MEMORY[0],
+    Axis.EMD_TO_REAL: "w1_real",
+    Axis.PARALLEL: "w1_parallel",
+    Axis.RUN_TO_RUN: "w1_run_to_run",
+}
+
+_DISTANCES = (Axis.EMD_TO_REAL, Axis.PARALLEL, Axis.RUN_TO_RUN)
+_NO_SWEEP = "needs a sweep over envs, by at least two simulators under the same conditions"
+
+_T = TypeVar("_T")
+
+
+@dataclass(frozen=True)
+class Contender:
+    """One simulator with one set of settings, and where its figures come from.
+
+    group    whose distances are compared; None where there is none
+    sweep    whose throughput and memory at N_env^max are compared, and N_env^max itself; None: those of the group
+    robot    the same of a scene with a robot
+    figures  that enter radar and guidelines
+    why_not  by axis, where a figure is missing
+    metrics  by axis, where a figure is of a metric
+    speed    whose throughput is compared; None where none is
+    """
+
+    group: GroupResult | None
+    sweep: Sweep | None
+    robot: Sweep | None
+    figures: SimulatorResult
+    why_not: dict[Axis, str]
+    metrics: Mapping[Axis, Metric] = field(default_factory=dict)
+    speed: GroupResult | None = None
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """What is compared.
+
+    contenders  in the order of radar and guidelines; fewer than two: there is neither
+    radar       None with fewer than two contenders
+    guidelines  empty likewise
+    notes       what was left out
+    """
+
+    contenders: tuple[Contender, ...] = ()
+    radar: Radar | None = None
+    guidelines: tuple[Guideline, ...] = ()
+    notes: tuple[str, ...] = ()
+
+
+@dataclass
+class _Parts:
+    group: GroupResult | None = None
+    sweep: Sweep | None = None
+    robot: Sweep | None = None
+
+    @property
+    def key(self) -> GroupKey:
+        if self.group:
+            return settings_asked(self.group.group.recordings)
+        return _swept_settings(self.sweep or self.robot or _never())
+
+
+def compare(results: Sequence[GroupResult], sweeps: Sequence[Sweep], reference: Reference | None) -> Comparison:
+    """Radar and guidelines.
+
+    Speed and distances on another device or scene, at another number of environments or step mean something else. Of
+    the conditions that at least two simulators share, the one with the most groups is compared; of several, the one
+    with the most distances, then the first. The same for sweeps, of scenes without a robot and with one, which have to
+    share the timed steps as well. Where sweeps are shared, throughput and memory are those at each simulator's own
+    N_env^max, as the published definition has it; a sweep that ended below the largest number tried, though nothing
+    failed, says nothing of its simulator's. Without sweeps, throughput is compared among the groups that were timed
+    over the steps that most were timed over; distances do not depend on what was timed. Settings of one simulator are
+    no choice between simulators, and what says of itself that it is an instrument is not ranked at all. A simulator
+    whose runs are INVALID or break mechanics in any scene earns no pick.
+    """
+    aside = dict.fromkeys(r.group.key.simulator for r in results if is_instrument(r.group.key))
+    results = [r for r in results if not is_instrument(r.group.key)]
+    sweeps = [s for s in sweeps if not is_instrument(s.key)]
+    notes = [f"radar and guidelines leave out instruments: {', '.join(aside)}"] if aside and results else []
+
+    ended = [s for s in sweeps if s.n_max is not None]
+    simple = _as_far(_shared([s for s in ended if not s.articulated], lambda s: s.key, _timed_alike))
+    robots = _as_far(_shared([s for s in ended if s.articulated], lambda s: s.key, _timed_alike))
+    swept = {p.result.label for s in (*simple, *robots) for p in s.points}
+    complete = [r for r in results if r.group.complete]
+    # points of a sweep that captured no states would be compared twice
+    apart = [r for r in complete if r.label not in swept or r.group.captured]
+    groups = _shared(apart, lambda r: r.group.key, _conditions, _distances)
+
+    found = [_Parts(group=r) for r in groups]
+    for sweep in simple:
+        _join(found, sweep, "sweep").sweep = sweep
+    for sweep in robots:
+        _join(found, sweep, "robot").robot = sweep
+    if len({parts.key.simulator for parts in found}) < 2:
+        return Comparison(notes=tuple(notes))
+    given = options_given(r for result in results for r in result.group.recordings)
+    others_windows = {} if simple else _timed_otherwise(groups)
+    speeds = [_speed(parts, at_max=bool(simple)) for parts in found]
+    memory = common_memory([r.metrics for r in speeds if r])
+    if memory == GPU_MEMORY[1]:
+        notes.append(
+            "radar and guidelines compare the GPU memory of the runs' own processes: other processes were on the GPU"
+        )
+    contenders = tuple(
+        _contender(parts, name, reference, results, others_windows, memory, at_max=bool(simple))
+        for parts, name in zip(found, _names(found, given), strict=True)
+    )
+    figures = [c.figures for c in contenders]
+    used = {r.label for r in groups} | swept
+    others = _left_out(results, sweeps, used)
+    if others:
+        notes.append(f"radar and guidelines leave out what ran under other conditions: {', '.join(others)}")
+    return Comparison(contenders, radar(figures), tuple(guidelines(figures)), tuple(notes))
+
+
+def _shared(
+    items: Sequence[_T],
+    key: Callable[[_T], GroupKey],
+    conditions: Callable[[GroupKey], Hashable],
+    merit: Callable[[_T], int] = lambda _: 0,
+) -> list[_T]:
+    """Those of the condition that most of them share, if at least two simulators do; of several, the one of merit."""
+    alike: dict[Hashable, list[_T]] = {}
+    for item in items:
+        alike.setdefault(conditions(key(item)), []).append(item)
+    shared = [found for found in alike.values() if len({key(item).simulator for item in found}) > 1]
+    return max(shared, key=lambda found: (len(found), sum(map(merit, found))), default=[])
+
+
+def _as_far(sweeps: list[Sweep]) -> list[Sweep]:
+    """Those that met their simulator's limit, or went as far as any; none where that leaves a single simulator."""
+    tried = max((s.points[-1].n_env for s in sweeps), default=0)
+    kept = [s for s in sweeps if s.limited or s.n_max == tried]
+    return kept if len({s.key.simulator for s in kept}) > 1 else []
+
+
+def _distances(result: GroupResult) -> int:
+    return sum(result.metrics[AXIS_METRICS[axis]].value is not None for axis in _DISTANCES)
+
+
+def _left_out(results: Sequence[GroupResult], sweeps: Sequence[Sweep], used: set[str]) -> list[str]:
+    # a sweep by one name, not by those of all its points
+    hidden = swept_only(results, sweeps)
+    named = []
+    for sweep in sweeps:
+        labels_of = {r.label for p in sweep.points for r in (p.result, *p.others)}
+        if labels_of <= hidden and not labels_of & used:
+            named.append(f"{sweep.label} (sweep of {sweep.key.scene})")
+            used = used | labels_of
+    return [*(r.label for r in results if r.label not in used), *named]
+
+
+def _conditions(key: GroupKey) -> Hashable:
+    return (key.device, key.scene, key.scene_hash, key.n_env, key.dt)
+
+
+def _timed_alike(key: GroupKey) -> Hashable:
+    return (_conditions(key), key.warmup, key.timed_steps)
+
+
+def _timed_otherwise(groups: Sequence[GroupResult]) -> dict[str, str]:
+    """By label, why the throughput of a group is not compared: it was timed over other steps than most."""
+    timed = {r.label: window_key(r.group.key, r.timed) for r in groups if r.timed.windows}
+    if not timed:
+        return {}
+    usual = most_common(list(timed.values()))
+    over = next(r.timed for r in groups if timed.get(r.label) == usual).said
+    return {
+        r.label: f"timed over {r.timed.said} of the scene, and others over {over}"
+        for r in groups
+        if timed.get(r.label, usual) != usual
+    }
+
+
+def _swept_settings(sweep: Sweep) -> GroupKey:
+    return settings_asked([r for point in sweep.points for r in point.recordings])
+
+
+def _join(found: list[_Parts], sweep: Sweep, part: str) -> _Parts:
+    key = _swept_settings(sweep)
+    for parts in found:
+        if parts.key == key and getattr(parts, part) is None:
+            return parts
+    found.append(_Parts())
+    return found[-1]
+
+
+def _names(found: Sequence[_Parts], given: set[str]) -> list[str]:
+    if all(parts.group and not parts.sweep and not parts.robot for parts in found):
+        return [parts.group.label for parts in found if parts.group]
+    return labels([parts.key for parts in found], given)
+
+
+def _speed(parts: _Parts, *, at_max: bool) -> GroupResult | None:
+    return parts.sweep.at_max if parts.sweep else None if at_max else parts.group
+
+
+def _contender(
+    parts: _Parts,
+    name: str,
+    reference: Reference | None,
+    results: Sequence[GroupResult],
+    timed_otherwise: Mapping[str, str],
+    memory: str,
+    *,
+    at_max: bool,
+) -> Contender:
+    """What a simulator is compared by; `memory`, the metric that all are compared by, where it is one of the GPU's."""
+    speed = _speed(parts, at_max=at_max)
+    why_not: dict[Axis, str] = {}
+    metrics: dict[Axis, Metric] = {}
+
+    def value(axis: Axis, result: GroupResult | None) -> float | None:
+        if result is None:
+            why_not[axis] = _NO_SWEEP if axis not in _DISTANCES else "no group of it ran under the shared conditions"
+            return None
+        if axis is Axis.THROUGHPUT and result.label in timed_otherwise:
+            why_not[axis] = timed_otherwise[result.label]
+            return None
+        chosen = memory if axis is Axis.MEMORY and memory in GPU_MEMORY else AXIS_METRICS[axis]
+        metric: Metric = result.metrics[chosen]
+        if axis is Axis.EMD_TO_REAL and metric.value is not None and not (reference and reference.measured):
+            why_not[axis] = "the reference is another simulation, not measured"
+            return None
+        if metric.value is None or not math.isfinite(metric.value):
+            why_not[axis] = metric.why_not or "it is not finite"
+            return None
+        metrics[axis] = metric
+        return metric.value
+
+    robot = parts.robot.at_max if parts.robot else None
+    n_max = parts.sweep.n_max if parts.sweep else None
+    if n_max is None:
+        why_not[Axis.PARALLELISM] = _NO_SWEEP
+    fps = value(Axis.THROUGHPUT, speed)
+    figures = SimulatorResult(
+        name=name,
+        fps=fps,
+        n_max=n_max,
+        memory_gb=value(Axis.MEMORY, speed),
+        w1_real=value(Axis.EMD_TO_REAL, parts.group),
+        parallel=value(Axis.PARALLEL, parts.group),
+        run_to_run=value(Axis.RUN_TO_RUN, parts.group),
+        fps_articulated=robot.metrics["fps"].value if robot else None,
+        n_max_articulated=parts.robot.n_max if parts.robot else None,
+        barred=_barred(results, parts.group, parts.sweep.at_max if parts.sweep else None, robot),
+        barred_articulated=_barred(results, robot),
+        why_no_fps=why_not.get(Axis.THROUGHPUT, ""),
+    )
+    timed = speed if fps is not None else None
+    return Contender(parts.group, parts.sweep, parts.robot, figures, why_not, metrics, timed)
+
+
+def _barred(results: Sequence[GroupResult], *found: GroupResult | None) -> str:
+    """Why what these show, or the same engine in any scene, earns no pick."""
+    said = [wrong for r in found if r is not None for wrong in faults_anywhere(r, results)]
+    return "; ".join(dict.fromkeys(said))
+
+
+def _never() -> Sweep:
+    raise AssertionError("a contender has a group or a sweep")

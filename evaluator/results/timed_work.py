@@ -1,0 +1,106 @@
+"""What a throughput is a throughput of: which steps of the scene, how long, with which settings of the solver.
+
+Two throughputs can be compared where both were timed over the same steps: at other steps the scene has other contacts.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Hashable, Iterable, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from gpusimbench.evaluator.check.protocol import Unmet
+from gpusimbench.evaluator.runs.groups import GroupKey
+from gpusimbench.evaluator.runs.run_data import RunData
+
+SHORT_S = 1.0
+"""A timed phase below this [s] is marked: a pause of the system or a change of clocks is a large part of it."""
+
+SETTINGS = {
+    "cone": ("cone", "friction_cone"),
+    "iterations": ("iterations", "solver_iterations", "position_iterations"),
+    "tolerance": ("tolerance",),
+}
+"""Settings of a solver that decide how much work a step is, each with its names among the options of engines."""
+
+
+@dataclass(frozen=True, order=True)
+class Window:
+    """Timed steps of the scene.
+
+    first  steps made before the first timed one
+    last   the last timed step
+    """
+
+    first: int
+    last: int
+
+    @property
+    def steps(self) -> int:
+        """Timed steps."""
+        return self.last - self.first
+
+
+@dataclass(frozen=True)
+class TimedWork:
+    """What the throughput of a group was measured over.
+
+    windows   of its runs, each once; empty where none was timed
+    seconds   shortest and longest timed phase of its runs [s]; None where none was timed
+    settings  by name of SETTINGS, the value in force as text; empty where the engine states none
+    unmet     rules of protocol-1 that its recordings do not meet
+    """
+
+    windows: tuple[Window, ...] = ()
+    seconds: tuple[float, float] | None = None
+    settings: dict[str, str] = field(default_factory=dict)
+    unmet: Unmet = Unmet()
+
+    @property
+    def said(self) -> str:
+        """The timed steps in words."""
+        return " and ".join(f"steps {w.first:,} to {w.last:,}" for w in self.windows) or "no steps"
+
+    @property
+    def short(self) -> bool:
+        """Whether the timed phase of a run took less than SHORT_S."""
+        return self.seconds is not None and self.seconds[0] < SHORT_S
+
+
+def timed_work(key: GroupKey, runs: Sequence[RunData], unmet: Unmet) -> TimedWork:
+    """Of a group by its key, its complete runs and the rules that its recordings do not meet."""
+    clocked = [run for run in runs if run.elapsed_s is not None and run.timed_from is not None]
+    windows = {Window(run.timed_from or 0, (run.timed_from or 0) + key.timed_steps) for run in clocked}
+    seconds = [run.elapsed_s for run in clocked if run.elapsed_s is not None]
+    return TimedWork(
+        tuple(sorted(windows)), (min(seconds), max(seconds)) if seconds else None, _settings(key), unmet
+    )  # fmt: skip
+
+
+def window_key(key: GroupKey, work: TimedWork) -> Hashable:
+    """What throughputs of one scene have to share to be compared: the timed steps, and how long a step is [s]."""
+    return work.windows, key.dt
+
+
+def most_common(windows: Sequence[Hashable]) -> Hashable:
+    """The one that most have; of several, the first."""
+    return max(dict.fromkeys(windows), key=windows.count)
+
+
+def differing_settings(works: Iterable[TimedWork]) -> bool:
+    """Whether solvers of some rows were set differently."""
+    return len({tuple(work.settings.items()) for work in works if work.windows}) > 1
+
+
+def _settings(key: GroupKey) -> dict[str, str]:
+    options = json.loads(key.options)
+    return {
+        name: next((_text(options[n]) for n in names if options.get(n) is not None), "")
+        for name, names in SETTINGS.items()
+    }
+
+
+def _text(value: Any) -> str:
+    # a tolerance in float32 is the one that was asked for
+    return f"{value:.4g}" if isinstance(value, float) else str(value)

@@ -1,0 +1,211 @@
+"""Whether the steps of a group did the work that they are timed for: contacts, buffers, overflow, actions."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from gpusimbench.evaluator.results.claims import Claim, every
+from gpusimbench.evaluator.runs.groups import Group
+from gpusimbench.evaluator.runs.summary import BitSummary, Summary
+from gpusimbench.schemas.provenance import Buffer, OverflowBit
+
+PHASES = ("capture", "timed")
+"""In this order of preference: every captured step is counted, of the others the last of warm-up and timed phase."""
+
+_ALL = "all"
+
+NOTHING_TOLD = Claim(None, "no run tells of its overflow")
+
+
+@dataclass(frozen=True)
+class Counted:
+    """What one counter shows, per step and environment, over the complete runs.
+
+    mean   over environments, steps and runs
+    p95    95th percentile over environments, mean over steps and runs
+    max    of any environment at any step of any run
+    phase  "capture" or "timed"
+    rows   steps that were counted, all runs together
+    runs   that were counted
+    """
+
+    name: str
+    meaning: str
+    mean: float
+    p95: float
+    max: float
+    phase: str
+    rows: int
+    runs: int
+
+
+@dataclass(frozen=True)
+class BufferUse:
+    """A capacity, and how much of it was needed at the fullest step of any run, complete or not.
+
+    needed  None where no counter shows it; once a buffer is full, an engine may count no further
+    share   needed / asked
+    """
+
+    buffer: Buffer
+    needed: float | None
+
+    @property
+    def share(self) -> float | None:
+        """needed / asked; None where either is not known."""
+        return None if self.needed is None or not self.buffer.asked else self.needed / self.buffer.asked
+
+
+@dataclass(frozen=True)
+class OverflowSeen:
+    """A bit that fired, over all runs, complete or not.
+
+    fatal       contacts or constraints were dropped; None where simulation.json does not describe the bit
+    rows        recorded steps at which it fired, all runs together
+    envs        most environments with any bit at one of them
+    runs        runs in which it fired
+    phase       of the first
+    first_step  earliest step; with `spread` it fired at this one or at any of those since the row before
+    """
+
+    name: str
+    fatal: bool | None
+    rows: int
+    envs: int
+    runs: int
+    phase: str
+    first_step: int
+    spread: bool
+
+
+@dataclass(frozen=True)
+class ActionsApplied:
+    """The streams of actions of one phase, over the complete runs.
+
+    generators  JSON, different ones
+    sha256      of the actions of first and last step, different ones; more than one: the runs were not given the same
+    verified    runs in which the engine held what it was given
+    runs        that said what they applied
+    """
+
+    phase: str
+    generators: tuple[str, ...]
+    sha256: tuple[tuple[str, str], ...]
+    verified: int
+    runs: int
+
+
+@dataclass(frozen=True)
+class Validity:
+    """Everything of this kind about one group.
+
+    counted    by counter and phase: counters in the order of simulation.json
+    buffers    in the order of simulation.json
+    overflow   bits that fired; empty where none did, None where the engine does not tell
+    actions    by phase; empty where the scene has none
+    overflow_told  whether every run tells of its overflow
+    """
+
+    counted: tuple[Counted, ...]
+    buffers: tuple[BufferUse, ...]
+    overflow: tuple[OverflowSeen, ...] | None
+    actions: tuple[ActionsApplied, ...]
+    overflow_told: Claim = NOTHING_TOLD
+
+    def of(self, name: str, *phases: str) -> Counted | None:
+        """A counter in the first of these phases that has it; by default in order of PHASES."""
+        found = {c.phase: c for c in self.counted if c.name == name}
+        return next((found[phase] for phase in phases or PHASES if phase in found), None)
+
+
+def validity_of(group: Group[Summary]) -> Validity:
+    """Read it from the group's recordings; DamagedRecording where one says what cannot be."""
+    return Validity(
+        counted=tuple(_counted(group.complete)),
+        buffers=tuple(_buffers(group.recordings)),
+        overflow=_overflow(group.recordings),
+        actions=tuple(_actions(group.complete)),
+        overflow_told=_told(group.complete),
+    )
+
+
+def _counted(runs: Sequence[Summary]) -> Iterable[Counted]:
+    meanings = {c.name: c.meaning for run in runs if run.simulation for c in run.simulation.counters}
+    names = dict.fromkeys([*meanings, *(name for run in runs for by in run.counts.values() for name in by)])
+    for name in names:
+        for phase in PHASES:
+            found = [by[name] for run in runs if name in (by := run.counts.get(phase, {}))]
+            if found:
+                yield Counted(
+                    name,
+                    meanings.get(name, ""),
+                    mean=float(np.mean([c.mean for c in found])),
+                    p95=float(np.mean([c.p95 for c in found])),
+                    max=max(c.max for c in found),
+                    phase=phase,
+                    rows=sum(c.rows for c in found),
+                    runs=len(found),
+                )
+
+
+def _buffers(runs: Sequence[Summary]) -> Iterable[BufferUse]:
+    buffers = dict.fromkeys(buffer for run in runs if run.simulation for buffer in run.simulation.buffers)
+    for buffer in buffers:
+        having = [run for run in runs if run.simulation and buffer in run.simulation.buffers]
+        needed = [
+            counts.fullest_mean * run.configuration.n_env if buffer.per == _ALL else counts.max
+            for run in having
+            for by in run.counts.values()
+            if (counts := by.get(buffer.counter)) is not None
+        ]
+        yield BufferUse(buffer, max(needed, default=None))
+
+
+def _overflow(runs: Sequence[Summary]) -> tuple[OverflowSeen, ...] | None:
+    telling = [run for run in runs if run.overflows]
+    if not telling:
+        return None
+    described: dict[int, OverflowBit] = {}
+    for run in telling:
+        described |= {bit.bit: bit for bit in (run.simulation.overflow_bits if run.simulation else ())}
+    seen: dict[int, list[tuple[BitSummary, str, bool, int]]] = {}
+    for index, run in enumerate(telling):
+        for phase, overflows in run.overflows.items():
+            for fired in overflows.bits:
+                seen.setdefault(fired.bit, []).append((fired, phase, overflows.spread, index))
+    return tuple(_seen(described.get(bit), seen[bit]) for bit in sorted(seen))
+
+
+def _told(runs: Sequence[Summary]) -> Claim:
+    telling = sum(bool(run.overflows) for run in runs)
+    why_not = f"{telling} of {len(runs)} complete runs tell of their overflow" if runs else NOTHING_TOLD.why_not
+    return every((True if run.overflows else None for run in runs), why_not)
+
+
+def _seen(described: OverflowBit | None, found: Sequence[tuple[BitSummary, str, bool, int]]) -> OverflowSeen:
+    first, phase, spread, _ = min(found, key=lambda one: one[0].first_step)
+    return OverflowSeen(
+        described.name if described else f"bit {first.bit}",
+        described.fatal if described else None,
+        rows=sum(fired.rows for fired, *_ in found),
+        envs=max(fired.envs for fired, *_ in found),
+        runs=len({run for *_, run in found}),
+        phase=phase,
+        first_step=first.first_step,
+        spread=spread,
+    )
+
+
+def _actions(runs: Sequence[Summary]) -> Iterable[ActionsApplied]:
+    for phase in dict.fromkeys(phase for run in runs for phase in run.action_streams):
+        found = [run.action_streams[phase] for run in runs if phase in run.action_streams]
+        yield ActionsApplied(
+            phase,
+            tuple(dict.fromkeys(s.generator for s in found)),
+            tuple(dict.fromkeys((s.first_sha256, s.last_sha256) for s in found)),
+            verified=sum(s.verified for s in found),
+            runs=len(found),
+        )

@@ -1,0 +1,341 @@
+"""Which recordings belong together: by what they hold, never by their names."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Generic, Protocol, TypeVar
+
+from gpusimbench.schemas.configuration import RunConfiguration
+from gpusimbench.schemas.fields import StateField
+from gpusimbench.schemas.location import Place
+from gpusimbench.schemas.provenance import REAL, Provenance, Simulation
+
+
+class Described(Protocol):
+    """What an open recording and the summary of a closed one both tell."""
+
+    @property
+    def path(self) -> Place: ...
+    @property
+    def status(self) -> str: ...
+    @property
+    def reason(self) -> str: ...
+    @property
+    def cause(self) -> str: ...
+    @property
+    def usable(self) -> bool: ...
+    @property
+    def dropouts(self) -> tuple[str, ...]: ...
+    @property
+    def configuration(self) -> RunConfiguration: ...
+    @property
+    def provenance(self) -> Provenance: ...
+    @property
+    def simulation(self) -> Simulation | None: ...
+    @property
+    def fields(self) -> tuple[StateField, ...]: ...
+
+
+_D = TypeVar("_D", bound=Described, covariant=True)
+_R = TypeVar("_R", bound=Described)
+
+
+@dataclass(frozen=True)
+class GroupKey:
+    """What the runs of a group have in common.
+
+    Two runs of one key were asked for the same, on the same device, with the same settings, versions of what computes,
+    GPU driver and environment variables; only how long and how densely states were captured may differ.
+
+    simulator, version  of the engine; the version is empty where the run ended before the engine said it
+    device              that steps, by name
+    scene, scene_hash   name and SHA-256 of the description
+    n_env, dt, seed     as asked; dt in seconds
+    warmup, timed_steps protocol of the throughput phase, 0 where it was left out
+    determinism         level that was asked for
+    options             of the engine in force, JSON; as asked where the run ended before the engine said them
+    switches            determinism switches and precision in force, JSON
+    conditions          environment variables, versions and driver that can change numbers, JSON
+    layout              names, shapes, precision and frames of the state fields, JSON
+    origins             of the environments, JSON
+    """
+
+    simulator: str
+    version: str
+    device: str
+    scene: str
+    scene_hash: str
+    n_env: int
+    dt: float
+    seed: int
+    warmup: int
+    timed_steps: int
+    determinism: str
+    options: str
+    switches: str
+    conditions: str
+    layout: str
+    origins: str
+
+
+@dataclass(frozen=True)
+class Group(Generic[_D]):
+    """Recordings of one key, in order of run index and time; `complete` are those that metrics are computed from."""
+
+    key: GroupKey
+    recordings: tuple[_D, ...]
+
+    @property
+    def complete(self) -> tuple[_D, ...]:
+        """The runs that ended well and lost nothing."""
+        return tuple(r for r in self.recordings if r.usable)
+
+    @property
+    def measured(self) -> bool:
+        """Whether these are real trials."""
+        return self.key.simulator == REAL
+
+    @property
+    def outcomes(self) -> dict[str, int]:
+        """How many runs are complete, invalid, failed, incomplete, or complete but for lost data; zeros included."""
+        found = Counter("lost data" if r.status == "complete" and not r.usable else r.status for r in self.recordings)
+        return {name: found[name] for name in ("complete", "invalid", "failed", "incomplete", "lost data")}
+
+    @property
+    def captured(self) -> bool:
+        """Whether any complete run captured states."""
+        return any("capture" in r.configuration.phases for r in self.complete)
+
+
+def shown_status(recording: Described) -> str:
+    """A run's status with what kind of thing ended it; INVALID stands out."""
+    status = "INVALID" if recording.status == "invalid" else recording.status
+    return f"{status} ({recording.cause})" if recording.cause else status
+
+
+def status_notes(group: Group[Described]) -> list[str]:
+    """What a reader must know of the runs that no metric is computed from."""
+    found: dict[str, list[int]] = {}
+    for recording in group.recordings:
+        run = recording.configuration.run_index
+        if recording.status != "complete":
+            found.setdefault(f"{shown_status(recording)}: {recording.reason}", []).append(run)
+        for lost in recording.dropouts:
+            found.setdefault(f"lost data: {lost}", []).append(run)
+    return [_note(what, runs) for what, runs in found.items()]
+
+
+def _note(what: str, runs: Sequence[int]) -> str:
+    one = len(runs) == 1
+    said = what if what.startswith("lost data") else f"{'is' if one else 'are'} {what}"
+    return f"run{'' if one else 's'} {', '.join(map(str, runs))} {said}"
+
+
+def key_of(recording: Described) -> GroupKey:
+    """The key of one recording."""
+    c = recording.configuration
+    simulation = recording.simulation
+    timed = "timed" in c.phases
+    conditions = _conditions(recording)
+    return GroupKey(
+        simulator=c.simulator,
+        version=simulation.version if simulation else "",
+        device=_device(recording),
+        scene=c.scene,
+        scene_hash=str(simulation.scene.get("sha256", "")) if simulation else "",
+        n_env=c.n_env,
+        dt=c.dt,
+        seed=c.seed,
+        warmup=c.warmup if timed else 0,
+        timed_steps=c.timed_steps if timed else 0,
+        determinism=c.determinism,
+        options=_canonical(_without(simulation.options if simulation else c.options, _FOLLOWING)),
+        # the level that was asked for has a place of its own, and so have the versions of packages
+        switches=_canonical(_without(simulation.switches, ("determinism", *conditions))) if simulation else "",
+        conditions=_canonical(conditions),
+        layout=_canonical({f.name: [f.dtype, f.frame, len(f.items), f.width] for f in recording.fields}),
+        origins=json.dumps(simulation.env_origins if simulation else []),
+    )
+
+
+# what follows from the scene or from the number of environments, and is no choice: rows that wait on the device to be
+# read, the form of a matrix
+_FOLLOWING = ("ring", "sparse")
+
+# which devices are visible is said by the device; these packages carry numbers and do not compute them
+_NOT_NUMERIC = ("CUDA_VISIBLE_DEVICES", "NVIDIA_VISIBLE_DEVICES", "mcap", "protobuf")
+
+
+def _conditions(recording: Described) -> dict[str, Any]:
+    provenance = recording.provenance
+    packages = provenance.software.get("packages", {})
+    found = {**provenance.environment, **(packages if isinstance(packages, dict) else {})}
+    if provenance.gpus:
+        found["driver"] = provenance.gpus[0].get("driver", "")
+    return _without(found, _NOT_NUMERIC)
+
+
+def _without(settings: Mapping[str, Any], names: Collection[str]) -> dict[str, Any]:
+    return {name: value for name, value in settings.items() if name not in names}
+
+
+def group(recordings: Sequence[_R]) -> list[Group[_R]]:
+    """Recordings by key, in a fixed order.
+
+    A run that failed before its simulator was built joins the group that was asked for the same, if there is one.
+    """
+    built = {asked(r): key_of(r) for r in recordings if r.simulation}
+    members: dict[GroupKey, list[_R]] = {}
+    for recording in recordings:
+        key = key_of(recording)
+        if not recording.simulation:
+            key = built.get(asked(recording), key)
+        members.setdefault(key, []).append(recording)
+    ordered = sorted(members.items(), key=lambda item: _order(item[0]))
+    return [
+        Group(key, tuple(sorted(found, key=lambda r: (r.configuration.run_index, r.provenance.created_utc))))
+        for key, found in ordered
+    ]
+
+
+def asked(recording: Described) -> GroupKey:
+    """What is known of a run's key before its simulator is built: enough to tell which runs were asked for the same."""
+    host, gpus = recording.provenance.host, recording.provenance.gpus
+    machine = [host.get("cpu"), host.get("usable_threads"), *(gpu.get("name") for gpu in gpus)]
+    known = replace(key_of(recording), version="", scene_hash="", switches="", layout="", origins="")
+    return replace(known, device=json.dumps(machine), options=_canonical(recording.configuration.options))
+
+
+def settings_asked(recordings: Sequence[Described]) -> GroupKey:
+    """What some runs of one group or sweep have in common with those of another scene, step or number of environments.
+
+    With the options that were given: those in force, such as sizes of buffers, may follow from the scene.
+    """
+    recording = next((r for r in recordings if r.simulation), recordings[0])
+    return replace(
+        key_of(recording), options=_canonical(recording.configuration.options), scene="", scene_hash="", n_env=0,
+        dt=0.0, seed=0, warmup=0, timed_steps=0, layout="", origins="",
+    )  # fmt: skip
+
+
+def is_instrument(key: GroupKey) -> bool:
+    """Whether this is a control with a known answer, as its adapter declares it among its switches."""
+    return bool(key.switches) and json.loads(key.switches).get("instrument") is True
+
+
+def labels(keys: Sequence[GroupKey], given: Collection[str] = ()) -> list[str]:
+    """A short unique name for each key: the simulator, and what tells it from its others in the same scene.
+
+    The scene is named where two scenes would have the same name otherwise. What a user chose comes first, then the
+    precision of the states. Settings that nobody chose are named only where nothing else tells two keys apart: most of
+    them follow from a choice, a machine or a level of determinism.
+
+    given  names of the options that a user gave for any of them
+    """
+    telling_parts = []
+    for one in keys:
+        # a run that failed before it was built knows only what was asked, and would make every default stand out
+        built = [key for key in keys if key.version or not one.version]
+        rivals = [key for key in built if (key.simulator, key.scene) == (one.simulator, one.scene) and key is not one]
+        telling = [name for name in _DISTINGUISHING if any(_differs(name, one, r) for r in rivals)]
+        parts = [_shown(name, one) for name in telling if getattr(one, name) != ""]
+        chosen = _chosen(one, given)
+        parts += _changed(chosen, [_chosen(rival, given) for rival in rivals])
+        alike = [r for r in rivals if _chosen(r, given) == chosen and not any(_differs(n, one, r) for n in telling)]
+        if any(precisions(r) not in ([], precisions(one)) for r in alike):
+            parts += precisions(one)
+            alike = [r for r in alike if precisions(r) in ([], precisions(one))]
+        parts += _limited(_changed(_settings(one), [_settings(rival) for rival in alike]))
+        if "version" in telling and not one.version:
+            parts.append("never built")
+        telling_parts.append(parts)
+    named = _apart(keys, telling_parts)
+    return [label if named.count(label) == 1 else f"{label} #{i + 1}" for i, label in enumerate(named)]
+
+
+def _apart(keys: Sequence[GroupKey], parts: Sequence[list[str]]) -> list[str]:
+    # the same name in two scenes: the scene comes first
+    scenes: dict[tuple[str, ...], set[str]] = {}
+    for key, found in zip(keys, parts, strict=True):
+        scenes.setdefault((key.simulator, *found), set()).add(key.scene)
+    names = []
+    for key, found in zip(keys, parts, strict=True):
+        shown = [key.scene, *found] if len(scenes[(key.simulator, *found)]) > 1 else found
+        names.append(f"{key.simulator} [{', '.join(shown)}]" if shown else key.simulator)
+    return names
+
+
+def options_given(recordings: Iterable[Described]) -> set[str]:
+    """Names of the options that a user gave for any of some recordings."""
+    return {name for recording in recordings for name in recording.configuration.options}
+
+
+_SHOWN_SETTINGS = 4
+_SHOWN_LENGTH = 60
+
+_DISTINGUISHING = (
+    "version", "device", "scene_hash", "n_env", "dt", "seed", "warmup", "timed_steps", "determinism",
+)  # fmt: skip
+
+
+def _differs(name: str, one: GroupKey, other: GroupKey) -> bool:
+    return bool(getattr(one, name) != getattr(other, name))
+
+
+def _shown(name: str, key: GroupKey) -> str:
+    value = getattr(key, name)
+    if name == "scene_hash":
+        return f"scene {value[:8]}"
+    if name in ("version", "device"):
+        return str(value)
+    return f"{name}={value:g}" if isinstance(value, float) else f"{name}={value}"
+
+
+def _limited(changed: list[str]) -> list[str]:
+    more = len(changed) - _SHOWN_SETTINGS
+    return [*changed[:_SHOWN_SETTINGS], *([f"and {more} more"] if more > 0 else [])]
+
+
+def _changed(own: dict[str, Any], others: Sequence[dict[str, Any]]) -> list[str]:
+    names = [n for n in set(own).union(*others) if any(other.get(n) != own.get(n) for other in others)]
+    # what it has comes before what only the others have
+    return [_setting(n, own.get(n, "unset")) for n in sorted(names, key=lambda n: (n not in own, n))]
+
+
+def _setting(name: str, value: Any) -> str:
+    text = f"{name}={value}"
+    return text if len(text) <= _SHOWN_LENGTH else f"{text[: _SHOWN_LENGTH - 3]}..."
+
+
+def _chosen(key: GroupKey, given: Collection[str]) -> dict[str, Any]:
+    return {name: value for name, value in json.loads(key.options).items() if name in given}
+
+
+def precisions(key: GroupKey) -> list[str]:
+    """Of the states; empty where the run ended before they were known."""
+    return sorted({dtype for dtype, *_ in json.loads(key.layout or "{}").values()})
+
+
+def _settings(key: GroupKey) -> dict[str, Any]:
+    # options before switches before conditions, as they are named
+    return {**json.loads(key.conditions), **json.loads(key.switches or "{}"), **json.loads(key.options)}
+
+
+def _order(key: GroupKey) -> tuple[Any, ...]:
+    settings = (key.determinism, key.n_env, key.dt, key.switches, key.options)
+    return (key.scene, key.simulator == REAL, key.simulator, key.version, *settings)
+
+
+def _device(recording: Described) -> str:
+    device = recording.simulation.device if recording.simulation else ""
+    if device != "cpu":
+        return device
+    host = recording.provenance.host
+    return f"{host.get('cpu', 'cpu')}, {host.get('usable_threads', '?')} threads"
+
+
+def _canonical(record: dict[str, Any]) -> str:
+    return json.dumps(record, sort_keys=True)

@@ -1,0 +1,121 @@
+"""Energy, momentum and displacement from row to row."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import numpy.typing as npt
+
+from gpusimbench.evaluator.metrics.physics.energy import FrictionCone, Rises, mechanical_energy
+from gpusimbench.evaluator.metrics.physics.kinematics import Displacements
+from gpusimbench.evaluator.metrics.physics.solids import FixedBox
+from gpusimbench.evaluator.metrics.physics.vectors import largest, square
+from gpusimbench.evaluator.runs.physics.facts import Check, Fact, NotMeasured, measured
+from gpusimbench.evaluator.runs.physics.setting import Setting
+from gpusimbench.evaluator.runs.physics.states import States
+from gpusimbench.evaluator.runs.physics.world import FixedBody
+
+Array = npt.NDArray[np.float64]
+Mask = npt.NDArray[np.bool_]
+
+_CLEAR = 1e-3  # from an inclined body, to count as not touching it [m]
+_STORED = 0.2  # for how long contacts may keep what they give back [s]: ten time constants of MuJoCo's
+_MOST_ROWS = 1000  # of that time; less of it is looked at where steps are shorter than 0.2 ms
+_CHECKS = (Check.ENERGY_START, Check.ENERGY_ROW, Check.CONE, Check.PULL, Check.DISPLACEMENT)
+
+
+class Balance:
+    """Follows what no contact can give; `facts` when all rows were fed."""
+
+    def __init__(self, setting: Setting) -> None:
+        self._setting = setting
+        world = setting.world
+        self._mass = world.mass
+        self._inertia = np.array([body.inertia for body in world.moving])
+        self._reach = np.array([body.reach for body in world.moving])
+        floors = [body.surface.static for body in world.fixed if body.level]
+        self._friction = max([*floors, *(body.surface.static for body in world.moving)])
+        window = min(_MOST_ROWS, max(1, math.ceil(_STORED / setting.row_time)))
+        self._rises = Rises(world.restitution, window)
+        self._cone = FrictionCone(self._friction, float(self._mass.sum()) * world.gravity, setting.row_time)
+        self._displacements = Displacements(setting.row_time)
+        self._terms = self._resolution = 0.0
+        self._why_not = ""
+
+    def feed(self, states: States) -> None:
+        """The next rows."""
+        if states.linear is None or states.angular is None:
+            self._why_not = "velocities were not recorded"
+            return
+        gravity, height = self._setting.world.gravity, states.position[..., 2]
+        energy = mechanical_energy(
+            height, states.linear, states.angular, mass=self._mass, inertia=self._inertia, gravity=gravity
+        )
+        self._rises.feed(energy)
+        squared = square(states.linear)
+        self._terms = max(self._terms, float(((squared + gravity * np.abs(height)) @ self._mass).max()))
+        if self._setting.stride == 1:
+            self._cone.feed(np.einsum("rebi,b->rei", states.linear, self._mass), self._level_only(states.position))
+            self._displacements.feed(states.position, states.linear)
+            self._resolution = max(self._resolution, self._setting.resolution(states.position))
+
+    def facts(self) -> list[Fact]:
+        """Five of them."""
+        setting = self._setting
+        if self._why_not:
+            return [NotMeasured(check, self._why_not) for check in _CHECKS]
+        weight = float(self._mass.sum()) * setting.world.gravity
+        rounded = setting.walk.epsilon * self._terms
+        step = weight * setting.sink
+        facts = [
+            measured(
+                Check.ENERGY_START, self._rises.above_start, low=None, high=0.0, tolerance=step + rounded,
+                of="M g^2 dt^2, and rounding", note=setting.sparse,
+            )
+        ]  # fmt: skip
+        if setting.sparse:
+            return [*facts, *(NotMeasured(check, setting.sparse) for check in _CHECKS[1:])]
+        slack = self._friction * weight * setting.dt
+        rise = measured(
+            Check.ENERGY_ROW, self._rises.unpaid, low=None, high=0.0, tolerance=step + rounded,
+            of="M g^2 dt^2, and rounding",
+        )  # fmt: skip
+        return [*facts, rise, *self._ground(slack), self._displacement()]
+
+    def _ground(self, slack: float) -> list[Fact]:
+        checks = (Check.CONE, Check.PULL)
+        if not any(body.level for body in self._setting.world.fixed):
+            return [NotMeasured(check, "the scene has no level floor") for check in checks]
+        judged = self._cone.rows > 0
+        if not judged.any():
+            return [NotMeasured(check, "no row has all bodies on level ground") for check in checks]
+        note = f"{int(self._cone.rows.sum())} rows, coefficient {self._friction:g}"
+        return [
+            measured(
+                Check.CONE, self._cone.excess[judged], low=None, high=0.0, tolerance=slack, of="mu M g dt", note=note
+            ),
+            measured(Check.PULL, self._cone.pull[judged], low=None, high=0.0, tolerance=slack, of="mu M g dt"),
+        ]
+
+    def _displacement(self) -> Fact:
+        return measured(
+            Check.DISPLACEMENT, self._displacements.largest, low=None, high=0.0,
+            tolerance=self._setting.sink + self._resolution, of="g dt^2, and rounding",
+        )  # fmt: skip
+
+    def _level_only(self, position: Array) -> Mask:
+        clear = np.ones(position.shape[:2], dtype=bool)
+        for fixed in self._setting.world.fixed:
+            clear &= self._clear_of_sides(fixed, position).all(axis=-1)
+        return clear
+
+    def _clear_of_sides(self, fixed: FixedBody, position: Array) -> Mask:
+        # [row, env, body]: touches nothing of it but its upper face
+        if not isinstance(fixed.solid, FixedBox):
+            return np.full(position.shape[:3], fixed.level)
+        beyond = np.abs(fixed.solid.local(position)) - fixed.solid.half
+        apart = largest(beyond) > self._reach + _CLEAR
+        if not fixed.level:
+            return np.asarray(apart)
+        return np.asarray(apart | (largest(beyond[..., :2]) < -self._reach))

@@ -1,0 +1,145 @@
+"""How deep bodies are in fixed ones and in each other, at rest and ever."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from gpusimbench.evaluator.metrics.physics.solids import (  # fmt: skip
+    Fixed,
+    box_distance,
+    corner_depth,
+    nearest,
+    overlap,
+    rotations,
+    sphere_depth,
+)
+from gpusimbench.evaluator.metrics.physics.vectors import square
+from gpusimbench.evaluator.runs.physics.facts import Check, Fact, NotMeasured, measured
+from gpusimbench.evaluator.runs.physics.setting import Setting
+from gpusimbench.evaluator.runs.physics.states import States
+
+Array = npt.NDArray[np.float64]
+
+REST = 0.01
+"""Speed of every point of a body that counts as lying still [m/s]."""
+
+_CHECKS = (Check.DEPTH_REST, Check.DEPTH_EVER, Check.PAIR_REST, Check.PAIR_EVER)
+
+
+class Depths:
+    """Follows the deepest of all bodies; `facts` when all rows were fed."""
+
+    def __init__(self, setting: Setting) -> None:
+        self._setting = setting
+        bodies = setting.world.moving
+        self._balls = [i for i, body in enumerate(bodies) if body.radius]
+        self._cubes = [i for i, body in enumerate(bodies) if body.half]
+        self._half = np.array([bodies[i].half for i in self._cubes])
+        self._fixed = self._pair = np.zeros(0)  # of what touches nothing, zero
+        self._last: States | None = None
+
+    def feed(self, states: States) -> None:
+        """The next rows."""
+        first = self._last is None
+        self._last = states
+        if states.orientation is None:
+            return
+        turn = rotations(states.orientation[:, :, self._cubes])
+        fixed = self._in_fixed(states, turn).max(axis=(0, 2))
+        pair = self._in_each_other(states, turn)
+        self._fixed = np.maximum(0.0 if first else self._fixed, fixed)
+        self._pair = np.maximum(0.0 if first else self._pair, pair)
+
+    def facts(self) -> list[Fact]:
+        """Four of them."""
+        setting, last = self._setting, self._last
+        if last is None or last.orientation is None:
+            return [NotMeasured(check, "orientations were not recorded") for check in _CHECKS]
+        return [*self._at_rest(last), *self._ever(setting)]
+
+    def _ever(self, setting: Setting) -> list[Fact]:
+        if setting.fastest is None:
+            return [NotMeasured(c, "the scene has no level floor") for c in (Check.DEPTH_EVER, Check.PAIR_EVER)]
+        slack = setting.fastest * setting.dt + setting.sink
+        note = "" if setting.stride == 1 else setting.sparse
+        of = "sqrt(2 g H) dt + g dt^2"
+        return [
+            measured(Check.DEPTH_EVER, self._fixed, low=None, high=0.0, tolerance=slack, of=of, note=note),
+            measured(Check.PAIR_EVER, self._pair, low=None, high=0.0, tolerance=slack, of=of, note=note),
+        ]
+
+    def _at_rest(self, last: States) -> list[Fact]:
+        checks = (Check.DEPTH_REST, Check.PAIR_REST)
+        if last.linear is None or last.angular is None or last.orientation is None:
+            return [NotMeasured(check, "velocities were not recorded") for check in checks]
+        reach = np.array([body.reach for body in self._setting.world.moving])
+        speed = np.linalg.norm(last.linear[-1], axis=-1) + np.linalg.norm(last.angular[-1], axis=-1) * reach
+        still = speed < REST
+        if not still.any():
+            return [NotMeasured(check, f"nothing moves slower than {REST:g} m/s at the end") for check in checks]
+        end = States(last.step[-1:], last.position[-1:], last.orientation[-1:], None, None)
+        turn = rotations(last.orientation[-1:, :, self._cubes])
+        deep = np.where(still, self._in_fixed(end, turn)[0], 0.0).max(axis=1, initial=0.0)
+        note = f"{np.count_nonzero(still)} of {still.size} bodies are at rest"
+        slack = self._setting.sink + self._setting.resolution(end.position[0][still])
+        pairs = self._pairs_at_rest(end, turn[0], still)
+        of = "g dt^2, and rounding"
+        return [
+            measured(Check.DEPTH_REST, deep[still.any(axis=1)], low=None, high=0.0, tolerance=slack, of=of, note=note),
+            measured(Check.PAIR_REST, pairs, low=None, high=0.0, tolerance=slack, of=of),
+        ]
+
+    def _in_fixed(self, states: States, turn: Array) -> Array:
+        # [row, env, body]
+        deepest = np.full(states.position.shape[:3], -np.inf)
+        rows, envs = states.position.shape[:2]
+        for fixed in self._setting.world.fixed:
+            for ball in self._balls:
+                depth = sphere_depth(fixed.solid, states.position[:, :, ball], self._setting.world.moving[ball].radius)
+                deepest[:, :, ball] = np.maximum(deepest[:, :, ball], depth)
+            if self._cubes:
+                depth = self._cube_depth(fixed.solid, states.position[:, :, self._cubes], turn)
+                index = np.ix_(range(rows), range(envs), self._cubes)
+                deepest[index] = np.maximum(deepest[index], depth)
+        return deepest
+
+    def _cube_depth(self, solid: Fixed, centre: Array, turn: Array) -> Array:
+        half = np.broadcast_to(self._half[:, None], centre.shape)
+        flat = corner_depth(solid, centre.reshape(-1, 3), turn.reshape(-1, 3, 3), half.reshape(-1, 3))
+        return flat.reshape(centre.shape[:-1])
+
+    def _in_each_other(self, states: States, turn: Array) -> Array:
+        # [env]; of cubes by the spheres inside them, so at least that deep
+        rows, envs = states.position.shape[:2]
+        deepest = np.full((rows, envs), -np.inf)
+        cubes = states.position[:, :, self._cubes]
+        if len(self._cubes) > 1:
+            _, closest = nearest(cubes.reshape(rows * envs, -1, 3))
+            deepest = 2 * self._half.min() - closest.reshape(rows, envs)
+        for ball in self._balls:
+            radius = self._setting.world.moving[ball].radius
+            away = states.position[:, :, ball, None] - cubes
+            close = square(away) < (radius + np.sqrt(3.0) * self._half) ** 2
+            if close.any():
+                local = np.einsum("ni,nij->nj", away[close], turn[close])
+                half = np.broadcast_to(self._half, close.shape)[close]
+                depth = np.full(close.shape, -np.inf)
+                depth[close] = radius - box_distance(local, half[:, None])
+                deepest = np.maximum(deepest, depth.max(axis=-1))
+        return np.asarray(deepest.max(axis=0))
+
+    def _pairs_at_rest(self, end: States, turn: Array, still: npt.NDArray[np.bool_]) -> list[float]:
+        found = []
+        centre = end.position[0][:, self._cubes]
+        for env in range(len(centre)):
+            resting = np.nonzero(still[env, self._cubes])[0]
+            first, second = (resting[i] for i in np.triu_indices(len(resting), 1))
+            apart = np.linalg.norm(centre[env, first] - centre[env, second], axis=-1)
+            near = apart < np.sqrt(3.0) * (self._half[first] + self._half[second])
+            boxes = [
+                (centre[env, i], turn[env, i], np.repeat(self._half[i][:, None], 3, axis=1))
+                for i in (first[near], second[near])
+            ]
+            found.append(float(overlap(boxes[0], boxes[1]).max(initial=0.0)))
+        return found

@@ -1,0 +1,62 @@
+"""What all checks of a run share: its states, its world, its step, and the tolerances that follow from them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from gpusimbench.evaluator.runs.physics.states import Walk
+from gpusimbench.evaluator.runs.physics.world import World
+
+
+@dataclass(frozen=True)
+class Setting:
+    """A run that is being looked at.
+
+    walk         over its states
+    world        its scene
+    dt           step of the simulator [s]
+    stride       steps between rows
+    sample_time  when the scene's outcome is read [s]
+    """
+
+    walk: Walk
+    world: World
+    dt: float
+    stride: int
+    sample_time: float
+
+    @property
+    def row_time(self) -> float:
+        """From row to row [s]."""
+        return self.dt * self.stride
+
+    @property
+    def sink(self) -> float:
+        """g dt^2 [m]: how far gravity moves a body from rest in a step of semi-implicit Euler."""
+        return self.world.gravity * self.dt**2
+
+    def resolution(self, place: npt.NDArray[np.float64]) -> float:
+        """What the number type may add to a distance between two of some places [m], shape [...], in env frames.
+
+        Each coordinate was recorded from the environment's origin, rounded by half a unit in the last place: eps times
+        the largest for two of them, less than twice that for three coordinates.
+        """
+        largest = float(np.abs(place).max(initial=0.0))
+        return 2.0 * self.walk.epsilon * (self.walk.offset + largest)
+
+    @property
+    def fastest(self) -> float | None:
+        """sqrt(2 g H) [m/s], with H from the lowest floor to the highest centre at the start; None without a floor."""
+        tops = [body.top for body in self.world.fixed if body.level]
+        if not tops:
+            return None
+        highest = max(body.start[2] for body in self.world.moving)
+        return float((2.0 * self.world.gravity * max(0.0, highest - min(tops))) ** 0.5)
+
+    @property
+    def sparse(self) -> str:
+        """Why nothing can be said of what happens between rows; empty where every step was recorded."""
+        return "" if self.stride == 1 else f"only every {self.stride}th state was recorded"

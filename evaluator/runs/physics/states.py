@@ -1,0 +1,132 @@
+"""States of a few environments of a recording, some rows at a time, in each environment's own frame."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from gpusimbench.evaluator.read.recording import Recording
+from gpusimbench.evaluator.read.state_array import StateArray
+from gpusimbench.evaluator.runs.positions import in_env_frame
+
+Array = npt.NDArray[np.float64]
+
+MOST_ENVS = 64
+"""Of which more are looked at in no run."""
+
+SEED = 0
+"""Of the draw of environments."""
+
+_RANGES = 4  # that the environments are drawn in: each takes a block of the file to be read
+_CHUNK_ROWS = 50  # a block's rows, so that none is decoded twice
+_CHUNK_BYTES = 16 << 20  # of positions in float64
+
+
+@dataclass(frozen=True)
+class States:
+    """Rows of all moving bodies.
+
+    step         simulator step of each row, as float64
+    position     [m], shape [row, env, body, 3]
+    orientation  quaternions wxyz, shape [row, env, body, 4]; None where one group has none
+    linear       velocity [m/s], shape [row, env, body, 3], or None
+    angular      velocity [rad/s], shape [row, env, body, 3], or None
+    """
+
+    step: Array
+    position: Array
+    orientation: Array | None
+    linear: Array | None
+    angular: Array | None
+
+
+def drawn_envs(n_env: int) -> tuple[tuple[int, int], ...]:
+    """First and last environment of the ranges to look at: all of up to MOST_ENVS, else equal ranges.
+
+    One is drawn from each part of the run, at a place that SEED decides, so that neighbours in the file, which can be
+    read together, and environments far apart are both there.
+    """
+    if n_env <= MOST_ENVS:
+        return ((0, n_env - 1),)
+    size = MOST_ENVS // _RANGES
+    draw = np.random.default_rng(SEED)
+    bounds = [n_env * k // _RANGES for k in range(_RANGES + 1)]
+    starts = [int(draw.integers(low, high - size + 1)) for low, high in zip(bounds, bounds[1:], strict=False)]
+    return tuple((start, start + size - 1) for start in starts)
+
+
+class Walk:
+    """The states of some environments of a recording, in order of time.
+
+    groups  of bodies, in recording order
+    items   group and name of each body, in the order of the arrays
+    """
+
+    def __init__(self, recording: Recording, envs: tuple[tuple[int, int], ...]) -> None:
+        self._recording = recording
+        self._envs = envs
+        self.groups = tuple(
+            dict.fromkeys(f.group for f in recording.fields if f.field == "position" and len(f.components) == 3)
+        )
+        self._fields = {
+            (f.group, f.field): recording.state(f.group, f.field) for f in recording.fields if f.group in self.groups
+        }
+        self.items = tuple((g, name) for g in self.groups for name in self._fields[g, "position"].field.items)
+
+    def __len__(self) -> int:
+        """Rows that every field has."""
+        return min((len(array) for array in self._fields.values()), default=0)
+
+    @property
+    def epsilon(self) -> float:
+        """Spacing of the numbers just above 1, of the coarsest type that positions have."""
+        arrays = [self._fields[g, "position"] for g in self.groups]
+        return max(float(np.finfo(array.dtype).eps) for array in arrays)
+
+    @property
+    def offset(self) -> float:
+        """Largest coordinate of the origin of any environment that is read [m]: recorded numbers are as large."""
+        simulation = self._recording.simulation
+        origins = np.array(simulation.env_origins) if simulation and simulation.env_origins else np.zeros((0, 3))
+        return float(max((np.abs(origins[a : b + 1]).max(initial=0.0) for a, b in self._envs), default=0.0))
+
+    def chunks(self, first: int = 0, stop: int | None = None) -> Iterator[States]:
+        """Rows from `first` to `stop`, a block of the file at a time, or less where that is many megabytes."""
+        end = len(self) if stop is None else min(stop, len(self))
+        n_env = sum(last - begin + 1 for begin, last in self._envs)
+        rows = max(1, min(_CHUNK_ROWS, _CHUNK_BYTES // (n_env * max(1, len(self.items)) * 3 * 8)))
+        for begin in range(first, end, rows):
+            yield self.rows(begin, min(begin + rows, end))
+
+    def rows(self, first: int, stop: int) -> States:
+        """Some rows at once; the caller bounds them."""
+        steps = self._fields[self.groups[0], "position"].steps[first:stop].astype(np.float64)
+        position = self._read("position", first, stop)
+        assert position is not None
+        return States(
+            steps,
+            position,
+            self._read("orientation", first, stop),
+            self._read("linear_velocity", first, stop),
+            self._read("angular_velocity", first, stop),
+        )
+
+    def _read(self, field: str, first: int, stop: int) -> Array | None:
+        arrays = [self._fields.get((group, field)) for group in self.groups]
+        if any(array is None for array in arrays):
+            return None
+        parts = [
+            np.concatenate([self._of(array, first, stop, begin, last) for begin, last in self._envs], axis=1)
+            for array in arrays
+            if array is not None
+        ]
+        return np.concatenate(parts, axis=2)
+
+    def _of(self, array: StateArray, first: int, stop: int, begin: int, last: int) -> Array:
+        read = array.read(slice(first, stop), slice(begin, last + 1))
+        if array.field.field != "position":
+            return read.astype(np.float64)
+        return in_env_frame(self._recording, array.field, read, slice(begin, last + 1))

@@ -1,0 +1,59 @@
+"""How many cubes of a run went through the floor or the board, from its states alone."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from gpusimbench.evaluator.metrics.sank import Sinking, may_have_sunk
+from gpusimbench.evaluator.read.recording import Recording
+from gpusimbench.evaluator.read.scene import radius_of, supports_of
+from gpusimbench.evaluator.runs.positions import GROUP, in_env_frame
+
+_ROW_BYTES = 16 << 20  # of positions read at a time
+
+
+@dataclass(frozen=True)
+class Sunk:
+    """Cubes that went through what should have held them up, by the last captured step.
+
+    per_env     cubes in each environment
+    cubes       that an environment has
+    last_step   that they were followed to
+    first_step  at which the first was through; None where none was
+    """
+
+    per_env: tuple[int, ...]
+    cubes: int
+    last_step: int
+    first_step: int | None
+
+
+def sunk(recording: Recording) -> tuple[Sunk | None, str]:
+    """Count them, or None and the reason."""
+    field = next((f for f in recording.fields if f.name == f"{GROUP}/position"), None)
+    if field is None:
+        return None, f"no positions of {GROUP} were recorded"
+    array = recording.state(GROUP, "position")
+    if len(array) < 2:
+        return None, "no states were recorded (the capture phase was left out or not reached)"
+    supports = supports_of(recording)
+    if not supports:
+        return None, "this scene has no level surface to go through"
+    last = in_env_frame(recording, field, array[-1])
+    if last.shape[-1] < 3:
+        return None, "heights were not recorded"
+    n_env, cubes = last.shape[:2]
+    last_step = int(array.steps[-1])
+    radius = radius_of(recording, GROUP)
+    if not may_have_sunk(last, supports, radius):
+        return Sunk((0,) * n_env, cubes, last_step, None), ""
+    following = Sinking(in_env_frame(recording, field, array[0]), supports, radius)
+    count = max(1, _ROW_BYTES // last.nbytes)
+    for begin in range(1, len(array), count):
+        for row in array.read(slice(begin, begin + count), slice(None)):
+            following.feed(in_env_frame(recording, field, row))
+    found = following.sank
+    first = int(array.steps[following.since[found].min()]) if found.any() else None
+    return Sunk(tuple(np.count_nonzero(found, axis=1).tolist()), cubes, last_step, first), ""

@@ -1,0 +1,196 @@
+"""How the environments of one run move apart, step by step, from its recorded positions."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gpusimbench.evaluator.metrics.divergence import FIT_LIMIT_M, GrowthFit, fit_growth, resolution
+from gpusimbench.evaluator.read.recording import Recording
+from gpusimbench.evaluator.read.state_array import StateArray
+from gpusimbench.evaluator.runs.positions import check_format
+from gpusimbench.schemas.errors import DamagedRecording
+from gpusimbench.schemas.fields import StateField
+
+MAX_STEPS = 500
+"""Steps of a curve; of longer recordings, every k-th row."""
+
+_READ_BYTES = 16 << 20  # of positions at a time
+_BLOCK_ROWS = 50  # of a block, at most, by the format; row 0 is a block of its own
+_BLOCK_ENVS = 64
+
+
+@dataclass(frozen=True)
+class Spread:
+    """Distances between the environments of one run.
+
+    groups           whose positions were followed
+    n_env            environments
+    steps, times     recorded steps, and their simulated times [s]; at most MAX_STEPS
+    rms              root mean square distance of a body between two environments, over all pairs of environments and
+                     all bodies [m]; None where a position is not finite
+    largest          largest distance of a body from where it is in environment 0 [m]; no two environments lie further
+                     apart than twice that. None likewise
+    not_finite_from  first of the steps with a position that is not finite; None where all are
+    resolution       largest difference that storing one place at two origins can make [m], which counts as none; None
+                     where all environments have one origin
+    fit              exponential through `largest`, up to FIT_LIMIT_M; None where there is none, and `no_fit` says why
+    rows_read        of the file; rows at which all state hashes agree are not read
+    """
+
+    groups: tuple[str, ...]
+    n_env: int
+    steps: tuple[int, ...]
+    times: tuple[float, ...]
+    rms: tuple[float | None, ...]
+    largest: tuple[float | None, ...]
+    not_finite_from: int | None
+    resolution: float | None
+    fit: GrowthFit | None
+    no_fit: str
+    rows_read: int
+
+
+def spread(recording: Recording) -> tuple[Spread | None, str]:
+    """Follow the environments, or None and the reason.
+
+    Environment 0 is what the others are measured from: its numbers are there before the others' are read, and the
+    displacement of an identical environment is exactly zero, as it would not be from a mean. The root mean square does
+    not depend on that choice. With d_e the displacement of a body from environment 0,
+
+        mean over pairs e < e' of |d_e - d_e'|^2  =  2 N / (N - 1) * (mean |d_e|^2 - |mean d_e|^2)
+
+    so that one pass over the environments gives it, in memory that does not grow with them. The largest distance is
+    what the growth is fitted to, as in gsb-diff: the root mean square of many equal environments and one that left them
+    is small however far that one is.
+    """
+    if recording.action_names:
+        return None, "the environments were given different actions, so they differ by design"
+    fields = [f for f in recording.fields if f.field == "position" and f.items]
+    if not fields:
+        return None, "no positions were recorded"
+    for field in fields:
+        check_format(recording, field)
+    n_env = recording.configuration.n_env
+    if n_env < 2:
+        return None, "needs at least two environments"
+    arrays = [recording.state(f.group, f.field) for f in fields]
+    steps = arrays[0].steps
+    if not len(steps):
+        return None, "no states were recorded (the capture phase was left out or not reached)"
+    if any(not np.array_equal(a.steps, steps) for a in arrays):
+        raise DamagedRecording(f"{recording.path}: the state fields have different rows")
+    rows = np.arange(0, len(steps), -(-len(steps) // MAX_STEPS))
+    sums = [_Sums(recording, f, a, rows) for f, a in zip(fields, arrays, strict=True)]
+    wanted = _differing(recording, steps, rows)
+    for some in _chunks(rows[wanted], len(steps), first_alone=int(steps[0]) == 0):
+        for each in sums:
+            each.read(some)
+    return _result(recording, fields, steps[rows], sums, int(wanted.sum())), ""
+
+
+class _Sums:
+    """What one field's displacements from environment 0 come to, row by row.
+
+    bodies        of the field
+    pair_squares  mean over pairs of environments of the squared distance [m^2], summed over bodies, shape [row]
+    largest       distance from environment 0 [m], shape [row]
+    resolution    largest that storing at two origins can make of one place [m]; None with one origin
+    """
+
+    def __init__(self, recording: Recording, field: StateField, array: StateArray, rows: NDArray[np.int64]) -> None:
+        self._recording, self._field, self._array, self._rows = recording, field, array, rows
+        simulation = recording.simulation
+        origins = simulation.env_origins if simulation and field.frame == "world" else ()
+        self._origins = np.array(origins) if len(set(origins)) > 1 else None
+        self.bodies = len(field.items)
+        self.pair_squares = np.zeros(len(rows))
+        self.largest = np.zeros(len(rows))
+        self.resolution = 0.0 if self._origins is not None else None
+
+    def read(self, some: NDArray[np.int64]) -> None:
+        """Add rows of the file, all within one block of rows."""
+        begin, end = int(some[0]), int(some[-1]) + 1
+        at = np.searchsorted(self._rows, some)
+        n_env, items, width = self._array.shape[1:]
+        # whole blocks of environments, as the format cuts them: none is decoded twice
+        block = max(_BLOCK_ENVS, n_env // _BLOCK_ENVS)
+        row_bytes = (end - begin) * block * items * width * self._array.dtype.itemsize
+        envs = block * max(1, _READ_BYTES // max(row_bytes, 1))
+        zero = self._array.read(slice(begin, end), slice(0, 1))[some - begin]
+        squares, vectors = np.zeros(len(some)), np.zeros((len(some), items, width))
+        for first in range(0, n_env, envs):
+            part = self._array.read(slice(begin, end), slice(first, first + envs))[some - begin]
+            apart = self._apart(part, zero, first)
+            with np.errstate(invalid="ignore", over="ignore"):
+                squared = (apart**2).sum(axis=-1)
+                squares += squared.sum(axis=(1, 2))
+                vectors += apart.sum(axis=1)
+                self.largest[at] = np.maximum(self.largest[at], np.sqrt(squared.max(axis=(1, 2))))
+        with np.errstate(invalid="ignore", over="ignore"):
+            around = squares / n_env - ((vectors / n_env) ** 2).sum(axis=(1, 2))
+            self.pair_squares[at] = 2 * n_env / (n_env - 1) * np.maximum(around, 0.0)
+
+    def _apart(self, part: NDArray[np.floating], zero: NDArray[np.floating], first: int) -> NDArray[np.float64]:
+        # [row, env, item, component], in the environments' own frames
+        with np.errstate(invalid="ignore", over="ignore"):
+            apart = part.astype(np.float64) - zero.astype(np.float64)
+            if self._origins is None:
+                return np.asarray(apart)
+            origins = self._origins[:, : apart.shape[-1]]
+            apart = apart - (origins[first : first + part.shape[1]] - origins[0])[np.newaxis, :, np.newaxis]
+            limit = resolution(part, np.broadcast_to(zero, part.shape))
+            finest = limit[np.isfinite(limit)]
+            self.resolution = max(self.resolution or 0.0, float(finest.max()) if finest.size else 0.0)
+            beyond = ~(np.abs(apart) <= limit)
+        # what storing the same place twice can differ by is no distance
+        return np.asarray(np.where(beyond.any(axis=-1, keepdims=True), apart, 0.0))
+
+
+def _differing(recording: Recording, steps: NDArray[np.int64], rows: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Which of the rows have to be read: where the hashes of all environments agree, so do their positions."""
+    captured = recording.fingerprints("capture")
+    if captured is None:
+        return np.ones(len(rows), dtype=bool)
+    agree = captured.steps[(captured.hashes == captured.hashes[:, :1]).all(axis=1)]
+    return ~np.isin(steps[rows], agree)
+
+
+def _chunks(rows: NDArray[np.int64], n_row: int, *, first_alone: bool) -> Iterator[NDArray[np.int64]]:
+    """The rows, cut where the recorder cuts its blocks."""
+    offset = _BLOCK_ROWS - 1 if first_alone else 0
+    block = (rows + offset) // _BLOCK_ROWS
+    for number in np.unique(block):
+        yield rows[block == number]
+
+
+def _result(
+    recording: Recording, fields: list[StateField], steps: NDArray[np.int64], sums: list[_Sums], rows_read: int
+) -> Spread:
+    bodies = sum(s.bodies for s in sums)
+    rms = np.sqrt(sum((s.pair_squares for s in sums), np.zeros(len(steps))) / bodies)
+    largest = np.max([s.largest for s in sums], axis=0)
+    finite = np.isfinite(largest) & np.isfinite(rms)
+    times = np.asarray(steps * recording.configuration.dt, dtype=np.float64)
+    fit = fit_growth(times, np.where(finite, largest, np.nan), limit=FIT_LIMIT_M)
+    resolutions = [s.resolution for s in sums if s.resolution is not None]
+    return Spread(
+        groups=tuple(f.group for f in fields),
+        n_env=recording.configuration.n_env,
+        steps=tuple(steps.tolist()),
+        times=tuple(times.tolist()),
+        rms=_known(rms, finite),
+        largest=_known(largest, finite),
+        not_finite_from=None if finite.all() else int(steps[np.argmin(finite)]),
+        resolution=max(resolutions) if resolutions else None,
+        fit=fit if isinstance(fit, GrowthFit) else None,
+        no_fit="" if isinstance(fit, GrowthFit) else fit,
+        rows_read=rows_read,
+    )
+
+
+def _known(values: NDArray[np.float64], finite: NDArray[np.bool_]) -> tuple[float | None, ...]:
+    return tuple(float(v) if good else None for v, good in zip(values, finite, strict=True))

@@ -1,0 +1,145 @@
+"""What a recording has to say so that its numbers can be used: the one list of it that all commands go by.
+
+`gsb-check`, `gsb-info` and `gsb-share` name everything in the list that does not hold (`evaluator.check.integrity`),
+`verify` stops at the first: so no command takes a file that another command calls damaged.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+import numpy as np
+
+from gpusimbench.evaluator.read.recording import Recording
+from gpusimbench.evaluator.read.scene import board_of, radius_of, supports_of
+from gpusimbench.evaluator.runs.physics.measure import check_described
+from gpusimbench.evaluator.runs.positions import GROUP, check_format
+from gpusimbench.schemas import checks
+from gpusimbench.schemas.errors import NUMBERS_OF_A_STRANGER, DamagedRecording
+from gpusimbench.schemas.view.motion import Motion
+from gpusimbench.schemas.view.shapes import solids_of
+
+_LONGEST = 1e9  # [s]
+
+
+def demands(recording: Recording) -> Iterator[Callable[[], object]]:
+    """Calls, each of which reads or compares one part of a recording; an error of NUMBERS_OF_A_STRANGER or a GsbError
+    says that the part is damaged.
+
+    No call reads states or actions: their bytes have digests, and reading them costs what they are large.
+    """
+    yield lambda: recording.timing
+    yield lambda: recording.memory
+    yield lambda: recording.counts
+    yield lambda: recording.overflows
+    yield lambda: recording.action_streams
+    yield lambda: recording.events
+    yield lambda: recording.dropouts
+    yield lambda: recording.fingerprints("capture")
+    yield lambda: recording.fingerprints("timed")
+    for field in recording.fields:
+        yield lambda field=field: recording.state(field.group, field.field)  # type: ignore[misc]
+        if field.field == "position":
+            yield lambda field=field: check_format(recording, field)  # type: ignore[misc]
+    yield lambda: _same_rows(recording)
+    yield lambda: _hashed(recording)
+    yield recording.check_metadata
+    yield lambda: _described(recording)
+    yield lambda: board_of(recording)
+    yield lambda: (supports_of(recording), radius_of(recording, GROUP))
+    yield lambda: check_described(recording)
+    yield lambda: _drawn(recording)
+    if recording.usable:
+        yield lambda: elapsed_of(recording)
+        yield lambda: check_overflow(recording)
+
+
+def verify(recording: Recording) -> None:
+    """Read everything and check it: CRCs, digests, the content hash, and that no part contradicts another.
+
+    A recording without an end record has no digests; only its CRCs are checked. Raises DamagedRecording that names the
+    first thing that is wrong.
+    """
+    recording.check_digests()
+    if recording.content_hash:
+        validate(recording)
+
+
+def validate(recording: Recording) -> None:
+    """DamagedRecording with the first demand that a recording does not meet."""
+    for demand in demands(recording):
+        try:
+            demand()
+        except NUMBERS_OF_A_STRANGER as error:
+            raise DamagedRecording(f"{recording.path}: {str(error) or type(error).__name__}") from None
+
+
+def _hashed(recording: Recording) -> None:
+    # a hash is of all fields; where there are hashes, each recorded state of a whole run has one
+    hashes = recording.fingerprints("capture")
+    arrays = [recording.state(field.group, field.field) for field in recording.fields]
+    if hashes is None or recording.status == "incomplete" or not arrays or not all(map(len, arrays)):
+        return
+    bare = np.setdiff1d(arrays[0].steps, hashes.steps)
+    if len(bare):
+        raise DamagedRecording(f"{recording.path}: the state of step {bare[0]} has no state hash, and others have")
+
+
+def _described(recording: Recording) -> None:
+    scene = recording.scene
+    try:
+        for name in ("name", "board", "summary"):
+            checks.text(scene, name, default="")
+        for name in ("dt", "sample_time"):
+            if name in scene:
+                checks.number(scene, name, 0, _LONGEST)
+        if "gravity" in scene:
+            checks.vector(scene["gravity"], 3, "gravity")
+        for name in ("parameters", "robot", "actions"):
+            checks.mapping(scene, name)
+    except DamagedRecording as error:
+        raise DamagedRecording(f"{recording.path}: scene.json: {error}") from None
+
+
+def _drawn(recording: Recording) -> None:
+    try:
+        solids_of(recording.scene)
+        Motion(recording.fields, recording.scene)
+    except DamagedRecording as error:
+        raise DamagedRecording(f"{recording.path}: {str(error).removeprefix(f'{recording.path}: ')}") from None
+
+
+def _same_rows(recording: Recording) -> None:
+    # of a run that was cut short, some fields may have a row more than others
+    rows = {len(recording.state(field.group, field.field)) for field in recording.fields}
+    if recording.status != "incomplete" and len(rows) > 1:
+        raise DamagedRecording(f"{recording.path}: the state fields have different numbers of rows")
+
+
+def elapsed_of(recording: Recording) -> float | None:
+    """Duration of the timed phase [s], None without one; DamagedRecording where its clocks are of other steps."""
+    timing = recording.timing.get("timed")
+    if timing is None:
+        return None
+    c = recording.configuration
+    intervals = -(-c.timed_steps // max(timing.steps_per_interval, 1))  # the last one may be shorter
+    if timing.steps_per_interval < 1 or len(timing.start_ns) != intervals:
+        raise DamagedRecording(
+            f"{recording.path}: {len(timing.start_ns)} intervals of {timing.steps_per_interval} steps were timed, "
+            f"not the {c.timed_steps} steps that were asked for"
+        )
+    return timing.elapsed_s
+
+
+def check_overflow(recording: Recording) -> None:
+    """DamagedRecording where a complete run dropped work.
+
+    The recorder calls such a run invalid; a file that does not was made, or changed, by something else.
+    """
+    described = recording.simulation.overflow_bits if recording.simulation else ()
+    for phase, overflows in recording.overflows.items():
+        if fatal := overflows.fatal(described):
+            raise DamagedRecording(
+                f"{recording.path}: the run says that it is complete, but {fatal[0]} overflowed by step {fatal[1]} of "
+                f"the {phase} phase"
+            )

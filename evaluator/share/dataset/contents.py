@@ -1,0 +1,108 @@
+"""What the recordings of a set hold: each checked and read once, then evaluated together."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from gpusimbench.evaluator.results.evaluate import evaluate
+from gpusimbench.evaluator.results.result import Evaluation
+from gpusimbench.evaluator.runs.reading import Read, Reader, Unreadable
+from gpusimbench.evaluator.runs.summary import Summary
+from gpusimbench.evaluator.share.dataset.checkup import DAMAGED, Checkup, check_up
+from gpusimbench.schemas import PARTIAL
+from gpusimbench.schemas.errors import DamagedRecording, GsbError
+
+_AT_ONCE = 1 << 20
+
+
+def is_recording(path: str) -> bool:
+    """Whether a file of that name is looked at as a recording; of what a crash left, too."""
+    return path.removesuffix(PARTIAL).endswith(".mcap")
+
+
+@dataclass(frozen=True)
+class Sum:
+    """A file's identity: its size [byte] and the SHA-256 of its bytes, in hexadecimal."""
+
+    bytes: int
+    sha256: str
+
+
+def sum_of(path: Path) -> Sum:
+    """Of a file; GsbError where it cannot be read."""
+    digest, size = hashlib.sha256(), 0
+    try:
+        with path.open("rb") as stream:
+            while piece := stream.read(_AT_ONCE):
+                digest.update(piece)
+                size += len(piece)
+    except OSError as error:
+        raise GsbError(f"cannot read {path}: {error.strerror}") from None
+    return Sum(size, digest.hexdigest())
+
+
+def sum_of_bytes(data: bytes) -> Sum:
+    """Of bytes."""
+    return Sum(len(data), hashlib.sha256(data).hexdigest())
+
+
+@dataclass(frozen=True)
+class LookedAt:
+    """One recording of a set.
+
+    name     its path in the set
+    checkup  what the rules say
+    read     what metrics need of it; Unreadable where it is damaged
+    """
+
+    name: str
+    checkup: Checkup
+    read: Read | Unreadable
+
+    @property
+    def summary(self) -> Summary | None:
+        """What it says of itself; None where it is damaged."""
+        return self.read.summary if isinstance(self.read, Read) else None
+
+
+def look_at(path: Path, name: str, sample_time: float) -> LookedAt:
+    """Check and read a file that is called `name` in its set; nothing is raised for what it holds.
+
+    sample_time  simulated time at which positions are compared [s]
+    """
+    checkup = check_up(path, name)
+    if checkup.outcome == DAMAGED:
+        why = "; ".join(checkup.findings)
+        return LookedAt(name, checkup, Unreadable(Path(name), DamagedRecording(why)))
+    # every digest was just compared
+    read = Reader(sample_time, verify=False)(path)
+    if isinstance(read, Unreadable):
+        error = DamagedRecording(str(read.error).replace(str(path), name))
+        damaged = replace(checkup, outcome=DAMAGED, findings=(*checkup.findings, str(error)))
+        return LookedAt(name, damaged, Unreadable(Path(name), error))
+    summary = replace(read.summary, path=Path(name))
+    return LookedAt(name, checkup, Read(summary, replace(read.run, recording=summary) if read.run else None))
+
+
+def evaluate_set(looked_at: Iterable[LookedAt], sample_time: float) -> Evaluation:
+    """Every metric of every group; damaged recordings are named in it and left out."""
+    return evaluate([one.read for one in looked_at], sample_time=sample_time)
+
+
+def labels_of(evaluation: Evaluation) -> dict[str, str]:
+    """The group of each recording, by its path in the set; a copy of another one has none."""
+    return {str(recording.path): result.label for result in evaluation.results for recording in result.group.recordings}
+
+
+def identity(content_hashes: Sequence[str]) -> str:
+    """SHA-256 [hex] of the distinct content hashes, sorted, a line each: the same set of runs has the same, however its
+    files are called, packed or described."""
+    return hashlib.sha256("".join(f"{one}\n" for one in sorted(set(content_hashes) - {""})).encode()).hexdigest()
+
+
+def summaries(looked_at: Iterable[LookedAt]) -> Iterator[Summary]:
+    """What the recordings that could be read say of themselves."""
+    yield from (one.summary for one in looked_at if one.summary is not None)

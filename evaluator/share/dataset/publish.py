@@ -1,0 +1,214 @@
+"""gsb-share card: the files that describe a folder of recordings, written into it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from gpusimbench.evaluator.report.parquet import METRICS, RUNS, parquet_tables, polars
+from gpusimbench.evaluator.results.result import Evaluation
+from gpusimbench.evaluator.share.dataset.card import CARD, KEYWORDS, card
+from gpusimbench.evaluator.share.dataset.checksums import CHECKSUMS, write_sums
+from gpusimbench.evaluator.share.dataset.citation import CITATION, Publication, citation
+from gpusimbench.evaluator.share.dataset.contents import (
+    LookedAt,
+    Sum,
+    evaluate_set,
+    identity,
+    is_recording,
+    labels_of,
+    look_at,
+    sum_of,
+    sum_of_bytes,
+)
+from gpusimbench.evaluator.share.dataset.folder import Found, find
+from gpusimbench.evaluator.share.dataset.licences import OWN
+from gpusimbench.evaluator.share.dataset.manifest import (
+    MANIFEST,
+    FileEntry,
+    Manifest,
+    RecordingEntry,
+    dump_manifest,
+    is_manifest,
+    load_manifest,
+    versions,
+)
+from gpusimbench.evaluator.share.dataset.names import collisions, why_not
+from gpusimbench.evaluator.share.dataset.personal import Personal, personal
+from gpusimbench.schemas.errors import GsbError, NothingComparable, UsageError
+from gpusimbench.schemas.writing import write_files
+
+DESCRIBING = (CARD, CITATION, METRICS, RUNS)
+"""Files that a card is made of, beside the manifest and the checksums."""
+
+OURS = (*DESCRIBING, MANIFEST, CHECKSUMS)
+
+_MOST_NAMED = 5
+
+
+@dataclass(frozen=True)
+class Published:
+    """What was written.
+
+    manifest    of the set
+    looked_at   its recordings
+    evaluation  of them
+    personal    by recording, what a publisher may not want to publish
+    written     files of OURS whose bytes are new; the others were there as they are
+    """
+
+    manifest: Manifest
+    looked_at: tuple[LookedAt, ...]
+    evaluation: Evaluation
+    personal: dict[str, list[Personal]]
+    written: tuple[str, ...]
+
+
+def publish(folder: Path, publication: Publication, *, sample_time: float, update: bool) -> Published:
+    """Describe a folder; the same files and the same words give the same bytes.
+
+    sample_time  simulated time at which positions are compared [s]
+    update       whether files that were written before may be written anew
+
+    UsageError where the folder holds what cannot be published or would be overwritten, NothingComparable without a
+    recording, GsbError where a file cannot be read or written.
+    """
+    if not folder.is_dir():
+        raise UsageError(f"{folder} is no folder: name the one that is to be published")
+    polars()
+    found = find(folder)
+    _check(folder, found)
+    if OWN.fullmatch(publication.licence) and "LICENSE" not in found.files:
+        raise UsageError(
+            f"{publication.licence} has its terms in the file LICENSE of the folder, and {folder} has none"
+        )
+    before = _before(folder, found, update)
+    theirs = [path for path in found.files if path not in OURS]
+    names = [path for path in theirs if is_recording(path)]
+    if not names:
+        raise NothingComparable(f"{folder} has no recordings (*.mcap): nothing to describe")
+    sums = {path: sum_of(folder / path) for path in theirs}
+    looked_at = tuple(look_at(folder / name, name, sample_time) for name in names)
+    evaluation = evaluate_set(looked_at, sample_time)
+    told = {name: some for name in names if (some := personal(folder / name))}
+    manifest, texts = _texts(publication, looked_at, evaluation, sums)
+    _check_edits(folder, before, texts)
+    written = [name for name, data in texts.items() if not _is_there(folder / name, data)]
+    write_files({folder / name: texts[name] for name in written})
+    return Published(manifest, looked_at, evaluation, told, tuple(written))
+
+
+def _check(folder: Path, found: Found) -> None:
+    if found.others:
+        raise UsageError(
+            f"{folder} has links, or what is neither file nor folder: {_named(found.others)}; only files "
+            "can be published: put those themselves there"
+        )
+    for path in found.files:
+        if why := why_not(path):
+            raise UsageError(f"{folder}: {path!r} cannot be published under this name: {why}; rename it")
+    if pairs := collisions([*found.files, *OURS]):
+        raise UsageError(f"{folder}: {pairs[0][0]} and {pairs[0][1]} are one file on some systems; rename one of them")
+
+
+def _before(folder: Path, found: Found, update: bool) -> Manifest | None:
+    """The manifest of the last time; None where none of OURS is there."""
+    there = [name for name in OURS if name in found.files]
+    if not there:
+        return None
+    data = b""
+    if MANIFEST in there:
+        try:
+            data = (folder / MANIFEST).read_bytes()
+        except OSError as error:
+            raise GsbError(f"cannot read {folder / MANIFEST}: {error.strerror}") from None
+    if not is_manifest(data):
+        raise UsageError(
+            f"{folder} has files of its own that would be overwritten: {_named(there)}; move them, or give words of "
+            "yours to the card with --about FILE"
+        )
+    if not update:
+        raise UsageError(f"{folder} has been described before ({_named(there)}): --update does it anew")
+    return load_manifest(data)
+
+
+def _check_edits(folder: Path, before: Manifest | None, texts: Mapping[str, bytes]) -> None:
+    # a file that is neither what was written then nor what would be written now was changed by somebody
+    known = {file.path: file.sum for file in before.written} if before else {}
+    for name in DESCRIBING:
+        path = folder / name
+        if path.exists() and sum_of(path) not in (known.get(name), sum_of_bytes(texts[name])):
+            raise UsageError(
+                f"{path} was changed since it was written, which --update would undo: remove it, or give words of "
+                "yours to the card with --about FILE"
+            )
+
+
+def _texts(
+    publication: Publication, looked_at: Sequence[LookedAt], evaluation: Evaluation, sums: Mapping[str, Sum]
+) -> tuple[Manifest, dict[str, bytes]]:
+    hashes = identity([one.checkup.content_hash for one in looked_at])
+    size = sum(sums[one.name].bytes for one in looked_at)
+    abstract = (
+        f"{len(looked_at)} recordings of robot simulators in {len(evaluation.results)} groups, as MCAP files with full "
+        "provenance, and the metrics that follow from them."
+    )
+    texts = {
+        CARD: card(publication, looked_at, evaluation, size, hashes).encode(),
+        CITATION: citation(publication, abstract, hashes, KEYWORDS).encode(),
+        **parquet_tables(evaluation),
+    }
+    manifest = Manifest(
+        title=publication.title,
+        licence=publication.licence,
+        sample_time=evaluation.sample_time,
+        identity=hashes,
+        written_by=versions(),
+        files=_entries(looked_at, evaluation, sums),
+        written=tuple(FileEntry(name, sum_of_bytes(texts[name])) for name in sorted(DESCRIBING)),
+    )
+    texts[MANIFEST] = dump_manifest(manifest).encode()
+    digests = {path: told.sha256 for path, told in manifest.sums.items()}
+    texts[CHECKSUMS] = write_sums({**digests, MANIFEST: sum_of_bytes(texts[MANIFEST]).sha256}).encode()
+    return manifest, texts
+
+
+def table_sums(evaluation: Evaluation) -> dict[str, Sum]:
+    """Sizes and digests of the tables as this version of everything writes them."""
+    return {name: sum_of_bytes(data) for name, data in parquet_tables(evaluation).items()}
+
+
+def _entries(looked_at: Sequence[LookedAt], evaluation: Evaluation, sums: Mapping[str, Sum]) -> tuple[FileEntry, ...]:
+    entries = entries_of(looked_at, evaluation)
+    return tuple(FileEntry(path, told, entries.get(path)) for path, told in sorted(sums.items()))
+
+
+def entries_of(looked_at: Sequence[LookedAt], evaluation: Evaluation) -> dict[str, RecordingEntry]:
+    """What recordings were found to be, by path."""
+    groups = labels_of(evaluation)
+    return {
+        one.name: RecordingEntry(
+            content_hash=one.checkup.content_hash,
+            run_id=one.summary.provenance.run_id if one.summary else "",
+            status=one.summary.status if one.summary else "unreadable",
+            reason=one.summary.reason if one.summary else "; ".join(one.checkup.findings),
+            group=groups.get(one.name, ""),
+            check=one.checkup.outcome,
+            findings=one.checkup.findings,
+        )
+        for one in looked_at
+    }
+
+
+def _is_there(path: Path, data: bytes) -> bool:
+    """Whether a file has these bytes."""
+    try:
+        return path.exists() and path.read_bytes() == data
+    except OSError as error:
+        raise GsbError(f"cannot read {path}: {error.strerror}") from None
+
+
+def _named(names: Sequence[str]) -> str:
+    more = len(names) - _MOST_NAMED
+    return ", ".join(names[:_MOST_NAMED]) + (f" and {more} more" if more > 0 else "")

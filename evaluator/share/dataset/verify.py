@@ -1,0 +1,223 @@
+"""gsb-share verify: whether a set is what its manifest says, and whether its tables follow from its recordings."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import fields
+from pathlib import Path
+
+from gpusimbench.evaluator.report.parquet import METRICS, RUNS, frames, polars
+from gpusimbench.evaluator.results.result import Evaluation
+from gpusimbench.evaluator.share.dataset.card import CARD
+from gpusimbench.evaluator.share.dataset.checksums import CHECKSUMS, read_sums
+from gpusimbench.evaluator.share.dataset.checkup import BROKEN, DAMAGED
+from gpusimbench.evaluator.share.dataset.citation import CITATION
+from gpusimbench.evaluator.share.dataset.contents import (
+    LookedAt,
+    evaluate_set,
+    identity,
+    is_recording,
+    look_at,
+    sum_of,
+    sum_of_bytes,
+)
+from gpusimbench.evaluator.share.dataset.manifest import (
+    MANIFEST,
+    MAX_BYTES,
+    FileEntry,
+    Manifest,
+    RecordingEntry,
+    load_manifest,
+)
+from gpusimbench.evaluator.share.dataset.places import SetPlace, place_of
+from gpusimbench.evaluator.share.dataset.publish import DESCRIBING, entries_of, table_sums
+from gpusimbench.evaluator.share.dataset.tables import compare_table
+from gpusimbench.evaluator.share.dataset.verification import Finding, Kind, Verification
+from gpusimbench.schemas.errors import DamagedRecording, GsbError, Unreachable, UsageError
+from gpusimbench.schemas.location import Location, Place
+
+_SUMS_BYTES = 16 << 20
+_LONGEST = 80
+_GB = 1e9
+
+
+def verify_set(given: Place, *, limit_bytes: float, tolerance: float, say: Callable[[str], None]) -> Verification:
+    """Look at everything in a set, in a folder or at an address.
+
+    limit_bytes  how much may be fetched from elsewhere
+    tolerance    relative, of numbers in tables; 0 wants the same bits
+    say          takes what happens on the way
+
+    DamagedRecording where the manifest cannot be read, Unreachable where it cannot be had, UsageError where more would
+    have to be fetched.
+    """
+    polars()
+    place = place_of(given)
+    try:
+        data = place.read(MANIFEST, MAX_BYTES)
+    except Unreachable as error:
+        raise Unreachable(f"{given} is no set that can be verified: {error}; 'gsb-share card' makes one") from None
+    manifest = load_manifest(data)
+    total = sum(told.bytes for told in manifest.sums.values())
+    if isinstance(given, Location):
+        if total > limit_bytes:
+            raise UsageError(
+                f"{given} has {total / _GB:.1f} GB, and {limit_bytes / _GB:g} may be fetched: --limit sets how much"
+            )
+        say(f"fetching {len(manifest.sums)} files with {total / 1e6:.1f} MB, one after another; none is kept")
+    return _Verifier(place, manifest, data, tolerance).verify()
+
+
+class _Verifier:
+    def __init__(self, place: SetPlace, manifest: Manifest, data: bytes, tolerance: float) -> None:
+        self._place = place
+        self._manifest = manifest
+        self._data = data
+        self._tolerance = tolerance
+        self._findings: list[Finding] = []
+        self._unchecked: list[str] = []
+        self._bytes = 0
+        self._tables: list[str] = []
+
+    def verify(self) -> Verification:
+        self._checksums()
+        self._names()
+        self._unchecked.append(
+            f"whether what {CARD} and {CITATION} say follows from the recordings: look at the tables"
+        )
+        looked_at = [one for file in self._manifest.files if (one := self._look_at(file)) is not None]
+        asked = [file for file in self._manifest.files if is_recording(file.path)]
+        if len(looked_at) == len(asked):
+            self._follows(looked_at)
+        else:
+            self._unchecked.append(
+                f"{METRICS} and {RUNS} against the recordings, {len(asked) - len(looked_at)} of which are not there as "
+                "they were"
+            )
+            self._written(None)
+        return Verification(
+            self._manifest,
+            tuple(self._findings),
+            tuple(self._unchecked),
+            recordings=len(looked_at),
+            bytes=self._bytes,
+            fetched_bytes=self._place.fetched_bytes,
+            tables=tuple(self._tables),
+        )
+
+    def _add(self, kind: Kind, path: str, said: str) -> None:
+        self._findings.append(Finding(kind, path, said))
+
+    def _checksums(self) -> None:
+        try:
+            told = read_sums(self._place.read(CHECKSUMS, _SUMS_BYTES).decode())
+        except Unreachable as error:
+            self._add(Kind.MISSING, CHECKSUMS, str(error))
+            return
+        except (DamagedRecording, UnicodeDecodeError) as error:
+            self._add(Kind.CHANGED, CHECKSUMS, str(error).removeprefix(f"{CHECKSUMS}: "))
+            return
+        wanted = {path: found.sha256 for path, found in self._manifest.sums.items()}
+        wanted[MANIFEST] = sum_of_bytes(self._data).sha256
+        for path in sorted(told.keys() | wanted.keys()):
+            if path not in told or path not in wanted:
+                here, there = (CHECKSUMS, MANIFEST) if path in told else (MANIFEST, CHECKSUMS)
+                self._add(Kind.DISAGREES, path, f"{here} names it, and {there} does not")
+            elif told[path] != wanted[path]:
+                what = "of these bytes" if path == MANIFEST else f"that {MANIFEST} says"
+                self._add(Kind.DISAGREES, path, f"{CHECKSUMS} has another digest than the one {what}")
+
+    def _names(self) -> None:
+        found = self._place.names()
+        if isinstance(found, str):
+            self._unchecked.append(f"whether there are files that {MANIFEST} does not name: {found}")
+            return
+        named = {*self._manifest.sums, MANIFEST, CHECKSUMS}
+        for path in found.files:
+            if path not in named:
+                self._add(Kind.EXTRA, path, f"{MANIFEST} does not name it")
+        for path in found.others:
+            self._add(Kind.EXTRA, path, "it is a link, or neither file nor folder; it was not followed")
+        if found.hidden:
+            few = ", ".join(found.hidden[:5]) + (" and others" if len(found.hidden) > 5 else "")
+            self._unchecked.append(f"names that begin with a dot: {few}")
+
+    def _look_at(self, file: FileEntry) -> LookedAt | None:
+        """A recording that is as the manifest says; None of any other file."""
+        recording = is_recording(file.path)
+        if recording is not (file.recording is not None):
+            self._add(Kind.DISAGREES, file.path, f"its name and {MANIFEST} disagree on whether it is a recording")
+        with self._as_named(file) as path:
+            return look_at(path, file.path, self._manifest.sample_time) if path and recording else None
+
+    @contextmanager
+    def _as_named(self, file: FileEntry) -> Iterator[Path | None]:
+        """A file on this machine's disk; None where it is not there as the manifest says, which is then a finding."""
+        with ExitStack() as stack:
+            path = None
+            try:
+                copy = stack.enter_context(self._place.local(file.path, file.sum.bytes))
+                found = sum_of(copy)
+            except GsbError as error:
+                self._absent(file, error)
+            else:
+                self._bytes += found.bytes
+                if found == file.sum:
+                    path = copy
+                else:
+                    self._add(Kind.CHANGED, file.path, f"its SHA-256 is {found.sha256}, not {file.sum.sha256}")
+            yield path
+
+    def _absent(self, file: FileEntry, error: GsbError) -> None:
+        try:
+            size = self._place.size(file.path)
+        except Unreachable as gone:
+            self._add(Kind.MISSING, file.path, str(gone))
+            return
+        if size != file.sum.bytes:
+            self._add(Kind.CHANGED, file.path, f"it has {size} bytes, not {file.sum.bytes}")
+        else:
+            self._add(Kind.MISSING, file.path, str(error))
+
+    def _follows(self, looked_at: Sequence[LookedAt]) -> None:
+        evaluation = evaluate_set(looked_at, self._manifest.sample_time)
+        found = entries_of(looked_at, evaluation)
+        for file in self._manifest.recordings:
+            if file.recording is not None and file.path in found:
+                self._recording(file.path, file.recording, found[file.path])
+        if identity([one.checkup.content_hash for one in looked_at]) != self._manifest.identity:
+            self._add(Kind.DISAGREES, MANIFEST, "content_sha256 is not that of the recordings")
+        self._written(evaluation)
+
+    def _recording(self, path: str, told: RecordingEntry, found: RecordingEntry) -> None:
+        for field in fields(RecordingEntry):
+            there, here = getattr(told, field.name), getattr(found, field.name)
+            if there != here:
+                what = f"{field.name} is {_short(there)} in {MANIFEST}, and {_short(here)} by the recording"
+                self._add(Kind.DISAGREES, path, what)
+        if found.check == DAMAGED:
+            self._add(Kind.DAMAGED, path, "; ".join(found.findings))
+        elif found.check == BROKEN:
+            self._add(Kind.BROKEN, path, "; ".join(found.findings))
+
+    def _written(self, evaluation: Evaluation | None) -> None:
+        for name in sorted(set(DESCRIBING) - {file.path for file in self._manifest.written}):
+            self._add(Kind.MISSING, name, f"{MANIFEST} does not name it")
+        expected = frames(evaluation) if evaluation else {}
+        anew = table_sums(evaluation) if evaluation else {}
+        for file in self._manifest.written:
+            with self._as_named(file) as path:
+                if path is None or file.path not in expected:
+                    continue
+                same = file.sum == anew[file.path]
+                different = [] if same else compare_table(file.path, path, expected[file.path], self._tolerance)
+                for sentence in different:
+                    self._add(Kind.DISAGREES, file.path, sentence)
+                if not different:
+                    self._tables.append(file.path)
+
+
+def _short(value: object) -> str:
+    text = repr(value)
+    return text if len(text) <= _LONGEST else f"{text[: _LONGEST - 3]}..."

@@ -1,0 +1,131 @@
+"""leaderboard.json and leaderboard.csv: the same rows, for programs."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from typing import Any
+
+from gpusimbench.evaluator.json_values import dump, values_of
+from gpusimbench.evaluator.render.text import line
+from gpusimbench.evaluator.report import timed
+from gpusimbench.evaluator.results.result import Metric
+from gpusimbench.evaluator.share.leaderboard import words
+from gpusimbench.evaluator.share.leaderboard.board import Board
+from gpusimbench.evaluator.share.leaderboard.standing import Row, Section
+from gpusimbench.schemas import __version__
+
+SCHEMA_VERSION = 1
+KIND = "gpusimbench leaderboard"
+"""By which a leaderboard's document is told from other files of that name."""
+
+COLUMNS = (
+    "scene", "device", "dt_s", "place", "simulator", "version", "determinism", "label", "n_env", "runs", "recordings",
+    "fps", "fps_sd", "fps_low", "fps_high", "memory", "memory_unit", "n_env_max", "distinct_envs", "distinct_runs",
+    "type", "check", "reproduced", "replays", "gates", "no_place", "content_hashes",
+    *(column.title for column in timed.ALL),
+)  # fmt: skip
+
+_FORMULA = ("=", "+", "-", "@", "\t", "\r", "\n")
+
+
+def dump_json(board: Board) -> str:
+    """The document."""
+    return dump(
+        values_of({
+            "schema_version": SCHEMA_VERSION,
+            "kind": KIND,
+            "gpusimbench": __version__,
+            "title": board.title,
+            "sample_time_s": board.sample_time,
+            "sections": [_section(section) for section in board.sections],
+            "unreadable": [{"file": name, "why": why} for name, why in board.unreadable],
+            "notes": list(board.notes),
+        })
+    )  # fmt: skip
+
+
+def _section(section: Section) -> dict[str, Any]:
+    return {
+        "scene": section.scene,
+        "scene_sha256": section.scene_hash,
+        "device": section.device,
+        "dt_s": section.dt,
+        "timed": section.timed,
+        "rows": [_row(row) for row in section.rows],
+    }
+
+
+def _row(row: Row) -> dict[str, Any]:
+    key, metrics = row.key, row.result.metrics
+    return {
+        "place": row.place,
+        "no_place": row.no_place,
+        "label": row.result.label,
+        "simulator": key.simulator,
+        "version": key.version,
+        "determinism": key.determinism,
+        "options": json.loads(key.options),
+        "switches": json.loads(key.switches or "{}"),
+        "n_env": key.n_env,
+        "warmup": key.warmup,
+        "timed_steps": key.timed_steps,
+        "runs": row.result.group.outcomes,
+        "throughput": _metric(row.fps),
+        "co_tenants": row.fps.extra.get("co_tenants"),
+        "timed": timed.timed_record(row.result.timed),
+        "memory": _metric(row.memory),
+        "n_env_max": row.sweep.n_max if row.sweep else None,
+        "sweep_ends": row.sweep.ends if row.sweep else None,
+        **{name: _metric(metrics[name]) for name in ("distinct_envs", "distinct_runs", "regime_published")},
+        "gates": list(row.gates),
+        "protocol_1": words.deviations(row),
+        "reproduction": row.reproduction,
+        "recordings": [vars(entry) for entry in row.entries],
+    }
+
+
+def _metric(metric: Metric) -> dict[str, Any]:
+    return {
+        "name": metric.name,
+        "value": metric.value,
+        "unit": metric.unit,
+        "sd": metric.sd,
+        "ci95": metric.ci95,
+        "n": metric.n,
+        "why_not": metric.why_not,
+    }
+
+
+def dump_csv(board: Board) -> str:
+    """A line for each row, with the names of the columns first."""
+    stream = io.StringIO()
+    writer = csv.writer(stream, lineterminator="\n")
+    writer.writerow(COLUMNS)
+    for section in board.sections:
+        for row in section.rows:
+            writer.writerow([_cell(value) for value in _values(section, row)])
+    return stream.getvalue()
+
+
+def _values(section: Section, row: Row) -> tuple[Any, ...]:
+    key, metrics = row.key, row.result.metrics
+    low, high = row.fps.ci95 or (None, None)
+    return (
+        section.scene, section.device, section.dt, row.place, key.simulator, key.version, key.determinism,
+        row.result.label, key.n_env, len(row.result.group.complete), len(row.entries),
+        row.fps.value, row.fps.sd, low, high, row.memory.value, row.memory.unit,
+        row.sweep.n_max if row.sweep else None, metrics["distinct_envs"].value, metrics["distinct_runs"].value,
+        metrics["regime_published"].value, words.checked(row), row.reproduction.reproduced, row.reproduction.count,
+        "; ".join(row.gates), row.no_place, " ".join(entry.content_hash for entry in row.entries),
+        *timed.cells(timed.ALL, row.result.timed),
+    )  # fmt: skip
+
+
+def _cell(value: Any) -> Any:
+    """A text that no spreadsheet takes for a formula; numbers as they are."""
+    if not isinstance(value, str):
+        return "" if value is None else value
+    shown = line(value)
+    return f"'{shown}" if shown.startswith(_FORMULA) else shown

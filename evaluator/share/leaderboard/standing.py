@@ -1,0 +1,240 @@
+"""Who stands where: groups of recordings as rows, in sections that can be compared."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+from gpusimbench.evaluator.results.cost_metrics import common_memory
+from gpusimbench.evaluator.results.faults import faults_anywhere
+from gpusimbench.evaluator.results.fidelity import Verdict
+from gpusimbench.evaluator.results.result import Evaluation, GroupResult, Metric
+from gpusimbench.evaluator.results.sweeps import Sweep, sweep_key
+from gpusimbench.evaluator.results.timed_work import Window
+from gpusimbench.evaluator.runs.groups import GroupKey, is_instrument, shown_status
+from gpusimbench.evaluator.runs.summary import Summary
+from gpusimbench.evaluator.share.dataset.checkup import BROKEN, Checkup
+from gpusimbench.evaluator.share.leaderboard.reproduction import Replay, Reproduction, reproduction
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One recording of a row.
+
+    name       of the file
+    replay_of  content hash of what it replays; empty where it is no replay
+    """
+
+    name: str
+    content_hash: str
+    run_id: str
+    status: str
+    reason: str
+    check: str
+    findings: tuple[str, ...]
+    deviations: tuple[str, ...]
+    replay_of: str
+
+
+@dataclass(frozen=True)
+class Row:
+    """One group.
+
+    result        of the evaluation
+    entries       its recordings
+    reproduction  by replays among all recordings
+    sweep         that it is a point of; None where it is in none
+    place         in its section, from 1; None where it has none, and `no_place` says why
+    gates         what did not hold, a sentence each
+    """
+
+    result: GroupResult
+    entries: tuple[Entry, ...]
+    reproduction: Reproduction
+    sweep: Sweep | None
+    place: int | None
+    no_place: str
+    gates: tuple[str, ...]
+
+    @property
+    def key(self) -> GroupKey:
+        """Of the group."""
+        return self.result.group.key
+
+    @property
+    def name(self) -> str:
+        """Of the simulator with what tells it from others of its scene; without the number of environments."""
+        return self.sweep.label if self.sweep else self.result.label
+
+    @property
+    def fps(self) -> Metric:
+        """Its throughput."""
+        return self.result.metrics["fps"]
+
+    @property
+    def memory(self) -> Metric:
+        """Of the device; of the process on it, where another one was there in every run; of the host without a GPU."""
+        return self.result.metrics[common_memory([self.result.metrics])]
+
+
+@dataclass(frozen=True)
+class Section:
+    """What can be compared: one scene with one step on one device, timed over the same steps of the scene.
+
+    scene_hash  of its description
+    dt          [s]
+    rows        those with a place in their order, then the others
+    """
+
+    scene: str
+    scene_hash: str
+    device: str
+    dt: float
+    rows: tuple[Row, ...]
+
+    @property
+    def timed(self) -> str:
+        """The timed steps, in words; empty where no row was timed."""
+        return next((row.result.timed.said for row in self.rows if row.result.timed.windows), "")
+
+    @property
+    def ranked(self) -> tuple[Row, ...]:
+        """Rows with a place."""
+        return tuple(row for row in self.rows if row.place is not None)
+
+    @property
+    def points(self) -> tuple[Row, ...]:
+        """Rows that are other points of a configuration with a place, by configuration and number of environments."""
+        return tuple(row for row in self.rows if row.place is None and not row.no_place)
+
+    @property
+    def unranked(self) -> tuple[Row, ...]:
+        """Rows that cannot have a place."""
+        return tuple(row for row in self.rows if row.no_place)
+
+
+def sections(
+    evaluation: Evaluation, checkups: Mapping[str, Checkup], replays: Mapping[str, tuple[Replay, ...]]
+) -> tuple[Section, ...]:
+    """The groups of an evaluation as sections, by scene, device and timed steps.
+
+    A group without a throughput stands in the first section of its scene and device.
+
+    checkups  by the path of the recording, as a text
+    replays   by the content hash of what they replay
+    """
+    swept = {
+        result.label: sweep
+        for sweep in evaluation.sweeps
+        for point in sweep.points
+        for result in (point.result, *point.others)
+    }
+    found: dict[tuple[str, str, str, float], list[Row]] = {}
+    for result in evaluation.results:
+        key = result.group.key
+        row = _row(result, evaluation.results, checkups, replays, swept.get(result.label))
+        found.setdefault((key.scene, key.device, key.scene_hash, key.dt), []).append(row)
+    return tuple(
+        Section(scene, scene_hash, device, dt, _placed(rows))
+        for (scene, device, scene_hash, dt), everything in sorted(found.items())
+        for rows in _by_window(everything)
+    )
+
+
+def _by_window(rows: Sequence[Row]) -> list[list[Row]]:
+    """Rows that were timed over the same steps, the steps that most were timed over first."""
+    found: dict[tuple[Window, ...], list[Row]] = {}
+    for row in rows:
+        if row.result.timed.windows:
+            found.setdefault(row.result.timed.windows, []).append(row)
+    parts = sorted(found.values(), key=len, reverse=True) or [[]]
+    parts[0] += [row for row in rows if not row.result.timed.windows]
+    return parts
+
+
+def _row(
+    result: GroupResult,
+    results: Sequence[GroupResult],
+    checkups: Mapping[str, Checkup],
+    replays: Mapping[str, tuple[Replay, ...]],
+    sweep: Sweep | None,
+) -> Row:
+    entries = tuple(_entry(one, checkups[str(one.path)]) for one in result.group.recordings)
+    return Row(
+        result=result,
+        entries=entries,
+        reproduction=reproduction(result.group.recordings, dict(replays)),
+        sweep=sweep,
+        place=None,
+        no_place=_no_place(result, results, entries),
+        gates=tuple(_gates(result, entries)),
+    )
+
+
+def _entry(recording: Summary, checkup: Checkup) -> Entry:
+    of = recording.provenance.replay_of
+    return Entry(
+        name=recording.path.name,
+        content_hash=recording.content_hash,
+        run_id=recording.provenance.run_id,
+        status=shown_status(recording),
+        reason=recording.reason or next(iter(recording.dropouts), ""),
+        check=checkup.outcome,
+        findings=checkup.findings,
+        deviations=checkup.deviations,
+        replay_of=of.content_hash if of else "",
+    )
+
+
+def _no_place(result: GroupResult, results: Sequence[GroupResult], entries: Sequence[Entry]) -> str:
+    if is_instrument(result.group.key):
+        return "it says of itself that it is an instrument with known answers, and no engine"
+    outcomes = result.group.outcomes
+    if outcomes["invalid"]:
+        reasons = dict.fromkeys(e.reason for e in entries if e.status.startswith("INVALID"))
+        return f"{outcomes['invalid']} of {len(entries)} runs INVALID: {'; '.join(reasons)}"
+    if broken := [e for e in entries if e.check == BROKEN]:
+        return f"breaks a rule of integrity-1: {broken[0].findings[0]}"
+    if not result.group.complete:
+        reasons = dict.fromkeys(f"{e.status}: {e.reason}" for e in entries)
+        return "; ".join(reasons)
+    if wrong := result.fidelity.of(Verdict.BROKEN):
+        sank = result.metrics["sank"]
+        also = f" ({sank.value:.3g} of {sank.extra['cubes']})" if sank.value else ""
+        return f"states break mechanics: {'; '.join(row.check.title for row in wrong)}{also}"
+    fps = result.metrics["fps"]
+    if fps.value is None:
+        return fps.why_not
+    elsewhere = faults_anywhere(result, results)
+    return f"the same engine elsewhere: {'; '.join(elsewhere)}" if elsewhere else ""
+
+
+def _gates(result: GroupResult, entries: Sequence[Entry]) -> list[str]:
+    gates = list(dict.fromkeys(finding for entry in entries for finding in entry.findings))
+    ended: dict[str, int] = {}
+    for entry in entries:
+        if entry.status != "complete":
+            ended[entry.status] = ended.get(entry.status, 0) + 1
+    gates += [f"{count} of {len(entries)} runs {status}" for status, count in ended.items()]
+    changed, runs = result.metrics["capture_changes_states"], result.metrics["distinct_runs"]
+    if changed.value and runs.value == 1:  # of an engine that does not repeat itself it says nothing
+        gates.append(f"capturing changed the states in {changed.value:.0f} of {changed.n} runs")
+    return gates
+
+
+def _placed(rows: Sequence[Row]) -> tuple[Row, ...]:
+    """The fastest point of each configuration gets a place, by throughput; equal throughput, equal place."""
+    able = [row for row in rows if not row.no_place and row.fps.value is not None]
+    best: dict[GroupKey, Row] = {}
+    for row in sorted(able, key=_speed):
+        best.setdefault(sweep_key(row.key), row)
+    ordered = list(best.values())
+    speeds = [row.fps.value for row in ordered]
+    placed = [replace(row, place=speeds.index(row.fps.value) + 1) for row in ordered]
+    chosen = {row.result.label for row in ordered}
+    others = [row for row in rows if row.result.label not in chosen]
+    return (*placed, *(row for row in others if not row.no_place), *(row for row in others if row.no_place))
+
+
+def _speed(row: Row) -> tuple[float, int, str]:
+    return -(row.fps.value or 0.0), row.key.n_env, row.result.label

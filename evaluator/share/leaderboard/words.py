@@ -1,0 +1,96 @@
+"""A row's figures as words, for the page and for tables."""
+
+from __future__ import annotations
+
+import json
+
+from gpusimbench.evaluator.render.numbers import plural
+from gpusimbench.evaluator.report import words as report_words
+from gpusimbench.evaluator.results.claims import identical
+from gpusimbench.evaluator.results.result import Metric
+from gpusimbench.evaluator.share.dataset.checkup import BROKEN
+from gpusimbench.evaluator.share.leaderboard.reproduction import Reproduction
+from gpusimbench.evaluator.share.leaderboard.standing import Row
+
+_SHORT = 10
+_LONGEST = 100
+
+
+def short(content_hash: str) -> str:
+    """The first digits of a content hash."""
+    return content_hash[:_SHORT] or "no hash"
+
+
+def repeats(row: Row) -> list[str]:
+    """How far environments and runs are the same, a line each; why that is not known where nothing is."""
+    metrics = row.result.metrics
+    envs, runs = metrics["distinct_envs"], metrics["distinct_runs"]
+    if envs.value is None and runs.value is None:
+        return [*dict.fromkeys((envs.why_not, runs.why_not))]
+    lines = [_distinct("envs", envs), _distinct("runs", runs)]
+    kind = metrics["regime_published"]
+    return [*lines, f"type {report_words.regime(kind)}"] if kind.value is not None else lines
+
+
+def _distinct(what: str, metric: Metric) -> str:
+    if metric.value is None:
+        return f"{what}: {metric.why_not}"
+    claim = identical(metric)
+    if claim.holds is None:
+        return f"{what}: {claim.why_not}"
+    if claim.yes:
+        return f"all {metric.n} {what} alike"
+    since = metric.extra.get("first_difference_step")
+    return f"{metric.value:.0f} of {metric.n} {what} distinct" + ("" if since is None else f", from step {since}")
+
+
+def n_env_max(row: Row) -> tuple[str, str]:
+    """N_env^max of the sweep that a row is a point of, and in short why it goes no further; empty without a sweep."""
+    sweep = row.sweep
+    if sweep is None or sweep.n_max is None:
+        return "", ""
+    beyond = next((point for point in sweep.points if point.n_env > sweep.n_max), None)
+    why = f"{', '.join(beyond.causes)} at {beyond.n_env:,}" if beyond else sweep.ends
+    return f"{sweep.n_max:,}", report_words.shortened(why, _LONGEST)
+
+
+def checked(row: Row) -> str:
+    """What the rules of integrity-1 say of its recordings."""
+    broken = sum(entry.check == BROKEN for entry in row.entries)
+    count = len(row.entries)
+    return f"{broken} of {count} break a rule" if broken else f"{count} of {count} whole"
+
+
+def deviations(row: Row) -> list[str]:
+    """Rules of protocol-1 that recordings break, each once, with how many do."""
+    found: dict[str, int] = {}
+    for entry in row.entries:
+        for deviation in entry.deviations:
+            found[deviation] = found.get(deviation, 0) + 1
+    return [f"{deviation} ({count} of {len(row.entries)})" for deviation, count in found.items()]
+
+
+def reproduced(found: Reproduction) -> str:
+    """Whether anybody's replay gave the same states."""
+    if not found.originals:
+        return "no states captured"
+    if not found.count:
+        return "not replayed"
+    if not found.reproduced:
+        compared = any(r.agrees is False for replays in found.replays.values() for r in replays)
+        how = "with other states" if compared else "without states to compare"
+        return f"replayed by {plural(found.count, 'recording')}, {how}"
+    by = f"by {plural(len(found.agreeing), 'recording')} on {plural(found.machines, 'kind')} of machine"
+    where = f"{found.elsewhere} other than its own" if found.elsewhere else found.nowhere_else
+    return f"{found.reproduced} of {found.originals} reproduced bitwise, {by}, {where}"
+
+
+def settings(row: Row) -> list[str]:
+    """Determinism, switches in force and options that tell it from others, each as name=value."""
+    switches = json.loads(row.key.switches or "{}")
+    return [f"{name}={_brief(value)}" for name, value in sorted(switches.items())]
+
+
+def _brief(value: object) -> str:
+    text = value if isinstance(value, str) else json.dumps(value, sort_keys=True)
+    return text if len(text) <= 60 else f"{text[:57]}..."
