@@ -36,7 +36,7 @@ HEAVY = (
 )
 def test_help_imports_nothing_heavy(module: str) -> None:
     """Print help and version without a numerical library, a simulator, a file format or, to evaluate, the recorder."""
-    heavy = HEAVY if module.startswith("recorder") else (*HEAVY, "recorder")
+    heavy = HEAVY if ".recorder." in module else (*HEAVY, "gpusimbench.recorder")
     code = (
         f"import sys\nfrom {module} import main\n"
         "for argument in ('--help', '--version'):\n"

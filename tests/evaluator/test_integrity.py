@@ -18,8 +18,8 @@ from gpusimbench.evaluator.check.rules.findings import check
 from gpusimbench.evaluator.check.rules.rule import Level, load_rules
 from gpusimbench.recorder.capture.sink import Sink
 from gpusimbench.schemas import checks
-from gpusimbench.schemas.decompression import decompress
 from gpusimbench.schemas.errors import DamagedRecording, ExitCode
+from gpusimbench.schemas.mcap.decompression import decompress
 from gpusimbench.schemas.messages import message_class
 from gpusimbench.schemas.provenance import LOGGED, PROVENANCE, SCENE, SIMULATION
 from tests.evaluator.damaged import BYTES, REWRITTEN, SCENE_CHANGED, WRITTEN, hashes_of_others, rewritten, whole

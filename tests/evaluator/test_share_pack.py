@@ -15,14 +15,13 @@ from mcap.reader import make_reader
 
 from gpusimbench import open_recording
 from gpusimbench.evaluator.player.viewer import write_view
-from gpusimbench.evaluator.read.copying import Copier
+from gpusimbench.evaluator.read.copying import Copier, records_of
 from gpusimbench.evaluator.runs.validation import verify
 from gpusimbench.evaluator.share.pack import pack, unpack
 from gpusimbench.evaluator.share.recover import recover
 from gpusimbench.schemas.blocks import pack_state
 from gpusimbench.schemas.errors import DamagedRecording, DataLost, UsageError
 from gpusimbench.schemas.messages import embedded_schema, widened_schema
-from gpusimbench.schemas.records import read_records
 from gpusimbench.schemas.writing import new_file
 from tests.conftest import call
 from tests.synthetic import grid, write_recording
@@ -119,7 +118,7 @@ def test_a_packed_file_cannot_announce_more_than_it_holds(tmp_path: Path) -> Non
     source = write_recording(tmp_path, grid(4), steps=50, dt=0.01, change=change)
     with new_file(tmp_path / "packed.mcap") as target:
         copier = Copier(target, source, compression="zstd", change=pack_state)
-        for record in read_records(source):
+        for record, _, _ in records_of(source):
             copier.add(record)
         copier.finish()
     states = open_recording(tmp_path / "packed.mcap").state("cubes", "position")

@@ -16,7 +16,7 @@ from psutil import Process
 from gpusimbench import open_recording
 from gpusimbench.evaluator.share.recover import recover
 from gpusimbench.schemas.errors import DamagedRecording, RecordingError, UsageError
-from gpusimbench.schemas.mcap_writer import MAGIC
+from gpusimbench.schemas.mcap.records import MAGIC
 from tests.conftest import call, wait_for
 from tests.evaluator.test_share_pack import contents, share
 from tests.synthetic import grid, write_recording

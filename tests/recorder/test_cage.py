@@ -28,8 +28,8 @@ from gpusimbench.recorder.task import Task
 from gpusimbench.recorder.traces import content_bytes, peak_bytes
 from gpusimbench.schemas import topics
 from gpusimbench.schemas.configuration import RunConfiguration
-from gpusimbench.schemas.container import Container
 from gpusimbench.schemas.errors import UsageError
+from gpusimbench.schemas.mcap.reader import Container
 from gpusimbench.schemas.messages import message_class
 from gpusimbench.schemas.provenance import PROVENANCE, SCENE, SIMULATION
 from tests.forging import forge

@@ -24,8 +24,8 @@ from mcap.stream_reader import StreamReader
 from gpusimbench import open_recording
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.runs.validation import verify
-from gpusimbench.schemas.container import Container
 from gpusimbench.schemas.errors import RecordingError
+from gpusimbench.schemas.mcap.reader import Container
 from tests.conftest import SMALL, Command, call, command
 from tests.moments import descendants, has_worked, has_written, wait_until, whole
 
@@ -211,7 +211,7 @@ _CLOCKS = '''
 import time
 from dataclasses import dataclass
 import numpy as np
-from gpusimbench.recorder.simulators.base import Description, Simulator
+from gpusimbench.recorder.simulators.base import Ability, Description, Simulator
 from gpusimbench.schemas.fields import body_field
 
 _HOUR = 3600 * 10**9
@@ -224,6 +224,7 @@ class Options:
 
 class Jumping(Simulator):
     Options = Options
+    abilities = frozenset(Ability)
 
     def build(self):
         global _offset
