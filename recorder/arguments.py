@@ -9,8 +9,8 @@ from typing import Any, NoReturn
 from gpusimbench.schemas.command_line import add_common
 from gpusimbench.schemas.configuration import CAPTURE_MODES, OPTIONAL_PHASES
 from gpusimbench.schemas.errors import UsageError
-from gpusimbench.schemas.printable import line
 from gpusimbench.schemas.provenance import REAL
+from gpusimbench.schemas.text import line
 
 _EPILOG = """\
 exit codes:
