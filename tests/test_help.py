@@ -80,6 +80,7 @@ def test_examples_can_be_typed(name: str) -> None:
     examples = script("make_reference").sections(PARSERS[name].epilog)["examples"].strip().splitlines()
     assert len(examples) >= 3
     for line in examples:
+        assert line.split()[0] == name
         for part in re.split(r"&&|\|", line):
             program, *arguments = shlex.split(part)
             if program == name:
