@@ -492,6 +492,7 @@ def test_checked_as_a_whole(memory: Any, large: list[Path]) -> None:
     verify(remote_one.recording)
 
 
+@pytest.mark.slow
 def test_commands_of_the_guide(tmp_path: Path) -> None:
     """Run every command that docs/remote.md shows in a console block, in a folder that has the sample recordings."""
     (tmp_path / "recordings").symlink_to(ROOT / "recordings")
@@ -573,6 +574,7 @@ def test_indexes_that_are_never_read(memory: Any, tmp_path: Path) -> None:
             opened.verify()
 
 
+@pytest.mark.slow
 def test_memory_of_a_summary(memory: Any) -> None:
     """Take a summary of 60,000 declarations in little memory, and refuse lists that no file has room for."""
     head = MAGIC + _record(1, struct.pack("<I", 6) + b"gsb.v1" + bytes(4))

@@ -65,7 +65,7 @@ class Variant:
 VARIANTS = (
     Variant("mujoco", skipped={**_NO_BITS, **_NO_BUFFERS}, slow=False),
     Variant("mujoco", ("cone=pyramidal", "integrator=Euler"), skipped={**_NO_BITS, **_NO_BUFFERS}, slow=False),
-    Variant("warp", ahead=True),
+    Variant("warp", slow=False, ahead=True),
     Variant("mjx", ("impl=jax",), ahead=True),
     Variant("mjx", ("impl=warp",), ahead=True),
     Variant("playground", ahead=True),

@@ -354,6 +354,7 @@ def test_a_group_named_view(tmp_path: Path) -> None:
     sink.abandon()
 
 
+@pytest.mark.slow
 def test_the_commands_of_the_document(tmp_path: Path) -> None:
     """Run every command that the page on viewers shows."""
     (tmp_path / "recordings").mkdir()
