@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from gpusimbench.evaluator.compare.finding import Axis, Direction
 from gpusimbench.evaluator.metrics.cotenants import Presence
 from gpusimbench.evaluator.metrics.throughput import frames_per_second
+from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.results import cost_metrics as costs
 from gpusimbench.evaluator.results.aggregate import NO_RUN, Runs
 from gpusimbench.evaluator.results.result import Metric, not_computed
@@ -50,12 +51,16 @@ def _compiled(run: RunData) -> float | None:
     return next((run.compile_s[phase] for phase in ("timed", "capture") if phase in run.compile_s), None)
 
 
+def _or_none(value: float | Missing) -> float | None:
+    return None if isinstance(value, Missing) else value
+
+
 def _shared(run: RunData) -> bool:
     """Whether the device that steps was sampled, and another process makes the samples no memory of the run."""
     simulation = run.recording.simulation
-    sampled = run.gpu is not None and run.gpu.device.peak_increment is not None
+    sampled = run.gpu and run.gpu.device.peak_increment is not None
     on_gpu = simulation is not None and simulation.device != "cpu"
-    return sampled and on_gpu and costs.device_increment(run) is None
+    return bool(sampled) and on_gpu and costs.device_increment(run) is None
 
 
 def contacts_of(run: RunData) -> float | None:
@@ -92,7 +97,7 @@ MEASURES = (
     ),
     Measure(
         Axis.MEMORY, "allocator_peak", "peak of the engine's allocator", "B", Direction.LOWER,
-        lambda run: run.allocator, costs.allocator_peak, "as the engine's own allocator kept it",
+        lambda run: _or_none(run.allocator), costs.allocator_peak, "as the engine's own allocator kept it",
     ),
     Measure(
         Axis.MEMORY, "host_memory_peak_increment", "host memory increment", "B", Direction.LOWER,
@@ -101,7 +106,7 @@ MEASURES = (
     ),
     Measure(
         Axis.BUILD, "build_time", "time to build", "s", Direction.LOWER,
-        lambda run: run.build_s, costs.build_time, "import of the engine, loading, allocation",
+        lambda run: _or_none(run.build_s), costs.build_time, "import of the engine, loading, allocation",
     ),
     Measure(
         Axis.BUILD, "compile_time", "time to compile", "s", Direction.LOWER, _compiled, costs.compile_time,

@@ -10,6 +10,7 @@ import numpy as np
 
 from gpusimbench.evaluator.metrics.cotenants import Presence
 from gpusimbench.evaluator.metrics.throughput import frames_per_second
+from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.results.aggregate import NO_RUN, Runs, mean_over_runs
 from gpusimbench.evaluator.results.result import Metric, not_computed
 from gpusimbench.evaluator.runs.run_data import RunData
@@ -31,7 +32,7 @@ def throughput(runs: Runs) -> Metric:
     values = [
         frames_per_second(r.recording.configuration.n_env, r.recording.configuration.timed_steps, r.elapsed_s)
         for r in runs
-        if r.elapsed_s is not None
+        if not isinstance(r.elapsed_s, Missing)
     ]
     if not values:
         return not_computed(name, unit, "higher", "the timed phase was left out" if runs else NO_RUN)
@@ -44,7 +45,7 @@ def throughput(runs: Runs) -> Metric:
 
 def _presence(runs: Runs) -> list[dict[str, Any]] | None:
     """By run, whether another process was on the device that stepped; None where the simulator ran on the CPU."""
-    if all(r.gpu is None for r in runs):
+    if not any(r.gpu for r in runs):
         return None
     return [
         {
@@ -62,7 +63,7 @@ def device_increment(run: RunData) -> int | None:
     None where it was not sampled, and where another process was on the device, whose memory it would count.
     """
     shared = run.cotenants.presence is Presence.SOME
-    return None if run.gpu is None or shared else run.gpu.device.peak_increment
+    return None if shared or not run.gpu else run.gpu.device.peak_increment
 
 
 def process_peak(run: RunData) -> int | None:
@@ -140,7 +141,7 @@ def allocator_peak(runs: Runs) -> Metric:
     name, unit = "allocator_peak", "GB"
     if why_not := _no_gpu(runs):
         return not_computed(name, unit, "lower", why_not)
-    values = [r.allocator / _GB for r in runs if r.allocator is not None]
+    values = [r.allocator / _GB for r in runs if not isinstance(r.allocator, Missing)]
     if not values:
         return not_computed(
             name, unit, "lower", "the engine's allocator did not tell its peak, or had it while the simulator was built"
@@ -161,7 +162,7 @@ def _no_gpu(runs: Runs) -> str:
 def build_time(runs: Runs) -> Metric:
     """Time that building the simulator takes: median over runs."""
     why_not = "building was not clocked" if runs else NO_RUN
-    values = [r.build_s for r in runs if r.build_s is not None]
+    values = [r.build_s for r in runs if not isinstance(r.build_s, Missing)]
     return _median_time(
         "build_time", values, "import of the engine, sizing of its buffers, loading of the model, allocation", why_not
     )

@@ -23,6 +23,7 @@ from gpusimbench.evaluator.metrics.variability import (
     parallel_variability,
     run_to_run_variability,
 )
+from gpusimbench.evaluator.missing import why_missing
 from gpusimbench.evaluator.results.aggregate import NO_RUN, Runs, differ, ends_of, mean_over_runs
 from gpusimbench.evaluator.results.result import Metric, Reference, not_computed
 from gpusimbench.evaluator.results.sampled import no_positions
@@ -189,9 +190,9 @@ def left_board(runs: Runs) -> Metric:
 def sank(runs: Runs) -> Metric:
     """Mean number of cubes per environment that went through the floor or the board."""
     name, unit = "sank", "cubes per env"
-    found = [r.sunk for r in runs if r.sunk is not None]
+    found = [r.sunk for r in runs if r.sunk]
     if not found:
-        return not_computed(name, unit, "lower", runs[0].no_sunk if runs else NO_RUN)
+        return not_computed(name, unit, "lower", why_missing(runs[0].sunk) if runs else NO_RUN)
     counts = [sum(s.per_env) for s in found]
     envs = sum(len(s.per_env) for s in found)
     return Metric(

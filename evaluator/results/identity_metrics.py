@@ -13,6 +13,7 @@ from gpusimbench.evaluator.metrics.divergence import FIT_LIMIT_M
 from gpusimbench.evaluator.metrics.identity import changes, distinct_over_time
 from gpusimbench.evaluator.metrics.levels import Verdict, verdict
 from gpusimbench.evaluator.metrics.split_tree import split_tree
+from gpusimbench.evaluator.missing import Missing, why_missing
 from gpusimbench.evaluator.results.aggregate import NO_RUN, Runs, mean_over_runs
 from gpusimbench.evaluator.results.result import Metric, not_computed
 from gpusimbench.evaluator.results.sampled import no_positions
@@ -62,7 +63,7 @@ def _distinct_envs(runs: Runs, method: str) -> Metric:
 
 def _without_hashes(runs: Runs) -> dict[str, int]:
     # complete runs of which nothing is known by bits; evaluator.results.claims makes no claim of all runs then
-    without = sum(r.histories is None for r in runs)
+    without = sum(not r.histories for r in runs)
     return {"without_hashes": without} if without else {}
 
 
@@ -132,7 +133,7 @@ def capture_effect(runs: Runs, distinct_runs: Metric) -> Metric:
     distinct_runs  of the same runs
     """
     name = "capture_changes_states"
-    observed = [r.observed for r in runs if r.observed is not None]
+    observed = [r.observed for r in runs if not isinstance(r.observed, Missing)]
     if not observed:
         why = "no step was passed by both the timed and the capture phase" if runs else NO_RUN
         return not_computed(name, "", "lower", why)
@@ -192,8 +193,8 @@ def growth(runs: Runs) -> Metric:
         return not_computed(name, unit, "lower", NO_RUN)
     fitted = [r.spread.fit for r in runs if r.spread and r.spread.fit]
     if not fitted:
-        first = runs[0]
-        return not_computed(name, unit, "lower", first.spread.no_fit if first.spread else first.no_spread)
+        first = runs[0].spread
+        return not_computed(name, unit, "lower", why_missing(first.fit if first else first))
     shown = next(r.spread for r in runs if r.spread and r.spread.fit)
     method = (
         "rate of an exponential through the largest distance of a body from environment 0, from the first that is not "

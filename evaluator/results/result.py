@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from gpusimbench.evaluator.check.protocol import Unmet
 from gpusimbench.evaluator.metrics.density import Density, HexGrid
+from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.results.fidelity import Fidelity
 from gpusimbench.evaluator.results.timed_work import TimedWork
 from gpusimbench.evaluator.results.validity import Validity
@@ -83,12 +84,11 @@ class RunSpread:
     """How the environments of one run moved apart.
 
     run      its index
-    spread   None where it cannot be said, and `why_not` says why
+    spread   distances between them
     """
 
     run: int
-    spread: Spread | None
-    why_not: str
+    spread: Spread | Missing
 
 
 @dataclass(frozen=True)

@@ -217,7 +217,7 @@ _CLOCKS = '''
 import time
 from dataclasses import dataclass
 import numpy as np
-from gpusimbench.recorder.simulators.base import Description, Simulator
+from gpusimbench.recorder.simulators.base import Ability, Description, Simulator
 from gpusimbench.schemas.fields import body_field
 
 _HOUR = 3600 * 10**9
@@ -230,6 +230,7 @@ class Options:
 
 class Jumping(Simulator):
     Options = Options
+    abilities = frozenset(Ability)
 
     def build(self):
         global _offset

@@ -37,7 +37,7 @@ import os, time
 from dataclasses import dataclass
 from pathlib import Path
 import numpy as np
-from gpusimbench.recorder.simulators.base import Description, Simulator
+from gpusimbench.recorder.simulators.base import Ability, Description, Simulator
 from gpusimbench.schemas.fields import body_field
 
 @dataclass(frozen=True)
@@ -47,6 +47,7 @@ class Options:
 
 class Limited(Simulator):
     Options = Options
+    abilities = frozenset(Ability)
 
     def build(self):
         if self.n_env >= self.options.limit:

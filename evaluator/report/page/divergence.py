@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from gpusimbench.evaluator.metrics.divergence import FIT_LIMIT_M, first_reaching
 from gpusimbench.evaluator.metrics.split_tree import SplitTree
+from gpusimbench.evaluator.missing import why_missing
 from gpusimbench.evaluator.render.figures import divergence as chart
 from gpusimbench.evaluator.render.figures.tree import members, tree_chart, window
 from gpusimbench.evaluator.render.numbers import NONE
@@ -56,7 +57,7 @@ def section(source: Source) -> Section | None:
 
 
 def _spreads(result: GroupResult) -> list[RunSpread]:
-    return [s for s in result.spreads if s.spread is not None]
+    return [s for s in result.spreads if s.spread]
 
 
 def _onset(result: GroupResult) -> Onset:
@@ -81,7 +82,7 @@ def _first(result: GroupResult, name: str) -> str:
 
 
 def _reaches(found: RunSpread) -> float | None:
-    if found.spread is None:
+    if not found.spread:
         return None
     return first_reaching(np.array(found.spread.times), _values(found.spread.largest), FIT_LIMIT_M)
 
@@ -103,7 +104,7 @@ def _growth(result: GroupResult, key: str) -> Picture:
     label = "distance between environments"
     curves = list(_curves(result))
     if not curves:
-        why_not = result.spreads[0].why_not if result.spreads else "no run is complete"
+        why_not = why_missing(result.spreads[0].spread) if result.spreads else "no run is complete"
         return Picture(label, f"No curve: {why_not}.", None)
     step = result.metrics["distinct_envs"].extra.get("first_difference_step")
     onset = None if step is None else step * result.group.key.dt
@@ -126,14 +127,14 @@ def _curves(result: GroupResult) -> Iterator[chart.Curve]:
     """One for all runs whose distances are the same."""
     alike: dict[tuple[object, ...], list[RunSpread]] = {}
     for one in _spreads(result):
-        assert one.spread is not None
+        assert one.spread
         alike.setdefault((one.spread.steps, one.spread.largest, one.spread.rms), []).append(one)
     for index, found in enumerate(alike.values()):
         spread = found[0].spread
-        assert spread is not None
+        assert spread
         runs = f"run{'s' if len(found) > 1 else ''} {', '.join(str(one.run) for one in found)}"
         times = np.array(spread.times)
-        yield chart.Curve(index, runs, times, _values(spread.largest), _values(spread.rms), spread.fit)
+        yield chart.Curve(index, runs, times, _values(spread.largest), _values(spread.rms), spread.fit or None)
 
 
 def _said(curves: Sequence[chart.Curve]) -> str:
