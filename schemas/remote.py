@@ -14,9 +14,9 @@ from typing import Any
 from urllib.parse import unquote
 
 from gpusimbench.schemas.errors import DamagedRecording, Unreachable
-from gpusimbench.schemas.location import Location, Place, chain, is_address, redacted
+from gpusimbench.schemas.location import Location, chain, is_address, redacted
 from gpusimbench.schemas.patience import Patience, TooSlow
-from gpusimbench.schemas.source import MappedFile, Source
+from gpusimbench.schemas.source import Source
 from gpusimbench.schemas.web import WrongAnswer, web_options, web_part
 
 _BLOCK = 64 << 10
@@ -34,11 +34,6 @@ _CONFIRM_S = 1.0  # at most this often, the server is asked whether the file is 
 _WEB = ("http", "https")
 _IDENTITY = ("size", "ETag", "etag", "Content-MD5", "Last-Modified", "LastModified", "mtime", "created", "generation")
 """What file systems tell of a file that changes when the file does."""
-
-
-def open_source(place: Place) -> Source:
-    """Open a file; RecordingError where it cannot be read."""
-    return RemoteFile(place) if isinstance(place, Location) else MappedFile(place)
 
 
 class RemoteFile(Source):

@@ -15,7 +15,7 @@ import zlib
 from collections.abc import Iterator
 from functools import cached_property
 
-from gpusimbench.schemas.location import Place
+from gpusimbench.schemas.location import Location, Place
 from gpusimbench.schemas.mcap import decompression
 from gpusimbench.schemas.mcap.contents import Contents, Message
 from gpusimbench.schemas.mcap.crc import second
@@ -23,14 +23,22 @@ from gpusimbench.schemas.mcap.declarations import Channel
 from gpusimbench.schemas.mcap.records import MESSAGE_HEAD, RECORD_HEAD, Chunk, Op, Record, check_head
 from gpusimbench.schemas.mcap.verify import verify
 from gpusimbench.schemas.mcap.walk import Walk
-from gpusimbench.schemas.remote import open_source
-from gpusimbench.schemas.source import Source
+from gpusimbench.schemas.source import MappedFile, Source
 
 MAX_ATTACHMENT_BYTES = 1 << 30
 """A larger attachment is refused before it is read."""
 
 _HELD_BYTES = 64 << 20  # of messages that wait for those before them
 _CHEAP_BYTES = 4096  # whose CRC costs nothing beside that of a chunk
+
+
+def open_source(place: Place) -> Source:
+    """Open a file; RecordingError where it cannot be read."""
+    if isinstance(place, Location):
+        from gpusimbench.schemas.remote import RemoteFile
+
+        return RemoteFile(place)
+    return MappedFile(place)
 
 
 class Container:

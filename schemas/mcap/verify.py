@@ -49,6 +49,8 @@ class _Verification:
                 break
             self._visit(head, end)
         self._close_chunk()
+        if contents.indexed and self._walk.end < end:
+            raise contents.damaged(f"what follows at byte {self._walk.end} is no record of the file's index")
         if self._chunks < len(contents.chunks):
             raise contents.damaged(f"the chunk at byte {self._expected(end)} is not where the file's index says")
         if not contents.declared.covers(self._beside):

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Callable, Iterator
+from struct import Struct
 from typing import Literal, NamedTuple
 
 from gpusimbench.schemas.errors import DamagedRecording
@@ -24,6 +25,7 @@ OF_DATA = (Op.MESSAGE, Op.CHUNK, Op.MESSAGE_INDEX, Op.ATTACHMENT, Op.METADATA, O
 """Records that stand in the data section alone."""
 
 _IN_DATA = (Op.HEADER, Op.SCHEMA, Op.CHANNEL, *OF_DATA)
+_HEAD = Struct("<BQ")  # of a record: opcode, and bytes that follow
 _PIECE_BYTES = 4 << 20  # that a CRC is computed of at once
 
 
@@ -37,13 +39,12 @@ class Head(NamedTuple):
 
 def split(data: memoryview) -> Iterator[Record]:
     """Records one after another, up to the last whole one."""
-    position = 0
-    while position + RECORD_HEAD <= len(data):
-        begin = position + RECORD_HEAD
-        end = begin + int.from_bytes(data[position + 1 : begin], "little")
-        if end > len(data):
+    position, size = 0, len(data)
+    while (begin := position + RECORD_HEAD) <= size:
+        opcode, length = _HEAD.unpack_from(data, position)
+        if (end := begin + length) > size:
             return
-        yield Record(data[position], position, data[begin:end])
+        yield Record(opcode, position, data[begin:end])
         position = end
 
 
@@ -83,8 +84,8 @@ class Walk:
         """
         while self.end + RECORD_HEAD <= self._source.size:
             begin = self.end
-            fixed = self._source.read(begin, begin + RECORD_HEAD)
-            head = Head(fixed[0], begin, begin + RECORD_HEAD + int.from_bytes(fixed[1:], "little"))
+            opcode, length = _HEAD.unpack(self._source.read(begin, begin + RECORD_HEAD))
+            head = Head(opcode, begin, begin + RECORD_HEAD + length)
             if head.end > self._source.size or (head.opcode == 0 and self._report is None):
                 return  # zeros are no record: a crash leaves them where bytes never arrived
             self.end = head.end

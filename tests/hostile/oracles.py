@@ -1,7 +1,7 @@
 """One file read in four ways that must agree: mapped, in parts as one elsewhere, by the MCAP library, by gsb-check.
 
-They share little: a mapped file is walked, one elsewhere is opened through its summary, the library and the walk of
-gsb-check are code of their own.
+A mapped file is walked, one elsewhere is opened through its summary, gsb-check walks it in the strict mode, and the
+library shares no code with any of them.
 """
 
 from __future__ import annotations

@@ -145,7 +145,7 @@ class _Scanner:
                     self._note(error)
             self._close_chunk()
             self._end()
-        except TooMuch as error:
+        except DamagedRecording as error:  # there is too much of something, or the file became shorter
             what = without_path(error, self._place)
             self._problems.add(Kind.record, what)
             self._problems.skip(what, *(kind for kind in Kind if kind is not Kind.record))

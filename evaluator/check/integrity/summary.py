@@ -47,9 +47,9 @@ def check_summary(source: Source, scan: Scan, problems: Problems) -> None:
             continue
         with problems.noting(Kind.summary, path=source.place):
             found.setdefault(record.opcode, []).append(parse(_KINDS[record.opcode], record.cursor(source.place)))
-    if found.get(Op.FOOTER):
-        _check_crc(source, scan, found[Op.FOOTER][0], problems)
     with problems.noting(Kind.summary, path=source.place):
+        if found.get(Op.FOOTER):
+            _check_crc(source, scan, found[Op.FOOTER][0], problems)
         _check_declarations(source, scan)
     _check_declared(scan, found, problems)
     _check_places(scan, found, problems)
