@@ -29,12 +29,12 @@ from gpusimbench.evaluator.compare.finding import DEFAULT_GATES, Settings
 from gpusimbench.evaluator.compare.sides import Side
 from gpusimbench.evaluator.compute.work import HERE
 from gpusimbench.evaluator.metrics.memory import Checkpoints
+from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.results.metric import Axis
 from gpusimbench.evaluator.runs.physics.facts import PhysicsFacts
 from gpusimbench.evaluator.runs.positions import Positions
 from gpusimbench.evaluator.runs.reading import Read, Reader
 from gpusimbench.evaluator.runs.run_data import RunData
-from gpusimbench.evaluator.runs.state_hashes import Histories
 from gpusimbench.evaluator.runs.summary import Summary
 from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.errors import ExitCode
@@ -294,15 +294,14 @@ def _read(run: Run, run_id: str, placed: NDArray[np.float64] | None = None) -> R
     summary = Summary(
         Path(f"{run_id}.mcap"), "complete", "", "", run_id, provenance, simulation, (), (), {}, {}, {}, None
     )  # fmt: skip
-    none: Histories | None = None
     host = Checkpoints(baseline=run.host_baseline, peak=run.host_peak)
-    why = "no states were captured"
+    missing = Missing("no states were captured")
     return Read(
         summary,
         RunData(
-            summary, run.elapsed_s, None, host, None, None, {}, None, 0.0, none, None,
-            None if placed is None else Positions(placed, None, 5.0), why,
-            False, None, None, None, why, None, why, PhysicsFacts("free-fall", N_ENV, (), (), why),
+            summary, run.elapsed_s, missing, host, missing, missing, {}, missing, 0.0, missing, missing,
+            missing if placed is None else Positions(placed, None, 5.0),
+            False, None, missing, missing, missing, PhysicsFacts("free-fall", N_ENV, (), missing), missing,
         ),
     )  # fmt: skip
 

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import fields, is_dataclass
 from enum import Enum
 from pathlib import Path
 from typing import Any
 
+from gpusimbench.evaluator.missing import Missing, why_missing
 from gpusimbench.schemas.location import Location
 
 _DEEPEST = 8
@@ -18,10 +19,11 @@ _DEEPEST = 8
 def values_of(result: Any) -> Any:
     """A result as JSON has it: dataclasses by the names of their fields, numbers that are not finite as null.
 
+    A field `x` that may be Missing is null then; `no_x` beside it has the reason, and is empty where there is a value.
     For this project's own results. A stranger's JSON goes through `plain`, which bounds its depth.
     """
     if is_dataclass(result) and not isinstance(result, type):
-        return {field.name: values_of(getattr(result, field.name)) for field in fields(result)}
+        return dict(_entries(result))
     if isinstance(result, Mapping):
         return {str(key): values_of(item) for key, item in result.items()}
     if isinstance(result, (list, tuple)):
@@ -37,6 +39,14 @@ def values_of(result: Any) -> Any:
     if result is None or isinstance(result, (bool, int, str)):
         return result
     return values_of(result.item())  # a number of numpy's
+
+
+def _entries(result: Any) -> Iterator[tuple[str, Any]]:
+    for field in fields(result):
+        value = getattr(result, field.name)
+        yield field.name, None if isinstance(value, Missing) else values_of(value)
+        if Missing.__name__ in str(field.type):
+            yield f"no_{field.name}", why_missing(value)
 
 
 def dump(document: Any) -> str:

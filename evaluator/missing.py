@@ -3,19 +3,22 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TypeVar
+from typing import Literal, TypeVar
 
 _T = TypeVar("_T")
 
 
 @dataclass(frozen=True)
 class Missing:
-    """Stands where a value would, and says why it is not there.
+    """Stands where a value would, and says why it is not there. It is false, as None is.
 
     reason  a clause that a reader sees instead of the value, such as "no step was timed"
     """
 
     reason: str
+
+    def __bool__(self) -> Literal[False]:
+        return False
 
 
 def known(value: _T | Missing) -> _T | None:
@@ -23,6 +26,6 @@ def known(value: _T | Missing) -> _T | None:
     return None if isinstance(value, Missing) else value
 
 
-def reason_of(value: object) -> str:
-    """Why a value is missing; empty where it is there."""
+def why_missing(value: object) -> str:
+    """The reason why a value is not there; empty where it is."""
     return value.reason if isinstance(value, Missing) else ""

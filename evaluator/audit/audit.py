@@ -17,6 +17,7 @@ from gpusimbench.evaluator.audit.verdict import Level, Verdict, ladder
 from gpusimbench.evaluator.diff.compare import compare
 from gpusimbench.evaluator.diff.result import Difference
 from gpusimbench.evaluator.metrics.variability import sampling_step
+from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.runs.groups import Group
 from gpusimbench.evaluator.runs.positions import sample_positions
@@ -172,9 +173,9 @@ def law_of(originals: Sequence[Recording], replays: Sequence[Recording]) -> LawT
     for side in (originals, replays):
         sides.append([])
         for recording in side:
-            positions, why_not = sample_positions(recording, time)
-            if positions is None:
-                return f"{recording.path.name}: {why_not}"
+            positions = sample_positions(recording, time)
+            if isinstance(positions, Missing):
+                return f"{recording.path.name}: {positions.reason}"
             sides[-1].append(positions.planar)
     if len({run.shape for side in sides for run in side}) > 1:
         return "the replays have other numbers of environments or cubes"

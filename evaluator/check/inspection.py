@@ -268,7 +268,7 @@ def _memory(recording: Recording) -> dict[str, Memory]:
 
 def _co_tenants(recording: Recording) -> CoTenancy | None:
     memory = gpu_memory(recording)
-    if memory is None:
+    if not memory:
         return None
     found = cotenants(memory)
     return CoTenancy(found.presence.value, found.signs)

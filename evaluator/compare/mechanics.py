@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 from gpusimbench.evaluator.compare.counted import Counted
 from gpusimbench.evaluator.compare.finding import Change, Finding, Question, not_compared
+from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.results.aggregate import Runs
 from gpusimbench.evaluator.results.fidelity import Fidelity, FidelityRow, Verdict, fidelity
 from gpusimbench.evaluator.results.metric import Axis, Direction
@@ -71,5 +72,6 @@ def _said(row: FidelityRow) -> str:
 
 def _broken(check: Check, runs: Runs) -> tuple[int, int]:
     """In how many runs a check is broken, of how many that were measured."""
-    facts = [fact for run in runs for fact in run.physics.facts if fact.check is check and isinstance(fact, Measured)]
+    found = [run.physics.facts.get(check) for run in runs if not isinstance(run.physics.facts, Missing)]
+    facts = [fact for fact in found if isinstance(fact, Measured)]
     return sum(fact.broken > 0 for fact in facts), len(facts)

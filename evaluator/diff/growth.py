@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from gpusimbench.evaluator.diff.numbers import Pairing
 from gpusimbench.evaluator.diff.result import Basis, Growth
-from gpusimbench.evaluator.metrics.divergence import FIT_LIMIT_M, GrowthFit, first_reaching, fit_growth
+from gpusimbench.evaluator.metrics.divergence import FIT_LIMIT_M, first_reaching, fit_growth
+from gpusimbench.evaluator.missing import Missing
 
 _MM, _CM = 1e-3, 1e-2
 
@@ -62,7 +63,8 @@ class Distances:
         distances = np.array([np.nan if d is None else d for d in largest])
         fit = fit_growth(times, distances, limit=FIT_LIMIT_M)
         if self._not_finite is not None and not (distances > 0).any():
-            fit = "nothing moved apart of what is finite" if np.isfinite(distances).any() else "no distance is finite"
+            known = np.isfinite(distances).any()
+            fit = Missing("nothing moved apart of what is finite" if known else "no distance is finite")
         return Growth(
             groups=self._groups,
             steps=tuple(self._steps),
@@ -74,8 +76,7 @@ class Distances:
             not_finite_from=self._not_finite,
             to_1mm=first_reaching(times, distances, _MM),
             to_1cm=first_reaching(times, distances, _CM),
-            fit=fit if isinstance(fit, GrowthFit) else None,
-            no_fit="" if isinstance(fit, GrowthFit) else fit,
+            fit=fit,
         )
 
 

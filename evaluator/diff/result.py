@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from enum import Enum
 
 from gpusimbench.evaluator.metrics.divergence import GrowthFit
+from gpusimbench.evaluator.missing import Missing
 from gpusimbench.schemas.location import Place
 
 SCHEMA_VERSION = 1
@@ -243,7 +244,7 @@ class Growth:
     median_spatial, max_spatial    in x, y and z [m]; None likewise, or where heights were not recorded
     not_finite_from                first step with a position that is not finite; None without any
     to_1mm, to_1cm                 first recorded time at which the largest distance has that size [s]; None: never
-    fit                            exponential growth; None, and `no_fit` says why
+    fit                            exponential growth
     """
 
     groups: tuple[str, ...]
@@ -256,8 +257,7 @@ class Growth:
     not_finite_from: int | None
     to_1mm: float | None
     to_1cm: float | None
-    fit: GrowthFit | None
-    no_fit: str
+    fit: GrowthFit | Missing
 
 
 @dataclass(frozen=True)

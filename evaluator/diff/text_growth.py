@@ -9,6 +9,7 @@ from rich.console import Console
 from gpusimbench.evaluator.diff import words
 from gpusimbench.evaluator.diff.result import Difference, Growth
 from gpusimbench.evaluator.diff.text_numbers import print_numbers
+from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.render.text import printable
 
 _ROWS, _WIDTH = 6, 60
@@ -57,8 +58,8 @@ def _lines(growth: Growth) -> list[str]:
     for size, when in (("1 mm", growth.to_1mm), ("1 cm", growth.to_1cm)):
         lines.append(f"{size}: {'never' if when is None else f'first recorded at {when:g} s'}")
     fit = growth.fit
-    if fit is None:
-        lines.append(f"growth rate: none; {growth.no_fit}")
+    if isinstance(fit, Missing):
+        lines.append(f"growth rate: none; {fit.reason}")
     else:
         doubling = "" if fit.doubling_time is None else f", doubling every {fit.doubling_time * 1000:.3g} ms"
         lines.append(

@@ -8,6 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from gpusimbench.evaluator.missing import Missing
+
 _WORDS = {2: np.uint16, 4: np.uint32, 8: np.uint64}
 
 FIT_LIMIT_M = 1e-3
@@ -109,7 +111,9 @@ class GrowthFit:
         return math.log(2) / self.rate if self.rate > 0 else None
 
 
-def fit_growth(times: npt.NDArray[np.float64], distances: npt.NDArray[np.float64], *, limit: float) -> GrowthFit | str:
+def fit_growth(
+    times: npt.NDArray[np.float64], distances: npt.NDArray[np.float64], *, limit: float
+) -> GrowthFit | Missing:
     """The exponential through distances from the first that is not zero up to the last before `limit` is passed.
 
     The window is fixed by that rule and is not searched for: below it nothing differs, above it bodies have met other
@@ -122,16 +126,16 @@ def fit_growth(times: npt.NDArray[np.float64], distances: npt.NDArray[np.float64
         limit: distance [m] at which the window ends.
 
     Returns:
-        the fit, or in a sentence why there is none.
+        the fit, or why there is none.
     """
     begins = np.flatnonzero(distances > 0)
     if not begins.size:
-        return "nothing moved apart"
+        return Missing("nothing moved apart")
     ends = np.flatnonzero(~(distances < limit))
     stop = int(ends[0]) if ends.size else len(distances)
     window = np.flatnonzero(distances[:stop] > 0)
     if len(window) < MIN_FIT_POINTS:
-        return (
+        return Missing(
             f"{len(window)} recorded steps with a distance above zero before it passes {limit * 1000:g} mm; "
             f"a rate needs {MIN_FIT_POINTS}"
         )
@@ -141,7 +145,7 @@ def fit_growth(times: npt.NDArray[np.float64], distances: npt.NDArray[np.float64
     total = float(y0 @ y0)
     left = float(((y0 - rate * t0) ** 2).sum())
     if total == 0:
-        return f"the distance is the same at all {len(window)} steps of the window: it does not grow"
+        return Missing(f"the distance is the same at all {len(window)} steps of the window: it does not grow")
     return GrowthFit(rate, 1 - left / total, len(window), float(t[0]), float(t[-1]))
 
 

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from gpusimbench.evaluator.metrics.divergence import FIT_LIMIT_M, first_reaching
-from gpusimbench.evaluator.missing import known, reason_of
+from gpusimbench.evaluator.missing import Missing, known, why_missing
 from gpusimbench.evaluator.report import words
 from gpusimbench.evaluator.report.timed import timed_record
 from gpusimbench.evaluator.results.determinism_cost import Cost, Family, Price
@@ -123,15 +123,15 @@ def _value(metric: Estimate) -> dict[str, Any]:
         "sd": metric.sd,
         "ci95": metric.ci95,
         "n": metric.n,
-        "why_not": reason_of(metric.value),
+        "why_not": why_missing(metric.value),
         "interval_why_not": words.why_no_interval(metric, ""),
     }
 
 
 def _spread(one: RunSpread) -> dict[str, Any]:
     found = one.spread
-    if found is None:
-        return {"run": one.run, "why_not": one.why_not}
+    if isinstance(found, Missing):
+        return {"run": one.run, "why_not": found.reason}
     times, largest = np.array(found.times), np.array([np.nan if v is None else v for v in found.largest])
     apart = np.flatnonzero(largest > 0)
     return {
@@ -143,6 +143,6 @@ def _spread(one: RunSpread) -> dict[str, Any]:
         "limit_m": FIT_LIMIT_M,
         "largest_at_end_m": found.largest[-1],
         "rms_at_end_m": found.rms[-1],
-        "fit": found.fit,
-        "no_fit": found.no_fit,
+        "fit": found.fit or None,
+        "no_fit": why_missing(found.fit),
     }

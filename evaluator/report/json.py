@@ -7,7 +7,7 @@ from typing import Any
 
 from gpusimbench.evaluator.json_values import dump, values_of
 from gpusimbench.evaluator.metrics.memory_model import MemoryModel
-from gpusimbench.evaluator.missing import known, reason_of
+from gpusimbench.evaluator.missing import known, why_missing
 from gpusimbench.evaluator.report.evidence_json import (
     capability_record,
     contender_record,
@@ -166,7 +166,7 @@ def _metric(metric: Estimate) -> dict[str, Any]:
         "direction": metric.metric.direction,
         "method": metric.method,
         "exactness": metric.exactness,
-        "why_not": reason_of(metric.value),
+        "why_not": why_missing(metric.value),
         **({"extra": extra} if (extra := metric.details.record()) else {}),
     }
 

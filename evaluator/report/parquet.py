@@ -12,7 +12,7 @@ import json
 from collections.abc import Iterator
 from typing import Any
 
-from gpusimbench.evaluator.missing import known, reason_of
+from gpusimbench.evaluator.missing import known, why_missing
 from gpusimbench.evaluator.render.text import printable
 from gpusimbench.evaluator.report.words import floor_of
 from gpusimbench.evaluator.results.evaluation import Evaluation
@@ -118,7 +118,7 @@ def _values_of(metric: Estimate) -> dict[str, Any]:
         "value": known(metric.value),
         "unit": metric.unit,
         "direction": metric.metric.direction.value,
-        "why_not": reason_of(metric.value),
+        "why_not": why_missing(metric.value),
         **{name: getattr(metric, name) for name in ("sd", "exactness", "method")},
     }
 

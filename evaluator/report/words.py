@@ -8,7 +8,7 @@ from statistics import median
 from gpusimbench.evaluator.metrics.cotenants import Presence
 from gpusimbench.evaluator.metrics.levels import Level
 from gpusimbench.evaluator.metrics.memory_model import MemoryModel
-from gpusimbench.evaluator.missing import Missing, reason_of
+from gpusimbench.evaluator.missing import Missing, why_missing
 from gpusimbench.evaluator.render.numbers import NONE, distance, mean_sd
 from gpusimbench.evaluator.results.details import (
     BetweenRuns,
@@ -232,7 +232,7 @@ def not_exchanged(metric: Estimate) -> str:
     """Why a W1 that is not 0 has no such figures; empty where it has them, or is 0."""
     has_floor = isinstance(metric.details, BetweenRuns | ToReference)
     apart = not isinstance(metric.value, Missing) and metric.value != 0
-    return reason_of(floor_of(metric).w1) if has_floor and apart else ""
+    return why_missing(floor_of(metric).w1) if has_floor and apart else ""
 
 
 ENERGY = "energy distance; p"

@@ -33,7 +33,7 @@ def _throughput(group: GroupRuns) -> Throughput:
 
 
 def _presence(runs: Runs) -> tuple[RunPresence, ...] | None:
-    if all(r.gpu is None for r in runs):
+    if not any(r.gpu for r in runs):
         return None
     return tuple(RunPresence(_index(r), r.cotenants.presence, tuple(r.cotenants.signs)) for r in runs)
 
@@ -78,7 +78,7 @@ def _allocator_peak(run: RunData) -> float | Missing:
     if (none := _no_gpu(run)) is not None:
         return none
     why_not = "the engine's allocator did not tell its peak, or had it while the simulator was built"
-    return Missing(why_not) if run.allocator is None else run.allocator
+    return Missing(why_not) if isinstance(run.allocator, Missing) else run.allocator
 
 
 def _host_increment(run: RunData) -> float | Missing:
@@ -207,7 +207,7 @@ BUILD_TIME = Metric(
     "import of the engine, sizing of its buffers, loading of the model, allocation; median over runs, since the first "
     "run of a set fills the caches of the others",
     method="import of the engine, sizing of its buffers, loading of the model, allocation",
-    values=each(lambda run: Missing("building was not clocked") if run.build_s is None else run.build_s),
+    values=each(lambda run: run.build_s),
     aggregate=MEDIAN, optional=True, axis=Axis.BUILD,
 )  # fmt: skip
 

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from gpusimbench.evaluator.missing import Missing, reason_of
+from gpusimbench.evaluator.missing import Missing, why_missing
 from gpusimbench.evaluator.results.cost_metrics import common_memory
 from gpusimbench.evaluator.results.details import OverRuns
 from gpusimbench.evaluator.results.faults import faults
@@ -228,4 +228,4 @@ def _cost(result: GroupResult, base: GroupResult | None, name: str) -> Cost:
 
 def _why_not(result: GroupResult, metric: Estimate) -> str:
     endings = dict.fromkeys(f"{r.cause or r.status}: {r.reason}" for r in result.group.recordings if not r.usable)
-    return "; ".join(endings) if endings and not result.group.complete else reason_of(metric.value)
+    return "; ".join(endings) if endings and not result.group.complete else why_missing(metric.value)

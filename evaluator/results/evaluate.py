@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from gpusimbench.evaluator.check.protocol import RULE_SET, Protocol, Unmet
 from gpusimbench.evaluator.compute.work import HERE, Work
-from gpusimbench.evaluator.missing import Missing, known
+from gpusimbench.evaluator.missing import Missing, known, why_missing
 from gpusimbench.evaluator.results.accumulation import accumulations
 from gpusimbench.evaluator.results.density_maps import reference_density, shared_map, with_cloud
 from gpusimbench.evaluator.results.details import SunkCubes
@@ -162,8 +162,8 @@ def _use_reference(read: Read) -> tuple[Reference | None, str]:
         return None, f"the reference {name} is {recording.status}: {recording.reason}"
     if recording.dropouts:
         return None, f"the reference {name} lost data: {recording.dropouts[0]}"
-    if read.run is None or read.run.positions is None:
-        why_not = read.run.no_positions if read.run else "it was not read"
+    if read.run is None or not read.run.positions:
+        why_not = why_missing(read.run.positions) if read.run else "it was not read"
         return None, f"the reference {name} cannot be used: {why_not}"
     if read.run.doubt and read.run.doubt.wrong:
         return None, f"the reference {name} cannot be used: {read.run.doubt.text}: record it again with --unit"
@@ -194,7 +194,7 @@ def _evaluate_group(
         validity=validity_of(group),
         fidelity=fidelity(label, [run.physics for run in runs]),
         notes=tuple(_notes(group, runs, reference, sample_time)),
-        spreads=tuple(RunSpread(r.recording.configuration.run_index, r.spread, r.no_spread) for r in runs),
+        spreads=tuple(RunSpread(r.recording.configuration.run_index, r.spread) for r in runs),
         timed=timed_work(group.key, runs, unmet),
     )
     result = replace(result, notes=(*result.notes, *_warnings(result)))

@@ -6,7 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
 
-from gpusimbench.evaluator.runs.physics.facts import Check, Measured, NotMeasured, PhysicsFacts
+from gpusimbench.evaluator.missing import Missing
+from gpusimbench.evaluator.runs.physics.facts import Check, Facts, Measured, PhysicsFacts
 
 
 class Verdict(Enum):
@@ -89,24 +90,22 @@ def fidelity(label: str, facts: Sequence[PhysicsFacts]) -> Fidelity:
     """The verdicts of a group, from the facts of its usable runs."""
     if not facts:
         return Fidelity(label, "", 0, 0, 0, "exact", (), "no run can be used")
-    told = [one for one in facts if not one.why_not]
-    first = (told or facts)[0]
-    if told:
-        rows = tuple(row for check in Check if (row := _row(check, told, len(facts))) is not None)
-        why_not = ""
-    else:
-        rows, why_not = (), "; ".join(dict.fromkeys(one.why_not for one in facts))
+    told = [one.facts for one in facts if not isinstance(one.facts, Missing)]
+    first = next((one for one in facts if not isinstance(one.facts, Missing)), facts[0])
+    rows = tuple(row for check in Check if (row := _row(check, told, len(facts))) is not None)
+    reasons = dict.fromkeys(one.facts.reason for one in facts if isinstance(one.facts, Missing))
+    why_not = "" if told else "; ".join(reasons)
     return Fidelity(
         label, first.scene, len(facts), first.n_env, first.looked_at, first.exactness, rows, why_not
     )  # fmt: skip
 
 
-def _row(check: Check, facts: Sequence[PhysicsFacts], of_runs: int) -> FidelityRow | None:
-    found = [fact for one in facts for fact in one.facts if fact.check is check]
+def _row(check: Check, facts: Sequence[Facts], of_runs: int) -> FidelityRow | None:
+    found = [one[check] for one in facts if check in one]
     if not found:
         return None
     told = [fact for fact in found if isinstance(fact, Measured)]
-    reason = "; ".join(dict.fromkeys(fact.why for fact in found if isinstance(fact, NotMeasured)))
+    reason = "; ".join(dict.fromkeys(fact.reason for fact in found if isinstance(fact, Missing)))
     if not told:
         return FidelityRow(check, Verdict.NOT_APPLICABLE, reason=reason, of_runs=of_runs)
     means = [(fact.mean, fact.count) for fact in told if fact.mean is not None]

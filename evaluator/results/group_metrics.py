@@ -20,7 +20,7 @@ from gpusimbench.evaluator.metrics.variability import (
     parallel_variability,
     run_to_run_variability,
 )
-from gpusimbench.evaluator.missing import Missing
+from gpusimbench.evaluator.missing import Missing, why_missing
 from gpusimbench.evaluator.results.aggregate import NO_RUN, differ, ends_of
 from gpusimbench.evaluator.results.details import (
     BetweenEnvs,
@@ -201,9 +201,9 @@ def _left_board(metric: Metric, group: GroupRuns) -> Estimate:
 
 
 def _sank(metric: Metric, group: GroupRuns) -> Estimate:
-    found = [r.sunk for r in group.runs if r.sunk is not None]
+    found = [r.sunk for r in group.runs if r.sunk]
     if not found:
-        return missing(metric, group.runs[0].no_sunk if group.runs else NO_RUN)
+        return missing(metric, why_missing(group.runs[0].sunk) if group.runs else NO_RUN)
     counts = tuple(sum(s.per_env) for s in found)
     envs = sum(len(s.per_env) for s in found)
     return Estimate(

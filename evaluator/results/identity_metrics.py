@@ -147,7 +147,7 @@ def _capture_effect(metric: Metric, group: GroupRuns) -> Estimate:
 
     Only of an engine that repeats itself, bit for bit, is such a difference the doing of the capture.
     """
-    observed = [r.observed for r in group.runs if r.observed is not None]
+    observed = [r.observed for r in group.runs if not isinstance(r.observed, Missing)]
     if not observed:
         return missing(
             metric, "no step was passed by both the timed and the capture phase" if group.runs else NO_RUN
@@ -200,9 +200,9 @@ def _equality_of_runs(metric: Metric, group: GroupRuns) -> Estimate:
 
 
 def _rate(run: RunData) -> float | Missing:
-    if run.spread is None:
-        return Missing(run.no_spread)
-    return run.spread.fit.rate if run.spread.fit else Missing(run.spread.no_fit)
+    if isinstance(run.spread, Missing):
+        return run.spread
+    return run.spread.fit if isinstance(run.spread.fit, Missing) else run.spread.fit.rate
 
 
 def _growth(group: GroupRuns) -> Growth:

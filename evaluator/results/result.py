@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gpusimbench.evaluator.metrics.density import Density, HexGrid
+from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.results.fidelity import Fidelity
 from gpusimbench.evaluator.results.metric import Estimate
 from gpusimbench.evaluator.results.timed_work import TimedWork
@@ -36,12 +37,11 @@ class RunSpread:
     """How the environments of one run moved apart.
 
     run      its index
-    spread   None where it cannot be said, and `why_not` says why
+    spread   distances between them
     """
 
     run: int
-    spread: Spread | None
-    why_not: str
+    spread: Spread | Missing
 
 
 @dataclass(frozen=True)

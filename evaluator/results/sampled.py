@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from gpusimbench.evaluator.missing import why_missing
 from gpusimbench.evaluator.results.aggregate import NO_RUN, Runs
 
 
@@ -17,19 +18,16 @@ def positions(runs: Runs) -> tuple[NDArray[np.float64] | None, str]:
     """Planar positions of all runs [m], [run, env, item, 2]; or None and the reason."""
     if why_not := no_positions(runs):
         return None, why_not
-    return np.stack([r.positions.planar for r in runs if r.positions is not None]), ""
+    return np.stack([r.positions.planar for r in runs if r.positions]), ""
 
 
 def no_positions(runs: Runs) -> str:
     """Why not all runs have positions at the sample step, with the names of those; empty where all have."""
     if not runs:
         return NO_RUN
-    missing = [run for run in runs if run.positions is None]
-    if not missing:
-        return ""
-    why = missing[0].no_positions
-    alike = [run for run in missing if run.no_positions == why]
-    return why if len(alike) == len(runs) else f"{named(alike)}: {why}"
+    why = next((why for run in runs if (why := why_missing(run.positions))), "")
+    alike = [run for run in runs if why_missing(run.positions) == why]
+    return why if len(alike) == len(runs) or not why else f"{named(alike)}: {why}"
 
 
 def left_out(runs: Runs) -> list[str]:
@@ -39,7 +37,7 @@ def left_out(runs: Runs) -> list[str]:
     found: dict[str, list[int]] = {}
     for at, run in enumerate(runs):
         if id(run) not in reached:
-            found.setdefault(run.no_positions, []).append(at)
+            found.setdefault(why_missing(run.positions), []).append(at)
     others = "run" if len(used) == 1 else f"{len(used)} runs"
     return [
         f"{named([runs[at] for at in places])} left out of W1, equality, published type and cubes off the board, which "

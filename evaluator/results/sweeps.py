@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 from gpusimbench.evaluator.metrics.memory_model import MIN_POINTS, MemoryModel, fit_memory
-from gpusimbench.evaluator.missing import Missing, known, reason_of
+from gpusimbench.evaluator.missing import Missing, known, why_missing
 from gpusimbench.evaluator.results.cost_metrics import common_memory
 from gpusimbench.evaluator.results.metric import Estimate
 from gpusimbench.evaluator.results.result import GroupResult
@@ -196,7 +196,7 @@ def _sweep(key: GroupKey, label: str, points: tuple[SweepPoint, ...]) -> Sweep:
 def _model(found: Sequence[tuple[int, Estimate]]) -> MemoryModel | Missing:
     measured = [(n, m.value * m.metric.per_unit) for n, m in found if not isinstance(m.value, Missing)]
     if not measured:
-        return Missing(next((reason_of(m.value) for _, m in found), "it was not measured"))
+        return Missing(next((why_missing(m.value) for _, m in found), "it was not measured"))
     if len(measured) < MIN_POINTS:
         return Missing(f"needs at least {MIN_POINTS} numbers of environments with a complete run, got {len(measured)}")
     if any(memory <= 0 for _, memory in measured):

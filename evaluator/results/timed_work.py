@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from gpusimbench.evaluator.check.protocol import Unmet
+from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.runs.groups import GroupKey
 from gpusimbench.evaluator.runs.run_data import RunData
 
@@ -70,9 +71,9 @@ class TimedWork:
 
 def timed_work(key: GroupKey, runs: Sequence[RunData], unmet: Unmet) -> TimedWork:
     """Of a group by its key, its complete runs and the rules that its recordings do not meet."""
-    clocked = [run for run in runs if run.elapsed_s is not None and run.timed_from is not None]
-    windows = {Window(run.timed_from or 0, (run.timed_from or 0) + key.timed_steps) for run in clocked}
-    seconds = [run.elapsed_s for run in clocked if run.elapsed_s is not None]
+    firsts = [run.timed_from for run in runs if not isinstance(run.timed_from, Missing)]
+    windows = {Window(first, first + key.timed_steps) for first in firsts}
+    seconds = [run.elapsed_s for run in runs if not isinstance(run.elapsed_s, Missing)]
     return TimedWork(
         tuple(sorted(windows)), (min(seconds), max(seconds)) if seconds else None, _settings(key), unmet
     )  # fmt: skip

@@ -24,7 +24,7 @@ def with_peers(runs: Mapping[str, RunData]) -> dict[str, RunData]:
     idle: dict[str, int] = {}
     alike: dict[object, list[GpuMemory]] = {}
     for run in runs.values():
-        if run.gpu is None:
+        if not run.gpu:
             continue
         alike.setdefault(key_of(run.recording), []).append(run.gpu)
         if run.gpu.device.baseline is not None:
@@ -37,7 +37,7 @@ def with_peers(runs: Mapping[str, RunData]) -> dict[str, RunData]:
                 run.gpu, peers_of(alike[key_of(run.recording)], idle_bytes=idle.get(_kind(run.recording)))
             ),
         )
-        if run.gpu is not None
+        if run.gpu
         else run
         for run_id, run in runs.items()
     }

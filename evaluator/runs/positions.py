@@ -10,12 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gpusimbench.evaluator.metrics.variability import sampling_step
+from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.schemas.errors import DamagedRecording
 from gpusimbench.schemas.fields import StateField
 from gpusimbench.schemas.provenance import REAL
 
 GROUP = "cubes"
+
+NO_STATES = Missing("no states were recorded (the capture phase was left out or not reached)")
 
 _FAR_M = 1e6  # a cube that far away belongs to a simulation that blew up
 
@@ -50,37 +53,37 @@ class Positions:
         return self.local if self.recorded.shape[-1] == 3 else None
 
 
-def sample_positions(recording: Recording, sample_time: float) -> tuple[Positions | None, str]:
-    """Positions at step round(sample_time / dt), or None and the reason why there are none.
+def sample_positions(recording: Recording, sample_time: float) -> Positions | Missing:
+    """Positions at step round(sample_time / dt), or the reason why there are none.
 
     Origins are subtracted behind the recording, in float64, from coordinates of the world frame: before it, that would
     have cost bits. Coordinates that are declared relative to the env's origin already are left as they are.
     """
     field = next((f for f in recording.fields if f.name == f"{GROUP}/position"), None)
     if field is None:
-        return None, f"no positions of {GROUP} were recorded"
+        return Missing(f"no positions of {GROUP} were recorded")
     array = recording.state(GROUP, "position")
     if not len(array):
-        return None, "no states were recorded (the capture phase was left out or not reached)"
+        return NO_STATES
     dt = recording.configuration.dt
     step = sampling_step(sample_time, dt)
     if recording.configuration.simulator == REAL and not math.isclose(step * dt, sample_time, rel_tol=1e-6):
-        return None, f"the trials were measured at {dt:g} s, not at {sample_time:g} s"
+        return Missing(f"the trials were measured at {dt:g} s, not at {sample_time:g} s")
     try:
         recorded = array.at_step(step)
     except KeyError:
         last = array.steps[-1]
-        return None, (
+        return Missing(
             f"step {step} ({sample_time:g} s) was not recorded; recorded are steps {array.steps[0]} to {last} "
             f"({last * dt:g} s)"
         )
     positions = Positions(recorded, _origins(recording, field), step * dt)
     planar = positions.planar
     if not np.isfinite(positions.recorded).all():
-        return None, "positions at the sample step are not finite"
+        return Missing("positions at the sample step are not finite")
     if np.abs(planar).max() > _FAR_M:
-        return None, f"positions at the sample step are beyond {_FAR_M / 1000:g} km: the simulation blew up"
-    return positions, ""
+        return Missing(f"positions at the sample step are beyond {_FAR_M / 1000:g} km: the simulation blew up")
+    return positions
 
 
 def was_recorded(recording: Recording, sample_time: float) -> bool:

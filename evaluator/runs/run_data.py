@@ -13,6 +13,7 @@ from gpusimbench.evaluator.metrics.capture import changes_states
 from gpusimbench.evaluator.metrics.cotenants import BASELINE, CHECKPOINTS, TIMED, CoTenants, cotenants
 from gpusimbench.evaluator.metrics.levels import Verdict, verdict
 from gpusimbench.evaluator.metrics.memory import Checkpoints, GpuMemory, Listing
+from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.read.scene import board_of, extent_of_trials
 from gpusimbench.evaluator.read.streams import Fingerprints, MemoryTrace, StepTiming
@@ -23,7 +24,7 @@ from gpusimbench.evaluator.runs.sinking import Sunk, sunk
 from gpusimbench.evaluator.runs.spread import Spread, spread
 from gpusimbench.evaluator.runs.state_hashes import Histories, histories_of
 from gpusimbench.evaluator.runs.summary import Summary
-from gpusimbench.evaluator.runs.validation import check_overflow, elapsed_of
+from gpusimbench.evaluator.runs.validation import NOT_TIMED, check_overflow, elapsed_of
 from gpusimbench.schemas.errors import NUMBERS_OF_A_STRANGER, DamagedRecording
 from gpusimbench.schemas.provenance import REAL
 from gpusimbench.schemas.trial_units import METRES, UnitDoubt, unit_doubt
@@ -34,50 +35,46 @@ class RunData:
     """One complete run.
 
     recording   that it was read from, in summary
-    elapsed_s   of the timed phase [s]; None where it was left out
-    gpu         memory of the device that steps [byte]; None without a GPU, and where the simulator ran on the CPU
-    host        memory of the process [byte]; None where it was not sampled
-    allocator   peak of the engine's own device allocator up to the end of the timed phase [byte]; None where not told
-    build_s     import of the engine, loading, allocation [s]; None where it was not clocked
+    elapsed_s   of the timed phase [s]
+    gpu         memory of the device that steps [byte]; Missing also where the simulator ran on the CPU
+    host        memory of the process [byte]
+    allocator   peak of the engine's own device allocator up to the end of the timed phase [byte]
+    build_s     import of the engine, loading, allocation [s]
     compile_s   compilation of what the timed phase runs, and of what the capture phase runs [s], by phase
-    capture_s   from the first step of the capture to the last one's state on the host [s]; None where not clocked
+    capture_s   from the first step of the capture to the last one's state on the host [s]
     stalled_s   part of that in which the engine stood still until states were written [s]
-    histories   of the captured states by bits, or None
-    observed    whether capturing changed the states, by the hashes of steps that timed and capture phase both passed;
-                None where there are none
-    positions   at the sample step; None where there are none, and `no_positions` says why
+    histories   of the captured states by bits
+    observed    whether capturing changed the states, by the hashes of steps that timed and capture phase both passed
+    positions   at the sample step
     doubt       what speaks against the unit of real trials; None where nothing does, and of simulations
     reached     whether the sample step was recorded at all, whatever the positions are
-    equality    of the environments, by bits and at the sample step; None where there are no two, or no positions
-    spread      how the environments move apart; None where it cannot be said, and `no_spread` says why
+    equality    of the environments, by bits and at the sample step
+    spread      how the environments move apart
     physics     how far the states keep to mechanics
-    sunk        cubes that went through the floor; None where it cannot be said, and `no_sunk` says why
-    timed_from  steps of the scene that were made before the first timed one; None where no step was timed
+    sunk        cubes that went through the floor
+    timed_from  steps of the scene that were made before the first timed one
     cotenants   other processes on that device, as far as the recordings it was read with tell
     """
 
     recording: Summary
-    elapsed_s: float | None
-    gpu: GpuMemory | None
-    host: Checkpoints | None
-    allocator: int | None
-    build_s: float | None
+    elapsed_s: float | Missing
+    gpu: GpuMemory | Missing
+    host: Checkpoints | Missing
+    allocator: int | Missing
+    build_s: float | Missing
     compile_s: dict[str, float]
-    capture_s: float | None
+    capture_s: float | Missing
     stalled_s: float
-    histories: Histories | None
-    observed: bool | None
-    positions: Positions | None
-    no_positions: str
+    histories: Histories | Missing
+    observed: bool | Missing
+    positions: Positions | Missing
     reached: bool
     doubt: UnitDoubt | None
-    equality: Verdict | None
-    spread: Spread | None
-    no_spread: str
-    sunk: Sunk | None
-    no_sunk: str
+    equality: Verdict | Missing
+    spread: Spread | Missing
+    sunk: Sunk | Missing
     physics: PhysicsFacts
-    timed_from: int | None = None
+    timed_from: int | Missing
     cotenants: CoTenants = CoTenants()
 
 
@@ -86,48 +83,45 @@ def read_run(recording: Recording, summary: Summary, sample_time: float) -> RunD
     try:
         board_of(recording)  # of a run that failed, a board that cannot be read is no matter
         check_overflow(recording)
-        positions, no_positions = sample_positions(recording, sample_time)
-        sank, no_sunk = sunk(recording)
+        positions = sample_positions(recording, sample_time)
+        through = sunk(recording)
         timing = recording.timing
-        allocator = recording.memory.get("gpu0/allocator") if "timed" in recording.configuration.phases else None
         gpu = gpu_memory(recording)
         host = recording.memory.get("host")
         timed = recording.timing.get("timed")
         captured = recording.fingerprints("capture")
-        histories = histories_of(captured) if captured is not None else None
-        apart, no_spread = spread(recording)
+        histories = histories_of(captured) if captured is not None else Missing("no states were captured")
         return RunData(
             recording=summary,
             elapsed_s=elapsed_of(recording),
             gpu=gpu,
-            host=_checkpoints(host, timed) if host else None,
-            allocator=allocator.own_peak() if allocator else None,
-            build_s=timing["build"].elapsed_s if "build" in timing else None,
+            host=_checkpoints(host, timed) if host else Missing("no memory of the process was sampled"),
+            allocator=_allocator_peak(recording),
+            build_s=timing["build"].elapsed_s if "build" in timing else Missing("building was not clocked"),
             compile_s={p: timing[f"compile_{p}"].elapsed_s for p in ("timed", "capture") if f"compile_{p}" in timing},
-            capture_s=timing["capture"].elapsed_s if "capture" in timing else None,
+            capture_s=timing["capture"].elapsed_s if "capture" in timing else Missing("the capture was not clocked"),
             stalled_s=timing["stall"].total_s if "stall" in timing else 0.0,
             histories=histories,
             observed=_observed(captured, recording.fingerprints("timed")),
             positions=positions,
-            no_positions=no_positions,
-            reached=positions is not None or was_recorded(recording, sample_time),
+            reached=isinstance(positions, Positions) or was_recorded(recording, sample_time),
             doubt=_doubt(recording, positions),
             equality=_equality(positions, histories),
-            spread=apart,
-            no_spread=no_spread,
-            sunk=sank,
-            no_sunk=no_sunk,
-            physics=physics_of(recording, (sank, no_sunk)),
-            timed_from=timed.first_step if timed else None,
+            spread=spread(recording),
+            sunk=through,
+            physics=physics_of(recording, through),
+            timed_from=timed.first_step if timed else NOT_TIMED,
             cotenants=cotenants(gpu) if gpu else CoTenants(),
         )
     except NUMBERS_OF_A_STRANGER as error:
         raise DamagedRecording(f"{recording.path}: {str(error) or type(error).__name__}") from None
 
 
-def _equality(positions: Positions | None, histories: Histories | None) -> Verdict | None:
-    if positions is None or len(positions.recorded) < 2:
-        return None
+def _equality(positions: Positions | Missing, histories: Histories | Missing) -> Verdict | Missing:
+    if isinstance(positions, Missing):
+        return positions
+    if len(positions.recorded) < 2:
+        return Missing("needs at least two environments")
     agree = histories.n_distinct == 1 if histories else None
     try:
         return verdict(positions.recorded[:, np.newaxis], hashes_agree=agree, origins=positions.origins)
@@ -135,8 +129,8 @@ def _equality(positions: Positions | None, histories: Histories | None) -> Verdi
         raise ValueError(f"environments: {error}") from None
 
 
-def _doubt(recording: Recording, positions: Positions | None) -> UnitDoubt | None:
-    if recording.configuration.simulator != REAL or positions is None:
+def _doubt(recording: Recording, positions: Positions | Missing) -> UnitDoubt | None:
+    if recording.configuration.simulator != REAL or isinstance(positions, Missing):
         return None
     extent = extent_of_trials(recording, GROUP)
     options = recording.simulation.options if recording.simulation else {}
@@ -149,18 +143,30 @@ def _doubt(recording: Recording, positions: Positions | None) -> UnitDoubt | Non
     return unit_doubt(planar, unit, [str(name) for name in names], extent)
 
 
-def _observed(captured: Fingerprints | None, timed: Fingerprints | None) -> bool | None:
+def _observed(captured: Fingerprints | None, timed: Fingerprints | None) -> bool | Missing:
+    nothing_common = Missing("no step was passed by both the timed and the capture phase")
     if captured is None or timed is None:
-        return None
-    return changes_states(timed.steps, timed.hashes, captured.steps, captured.hashes)
+        return nothing_common
+    changed = changes_states(timed.steps, timed.hashes, captured.steps, captured.hashes)
+    return nothing_common if changed is None else changed
 
 
-def gpu_memory(recording: Recording) -> GpuMemory | None:
-    """Memory of the device that a recording's simulator stepped on; None without one."""
+def _allocator_peak(recording: Recording) -> int | Missing:
+    trace = recording.memory.get("gpu0/allocator") if "timed" in recording.configuration.phases else None
+    peak = trace.own_peak() if trace else None
+    return Missing("the engine's allocator did not tell its peak") if peak is None else peak
+
+
+def gpu_memory(recording: Recording) -> GpuMemory | Missing:
+    """Memory of the device that a recording's simulator stepped on."""
+    if not recording.provenance.gpus:
+        return Missing("no GPU on the machine that recorded")
+    if recording.simulation and recording.simulation.device == "cpu":
+        return Missing("this simulator ran on the CPU")
     # recordings list the GPUs that CUDA shows, in its order, and engines step on the first of them
-    device = recording.memory.get("gpu0/device") if recording.provenance.gpus else None
-    if device is None or (recording.simulation and recording.simulation.device == "cpu"):
-        return None
+    device = recording.memory.get("gpu0/device")
+    if device is None:
+        return Missing("no memory of the GPU was sampled")
     timed = recording.timing.get("timed")
     own = recording.memory.get("gpu0/process")
     found = {name: device.most_others(checkpoint=name) for name in CHECKPOINTS}

@@ -7,9 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from gpusimbench.evaluator.metrics.sank import Sinking, may_have_sunk
+from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.read.scene import radius_of, supports_of
-from gpusimbench.evaluator.runs.positions import GROUP, in_env_frame
+from gpusimbench.evaluator.runs.positions import GROUP, NO_STATES, in_env_frame
 
 _ROW_BYTES = 16 << 20  # of positions read at a time
 
@@ -30,25 +31,25 @@ class Sunk:
     first_step: int | None
 
 
-def sunk(recording: Recording) -> tuple[Sunk | None, str]:
-    """Count them, or None and the reason."""
+def sunk(recording: Recording) -> Sunk | Missing:
+    """Count them, or say why that cannot be."""
     field = next((f for f in recording.fields if f.name == f"{GROUP}/position"), None)
     if field is None:
-        return None, f"no positions of {GROUP} were recorded"
+        return Missing(f"no positions of {GROUP} were recorded")
     array = recording.state(GROUP, "position")
     if len(array) < 2:
-        return None, "no states were recorded (the capture phase was left out or not reached)"
+        return NO_STATES
     supports = supports_of(recording)
     if not supports:
-        return None, "this scene has no level surface to go through"
+        return Missing("this scene has no level surface to go through")
     last = in_env_frame(recording, field, array[-1])
     if last.shape[-1] < 3:
-        return None, "heights were not recorded"
+        return Missing("heights were not recorded")
     n_env, cubes = last.shape[:2]
     last_step = int(array.steps[-1])
     radius = radius_of(recording, GROUP)
     if not may_have_sunk(last, supports, radius):
-        return Sunk((0,) * n_env, cubes, last_step, None), ""
+        return Sunk((0,) * n_env, cubes, last_step, None)
     following = Sinking(in_env_frame(recording, field, array[0]), supports, radius)
     count = max(1, _ROW_BYTES // last.nbytes)
     for begin in range(1, len(array), count):
@@ -56,4 +57,4 @@ def sunk(recording: Recording) -> tuple[Sunk | None, str]:
             following.feed(in_env_frame(recording, field, row))
     found = following.sank
     first = int(array.steps[following.since[found].min()]) if found.any() else None
-    return Sunk(tuple(np.count_nonzero(found, axis=1).tolist()), cubes, last_step, first), ""
+    return Sunk(tuple(np.count_nonzero(found, axis=1).tolist()), cubes, last_step, first)

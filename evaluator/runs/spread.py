@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gpusimbench.evaluator.metrics.divergence import FIT_LIMIT_M, GrowthFit, fit_growth, resolution
+from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.read.state_array import StateArray
-from gpusimbench.evaluator.runs.positions import check_format
+from gpusimbench.evaluator.runs.positions import NO_STATES, check_format
 from gpusimbench.schemas.errors import DamagedRecording
 from gpusimbench.schemas.fields import StateField
 
@@ -37,7 +38,7 @@ class Spread:
     not_finite_from  first of the steps with a position that is not finite; None where all are
     resolution       largest difference that storing one place at two origins can make [m], which counts as none; None
                      where all environments have one origin
-    fit              exponential through `largest`, up to FIT_LIMIT_M; None where there is none, and `no_fit` says why
+    fit              exponential through `largest`, up to FIT_LIMIT_M
     rows_read        of the file; rows at which all state hashes agree are not read
     """
 
@@ -49,13 +50,12 @@ class Spread:
     largest: tuple[float | None, ...]
     not_finite_from: int | None
     resolution: float | None
-    fit: GrowthFit | None
-    no_fit: str
+    fit: GrowthFit | Missing
     rows_read: int
 
 
-def spread(recording: Recording) -> tuple[Spread | None, str]:
-    """Follow the environments, or None and the reason.
+def spread(recording: Recording) -> Spread | Missing:
+    """Follow the environments, or say why that cannot be.
 
     Environment 0 is what the others are measured from: its numbers are there before the others' are read, and the
     displacement of an identical environment is exactly zero, as it would not be from a mean. The root mean square does
@@ -68,19 +68,19 @@ def spread(recording: Recording) -> tuple[Spread | None, str]:
     is small however far that one is.
     """
     if recording.action_names:
-        return None, "the environments were given different actions, so they differ by design"
+        return Missing("the environments were given different actions, so they differ by design")
     fields = [f for f in recording.fields if f.field == "position" and f.items]
     if not fields:
-        return None, "no positions were recorded"
+        return Missing("no positions were recorded")
     for field in fields:
         check_format(recording, field)
     n_env = recording.configuration.n_env
     if n_env < 2:
-        return None, "needs at least two environments"
+        return Missing("needs at least two environments")
     arrays = [recording.state(f.group, f.field) for f in fields]
     steps = arrays[0].steps
     if not len(steps):
-        return None, "no states were recorded (the capture phase was left out or not reached)"
+        return NO_STATES
     if any(not np.array_equal(a.steps, steps) for a in arrays):
         raise DamagedRecording(f"{recording.path}: the state fields have different rows")
     rows = np.arange(0, len(steps), -(-len(steps) // MAX_STEPS))
@@ -89,7 +89,7 @@ def spread(recording: Recording) -> tuple[Spread | None, str]:
     for some in _chunks(rows[wanted], len(steps), first_alone=int(steps[0]) == 0):
         for each in sums:
             each.read(some)
-    return _result(recording, fields, steps[rows], sums, int(wanted.sum())), ""
+    return _result(recording, fields, steps[rows], sums, int(wanted.sum()))
 
 
 class _Sums:
@@ -175,7 +175,6 @@ def _result(
     largest = np.max([s.largest for s in sums], axis=0)
     finite = np.isfinite(largest) & np.isfinite(rms)
     times = np.asarray(steps * recording.configuration.dt, dtype=np.float64)
-    fit = fit_growth(times, np.where(finite, largest, np.nan), limit=FIT_LIMIT_M)
     resolutions = [s.resolution for s in sums if s.resolution is not None]
     return Spread(
         groups=tuple(f.group for f in fields),
@@ -186,8 +185,7 @@ def _result(
         largest=_known(largest, finite),
         not_finite_from=None if finite.all() else int(steps[np.argmin(finite)]),
         resolution=max(resolutions) if resolutions else None,
-        fit=fit if isinstance(fit, GrowthFit) else None,
-        no_fit="" if isinstance(fit, GrowthFit) else fit,
+        fit=fit_growth(times, np.where(finite, largest, np.nan), limit=FIT_LIMIT_M),
         rows_read=rows_read,
     )
 

@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
+from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.read.scene import board_of, radius_of, supports_of
 from gpusimbench.evaluator.runs.physics.measure import check_described
@@ -116,11 +117,14 @@ def _same_rows(recording: Recording) -> None:
         raise DamagedRecording(f"{recording.path}: the state fields have different numbers of rows")
 
 
-def elapsed_of(recording: Recording) -> float | None:
-    """Duration of the timed phase [s], None without one; DamagedRecording where its clocks are of other steps."""
+NOT_TIMED = Missing("the timed phase was left out")
+
+
+def elapsed_of(recording: Recording) -> float | Missing:
+    """Duration of the timed phase [s]; DamagedRecording where its clocks are of other steps."""
     timing = recording.timing.get("timed")
     if timing is None:
-        return None
+        return NOT_TIMED
     c = recording.configuration
     intervals = -(-c.timed_steps // max(timing.steps_per_interval, 1))  # the last one may be shorter
     if timing.steps_per_interval < 1 or len(timing.start_ns) != intervals:

@@ -17,6 +17,7 @@ from gpusimbench.evaluator.audit.verdict import Level, Match, ladder
 from gpusimbench.evaluator.compare.finding import Change
 from gpusimbench.evaluator.compare.sameness import all_alike, compare_bits, compare_determinism
 from gpusimbench.evaluator.metrics.levels import verdict
+from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.read.streams import Fingerprints
 from gpusimbench.evaluator.report import words
 from gpusimbench.evaluator.report.fidelity import cells
@@ -30,7 +31,7 @@ from gpusimbench.evaluator.results.identity_metrics import identical
 from gpusimbench.evaluator.results.metric import Estimate, missing
 from gpusimbench.evaluator.results.metrics import METRICS
 from gpusimbench.evaluator.results.validity import validity_of
-from gpusimbench.evaluator.runs.physics.facts import Check, NotMeasured, PhysicsFacts, measured
+from gpusimbench.evaluator.runs.physics.facts import Check, PhysicsFacts, measured
 from gpusimbench.evaluator.runs.state_hashes import histories_of
 from gpusimbench.evaluator.share.leaderboard import words as board_words
 from gpusimbench.evaluator.share.leaderboard.reproduction import Replay, Reproduction
@@ -189,10 +190,10 @@ def test_checks_of_mechanics(parts: list[bool | None]) -> None:
     def facts(part: bool | None) -> PhysicsFacts:
         check = Check.FINITE
         values = [0.0 if part else 1.0]
-        fact = NotMeasured(check, "no") if part is None else measured(
-            check, values, low=0.0, high=0.0, tolerance=0.0, of="none"
+        fact = Missing("no") if part is None else measured(
+            values, low=0.0, high=0.0, tolerance=0.0, of="none"
         )  # fmt: skip
-        return PhysicsFacts("scene", 1, ((0, 0),), (fact,), "")
+        return PhysicsFacts("scene", 1, ((0, 0),), {check: fact})
 
     found = fidelity("group", [facts(part) for part in parts])
     told = [part for part in parts if part is not None]

@@ -19,6 +19,7 @@ from gpusimbench.evaluator.diff.common import CommonField
 from gpusimbench.evaluator.diff.compare import compare, compare_all_envs, compare_envs
 from gpusimbench.evaluator.diff.numbers import Pairing
 from gpusimbench.evaluator.diff.result import Basis, Change, Difference, StepRange, Verdict
+from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.results.details import Equality
 from gpusimbench.evaluator.results.identity_metrics import equality_of_runs
@@ -118,7 +119,7 @@ def test_equal_recordings_are_equal(tmp_path: Path) -> None:
     assert (compared.n_env, compared.left_out, compared.fields[0].numbers) == (3, (), 9 * 3 * 27 * 3)
     assert found.growth is not None
     assert set(found.growth.max_spatial) == {0.0}
-    assert (found.growth.to_1mm, found.growth.fit, found.growth.no_fit) == (None, None, "nothing moved apart")
+    assert (found.growth.to_1mm, found.growth.fit) == (None, Missing("nothing moved apart"))
 
 
 def test_a_copy_is_called_a_copy(tmp_path: Path) -> None:
@@ -318,7 +319,7 @@ def test_an_exponential_is_measured(tmp_path: Path) -> None:
     a, b = record(tmp_path, lambda _: grid(2), steps=100, dt=0.02), record(tmp_path, grown, steps=100, dt=0.02)
     growth = compare(a, b).growth
     assert growth is not None
-    assert growth.fit is not None
+    assert growth.fit
     assert growth.fit.rate == pytest.approx(9.0, rel=1e-4)
     assert growth.fit.r_squared == pytest.approx(1, abs=1e-6)
     assert (growth.fit.begin, growth.fit.points) == (pytest.approx(0.2), 64)
@@ -397,7 +398,7 @@ def test_distances_that_are_not_finite(tmp_path: Path) -> None:
     found = compare(a, record(tmp_path, changed(still(), 5, with_nan)))
     assert [(f.different, f.max_distance) for f in found.compared.fields] == [(STEPS - 4, None)]
     assert found.growth is not None
-    assert (found.growth.not_finite_from, found.growth.no_fit) == (5, "nothing moved apart of what is finite")
+    assert (found.growth.not_finite_from, found.growth.fit) == (5, Missing("nothing moved apart of what is finite"))
     (field,) = compare(a, record(tmp_path, changed(still(), 5, and_moved))).compared.fields
     assert field.max_distance == pytest.approx(0.5, rel=1e-6)
 

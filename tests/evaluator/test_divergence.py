@@ -21,6 +21,7 @@ from gpusimbench.evaluator.metrics.divergence import (
     resolution,
     ulp_distance,
 )
+from gpusimbench.evaluator.missing import Missing
 
 WORDS = {"<f2": 16, "<f4": 32, "<f8": 64}
 PATTERNS = st.sampled_from(list(WORDS)).flatmap(
@@ -122,7 +123,7 @@ def test_the_rate_of_an_exponential_is_found(rate: float, start: float) -> None:
 def test_no_rate_without_enough_points() -> None:
     """Say why there is none: nothing apart, too few steps, a gap that is not finite, no growth at all."""
     times = np.arange(10.0)
-    assert fit_growth(times, np.zeros(10), limit=1e-3) == "nothing moved apart"
+    assert fit_growth(times, np.zeros(10), limit=1e-3) == Missing("nothing moved apart")
     jump = np.array([0, 0, 1e-6, 1e-5, 0, 0, 1e-4, 1e-4, 1.0, 1.0])
     assert "4 recorded steps" in str(fit_growth(times, jump, limit=1e-3))
     broken = np.array([1e-9, 1e-8, np.nan, *[1e-6] * 7])

@@ -8,20 +8,17 @@ from dataclasses import replace
 
 import pytest
 
+from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.report.fidelity import fidelity_html, fidelity_record, print_fidelity
 from gpusimbench.evaluator.report.words import mechanics
 from gpusimbench.evaluator.results.fidelity import Fidelity, Verdict, fidelity
-from gpusimbench.evaluator.runs.physics.facts import Check, Measured, NotMeasured, PhysicsFacts, measured
+from gpusimbench.evaluator.runs.physics.facts import Check, Measured, PhysicsFacts, measured
 
 
 def run(*values: float, why: str = "") -> PhysicsFacts:
     """A run whose rolling was measured, or not."""
-    fact = (
-        NotMeasured(Check.ROLLING, why)
-        if why
-        else measured(Check.ROLLING, values, low=2.4, high=2.4, tolerance=0.05, of="a dt / T", note="seen")
-    )
-    return PhysicsFacts("inclined-collision", 2, ((0, 1),), (fact, NotMeasured(Check.FALL, "nothing falls")))
+    fact = Missing(why) if why else measured(values, low=2.4, high=2.4, tolerance=0.05, of="a dt / T", note="seen")
+    return PhysicsFacts("inclined-collision", 2, ((0, 1),), {Check.ROLLING: fact, Check.FALL: Missing("nothing falls")})
 
 
 def rolling_of(found: Fidelity) -> object:
@@ -53,31 +50,31 @@ def test_runs_that_could_not_be_measured_are_told() -> None:
 def test_groups_without_facts_say_why() -> None:
     """Give the reason of the runs, or that there is none that can be used."""
     assert fidelity("x", []).why_not == "no run can be used"
-    silent = replace(run(2.4), facts=(), why_not="no states were recorded")
+    silent = replace(run(2.4), facts=Missing("no states were recorded"))
     assert fidelity("x", [silent, silent]).why_not == "no states were recorded"
     assert fidelity("x", [silent, run(2.4)]).rows[0].verdict is Verdict.HELD
 
 
 def test_a_value_that_is_not_finite_breaks() -> None:
     """Count it as broken, and keep it out of the mean."""
-    fact = measured(Check.ROLLING, [2.4, float("nan")], low=2.4, high=2.4, tolerance=0.05, of="a dt / T")
+    fact = measured([2.4, float("nan")], low=2.4, high=2.4, tolerance=0.05, of="a dt / T")
     assert isinstance(fact, Measured)
     assert (fact.mean, fact.broken, fact.count) == (2.4, 1, 2)
 
 
 def test_values_of_which_none_is_finite_break() -> None:
     """Count all as broken, give no number for them, and show that on every output."""
-    fact = measured(Check.ROLLING, [float("nan"), float("inf")], low=2.4, high=2.4, tolerance=0.05, of="a dt / T")
+    fact = measured([float("nan"), float("inf")], low=2.4, high=2.4, tolerance=0.05, of="a dt / T")
     assert isinstance(fact, Measured)
     assert (fact.mean, fact.least, fact.most, fact.broken, fact.count) == (None, None, None, 2, 2)
-    found = fidelity("x", [replace(run(2.4), facts=(fact,))])
+    found = fidelity("x", [replace(run(2.4), facts={Check.ROLLING: fact})])
     assert (found.rows[0].verdict, found.rows[0].mean) == (Verdict.BROKEN, None)
     stream = io.StringIO()
     print_fidelity([found], stream)
     assert "BROKEN 2 of 2" in stream.getvalue()
     assert "BROKEN 2 of 2" in fidelity_html([found])
     json.dumps(fidelity_record(found), allow_nan=False)
-    both = fidelity("x", [replace(run(2.4), facts=(fact,)), run(2.41)]).rows[0]
+    both = fidelity("x", [replace(run(2.4), facts={Check.ROLLING: fact}), run(2.41)]).rows[0]
     assert (both.mean, both.broken, both.count) == (2.41, 2, 3)
 
 
@@ -118,9 +115,9 @@ def test_json_has_every_check() -> None:
 
 def test_what_mechanics_does_not_demand_is_shown_apart() -> None:
     """Tell of cubes that still spin, without counting or calling it a breach of mechanics."""
-    spin = measured(Check.END_SPIN, [3.0, 0.0], low=None, high=0.0, tolerance=0.5, of="1 cm/s of a corner")
-    speed = measured(Check.END_SPEED, [0.0, 0.0], low=None, high=0.0, tolerance=0.01, of="1 cm/s")
-    found = fidelity("x", [replace(run(2.4), facts=(*run(2.4).facts, speed, spin))])
+    spin = measured([3.0, 0.0], low=None, high=0.0, tolerance=0.5, of="1 cm/s of a corner")
+    speed = measured([0.0, 0.0], low=None, high=0.0, tolerance=0.01, of="1 cm/s")
+    found = fidelity("x", [replace(run(2.4), facts={**run(2.4).facts, Check.END_SPEED: speed, Check.END_SPIN: spin})])
     assert mechanics(found) == "1 of 1"
     assert [row.check for row in found.of(Verdict.MOVING)] == [Check.END_SPIN]
     assert [row.check for row in found.of(Verdict.AT_REST)] == [Check.END_SPEED]

@@ -6,8 +6,6 @@ import base64
 import hashlib
 import os
 import re
-import subprocess
-import sys
 import xml.etree.ElementTree as ET
 from dataclasses import replace
 from html.parser import HTMLParser
@@ -97,16 +95,9 @@ class Page(HTMLParser):
 
 
 @pytest.fixture(scope="module")
-def recorded(tmp_path_factory: pytest.TempPathFactory) -> Summary:
+def recorded(small: Path) -> Summary:
     """A small recording of MuJoCo."""
-    pytest.importorskip("mujoco")
-    out = tmp_path_factory.mktemp("html")
-    wanted = ["--n-env", "2", "--runs", "1", "--steps", "20", "--warmup", "2", "--timed-steps", "5"]
-    subprocess.run(
-        [sys.executable, "-m", "gpusimbench.recorder.cli", "--sim", "mujoco", *wanted, "--out", str(out)],
-        check=True, cwd=ROOT, env={**os.environ, "PYTHONPATH": str(ROOT)}, capture_output=True,
-    )  # fmt: skip
-    return summarise(Recording(next(out.glob("*.mcap"))))
+    return summarise(Recording(small))
 
 
 def cloud(positions: np.ndarray) -> Cloud:

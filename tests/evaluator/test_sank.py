@@ -12,7 +12,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from gpusimbench.evaluator.metrics.sank import Sinking, Support, may_have_sunk
-from gpusimbench.evaluator.missing import reason_of
+from gpusimbench.evaluator.missing import why_missing
 from gpusimbench.evaluator.results.details import SunkCubes
 from gpusimbench.evaluator.results.evaluate import evaluate_files
 from gpusimbench.evaluator.results.metric import Estimate
@@ -132,11 +132,11 @@ def test_a_real_scene_holds(small_set: list[Path]) -> None:
 
 def test_why_it_cannot_be_said(tmp_path: Path) -> None:
     """Give a reason without states, and for a scene of which nothing level is known."""
-    assert "no states were recorded" in reason_of(sank(write_recording(tmp_path, None)).value)
+    assert "no states were recorded" in why_missing(sank(write_recording(tmp_path, None)).value)
 
     def no_floor(name: str, record: dict[str, Any]) -> None:
         if name == "scene.json":
             record["bodies"] = [b for b in record["bodies"] if b.get("mass")]
             record["board"] = ""
 
-    assert "no level surface" in reason_of(sank(write_recording(tmp_path, grid(1), change=no_floor)).value)
+    assert "no level surface" in why_missing(sank(write_recording(tmp_path, grid(1), change=no_floor)).value)

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.runs import spread as module
 from gpusimbench.evaluator.runs.spread import Spread, spread
@@ -41,8 +42,8 @@ def record(folder: Path, *, n_env: int = 5, steps: int = 120, dtype: str = "floa
 
 def known(recording: Recording) -> Spread:
     """The spread of a recording that has one."""
-    found, why = spread(recording)
-    assert found is not None, why
+    found = spread(recording)
+    assert isinstance(found, Spread), found
     return found
 
 
@@ -103,7 +104,7 @@ def test_identical_environments(tmp_path: Path) -> None:
     final = np.repeat(np.random.default_rng(0).uniform(size=(1, 27, 3)), 4, axis=0)
     found = known(record(tmp_path, final=final, steps=10, path_of=None))
     assert set(found.rms) == set(found.largest) == {0.0}
-    assert (found.fit, found.no_fit) == (None, "nothing moved apart")
+    assert found.fit == Missing("nothing moved apart")
 
 
 def test_long_recordings_are_thinned(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -152,7 +153,7 @@ def test_numbers_that_are_not_finite(tmp_path: Path) -> None:
     found = known(record(tmp_path, final=np.zeros((3, 27, 3)), steps=5, path_of=path))
     assert (found.not_finite_from, found.largest[3], found.rms[3]) == (3, None, None)
     assert found.largest[4] == pytest.approx(4e-5)
-    assert found.fit is None
+    assert not found.fit
 
 
 def test_reasons(tmp_path: Path) -> None:
@@ -162,7 +163,7 @@ def test_reasons(tmp_path: Path) -> None:
         ("none", {"final": None, "n_env": 3}, "no states were recorded"),
     ):
         (tmp_path / name).mkdir()
-        assert why in spread(Recording(write_recording(tmp_path / name, **keywords)))[1]
+        assert why in spread(Recording(write_recording(tmp_path / name, **keywords))).reason
 
 
 def test_refuses_positions_in_other_units(tmp_path: Path) -> None:

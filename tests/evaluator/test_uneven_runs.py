@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from gpusimbench.evaluator.metrics.identity import distinct_over_time
 from gpusimbench.evaluator.metrics.split_tree import Branch, SplitTree
-from gpusimbench.evaluator.missing import Missing, reason_of
+from gpusimbench.evaluator.missing import Missing, why_missing
 from gpusimbench.evaluator.report.html import render_html
 from gpusimbench.evaluator.report.json import to_json
 from gpusimbench.evaluator.report.tables import print_tables
@@ -77,7 +77,7 @@ def test_positions_that_are_no_numbers_are_not_left_out(tmp_path: Path) -> None:
     wild = grid(2)
     wild[0, 0, 0] = np.nan
     files = [write_recording(tmp_path, final, run=run) for run, final in enumerate((grid(2), wild))]
-    why_not = reason_of(evaluate_files(files).results[0].metrics["w1_parallel"].value)
+    why_not = why_missing(evaluate_files(files).results[0].metrics["w1_parallel"].value)
     assert why_not.startswith("run 1 (")
     assert why_not.endswith("positions at the sample step are not finite")
 

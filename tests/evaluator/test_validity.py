@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from gpusimbench import open_recording
-from gpusimbench.evaluator.missing import Missing, reason_of
+from gpusimbench.evaluator.missing import Missing, why_missing
 from gpusimbench.evaluator.report import words
 from gpusimbench.evaluator.report.html import render_html
 from gpusimbench.evaluator.report.json import to_json
@@ -236,7 +236,7 @@ def test_build_and_compilation(tmp_path: Path) -> None:
     assert found["compile_time"].unit == "s"
     captured = only(write_recording(tmp_path, grid(2), elapsed_s=None, clocks={"compile_capture": 9.0})).metrics
     assert captured["compile_time"].value == 9.0
-    assert reason_of(captured["build_time"].value) == "building was not clocked"
+    assert why_missing(captured["build_time"].value) == "building was not clocked"
 
 
 def test_what_capturing_costs(tmp_path: Path) -> None:
@@ -255,7 +255,7 @@ def test_what_capturing_costs(tmp_path: Path) -> None:
     print_tables(evaluate_files(files), stream)
     assert "captured and timed steps are other steps of the scene" in stream.getvalue()
     without = only(write_recording(tmp_path, grid(2), elapsed_s=None, clocks={"capture": 6.0})).metrics
-    assert reason_of(without["capture_slowdown"].value) == "timed and captured steps were not both clocked"
+    assert why_missing(without["capture_slowdown"].value) == "timed and captured steps were not both clocked"
 
 
 def test_a_cause_of_a_later_version(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

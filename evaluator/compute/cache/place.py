@@ -18,7 +18,7 @@ from gpusimbench.evaluator.metrics.variability import ParallelVariability
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.read.stamp import Stamp
 from gpusimbench.evaluator.read.step_evidence import ActionStream
-from gpusimbench.evaluator.runs.physics.facts import Check, Measured, NotMeasured, PhysicsFacts
+from gpusimbench.evaluator.runs.physics.facts import Check, Measured, PhysicsFacts
 from gpusimbench.evaluator.runs.positions import Positions
 from gpusimbench.evaluator.runs.reading import Reader
 from gpusimbench.evaluator.runs.run_data import RunData
@@ -45,8 +45,8 @@ _CLASSES = (
     Simulation, Deviation, StateField, Buffer, Counter, OverflowBit, RunData, Histories, Positions, Checkpoints, Sunk,
     GpuMemory, Listing, CoTenants, Sign,
     Stamp, Reader, SplitTree, Branch, Spread, GrowthFit, Verdict, Worst, Level, PhysicsFacts,
-    Measured, NotMeasured, Check, ParallelVariability, Transport, Gap, GapTo, SummaryBlock,
-    MatchedPoint, MatchedVariability, Interval, Checkup, UnitDoubt, Missing, Floor, PermutationFloor, EnergyDistance,
+    Measured, Missing, Check, ParallelVariability, Transport, Gap, GapTo, SummaryBlock,
+    MatchedPoint, MatchedVariability, Interval, Checkup, UnitDoubt, Floor, PermutationFloor, EnergyDistance,
 )  # fmt: skip
 
 

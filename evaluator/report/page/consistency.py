@@ -8,7 +8,7 @@ import numpy as np
 from markupsafe import Markup
 from numpy.typing import NDArray
 
-from gpusimbench.evaluator.missing import Missing, reason_of
+from gpusimbench.evaluator.missing import Missing, why_missing
 from gpusimbench.evaluator.render.figures import matrix
 from gpusimbench.evaluator.render.figures.tree import in_ranges
 from gpusimbench.evaluator.report.page.picture import Numbers, Picture
@@ -37,13 +37,13 @@ def _envs(result: GroupResult, key: str) -> Picture:
     of_runs = distinct.of(DistinctEnvs).classes
     classes = of_runs[drawn] if isinstance(drawn, int) and drawn < len(of_runs) else ()
     names = range(len(values)) if values is not None else ()
-    return _matrix(result, values, "env", "w1_parallel", classes, reason_of(distinct.value), names, key)
+    return _matrix(result, values, "env", "w1_parallel", classes, why_missing(distinct.value), names, key)
 
 
 def _runs(result: GroupResult, key: str) -> Picture:
     distinct, between = result.metrics["distinct_runs"].value, result.metrics["w1_run_to_run"].of(BetweenRuns)
     classes = () if isinstance(distinct, Missing) else between.classes or ()
-    why_not, names = reason_of(distinct), between.runs or ()
+    why_not, names = why_missing(distinct), between.runs or ()
     return _matrix(result, between.matrix_cm, "run", "w1_run_to_run", classes, why_not, names, key)
 
 
@@ -59,7 +59,7 @@ def _matrix(
 ) -> Picture:
     if values is None:
         metric = result.metrics[name]
-        why_not = reason_of(metric.value) or metric.of(BetweenEnvs).no_matrix or "it was not computed"
+        why_not = why_missing(metric.value) or metric.of(BetweenEnvs).no_matrix or "it was not computed"
         return Picture(result.label, f"No matrix: {why_not}.", None)
     if len(names) != len(values):
         names = range(len(values))

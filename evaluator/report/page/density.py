@@ -10,7 +10,7 @@ from markupsafe import Markup
 from numpy.typing import NDArray
 
 from gpusimbench.evaluator.metrics.density import Density, marginal
-from gpusimbench.evaluator.missing import Missing, reason_of
+from gpusimbench.evaluator.missing import Missing, why_missing
 from gpusimbench.evaluator.render.figures import density_map
 from gpusimbench.evaluator.report.csv import Cell
 from gpusimbench.evaluator.report.page.picture import Numbers, Picture, file_name
@@ -107,7 +107,7 @@ def _why_no_cloud(result: GroupResult, evaluation: Evaluation) -> str:
     found = result.metrics["w1_parallel"].value
     if not isinstance(found, Missing) and result.group.key.scene not in evaluation.maps:
         return "the groups of this scene lie too far apart for one map"
-    return reason_of(found) or "no positions were recorded at the sample time"
+    return why_missing(found) or "no positions were recorded at the sample time"
 
 
 def _board(result: GroupResult) -> density_map.Outline | None:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from gpusimbench.evaluator.metrics.divergence import FIT_LIMIT_M, first_reaching
 from gpusimbench.evaluator.metrics.split_tree import SplitTree
-from gpusimbench.evaluator.missing import Missing, reason_of
+from gpusimbench.evaluator.missing import Missing, why_missing
 from gpusimbench.evaluator.render.figures import divergence as chart
 from gpusimbench.evaluator.render.figures.tree import members, tree_chart, window
 from gpusimbench.evaluator.render.numbers import NONE
@@ -58,7 +58,7 @@ def section(source: Source) -> Section | None:
 
 
 def _spreads(result: GroupResult) -> list[RunSpread]:
-    return [s for s in result.spreads if s.spread is not None]
+    return [s for s in result.spreads if s.spread]
 
 
 def _onset(result: GroupResult) -> Onset:
@@ -69,7 +69,7 @@ def _onset(result: GroupResult) -> Onset:
         _first(result, "distinct_envs"),
         _first(result, "distinct_runs"),
         words.doubling(rate),
-        reason_of(rate.value),
+        why_missing(rate.value),
         f"{min(reached):g}" if reached else NONE,
     )
 
@@ -88,7 +88,7 @@ def _distinct(result: GroupResult, name: str) -> DistinctEnvs | DistinctRuns:
 
 
 def _reaches(found: RunSpread) -> float | None:
-    if found.spread is None:
+    if not found.spread:
         return None
     return first_reaching(np.array(found.spread.times), _values(found.spread.largest), FIT_LIMIT_M)
 
@@ -110,7 +110,7 @@ def _growth(result: GroupResult, key: str) -> Picture:
     label = "distance between environments"
     curves = list(_curves(result))
     if not curves:
-        why_not = result.spreads[0].why_not if result.spreads else "no run is complete"
+        why_not = why_missing(result.spreads[0].spread) if result.spreads else "no run is complete"
         return Picture(label, f"No curve: {why_not}.", None)
     step = _distinct(result, "distinct_envs").first_difference_step
     onset = None if step is None else step * result.group.key.dt
@@ -133,14 +133,14 @@ def _curves(result: GroupResult) -> Iterator[chart.Curve]:
     """One for all runs whose distances are the same."""
     alike: dict[tuple[object, ...], list[RunSpread]] = {}
     for one in _spreads(result):
-        assert one.spread is not None
+        assert one.spread
         alike.setdefault((one.spread.steps, one.spread.largest, one.spread.rms), []).append(one)
     for index, found in enumerate(alike.values()):
         spread = found[0].spread
-        assert spread is not None
+        assert spread
         runs = f"run{'s' if len(found) > 1 else ''} {', '.join(str(one.run) for one in found)}"
         times = np.array(spread.times)
-        yield chart.Curve(index, runs, times, _values(spread.largest), _values(spread.rms), spread.fit)
+        yield chart.Curve(index, runs, times, _values(spread.largest), _values(spread.rms), spread.fit or None)
 
 
 def _said(curves: Sequence[chart.Curve]) -> str:
@@ -170,7 +170,7 @@ def _tree(result: GroupResult, of: str, key: str) -> Picture | None:
     runs = [r.configuration.run_index for r in result.group.complete]
     label = "environments" + (f" of run {runs[0]}" if of == "env" and runs else "") if of == "env" else "runs"
     if tree is None:
-        why_not = reason_of(metric.value)
+        why_not = why_missing(metric.value)
         return Picture(label, f"No tree: {why_not}.", None) if why_not else None
     names = details.runs if isinstance(details, DistinctRuns) else range(len(details.classes[0]))
     dt = result.group.key.dt

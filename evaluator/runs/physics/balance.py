@@ -11,7 +11,8 @@ from gpusimbench.evaluator.metrics.physics.energy import FrictionCone, Rises, me
 from gpusimbench.evaluator.metrics.physics.kinematics import Displacements
 from gpusimbench.evaluator.metrics.physics.solids import FixedBox
 from gpusimbench.evaluator.metrics.physics.vectors import largest, square
-from gpusimbench.evaluator.runs.physics.facts import Check, Fact, NotMeasured, measured
+from gpusimbench.evaluator.missing import Missing
+from gpusimbench.evaluator.runs.physics.facts import Check, Fact, Facts, measured
 from gpusimbench.evaluator.runs.physics.setting import Setting
 from gpusimbench.evaluator.runs.physics.states import States
 from gpusimbench.evaluator.runs.physics.world import FixedBody
@@ -60,47 +61,52 @@ class Balance:
             self._displacements.feed(states.position, states.linear)
             self._resolution = max(self._resolution, self._setting.resolution(states.position))
 
-    def facts(self) -> list[Fact]:
+    def facts(self) -> Facts:
         """Five of them."""
         setting = self._setting
         if self._why_not:
-            return [NotMeasured(check, self._why_not) for check in _CHECKS]
+            return dict.fromkeys(_CHECKS, Missing(self._why_not))
         weight = float(self._mass.sum()) * setting.world.gravity
         rounded = setting.walk.epsilon * self._terms
         step = weight * setting.sink
-        facts = [
-            measured(
-                Check.ENERGY_START, self._rises.above_start, low=None, high=0.0, tolerance=step + rounded,
+        start = {
+            Check.ENERGY_START: measured(
+                self._rises.above_start, low=None, high=0.0, tolerance=step + rounded,
                 of="M g^2 dt^2, and rounding", note=setting.sparse,
             )
-        ]  # fmt: skip
+        }  # fmt: skip
         if setting.sparse:
-            return [*facts, *(NotMeasured(check, setting.sparse) for check in _CHECKS[1:])]
+            return {**start, **dict.fromkeys(_CHECKS[1:], Missing(setting.sparse))}
         slack = self._friction * weight * setting.dt
         rise = measured(
-            Check.ENERGY_ROW, self._rises.unpaid, low=None, high=0.0, tolerance=step + rounded,
+            self._rises.unpaid, low=None, high=0.0, tolerance=step + rounded,
             of="M g^2 dt^2, and rounding",
         )  # fmt: skip
-        return [*facts, rise, *self._ground(slack), self._displacement()]
+        return {
+            **start,
+            Check.ENERGY_ROW: rise,
+            **self._ground(slack),
+            Check.DISPLACEMENT: self._displacement(),
+        }
 
-    def _ground(self, slack: float) -> list[Fact]:
+    def _ground(self, slack: float) -> Facts:
         checks = (Check.CONE, Check.PULL)
         if not any(body.level for body in self._setting.world.fixed):
-            return [NotMeasured(check, "the scene has no level floor") for check in checks]
+            return dict.fromkeys(checks, Missing("the scene has no level floor"))
         judged = self._cone.rows > 0
         if not judged.any():
-            return [NotMeasured(check, "no row has all bodies on level ground") for check in checks]
+            return dict.fromkeys(checks, Missing("no row has all bodies on level ground"))
         note = f"{int(self._cone.rows.sum())} rows, coefficient {self._friction:g}"
-        return [
-            measured(
-                Check.CONE, self._cone.excess[judged], low=None, high=0.0, tolerance=slack, of="mu M g dt", note=note
+        return {
+            Check.CONE: measured(
+                self._cone.excess[judged], low=None, high=0.0, tolerance=slack, of="mu M g dt", note=note
             ),
-            measured(Check.PULL, self._cone.pull[judged], low=None, high=0.0, tolerance=slack, of="mu M g dt"),
-        ]
+            Check.PULL: measured(self._cone.pull[judged], low=None, high=0.0, tolerance=slack, of="mu M g dt"),
+        }
 
     def _displacement(self) -> Fact:
         return measured(
-            Check.DISPLACEMENT, self._displacements.largest, low=None, high=0.0,
+            self._displacements.largest, low=None, high=0.0,
             tolerance=self._setting.sink + self._resolution, of="g dt^2, and rounding",
         )  # fmt: skip
 

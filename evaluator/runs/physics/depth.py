@@ -15,7 +15,8 @@ from gpusimbench.evaluator.metrics.physics.solids import (  # fmt: skip
     sphere_depth,
 )
 from gpusimbench.evaluator.metrics.physics.vectors import square
-from gpusimbench.evaluator.runs.physics.facts import Check, Fact, NotMeasured, measured
+from gpusimbench.evaluator.missing import Missing
+from gpusimbench.evaluator.runs.physics.facts import Check, Facts, measured
 from gpusimbench.evaluator.runs.physics.setting import Setting
 from gpusimbench.evaluator.runs.physics.states import States
 
@@ -51,33 +52,33 @@ class Depths:
         self._fixed = np.maximum(0.0 if first else self._fixed, fixed)
         self._pair = np.maximum(0.0 if first else self._pair, pair)
 
-    def facts(self) -> list[Fact]:
+    def facts(self) -> Facts:
         """Four of them."""
         setting, last = self._setting, self._last
         if last is None or last.orientation is None:
-            return [NotMeasured(check, "orientations were not recorded") for check in _CHECKS]
-        return [*self._at_rest(last), *self._ever(setting)]
+            return dict.fromkeys(_CHECKS, Missing("orientations were not recorded"))
+        return {**self._at_rest(last), **self._ever(setting)}
 
-    def _ever(self, setting: Setting) -> list[Fact]:
+    def _ever(self, setting: Setting) -> Facts:
         if setting.fastest is None:
-            return [NotMeasured(c, "the scene has no level floor") for c in (Check.DEPTH_EVER, Check.PAIR_EVER)]
+            return dict.fromkeys((Check.DEPTH_EVER, Check.PAIR_EVER), Missing("the scene has no level floor"))
         slack = setting.fastest * setting.dt + setting.sink
         note = "" if setting.stride == 1 else setting.sparse
         of = "sqrt(2 g H) dt + g dt^2"
-        return [
-            measured(Check.DEPTH_EVER, self._fixed, low=None, high=0.0, tolerance=slack, of=of, note=note),
-            measured(Check.PAIR_EVER, self._pair, low=None, high=0.0, tolerance=slack, of=of, note=note),
-        ]
+        return {
+            Check.DEPTH_EVER: measured(self._fixed, low=None, high=0.0, tolerance=slack, of=of, note=note),
+            Check.PAIR_EVER: measured(self._pair, low=None, high=0.0, tolerance=slack, of=of, note=note),
+        }
 
-    def _at_rest(self, last: States) -> list[Fact]:
+    def _at_rest(self, last: States) -> Facts:
         checks = (Check.DEPTH_REST, Check.PAIR_REST)
         if last.linear is None or last.angular is None or last.orientation is None:
-            return [NotMeasured(check, "velocities were not recorded") for check in checks]
+            return dict.fromkeys(checks, Missing("velocities were not recorded"))
         reach = np.array([body.reach for body in self._setting.world.moving])
         speed = np.linalg.norm(last.linear[-1], axis=-1) + np.linalg.norm(last.angular[-1], axis=-1) * reach
         still = speed < REST
         if not still.any():
-            return [NotMeasured(check, f"nothing moves slower than {REST:g} m/s at the end") for check in checks]
+            return dict.fromkeys(checks, Missing(f"nothing moves slower than {REST:g} m/s at the end"))
         end = States(last.step[-1:], last.position[-1:], last.orientation[-1:], None, None)
         turn = rotations(last.orientation[-1:, :, self._cubes])
         deep = np.where(still, self._in_fixed(end, turn)[0], 0.0).max(axis=1, initial=0.0)
@@ -85,10 +86,10 @@ class Depths:
         slack = self._setting.sink + self._setting.resolution(end.position[0][still])
         pairs = self._pairs_at_rest(end, turn[0], still)
         of = "g dt^2, and rounding"
-        return [
-            measured(Check.DEPTH_REST, deep[still.any(axis=1)], low=None, high=0.0, tolerance=slack, of=of, note=note),
-            measured(Check.PAIR_REST, pairs, low=None, high=0.0, tolerance=slack, of=of),
-        ]
+        return {
+            Check.DEPTH_REST: measured(deep[still.any(axis=1)], low=None, high=0.0, tolerance=slack, of=of, note=note),
+            Check.PAIR_REST: measured(pairs, low=None, high=0.0, tolerance=slack, of=of),
+        }
 
     def _in_fixed(self, states: States, turn: Array) -> Array:
         # [row, env, body]

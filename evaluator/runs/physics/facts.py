@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from enum import Enum
+
+from gpusimbench.evaluator.missing import Missing
 
 
 class Check(Enum):
@@ -57,7 +59,6 @@ class Measured:
     note               what else was found
     """
 
-    check: Check
     mean: float | None
     least: float | None
     most: float | None
@@ -70,15 +71,10 @@ class Measured:
     note: str = ""
 
 
-@dataclass(frozen=True)
-class NotMeasured:
-    """A check that does not apply to the run, and why."""
+Fact = Measured | Missing
+"""What a check found; Missing where it does not apply to the run."""
 
-    check: Check
-    why: str
-
-
-Fact = Measured | NotMeasured
+Facts = Mapping[Check, Fact]
 
 
 @dataclass(frozen=True)
@@ -88,15 +84,13 @@ class PhysicsFacts:
     scene    its name
     n_env    environments of the run
     envs     first and last environment of each range that was looked at
-    facts    one for each check, in their order; empty where `why_not` says why nothing can be said
-    why_not  empty where something could be measured
+    facts    of the checks that are about such a scene, in their order; Missing where nothing can be said of the run
     """
 
     scene: str
     n_env: int
     envs: tuple[tuple[int, int], ...]
-    facts: tuple[Fact, ...]
-    why_not: str = ""
+    facts: Facts | Missing
 
     @property
     def looked_at(self) -> int:
@@ -110,7 +104,6 @@ class PhysicsFacts:
 
 
 def measured(
-    check: Check,
     values: Iterable[float],
     *,
     low: float | None,
@@ -119,16 +112,16 @@ def measured(
     of: str,
     note: str = "",
 ) -> Fact:
-    """The fact of a check's values; values that are not finite count as broken."""
+    """What a check found, from its values; values that are not finite count as broken."""
     found = [float(value) for value in values]
     finite = [value for value in found if abs(value) < float("inf")]
     if not found:
-        return NotMeasured(check, "there is nothing to measure")
+        return Missing("there is nothing to measure")
     least = None if low is None else low - tolerance
     most = None if high is None else high + tolerance
     held = [v for v in finite if (least is None or v >= least) and (most is None or v <= most)]
     mean = sum(finite) / len(finite) if finite else None
     return Measured(
-        check, mean, min(finite, default=None), max(finite, default=None), len(found), low, high, tolerance,
+        mean, min(finite, default=None), max(finite, default=None), len(found), low, high, tolerance,
         len(found) - len(held), of, note,
     )  # fmt: skip

@@ -5,11 +5,12 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.runs.physics.balance import Balance
 from gpusimbench.evaluator.runs.physics.depth import Depths
 from gpusimbench.evaluator.runs.physics.ending import end_facts
-from gpusimbench.evaluator.runs.physics.facts import Check, Fact, NotMeasured, PhysicsFacts, measured
+from gpusimbench.evaluator.runs.physics.facts import Check, Fact, Facts, PhysicsFacts, measured
 from gpusimbench.evaluator.runs.physics.fall import fall_facts
 from gpusimbench.evaluator.runs.physics.robot import GROUP, limits_of, robot_facts
 from gpusimbench.evaluator.runs.physics.setting import Setting
@@ -17,6 +18,7 @@ from gpusimbench.evaluator.runs.physics.slides import Slides
 from gpusimbench.evaluator.runs.physics.slope import slope_facts
 from gpusimbench.evaluator.runs.physics.states import States, Walk, drawn_envs
 from gpusimbench.evaluator.runs.physics.world import world_of
+from gpusimbench.evaluator.runs.positions import NO_STATES
 from gpusimbench.evaluator.runs.sinking import Sunk, sunk
 from gpusimbench.schemas import checks
 from gpusimbench.schemas.errors import DamagedRecording
@@ -26,7 +28,7 @@ _BLOWN = 1e9  # in any SI unit: the simulation blew up
 _LONGEST = 1e9  # [s]
 
 
-def physics_of(recording: Recording, sank: tuple[Sunk | None, str] | None = None) -> PhysicsFacts:
+def physics_of(recording: Recording, sank: Sunk | Missing | None = None) -> PhysicsFacts:
     """What can be measured of a usable recording.
 
     sank  what evaluator.runs.sinking.sunk found, where it is known already
@@ -36,28 +38,28 @@ def physics_of(recording: Recording, sank: tuple[Sunk | None, str] | None = None
     n_env = recording.configuration.n_env
     envs = drawn_envs(n_env)
 
-    def found(facts: list[Fact], why_not: str = "") -> PhysicsFacts:
-        order = {check: index for index, check in enumerate(Check)}
-        return PhysicsFacts(
-            recording.configuration.scene, n_env, envs, tuple(sorted(facts, key=lambda f: order[f.check])), why_not
-        )
+    facts = _facts(recording, envs, sank)
+    if not isinstance(facts, Missing):
+        facts = {check: facts[check] for check in Check if check in facts}
+    return PhysicsFacts(recording.configuration.scene, n_env, envs, facts)
 
+
+def _facts(recording: Recording, envs: tuple[tuple[int, int], ...], sank: Sunk | Missing | None) -> Facts | Missing:
     if recording.configuration.simulator == REAL:
-        return found([], "these are measured trials, with one row each")
+        return Missing("these are measured trials, with one row each")
     if any(f.group == GROUP and f.field == "qpos" for f in recording.fields):
-        captured = len(recording.state(GROUP, "qpos"))
-        return found(robot_facts(recording)) if captured else found([], _NO_STATES)
+        return robot_facts(recording) if len(recording.state(GROUP, "qpos")) else NO_STATES
     walk = Walk(recording, envs)
     if not walk.groups:
-        return found([], "no positions in three dimensions were recorded")
+        return Missing("no positions in three dimensions were recorded")
     if len(walk) < 2:
-        return found([], _NO_STATES)
+        return NO_STATES
     world = world_of(recording, walk.items)
-    if isinstance(world, str):
-        return found([], world)
+    if isinstance(world, Missing):
+        return world
     configuration = recording.configuration
     setting = Setting(walk, world, configuration.dt, configuration.stride, _sample_time(recording))
-    return found([*_of_states(setting), _sank(sank or sunk(recording))])
+    return {**_of_states(setting), Check.SANK: _sank(sunk(recording) if sank is None else sank)}
 
 
 def check_described(recording: Recording) -> None:
@@ -69,14 +71,11 @@ def check_described(recording: Recording) -> None:
         limits_of(recording, joints.items)
         return
     walk = Walk(recording, drawn_envs(recording.configuration.n_env))
-    if walk.groups and not isinstance(world_of(recording, walk.items), str):
+    if walk.groups and not isinstance(world_of(recording, walk.items), Missing):
         _sample_time(recording)
 
 
-_NO_STATES = "no states were recorded (the capture phase was left out or not reached)"
-
-
-def _of_states(setting: Setting) -> list[Fact]:
+def _of_states(setting: Setting) -> Facts:
     depths, balance, slides = Depths(setting), Balance(setting), Slides(setting)
     blown: npt.NDArray[np.bool_] | None = None
     last: States | None = None
@@ -90,19 +89,19 @@ def _of_states(setting: Setting) -> list[Fact]:
         slides.feed(states)
         last = states
     assert blown is not None
-    finite = measured(Check.FINITE, blown.astype(np.float64), low=0.0, high=0.0, tolerance=0.0, of="none")
+    finite = measured(blown.astype(np.float64), low=0.0, high=0.0, tolerance=0.0, of="none")
     if blown.any() or last is None:
         others = [check for check in Check if check not in (Check.FINITE, Check.SANK, Check.JOINT_LIMIT)]
-        return [finite, *(NotMeasured(check, "states are not finite") for check in others)]
-    return [
-        finite,
-        *slope_facts(setting),
-        *fall_facts(setting),
-        *balance.facts(),
-        slides.fact(),
-        *depths.facts(),
-        *end_facts(setting, last),
-    ]
+        return {Check.FINITE: finite, **dict.fromkeys(others, Missing("states are not finite"))}
+    return {
+        Check.FINITE: finite,
+        **slope_facts(setting),
+        **fall_facts(setting),
+        **balance.facts(),
+        Check.SLIDING: slides.fact(),
+        **depths.facts(),
+        **end_facts(setting, last),
+    }
 
 
 def _blown_up(states: States) -> npt.NDArray[np.bool_]:
@@ -111,11 +110,10 @@ def _blown_up(states: States) -> npt.NDArray[np.bool_]:
     return np.asarray(~np.logical_and.reduce(good))
 
 
-def _sank(found: tuple[Sunk | None, str]) -> Fact:
-    result, why = found
-    if result is None:
-        return NotMeasured(Check.SANK, why)
-    return measured(Check.SANK, result.per_env, low=0.0, high=0.0, tolerance=0.0, of="none")
+def _sank(found: Sunk | Missing) -> Fact:
+    if isinstance(found, Missing):
+        return found
+    return measured(found.per_env, low=0.0, high=0.0, tolerance=0.0, of="none")
 
 
 def _sample_time(recording: Recording) -> float:

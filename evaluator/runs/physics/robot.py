@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.read.recording import Recording
-from gpusimbench.evaluator.runs.physics.facts import Check, Fact, NotMeasured, measured
+from gpusimbench.evaluator.runs.physics.facts import Check, Facts, measured
 from gpusimbench.evaluator.runs.physics.states import drawn_envs
 from gpusimbench.schemas import checks
 from gpusimbench.schemas.errors import DamagedRecording
@@ -19,12 +20,12 @@ _CHUNK_NUMBERS = 1 << 19
 _LARGE = 1e9  # of an angle [rad]: the simulation blew up
 
 
-def robot_facts(recording: Recording) -> list[Fact]:
+def robot_facts(recording: Recording) -> Facts:
     """Whether angles are finite, and how far the farthest is beyond its limits."""
     array = recording.state(GROUP, "qpos")
     limits = limits_of(recording, array.field.items)
-    if isinstance(limits, str):
-        return [NotMeasured(Check.JOINT_LIMIT, limits)]
+    if isinstance(limits, Missing):
+        return {Check.JOINT_LIMIT: limits}
     lower, upper, fastest = limits
     beyond, blown = [], []
     for first, last in drawn_envs(recording.configuration.n_env):
@@ -39,19 +40,19 @@ def robot_facts(recording: Recording) -> list[Fact]:
         beyond += deepest.tolist()
         blown += bad.astype(np.float64).tolist()
     dt = recording.configuration.dt
-    facts = [measured(Check.FINITE, blown, low=0.0, high=0.0, tolerance=0.0, of="none")]
+    finite = measured(blown, low=0.0, high=0.0, tolerance=0.0, of="none")
     if any(blown):
-        return [*facts, NotMeasured(Check.JOINT_LIMIT, "angles are not finite")]
-    return [
-        *facts,
-        measured(
-            Check.JOINT_LIMIT, beyond, low=None, high=0.0, tolerance=fastest * dt,
+        return {Check.FINITE: finite, Check.JOINT_LIMIT: Missing("angles are not finite")}
+    return {
+        Check.FINITE: finite,
+        Check.JOINT_LIMIT: measured(
+            beyond, low=None, high=0.0, tolerance=fastest * dt,
             of="largest published joint speed, times dt",
         ),
-    ]  # fmt: skip
+    }  # fmt: skip
 
 
-def limits_of(recording: Recording, items: tuple[str, ...]) -> tuple[Array, Array, float] | str:
+def limits_of(recording: Recording, items: tuple[str, ...]) -> tuple[Array, Array, float] | Missing:
     """Lower and upper limit [rad] of each joint and the largest speed [rad/s], or why the scene does not tell them.
 
     DamagedRecording where the scene is unreadable.
@@ -61,7 +62,7 @@ def limits_of(recording: Recording, items: tuple[str, ...]) -> tuple[Array, Arra
         joints = [checks.mapping(link, "joint") for link in links if link.get("joint") is not None]
         named = {checks.text(joint, "name"): joint for joint in joints}
         if any(item not in named for item in items):
-            return "the scene does not describe every joint"
+            return Missing("the scene does not describe every joint")
         found = [
             [checks.number(named[item], key, -_LARGE, _LARGE) for key in ("lower", "upper", "max_velocity")]
             for item in items

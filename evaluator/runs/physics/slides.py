@@ -8,7 +8,8 @@ import numpy.typing as npt
 from gpusimbench.evaluator.metrics.physics.sliding import FEWEST_ROWS, Stretches
 from gpusimbench.evaluator.metrics.physics.solids import FixedBox, nearest, rotations
 from gpusimbench.evaluator.metrics.physics.vectors import largest, length
-from gpusimbench.evaluator.runs.physics.facts import Check, Fact, NotMeasured, measured
+from gpusimbench.evaluator.missing import Missing
+from gpusimbench.evaluator.runs.physics.facts import Fact, measured
 from gpusimbench.evaluator.runs.physics.setting import Setting
 from gpusimbench.evaluator.runs.physics.states import States
 from gpusimbench.evaluator.runs.physics.world import FixedBody
@@ -61,18 +62,17 @@ class Slides:
     def fact(self) -> Fact:
         """The coefficient, once all rows were fed."""
         if self._setting.sparse:
-            return NotMeasured(Check.SLIDING, self._setting.sparse)
+            return Missing(self._setting.sparse)
         if not self._floors or not self._cubes:
-            return NotMeasured(Check.SLIDING, "no cube can slide on level ground")
+            return Missing("no cube can slide on level ground")
         if self._stretches is not None:
             self._stretches.end()
         found = self._stretches.friction if self._stretches else []
         if not found:
-            why = f"no cube slid flat, straight and apart from all others for {FEWEST_ROWS} rows"
-            return NotMeasured(Check.SLIDING, why)
+            return Missing(f"no cube slid flat, straight and apart from all others for {FEWEST_ROWS} rows")
         low, high = self._bounds
         return measured(
-            Check.SLIDING, found, low=low, high=high, tolerance=_SHARE * high, of="5 % of the larger coefficient",
+            found, low=low, high=high, tolerance=_SHARE * high, of="5 % of the larger coefficient",
             note=f"{len(found)} stretches; the rule for a pair is not part of the scene",
         )  # fmt: skip
 

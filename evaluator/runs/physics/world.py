@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from gpusimbench.evaluator.metrics.physics.solids import Fixed, FixedBox, HalfSpace, rotations
+from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.schemas import checks
 from gpusimbench.schemas.errors import DamagedRecording
@@ -106,7 +107,7 @@ class World:
         return tuple(body for body in self.fixed if body.level)
 
 
-def world_of(recording: Recording, items: Sequence[tuple[str, str]]) -> World | str:
+def world_of(recording: Recording, items: Sequence[tuple[str, str]]) -> World | Missing:
     """The world of a recording, or the reason why mechanics has nothing to say of it.
 
     items  group and name of each recorded body, in order
@@ -116,18 +117,18 @@ def world_of(recording: Recording, items: Sequence[tuple[str, str]]) -> World | 
     try:
         scene = recording.scene
         if "gravity" not in scene or "bodies" not in scene:
-            return "the recording has no scene with gravity and bodies"
+            return Missing("the recording has no scene with gravity and bodies")
         x, y, z = checks.vector(scene.get("gravity"), 3, "gravity")
         if x or y or not -_LARGE < z < 0:
-            return "gravity is not along -z"
+            return Missing("gravity is not along -z")
         described = {(checks.text(b, "group", ""), checks.text(b, "name")): b for b in checks.objects(scene, "bodies")}
         moving = []
         for key in items:
             body = described.get(key)
             if body is None or body.get("mass") is None:
-                return f"the scene does not describe {key[1]}"
+                return Missing(f"the scene does not describe {key[1]}")
             made = _moving(key[1], body)
-            if isinstance(made, str):
+            if isinstance(made, Missing):
                 return made
             moving.append(made)
         fixed = [_fixed(body) for body in described.values() if body.get("mass") is None]
@@ -136,7 +137,7 @@ def world_of(recording: Recording, items: Sequence[tuple[str, str]]) -> World | 
         raise DamagedRecording(f"{recording.path}: {error}") from None
 
 
-def _moving(name: str, body: dict[str, Any]) -> Moving | str:
+def _moving(name: str, body: dict[str, Any]) -> Moving | Missing:
     shape = checks.mapping(body, "shape")
     radius = half = 0.0
     if shape.get("kind") == "sphere":
@@ -144,10 +145,10 @@ def _moving(name: str, body: dict[str, Any]) -> Moving | str:
     elif shape.get("kind") == "box":
         size = _size(shape)
         if max(size) - min(size) > _CUBIC:
-            return f"{name} is a box of unequal edges: only balls and cubes are looked at"
+            return Missing(f"{name} is a box of unequal edges: only balls and cubes are looked at")
         half = size[0] / 2.0
     else:
-        return f"{name} is neither a ball nor a cube"
+        return Missing(f"{name} is neither a ball nor a cube")
     still = [checks.vector(body.get(field, [0.0] * 3), 3, field) for field in ("linear_velocity", "angular_velocity")]
     return Moving(
         name,

@@ -8,7 +8,7 @@ import json
 from typing import Any
 
 from gpusimbench.evaluator.json_values import dump, values_of
-from gpusimbench.evaluator.missing import known, reason_of
+from gpusimbench.evaluator.missing import known, why_missing
 from gpusimbench.evaluator.render.text import line
 from gpusimbench.evaluator.report import timed
 from gpusimbench.evaluator.results.details import Throughput
@@ -96,7 +96,7 @@ def _metric(metric: Estimate) -> dict[str, Any]:
         "sd": metric.sd,
         "ci95": metric.ci95,
         "n": metric.n,
-        "why_not": reason_of(metric.value),
+        "why_not": why_missing(metric.value),
     }
 
 

@@ -128,7 +128,7 @@ def _other(one: Summary, other: Summary) -> bool | None:
 
 
 def _agree(original: RunData | None, replay: RunData | None) -> bool | None:
-    if original is None or replay is None or original.histories is None or replay.histories is None:
+    if original is None or replay is None or not original.histories or not replay.histories:
         return None
     if _kind(original.recording) != _kind(replay.recording):
         return None
