@@ -23,6 +23,7 @@ from pathlib import Path
 import numpy as np
 from scipy import stats
 
+from gpusimbench.evaluator.check.protocol import unmet_by_file
 from gpusimbench.evaluator.compare.compare import compare
 from gpusimbench.evaluator.compare.finding import Settings
 from gpusimbench.evaluator.compare.sides import Side
@@ -30,9 +31,8 @@ from gpusimbench.evaluator.compute.work import HERE
 from gpusimbench.evaluator.metrics.memory import Checkpoints
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.runs.physics.facts import PhysicsFacts
-from gpusimbench.evaluator.runs.reading import Read, Reader
-from gpusimbench.evaluator.runs.run_data import RunData
-from gpusimbench.evaluator.runs.summary import Summary
+from gpusimbench.evaluator.runs.reader import Reader
+from gpusimbench.evaluator.runs.run import Run as ReadRun
 from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.errors import ExitCode
 from gpusimbench.schemas.provenance import Provenance, Simulation
@@ -75,16 +75,16 @@ def record(count: int, folder: Path) -> None:
 
 def read(arms: dict[str, Path]) -> None:
     """Write the CSV from recordings, in the order in which they were made."""
-    reader = Reader(5.0, verify=False)
+    reader = Reader(5.0, unmet_by_file, verify=False)
     rows = []
     for arm, folder in arms.items():
         for path in folder.glob("*.mcap"):
             found = reader(path)
-            if not isinstance(found, Read) or not found.run or not found.run.elapsed_s or not found.run.host:
+            if not isinstance(found, ReadRun) or not found.elapsed_s or not found.host:
                 raise SystemExit(f"{path} is no complete run with a timed phase")
-            host = found.run.host
-            created = found.summary.provenance.created_utc
-            rows.append((created, arm, f"{found.run.elapsed_s:.9f}", host.baseline, host.peak))
+            host = found.host
+            created = found.provenance.created_utc
+            rows.append((created, arm, f"{found.elapsed_s:.9f}", host.baseline, host.peak))
     with CSV.open("w", newline="") as stream:
         writer = csv.writer(stream, lineterminator="\n")
         writer.writerow(("created_utc", "arm", "elapsed_s", "host_baseline_bytes", "host_peak_bytes"))
@@ -235,7 +235,7 @@ def _side(runs: Sequence[Run], name: str) -> Side:
     return Side(tuple(_read(run, f"{name}-{index:04d}") for index, run in enumerate(runs)), (), ())
 
 
-def _read(run: Run, run_id: str) -> Read:
+def _read(run: Run, run_id: str) -> ReadRun:
     """What the reader would have made of the run's recording."""
     configuration = RunConfiguration(
         "mujoco", "free-fall", N_ENV, 0.01, 500, warmup=50, timed_steps=TIMED_STEPS, phases=("timed",)
@@ -243,17 +243,10 @@ def _read(run: Run, run_id: str) -> Read:
     # runs of one second are in the order of their ids
     provenance = Provenance(run_id, run.created_utc, (), configuration, host={"cpu": "one", "usable_threads": 2})
     simulation = Simulation("4.0.0", "cpu", {}, {}, (), (), {"sha256": "one"})
-    summary = Summary(
-        Path(f"{run_id}.mcap"), "complete", "", "", run_id, provenance, simulation, (), (), {}, {}, {}, None
-    )  # fmt: skip
-    host = Checkpoints(baseline=run.host_baseline, peak=run.host_peak)
-    missing = Missing("no states were captured")
-    return Read(
-        summary,
-        RunData(
-            summary, run.elapsed_s, missing, host, missing, missing, {}, missing, 0.0, missing, missing, missing,
-            False, None, missing, missing, missing, PhysicsFacts("free-fall", N_ENV, (), missing), missing,
-        ),
+    return ReadRun(
+        Path(f"{run_id}.mcap"), "complete", "", "", run_id, provenance, simulation, elapsed_s=run.elapsed_s,
+        host=Checkpoints(baseline=run.host_baseline, peak=run.host_peak), stalled_s=0.0,
+        physics=PhysicsFacts("free-fall", N_ENV, (), Missing("no states were captured")),
     )  # fmt: skip
 
 

@@ -12,7 +12,7 @@ from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.results import cost_metrics as costs
 from gpusimbench.evaluator.results.aggregate import NO_RUN, Runs
 from gpusimbench.evaluator.results.result import Metric, not_computed
-from gpusimbench.evaluator.runs.run_data import RunData
+from gpusimbench.evaluator.runs.run import Run
 
 
 @dataclass(frozen=True)
@@ -31,10 +31,10 @@ class Measure:
     title: str
     unit: str
     direction: Direction
-    of: Callable[[RunData], float | None]
+    of: Callable[[Run], float | None]
     metric: Callable[[Runs], Metric]
     method: str
-    spoilt: Callable[[RunData], bool] = lambda _: False
+    spoilt: Callable[[Run], bool] = lambda _: False
 
     def why_not(self, runs: Runs) -> str:
         """Why these runs have no value; empty where they have one."""
@@ -42,12 +42,12 @@ class Measure:
         return found.why_not if found.value is None else ""
 
 
-def _fps(run: RunData) -> float | None:
-    c = run.recording.configuration
+def _fps(run: Run) -> float | None:
+    c = run.configuration
     return frames_per_second(c.n_env, c.timed_steps, run.elapsed_s) if run.elapsed_s else None
 
 
-def _compiled(run: RunData) -> float | None:
+def _compiled(run: Run) -> float | None:
     return next((run.compile_s[phase] for phase in ("timed", "capture") if phase in run.compile_s), None)
 
 
@@ -55,17 +55,17 @@ def _or_none(value: float | Missing) -> float | None:
     return None if isinstance(value, Missing) else value
 
 
-def _shared(run: RunData) -> bool:
+def _shared(run: Run) -> bool:
     """Whether the device that steps was sampled, and another process makes the samples no memory of the run."""
-    simulation = run.recording.simulation
+    simulation = run.simulation
     sampled = run.gpu and run.gpu.device.peak_increment is not None
     on_gpu = simulation is not None and simulation.device != "cpu"
     return bool(sampled) and on_gpu and costs.device_increment(run) is None
 
 
-def contacts_of(run: RunData) -> float | None:
+def contacts_of(run: Run) -> float | None:
     """Contacts of an environment at a step: of the timed phase, or else of the captured steps."""
-    counts = run.recording.counts
+    counts = run.counts
     found = next(
         (counts[phase]["contacts"] for phase in ("timed", "capture") if "contacts" in counts.get(phase, {})), None
     )

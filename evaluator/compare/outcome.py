@@ -28,9 +28,9 @@ def compare_outcomes(base: Runs, head: Runs, settings: Settings, work: Work) -> 
     one, why = positions(base)
     other, why_head = positions(head)
     if one is None or other is None:
-        if not any("capture" in r.recording.configuration.phases for r in (*base, *head)):
+        if not any("capture" in r.configuration.phases for r in (*base, *head)):
             return None
-        cubes = any(f.name == f"{GROUP}/position" for r in (*base, *head) for f in r.recording.fields)
+        cubes = any(f.name == f"{GROUP}/position" for r in (*base, *head) for f in r.fields)
         return not_compared(Axis.PHYSICS, _NAME, _TITLE, why or why_head, applies=cubes or not (base and head))
     times = {r.positions.time for r in (*base, *head) if r.positions}
     if one.shape[1:] != other.shape[1:] or len(times) > 1:

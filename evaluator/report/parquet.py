@@ -15,7 +15,7 @@ from typing import Any
 from gpusimbench.evaluator.render.text import printable
 from gpusimbench.evaluator.results.result import Evaluation, GroupResult, Metric
 from gpusimbench.evaluator.results.timed_work import SETTINGS, TimedWork
-from gpusimbench.evaluator.runs.summary import Summary
+from gpusimbench.evaluator.runs.run import Run
 from gpusimbench.schemas.errors import UsageError
 
 METRICS, RUNS = "metrics.parquet", "runs.parquet"
@@ -121,7 +121,7 @@ def _run_rows(evaluation: Evaluation) -> Iterator[dict[str, Any]]:
             yield _clean({**_key_of(result), **_run(recording)})
 
 
-def _run(recording: Summary) -> dict[str, Any]:
+def _run(recording: Run) -> dict[str, Any]:
     provenance = recording.provenance
     return {
         "file": str(recording.path),

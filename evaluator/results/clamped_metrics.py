@@ -38,7 +38,7 @@ def clamped_metrics(
     planar     their positions [m], [run, env, item, 2]; None without any
     published  the metrics as published, in that order; one that could not be computed has no counterpart either
     """
-    board = runs[0].recording.board if runs else None
+    board = runs[0].board if runs else None
     if planar is None or board is None:
         return [_none(metric, "this scene has no board") for metric in published]
     moved = clamped(planar, board)

@@ -13,7 +13,7 @@ from gpusimbench.evaluator.metrics.throughput import frames_per_second
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.results.aggregate import NO_RUN, Runs, mean_over_runs
 from gpusimbench.evaluator.results.result import Metric, not_computed
-from gpusimbench.evaluator.runs.run_data import RunData
+from gpusimbench.evaluator.runs.run import Run
 
 _GB = 1e9
 _MB = 1e6
@@ -30,13 +30,13 @@ def throughput(runs: Runs) -> Metric:
     """FPS: mean over runs of N_env * N_step / T_step of the timed phase."""
     name, unit = "fps", "env-steps/s"
     values = [
-        frames_per_second(r.recording.configuration.n_env, r.recording.configuration.timed_steps, r.elapsed_s)
+        frames_per_second(r.configuration.n_env, r.configuration.timed_steps, r.elapsed_s)
         for r in runs
         if not isinstance(r.elapsed_s, Missing)
     ]
     if not values:
         return not_computed(name, unit, "higher", "the timed phase was left out" if runs else NO_RUN)
-    simulation = runs[0].recording.simulation
+    simulation = runs[0].simulation
     covers = simulation.timing_covers if simulation else ""
     method = "N_env * N_step / T_step of the timed phase, mean over runs"
     extra = {"timing_covers": covers, "co_tenants": _presence(runs)}
@@ -49,7 +49,7 @@ def _presence(runs: Runs) -> list[dict[str, Any]] | None:
         return None
     return [
         {
-            "run": r.recording.configuration.run_index,
+            "run": r.configuration.run_index,
             "presence": r.cotenants.presence.value,
             "signs": [vars(sign) for sign in r.cotenants.signs],
         }
@@ -57,7 +57,7 @@ def _presence(runs: Runs) -> list[dict[str, Any]] | None:
     ]
 
 
-def device_increment(run: RunData) -> int | None:
+def device_increment(run: Run) -> int | None:
     """What the whole device held in the timed phase beyond the baseline [byte].
 
     None where it was not sampled, and where another process was on the device, whose memory it would count.
@@ -66,7 +66,7 @@ def device_increment(run: RunData) -> int | None:
     return None if shared or not run.gpu else run.gpu.device.peak_increment
 
 
-def process_peak(run: RunData) -> int | None:
+def process_peak(run: Run) -> int | None:
     """What NVML attributed to the run's process in the timed phase, at most [byte]; None where it did not tell."""
     return run.gpu.process.peak if run.gpu and run.gpu.process else None
 
@@ -81,7 +81,7 @@ def memory_peak_increment(runs: Runs) -> Metric:
         return not_computed(name, unit, "lower", why_not)
     left_out = [
         {
-            "run": r.recording.configuration.run_index,
+            "run": r.configuration.run_index,
             "increment_bytes": r.gpu.device.peak - r.gpu.device.baseline
             if r.gpu and r.gpu.device.peak is not None and r.gpu.device.baseline is not None
             else None,
@@ -153,7 +153,7 @@ def allocator_peak(runs: Runs) -> Metric:
 def _no_gpu(runs: Runs) -> str:
     if not runs:
         return NO_RUN
-    first = runs[0].recording
+    first = runs[0]
     if not first.provenance.gpus:
         return "no GPU on the machine that recorded"
     return "this simulator ran on the CPU" if first.simulation and first.simulation.device == "cpu" else ""
@@ -181,8 +181,8 @@ def capture_slowdown(runs: Runs) -> Metric:
     name = "capture_slowdown"
     ratios, stalled = [], []
     for run in runs:
-        c = run.recording.configuration
-        if run.capture_s and run.elapsed_s:
+        c = run.configuration
+        if run.capture_s and run.elapsed_s and not isinstance(run.stalled_s, Missing):
             ratios.append(run.capture_s / c.steps / (run.elapsed_s / c.timed_steps))
             stalled.append(run.stalled_s / run.capture_s)
     if not ratios:
@@ -209,7 +209,7 @@ def host_memory_peak_increment(runs: Runs) -> Metric:
         return not_computed(name, unit, "lower", NO_RUN)
     checkpoints = [r.host for r in runs if r.host]
     values = [c.peak_increment / _MB for c in checkpoints if c.peak_increment is not None]
-    shrank = [r.recording.configuration.run_index for r in runs if r.host and r.host.shrank]
+    shrank = [r.configuration.run_index for r in runs if r.host and r.host.shrank]
     extra = {
         "source": "host",
         "checkpoints_bytes": [vars(c) for c in checkpoints],

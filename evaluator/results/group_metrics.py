@@ -160,7 +160,7 @@ def left_board(runs: Runs) -> Metric:
     name, unit = "left_board", "cubes per env"
     if not runs:
         return not_computed(name, unit, "lower", NO_RUN)
-    board = runs[0].recording.board
+    board = runs[0].board
     if board is None:
         return not_computed(name, unit, "lower", "this scene has no board to leave")
     if why_not := no_positions(runs):
@@ -254,7 +254,7 @@ def _probabilities(
     return {
         "probabilities": list(found.probabilities),
         "runs": found.n_run,
-        "decided_by": [runs[at].recording.configuration.run_index for at in found.decided_by],
+        "decided_by": [runs[at].configuration.run_index for at in found.decided_by],
         "agreement": found.agreement,
         "distinct": len(set(classes)),
         "run_differs_below": found.run_differs_below,

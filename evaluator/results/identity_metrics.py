@@ -17,7 +17,7 @@ from gpusimbench.evaluator.missing import Missing, why_missing
 from gpusimbench.evaluator.results.aggregate import NO_RUN, Runs, mean_over_runs
 from gpusimbench.evaluator.results.result import Metric, not_computed
 from gpusimbench.evaluator.results.sampled import no_positions
-from gpusimbench.evaluator.runs.run_data import RunData
+from gpusimbench.evaluator.runs.run import Run
 from gpusimbench.evaluator.runs.state_hashes import Histories, side_by_side
 
 _MM_PER_M = 1000.0
@@ -34,10 +34,10 @@ def distinct(runs: Runs) -> tuple[Metric, Metric]:
 
 
 def _distinct_envs(runs: Runs, method: str) -> Metric:
-    if runs[0].recording.action_names:
+    if runs[0].action_names:
         why = "the environments were given different actions, so they differ by design"
         return not_computed("distinct_envs", "", "neither", why)
-    simulation = runs[0].recording.simulation
+    simulation = runs[0].simulation
     if simulation and len(set(simulation.env_origins)) > 1:
         why = "environments at different origins cannot be compared by bits"
         return not_computed("distinct_envs", "", "neither", why)
@@ -118,11 +118,11 @@ def identical_steps(one: Runs, other: Runs) -> int:
     return count if len({h.until(count) for h in found}) == 1 else 0
 
 
-def comparable(run: RunData) -> tuple[Any, ...]:
+def comparable(run: Run) -> tuple[Any, ...]:
     """What two runs must have in common for their states to be compared by bits."""
-    c, simulation = run.recording.configuration, run.recording.simulation
+    c, simulation = run.configuration, run.simulation
     scene = simulation.scene.get("sha256") if simulation else None
-    return (str(scene), c.n_env, c.dt, c.seed if run.recording.action_names else 0, run.recording.fields)
+    return (str(scene), c.n_env, c.dt, c.seed if run.action_names else 0, run.fields)
 
 
 def capture_effect(runs: Runs, distinct_runs: Metric) -> Metric:
@@ -159,14 +159,14 @@ def equality_of_envs(runs: Runs) -> Metric:
     name = "equality_envs"
     if why_not := no_positions(runs):
         return not_computed(name, "level", "lower", why_not)
-    if runs[0].recording.action_names:
+    if runs[0].action_names:
         why = "the environments were given different actions, so they differ by design"
         return not_computed(name, "level", "lower", why)
     found = [r.equality for r in runs if r.equality]
     if not found:
         return not_computed(name, "level", "lower", "needs at least two environments")
     worst = max(range(len(found)), key=lambda index: (found[index].level, _difference(found[index])))
-    return _level(name, found[worst], len(found), {"run": runs[worst].recording.configuration.run_index})
+    return _level(name, found[worst], len(found), {"run": runs[worst].configuration.run_index})
 
 
 def equality_of_runs(runs: Runs) -> Metric:
@@ -224,7 +224,7 @@ def _most_distinct(found: Sequence[Histories]) -> dict[str, list[int]]:
 
 
 def _indices(runs: Runs) -> list[int]:
-    return [r.recording.configuration.run_index for r in runs]
+    return [r.configuration.run_index for r in runs]
 
 
 def _difference(found: Verdict) -> float:

@@ -15,9 +15,9 @@ from gpusimbench.evaluator.results.fidelity import Fidelity
 from gpusimbench.evaluator.results.timed_work import TimedWork
 from gpusimbench.evaluator.results.validity import Validity
 from gpusimbench.evaluator.runs.groups import Group
-from gpusimbench.evaluator.runs.reading import Unreadable
+from gpusimbench.evaluator.runs.reader import Unreadable
+from gpusimbench.evaluator.runs.run import Run
 from gpusimbench.evaluator.runs.spread import Spread
-from gpusimbench.evaluator.runs.summary import Summary
 from gpusimbench.schemas.location import Place
 
 if TYPE_CHECKING:
@@ -108,7 +108,7 @@ class GroupResult:
     timed            what its throughput was measured over
     """
 
-    group: Group[Summary]
+    group: Group[Run]
     label: str
     metrics: dict[str, Metric]
     cloud: Cloud | None
