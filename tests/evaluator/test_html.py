@@ -28,7 +28,7 @@ from gpusimbench.evaluator.results import group_metrics, published
 from gpusimbench.evaluator.results.evaluate import evaluate_files
 from gpusimbench.evaluator.results.ranking import Comparison, Contender
 from gpusimbench.evaluator.results.result import Cloud, Evaluation, GroupResult, Map, Metric, Reference, not_computed
-from gpusimbench.evaluator.runs.reader import Unreadable
+from gpusimbench.evaluator.runs.reader import Unreadable, read_run
 from gpusimbench.evaluator.runs.run import Run
 from gpusimbench.schemas.errors import DamagedRecording, GsbError
 from tests.synthetic import write_recording, write_sweep
