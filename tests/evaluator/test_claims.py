@@ -44,7 +44,7 @@ def _metric(name: str, value: float | None, n: int, **extra: Any) -> Metric:
 
 @dataclass(frozen=True)
 class _Run:
-    """As much of RunData as bits need: None has no state hashes, others are equal where their numbers are."""
+    """As much of a Run as bits need: None has no state hashes, others are equal where their numbers are."""
 
     state: int | None
     n_env: int = 2
