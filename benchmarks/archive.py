@@ -26,7 +26,7 @@ from benchmarks.machine import machine, spread
 from gpusimbench import open_recording
 from gpusimbench.schemas import topics
 from gpusimbench.schemas.blocks import decode_state, raw_bytes
-from gpusimbench.schemas.container import Container
+from gpusimbench.schemas.mcap.reader import Container
 from gpusimbench.schemas.packing import pack, unpack
 
 Arrays = list[NDArray[Any]]

@@ -77,7 +77,7 @@ def parsers() -> dict[str, argparse.ArgumentParser]:
 
 def modules() -> dict[str, ModuleType]:
     """The module with the parser and the work of every command; that of gsb-record's main imports next to nothing."""
-    elsewhere = {"gpusimbench.recorder.cli": "gpusimbench.recorder.command"}
+    elsewhere = {"gpusimbench.recorder.cli": "gpusimbench.recorder.arguments"}
     return {name: import_module(elsewhere.get(module, module)) for name, module in entry_points().items()}
 
 
@@ -188,21 +188,25 @@ def rules() -> str:
 
 def options() -> str:
     """Every simulator with its options, their defaults, and its levels of determinism."""
+    from gpusimbench.recorder.abilities import Ability, titles
     from gpusimbench.recorder.simulators.registry import BUILT_IN
 
     text = [
         "# Options of simulators",
         "`--option NAME=VALUE`, and what `--determinism` takes. What the options mean to each engine, and which were "
         "run where, is in [simulators](../simulators.md).",
+        "A simulator takes every scene that needs no more than its abilities:",
+        _table(("ability", "meaning"), [(ability.title, ability.meaning) for ability in Ability]),
     ]
     for entry in BUILT_IN:
         text += [f"## {entry.name}", f"{entry.summary}. Devices: {_words(entry.devices)}. States: "
-                 f"{_words(entry.precision)}. Scenes: {_words(entry.scenes)}."]  # fmt: skip
+                 f"{_words(entry.precision)}."]  # fmt: skip
         try:
             adapter = entry.adapter()
         except UsageError as error:
             text.append(f"Its options cannot be shown: {error}")
             continue
+        text.append(f"Abilities: {_words(titles(adapter.abilities))}.")
         rows = [(f"`{f.name}`", f.type if isinstance(f.type, str) else f.type.__name__, f"`{f.default!r}`")
                 for f in fields(adapter.Options)]  # fmt: skip
         text.append(_table(("option", "type", "default"), rows) if rows else "It has no options.")
@@ -214,6 +218,7 @@ def options() -> str:
 
 def scenes() -> str:
     """Every scene that ships, with its bodies and materials."""
+    from gpusimbench.recorder.abilities import titles
     from gpusimbench.recorder.scenes.registry import SCENES
 
     text = ["# Scenes", "SI units, world frame, z up. Every recording has its scene whole, in `scene.json`."]
@@ -225,6 +230,7 @@ def scenes() -> str:
         rows = [(m.name, *map(str, (m.static_friction, m.kinetic_friction, m.restitution))) for m in made.values()]
         if rows:
             text.append(_table(("material", "static friction", "kinetic friction", "restitution"), rows))
+        text.append(f"It needs: {_words(titles(scene.needs()))}.")
         groups = {group: len(names) for group, names in scene.groups().items()}
         text.append(f"Groups of the state: {_words([f'{group} ({n})' for group, n in groups.items()])}.")
     return "\n\n".join(text) + "\n"

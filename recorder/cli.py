@@ -17,8 +17,7 @@ def main(argv: list[str] | None = None) -> int:
         with interruption.shielded():
             from gpusimbench.recorder.command import run
             from gpusimbench.schemas.errors import GsbError
-            from gpusimbench.schemas.printable import line
-            from gpusimbench.schemas.printing import show
+            from gpusimbench.schemas.text import line, show
         try:
             return run(sys.argv[1:] if argv is None else argv)
         except GsbError as error:

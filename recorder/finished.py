@@ -12,8 +12,8 @@ from gpusimbench.recorder.environments.interpreter import Interpreter
 from gpusimbench.recorder.sweep import Outcome, Place
 from gpusimbench.schemas import PARTIAL, topics
 from gpusimbench.schemas.configuration import RunConfiguration
-from gpusimbench.schemas.container import Container
 from gpusimbench.schemas.errors import DamagedRecording, RecordingError
+from gpusimbench.schemas.mcap.reader import Container
 from gpusimbench.schemas.messages import enum_values, message_class
 from gpusimbench.schemas.provenance import ENGINE_LOG, PROVENANCE, Provenance
 

@@ -16,8 +16,8 @@ from gpusimbench.recorder.plan import release, reserve
 from gpusimbench.recorder.probes.gpu import Gpus
 from gpusimbench.recorder.probes.host import describe_host
 from gpusimbench.schemas.configuration import RunConfiguration
-from gpusimbench.schemas.container import Container
 from gpusimbench.schemas.errors import RecordingError
+from gpusimbench.schemas.mcap.reader import Container
 from gpusimbench.schemas.provenance import PACKAGES, PROVENANCE, SCENE, SIMULATION, Provenance
 
 _JSON = "application/json"

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from typing import Any
 
+from gpusimbench.recorder.abilities import Ability, listed, titles
 from gpusimbench.recorder.environments.store import Prepared, find
 from gpusimbench.recorder.scenes.base import Scene
 from gpusimbench.recorder.scenes.registry import make_scene, scene_names
+from gpusimbench.recorder.simulators.base import Simulator
 from gpusimbench.recorder.simulators.registry import Entry, simulators
 from gpusimbench.schemas.errors import UsageError
 from gpusimbench.schemas.provenance import REAL
@@ -16,14 +18,11 @@ Json = dict[str, Any]
 
 def list_all() -> Json:
     """Everything, as --json prints it."""
-    scenes = {name: _scene(name) for name in scene_names()}
-    measurable = [name for name, scene in scenes.items() if isinstance(scene, Scene) and "cubes" in scene.groups()]
+    found = {name: _scene(name) for name in scene_names()}
+    scenes = [scene for scene in found.values() if isinstance(scene, Scene)]
     return {
-        "simulators": [*(_about(entry) for entry in simulators().values()), _about_real(measurable)],
-        "scenes": [
-            {"name": name, "summary": scene.summary if isinstance(scene, Scene) else "", "problem": _problem(scene)}
-            for name, scene in scenes.items()
-        ],
+        "simulators": [*(_about(entry, scenes) for entry in simulators().values()), _about_real(scenes)],
+        "scenes": [_about_scene(name, scene) for name, scene in found.items()],
     }
 
 
@@ -32,7 +31,7 @@ def text_of(known: Json) -> str:
     lines = ["simulators"]
     for about in known["simulators"]:
         lines.append(f"  {about['name']:<20} {about['summary']}")
-        lines += [f"{'':<23}{line}" for line in _abilities(about)]
+        lines += [f"{'':<23}{line}" for line in _details(about)]
     lines.append("scenes")
     lines += [f"  {scene['name']:<20} {scene['summary'] or scene['problem']}" for scene in known["scenes"]]
     return "\n".join(lines)
@@ -59,10 +58,13 @@ def environment_line(environment: Json) -> str:
     return f"environment: {environment['folder']} ({size:.2f} GB; Python {environment['python']}; {versions}){stale}"
 
 
-def _about(entry: Entry) -> Json:
+def _about(entry: Entry, scenes: list[Scene]) -> Json:
     installed = not entry.missing()
     prepared = find(entry.name)
-    levels, problem = _determinism(entry) if installed or prepared else ({}, "")
+    adapter, problem = _adapter(entry)
+    abilities: frozenset[Ability] = adapter.abilities if adapter else frozenset()
+    missing = {scene.name: titles(scene.needs() - abilities) for scene in scenes} if adapter else {}
+    levels = adapter.determinism_levels if adapter and (installed or prepared) else {}
     return {
         "name": entry.name,
         "summary": entry.summary,
@@ -73,12 +75,14 @@ def _about(entry: Entry) -> Json:
         "problem": problem,
         "devices": list(entry.devices),
         "precision": list(entry.precision),
-        "scenes": list(entry.scenes),
-        "determinism": levels,
+        "abilities": titles(abilities),
+        "scenes": [name for name, lacks in missing.items() if not lacks],
+        "missing_for": {name: lacks for name, lacks in missing.items() if lacks},
+        "determinism": {str(level): str(meaning) for level, meaning in levels.items()},
     }
 
 
-def _about_real(scenes: list[str]) -> Json:
+def _about_real(scenes: list[Scene]) -> Json:
     return {
         "name": REAL,
         "summary": "measured trials from a CSV file",
@@ -89,9 +93,17 @@ def _about_real(scenes: list[str]) -> Json:
         "problem": "",
         "devices": [],
         "precision": ["float64"],
-        "scenes": scenes,
+        "abilities": [],
+        "scenes": [scene.name for scene in scenes if "cubes" in scene.groups()],
+        "missing_for": {},
         "determinism": {},
     }
+
+
+def _about_scene(name: str, scene: Scene | UsageError) -> Json:
+    if isinstance(scene, UsageError):
+        return {"name": name, "summary": "", "problem": str(scene), "needs": []}
+    return {"name": name, "summary": scene.summary, "problem": "", "needs": titles(scene.needs())}
 
 
 def _scene(name: str) -> Scene | UsageError:
@@ -101,20 +113,15 @@ def _scene(name: str) -> Scene | UsageError:
         return error
 
 
-def _problem(scene: Scene | UsageError) -> str:
-    return "" if isinstance(scene, Scene) else str(scene)
-
-
-def _determinism(entry: Entry) -> tuple[dict[str, str], str]:
-    # levels of a simulator, or why its adapter does not tell
+def _adapter(entry: Entry) -> tuple[type[Simulator] | None, str]:
+    # what a simulator declares of itself, or why it cannot be read
     try:
-        adapter = entry.adapter()
-        return {str(level): str(meaning) for level, meaning in adapter.determinism_levels.items()}, ""
+        return entry.adapter(), ""
     except UsageError as error:
-        return {}, str(error)
+        return None, str(error)
 
 
-def _abilities(about: Json) -> list[str]:
+def _details(about: Json) -> list[str]:
     lines = []
     if about["installed"]:
         lines.append(f"needs {about['needs']}" if about["needs"] else "installed")
@@ -125,4 +132,5 @@ def _abilities(about: Json) -> list[str]:
     if about["environment"] is not None:
         lines.append(environment_line(about["environment"]))
     lines += [f"{what}: {', '.join(about[what])}" for what in ("devices", "precision", "scenes") if about[what]]
+    lines += [f"not {scene}: it has no {listed(missing)}" for scene, missing in about["missing_for"].items()]
     return lines + [f"--determinism {level}: {meaning}" for level, meaning in about["determinism"].items()]

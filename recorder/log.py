@@ -39,7 +39,7 @@ from gpusimbench.schemas import topics
 from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.errors import DamagedRecording, DataLost, UsageError
 from gpusimbench.schemas.fields import StateField
-from gpusimbench.schemas.mcap_writer import COMPRESSIONS
+from gpusimbench.schemas.mcap.writer import COMPRESSIONS
 from gpusimbench.schemas.messages import message_class
 from gpusimbench.schemas.provenance import (
     LOGGED,

@@ -7,19 +7,19 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
-from gpusimbench.schemas import printing
+from gpusimbench.schemas import text as texts
 from gpusimbench.schemas.errors import GsbError
-from gpusimbench.schemas.printable import Block, Line, line
+from gpusimbench.schemas.text import Block, Line, line
 
 
 def show(text: Line | Block) -> None:
     """Print a line, or lines. GsbError where they cannot be written; BrokenPipeError where nobody reads them."""
-    _write(lambda stream: printing.show(text))
+    _write(lambda stream: texts.show(text))
 
 
 def show_document(text: str) -> None:
     """Print JSON and a line's end. Errors as of show."""
-    _write(lambda stream: printing.show_document(f"{text}\n"))
+    _write(lambda stream: texts.show_document(f"{text}\n"))
 
 
 def show_path(path: Path) -> None:

@@ -11,8 +11,7 @@ from typing import Any, Protocol
 
 from gpusimbench.recorder.launch import Result
 from gpusimbench.recorder.output import show_path
-from gpusimbench.schemas.printable import line
-from gpusimbench.schemas.printing import show
+from gpusimbench.schemas.text import line, show
 
 
 class Progress(Protocol):

@@ -21,10 +21,10 @@ from gpusimbench.recorder.scenes.base import Scene
 from gpusimbench.recorder.traces import check_traces, content_bytes, least_memory, peak_bytes, ran_s
 from gpusimbench.schemas.checks import Budget
 from gpusimbench.schemas.configuration import RunConfiguration
-from gpusimbench.schemas.container import Container
 from gpusimbench.schemas.digest import attachment_name, content_hash
 from gpusimbench.schemas.errors import DamagedRecording, RecordingError, UsageError
 from gpusimbench.schemas.fields import StateField
+from gpusimbench.schemas.mcap.reader import Container
 from gpusimbench.schemas.provenance import LOGGED, PROVENANCE, REAL, SCENE, SIMULATION, Provenance, ReplayOf, Simulation
 
 """What recordings of programs that are no adapter (recorder.log) say of their fresh start."""

@@ -14,9 +14,10 @@ import numpy as np
 from gpusimbench.schemas import topics
 from gpusimbench.schemas.blocks import STATE_HEAD_BYTES, decode_fingerprints, state_bytes, state_header_in
 from gpusimbench.schemas.configuration import RunConfiguration
-from gpusimbench.schemas.container import Container, Message
 from gpusimbench.schemas.errors import DamagedRecording, UsageError
 from gpusimbench.schemas.fields import StateField
+from gpusimbench.schemas.mcap.contents import Message
+from gpusimbench.schemas.mcap.reader import Container
 from gpusimbench.schemas.messages import message_class
 
 _MOST_PER_INTERVAL = 1000

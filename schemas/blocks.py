@@ -18,9 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gpusimbench.schemas import packing, wire
-from gpusimbench.schemas.crc import second
 from gpusimbench.schemas.errors import DamagedRecording
-from gpusimbench.schemas.mcap_writer import Part
+from gpusimbench.schemas.mcap.crc import second
+from gpusimbench.schemas.mcap.writer import Part
 from gpusimbench.schemas.messages import message_class
 
 _STATE = "gsb.v1.StateBlock"

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-HERE = Path(__file__).resolve().parent
+from gpusimbench.schemas.messages import DESCRIPTOR_SETS
 
-PACKAGES = {"gsb": "gsb_v1.binpb", "foxglove": "foxglove.binpb"}
-"""Folders of proto/, and what is made of each."""
+HERE = Path(__file__).resolve().parent
 
 
 def build(target: Path, package: str = "gsb") -> None:
@@ -29,5 +28,5 @@ def build(target: Path, package: str = "gsb") -> None:
 
 
 if __name__ == "__main__":
-    for package, name in PACKAGES.items():
+    for package, name in DESCRIPTOR_SETS.items():
         build(HERE / name, package)

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from gpusimbench.schemas.blocks import little_endian, raw_bytes
 from gpusimbench.schemas.fields import StateField
-from gpusimbench.schemas.mcap_writer import Buffer
+from gpusimbench.schemas.mcap.writer import Buffer
 
 
 def attachment_name(name: str) -> str:

@@ -1,7 +1,7 @@
-"""Message classes of the format, made from the descriptor set beside this module.
+"""Message classes of the format, and of the types that viewers know, from the descriptor sets beside this module.
 
 The classes are built at run time rather than generated as code, so that any protobuf runtime from 5 on reads and
-writes the same recordings. ``make proto`` rebuilds the descriptor set from ``proto/gsb/v1/*.proto``.
+writes the same recordings. ``make proto`` rebuilds the descriptor sets from ``proto/*/``.
 """
 
 from __future__ import annotations
@@ -12,50 +12,61 @@ from typing import Any
 
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 
-DESCRIPTOR_SET = "gsb_v1.binpb"
+DESCRIPTOR_SETS = {"gsb": "gsb_v1.binpb", "foxglove": "foxglove.binpb"}
+"""By the first part of a message's full name."""
 
 _LARGEST_SCHEMA = 1 << 20  # bytes of a stranger's schema that are looked at
 
 
 @cache
-def _files() -> descriptor_pb2.FileDescriptorSet:
-    data = (files("gpusimbench.schemas") / DESCRIPTOR_SET).read_bytes()
-    return descriptor_pb2.FileDescriptorSet.FromString(data)
+def _files(package: str) -> dict[str, Any]:
+    # by name, each behind those that it refers to
+    data = (files("gpusimbench.schemas") / DESCRIPTOR_SETS[package]).read_bytes()
+    return {file.name: file for file in descriptor_pb2.FileDescriptorSet.FromString(data).file}
 
 
 @cache
-def _pool() -> descriptor_pool.DescriptorPool:
+def _pool(package: str) -> descriptor_pool.DescriptorPool:
     pool = descriptor_pool.DescriptorPool()
-    for file in _files().file:
+    for file in _files(package).values():
         pool.Add(file)
     return pool
 
 
+def _pool_of(name: str) -> descriptor_pool.DescriptorPool:
+    return _pool(name.partition(".")[0])
+
+
 @cache
 def message_class(name: str) -> Any:
-    """The class of a message by its full name, for example ``gsb.v1.StateBlock``."""
-    return message_factory.GetMessageClass(_pool().FindMessageTypeByName(name))
+    """The class of a message by its full name, for example ``gsb.v1.StateBlock`` or ``foxglove.SceneUpdate``."""
+    return message_factory.GetMessageClass(_pool_of(name).FindMessageTypeByName(name))
 
 
 @cache
 def enum_values(name: str) -> dict[str, int]:
     """Numbers of an enum by value name, for example of ``gsb.v1.RunStatus``."""
-    return {v.name: v.number for v in _pool().FindEnumTypeByName(name).values}
+    return {v.name: v.number for v in _pool_of(name).FindEnumTypeByName(name).values}
 
 
 @cache
 def message_names() -> tuple[str, ...]:
     """Full names of all messages of the format."""
-    return tuple(f"{f.package}.{m.name}" for f in _files().file for m in f.message_type)
+    return tuple(f"{f.package}.{m.name}" for f in _files("gsb").values() for m in f.message_type)
 
 
 @cache
 def embedded_schema(name: str) -> bytes:
-    """The FileDescriptorSet that a recording carries for a message, comments included."""
-    for file in _files().file:
-        if any(f"{file.package}.{m.name}" == name for m in file.message_type):
-            return bytes(descriptor_pb2.FileDescriptorSet(file=[file]).SerializeToString())
-    raise KeyError(name)
+    """The FileDescriptorSet that a file carries for a message: its definition and all that it refers to.
+
+    KeyError where there is no such message.
+    """
+    wanted = {_pool_of(name).FindMessageTypeByName(name).file.name}
+    known = _files(name.partition(".")[0])
+    for file in reversed(known.values()):
+        wanted.update(file.dependency if file.name in wanted else ())
+    chosen = [file for file in known.values() if file.name in wanted]
+    return bytes(descriptor_pb2.FileDescriptorSet(file=chosen).SerializeToString())
 
 
 def widened_schema(name: str, stored: bytes) -> bytes:

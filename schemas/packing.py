@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gpusimbench.schemas import decompression
+from gpusimbench.schemas.mcap import decompression
 
 LEVELS = range(1, 23)
 """Of Zstandard."""

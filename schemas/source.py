@@ -9,8 +9,8 @@ from abc import ABC, abstractmethod
 from pathlib import Path
 
 from gpusimbench.schemas.errors import DamagedRecording, NotARecording
-from gpusimbench.schemas.location import Location, Place
-from gpusimbench.schemas.mcap_writer import MAGIC
+from gpusimbench.schemas.location import Place
+from gpusimbench.schemas.mcap.records import MAGIC
 
 _MOST_WORKERS = 4
 
@@ -39,15 +39,6 @@ class Source(ABC):
     @abstractmethod
     def confirm(self) -> None:
         """DamagedRecording where the file was changed since it was opened, as far as that can be told."""
-
-
-def open_source(place: Place) -> Source:
-    """Open a file; RecordingError where it cannot be read."""
-    if isinstance(place, Location):
-        from gpusimbench.schemas.remote import RemoteFile
-
-        return RemoteFile(place)
-    return MappedFile(place)
 
 
 class MappedFile(Source):

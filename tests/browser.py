@@ -1,58 +1,30 @@
-"""A real browser that tests drive: Chromium without a window, over a pipe, by its DevTools protocol.
+"""A real browser that tests drive: the Chromium of this machine without a window, by Playwright.
 
-Nothing is installed for it and no port is opened. Tests of pages are skipped by name where no Chromium is.
+Playwright brings no browser here. Tests of pages are skipped by name where no Chromium is.
 """
 
 from __future__ import annotations
 
-import base64
-import contextlib
-import fcntl
 import json
-import os
-import select
 import shutil
-import signal
-import tempfile
 import time
+from importlib.util import find_spec
 from pathlib import Path
 from types import TracebackType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import pytest
+
+if TYPE_CHECKING:
+    from playwright.sync_api import ConsoleMessage, Page, Request
 
 _NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
 _PATIENCE_S = 60.0  # a slow machine is waited for; nothing is measured here
 
 _ARGUMENTS = (
-    "--headless=new",
-    "--remote-debugging-pipe",
     "--no-sandbox",  # containers have no user namespaces; the pages are our own
-    "--disable-gpu",
     "--enable-unsafe-swiftshader",  # WebGL by the processor
-    "--disable-dev-shm-usage",
-    "--disable-background-networking",
-    "--disable-component-update",
-    "--disable-extensions",
-    "--no-first-run",
-    "--hide-scrollbars",
 )
-
-_KEYS = {
-    # name: code of the key, its number on Windows, the text that it types
-    "Tab": ("Tab", 9, ""),
-    "Enter": ("Enter", 13, "\r"),
-    "Escape": ("Escape", 27, ""),
-    "Space": ("Space", 32, " "),
-    "PageUp": ("PageUp", 33, ""),
-    "PageDown": ("PageDown", 34, ""),
-    "End": ("End", 35, ""),
-    "Home": ("Home", 36, ""),
-    "ArrowLeft": ("ArrowLeft", 37, ""),
-    "ArrowUp": ("ArrowUp", 38, ""),
-    "ArrowRight": ("ArrowRight", 39, ""),
-    "ArrowDown": ("ArrowDown", 40, ""),
-}
 
 
 def chromium() -> str | None:
@@ -60,7 +32,10 @@ def chromium() -> str | None:
     return next((path for name in _NAMES if (path := shutil.which(name))), None)
 
 
-needs_chromium = pytest.mark.skipif(chromium() is None, reason=f"no browser: none of {', '.join(_NAMES)} is installed")
+needs_chromium = pytest.mark.skipif(
+    chromium() is None or find_spec("playwright") is None,
+    reason=f"no browser: playwright and one of {', '.join(_NAMES)} are needed",
+)
 
 
 class Browser:
@@ -68,51 +43,28 @@ class Browser:
 
     errors    what the page's console says of errors: exceptions, console.error, what its policy refused
     requests  addresses that the page asked for, itself left out
+    page      what is open
     """
 
     def __init__(self) -> None:
+        from playwright.sync_api import sync_playwright
+
         path = chromium()
         if path is None:
             raise FileNotFoundError("no Chromium is installed")
         self.errors: list[str] = []
         self.requests: list[str] = []
-        self._number = 0
-        self._session = ""
-        self._loaded = False
-        self._unread = b""
-        self._profile = tempfile.mkdtemp(prefix="gsb-browser-")
-        theirs_in, self._out = _pipe()
-        self._in, theirs_out = _pipe()
-        # spawned, not forked: engines that tests load into this process mind a fork
-        self._pid = os.posix_spawn(
-            path,
-            [path, *_ARGUMENTS, f"--user-data-dir={self._profile}", "about:blank"],
-            os.environ,
-            file_actions=[
-                (os.POSIX_SPAWN_OPEN, 1, os.devnull, os.O_WRONLY, 0),
-                (os.POSIX_SPAWN_OPEN, 2, os.devnull, os.O_WRONLY, 0),
-                (os.POSIX_SPAWN_DUP2, theirs_in, 3),
-                (os.POSIX_SPAWN_DUP2, theirs_out, 4),
-            ],
-            setpgroup=0,
-        )
-        os.close(theirs_in)
-        os.close(theirs_out)
-        try:
-            targets = self._send("Target.getTargets")["targetInfos"]
-            tab = next(t["targetId"] for t in targets if t["type"] == "page")
-            self._session = self._send("Target.attachToTarget", targetId=tab, flatten=True)["sessionId"]
-            for domain in ("Page", "Runtime", "Network", "Log"):
-                self._send(f"{domain}.enable")
-        except BaseException:
-            self.close()
-            raise
+        self._driver = sync_playwright().start()
+        self._browser = self._driver.chromium.launch(executable_path=path, args=_ARGUMENTS)
+        self._pages: dict[tuple[float, bool], Page] = {}  # by what a page has for good: zoom, and whether scripts run
+        self.page = self._page(1.0, True)
 
     def __enter__(self) -> Browser:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
-        self.close()
+        self._browser.close()
+        self._driver.stop()
 
     def open(
         self,
@@ -134,55 +86,55 @@ class Browser:
         printed        as on paper
         scripts        False: the reader's browser runs none
         """
-        self._send(
-            "Emulation.setDeviceMetricsOverride",
-            width=round(width / zoom), height=round(height / zoom), deviceScaleFactor=zoom, mobile=False,
-        )  # fmt: skip
-        self._send(
-            "Emulation.setEmulatedMedia",
-            media="print" if printed else "",
-            features=[
-                {"name": "prefers-color-scheme", "value": "dark" if dark else "light"},
-                {"name": "prefers-reduced-motion", "value": "reduce" if still else "no-preference"},
-            ],
+        self.page = self._page(zoom, scripts)
+        self.page.set_viewport_size({"width": round(width / zoom), "height": round(height / zoom)})
+        self.page.emulate_media(
+            media="print" if printed else "screen",
+            color_scheme="dark" if dark else "light",
+            reduced_motion="reduce" if still else "no-preference",
         )
-        self._send("Emulation.setScriptExecutionDisabled", value=not scripts)
+        url = page.resolve().as_uri() if isinstance(page, Path) else page
+        if self.page.url.partition("#")[0] == url.partition("#")[0]:
+            self.page.goto("about:blank")  # another fragment of a page would not load it anew
         self.errors.clear()
         self.requests.clear()
-        self._loaded = False
-        url = page.resolve().as_uri() if isinstance(page, Path) else page
-        answer = self._send("Page.navigate", url=url)
-        if "errorText" in answer:
-            raise AssertionError(f"{url}: {answer['errorText']}")
-        deadline = time.monotonic() + _PATIENCE_S
-        while not self._loaded:
-            self._receive(deadline)
+        self.page.goto(url)
         self.requests[:] = [asked for asked in self.requests if asked != url.partition("#")[0]]
 
+    def _page(self, zoom: float, scripts: bool) -> Page:
+        if (zoom, scripts) not in self._pages:
+            context = self._browser.new_context(device_scale_factor=zoom, java_script_enabled=scripts)
+            context.set_default_timeout(1000 * _PATIENCE_S)
+            page = self._pages[zoom, scripts] = context.new_page()
+            page.on("console", self._hear)
+            page.on("pageerror", lambda error: self.errors.append(str(error)))
+            page.on("request", self._note)
+        return self._pages[zoom, scripts]
+
+    def _hear(self, said: ConsoleMessage) -> None:
+        if said.type in ("error", "assert"):
+            self.errors.append(said.text)
+
+    def _note(self, request: Request) -> None:
+        if not request.url.startswith(("data:", "blob:")):  # these are part of the page
+            self.requests.append(request.url)
+
     def evaluate(self, script: str) -> Any:
-        """The value of a JavaScript expression, awaited where it is a promise; AssertionError where it throws."""
-        answer = self._send("Runtime.evaluate", expression=script, returnByValue=True, awaitPromise=True)
-        if "exceptionDetails" in answer:
-            raise AssertionError(_thrown(answer["exceptionDetails"]))
-        return answer["result"].get("value")
+        """The value of a JavaScript expression, awaited where it is a promise; Playwright's Error where it throws."""
+        return self.page.evaluate(script)
 
     def wait(self, script: str) -> Any:
         """The expression's value as soon as it is true; AssertionError after a minute."""
         deadline = time.monotonic() + _PATIENCE_S
         while time.monotonic() < deadline:
-            found = self.evaluate(script)
-            if found:
+            if found := self.evaluate(script):
                 return found
-            time.sleep(0.05)
+            self.page.wait_for_timeout(50)
         raise AssertionError(f"never true: {script}")
 
     def key(self, name: str, *, shift: bool = False) -> None:
         """Press and release a key: a name such as "ArrowLeft" or "Tab", or one letter or digit."""
-        code, number, text = _KEYS.get(name) or (name, ord(name.upper()), name)
-        key = " " if name == "Space" else name
-        about = {"key": key, "code": code, "windowsVirtualKeyCode": number, "modifiers": 8 if shift else 0}
-        self._send("Input.dispatchKeyEvent", type="keyDown", **about, **({"text": text} if text else {}))
-        self._send("Input.dispatchKeyEvent", type="keyUp", **about)
+        self.page.keyboard.press(f"Shift+{name}" if shift else name)
 
     def click(self, selector: str) -> None:
         """Click the middle of an element."""
@@ -191,51 +143,37 @@ class Browser:
     def drag(self, selector: str, right: float, down: float) -> None:
         """Press the mouse in the middle of an element, move it so many pixels, and release it."""
         x, y = self._middle(selector)
-        self._mouse("mouseMoved", x, y, buttons=0)
-        self._mouse("mousePressed", x, y, buttons=1)
+        self.page.mouse.move(x, y)
+        self.page.mouse.down()
         if right or down:
-            self._mouse("mouseMoved", x + right, y + down, buttons=1)
-        self._mouse("mouseReleased", x + right, y + down, buttons=0)
+            self.page.mouse.move(x + right, y + down)
+        self.page.mouse.up()
 
     def point(self, x: float, y: float) -> None:
         """Move the mouse to a place of the window [CSS pixel]."""
-        self._mouse("mouseMoved", x, y, buttons=0)
+        self.page.mouse.move(x, y)
 
     def wheel(self, selector: str, down: float) -> None:
         """Turn the wheel over the middle of an element."""
-        x, y = self._middle(selector)
-        self._send("Input.dispatchMouseEvent", type="mouseWheel", x=x, y=y, deltaX=0, deltaY=down)
+        self.page.mouse.move(*self._middle(selector))
+        self.page.mouse.wheel(0, down)
 
     def screenshot(self, path: Path, *, whole: bool = False) -> None:
         """Write what the window shows, or the whole page, as PNG."""
-        clip = {}
-        if whole:
-            size = self._send("Page.getLayoutMetrics")["cssContentSize"]
-            clip = {"clip": {"x": 0, "y": 0, "width": size["width"], "height": size["height"], "scale": 1}}
-        answer = self._send("Page.captureScreenshot", format="png", captureBeyondViewport=whole, **clip)
-        path.write_bytes(base64.b64decode(answer["data"]))
+        self.page.screenshot(path=path, full_page=whole)
 
-    def save_to(self, folder: Path) -> None:
-        """Put what pages save as files into a folder, without asking."""
-        self._send("Page.setDownloadBehavior", behavior="allow", downloadPath=str(folder))
+    def saved(self, selector: str, folder: Path) -> Path:
+        """Press Enter on an element that saves a file, and put the file into a folder."""
+        self.evaluate(f"document.querySelector({json.dumps(selector)}).focus()")
+        with self.page.expect_download() as download:
+            self.key("Enter")
+        path = folder / download.value.suggested_filename
+        download.value.save_as(path)
+        return path
 
     def pdf(self, path: Path) -> None:
         """Write the page as it is printed."""
-        path.write_bytes(base64.b64decode(self._send("Page.printToPDF", printBackground=True)["data"]))
-
-    def close(self) -> None:
-        """End the browser and remove its profile."""
-        os.close(self._out)  # a browser whose pipe is closed ends itself
-        os.close(self._in)
-        deadline = time.monotonic() + 5
-        while os.waitpid(self._pid, os.WNOHANG)[0] == 0:
-            if time.monotonic() > deadline:
-                with contextlib.suppress(ProcessLookupError):
-                    os.killpg(self._pid, signal.SIGKILL)
-                os.waitpid(self._pid, 0)
-                break
-            time.sleep(0.02)
-        shutil.rmtree(self._profile, ignore_errors=True)
+        self.page.pdf(path=path, print_background=True)
 
     def _middle(self, selector: str) -> tuple[float, float]:
         quoted = json.dumps(selector)
@@ -246,63 +184,3 @@ class Browser:
         )
         assert found is not None, f"the page has no {selector}"
         return found[0], found[1]
-
-    def _mouse(self, kind: str, x: float, y: float, *, buttons: int) -> None:
-        button = "none" if kind == "mouseMoved" and not buttons else "left"
-        self._send("Input.dispatchMouseEvent", type=kind, x=x, y=y, button=button, buttons=buttons, clickCount=1)
-
-    def _send(self, method: str, **parameters: Any) -> dict[str, Any]:
-        self._number += 1
-        message: dict[str, Any] = {"id": self._number, "method": method, "params": parameters}
-        if self._session:
-            message["sessionId"] = self._session
-        view = memoryview(json.dumps(message).encode() + b"\0")
-        while view:
-            view = view[os.write(self._out, view) :]
-        deadline = time.monotonic() + _PATIENCE_S
-        while True:
-            answer = self._receive(deadline)
-            if answer.get("id") == self._number:
-                assert "error" not in answer, f"{method}: {answer['error']}"
-                found: dict[str, Any] = answer["result"]
-                return found
-
-    def _receive(self, deadline: float) -> dict[str, Any]:
-        # one message, an answer or an event; events are noted
-        while b"\0" not in self._unread:
-            ready, _, _ = select.select([self._in], [], [], max(0.0, deadline - time.monotonic()))
-            assert ready, f"the browser said nothing for {_PATIENCE_S:g} s"
-            more = os.read(self._in, 1 << 20)
-            assert more, "the browser ended"
-            self._unread += more
-        text, _, self._unread = self._unread.partition(b"\0")
-        message: dict[str, Any] = json.loads(text)
-        self._note(message.get("method", ""), message.get("params", {}))
-        return message
-
-    def _note(self, event: str, about: dict[str, Any]) -> None:
-        match event:
-            case "Page.loadEventFired":
-                self._loaded = True
-            case "Network.requestWillBeSent":
-                if not about["request"]["url"].startswith(("data:", "blob:")):  # these are part of the page
-                    self.requests.append(about["request"]["url"])
-            case "Runtime.exceptionThrown":
-                self.errors.append(_thrown(about["exceptionDetails"]))
-            case "Runtime.consoleAPICalled" if about["type"] in ("error", "assert"):
-                self.errors.append(" ".join(str(a.get("value", a.get("description", ""))) for a in about["args"]))
-            case "Log.entryAdded" if about["entry"]["level"] == "error":
-                self.errors.append(about["entry"]["text"])
-
-
-def _pipe() -> tuple[int, int]:
-    # far from 3 and 4, which are the browser's
-    ends = os.pipe()
-    far = tuple(fcntl.fcntl(end, fcntl.F_DUPFD_CLOEXEC, 16) for end in ends)
-    for end in ends:
-        os.close(end)
-    return far[0], far[1]
-
-
-def _thrown(details: dict[str, Any]) -> str:
-    return str(details.get("exception", {}).get("description") or details["text"])

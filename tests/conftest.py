@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import atexit
+import fcntl
+import hashlib
+import json
 import os
 import shutil
 import signal
@@ -10,11 +13,15 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import HealthCheck, settings
+
+from tests.browser import Browser
+from tests.in_process import in_process
 
 # The machine that runs the tests may be slow or busy; a test says what is right, not how fast.
 settings.register_profile("any-machine", deadline=None, suppress_health_check=[HealthCheck.too_slow])
@@ -25,9 +32,17 @@ settings.load_profile("any-machine")
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
-# What commands keep between evaluations belongs to these tests; and theirs finds nothing that another run left.
-os.environ["GSB_CACHE"] = tempfile.mkdtemp(prefix="gsb-cache-")
-atexit.register(shutil.rmtree, os.environ["GSB_CACHE"], ignore_errors=True)
+# What all processes of these tests share, workers of pytest-xdist too, and nothing that another run of them left.
+if "GSB_TESTS_SHARE" not in os.environ:
+    os.environ["GSB_TESTS_SHARE"] = tempfile.mkdtemp(prefix="gsb-tests-")
+    atexit.register(shutil.rmtree, os.environ["GSB_TESTS_SHARE"], ignore_errors=True)
+SHARE = Path(os.environ["GSB_TESTS_SHARE"])
+os.environ["GSB_CACHE"] = str(SHARE / "results")
+os.environ.update(  # what XLA compiles
+    JAX_COMPILATION_CACHE_DIR=str(SHARE / "jax"),
+    JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS="0.1",
+    JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES="-1",
+)
 
 Command = Callable[..., subprocess.CompletedProcess[str]]
 
@@ -40,11 +55,18 @@ def command(name: str) -> list[str]:
     return [str(Path(sys.executable).parent / name)]
 
 
-def call(name: str, *arguments: object, **keywords: object) -> subprocess.CompletedProcess[str]:
-    """Run a command to its end; nothing is raised for its exit code."""
-    return subprocess.run(  # type: ignore[call-overload,no-any-return]
+def call(name: str, *arguments: object, **keywords: Any) -> subprocess.CompletedProcess[str]:
+    """Run a command to its end; nothing is raised for its exit code.
+
+    It runs in this process where nothing but its working directory and its environment is asked for (see in_process),
+    and in a process of its own with any other keyword of subprocess.run.
+    """
+    if not keywords.keys() - {"cwd", "env"}:
+        return in_process(name, *arguments, **keywords)
+    done: subprocess.CompletedProcess[str] = subprocess.run(
         [*command(name), *map(str, arguments)], **{"capture_output": True, "text": True, "timeout": 600, **keywords}
     )
+    return done
 
 
 def wait_for(condition: Callable[[], bool]) -> None:
@@ -68,13 +90,40 @@ def gsb_eval() -> Command:
     return lambda *arguments, **keywords: call("gsb-eval", *arguments, **keywords)
 
 
+def made_once(name: str, make: Callable[[Path], object]) -> Path:
+    """A folder that the first process which asks for it fills, for all processes of these tests.
+
+    make  fills the folder, which exists; where it fails, the next that asks for the folder tries anew
+    """
+    folder, whole = SHARE / name, SHARE / f"{name}.whole"
+    with (SHARE / f"{name}.lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if not whole.exists():
+            shutil.rmtree(folder, ignore_errors=True)
+            folder.mkdir()
+            make(folder)
+            whole.touch()
+    return folder
+
+
+def recorded(*arguments: object) -> list[Path]:
+    """The recordings that gsb-record makes of these arguments, in their names' order; must not be written to.
+
+    They are made once, for all that ask for the same.
+    """
+
+    def record(folder: Path) -> None:
+        done = call("gsb-record", *arguments, "--out", folder)
+        assert done.returncode == 0, done.stderr
+
+    name = hashlib.sha256(json.dumps([str(argument) for argument in arguments]).encode()).hexdigest()
+    return sorted(made_once(name[:16], record).glob("*.mcap"))
+
+
 @pytest.fixture(scope="session")
-def small_set(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+def small_set() -> list[Path]:
     """Three runs of four environments of inclined-collision, 1 s each; must not be written to."""
-    folder = tmp_path_factory.mktemp("small-set")
-    done = call("gsb-record", "--sim", "mujoco", "--n-env", "4", "--runs", "3", *SMALL, "--out", folder)
-    assert done.returncode == 0, done.stderr
-    return sorted(folder.glob("*.mcap"))
+    return recorded("--sim", "mujoco", "--n-env", "4", "--runs", "3", *SMALL)
 
 
 @pytest.fixture(scope="session")
@@ -83,17 +132,37 @@ def small(small_set: list[Path]) -> Path:
     return small_set[0]
 
 
+@pytest.fixture(scope="session")
+def arms() -> Path:
+    """Two arms of the scene franka, 50 captured steps of MuJoCo C; must not be written to."""
+    (path,) = recorded(
+        "--sim", "mujoco", "--scene", "franka", "--n-env", 2, "--steps", 50, "--phases", "capture", "--runs", 1
+    )
+    return path
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    """One browser for all tests of a file that need one."""
+    with Browser() as opened:
+        yield opened
+
+
+_LONGEST = "test_simulators"
 _ENGINES = ("test_warp", "test_mjx", "test_brax", "test_newton")
+_ENGINES_AT_ONCE = ("test_warp", "test_newton", "test_mjx", "test_brax")
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Put tests that load an engine into this process last, in an order in which none spoils another.
+    """Begin with the longest file; end with tests that load an engine into this process, so that none spoils another.
 
     JAX minds every fork that comes after it, and Warp's modules keep the determinism mode that a test of Newton set.
+    Newton's take as long as the two that follow them where a worker runs each.
     """
+    engines = _ENGINES_AT_ONCE if "PYTEST_XDIST_WORKER" in os.environ else _ENGINES
 
     def turn(item: pytest.Item) -> int:
         name = item.path.stem
-        return _ENGINES.index(name) + 1 if name in _ENGINES else 0
+        return engines.index(name) + 1 if name in engines else -int(name == _LONGEST)
 
     items.sort(key=turn)

@@ -107,17 +107,18 @@ def test_the_how_tos(page: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.alone
-def test_readme_commands(tmp_path: Path) -> None:
+@pytest.mark.parametrize("cluster", [False, pytest.param(True, marks=pytest.mark.alone)], ids=["here", "cluster"])
+def test_readme_commands(cluster: bool, tmp_path: Path) -> None:
     """Run every command of the README in a folder that has the sample recordings."""
-    shutil.copytree(ROOT / "recordings", tmp_path / "recordings")
-    lines = commands(ROOT / "README.md")
-    assert len(lines) >= 7
+    few = shutil.ignore_patterns("[a-oq-z]*-n*.mcap")  # of those of GPUs: physx, which the README names
+    shutil.copytree(ROOT / "recordings", tmp_path / "recordings", ignore=few)
+    lines = [line for line in commands(ROOT / "README.md") if ("--ray" in line) == cluster]
+    assert len(lines) >= (1 if cluster else 7)
     for line in lines:
         done = shell(line, tmp_path)
         assert done.returncode == 0, f"{line}\n{done.stdout}\n{done.stderr}"
         assert done.stdout
-    assert (tmp_path / "report" / "index.html").exists()
+    assert cluster or (tmp_path / "report" / "index.html").exists()
 
 
 def test_readme_python() -> None:
@@ -128,6 +129,7 @@ def test_readme_python() -> None:
         assert "(501, 16, 27, 3)" in done.stdout
 
 
+@pytest.mark.slow
 def test_the_adapter_of_the_guide(tmp_path: Path) -> None:
     """Write the guide's adapter and its entry point as shown, and run the guide's commands with it."""
     guide = ROOT / "docs" / "your-simulator.md"

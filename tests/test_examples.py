@@ -60,6 +60,7 @@ def test_the_packages_commands(installed: str, tmp_path: Path) -> None:
     assert "26 checks hold, 4 are skipped" in " ".join(text.split())
 
 
+@pytest.mark.slow
 def test_a_program_that_logs(tmp_path: Path) -> None:
     """Run what the document shows beside the program, and evaluate its recordings."""
     from gpusimbench import open_recording

@@ -82,6 +82,7 @@ def test_nobody_is_named_whose_runs_are_wrong(evaluation: Any) -> None:
             assert "xpbd" not in speed.result.label
 
 
+@pytest.mark.slow
 def test_every_file_is_whole() -> None:
     """Verify every byte of every recording of the set."""
     assert len(FILES) == 207

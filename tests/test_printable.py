@@ -13,8 +13,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gpusimbench.evaluator.render.console import Screen, plain_table
-from gpusimbench.schemas import printing
-from gpusimbench.schemas.printable import block, line, printable
+from gpusimbench.schemas import text as texts
+from gpusimbench.schemas.text import block, line, printable
 
 _ROOT = Path(__file__).parents[1]
 _HIDDEN = ("Cc", "Cf", "Cs", "Co", "Cn", "Zl", "Zp")
@@ -75,11 +75,11 @@ def test_a_screen_shows_lines(rows: list[tuple[str, str]], width: int) -> None:
 
 def test_documents_are_no_commands(capsys: pytest.CaptureFixture[str]) -> None:
     """Print JSON that says the same, and is no command of a CI service."""
-    printing.show_document('{"a": "\\\\##[error]###vso["}\n')
+    texts.show_document('{"a": "\\\\##[error]###vso["}\n')
     assert capsys.readouterr().out == '{"a": "\\\\\\u0023#[error]\\u0023\\u0023#vso["}\n'
 
 
-_PRINTERS = {"schemas/printing.py", "evaluator/render/console.py", "recorder/output.py", "recorder/progress.py"}
+_PRINTERS = {"schemas/text.py", "evaluator/render/console.py", "recorder/output.py", "recorder/progress.py"}
 
 
 def _prints(tree: ast.AST) -> Iterator[ast.AST]:

@@ -11,7 +11,7 @@ from gpusimbench.evaluator.audit.settings import Settings
 from gpusimbench.evaluator.audit.verdict import Rung
 from gpusimbench.evaluator.diff.result import Divergence
 from gpusimbench.evaluator.runs.groups import shown_status
-from gpusimbench.schemas.printable import Block, block
+from gpusimbench.schemas.text import Block, block
 
 _TICKS = {True: "[x]", False: "[ ]", None: "[?]"}  # plain characters: no terminal shows them alike
 

@@ -12,8 +12,7 @@ from gpusimbench.evaluator.cli.arguments import local_name, local_path
 from gpusimbench.evaluator.cli.entry import complain, enter, new_parser
 from gpusimbench.evaluator.cli.json_target import check_target, write_json
 from gpusimbench.schemas.errors import ExitCode, UsageError
-from gpusimbench.schemas.printable import block, line
-from gpusimbench.schemas.printing import show
+from gpusimbench.schemas.text import block, line, show
 
 if TYPE_CHECKING:
     from gpusimbench.evaluator.audit.audit import Audit

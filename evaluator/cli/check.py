@@ -10,7 +10,7 @@ from gpusimbench.evaluator.cli.entry import enter, new_parser
 from gpusimbench.evaluator.cli.json_target import check_target, write_json
 from gpusimbench.schemas.errors import ExitCode, UsageError
 from gpusimbench.schemas.location import place
-from gpusimbench.schemas.printing import show
+from gpusimbench.schemas.text import show
 
 _EPILOG = """\
 exit codes:

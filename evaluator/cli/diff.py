@@ -12,7 +12,7 @@ from gpusimbench.evaluator.cli.entry import complain, enter, new_parser
 from gpusimbench.evaluator.cli.json_target import check_target
 from gpusimbench.schemas.errors import ExitCode, UsageError
 from gpusimbench.schemas.location import place
-from gpusimbench.schemas.printing import show_document
+from gpusimbench.schemas.text import show_document
 from gpusimbench.schemas.writing import write_file
 
 if TYPE_CHECKING:

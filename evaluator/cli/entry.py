@@ -14,8 +14,7 @@ from typing import NoReturn
 from gpusimbench.schemas.command_line import add_common
 from gpusimbench.schemas.errors import ExitCode, GsbError
 from gpusimbench.schemas.location import redacted, shown_argument
-from gpusimbench.schemas.printable import line
-from gpusimbench.schemas.printing import show
+from gpusimbench.schemas.text import line, show
 
 _NO_THREAD = "can't start new thread"
 """What Python says of a thread whose stack finds no memory."""

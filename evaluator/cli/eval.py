@@ -13,8 +13,7 @@ from gpusimbench.evaluator.cli.entry import complain, enter, new_parser
 from gpusimbench.evaluator.cli.json_target import check_target
 from gpusimbench.schemas.errors import ExitCode, NothingComparable, UsageError
 from gpusimbench.schemas.location import Place, place
-from gpusimbench.schemas.printable import line
-from gpusimbench.schemas.printing import show, show_document
+from gpusimbench.schemas.text import line, show, show_document
 from gpusimbench.schemas.writing import write_file, write_files
 
 if TYPE_CHECKING:

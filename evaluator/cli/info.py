@@ -10,8 +10,7 @@ from gpusimbench.evaluator.cli.entry import complain, enter, new_parser
 from gpusimbench.evaluator.cli.json_target import check_target, write_json
 from gpusimbench.schemas.errors import ExitCode, GsbError
 from gpusimbench.schemas.location import Place, place
-from gpusimbench.schemas.printable import block
-from gpusimbench.schemas.printing import show
+from gpusimbench.schemas.text import block, show
 
 _EPILOG = """\
 exit codes:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from gpusimbench.schemas import PARTIAL
 from gpusimbench.schemas.errors import UsageError
-from gpusimbench.schemas.printing import show_document
+from gpusimbench.schemas.text import show_document
 from gpusimbench.schemas.writing import write_file
 
 

@@ -13,8 +13,7 @@ from gpusimbench.evaluator.cli.arguments import local_path
 from gpusimbench.evaluator.cli.entry import complain, enter, new_parser
 from gpusimbench.schemas import PARTIAL
 from gpusimbench.schemas.errors import ExitCode, GsbError, UsageError
-from gpusimbench.schemas.printable import block, line
-from gpusimbench.schemas.printing import show
+from gpusimbench.schemas.text import block, line, show
 
 if TYPE_CHECKING:
     from gpusimbench.evaluator.share.pack import Copied

@@ -10,8 +10,7 @@ from gpusimbench.evaluator.cli.entry import complain
 from gpusimbench.evaluator.cli.share_set import check_time
 from gpusimbench.schemas.errors import UsageError
 from gpusimbench.schemas.location import place
-from gpusimbench.schemas.printable import block
-from gpusimbench.schemas.printing import show
+from gpusimbench.schemas.text import block, show
 
 if TYPE_CHECKING:
     from gpusimbench.evaluator.compute.work import Work

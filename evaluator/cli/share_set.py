@@ -11,8 +11,7 @@ from gpusimbench.evaluator.cli.entry import complain
 from gpusimbench.evaluator.cli.json_target import check_target, write_json
 from gpusimbench.schemas.errors import ExitCode, GsbError, UsageError
 from gpusimbench.schemas.location import place
-from gpusimbench.schemas.printable import block
-from gpusimbench.schemas.printing import show
+from gpusimbench.schemas.text import block, show
 
 _CARD = (
     "Describe a folder of recordings for those who find it: README.md (a card for the Hugging Face Hub), tables of all "

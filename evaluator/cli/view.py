@@ -11,8 +11,7 @@ from gpusimbench.evaluator.cli.arguments import local_path
 from gpusimbench.evaluator.cli.entry import complain, enter, new_parser
 from gpusimbench.schemas.errors import ExitCode, UsageError
 from gpusimbench.schemas.location import place
-from gpusimbench.schemas.printable import line
-from gpusimbench.schemas.printing import show
+from gpusimbench.schemas.text import line, show
 from gpusimbench.schemas.writing import write_file
 
 if TYPE_CHECKING:

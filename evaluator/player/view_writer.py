@@ -7,9 +7,9 @@ from typing import Any
 
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.schemas.configuration import EPOCH_NS
-from gpusimbench.schemas.mcap_writer import McapWriter
-from gpusimbench.schemas.printable import printable
-from gpusimbench.schemas.view import foxglove
+from gpusimbench.schemas.mcap.writer import McapWriter
+from gpusimbench.schemas.messages import embedded_schema, message_class
+from gpusimbench.schemas.text import printable
 from gpusimbench.schemas.view.env_view import ROOT, EnvView
 from gpusimbench.schemas.view.layout import NAME, layout
 from gpusimbench.schemas.view.log import event_line, status_line
@@ -33,7 +33,7 @@ class ViewWriter:
     def scene(self, envs: Sequence[EnvView]) -> None:
         """What things look like, once."""
         entities = [entity for env in envs for entity in env.entities()]
-        update = foxglove.message_class("foxglove.SceneUpdate")(entities=entities)
+        update = message_class("foxglove.SceneUpdate")(entities=entities)
         self._write(_SCENE, "foxglove.SceneUpdate", update, EPOCH_NS)
 
     def events(self, recording: Recording) -> None:
@@ -46,7 +46,7 @@ class ViewWriter:
 
     def row(self, shown: Sequence[Shown], row: int, time: int) -> None:
         """Where everything is at a time [ns]."""
-        transforms = foxglove.message_class("foxglove.FrameTransforms")()
+        transforms = message_class("foxglove.FrameTransforms")()
         for env, frames in shown:
             transforms.transforms.extend(env.transforms(frames, row, time))
         self._write(_TRANSFORMS, "foxglove.FrameTransforms", transforms, time)
@@ -75,7 +75,7 @@ class ViewWriter:
 
     def _write(self, topic: str, kind: str, message: Any, time: int) -> None:
         if kind not in self._schemas:
-            self._schemas[kind] = self._writer.schema(kind, "protobuf", foxglove.embedded_schema(kind))
+            self._schemas[kind] = self._writer.schema(kind, "protobuf", embedded_schema(kind))
         if topic not in self._channels:
             self._channels[topic] = self._writer.channel(topic, self._schemas[kind], {})
         sequence = self._sequence.get(topic, 0)

@@ -9,8 +9,8 @@ from gpusimbench.evaluator.player.clip import Clip
 from gpusimbench.evaluator.player.viewer import write_view
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.schemas import topics
-from gpusimbench.schemas.container import Container
 from gpusimbench.schemas.errors import UsageError
+from gpusimbench.schemas.mcap.reader import Container
 
 _DRAWN = "foxglove.SceneUpdate"  # with which an environment's poses come
 

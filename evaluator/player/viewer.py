@@ -12,7 +12,7 @@ from gpusimbench.evaluator.read.copying import LIBRARY
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.schemas.configuration import EPOCH_NS, sim_time_ns
 from gpusimbench.schemas.errors import DamagedRecording, UsageError
-from gpusimbench.schemas.mcap_writer import McapWriter
+from gpusimbench.schemas.mcap.writer import McapWriter
 from gpusimbench.schemas.view.env_view import EnvView
 from gpusimbench.schemas.view.motion import Frame, Motion, one_of
 from gpusimbench.schemas.view.shapes import Solid, Vector, solids_of

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import glob
 import shutil
 import tempfile
 from collections.abc import Iterator, Sequence
@@ -17,7 +18,9 @@ MAX_FILES = 10_000
 
 
 def expand(places: Sequence[Place], *, copies: bool = False) -> list[Place]:
-    """Paths as they are, and each address with wildcards as the files that it stands for; each of them once.
+    """Each path and address with wildcards as the files that it stands for, the others as they are; each file once.
+
+    A path with wildcards that stands for nothing stays as it is, and whoever opens it says that there is no such file.
 
     copies  what is named twice is there twice
 
@@ -29,6 +32,8 @@ def expand(places: Sequence[Place], *, copies: bool = False) -> list[Place]:
             from gpusimbench.schemas.remote import matching
 
             found += matching(given, MAX_FILES)
+        elif glob.has_magic(str(given)) and not given.exists():
+            found += sorted(map(Path, glob.glob(str(given)))) or [given]
         else:
             found.append(given)
     return found if copies else list(dict.fromkeys(found))

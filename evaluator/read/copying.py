@@ -2,21 +2,26 @@
 
 from __future__ import annotations
 
-import struct
-from collections.abc import Callable
-from io import BytesIO
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
-
-from mcap.data_stream import ReadDataStream
-from mcap.exceptions import McapError
-from mcap.records import Attachment, Channel, Metadata, Schema
+from typing import NamedTuple
 
 from gpusimbench.schemas import FORMAT, __version__, topics
 from gpusimbench.schemas.errors import DamagedRecording
-from gpusimbench.schemas.mcap_writer import McapWriter
+from gpusimbench.schemas.mcap.records import (
+    MESSAGE_HEAD,
+    Attachment,
+    ChannelRecord,
+    Metadata,
+    Op,
+    Record,
+    Schema,
+    parse,
+)
+from gpusimbench.schemas.mcap.walk import Walk
+from gpusimbench.schemas.mcap.writer import McapWriter
 from gpusimbench.schemas.messages import widened_schema
-from gpusimbench.schemas.records import Record
+from gpusimbench.schemas.source import MappedFile
 from gpusimbench.schemas.writing import Target
 
 LIBRARY = f"gpusimbench {__version__}"
@@ -24,9 +29,39 @@ LIBRARY = f"gpusimbench {__version__}"
 Change = Callable[[memoryview], bytes]
 """A StateBlock to what is written in its place."""
 
-_MESSAGE_HEAD = struct.Struct("<HIQQ")
 _STATE = "gsb.v1.StateBlock"
-_TYPES = {"schema": Schema, "channel": Channel, "attachment": Attachment, "metadata": Metadata}
+
+
+class Placed(NamedTuple):
+    """A record to be copied.
+
+    compression  of the chunk that it is in; empty outside of chunks
+    end          byte of the file behind it, or behind its chunk
+    """
+
+    record: Record
+    compression: str
+    end: int
+
+
+def records_of(path: Path) -> Iterator[Placed]:
+    """All whole records of the data section that say something, those of a chunk in its place.
+
+    Chunks and attachments are checked against their CRC. DamagedRecording at the first that cannot be read, after all
+    records before it.
+    """
+    walk = Walk(MappedFile(path))
+    for record in walk:
+        if record.opcode in (Op.DATA_END, Op.FOOTER):
+            return
+        if record.opcode == Op.ATTACHMENT:
+            walk.attached(record, walk.attachment(record))
+        if record.opcode != Op.CHUNK:
+            yield Placed(record, "", record.end)
+            continue
+        head = walk.head(record)
+        for inner in walk.inside(record, head):
+            yield Placed(inner, head.chunk.compression, record.end)
 
 
 class Copier:
@@ -49,44 +84,53 @@ class Copier:
     def add(self, record: Record) -> None:
         """Write a record; times, sequence numbers and names stay, indexes are made anew.
 
-        DamagedRecording where it is none of its kind.
+        DamagedRecording where it cannot be read.
         """
-        try:
-            if record.kind == "message":
-                self._message(record.content)
-            elif record.kind in _TYPES:
-                self._other(_TYPES[record.kind].read(ReadDataStream(BytesIO(record.content))))
-        except (KeyError, ValueError, struct.error, McapError) as error:
-            raise DamagedRecording(f"{self._source}: a {record.kind} record cannot be read: {error!r}") from None
+        cursor = record.cursor(self._source)
+        if record.opcode == Op.MESSAGE:
+            self._message(record)
+        elif record.opcode == Op.SCHEMA:
+            schema = parse(Schema, cursor)
+            if schema.id not in self._schemas:
+                self._schemas[schema.id] = self._writer.schema(schema.name, schema.encoding, _described(schema))
+        elif record.opcode == Op.CHANNEL:
+            self._channel(parse(ChannelRecord, cursor))
+        elif record.opcode == Op.ATTACHMENT:
+            found = Attachment.read(cursor)
+            content = bytes(cursor.take(found.end - found.begin))
+            self._writer.attachment(
+                found.name, found.media_type, content, log_time=found.log_time, create_time=found.create_time
+            )
+        elif record.opcode == Op.METADATA:
+            metadata = parse(Metadata, cursor)
+            self._writer.metadata(metadata.name, metadata.metadata)
 
     def finish(self) -> None:
         """Write the summary and the end of the file."""
         self._writer.finish()
 
-    def _message(self, content: memoryview) -> None:
-        channel, sequence, log_time, publish_time = _MESSAGE_HEAD.unpack_from(content)
-        number, topic = self._channels[channel]
-        data: bytes | memoryview = content[_MESSAGE_HEAD.size :]
-        if self._change is not None and topics.parse_state(topic) is not None:
-            data = self._change(content[_MESSAGE_HEAD.size :])
-        self._writer.message(number, data, log_time=log_time, publish_time=publish_time, sequence=sequence)
+    def _channel(self, channel: ChannelRecord) -> None:
+        if channel.id in self._channels:
+            return
+        if channel.schema_id not in self._schemas:
+            raise DamagedRecording(f"{self._source}: {channel.topic} is of schema {channel.schema_id}, not declared")
+        number = self._writer.channel(
+            channel.topic, self._schemas[channel.schema_id], channel.metadata, encoding=channel.message_encoding
+        )
+        self._channels[channel.id] = number, channel.topic
 
-    def _other(self, record: Any) -> None:
-        match record:
-            case Schema() if record.id not in self._schemas:
-                self._schemas[record.id] = self._writer.schema(record.name, record.encoding, _described(record))
-            case Channel() if record.id not in self._channels:
-                number = self._writer.channel(
-                    record.topic, self._schemas[record.schema_id], record.metadata, encoding=record.message_encoding
-                )
-                self._channels[record.id] = number, record.topic
-            case Attachment():
-                self._writer.attachment(
-                    record.name, record.media_type, record.data,
-                    log_time=record.log_time, create_time=record.create_time,
-                )  # fmt: skip
-            case Metadata():
-                self._writer.metadata(record.name, record.metadata)
+    def _message(self, record: Record) -> None:
+        channel, sequence, log_time, content = record.message(self._source)
+        if channel not in self._channels:
+            raise DamagedRecording(
+                f"{self._source}: a message is of channel {channel}, which is not declared before it"
+            )
+        number, topic = self._channels[channel]
+        data: bytes | memoryview = content
+        if self._change is not None and topics.parse_state(topic) is not None:
+            data = self._change(content)
+        publish_time = MESSAGE_HEAD.unpack_from(record.content)[3]
+        self._writer.message(number, data, log_time=log_time, publish_time=publish_time, sequence=sequence)
 
 
 def _described(record: Schema) -> bytes:

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
-from gpusimbench.schemas.container import Container
 from gpusimbench.schemas.errors import DamagedRecording
 from gpusimbench.schemas.location import Place
+from gpusimbench.schemas.mcap.reader import Container
 from gpusimbench.schemas.messages import message_class
 
 _FREE_BYTES = 64 << 20

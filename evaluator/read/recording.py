@@ -36,13 +36,13 @@ from gpusimbench.evaluator.read.streams import (
 )
 from gpusimbench.schemas import checks, topics
 from gpusimbench.schemas.configuration import RunConfiguration
-from gpusimbench.schemas.container import Container
-from gpusimbench.schemas.declarations import Channel
 from gpusimbench.schemas.digest import ContentDigest, content_hash
 from gpusimbench.schemas.errors import DamagedRecording
 from gpusimbench.schemas.fields import StateField
 from gpusimbench.schemas.fingerprint import fingerprint
 from gpusimbench.schemas.location import Place, place
+from gpusimbench.schemas.mcap.declarations import Channel
+from gpusimbench.schemas.mcap.reader import Container
 from gpusimbench.schemas.messages import enum_values
 from gpusimbench.schemas.provenance import PROVENANCE, SCENE, SIMULATION, Provenance, Simulation
 from gpusimbench.schemas.source import Source

@@ -23,9 +23,10 @@ from gpusimbench.schemas.blocks import (
 )
 from gpusimbench.schemas.checks import MAX_COUNT
 from gpusimbench.schemas.configuration import EPOCH_NS, RunConfiguration, sim_time_ns
-from gpusimbench.schemas.container import Container, Message
 from gpusimbench.schemas.errors import DamagedRecording
 from gpusimbench.schemas.fields import StateField
+from gpusimbench.schemas.mcap.contents import Message
+from gpusimbench.schemas.mcap.reader import Container
 
 _BLOCK_ROWS = 50  # at most, by the format
 _GAP_ROWS = 1 << 22  # that may be missing before nothing else can be read

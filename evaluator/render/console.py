@@ -1,4 +1,4 @@
-"""Where tables are printed, and how they look: whatever is printed here is made of lines (see schemas.printable)."""
+"""Where tables are printed, and how they look: whatever is printed here is made of lines (see schemas.text)."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from rich.measure import Measurement
 from rich.table import Table
 from rich.text import Text
 
-from gpusimbench.schemas.printable import line
+from gpusimbench.schemas.text import line
 
 _WIDTH_WITHOUT_TERMINAL = 120
 _HANG = 4  # blanks before what a line goes on with: nothing that it says can look like another line

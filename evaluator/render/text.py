@@ -1,5 +1,5 @@
 """Text of strangers, made harmless to whatever shows it."""
 
-from gpusimbench.schemas.printable import block, line, printable
+from gpusimbench.schemas.text import block, line, printable
 
 __all__ = ["block", "line", "printable"]

@@ -15,8 +15,8 @@ from gpusimbench.evaluator.render.text import block, line
 from gpusimbench.evaluator.results.timed_work import SHORT_S
 from gpusimbench.evaluator.runs.cotenancy import described
 from gpusimbench.schemas.configuration import MAX_VIEW, RunConfiguration
-from gpusimbench.schemas.printable import Block
 from gpusimbench.schemas.provenance import REAL, Provenance, Simulation
+from gpusimbench.schemas.text import Block
 
 _WIDTH = 80
 _LABEL = 12

@@ -5,13 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from gpusimbench.evaluator.read.copying import Change, Copier
+from gpusimbench.evaluator.read.copying import Change, Copier, records_of
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.runs.validation import verify
 from gpusimbench.schemas.blocks import pack_state, unpack_state
-from gpusimbench.schemas.container import Container
 from gpusimbench.schemas.errors import DamagedRecording, DataLost
-from gpusimbench.schemas.records import read_records
+from gpusimbench.schemas.mcap.reader import Container
 from gpusimbench.schemas.writing import new_file
 
 
@@ -53,7 +52,7 @@ def _copy(source: Path, path: Path, change: Change, *, compression: str) -> Copi
     verify(recording)
     with new_file(path) as target:
         copier = Copier(target, source, compression=compression, change=change)
-        for record in read_records(source):
+        for record, _, _ in records_of(source):
             copier.add(record)
         copier.finish()
         copy = Recording(target.path)

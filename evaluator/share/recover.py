@@ -5,14 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from gpusimbench.evaluator.read.copying import Copier
+from gpusimbench.evaluator.read.copying import Copier, records_of
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.runs.validation import verify
 from gpusimbench.schemas import topics
-from gpusimbench.schemas.container import Container
 from gpusimbench.schemas.errors import DamagedRecording, RecordingError, UsageError
-from gpusimbench.schemas.mcap_writer import MAGIC
-from gpusimbench.schemas.records import read_records
+from gpusimbench.schemas.mcap.reader import Container
+from gpusimbench.schemas.mcap.records import MAGIC, Op
 from gpusimbench.schemas.writing import new_file
 
 
@@ -65,9 +64,9 @@ def recover(source: Path, path: Path) -> Recovered:
     with new_file(path) as target:
         copier = Copier(target, source, compression=_compression(source))
         try:
-            for record in read_records(source):
+            for record, _, end_of_it in records_of(source):
                 copier.add(record)
-                end = record.end
+                end = end_of_it
         except DamagedRecording as error:
             damage = str(error)
         copier.finish()
@@ -93,7 +92,7 @@ def _is_whole(source: Path) -> bool:
 def _compression(source: Path) -> str:
     # that of the first chunk, so that the file stays as large as it was
     try:
-        found = next((record.compression for record in read_records(source) if record.kind == "message"), "")
+        found = next((compression for record, compression, _ in records_of(source) if record.opcode == Op.MESSAGE), "")
     except DamagedRecording:
         return "none"
     return found or "none"

@@ -15,7 +15,7 @@ from gpusimbench.recorder.scenes.actions import JointTargets
 from gpusimbench.schemas import topics
 from gpusimbench.schemas.blocks import action_parts
 from gpusimbench.schemas.configuration import sim_time_ns
-from gpusimbench.schemas.mcap_writer import Part
+from gpusimbench.schemas.mcap.writer import Part
 from gpusimbench.schemas.messages import message_class
 
 

@@ -21,9 +21,8 @@ from gpusimbench.schemas import FORMAT, __version__, topics
 from gpusimbench.schemas.configuration import EPOCH_NS
 from gpusimbench.schemas.digest import ContentDigest, content_hash
 from gpusimbench.schemas.errors import DataLost, UsageError
-from gpusimbench.schemas.mcap_writer import McapWriter, Part
+from gpusimbench.schemas.mcap.writer import McapWriter, Part
 from gpusimbench.schemas.messages import embedded_schema, enum_values, message_class
-from gpusimbench.schemas.view import foxglove
 from gpusimbench.schemas.writing import create, reopen
 
 
@@ -74,17 +73,10 @@ class Sink:
 
     def channel(self, topic: str, message: str, metadata: dict[str, str] | None = None) -> None:
         """Declare a topic and the message type that it carries."""
-        self._declare(topic, message, embedded_schema(message), metadata or {})
-
-    def view_channel(self, topic: str, message: str) -> None:
-        """Declare a topic of the view, and which of Foxglove's message types it carries."""
-        self._declare(topic, message, foxglove.embedded_schema(message), {})
-
-    def _declare(self, topic: str, message: str, schema: bytes, metadata: dict[str, str]) -> None:
         with self._disk():
             if message not in self._schemas:
-                self._schemas[message] = self._writer.schema(message, "protobuf", schema)
-            self._channels[topic] = self._writer.channel(topic, self._schemas[message], metadata)
+                self._schemas[message] = self._writer.schema(message, "protobuf", embedded_schema(message))
+            self._channels[topic] = self._writer.channel(topic, self._schemas[message], metadata or {})
 
     def write(self, topic: str, data: bytes, *, sim_ns: int | None = None) -> None:
         """A serialised message on a declared topic.

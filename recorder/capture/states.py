@@ -19,7 +19,7 @@ from gpusimbench.schemas.configuration import sim_time_ns
 from gpusimbench.schemas.errors import DataLost
 from gpusimbench.schemas.fields import StateField
 from gpusimbench.schemas.fingerprint import ALGORITHM, fingerprint
-from gpusimbench.schemas.mcap_writer import Part
+from gpusimbench.schemas.mcap.writer import Part
 
 STEPS_PER_BLOCK = 50
 _ENV_BLOCK_MIN = 64

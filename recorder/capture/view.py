@@ -42,7 +42,7 @@ class ViewWriter:
         sink.metadata(METADATA, {"environments": ",".join(map(str, c.view)), "layout": layout_of(self._views)})
         for view in self._views:
             for topic, kind in view.types.items():
-                sink.view_channel(topic, kind)
+                sink.channel(topic, kind)
         for scene_message in scenes:
             self._write(scene_message)
 
@@ -70,7 +70,7 @@ class LogWriter:
     def __init__(self, sink: Sink) -> None:
         self._sink = sink
         self._last_ns = 0
-        sink.view_channel(LOG_TOPIC, LOG_TYPE)
+        sink.channel(LOG_TOPIC, LOG_TYPE)
 
     def event(self, kind: str, event: Any) -> None:
         """An event of the run, a gsb.v1.Event, and the name of its kind."""

@@ -13,8 +13,8 @@ from gpusimbench.recorder.finished import run_end
 from gpusimbench.recorder.plan import partial_of, publish, reserve
 from gpusimbench.recorder.task import Task
 from gpusimbench.schemas import PARTIAL
-from gpusimbench.schemas.container import Container
 from gpusimbench.schemas.errors import GsbError, RecordingError
+from gpusimbench.schemas.mcap.reader import Container
 from gpusimbench.schemas.provenance import PROVENANCE, Provenance
 from gpusimbench.schemas.writing import reopen
 

@@ -21,7 +21,7 @@ from gpusimbench.recorder.output import show, show_document
 from gpusimbench.recorder.progress import say
 from gpusimbench.recorder.simulators.registry import find_simulator
 from gpusimbench.schemas.errors import ExitCode, GsbError, UsageError
-from gpusimbench.schemas.printable import line
+from gpusimbench.schemas.text import line
 
 _EPILOG = """\
 exit codes:

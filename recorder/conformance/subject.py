@@ -17,10 +17,11 @@ import numpy as np
 from gpusimbench.recorder.conformance.recording import RecordedRun, read
 from gpusimbench.recorder.conformance.scene import DT, LANDING, N_ENV, N_STEP, conformance_scene
 from gpusimbench.recorder.conformance.trajectory import Trajectory
+from gpusimbench.recorder.conformance.verdict import NotApplicable
 from gpusimbench.recorder.environment import apply_environment
 from gpusimbench.recorder.options import parse_options
 from gpusimbench.recorder.scenes.base import Scene
-from gpusimbench.recorder.scenes.registry import SCENES, make_scene
+from gpusimbench.recorder.scenes.registry import SCENES
 from gpusimbench.recorder.simulators.base import Captured, Description, Simulator, States
 from gpusimbench.recorder.simulators.captured import RING_BLOCKS
 from gpusimbench.recorder.simulators.evidence import Evidence
@@ -96,7 +97,9 @@ class Subject:
 
     @contextmanager
     def built(self, scene: Scene, *, n_env: int = N_ENV) -> Iterator[tuple[Simulator, Description]]:
-        """A fresh build of a scene, at the scene's step; closed at the end."""
+        """A fresh build of a scene, at its step; closed at the end. NotApplicable where it needs a missing ability."""
+        if refusal := self.adapter.refusal(self.name, scene, self.options):
+            raise NotApplicable(refusal)
         simulator = self.adapter(
             scene, n_env=n_env, dt=scene.dt, seed=SEED, options=self.options, determinism=self.determinism
         )
@@ -106,14 +109,10 @@ class Subject:
             simulator.close()
 
     @property
-    def scenes(self) -> tuple[str, ...]:
-        """Registered scenes that the adapter may simulate: those it promises, or all where it does not say."""
-        return self.entry.scenes if self.entry and self.entry.scenes else tuple(SCENES)
-
-    @property
-    def promises_scenes(self) -> bool:
-        """Whether the registry says which scenes the adapter simulates."""
-        return bool(self.entry and self.entry.scenes)
+    def scenes(self) -> tuple[Scene, ...]:
+        """Built-in scenes that need nothing beyond the adapter's abilities."""
+        scenes = (make() for make in SCENES.values())
+        return tuple(scene for scene in scenes if not self.adapter.refusal(self.name, scene, self.options))
 
     @property
     def trajectory(self) -> Trajectory:
@@ -219,11 +218,14 @@ class Subject:
         from gpusimbench.recorder.launch import Interruptions, launch
         from gpusimbench.recorder.plan import reserve, utc_now
 
+        if not self.scenes:
+            raise NotApplicable("the adapter has not the abilities that any built-in scene needs")
+        scene = self.scenes[0]
         configuration = RunConfiguration(
             simulator=self.name,
-            scene=self.scenes[0],
+            scene=scene.name,
             n_env=2,
-            dt=make_scene(self.scenes[0]).dt,
+            dt=scene.dt,
             steps=4,
             warmup=1,
             timed_steps=3,

@@ -8,17 +8,19 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 from dataclasses import dataclass, field, fields, is_dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-if TYPE_CHECKING:
-    from gpusimbench.recorder.scenes.actions import JointTargets
-    from gpusimbench.recorder.scenes.articulation import Robot
+from gpusimbench.recorder.abilities import Ability
+from gpusimbench.recorder.scenes.actions import JointTargets
 
 Vector = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
 
 IDENTITY: Quaternion = (1.0, 0.0, 0.0, 0.0)
+
+_LEVEL = 1e-12  # sine of the tilt below which a plane counts as level
 
 
 @dataclass(frozen=True)
@@ -59,6 +61,27 @@ class Plane:
 
 
 Shape = Box | Sphere | Capsule | Plane
+
+
+def solid_inertia(shape: Shape, mass: float) -> Vector:
+    """Principal moments of a uniform solid about its centre, along its axes [kg m2].
+
+    A capsule is a cylinder and two hemispheres, whose centres of mass are 3/8 of a radius beyond its ends; see any
+    table of moments of inertia. ValueError for a plane.
+    """
+    match shape:
+        case Box((x, y, z)):
+            return mass * (y * y + z * z) / 12, mass * (x * x + z * z) / 12, mass * (x * x + y * y) / 12
+        case Sphere(radius):
+            return (0.4 * mass * radius**2,) * 3
+        case Capsule(radius, length):
+            cylinder = mass * length / (length + 4 / 3 * radius)
+            ends = mass - cylinder
+            along = cylinder * radius**2 / 2 + ends * 0.4 * radius**2
+            across = cylinder * (length**2 / 12 + radius**2 / 4)
+            across += ends * (0.4 * radius**2 + length**2 / 4 + 3 / 8 * radius * length)
+            return across, across, along
+    raise ValueError("a plane has no inertia")
 
 
 @dataclass(frozen=True)
@@ -105,6 +128,96 @@ class Body:
 
 
 @dataclass(frozen=True)
+class Placed:
+    """A shape at a pose in its link's frame.
+
+    position     of the shape's centre [m]
+    orientation  unit quaternion wxyz
+    """
+
+    shape: Shape
+    position: Vector = (0.0, 0.0, 0.0)
+    orientation: Quaternion = IDENTITY
+
+
+@dataclass(frozen=True)
+class Inertial:
+    """Mass properties of a link, in the axes of its frame.
+
+    mass     [kg]
+    centre   of mass [m]
+    inertia  about the centre of mass: xx, yy, zz, xy, xz, yz [kg m2]
+    """
+
+    mass: float
+    centre: Vector
+    inertia: tuple[float, float, float, float, float, float]
+
+
+@dataclass(frozen=True)
+class Hinge:
+    """A joint about the z axis of its link's frame, moved by a position servo.
+
+    lower, upper   limits [rad]
+    max_velocity   as published [rad/s]; engines do not enforce it
+    max_torque     of the servo [N m]
+    stiffness      of the servo [N m/rad]
+    damping        of the servo [N m s/rad]
+    friction       viscous, of the joint itself [N m s/rad]
+    armature       inertia of the motor as seen at the joint [kg m2]
+    """
+
+    name: str
+    lower: float
+    upper: float
+    max_velocity: float
+    max_torque: float
+    stiffness: float
+    damping: float
+    friction: float
+    armature: float
+
+
+@dataclass(frozen=True)
+class Link:
+    """A rigid part of a robot.
+
+    parent       name of the link it hangs on, empty for the base
+    position     of its frame in the parent's [m], at joint angle zero
+    orientation  the same, unit quaternion wxyz
+    joint        None where it is rigidly attached
+    """
+
+    name: str
+    parent: str
+    position: Vector
+    orientation: Quaternion
+    inertial: Inertial
+    shapes: tuple[Placed, ...] = ()
+    joint: Hinge | None = None
+
+
+@dataclass(frozen=True)
+class Robot:
+    """A robot on a fixed base at the world's origin: a tree of links on hinges.
+
+    links     parents before children
+    start     initial joint angles [rad], in the order of the joints
+    apart     pairs of links that never collide though they are not parent and child: their shapes overlap by design
+    """
+
+    name: str
+    links: tuple[Link, ...]
+    start: tuple[float, ...]
+    material: Material
+    apart: tuple[tuple[str, str], ...] = ()
+
+    def joints(self) -> tuple[Hinge, ...]:
+        """The joints in order: the order of qpos, qvel and actions."""
+        return tuple(link.joint for link in self.links if link.joint is not None)
+
+
+@dataclass(frozen=True)
 class Scene:
     """One environment.
 
@@ -140,6 +253,21 @@ class Scene:
             groups.setdefault(body.group, []).append(body.name)
         return {group: tuple(names) for group, names in groups.items()}
 
+    def needs(self) -> frozenset[Ability]:
+        """What an engine has to be able to do to simulate this scene; a scene that needs more overrides it."""
+        needs = {_ability_for(body) for body in self.bodies}
+        if self.moving():
+            needs.add(Ability.FREE_BODIES)
+        if self.robot is not None:
+            needs.add(Ability.FIXED_BASE)
+            if self.robot.joints():
+                needs.add(Ability.HINGES)
+            if self.moving():
+                needs.add(Ability.ROBOT_AMONG_BODIES)
+        if self.actions is not None:
+            needs.add(Ability.ACTIONS)
+        return frozenset(needs)
+
     def to_json(self) -> str:
         """As the text that a recording carries; shapes are tagged with their kind."""
         return json.dumps(_plain(self), indent=1, sort_keys=True) + "\n"
@@ -147,6 +275,20 @@ class Scene:
     def sha256(self) -> str:
         """Identity of the description [hex]."""
         return hashlib.sha256(self.to_json().encode()).hexdigest()
+
+
+def _ability_for(body: Body) -> Ability:
+    match body.shape:
+        case Box():
+            return Ability.BOXES
+        case Sphere():
+            return Ability.SPHERES
+        case Capsule():
+            return Ability.CAPSULES
+        case Plane():
+            w, x, y, z = body.orientation
+            sine = math.hypot(2 * (x * z + w * y), 2 * (y * z - w * x))  # of the angle between its normal and z
+            return Ability.PLANES if sine < _LEVEL else Ability.TILTED_PLANES
 
 
 def _plain(value: Any) -> Any:

@@ -14,8 +14,21 @@ from __future__ import annotations
 import math
 
 from gpusimbench.recorder.scenes.actions import JointTargets
-from gpusimbench.recorder.scenes.articulation import Hinge, Inertial, Link, Placed, Robot
-from gpusimbench.recorder.scenes.base import IDENTITY, Box, Capsule, Material, Quaternion, Scene, Shape, Vector
+from gpusimbench.recorder.scenes.base import (
+    IDENTITY,
+    Box,
+    Capsule,
+    Hinge,
+    Inertial,
+    Link,
+    Material,
+    Placed,
+    Quaternion,
+    Robot,
+    Scene,
+    Shape,
+    Vector,
+)
 
 SHELL = Material("robot shell", static_friction=0.6, kinetic_friction=0.5, restitution=0.0)
 

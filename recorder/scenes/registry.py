@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from importlib import metadata
 
+from gpusimbench.recorder.plugins import in_words
 from gpusimbench.recorder.scenes.base import Scene
 from gpusimbench.recorder.scenes.franka import franka
 from gpusimbench.recorder.scenes.free_fall import free_fall
@@ -41,8 +42,7 @@ def make_scene(name: str) -> Scene:
     try:
         scene = point.load()()
     except Exception as error:  # whatever a third party's code raises
-        text = " ".join(f"{type(error).__name__}: {error}".split())
-        raise UsageError(f"scene '{name}' of {owner} cannot be made: {text}") from None
+        raise UsageError(f"scene '{name}' of {owner} cannot be made: {in_words(error)}") from None
     if not isinstance(scene, Scene) or scene.name != name:
         made = f"a Scene named '{scene.name}'" if isinstance(scene, Scene) else f"a {type(scene).__name__}"
         raise UsageError(f"scene '{name}' of {owner} has to be a Scene of that name, and is {made}")

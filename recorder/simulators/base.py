@@ -17,13 +17,15 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from gpusimbench.recorder.abilities import Ability, listed, titles
 from gpusimbench.recorder.scenes.base import Scene
 from gpusimbench.recorder.simulators.captured import Captured, Held, States
 from gpusimbench.recorder.simulators.evidence import Evidence
+from gpusimbench.schemas.errors import UsageError
 from gpusimbench.schemas.fields import StateField
 from gpusimbench.schemas.provenance import Buffer, Counter, Deviation, OverflowBit
 
-__all__ = ["Captured", "Description", "Evidence", "Held", "Simulator", "States"]
+__all__ = ["Ability", "Captured", "Description", "Evidence", "Held", "Simulator", "States"]
 
 
 @dataclass(frozen=True)
@@ -62,6 +64,7 @@ class Simulator(ABC):
     """N identical environments of one scene on one engine.
 
     Options          frozen dataclass of the engine's own options; every field has a default
+    abilities        what the engine can do, with some of its options at least; none where a class does not say
     timing_interval  steps between two clock readings of the timed phase; 1 unless reading the clock would cost
     determinism      levels that can be asked for, and what each sets, in words; "default" is the engine as it ships
     draws_actions    True where the adapter makes the scene's actions on its device, step by step, instead of taking
@@ -70,6 +73,7 @@ class Simulator(ABC):
     """
 
     Options: ClassVar[type]
+    abilities: ClassVar[frozenset[Ability]] = frozenset()
     timing_interval: ClassVar[int] = 1
     determinism_levels: ClassVar[dict[str, str]] = {"default": "the engine as it ships"}
     draws_actions: ClassVar[bool] = False
@@ -78,7 +82,7 @@ class Simulator(ABC):
     def __init__(
         self, scene: Scene, *, n_env: int, dt: float, seed: int, options: Any, determinism: str = "default"
     ) -> None:
-        """Keep the arguments; touch no device yet.
+        """Keep the arguments; touch no device yet. UsageError where the scene needs an ability that is not there.
 
         n_env        number of environments
         dt           step [s]
@@ -86,12 +90,32 @@ class Simulator(ABC):
         options      an instance of Options
         determinism  one of determinism_levels
         """
+        if refusal := self.refusal(type(self).__name__, scene, options):
+            raise UsageError(refusal)
         self.scene = scene
         self.n_env = n_env
         self.dt = dt
         self.seed = seed
         self.options = options
         self.determinism = determinism
+
+    @classmethod
+    def withheld(cls, options: Any) -> dict[Ability, str]:
+        """Abilities that the engine has, but not with these options, and what to use instead, such as an option."""
+        return {}
+
+    @classmethod
+    def refusal(cls, name: str, scene: Scene, options: Any) -> str:
+        """Why the simulator of that name cannot simulate a scene with these options; empty where it can."""
+        needs, withheld = scene.needs(), cls.withheld(options)
+        if missing := titles(needs - cls.abilities):
+            why = f"it has no {listed(missing)}"
+        elif missing := titles(needs & withheld.keys()):
+            instead = dict.fromkeys(how for ability, how in withheld.items() if ability in needs)
+            why = f"with these options it has no {listed(missing)}: use {'; '.join(instead)}"
+        else:
+            return ""
+        return f"simulator '{name}' cannot simulate scene '{scene.name}': {why}"
 
     @classmethod
     def environment(cls, options: Any, determinism: str) -> dict[str, str]:
@@ -105,8 +129,8 @@ class Simulator(ABC):
     def build(self) -> Description:
         """Load the scene into the engine, in its initial state, ready to step.
 
-        Raises UsageError where the engine cannot simulate this scene or was given an option it does not have, and
-        recorder.failure.Refused where the engine itself does not accept a setting.
+        Raises UsageError where the engine was given an option or a scene that it does not take for a reason that no
+        ability names, and recorder.failure.Refused where the engine itself does not accept a setting.
         """
 
     def compile(self, phase: str) -> None:  # noqa: B027 - most engines have nothing to compile

@@ -8,9 +8,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from importlib import import_module, metadata
+from importlib.machinery import PathFinder
 from importlib.util import find_spec
 
 from gpusimbench.recorder.interruption import blocked
+from gpusimbench.recorder.plugins import in_words
 from gpusimbench.recorder.simulators.base import Simulator
 from gpusimbench.schemas.errors import UsageError
 
@@ -28,10 +30,9 @@ class Entry:
     install    how to get them
     devices    kinds of device that it steps on: "cpu", "cuda"
     precision  of its states: "float32", "float64"
-    scenes     names of the scenes that it simulates
     needs      what no installation brings, for simulators that want something of the user's
 
-    Devices, precision and scenes are empty where only the adapter itself could tell: it is not loaded to find out.
+    Devices and precision are empty where only the adapter itself could tell: it is not loaded to find out.
     """
 
     name: str
@@ -41,7 +42,6 @@ class Entry:
     install: str = ""
     devices: tuple[str, ...] = ()
     precision: tuple[str, ...] = ()
-    scenes: tuple[str, ...] = ()
     needs: str = ""
 
     def missing(self) -> tuple[str, ...]:
@@ -59,24 +59,26 @@ class Entry:
         return f"simulator '{self.name}' needs {', '.join(missing)}, which is not installed: {self.install}"
 
     def adapter(self) -> type[Simulator]:
-        """The adapter, also where its engine is not installed: to read its options. UsageError where it is broken."""
+        """The adapter, with or without its engine installed: what it declares can be read. UsageError where broken."""
         module, _, name = self.target.partition(":")
         try:
             # An import that is interrupted shows as one that is broken, and some engines start processes in theirs.
             with blocked():
                 adapter: type[Simulator] = getattr(import_module(module), name)
         except Exception as error:  # whatever a third party's module raises
-            text = " ".join(f"{type(error).__name__}: {error}".split())
-            raise UsageError(f"simulator '{self.name}' cannot be loaded: {text}") from None
+            raise UsageError(f"simulator '{self.name}' cannot be loaded: {in_words(error)}") from None
         if not (isinstance(adapter, type) and issubclass(adapter, Simulator) and hasattr(adapter, "Options")):
             raise UsageError(f"simulator '{self.name}' cannot be loaded: {self.target} is no Simulator with Options")
         return adapter
 
 
 def _is_there(name: str) -> bool:
+    package, *inner = name.split(".")
     try:
-        found = find_spec(name)
-    except Exception:  # of a package whose parent is missing, or cannot be imported
+        found = find_spec(package)
+        for part in inner:  # find_spec itself would import the package
+            found = found and PathFinder.find_spec(f"{found.name}.{part}", found.submodule_search_locations)
+    except Exception:  # whatever a finder raises
         return False
     return found is not None and found.origin is not None  # a folder of that name is no package
 
@@ -98,7 +100,6 @@ BUILT_IN = (
         install=_extra("mujoco"),
         devices=("cpu",),
         precision=("float64",),
-        scenes=("inclined-collision", "free-fall", "franka"),
     ),
     Entry(
         "warp",
@@ -108,7 +109,6 @@ BUILT_IN = (
         install=_extra("warp"),
         devices=("cuda", "cpu"),
         precision=("float32",),
-        scenes=("inclined-collision", "free-fall", "franka"),
     ),
     Entry(
         "mjx",
@@ -118,7 +118,6 @@ BUILT_IN = (
         install=_extra("mjx"),
         devices=("cuda", "cpu"),
         precision=("float32",),
-        scenes=("inclined-collision", "free-fall", "franka"),
     ),
     Entry(
         "playground",
@@ -128,7 +127,6 @@ BUILT_IN = (
         install=_extra("playground"),
         devices=("cuda", "cpu"),
         precision=("float32",),
-        scenes=("inclined-collision", "free-fall", "franka"),
     ),
     Entry(
         "brax",
@@ -138,7 +136,6 @@ BUILT_IN = (
         install=_extra("brax"),
         devices=("cuda", "cpu"),
         precision=("float32",),
-        scenes=("inclined-collision", "free-fall"),
     ),
     Entry(
         "newton",
@@ -148,7 +145,6 @@ BUILT_IN = (
         install=_extra("newton"),
         devices=("cuda", "cpu"),
         precision=("float32",),
-        scenes=("inclined-collision", "free-fall"),
     ),
     Entry(
         "genesis",
@@ -158,7 +154,6 @@ BUILT_IN = (
         install=_set_up("genesis"),
         devices=("cuda", "cpu"),
         precision=("float32", "float64"),
-        scenes=("inclined-collision", "free-fall", "franka"),
     ),
     Entry(
         "physx",
@@ -168,7 +163,6 @@ BUILT_IN = (
         install=_set_up("physx"),
         devices=("cuda", "cpu"),
         precision=("float32",),
-        scenes=("inclined-collision", "free-fall", "franka"),
     ),
     Entry(
         "isaaclab",
@@ -178,7 +172,6 @@ BUILT_IN = (
         install=_set_up("isaaclab"),
         devices=("cuda", "cpu"),
         precision=("float32",),
-        scenes=("inclined-collision", "free-fall"),
     ),
     Entry(
         "sapien",
@@ -188,7 +181,6 @@ BUILT_IN = (
         install=_set_up("sapien"),
         devices=("cuda", "cpu"),
         precision=("float32",),
-        scenes=("inclined-collision", "free-fall", "franka"),
     ),
     Entry(
         "maniskill",
@@ -198,7 +190,6 @@ BUILT_IN = (
         install=_set_up("maniskill"),
         devices=("cuda", "cpu"),
         precision=("float32",),
-        scenes=("inclined-collision", "free-fall"),
     ),
     Entry(
         "madrona",
@@ -218,7 +209,6 @@ BUILT_IN = (
         install=_set_up("calibration"),
         devices=("cuda", "cpu"),
         precision=("float32",),
-        scenes=("inclined-collision", "free-fall"),
     ),
 )
 

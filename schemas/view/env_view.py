@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
 from gpusimbench.schemas.configuration import EPOCH_NS
-from gpusimbench.schemas.printable import printable
+from gpusimbench.schemas.text import printable
 from gpusimbench.schemas.view import foxglove
 from gpusimbench.schemas.view.motion import ROBOT, Frame, Motion
 from gpusimbench.schemas.view.shapes import IDENTITY, Solid, Vector

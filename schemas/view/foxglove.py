@@ -3,51 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from functools import cache
-from importlib.resources import files
 from typing import Any
 
 import numpy as np
-from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 
+from gpusimbench.schemas.messages import message_class
 from gpusimbench.schemas.view.rotation import rotate
 from gpusimbench.schemas.view.shapes import IDENTITY, Shape, Vector
 
 Colour = tuple[float, float, float]
 
-DESCRIPTOR_SET = "foxglove.binpb"
 _NS = 1_000_000_000
-
-
-@cache
-def _files() -> dict[str, Any]:
-    # by name, each behind those that it refers to
-    data = (files("gpusimbench.schemas") / DESCRIPTOR_SET).read_bytes()
-    return {file.name: file for file in descriptor_pb2.FileDescriptorSet.FromString(data).file}
-
-
-@cache
-def _pool() -> descriptor_pool.DescriptorPool:
-    pool = descriptor_pool.DescriptorPool()
-    for file in _files().values():
-        pool.Add(file)
-    return pool
-
-
-@cache
-def message_class(name: str) -> Any:
-    """The class of a message by its full name, such as "foxglove.SceneUpdate"."""
-    return message_factory.GetMessageClass(_pool().FindMessageTypeByName(name))
-
-
-@cache
-def embedded_schema(name: str) -> bytes:
-    """The FileDescriptorSet that a file carries for a message: its definition and all that it refers to."""
-    wanted = {_pool().FindMessageTypeByName(name).file.name}
-    for file in reversed(_files().values()):
-        wanted.update(file.dependency if file.name in wanted else ())
-    chosen = [file for file in _files().values() if file.name in wanted]
-    return bytes(descriptor_pb2.FileDescriptorSet(file=chosen).SerializeToString())
 
 
 def stamp(timestamp: Any, time_ns: int) -> None:

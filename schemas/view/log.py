@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from gpusimbench.schemas.printable import line
+from gpusimbench.schemas.text import line
 from gpusimbench.schemas.view import foxglove
 
 

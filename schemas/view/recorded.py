@@ -15,7 +15,7 @@ from gpusimbench.schemas import topics
 from gpusimbench.schemas.configuration import EPOCH_NS, sim_time_ns
 from gpusimbench.schemas.errors import DamagedRecording
 from gpusimbench.schemas.fields import StateField
-from gpusimbench.schemas.view import foxglove
+from gpusimbench.schemas.messages import message_class
 from gpusimbench.schemas.view.env_view import ROOT, EnvView
 from gpusimbench.schemas.view.layout import layout
 from gpusimbench.schemas.view.motion import Motion, one_of
@@ -84,7 +84,7 @@ class RecordedView:
 
     def scene(self) -> ViewMessage:
         """What things look like, once."""
-        update = foxglove.message_class("foxglove.SceneUpdate")(entities=self._shown.entities())
+        update = message_class("foxglove.SceneUpdate")(entities=self._shown.entities())
         return ViewMessage(self._scene, EPOCH_NS, update)
 
     def rows(self, rows: Sequence[int], states: Sequence[NDArray[np.floating]]) -> Iterator[ViewMessage]:
@@ -92,7 +92,7 @@ class RecordedView:
         frames = self._shown.motion.frames(states)
         for at, row in enumerate(rows):
             time = EPOCH_NS + sim_time_ns(row * self._stride, self._dt)
-            transforms = foxglove.message_class("foxglove.FrameTransforms")()
+            transforms = message_class("foxglove.FrameTransforms")()
             transforms.transforms.extend(self._shown.transforms(frames, at, time))
             yield ViewMessage(self._transforms, time, transforms)
             for group, poses in self._shown.poses(frames, at, time).items():

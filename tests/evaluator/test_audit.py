@@ -126,8 +126,7 @@ def _audit(
     *arguments: object, environment: dict[str, str] | None = None, planted: str = "nothing", cwd: Path | None = None
 ) -> subprocess.CompletedProcess[str]:
     env = {**(environment or dict(os.environ)), "MUJOCO_PLANTED": planted}
-    command = [sys.executable, "-P", "-m", "gpusimbench.evaluator.cli.audit", *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True, timeout=300, env=env, cwd=cwd)
+    return call("gsb-audit", *arguments, env=env, cwd=cwd)
 
 
 def _one(done: subprocess.CompletedProcess[str]) -> dict[str, Any]:
@@ -297,18 +296,6 @@ def test_arguments_that_cannot_be(small: Path, given: tuple[str, str], said: str
     done = _audit(small, *given)
     assert done.returncode == 2
     assert said in done.stderr
-
-
-def test_help_loads_nothing_heavy() -> None:
-    """Print the help without numpy, a file format or the recorder."""
-    code = (
-        "import sys\nfrom gpusimbench.evaluator.cli.audit import main\n"
-        "try:\n    main(['--help'])\nexcept SystemExit:\n    pass\n"
-        "heavy = ('numpy', 'scipy', 'google.protobuf', 'mcap', 'rich', 'gpusimbench.recorder')\n"
-        "print([m for m in heavy if m in sys.modules])"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
-    assert done.stdout.splitlines()[-1] == "[]"
 
 
 def _law(p: float, least: float) -> LawTest:
@@ -503,6 +490,7 @@ def test_an_interruption_ends_the_replay(number: signal.Signals, plugin: dict[st
     assert ended.reason.startswith("interrupted in phase ")
 
 
+@pytest.mark.slow
 def test_the_commands_of_the_page(tmp_path: Path) -> None:
     """Run what docs/audit.md shows on the sample recordings: those of another machine come out bit for bit."""
     lines = commands(ROOT / "docs" / "audit.md")

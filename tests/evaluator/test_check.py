@@ -28,7 +28,6 @@ from tests.conftest import Command
 from tests.evaluator.damaged import BYTES, whole
 from tests.synthetic import Shown, write_recording
 from tests.test_docs import blocks, commands, shell
-from tests.test_start_up import HEAVY
 
 ROOT = Path(__file__).resolve().parents[2]
 H200 = ROOT / "recordings" / "h200"
@@ -458,20 +457,6 @@ def test_a_gate_makes_a_run_contradict_itself(tmp_path: Path) -> None:
     assert "a gate fired in phase timed: dropped" in report.findings[0].found
 
 
-@pytest.mark.parametrize("module", ["gpusimbench.evaluator.cli.check", "gpusimbench.evaluator.cli.info"])
-def test_help_imports_nothing_heavy(module: str) -> None:
-    """Print help with its exit codes and examples without loading a numerical library or a file format."""
-    code = (
-        f"import sys\nfrom {module} import main\ntry:\n    main(['--help'])\nexcept SystemExit:\n    pass\n"
-        f"print([m for m in {HEAVY!r} if m in sys.modules], file=sys.stderr)"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
-    assert done.stderr.strip() == "[]"
-    assert "exit codes:" in done.stdout
-    name = f"gsb-{module.rpartition('.')[2]}"
-    assert all(line.split()[0] == name for line in done.stdout.split("examples:")[1].strip().splitlines())
-
-
 def test_rule_sets_say_what_they_are() -> None:
     """Name and title each shipped set; give every rule a requirement, a reason and a remedy that are sentences."""
     for name in SHIPPED:
@@ -487,6 +472,7 @@ def test_rules_need_no_recording() -> None:
     assert parse_rules(_MINE, "mine").rules[0].argument == "synthetic"
 
 
+@pytest.mark.slow
 def test_document_commands(tmp_path: Path) -> None:
     """Run every command of the page on gsb-check and gsb-info with the exit code that it says."""
     shutil.copytree(ROOT / "recordings", tmp_path / "recordings", ignore=shutil.ignore_patterns("[i-z]*-n*.mcap", "b*"))

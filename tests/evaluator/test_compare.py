@@ -15,7 +15,6 @@ from hypothesis import strategies as st
 from gpusimbench.evaluator.check.protocol import unmet_by_file
 from gpusimbench.evaluator.cli.compare import main
 from gpusimbench.schemas.provenance import PROVENANCE
-from tests import test_start_up as start_up
 from tests.synthetic import Shown, grid, write_recording
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -458,13 +457,6 @@ def test_shipped_recordings(tmp_path: Path, capsys: pytest.CaptureFixture[str]) 
     assert compared(*sides, capsys=capsys)[0] == 5
     code, document = compared(*sides, "--gate", "physics,validity,determinism,bits", capsys=capsys)
     assert (code, finding(document, "states")["said"]["head"]) == (0, "bit-identical at 501 steps")
-
-
-def test_the_help_imports_nothing_heavy() -> None:
-    """Print help and version without loading a numerical library or a file format."""
-    for argument in ("--help", "--version"):
-        start_up.test_help_imports_nothing_heavy("gpusimbench.evaluator.cli.compare", argument)
-    start_up.test_evaluation_needs_no_simulator("gpusimbench.evaluator.compare.compare")
 
 
 MIRRORED = {"regression": "improvement", "improvement": "regression"}

@@ -260,6 +260,7 @@ def test_a_report_that_cannot_be_written(target: str, tmp_path: Path, capsys: py
     assert capsys.readouterr().err.startswith("gsb-compare: cannot write /dev/full: ")
 
 
+@pytest.mark.slow
 def test_the_document_shows_what_is_printed(tmp_path: Path, path: str) -> None:
     """Run every command of docs/compare.md; where it shows an output, that is the output."""
     page = DOCUMENT.read_text(encoding="utf-8")
@@ -278,6 +279,7 @@ def test_the_document_shows_the_workflow() -> None:
     assert str(WORKFLOW.relative_to(ROOT)) in DOCUMENT.read_text(encoding="utf-8")
 
 
+@pytest.mark.slow
 def test_the_workflow_works(tmp_path: Path, path: str) -> None:
     """Parse the workflow, and run its steps that record, compare and show, with small numbers."""
     yaml = pytest.importorskip("yaml")

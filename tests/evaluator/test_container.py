@@ -13,8 +13,8 @@ from mcap.writer import CompressionType, Writer
 
 from gpusimbench import open_recording
 from gpusimbench.evaluator.runs.validation import verify
-from gpusimbench.schemas.container import Container
 from gpusimbench.schemas.errors import DamagedRecording, NotARecording, RecordingError
+from gpusimbench.schemas.mcap.reader import Container
 from tests.synthetic import grid, write_recording
 
 compressions = pytest.mark.parametrize("compression", ["none", "lz4", "zstd"])

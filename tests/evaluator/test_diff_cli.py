@@ -19,7 +19,6 @@ from gpusimbench.evaluator.cli.diff import main
 from gpusimbench.evaluator.diff.result import Change
 from gpusimbench.evaluator.diff.text_numbers import print_numbers
 from gpusimbench.evaluator.diff.words import amount, changes, length, ranges, sparkline
-from tests import test_start_up as start_up
 from tests.synthetic import cubes_field, grid, write_recording
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -209,12 +208,6 @@ def test_names_of_strangers(tmp_path: Path, capsys: pytest.CaptureFixture[str]) 
     ET.fromstring(picture)
     assert "\x1b" not in picture
     assert "<b>" not in picture
-
-
-@pytest.mark.parametrize("argument", ["--help", "--version"])
-def test_starts_fast(argument: str) -> None:
-    """Print help and version without a numerical library or a file format."""
-    start_up.test_help_imports_nothing_heavy("gpusimbench.evaluator.cli.diff", argument)
 
 
 def test_help_lists_exit_codes(capsys: pytest.CaptureFixture[str]) -> None:

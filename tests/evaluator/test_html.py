@@ -6,8 +6,6 @@ import base64
 import hashlib
 import os
 import re
-import subprocess
-import sys
 import xml.etree.ElementTree as ET
 from dataclasses import replace
 from html.parser import HTMLParser
@@ -80,16 +78,9 @@ class Page(HTMLParser):
 
 
 @pytest.fixture(scope="module")
-def recorded(tmp_path_factory: pytest.TempPathFactory) -> Run:
+def recorded(small: Path) -> Run:
     """A small recording of MuJoCo."""
-    pytest.importorskip("mujoco")
-    out = tmp_path_factory.mktemp("html")
-    wanted = ["--n-env", "2", "--runs", "1", "--steps", "20", "--warmup", "2", "--timed-steps", "5"]
-    subprocess.run(
-        [sys.executable, "-m", "gpusimbench.recorder.cli", "--sim", "mujoco", *wanted, "--out", str(out)],
-        check=True, cwd=ROOT, env={**os.environ, "PYTHONPATH": str(ROOT)}, capture_output=True,
-    )  # fmt: skip
-    return read_run(Recording(next(out.glob("*.mcap"))), 5.0)
+    return read_run(Recording(small), 5.0)
 
 
 def cloud(positions: np.ndarray) -> Cloud:

@@ -6,7 +6,6 @@ import csv
 import shutil
 import subprocess
 import xml.etree.ElementTree as ET
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +19,6 @@ from gpusimbench.evaluator.report.page.section import Source
 from gpusimbench.evaluator.results.evaluate import evaluate_files
 from gpusimbench.evaluator.results.result import Evaluation
 from tests.browser import Browser, needs_chromium
-from tests.conftest import wait_for
 from tests.synthetic import grid, write_recording, write_sweep
 
 pytestmark = needs_chromium
@@ -55,13 +53,6 @@ def evaluation(tmp_path_factory: pytest.TempPathFactory) -> Evaluation:
 def page(evaluation: Evaluation, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Its report, with everything that a report can have."""
     return write_html(evaluation, tmp_path_factory.mktemp("page"), published=True, command=f"gsb-eval {HOSTILE}")
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Browser]:
-    """One browser for all of them."""
-    with Browser() as found:
-        yield found
 
 
 @pytest.mark.parametrize("dark", [False, True], ids=["light", "dark"])
@@ -147,7 +138,6 @@ def offered(evaluation: Evaluation) -> list[Picture]:
 def test_figures_are_saved(browser: Browser, page: Path, evaluation: Evaluation, tmp_path: Path, dark: bool) -> None:
     """Save what Python writes: the same SVG whatever the theme, and the same numbers."""
     browser.open(page, dark=dark)
-    browser.save_to(tmp_path)
     pictures = {p.file_name: p for p in offered(evaluation)}
     names = browser.evaluate("[...document.querySelectorAll('figure[data-file]')].map(f => f.dataset.file)")
     assert names == list(pictures)
@@ -157,10 +147,8 @@ def test_figures_are_saved(browser: Browser, page: Path, evaluation: Evaluation,
             if not browser.evaluate(f"!!document.querySelector({button!r})"):
                 assert not pictures[name].numbers.titles
                 continue
-            browser.evaluate(f"document.querySelector({button!r}).focus()")
-            browser.key("Enter")
-            saved = tmp_path / f"{name}.{ending}"
-            wait_for(saved.exists)
+            saved = browser.saved(button, tmp_path)
+            assert saved.name == f"{name}.{ending}"
             content = saved.read_bytes()
             if ending == "csv":
                 assert content.decode() == pictures[name].numbers.csv()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import random
 from collections.abc import Callable
 from pathlib import Path
@@ -14,14 +15,16 @@ from hypothesis import strategies as st
 
 from gpusimbench.evaluator.check.integrity import examine
 from gpusimbench.evaluator.check.integrity.problem import DAMAGE, MAX_KEPT, REMARKS, Kind, Problems
+from gpusimbench.evaluator.check.integrity.scan import scan
 from gpusimbench.evaluator.check.rules.findings import check
 from gpusimbench.evaluator.check.rules.rule import Level, load_rules
 from gpusimbench.recorder.capture.sink import Sink
 from gpusimbench.schemas import checks
-from gpusimbench.schemas.decompression import decompress
 from gpusimbench.schemas.errors import DamagedRecording, ExitCode
+from gpusimbench.schemas.mcap.decompression import decompress
 from gpusimbench.schemas.messages import message_class
 from gpusimbench.schemas.provenance import LOGGED, PROVENANCE, SCENE, SIMULATION
+from gpusimbench.schemas.source import MappedFile
 from tests.evaluator.damaged import BYTES, REWRITTEN, SCENE_CHANGED, WRITTEN, hashes_of_others, rewritten, whole
 from tests.evaluator.test_strangers import FORGERIES
 from tests.synthetic import Shown, grid, write_recording
@@ -416,3 +419,13 @@ def test_a_reader_that_disagrees_is_told(tmp_path: Path, monkeypatch: pytest.Mon
 def test_numbers_of_environments_beyond_reason(tmp_path: Path) -> None:
     """Allocate nothing for a file that announces what it cannot hold."""
     assert kinds(write_recording(tmp_path, np.asarray(grid(2)), change=_configured(n_env=1 << 24)))
+
+
+def test_a_file_that_becomes_shorter(tmp_path: Path) -> None:
+    """End the walk where the file ends now, and say so, instead of dying of SIGBUS."""
+    path = write_recording(tmp_path, grid(2))
+    source, problems = MappedFile(path), Problems()
+    os.truncate(path, 4096)
+    assert not scan(source, problems).finished
+    assert problems.of(Kind.record) == ("the file became shorter while it was read",)
+    assert "became shorter" in problems.skipped(Kind.digest)

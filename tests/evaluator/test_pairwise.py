@@ -192,6 +192,7 @@ def test_summary_of_equal_envs() -> None:
     assert (found.mean, found.n_distinct, found.row_means.any()) == (0.0, 1, False)
 
 
+@pytest.mark.slow
 def test_summary_needs_no_matrix() -> None:
     """Stay far below the memory that a matrix of all envs would take."""
     points = clouds(2000, 2)
@@ -203,6 +204,7 @@ def test_summary_needs_no_matrix() -> None:
     assert peak < 2000 * 2000 * 8 / 3
 
 
+@pytest.mark.slow
 def test_read_only_install_compiles_into_the_users_cache(tmp_path: Path) -> None:
     """Keep machine code in the user's cache folder where the package's own cannot be written."""
     source = Path(small.__file__).parents[1]

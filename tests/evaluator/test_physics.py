@@ -376,14 +376,9 @@ def test_newton_xpbd_loses_its_cubes() -> None:
     assert why(facts, Check.ROLLING) == "fewer than 5 rows are on the slope"
 
 
-def test_a_robot_keeps_to_its_limits(tmp_path: Path, gsb_record: object) -> None:
+def test_a_robot_keeps_to_its_limits(arms: Path) -> None:
     """Hold the joint limits of a real franka run."""
-    done = gsb_record(  # type: ignore[operator]
-        "--sim", "mujoco", "--scene", "franka", "--n-env", "2", "--runs", "1", "--phases", "capture", "--steps", "50",
-        "--out", tmp_path,
-    )  # fmt: skip
-    assert done.returncode == 0, done.stderr
-    facts = facts_of(next(tmp_path.glob("*.mcap")))
+    facts = facts_of(arms)
     assert not broken(facts)
     assert (measured(facts, Check.JOINT_LIMIT).most or math.inf) < 0.0
 

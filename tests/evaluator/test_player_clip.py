@@ -17,7 +17,6 @@ from gpusimbench.evaluator.player.poses import items_of
 from gpusimbench.evaluator.player.words import sentences
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.schemas.errors import DamagedRecording, NothingComparable, UsageError
-from tests.conftest import call
 from tests.synthetic import grid, write_recording
 
 SHIPPED = Path(__file__).resolve().parents[2] / "recordings"
@@ -158,15 +157,10 @@ def test_a_file_that_was_cut_short_is_shown_as_far_as_it_goes(tmp_path: Path) ->
     assert any("incomplete" in note for note in clip.notes)
 
 
-def test_links_are_where_the_engine_has_them(tmp_path: Path) -> None:
+def test_links_are_where_the_engine_has_them(arms: Path) -> None:
     """Place a robot's links by its joint angles where MuJoCo's own kinematics puts them."""
     mujoco = pytest.importorskip("mujoco")
-    done = call(
-        "gsb-record", "--sim", "mujoco", "--scene", "franka", "--n-env", "2", "--steps", "30", "--phases", "capture",
-        "--runs", "1", "--out", tmp_path,
-    )  # fmt: skip
-    assert done.returncode == 0, done.stderr
-    recording = Recording(next(tmp_path.glob("*.mcap")))
+    recording = Recording(arms)
     items = items_of(recording, 1, [range(0, 31, 10)])
     model = mujoco.MjModel.from_xml_string((recording.attachment("scene.xml") or b"").decode())
     data = mujoco.MjData(model)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -22,13 +21,6 @@ pytestmark = needs_chromium
 
 SHIPPED = Path(__file__).resolve().parents[2] / "recordings"
 PAINTED = "new Promise(done => requestAnimationFrame(() => requestAnimationFrame(() => done(true))))"
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Browser]:
-    """One browser for all tests of this file."""
-    with Browser() as opened:
-        yield opened
 
 
 @pytest.fixture(scope="module")

@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 from gpusimbench import open_recording
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.runs.validation import verify
-from gpusimbench.schemas.container import Container
 from gpusimbench.schemas.errors import DamagedRecording
+from gpusimbench.schemas.mcap.reader import Container
 from gpusimbench.schemas.provenance import Provenance
 from tests.synthetic import grid, write_recording
 

@@ -34,12 +34,13 @@ from gpusimbench.evaluator.cli import eval as evaluation
 from gpusimbench.evaluator.read.addresses import expand
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.runs.validation import verify
-from gpusimbench.schemas import container, decompression, remote
+from gpusimbench.schemas import remote
 from gpusimbench.schemas import web as addresses_of_web
-from gpusimbench.schemas.container import Container
 from gpusimbench.schemas.errors import DamagedRecording, NotARecording, RecordingError, Unreachable
 from gpusimbench.schemas.location import Location, redacted, shown, shown_argument
-from gpusimbench.schemas.mcap_writer import MAGIC
+from gpusimbench.schemas.mcap import contents, decompression
+from gpusimbench.schemas.mcap.reader import Container
+from gpusimbench.schemas.mcap.records import MAGIC
 from gpusimbench.schemas.patience import Patience, TooSlow
 from gpusimbench.schemas.remote import RemoteFile
 from tests.evaluator.test_container import rewrite
@@ -204,7 +205,7 @@ def test_cut_short(memory: Any, tmp_path: Path, caplog: pytest.LogCaptureFixture
     recording = open_recording(_put(memory, whole, "part.mcap"))
     assert recording.status == "incomplete"
     assert "memory://set/part.mcap has no index: all of its" in caplog.text
-    monkeypatch.setattr(container, "MAX_WALKED_BYTES", 1000)
+    monkeypatch.setattr(contents, "MAX_WALKED_BYTES", 1000)
     with pytest.raises(DamagedRecording, match="download it"):
         open_recording("memory://set/part.mcap")
 
@@ -491,6 +492,7 @@ def test_checked_as_a_whole(memory: Any, large: list[Path]) -> None:
     verify(remote_one.recording)
 
 
+@pytest.mark.slow
 def test_commands_of_the_guide(tmp_path: Path) -> None:
     """Run every command that docs/remote.md shows in a console block, in a folder that has the sample recordings."""
     (tmp_path / "recordings").symlink_to(ROOT / "recordings")
@@ -572,6 +574,7 @@ def test_indexes_that_are_never_read(memory: Any, tmp_path: Path) -> None:
             opened.verify()
 
 
+@pytest.mark.slow
 def test_memory_of_a_summary(memory: Any) -> None:
     """Take a summary of 60,000 declarations in little memory, and refuse lists that no file has room for."""
     head = MAGIC + _record(1, struct.pack("<I", 6) + b"gsb.v1" + bytes(4))
@@ -594,7 +597,7 @@ def test_records_that_are_too_long(memory: Any, tmp_path: Path, monkeypatch: pyt
     """Refuse a long record of a remote file before it is read."""
     path = write_recording(tmp_path, grid(4))
     address = _put(memory, path)
-    monkeypatch.setattr(container, "MAX_HEADER_BYTES", 3)
+    monkeypatch.setattr(contents, "MAX_HEADER_BYTES", 3)
     with pytest.raises(DamagedRecording, match="more than the 3 that are read from elsewhere"):
         open_recording(address)
     monkeypatch.undo()

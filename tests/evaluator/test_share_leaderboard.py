@@ -311,6 +311,7 @@ def test_what_is_known_is_not_checked_again(runs: Path, tmp_path: Path, monkeypa
     assert again.checkup.outcome == "damaged"
 
 
+@pytest.mark.slow
 def test_the_commands_of_the_page(tmp_path: Path) -> None:
     """Run every command that docs/dataset.md shows, on a recording that ships."""
     (tmp_path / "recordings").mkdir()

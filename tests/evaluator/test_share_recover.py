@@ -16,8 +16,8 @@ from psutil import Process
 from gpusimbench import open_recording
 from gpusimbench.evaluator.share.recover import recover
 from gpusimbench.schemas.errors import DamagedRecording, RecordingError, UsageError
-from gpusimbench.schemas.mcap_writer import MAGIC
-from tests.conftest import wait_for
+from gpusimbench.schemas.mcap.records import MAGIC
+from tests.conftest import call, wait_for
 from tests.evaluator.test_share_pack import contents, share
 from tests.synthetic import grid, write_recording
 
@@ -98,13 +98,7 @@ def test_a_finished_file_without_an_end_is_incomplete(whole: Path, tmp_path: Pat
     assert open_recording(done.path).status == "incomplete"
     with pytest.raises(UsageError, match="whole file"):
         recover(done.path, tmp_path / "again.mcap")
-    evaluated = subprocess.run(
-        [sys.executable, "-m", "gpusimbench.evaluator.cli.eval", str(done.path)],
-        capture_output=True,
-        text=True,
-        timeout=120,
-    )
-    assert evaluated.returncode == 3
+    assert call("gsb-eval", done.path).returncode == 3
     packed = share("pack", done.path, "--out", tmp_path / "packed")
     assert packed.returncode == 3
     assert "has no end record" in packed.stderr

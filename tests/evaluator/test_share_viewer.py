@@ -104,25 +104,10 @@ def test_origins_are_kept(tmp_path: Path) -> None:
     assert not any("same place" in note for note in view.notes)
 
 
-@pytest.fixture(scope="module")
-def arm(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A recording of two arms, by MuJoCo."""
-    folder = tmp_path_factory.mktemp("arm")
-    done = subprocess.run(
-        [sys.executable, "-m", "gpusimbench.recorder.cli",
-         "--sim", "mujoco", "--scene", "franka", "--n-env", "2", "--steps", "50",
-         "--phases", "capture", "--runs", "1", "--out", str(folder)],
-        capture_output=True, text=True, timeout=120,
-    )  # fmt: skip
-    assert done.returncode == 0, done.stderr
-    (path,) = folder.glob("*.mcap")
-    return path
-
-
-def test_links_are_where_the_engine_puts_them(arm: Path, tmp_path: Path) -> None:
+def test_links_are_where_the_engine_puts_them(arms: Path, tmp_path: Path) -> None:
     """Chain the links' frames to what MuJoCo's own kinematics gives for the recorded joint angles."""
-    view = write_view(arm, tmp_path / "v.mcap", envs=[1], rate=100, spread=0.0)
-    recording = open_recording(arm)
+    view = write_view(arms, tmp_path / "v.mcap", envs=[1], rate=100, spread=0.0)
+    recording = open_recording(arms)
     model = mujoco.MjModel.from_xml_string((recording.attachment("scene.xml") or b"").decode())
     data = mujoco.MjData(model)
     found, _ = read(view.path)

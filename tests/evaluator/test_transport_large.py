@@ -250,6 +250,7 @@ print(json.dumps([[x.low.hex(), x.high.hex(), x.bids] for x in bounds] + [after 
 """
 
 
+@pytest.mark.slow
 def test_one_result_and_little_memory(tmp_path) -> None:
     """Return the same bits again, with one thread and with two, and hold no matrix: 30,000 points, under 60 MiB."""
     np.save(tmp_path / "sets.npy", np.stack([board(30_000, 1), board(30_000, 2) + [4.0, 0.0]]))

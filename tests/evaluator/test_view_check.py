@@ -22,7 +22,7 @@ from gpusimbench.evaluator.check.integrity.problem import Kind
 from gpusimbench.evaluator.check.rules.findings import check
 from gpusimbench.evaluator.check.rules.rule import load_rules
 from gpusimbench.schemas.errors import ExitCode
-from gpusimbench.schemas.view import foxglove
+from gpusimbench.schemas.messages import message_class
 from tests.conftest import call
 from tests.evaluator.damaged import rewritten
 
@@ -34,7 +34,7 @@ Messages = list[tuple[str, int, int, bytes]]
 
 def parsed(kind: str, data: bytes) -> Any:
     """A message of Foxglove."""
-    return foxglove.message_class(f"foxglove.{kind}").FromString(data)
+    return message_class(f"foxglove.{kind}").FromString(data)
 
 
 def changing(topic: str, kind: str, change: Callable[[Any], None], number: int = 3) -> Callable[[Messages], Messages]:
@@ -278,7 +278,7 @@ def test_a_definition_twice(small: Path, tmp_path: Path) -> None:
 @pytest.mark.parametrize("there", [5.0, -math.inf, math.nan])
 def test_a_body_that_is_nowhere(there: float) -> None:
     """Take no place for one that is not finite."""
-    expected, found = (foxglove.message_class("foxglove.Vector3")(x=x) for x in (math.inf, there))
+    expected, found = (message_class("foxglove.Vector3")(x=x) for x in (math.inf, there))
     assert difference(expected, memoryview(found.SerializeToString())).startswith("x is ")
 
 
@@ -295,12 +295,12 @@ def test_two_scenes_of_a_run_that_was_cut_short(small: Path, tmp_path: Path) -> 
 @given(st.floats(), st.floats(allow_nan=False, allow_infinity=False, min_value=-10, max_value=10))
 def test_numbers_within_what_a_sine_is_worth(value: float, change: float) -> None:
     """Take a number for the same up to 1e-9, NaN for NaN, and nothing else."""
-    expected, found = (foxglove.message_class("foxglove.Vector3")(x=x, y=1) for x in (value, value + change * 1e-9))
+    expected, found = (message_class("foxglove.Vector3")(x=x, y=1) for x in (value, value + change * 1e-9))
     same = value != value or abs(found.x - value) <= 1e-9 * max(1, abs(value)) or found.x == value
     assert (difference(expected, memoryview(found.SerializeToString())) == "") == same
 
 
 def test_what_is_no_message() -> None:
     """Say that bytes are no message of the type."""
-    said = difference(foxglove.message_class("foxglove.Log")(), memoryview(b"\xff\xff"))
+    said = difference(message_class("foxglove.Log")(), memoryview(b"\xff\xff"))
     assert said.startswith("it is no foxglove.Log")

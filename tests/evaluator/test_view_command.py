@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 
-from tests.conftest import call, wait_for
+from tests.conftest import wait_for
 from tests.evaluator.test_player_clip import diverging
 from tests.synthetic import grid, write_recording
 
@@ -164,17 +164,15 @@ def test_exit_codes(tmp_path: Path) -> None:
     assert view(short, *out).stdout.endswith("view.html\n"), "what is there is shown all the same"
 
 
-def test_environments_that_part_by_design(tmp_path: Path) -> None:
+def test_environments_that_part_by_design(arms: Path, tmp_path: Path) -> None:
     """Say where environments were told to do different things, so that nobody takes that for a fault."""
-    brief = ("--n-env", 2, "--runs", 1, "--steps", 5, "--phases", "capture")
-    assert call("gsb-record", "--sim", "mujoco", "--scene", "franka", *brief, "--out", tmp_path).returncode == 0
-    (source,) = tmp_path.glob("*.mcap")
-    done = view(source, "--out", tmp_path / "view.html", "--no-open")
+    done = view(arms, "--out", tmp_path / "view.html", "--no-open")
     assert done.returncode == 0, done.stderr
     assert "the first part at step 1" in done.stderr
     assert "Environments of one run were given different actions, so they part by design." in done.stderr
 
 
+@pytest.mark.slow
 def test_the_guide_shows_what_happens(tmp_path: Path) -> None:
     """Run every command of the guide against the shipped recordings, and find the output that it shows."""
     guide = (ROOT / "docs" / "view.md").read_text(encoding="utf-8")

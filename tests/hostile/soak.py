@@ -63,10 +63,10 @@ def soak(
     with tempfile.TemporaryDirectory() as folder:
         judge = Judge(corpus, Path(folder) / "spoiled.mcap")
         while number < count if count is not None else time.monotonic() < ends:
-            for name in chosen:
+            for place, name in enumerate(chosen):  # which is used in other ways than its neighbours are
                 mutant = MUTATORS[name](random.Random(f"{seed} {name} {number}"), judge.corpus)
                 try:
-                    outcomes[name][judge.read(mutant, number)] += 1
+                    outcomes[name][judge.read(mutant, number + place)] += 1
                 except BaseException as error:
                     if isinstance(error, KeyboardInterrupt):
                         raise

@@ -8,8 +8,8 @@ import pytest
 
 from gpusimbench.evaluator.check.integrity import examine
 from gpusimbench.evaluator.check.integrity.problem import Kind
-from gpusimbench.schemas.container import Container
 from gpusimbench.schemas.errors import DamagedRecording
+from gpusimbench.schemas.mcap.reader import Container
 from tests.hostile.corpus import make_synthetic
 from tests.hostile.oracles import Parts, disagreement
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from gpusimbench.recorder.conformance.rotation import turn_between
+from gpusimbench.recorder.conformance.checks.motion import turn_between
 from gpusimbench.recorder.simulators.captured import Held
 from gpusimbench.recorder.simulators.counters import CONTACTS
 from gpusimbench.recorder.simulators.evidence import Evidence
@@ -331,7 +331,7 @@ class FirstEnvOnly(MujocoC):
 
 
 class Choosy(MujocoC):
-    """Promises free-fall and refuses it."""
+    """Has the abilities that free-fall needs, and refuses it."""
 
     def build(self):
         if self.scene.name == "free-fall":

@@ -11,7 +11,7 @@ _PLUGIN = '''
 import os, signal, time
 from dataclasses import dataclass
 import numpy as np
-from gpusimbench.recorder.simulators.base import Description, Simulator
+from gpusimbench.recorder.simulators.base import Ability, Description, Simulator
 from gpusimbench.schemas.fields import body_field
 
 @dataclass(frozen=True)
@@ -21,6 +21,7 @@ class Options:
 
 class Faulty(Simulator):
     Options = Options
+    abilities = frozenset(Ability)
     made = 0
 
     def __init__(self, *arguments, **keywords):

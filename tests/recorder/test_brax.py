@@ -10,7 +10,6 @@ import pytest
 
 from gpusimbench.recorder.options import parse_options
 from gpusimbench.recorder.scenes.base import Scene
-from gpusimbench.recorder.scenes.franka import franka
 from gpusimbench.recorder.scenes.inclined_collision import inclined_collision
 from gpusimbench.recorder.simulators.base import Description, Simulator
 from gpusimbench.schemas.errors import UsageError
@@ -56,12 +55,6 @@ def bits(simulator: Simulator) -> int:
     assert evidence is not None
     assert evidence.overflow is not None
     return int(np.bitwise_or.reduce(evidence.overflow, axis=None))
-
-
-def test_robots_are_refused() -> None:
-    """Say that there is no robot in Brax, instead of simulating another one."""
-    with pytest.raises(UsageError, match="franka"):
-        make(franka()).build()
 
 
 @pytest.mark.parametrize("options", [{"solver": "xpbd"}, {"collide_scale": 0}, {"solver_maxls": 0}])

@@ -28,8 +28,8 @@ from gpusimbench.recorder.task import Task
 from gpusimbench.recorder.traces import content_bytes, peak_bytes
 from gpusimbench.schemas import topics
 from gpusimbench.schemas.configuration import RunConfiguration
-from gpusimbench.schemas.container import Container
 from gpusimbench.schemas.errors import UsageError
+from gpusimbench.schemas.mcap.reader import Container
 from gpusimbench.schemas.messages import message_class
 from gpusimbench.schemas.provenance import PROVENANCE, SCENE, SIMULATION
 from tests.forging import forge
@@ -111,7 +111,7 @@ def test_threads_count(monkeypatch: pytest.MonkeyPatch) -> None:
             threading.Thread(target=time.sleep, args=(30,), daemon=True).start()
         time.sleep(30)
     """)
-    assert guard.broken == "threads: it had 31, and may have 20 on this machine"
+    assert re.fullmatch(r"threads: it had (2[1-9]|3[01]), and may have 20 on this machine", guard.broken)
 
 
 def test_what_is_written_counts(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -12,9 +13,11 @@ pytest.importorskip("taichi")
 
 from gpusimbench.recorder.conformance import Subject
 from gpusimbench.recorder.options import parse_options
+from gpusimbench.recorder.scenes.base import Scene
 from gpusimbench.recorder.scenes.registry import make_scene
 from gpusimbench.recorder.simulators.base import Description
 from gpusimbench.recorder.simulators.calibration.chance import places, shares
+from gpusimbench.recorder.simulators.calibration.model import model_of
 from gpusimbench.recorder.simulators.calibration.options import REGIMES, CalibrationOptions
 from gpusimbench.recorder.simulators.calibration.simulator import Calibration
 from gpusimbench.schemas.errors import UsageError
@@ -109,8 +112,9 @@ def test_options_that_cannot_be(options: dict[str, str], says: str) -> None:
 
 
 def test_what_cannot_be_built() -> None:
-    """Refuse an environment that is not there, and a scene with a robot."""
+    """Refuse an environment that is not there, and a fixed sphere."""
     with pytest.raises(UsageError, match="there are 2 environments"):
         build(regime="offset", ulps=1, env=2)
-    with pytest.raises(UsageError, match="scene 'franka' has others"):
-        build(scene="franka")
+    ball = make_scene("inclined-collision").moving()[0]
+    with pytest.raises(UsageError, match="no fixed bodies but boxes and planes, and ball is none"):
+        model_of(Scene("held", "", (replace(ball, mass=None),)))

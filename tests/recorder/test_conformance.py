@@ -16,8 +16,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from gpusimbench.recorder.abilities import Ability
 from gpusimbench.recorder.conformance import CHECKS, NotApplicable, Subject, conformance_scene
-from gpusimbench.recorder.conformance.rotation import turn_between
+from gpusimbench.recorder.conformance.checks.motion import turn_between
 from gpusimbench.recorder.conformance.scene import N_STEP, UPPER
 from gpusimbench.recorder.conformance.verdict import expect_close
 from gpusimbench.recorder.simulators.mujoco.simulator import MujocoC, MujocoOptions
@@ -142,18 +143,33 @@ def test_a_class_that_breaks_the_contract(adapter: type[MujocoC], message: str) 
 
 
 def test_a_promise_of_the_registry() -> None:
-    """Hold an adapter to the scenes, devices and precision that are promised for it."""
-    entry = Entry(
-        "choosy", "", "", devices=("cuda",), precision=("float32",), scenes=("inclined-collision", "free-fall")
-    )
+    """Hold an adapter to its abilities, and to the devices and the precision that are promised for it."""
+    entry = Entry("choosy", "", "", devices=("cuda",), precision=("float32",))
     choosy = Subject(broken.Choosy, entry=replace(entry, precision=()))
-    with pytest.raises(AssertionError, match="free-fall is promised by the registry and refused: no planes"):
+    with pytest.raises(AssertionError, match="abilities that scene free-fall needs, and refuses it: no planes"):
         CHECK["registered_scenes_start_as_described"](choosy)
     with pytest.raises(AssertionError, match="device cpu is none of"):
         CHECK["says_what_it_is"](choosy)
     with pytest.raises(AssertionError, match=r"float64; the registry: \('float32',\)"):
         CHECK["layout_is_as_the_format_asks"](Subject(MujocoC, entry=entry))
-    CHECK["registered_scenes_start_as_described"](Subject(broken.Choosy))  # which promises nothing
+
+
+def test_checks_are_chosen_by_abilities() -> None:
+    """Leave out what needs an ability that the adapter does not have, and say which."""
+
+    class OnlyBoxes(MujocoC):
+        abilities = frozenset({Ability.FREE_BODIES, Ability.BOXES, Ability.PLANES})
+
+    subject = Subject(OnlyBoxes, name="only-boxes")
+    assert [scene.name for scene in subject.scenes] == ["free-fall"]
+    CHECK["registered_scenes_start_as_described"](subject)
+    with pytest.raises(NotApplicable, match="cannot simulate scene 'conformance': it has no spheres"):
+        CHECK["ball_rolls_down_the_slope"](subject)
+    with pytest.raises(NotApplicable, match="any built-in scene with actions needs"):
+        CHECK["actions_are_those_drawn"](subject)
+    OnlyBoxes.abilities = frozenset()
+    with pytest.raises(NotApplicable, match="any built-in scene needs"):
+        CHECK["registered_scenes_start_as_described"](subject)
 
 
 def test_an_engine_that_varies_is_told_apart() -> None:

@@ -331,6 +331,7 @@ def test_set_up_wants_a_python_that_fits(folder: Path, monkeypatch: pytest.Monke
     assert find("sapien") is None
 
 
+@pytest.mark.slow
 def test_a_failed_installation_leaves_nothing(folder: Path, gsb_record: Command, tmp_path: Path) -> None:
     """Remove an environment whose installation failed, and say why it did."""
     nothing = {**os.environ, "PIP_INDEX_URL": "file:///nowhere", "PIP_FIND_LINKS": "", "PIP_RETRIES": "0"}

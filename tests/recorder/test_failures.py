@@ -10,7 +10,8 @@ import shutil
 import signal
 import subprocess
 import sys
-import time
+from contextlib import suppress
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -20,6 +21,7 @@ from gpusimbench.evaluator.runs.validation import verify
 from gpusimbench.recorder.capture.sink import Sink
 from gpusimbench.schemas.errors import DamagedRecording, DataLost, RecordingError
 from tests.conftest import SMALL, Command, command, wait_for
+from tests.moments import descendants, has_worked, has_written, wait_until, whole
 
 
 def _run(gsb_record: Command, plugin: dict[str, str], out: Path, mode: str, *more: object):  # type: ignore[no-untyped-def]
@@ -135,23 +137,26 @@ def test_a_full_disk(gsb_record: Command, tmp_path: Path, limit: int) -> None:
         assert _status(file) in ("incomplete", "unreadable")
 
 
-@pytest.mark.alone
+@pytest.mark.slow
 def test_killed_at_any_moment(tmp_path: Path) -> None:
     """Leave, after SIGKILL at 24 moments over a whole run, either a complete file or one that says it is not."""
     arguments = [*command("gsb-record"), "--sim", "mujoco", "--n-env", "4", "--runs", "1", *SMALL]
-    began = time.monotonic()
-    subprocess.run([*arguments, "--out", str(tmp_path / "whole")], check=True, capture_output=True)
-    whole = time.monotonic() - began
+    seconds, content = whole([*arguments, "--out", str(tmp_path / "whole")], tmp_path / "whole")
     seen = set()
     moments = random.Random(0)
     for number in range(24):
         out = tmp_path / str(number)
+        share = (number // 2 + moments.random()) / 12
         process = subprocess.Popen(
-            [*arguments, "--out", str(out)], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+            [*arguments, "--out", str(out)], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, text=True
         )
-        time.sleep(whole * (0.25 + 0.8 * (number + moments.random()) / 24))
-        for child in _children(process.pid):
-            os.kill(child, signal.SIGKILL)
+        if number % 2:
+            wait_until(process, partial(has_worked, process.pid, (0.25 + 0.8 * share) * seconds))
+        else:
+            wait_until(process, partial(has_written, out, share * content))
+        for child in descendants(process.pid)[1:]:
+            with suppress(ProcessLookupError):
+                os.kill(child, signal.SIGKILL)
         process.wait(timeout=60)
         for file in out.iterdir() if out.exists() else ():
             status = _status(file)
@@ -173,8 +178,9 @@ def _check_states(file: Path) -> None:
     if len(array):
         assert array[:].shape[1:] == (4, 27, 3)
         hashes = recording.fingerprints("capture")
-        assert hashes is not None
-        assert len(hashes.steps) >= len(array)
+        assert hashes is not None or len(array) == 1
+        # those of the block that was written last may be missing: its states come first
+        assert hashes is None or hashes.steps.tolist() == list(range(len(hashes.steps)))
 
 
 def _status(file: Path) -> str:
@@ -183,13 +189,6 @@ def _status(file: Path) -> str:
     except RecordingError as error:
         assert isinstance(error, DamagedRecording) or file.stat().st_size < 100
         return "unreadable"
-
-
-def _children(pid: int) -> list[int]:
-    try:
-        return [int(p) for p in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
-    except FileNotFoundError:
-        return []
 
 
 def test_gates_are_asked_after_every_phase(gsb_record: Command, plugin: dict[str, str], tmp_path: Path) -> None:

@@ -16,8 +16,7 @@ pytest.importorskip("genesis")
 
 from gpusimbench.recorder.failure import Refused
 from gpusimbench.recorder.options import parse_options
-from gpusimbench.recorder.scenes.base import Body, Capsule, Scene
-from gpusimbench.recorder.scenes.cube_stack import SMOOTH_WOOD
+from gpusimbench.recorder.scenes.base import Scene
 from gpusimbench.recorder.scenes.registry import make_scene
 from gpusimbench.recorder.simulators.base import Description, States
 from gpusimbench.recorder.simulators.genesis.deviations import deviations
@@ -192,13 +191,6 @@ def test_settings_that_genesis_refuses(build: Build) -> None:
     """Pass its own words on."""
     with pytest.raises(Refused, match="noslip"):
         build(FALL, cone="elliptic", noslip_iterations="5")
-
-
-def test_shapes_that_genesis_does_not_have(build: Build) -> None:
-    """Refuse a capsule that is not part of a robot."""
-    capsule = Body("capsule", Capsule(0.1, 0.2), SMOOTH_WOOD, position=(0.0, 0.0, 1.0), mass=1.0, group="cubes")
-    with pytest.raises(UsageError, match="capsule"):
-        build(replace(FALL, bodies=(capsule,)))
 
 
 def test_precision_is_chosen_once(build: Build) -> None:

@@ -186,6 +186,7 @@ class TestJax:
         simulator.step(5)
         assert bits(simulator) == 0b11
 
+    @pytest.mark.slow
     def test_bits_of_earlier_steps_are_kept(self) -> None:
         """Tell of contacts that were dropped in the timed phase's first steps, though the last has none; tell once."""
         cube = next(body for body in PAIR.bodies if body.name == "cube_0_0_0")

@@ -9,10 +9,10 @@ import shutil
 import signal
 import subprocess
 import sys
-import time
 from collections import Counter
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -24,11 +24,10 @@ from mcap.stream_reader import StreamReader
 from gpusimbench import open_recording
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.runs.validation import verify
-from gpusimbench.schemas.container import Container
 from gpusimbench.schemas.errors import RecordingError
+from gpusimbench.schemas.mcap.reader import Container
 from tests.conftest import SMALL, Command, call, command
-
-pytestmark = pytest.mark.alone
+from tests.moments import descendants, has_worked, has_written, wait_until, whole
 
 _KILLS = 50
 _AT_ONCE = 4
@@ -59,15 +58,6 @@ def _ours(path: Path) -> dict[str, list[bytes]]:
     return {topic: contents for topic, contents in found.items() if contents}
 
 
-def _descendants(pid: int) -> list[int]:
-    found = []
-    for task in Path(f"/proc/{pid}/task").glob("*/children"):
-        with suppress(OSError):
-            for child in map(int, task.read_text().split()):
-                found += [child, *_descendants(child)]
-    return found
-
-
 def _check_partial(path: Path, before: bytes, folder: Path) -> str:
     # what was in the file when the power went is there, and both readers find it
     after = path.read_bytes()
@@ -90,12 +80,10 @@ def _check_partial(path: Path, before: bytes, folder: Path) -> str:
     return f"{recording.status} with states" if any(t.startswith("/state/") for t in ours) else recording.status
 
 
-def _cut(number: int, out: Path, seconds: float, how: signal.Signals) -> Counter[str]:
-    process = subprocess.Popen(
-        ["nice", *command("gsb-record"), "--sim", "mujoco", "--n-env", "2", "--runs", "2", *SMALL, "--out", str(out)],
-        stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
-    )  # fmt: skip
-    time.sleep(seconds)
+_TWO_RUNS = ("--sim", "mujoco", "--n-env", "2", "--runs", "2", *SMALL, "--out")
+
+
+def _cut(process: subprocess.Popen[str], out: Path, how: signal.Signals) -> Counter[str]:
     files = list(out.glob("*.partial")) if out.exists() else []
     before = {}
     for file in files:
@@ -103,9 +91,10 @@ def _cut(number: int, out: Path, seconds: float, how: signal.Signals) -> Counter
             before[file] = file.read_bytes()
     seen: Counter[str] = Counter()
     if how == signal.SIGKILL:
-        for pid in (process.pid, *_descendants(process.pid)):
-            with suppress(ProcessLookupError):
-                os.kill(pid, how)
+        for each in (signal.SIGSTOP, signal.SIGKILL):  # at once for all: a run sees the end of its command
+            for pid in descendants(process.pid):
+                with suppress(ProcessLookupError):
+                    os.kill(pid, each)
     else:
         process.send_signal(how)
     _, err = process.communicate(timeout=120)
@@ -119,7 +108,7 @@ def _cut(number: int, out: Path, seconds: float, how: signal.Signals) -> Counter
             seen[recording.status] += 1
         else:
             assert how == signal.SIGKILL, f"a command that could end its recording left {file}"
-            (scratch := out.parent / f"{number}-scratch").mkdir(exist_ok=True)
+            (scratch := out.with_name(f"{out.name}-scratch")).mkdir(exist_ok=True)
             seen[_check_partial(file, before.get(file, b""), scratch)] += 1
     return seen
 
@@ -127,19 +116,24 @@ def _cut(number: int, out: Path, seconds: float, how: signal.Signals) -> Counter
 @pytest.mark.slow
 def test_power_cuts(tmp_path: Path) -> None:
     """Leave, after SIGKILL or SIGTERM at 50 moments, whole files under final names, and all that was written."""
-    began = time.monotonic()
-    subprocess.run(
-        [*command("gsb-record"), "--sim", "mujoco", "--n-env", "2", "--runs", "2", *SMALL, "--out",
-         str(tmp_path / "whole")], check=True, capture_output=True,
-    )  # fmt: skip
-    whole = time.monotonic() - began
+    seconds, content = whole([*command("gsb-record"), *_TWO_RUNS, str(tmp_path / "whole")], tmp_path / "whole")
     moments = random.Random(50)
-    plan = [
-        (n, tmp_path / f"{n}", whole * (0.1 + 1.2 * moments.random()), signal.SIGTERM if n % 5 == 4 else signal.SIGKILL)
-        for n in range(_KILLS)
-    ]
+
+    def cut(number: int) -> Counter[str]:
+        out, share = tmp_path / f"{number}", 0.1 + 1.2 * moments.random()
+        # half of them while the process starts, computes or ends, half while it writes
+        process = subprocess.Popen(
+            ["nice", *command("gsb-record"), *_TWO_RUNS, str(out)],
+            stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
+        )  # fmt: skip
+        if number % 2:
+            wait_until(process, partial(has_worked, process.pid, share * seconds))
+        else:
+            wait_until(process, partial(has_written, out, share * content))
+        return _cut(process, out, signal.SIGTERM if number % 5 == 4 else signal.SIGKILL)
+
     with ThreadPoolExecutor(_AT_ONCE) as pool:
-        seen = sum(pool.map(lambda one: _cut(*one), plan), Counter[str]())
+        seen = sum(pool.map(cut, range(_KILLS)), Counter[str]())
     assert seen["complete"]
     assert seen["incomplete with states"], seen
 
@@ -217,7 +211,7 @@ _CLOCKS = '''
 import time
 from dataclasses import dataclass
 import numpy as np
-from gpusimbench.recorder.simulators.base import Description, Simulator
+from gpusimbench.recorder.simulators.base import Ability, Description, Simulator
 from gpusimbench.schemas.fields import body_field
 
 _HOUR = 3600 * 10**9
@@ -230,6 +224,7 @@ class Options:
 
 class Jumping(Simulator):
     Options = Options
+    abilities = frozenset(Ability)
 
     def build(self):
         global _offset
@@ -343,7 +338,7 @@ def test_a_wall_clock_that_no_field_can_hold(
     (tmp_path / "path" / "sitecustomize.py").write_text(_BEFORE_1970.format(now=now))
     done = gsb_record("--sim", "mujoco", "--scene", "free-fall", "--n-env", 2, "--runs", 1, "--steps", 5, "--warmup", 1,
                       "--timed-steps", 2, "--out", tmp_path / "out",
-                      env={**os.environ, "PYTHONPATH": str(tmp_path / "path")})  # fmt: skip
+                      env={**os.environ, "PYTHONPATH": str(tmp_path / "path")}, timeout=60)  # fmt: skip
     assert done.returncode == 0, done.stderr
     assert f"clock stands {said}" in done.stderr
     recording = open_recording(done.stdout.strip())

@@ -18,14 +18,13 @@ from numpy.typing import NDArray
 pytest.importorskip("sapien")
 
 from gpusimbench.recorder.options import parse_options
-from gpusimbench.recorder.scenes.articulation import Inertial
-from gpusimbench.recorder.scenes.base import Body, Box, Capsule, Material, Plane, Scene, Sphere
+from gpusimbench.recorder.scenes.base import Body, Box, Capsule, Inertial, Material, Plane, Scene, Sphere, solid_inertia
 from gpusimbench.recorder.scenes.registry import make_scene
 from gpusimbench.recorder.simulators.base import States
 from gpusimbench.recorder.simulators.counters import AWAKE_BODIES, CONTACTS
 from gpusimbench.recorder.simulators.sapien import gpu_library
 from gpusimbench.recorder.simulators.sapien.arm import principal_axes
-from gpusimbench.recorder.simulators.sapien.bodies import make_component, principal_inertia
+from gpusimbench.recorder.simulators.sapien.bodies import make_component
 from gpusimbench.recorder.simulators.sapien.complaints import OVERFLOW_BITS, Complaints, bits_of
 from gpusimbench.recorder.simulators.sapien.gpu import square_grid
 from gpusimbench.recorder.simulators.sapien.options import SapienOptions
@@ -236,7 +235,7 @@ def test_inertia_is_that_of_a_uniform_solid(shape: Box | Sphere | Capsule) -> No
     own.attach(make_component(body, SapienOptions()).collision_shapes[0])
     turned = own.cmass_local_pose.to_transformation_matrix()[:3, :3]
     inertia = turned @ np.diag(own.inertia) @ turned.T / own.mass
-    assert np.allclose(inertia, np.diag(principal_inertia(shape, 1.0)), rtol=1e-4, atol=1e-7)
+    assert np.allclose(inertia, np.diag(solid_inertia(shape, 1.0)), rtol=1e-4, atol=1e-7)
 
 
 def test_a_capsule_stands_along_z() -> None:

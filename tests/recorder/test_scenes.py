@@ -158,7 +158,8 @@ def test_a_distribution_adds_scenes(tmp_path: Path, gsb_record: Command) -> None
     _distribution(tmp_path, _THEIRS, names)
     environment = {**os.environ, "PYTHONPATH": str(tmp_path)}
     listed = json.loads(gsb_record("--list", "--json", env=environment).stdout)["scenes"]
-    assert {"name": "low-drop", "summary": "a drop of another height", "problem": ""} in listed
+    needs = ["free bodies", "boxes", "planes"]
+    assert {"name": "low-drop", "summary": "a drop of another height", "problem": "", "needs": needs} in listed
     problems = {scene["name"]: scene["problem"] for scene in listed if scene["problem"]}
     assert set(problems) == {"misnamed", "broken", "nothing", "no"}
     assert "a Scene named 'free-fall'" in problems["misnamed"]

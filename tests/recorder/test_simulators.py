@@ -15,6 +15,7 @@ from typing import Any
 
 import pytest
 
+from gpusimbench.recorder.abilities import Ability
 from gpusimbench.recorder.conformance import CHECKS
 from gpusimbench.recorder.environments.store import find
 from gpusimbench.recorder.simulators.registry import BUILT_IN, find_simulator
@@ -31,7 +32,6 @@ _NO_BUFFERS = {"buffers_are_larger_than_what_they_held": "no buffer that a count
 _NO_ORIENTATION = dict.fromkeys(
     ("quaternions_are_normalised", "turns_counter_clockwise", "stack_at_rest_stays"), "does not record orientation"
 )
-_NO_FRANKA = {"actions_are_those_drawn": "does not simulate franka"}
 
 _SINKS = "sinks into the board at a step of 0.01 s"
 
@@ -65,7 +65,7 @@ class Variant:
 VARIANTS = (
     Variant("mujoco", skipped={**_NO_BITS, **_NO_BUFFERS}, slow=False),
     Variant("mujoco", ("cone=pyramidal", "integrator=Euler"), skipped={**_NO_BITS, **_NO_BUFFERS}, slow=False),
-    Variant("warp", ahead=True),
+    Variant("warp", slow=False, ahead=True),
     Variant("mjx", ("impl=jax",), ahead=True),
     Variant("mjx", ("impl=warp",), ahead=True),
     Variant("playground", ahead=True),
@@ -77,7 +77,6 @@ VARIANTS = (
             "contacts_hold_up_the_stack": _SINKS,
             "ball_rolls_down_the_slope": "accelerates at 1.85 m/s2 instead of 2.40",
         },
-        skipped=_NO_FRANKA,
         ahead=True,
     ),
     Variant(
@@ -87,10 +86,9 @@ VARIANTS = (
             "stack_at_rest_stays": _SINKS,
             "ball_rolls_down_the_slope": "sinks into the slope: its path is 4 degrees steeper",
         },
-        skipped=_NO_FRANKA,
         ahead=True,
     ),
-    Variant("newton", ("solver=mujoco",), skipped=_NO_FRANKA),
+    Variant("newton", ("solver=mujoco",)),
     Variant(
         "newton",
         ("solver=xpbd",),
@@ -98,18 +96,17 @@ VARIANTS = (
             "stack_at_rest_stays": _SINKS,
             "ball_rolls_down_the_slope": "accelerates at 2.21 m/s2 instead of 2.40",
         },
-        skipped=_NO_FRANKA,
     ),
-    Variant("newton", ("solver=steel",), skipped=_NO_FRANKA),
+    Variant("newton", ("solver=steel",)),
     Variant("genesis"),
     Variant("physx", skipped={**_NO_COUNTS, **_NO_BUFFERS}),
-    Variant("isaaclab", ("backend=ovphysx",), skipped={**_NO_FRANKA, **_NO_COUNTS, **_NO_BUFFERS}),
-    Variant("isaaclab", ("backend=newton",), skipped=_NO_FRANKA),
+    Variant("isaaclab", ("backend=ovphysx",), skipped={**_NO_COUNTS, **_NO_BUFFERS}),
+    Variant("isaaclab", ("backend=newton",)),
     Variant("sapien", skipped={**_NO_BITS, **_NO_BUFFERS}),
     Variant(
         "calibration",
         fails={"contacts_hold_up_the_stack": "a cube is a sphere, with one point of contact"},
-        skipped={**_NO_FRANKA, **_NO_BITS, **_NO_BUFFERS, **_NO_ORIENTATION},
+        skipped={**_NO_BITS, **_NO_BUFFERS, **_NO_ORIENTATION},
     ),
 )
 
@@ -156,8 +153,12 @@ def test_conforms(variant: Variant, check: str) -> None:
         pytest.xfail(f"{reason}: {found['why']}")
     if found["outcome"] == "skipped" and found["why"].startswith(_VARYING):
         pytest.skip(found["why"])
-    in_turn = {} if variant.ahead else {"blocks_ahead_are_the_same": "begin_states is not overridden"}
-    if reason := {**variant.skipped, **in_turn}.get(check):
+    expected = dict(variant.skipped)
+    if not variant.ahead:
+        expected["blocks_ahead_are_the_same"] = "begin_states is not overridden"
+    if Ability.ACTIONS not in find_simulator(variant.simulator).adapter().abilities:
+        expected["actions_are_those_drawn"] = "any built-in scene with actions needs"
+    if reason := expected.get(check):
         assert found["outcome"] == "skipped", f"known to be skipped ({reason}), and it is {found['outcome']}"
         assert reason in found["why"]
         pytest.skip(found["why"])

@@ -25,7 +25,7 @@ import os, signal, time
 from dataclasses import dataclass
 from pathlib import Path
 import numpy as np
-from gpusimbench.recorder.simulators.base import Description, Simulator
+from gpusimbench.recorder.simulators.base import Ability, Description, Simulator
 from gpusimbench.schemas.fields import body_field
 
 @dataclass(frozen=True)
@@ -37,6 +37,7 @@ def broken(*_):
 
 class Delicate(Simulator):
     Options = Options
+    abilities = frozenset(Ability)
 
     def build(self):
         importing = Path(os.environ["GSB_TEST_FOLDER"]) / "importing"

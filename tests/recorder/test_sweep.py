@@ -37,7 +37,7 @@ import os, time
 from dataclasses import dataclass
 from pathlib import Path
 import numpy as np
-from gpusimbench.recorder.simulators.base import Description, Simulator
+from gpusimbench.recorder.simulators.base import Ability, Description, Simulator
 from gpusimbench.schemas.fields import body_field
 
 @dataclass(frozen=True)
@@ -47,6 +47,7 @@ class Options:
 
 class Limited(Simulator):
     Options = Options
+    abilities = frozenset(Ability)
 
     def build(self):
         if self.n_env >= self.options.limit:
@@ -64,8 +65,11 @@ class Limited(Simulator):
         return Description("1.0", "cpu", {}, {}, (), (field,), timing_covers="nothing")
 
     def step(self, n_step):
+        command = os.getppid()
         while "GSB_TEST_SLOW" in os.environ and self.n_env >= self.options.limit:
             time.sleep(0.01)
+            if os.getppid() != command:
+                os._exit(9)  # no test waits for it
 
     def state(self):
         return (np.zeros((self.n_env, 1, 3), dtype=np.float32),)
@@ -427,6 +431,7 @@ def test_where_a_sweep_ends(
     assert again.stderr.endswith(said + "\n")
 
 
+@pytest.mark.slow
 def test_processes_that_die_at_the_end(gsb_record: Command, limited: dict[str, str], tmp_path: Path) -> None:
     """Take processes that die for a limit as well, but try them again, since their recordings have no end."""
     for _ in range(2):
@@ -462,6 +467,7 @@ def test_an_interrupted_sweep_goes_on(gsb_record: Command, limited: dict[str, st
     assert _made(tmp_path) == [(2, 0), (2, 1), (4, 0), (4, 0), (4, 1), (8, 0), (8, 1)]
 
 
+@pytest.mark.slow
 def test_two_sweeps_into_one_folder(gsb_record: Command, limited: dict[str, str], tmp_path: Path) -> None:
     """Refuse the second of two equal sweeps by the name of the first, let others in, and mind no lock of the dead."""
     first = subprocess.Popen(
@@ -548,6 +554,7 @@ def test_a_sweep_on_a_full_disk(gsb_record: Command, tmp_path: Path) -> None:
     assert len(list(tmp_path.iterdir())) == 1
 
 
+@pytest.mark.slow
 def test_a_sweep_on_a_terminal(tmp_path: Path) -> None:
     """Show a heading for each number of environments, and a line for each run."""
     spawn = "import os, pty, sys; sys.exit(os.waitstatus_to_exitcode(pty.spawn(sys.argv[1:])))"

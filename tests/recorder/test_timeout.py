@@ -22,7 +22,7 @@ _PLUGIN = '''
 import atexit, hashlib, os, time
 from dataclasses import dataclass
 import numpy as np
-from gpusimbench.recorder.simulators.base import Description, Simulator
+from gpusimbench.recorder.simulators.base import Ability, Description, Simulator
 from gpusimbench.schemas.fields import body_field
 
 def compute_for_long():
@@ -36,6 +36,7 @@ class Options:
 
 class Endless(Simulator):
     Options = Options
+    abilities = frozenset(Ability)
 
     def build(self):
         self.slow = self.n_env >= self.options.from_n_env

@@ -11,12 +11,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gpusimbench.recorder.scenes.base import Body, Box, Capsule, Material, Plane, Scene, Shape, Sphere
-from gpusimbench.recorder.scenes.emit.usd import emit_usd, identifiers, solid_inertia
+from gpusimbench.recorder.scenes.base import Body, Box, Capsule, Material, Plane, Scene, Shape, Sphere, solid_inertia
+from gpusimbench.recorder.scenes.emit.usd import emit_usd, identifiers
 from gpusimbench.recorder.scenes.franka import PANDA
 from gpusimbench.recorder.scenes.registry import SCENES, make_scene
 
-NUMBER = st.floats(-1e6, 1e6)
+NUMBER = st.floats(-1e6, 1e6, allow_subnormal=False)
 SIZE = st.floats(1e-3, 1e3)
 VECTOR = st.tuples(NUMBER, NUMBER, NUMBER)
 

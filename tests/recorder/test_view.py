@@ -27,9 +27,9 @@ from gpusimbench.recorder.log import RecordingWriter
 from gpusimbench.recorder.plan import view_of
 from gpusimbench.recorder.scenes.registry import make_scene
 from gpusimbench.schemas.configuration import RunConfiguration
-from gpusimbench.schemas.container import Container
 from gpusimbench.schemas.errors import DamagedRecording, ExitCode, UsageError
 from gpusimbench.schemas.fields import body_field
+from gpusimbench.schemas.mcap.reader import Container
 from tests.conftest import Command, call
 from tests.evaluator.viewing import placed, read, states
 from tests.test_docs import ROOT, commands, shell
@@ -180,7 +180,7 @@ def test_links_are_where_the_engine_puts_them(tmp_path: Path) -> None:
 
 def without_view(source: Path, target: Path) -> Path:
     """The same recording as --no-view would have written it, but for what it was asked for."""
-    from gpusimbench.schemas.mcap_writer import McapWriter
+    from gpusimbench.schemas.mcap.writer import McapWriter
 
     with source.open("rb") as stream, target.open("xb", buffering=0) as out:
         writer: Any = None
@@ -354,6 +354,7 @@ def test_a_group_named_view(tmp_path: Path) -> None:
     sink.abandon()
 
 
+@pytest.mark.slow
 def test_the_commands_of_the_document(tmp_path: Path) -> None:
     """Run every command that the page on viewers shows."""
     (tmp_path / "recordings").mkdir()

@@ -14,9 +14,9 @@ from hypothesis import strategies as st
 from mcap.reader import NonSeekingReader, make_reader
 
 from gpusimbench.schemas import FORMAT
-from gpusimbench.schemas.container import Container
-from gpusimbench.schemas.crc import combine
-from gpusimbench.schemas.mcap_writer import COMPRESSIONS, McapWriter, Part
+from gpusimbench.schemas.mcap.crc import combine
+from gpusimbench.schemas.mcap.reader import Container
+from gpusimbench.schemas.mcap.writer import COMPRESSIONS, McapWriter, Part
 
 Sent = list[tuple[str, int, bytes]]
 

@@ -18,7 +18,7 @@ from gpusimbench.schemas.configuration import RunConfiguration, sim_time_ns
 from gpusimbench.schemas.digest import ContentDigest, content_hash
 from gpusimbench.schemas.errors import DamagedRecording
 from gpusimbench.schemas.fields import BODY_FIELDS, body_field
-from gpusimbench.schemas.messages import DESCRIPTOR_SET, embedded_schema, message_names
+from gpusimbench.schemas.messages import DESCRIPTOR_SETS, embedded_schema, message_names
 from gpusimbench.schemas.provenance import Deviation, Provenance, Simulation
 from gpusimbench.schemas.topics import StateTopic, parse_state, state
 
@@ -67,7 +67,7 @@ def test_descriptor_set_is_current(tmp_path: Path) -> None:
         return {file.name: file for file in files}
 
     build(tmp_path / "new.binpb")
-    kept = (Path(schemas.__file__).parent / DESCRIPTOR_SET).read_bytes()
+    kept = (Path(schemas.__file__).parent / DESCRIPTOR_SETS["gsb"]).read_bytes()
     assert described((tmp_path / "new.binpb").read_bytes()) == described(kept)
 
 

@@ -17,8 +17,8 @@ from gpusimbench.recorder.scenes.registry import make_scene
 from gpusimbench.schemas.build_descriptors import build
 from gpusimbench.schemas.errors import DamagedRecording
 from gpusimbench.schemas.fields import body_field
+from gpusimbench.schemas.messages import DESCRIPTOR_SETS, embedded_schema, message_class
 from gpusimbench.schemas.topics import has_digest, parse_state, parse_view, view
-from gpusimbench.schemas.view import foxglove
 from gpusimbench.schemas.view.motion import Motion, one_of
 from gpusimbench.schemas.view.recorded import RecordedView
 
@@ -43,7 +43,7 @@ def fields_of(descriptor: Any, seen: dict[str, Any]) -> dict[str, Any]:
 def test_the_definitions_are_the_public_ones(name: str) -> None:
     """Define what Foxglove's own package defines, to the last field of the last message."""
     module = pytest.importorskip(f"foxglove_schemas_protobuf.{name}_pb2")
-    ours = foxglove.message_class(f"foxglove.{name}").DESCRIPTOR
+    ours = message_class(f"foxglove.{name}").DESCRIPTOR
     assert fields_of(ours, {}) == fields_of(getattr(module, name).DESCRIPTOR, {})
 
 
@@ -51,7 +51,7 @@ def test_the_descriptor_set_is_that_of_the_definitions(tmp_path: Path) -> None:
     """Hold the descriptor set to its .proto files; make proto rebuilds it."""
     pytest.importorskip("grpc_tools")
     build(tmp_path / "new.binpb", "foxglove")
-    kept = Path(schemas.__file__).with_name(foxglove.DESCRIPTOR_SET)
+    kept = Path(schemas.__file__).with_name(DESCRIPTOR_SETS["foxglove"])
     ours, new = (descriptor_pb2.FileDescriptorSet.FromString(p.read_bytes()) for p in (kept, tmp_path / "new.binpb"))
     assert [f for f in ours.file if f.package == "foxglove"] == [f for f in new.file if f.package == "foxglove"]
 
@@ -59,7 +59,7 @@ def test_the_descriptor_set_is_that_of_the_definitions(tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", TYPES)
 def test_a_schema_stands_alone(name: str) -> None:
     """Embed all that a definition refers to, and nothing else."""
-    files = descriptor_pb2.FileDescriptorSet.FromString(foxglove.embedded_schema(f"foxglove.{name}")).file
+    files = descriptor_pb2.FileDescriptorSet.FromString(embedded_schema(f"foxglove.{name}")).file
     known: set[str] = set()
     for file in files:
         assert set(file.dependency) <= known

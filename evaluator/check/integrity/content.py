@@ -15,11 +15,11 @@ from gpusimbench.evaluator.read.state_array import StateArray
 from gpusimbench.evaluator.read.streams import Fingerprints, read_fingerprints
 from gpusimbench.schemas import topics
 from gpusimbench.schemas.configuration import RunConfiguration
-from gpusimbench.schemas.container import Container
 from gpusimbench.schemas.digest import ContentDigest, attachment_name, content_hash, state_name
 from gpusimbench.schemas.errors import RecordingError
 from gpusimbench.schemas.fields import StateField
 from gpusimbench.schemas.fingerprint import fingerprint
+from gpusimbench.schemas.mcap.reader import Container
 from gpusimbench.schemas.messages import enum_values, message_class
 from gpusimbench.schemas.provenance import Provenance, Simulation
 

@@ -17,9 +17,9 @@ from gpusimbench.evaluator.check.integrity.view import check_view
 from gpusimbench.evaluator.read.addresses import fetched
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.schemas.checks import Budget
-from gpusimbench.schemas.container import Container
 from gpusimbench.schemas.errors import NotARecording, RecordingError, Unreachable
 from gpusimbench.schemas.location import Location, Place, place
+from gpusimbench.schemas.mcap.reader import Container
 from gpusimbench.schemas.provenance import PROVENANCE, SIMULATION, Provenance, Simulation
 from gpusimbench.schemas.source import MappedFile
 
@@ -101,15 +101,13 @@ def _examine(path: Path, named: Place, *, verify: bool) -> Integrity:
     problems = Problems()
     recording, not_opened = None, ""
     try:
-        recording = Recording(named, MappedFile(path, named))
+        source = MappedFile(path, named)
+        recording = Recording(named, source)
     except NotARecording as error:
         return _nothing(named, error)
     except RecordingError as error:
         not_opened = without_path(error, named)
-    try:
-        found = scan(path, problems)
-    except NotARecording as error:  # it was one a moment ago
-        return _nothing(named, error)
+    found = scan(source, problems)
     end = read_end(found, problems)
     budget = Budget()
     provenance = _attached(Provenance, recording and recording.provenance, found, PROVENANCE, problems, budget)
@@ -125,7 +123,7 @@ def _examine(path: Path, named: Place, *, verify: bool) -> Integrity:
     if not verify:
         problems.skip("nothing was verified", *WHOLE_CONTENT)
     else:
-        check_summary(named, found, problems)
+        check_summary(source, found, problems)
         structural = {Kind.record, Kind.cut_short, Kind.chunk_crc, Kind.index}
         if structural.intersection(problems.kinds()):
             problems.skip("the library takes a file at its word, and this one is not sound", Kind.library)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from gpusimbench.evaluator.check.integrity.scan import Scan, Stream
 from gpusimbench.schemas import topics
 from gpusimbench.schemas.blocks import STATE_HEAD_BYTES, state_header_in
-from gpusimbench.schemas.container import Container
+from gpusimbench.schemas.mcap.reader import Container
 
 
 def outline(container: Container) -> Scan:
@@ -13,7 +13,7 @@ def outline(container: Container) -> Scan:
 
     A stream's encodings are those of its last block alone; its sequences are not looked at.
     """
-    found = Scan(memoryview(b""), container.size, library=container.library, finished=container.finished)
+    found = Scan(container.size, library=container.library, finished=container.finished)
     for chunk in container.chunks:
         found.compressions[chunk.compression] = found.compressions.get(chunk.compression, 0) + 1
         found.stored += chunk.end - chunk.begin

@@ -1,38 +1,41 @@
-"""A walk over every record of a file that goes on behind what is wrong.
+"""A strict walk over every record of a file: what is wrong with it, and what it holds.
 
-``schemas.container`` stops at the first damage, so that no wrong number is handed out. This walk hands out no numbers:
-it notes each problem, and what the file holds. It shares no code with the container, so each checks the other.
+``schemas.mcap.reader`` stops at the first damage, so that no wrong number is handed out. This hands out no numbers, and
+goes on behind what is wrong. Both read records by the same code, so the MCAP library, which shares none of it, is the
+second opinion (evaluator.check.integrity.library).
 """
 
 from __future__ import annotations
 
-import mmap
-import struct
-import zlib
 from array import array
 from dataclasses import dataclass, field
-from pathlib import Path
-from typing import Any
 
 import numpy as np
-from mcap import records
-from mcap.opcode import Opcode
+from numpy.typing import NDArray
 
-from gpusimbench.evaluator.check.integrity.chunk_place import ChunkPlace
-from gpusimbench.evaluator.check.integrity.problem import Kind, Problems
-from gpusimbench.evaluator.check.integrity.records import KNOWN, PRIVATE, AttachmentHead, Record, parse, read_records
+from gpusimbench.evaluator.check.integrity.problem import Kind, Problems, without_path
 from gpusimbench.schemas import topics
 from gpusimbench.schemas.blocks import state_header
-from gpusimbench.schemas.container import MAX_ATTACHMENTS, most_messages
-from gpusimbench.schemas.declarations import MAX_CHANNEL_BYTES, MAX_DECLARED_BYTES, MAX_DECLARED_TEXTS
-from gpusimbench.schemas.decompression import decompress
 from gpusimbench.schemas.digest import ContentDigest
-from gpusimbench.schemas.errors import DamagedRecording, NotARecording
-from gpusimbench.schemas.mcap_writer import MAGIC
+from gpusimbench.schemas.errors import DamagedRecording
+from gpusimbench.schemas.mcap.contents import MAX_ATTACHMENTS, most_messages
+from gpusimbench.schemas.mcap.declarations import NewDeclarations, TooMuch
+from gpusimbench.schemas.mcap.records import (
+    MAGIC,
+    AttachmentIndex,
+    ChannelRecord,
+    ChunkIndex,
+    Header,
+    Metadata,
+    MetadataIndex,
+    Op,
+    Record,
+    Schema,
+    parse,
+)
+from gpusimbench.schemas.mcap.walk import Walk, split
+from gpusimbench.schemas.source import Source
 
-_MESSAGE = struct.Struct("<HIQQ")
-_CHUNK = struct.Struct("<QQQI")
-_U32, _U64 = struct.Struct("<I"), struct.Struct("<Q")
 _SHOWN = 3
 
 MAX_METADATA = 1 << 16
@@ -40,10 +43,6 @@ MAX_METADATA = 1 << 16
 
 MAX_SUMMARY_RECORDS = 1 << 20
 """Records behind the data section that are read of a file."""
-
-
-class _TooMuch(Exception):
-    """There is more of something than is read of a file; the walk ends."""
 
 
 @dataclass
@@ -69,7 +68,6 @@ class Stream:
 class Scan:
     """What the walk found.
 
-    data         the file; empty once it was closed
     size         of the file [byte]
     profile      of the MCAP header
     library      that wrote the file, by its own word
@@ -80,14 +78,13 @@ class Scan:
     ends         contents of the messages on /run/end
     compressions of chunks, with how many chunks have each; "" where they are not compressed
     stored, unpacked  bytes of all chunks in the file, and decompressed
-    expected     what a summary would have to say, by the type of its records
+    chunks, attached, metadata  what a summary would have to say of these records, by the byte at which each begins
     schemas, channels  by number, as they are first declared
     summary      records behind the data section
     counts       messages by channel number
     finished     the file ends with a footer and the magic
     """
 
-    data: memoryview
     size: int
     profile: str = ""
     library: str = ""
@@ -99,9 +96,11 @@ class Scan:
     compressions: dict[str, int] = field(default_factory=dict)
     stored: int = 0
     unpacked: int = 0
-    expected: dict[Opcode, list[Any]] = field(default_factory=dict)
-    schemas: dict[int, Any] = field(default_factory=dict)
-    channels: dict[int, Any] = field(default_factory=dict)
+    chunks: dict[int, ChunkIndex] = field(default_factory=dict)
+    attached: dict[int, AttachmentIndex] = field(default_factory=dict)
+    metadata: dict[int, MetadataIndex] = field(default_factory=dict)
+    schemas: dict[int, Schema] = field(default_factory=dict)
+    channels: dict[int, ChannelRecord] = field(default_factory=dict)
     summary: list[Record] = field(default_factory=list)
     counts: dict[int, int] = field(default_factory=dict)
     first_time: int | None = None
@@ -110,132 +109,93 @@ class Scan:
     finished: bool = False
 
     def close(self) -> None:
-        """Give the file back; attachments are kept, places of records are not."""
+        """Keep attachments as copies, and no places of records."""
         self.attachments = {name: memoryview(bytes(data)) for name, data in self.attachments.items()}
         self.summary = []
-        self.data = memoryview(b"")
 
 
-def scan(path: Path, problems: Problems) -> Scan:
-    """Walk over a file. NotARecording where it is no MCAP file."""
-    if path.exists() and not path.is_file():
-        raise NotARecording(f"{path} is not a file")
-    try:
-        with path.open("rb") as stream:
-            data = memoryview(mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ))
-    except OSError as error:
-        raise NotARecording(f"cannot read {path}: {error.strerror}") from None
-    except ValueError:  # an empty file cannot be mapped
-        raise NotARecording(f"{path} is not an MCAP file: it is empty") from None
-    if data[: len(MAGIC)] != MAGIC:
-        raise NotARecording(f"{path} is not an MCAP file")
-    return _Walk(data, problems).walk()
+def scan(source: Source, problems: Problems) -> Scan:
+    """Walk over a file."""
+    return _Scanner(source, problems).scan()
 
 
-class _Walk:
-    def __init__(self, data: memoryview, problems: Problems) -> None:
-        self._data = data
+class _Scanner:
+    def __init__(self, source: Source, problems: Problems) -> None:
+        self._source = source
+        self._place = source.place
         self._problems = problems
-        self._found = Scan(data, len(data))
-        self._place: ChunkPlace | None = None  # the chunk that message indexes belong to
+        self._found = Scan(source.size)
+        self._walk = Walk(source, lambda fault, what: problems.add(Kind[fault], what))
+        self._new = NewDeclarations(source.place)
+        self._chunk: _ChunkPlace | None = None  # that message indexes belong to
         self._messages = 0
-        self._declared: set[tuple[int, bytes]] = set()  # records of schemas and channels
-        self._declared_bytes = self._declared_texts = 0
 
-    def walk(self) -> Scan:
+    def scan(self) -> Scan:
         """Visit every record, up to where there is more of something than is read."""
         try:
-            self._visit()
-        except _TooMuch as error:
-            self._problems.add(Kind.record, str(error))
-            self._problems.skip(str(error), *(kind for kind in Kind if kind is not Kind.record))
+            for record in self._walk:
+                if not self._walk.in_data:
+                    self._summary(record)
+                    continue
+                try:
+                    self._in_data(record)
+                except TooMuch:
+                    raise
+                except DamagedRecording as error:
+                    self._note(error)
+            self._close_chunk()
+            self._end()
+        except DamagedRecording as error:  # there is too much of something, or the file became shorter
+            what = without_path(error, self._place)
+            self._problems.add(Kind.record, what)
+            self._problems.skip(what, *(kind for kind in Kind if kind is not Kind.record))
         for topic, stream in self._found.streams.items():
             self._check_sequence(topic, stream.sequences)
         return self._found
 
-    def _visit(self) -> None:
-        position, in_data = len(MAGIC), True
-        for record in read_records(self._data, position):
-            if record.begin == len(MAGIC) and record.opcode != Opcode.HEADER:
-                self._problems.add(Kind.record, "the first record is no header")
-            if record.opcode not in KNOWN:
-                self._unknown(record, f"byte {record.begin}")
-            elif in_data:
-                with self._problems.noting(Kind.record):
-                    self._in_data(record)
-                in_data = record.opcode not in (Opcode.DATA_END, Opcode.FOOTER)
-            elif len(self._found.summary) == MAX_SUMMARY_RECORDS:
-                raise _TooMuch(f"more than {MAX_SUMMARY_RECORDS} records lie behind the data section")
-            else:
-                self._found.summary.append(record)
-            position = record.begin + record.length
-            if record.opcode == Opcode.FOOTER:
-                break
-        self._close_chunk()
-        self._end(position, in_data)
+    def _note(self, error: DamagedRecording) -> None:
+        # a record that cannot be read
+        self._problems.add(Kind.record, without_path(error, self._place))
+
+    def _summary(self, record: Record) -> None:
+        if len(self._found.summary) == MAX_SUMMARY_RECORDS:
+            raise TooMuch(f"{self._place}: more than {MAX_SUMMARY_RECORDS} records lie behind the data section")
+        self._found.summary.append(record)
 
     def _in_data(self, record: Record) -> None:
-        if record.opcode != Opcode.MESSAGE_INDEX:
-            self._close_chunk()
-        match record.opcode:
-            case Opcode.HEADER:
-                if record.begin != len(MAGIC):
-                    self._problems.add(Kind.record, f"there is a second header at byte {record.begin}")
-                    return
-                header = parse(records.Header, record.content)
-                self._found.profile, self._found.library = header.profile, header.library
-            case Opcode.SCHEMA | Opcode.CHANNEL:
-                self._declare(record)
-            case Opcode.MESSAGE:
-                self._message(record)
-            case Opcode.CHUNK:
-                self._chunk(record)
-            case Opcode.MESSAGE_INDEX:
-                if self._place is not None:
-                    self._place.add_index(record)
-            case Opcode.ATTACHMENT:
-                self._attachment(record)
-            case Opcode.METADATA:
-                self._metadata(record)
-            case Opcode.DATA_END:
-                self._data_end(record)
-            case _:
-                self._problems.add(
-                    Kind.record, f"a record of the summary, type {record.opcode}, lies before the data section's end"
-                )
-
-    def _unknown(self, record: Record, where: str) -> None:
-        if record.opcode < PRIVATE:
-            self._problems.add(
-                Kind.unknown_record, f"a record of type {record.opcode:#04x} at {where}, {len(record.content)} bytes"
-            )
+        if record.opcode == Op.MESSAGE_INDEX:
+            if self._chunk is not None:
+                self._chunk.add_index(record, *record.message_index(self._place))
+            return
+        self._close_chunk()
+        if record.opcode == Op.HEADER:
+            header = parse(Header, record.cursor(self._place))
+            self._found.profile, self._found.library = header.profile, header.library
+        elif record.opcode in (Op.SCHEMA, Op.CHANNEL):
+            self._declare(record)
+        elif record.opcode == Op.MESSAGE:
+            self._message(record)
+        elif record.opcode == Op.CHUNK:
+            self._visit_chunk(record)
+        elif record.opcode == Op.ATTACHMENT:
+            self._attachment(record)
+        elif record.opcode == Op.METADATA:
+            self._metadata(record)
+        elif record.opcode == Op.DATA_END:
+            self._walk.data_end(record)
 
     def _declare(self, record: Record) -> None:
-        content = bytes(record.content)
-        if (record.opcode, content) in self._declared:
-            return
-        if record.opcode == Opcode.CHANNEL and len(content) > MAX_CHANNEL_BYTES:
-            raise _TooMuch(f"a channel takes {len(content)} bytes to declare, more than the {MAX_CHANNEL_BYTES} read")
-        self._declared.add((record.opcode, content))
-        self._declared_bytes += len(content)
-        self._declared_texts += self._declare_new(record)
-        if self._declared_bytes > MAX_DECLARED_BYTES or self._declared_texts > MAX_DECLARED_TEXTS:
-            raise _TooMuch(
-                f"its schemas and channels have more than the {MAX_DECLARED_BYTES} bytes or {MAX_DECLARED_TEXTS} texts "
-                "that are read"
-            )
+        found = self._new.parse(record)
+        if isinstance(found, Schema):
+            if self._found.schemas.setdefault(found.id, found) != found:
+                self._problems.add(Kind.record, f"schema {found.id} is declared in two ways")
+        elif found is not None:
+            self._declare_channel(found)
 
-    def _declare_new(self, record: Record) -> int:
-        # texts of its metadata
-        if record.opcode == Opcode.SCHEMA:
-            schema = parse(records.Schema, record.content)
-            if self._found.schemas.setdefault(schema.id, schema) != schema:
-                self._problems.add(Kind.record, f"schema {schema.id} is declared in two ways")
-            return 0
-        channel = parse(records.Channel, record.content)
+    def _declare_channel(self, channel: ChannelRecord) -> None:
         if self._found.channels.setdefault(channel.id, channel) != channel:
             self._problems.add(Kind.record, f"channel {channel.id} is declared in two ways")
-            return 0
+            return
         schema = self._found.schemas.get(channel.schema_id)
         if schema is None:
             self._problems.add(Kind.record, f"{channel.topic} is of schema {channel.schema_id}, which is not declared")
@@ -246,174 +206,112 @@ class _Walk:
                 "not in protobuf",
             )
         self._found.streams.setdefault(channel.topic, Stream(channel.topic, schema.name if schema else ""))
-        return len(channel.metadata)
 
     def _message(self, record: Record) -> tuple[int, int] | None:
         # channel and time
-        if len(record.content) < _MESSAGE.size:
-            raise DamagedRecording(f"a message at byte {record.begin} is shorter than its own head")
-        number, sequence, log_time, _ = _MESSAGE.unpack_from(record.content)
-        channel = self._found.channels.get(number)
+        number, sequence, log_time, content = record.message(self._place)
+        found = self._found
+        channel = found.channels.get(number)
         if channel is None:
             self._problems.add(Kind.record, f"a message is of channel {number}, which is not declared before it")
             return None
-        content = record.content[_MESSAGE.size :]
-        stream = self._found.streams[channel.topic]
+        topic = channel.topic
+        stream = found.streams[topic]
         stream.in_order &= sequence == len(stream.sequences)
         stream.sequences.append(sequence)
         stream.bytes += len(content)
         self._messages += 1
-        if self._messages > most_messages(self._found.size):
-            raise _TooMuch(f"it has more than the {self._messages - 1} messages that are read of a file of its size")
-        found = self._found
+        if self._messages > most_messages(found.size):
+            raise TooMuch(
+                f"{self._place}: it has more than the {self._messages - 1} messages that are read of a file of its size"
+            )
         found.counts[number] = found.counts.get(number, 0) + 1
         found.first_time = log_time if found.first_time is None else min(found.first_time, log_time)
         found.last_time = max(found.last_time, log_time)
-        if found.ends and channel.topic != topics.RUN_END:
-            self._problems.add(Kind.end, f"a message of {channel.topic} lies behind the end record")
-        if channel.topic == topics.RUN_END:
+        if found.ends and topic != topics.RUN_END:
+            self._problems.add(Kind.end, f"a message of {topic} lies behind the end record")
+        if topic == topics.RUN_END:
             found.ends.append(bytes(content))
-        elif topics.has_digest(channel.topic):
-            found.digest.message(channel.topic, content)
-        elif topics.parse_state(channel.topic) is not None:
+        elif topics.has_digest(topic):
+            found.digest.message(topic, content)
+        elif topics.parse_state(topic) is not None:
             with self._problems.noting(Kind.stream):
                 stream.encodings.add(state_header(content).encoding)
         return number, log_time
 
-    def _chunk(self, record: Record) -> None:
-        content = record.content
-        try:
-            first, last, size, crc = _CHUNK.unpack_from(content)
-            name_end = _CHUNK.size + 4 + _U32.unpack_from(content, _CHUNK.size)[0]
-            compression = str(content[_CHUNK.size + 4 : name_end], "utf-8")
-            stored = content[name_end + 8 :]
-            if _U64.unpack_from(content, name_end)[0] != len(stored):
-                raise DamagedRecording(f"a chunk at byte {record.begin} holds another number of bytes than it says")
-        except (struct.error, UnicodeDecodeError):
-            raise DamagedRecording(f"a chunk at byte {record.begin} is shorter than its own head") from None
-        found = self._found
-        found.compressions[compression] = found.compressions.get(compression, 0) + 1
-        found.stored += len(stored)
-        found.unpacked += size
-        entry = records.ChunkIndex(
-            chunk_length=record.length,
-            chunk_start_offset=record.begin,
-            compression=compression,
-            compressed_size=len(stored),
-            message_end_time=last,
-            message_index_length=0,
-            message_index_offsets={},
-            message_start_time=first,
-            uncompressed_size=size,
-        )
-        found.expected.setdefault(Opcode.CHUNK_INDEX, []).append(entry)
-        try:
-            data = decompress(compression, stored, size)
-        except ValueError as error:
-            self._problems.add(Kind.chunk_crc, f"the chunk at byte {record.begin} is lost: {error}")
+    def _visit_chunk(self, record: Record) -> None:
+        head = self._walk.head(record)
+        chunk, stored, found = head.chunk, head.chunk.end - head.chunk.begin, self._found
+        found.compressions[chunk.compression] = found.compressions.get(chunk.compression, 0) + 1
+        found.stored += stored
+        found.unpacked += chunk.uncompressed_size
+        entry = ChunkIndex(
+            head.first_time, head.last_time, record.begin, record.length, {}, 0, chunk.compression, stored,
+            chunk.uncompressed_size,
+        )  # fmt: skip
+        found.chunks[record.begin] = entry
+        data = self._walk.open(record, head, self._held)
+        if data is None:
             return
-        if not crc:
-            self._problems.add(Kind.crc_missing, "chunks have no CRC")
-        elif zlib.crc32(data) != crc:
-            self._problems.add(
-                Kind.chunk_crc,
-                f"the chunk at byte {record.begin}, {len(stored)} bytes, fails its CRC; it is of {self._held(data)}",
-            )
-        self._place = ChunkPlace(entry)
-        self._inside(data, record.begin, self._place)
+        self._chunk = place = _ChunkPlace(entry)
+        for inner in self._walk.within(data, record.begin):
+            try:
+                if inner.opcode != Op.MESSAGE:
+                    self._declare(inner)
+                elif placed := self._message(inner):
+                    place.add_message(*placed, inner.begin)
+            except TooMuch:
+                raise
+            except DamagedRecording as error:
+                self._note(error)
 
     def _held(self, data: memoryview) -> str:
         # the topics of a chunk, as far as its bytes still say
-        numbers = dict.fromkeys(
-            int.from_bytes(record.content[:2], "little")
-            for record in read_records(data, 0)
-            if record.opcode == Opcode.MESSAGE
-        )
+        numbers = dict.fromkeys(int.from_bytes(r.content[:2], "little") for r in split(data) if r.opcode == Op.MESSAGE)
         names = [self._found.channels[number].topic for number in numbers if number in self._found.channels]
         more = f" and {len(names) - _SHOWN} more" if len(names) > _SHOWN else ""
         return ", ".join(names[:_SHOWN]) + more if names else "topics that it does not tell"
 
-    def _inside(self, data: memoryview, chunk: int, place: ChunkPlace) -> None:
-        position = 0
-        for record in read_records(data, 0):
-            position = record.begin + record.length
-            if record.opcode not in KNOWN:
-                self._unknown(record, f"byte {record.begin} of the chunk at byte {chunk}")
-            elif record.opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-                with self._problems.noting(Kind.record):
-                    self._declare(record)
-            elif record.opcode == Opcode.MESSAGE:
-                with self._problems.noting(Kind.record):
-                    if placed := self._message(record):
-                        place.add_message(*placed, record.begin)
-            else:
-                self._problems.add(Kind.record, f"the chunk at byte {chunk} holds a record of type {record.opcode}")
-        if position != len(data):
-            self._problems.add(Kind.record, f"the chunk at byte {chunk} ends within a record")
-
     def _close_chunk(self) -> None:
         # what it holds is known, and so are the indexes behind it, if it has any
-        if self._place is not None:
-            self._place.check(self._problems)
-        self._place = None
+        if self._chunk is not None:
+            self._found.chunks[self._chunk.entry.start] = self._chunk.check(self._problems)
+        self._chunk = None
 
     def _attachment(self, record: Record) -> None:
-        content = record.content
-        head = parse(AttachmentHead, content)
-        begin = head.begin
-        stored = content[begin:-4]
-        if len(content) < begin + 4 or head.data_size != len(stored):
-            raise DamagedRecording(f"the attachment {head.name} holds another number of bytes than it says")
-        crc = _U32.unpack_from(content, len(content) - 4)[0]
-        if not crc:
-            self._problems.add(Kind.crc_missing, f"the attachment {head.name} has no CRC")
-        elif zlib.crc32(content[:-4]) != crc:
-            self._problems.add(Kind.attachment_crc, f"the attachment {head.name} fails its CRC")
-            self._found.doubtful.add(head.name)
-        if head.name in self._found.attachments:
-            self._problems.add(Kind.record, f"the attachment {head.name} is there twice")
-        if len(self._found.attachments) == MAX_ATTACHMENTS and head.name not in self._found.attachments:
-            raise _TooMuch(f"it has more than the {MAX_ATTACHMENTS} attachments that are read")
-        self._found.attachments.setdefault(head.name, stored)
-        self._found.expected.setdefault(Opcode.ATTACHMENT_INDEX, []).append(
-            records.AttachmentIndex(
-                offset=record.begin,
-                length=record.length,
-                log_time=head.log_time,
-                create_time=head.create_time,
-                data_size=head.data_size,
-                name=head.name,
-                media_type=head.media_type,
-            )  # fmt: skip
-        )
+        attachment = self._walk.attachment(record)
+        name, found = attachment.name, self._found
+        content, good = self._walk.attached(record, attachment)
+        if not good:
+            found.doubtful.add(name)
+        if name in found.attachments:
+            self._problems.add(Kind.record, f"the attachment {name} is there twice")
+        elif len(found.attachments) == MAX_ATTACHMENTS:
+            raise TooMuch(f"{self._place}: it has more than the {MAX_ATTACHMENTS} attachments that are read")
+        found.attachments.setdefault(name, content)
+        found.attached[record.begin] = AttachmentIndex(
+            record.begin, record.length, attachment.log_time, attachment.create_time, len(content), name,
+            attachment.media_type,
+        )  # fmt: skip
 
     def _metadata(self, record: Record) -> None:
         self._found.metadata_records += 1
         if self._found.metadata_records > MAX_METADATA:
-            raise _TooMuch(f"it has more than the {MAX_METADATA} records of metadata that are read")
-        metadata = parse(records.Metadata, record.content)
-        self._found.expected.setdefault(Opcode.METADATA_INDEX, []).append(
-            records.MetadataIndex(offset=record.begin, length=record.length, name=metadata.name)
-        )
+            raise TooMuch(f"{self._place}: it has more than the {MAX_METADATA} records of metadata that are read")
+        name = parse(Metadata, record.cursor(self._place)).name
+        self._found.metadata[record.begin] = MetadataIndex(record.begin, record.length, name)
 
-    def _data_end(self, record: Record) -> None:
-        crc = parse(records.DataEnd, record.content).data_section_crc
-        if not crc:
-            self._problems.add(Kind.crc_missing, "the data section has no CRC")
-        elif zlib.crc32(self._data[: record.begin]) != crc:
-            self._problems.add(Kind.data_crc, "bytes between the file's begin and the data section's end were changed")
-
-    def _end(self, position: int, in_data: bool) -> None:
-        left = len(self._data) - position
-        ended = bool(self._found.summary) and self._found.summary[-1].opcode == Opcode.FOOTER
-        if not ended:
+    def _end(self) -> None:
+        position, summary = self._walk.end, self._found.summary
+        left = self._source.size - position
+        if not summary or summary[-1].opcode != Op.FOOTER:
             what = (
                 f"{left} bytes behind the last whole record belong to one that was cut short" if left else "no footer"
             )
             self._problems.add(Kind.cut_short, what)
-            if in_data:
+            if self._walk.in_data:
                 self._problems.add(Kind.cut_short, "the data section has no end, so its CRC is not there either")
-        elif self._data[position:] != MAGIC:
+        elif left != len(MAGIC) or self._source.read(position, self._source.size) != MAGIC:
             self._problems.add(
                 Kind.cut_short, f"{left} bytes follow the footer, not the {len(MAGIC)} that end an MCAP file"
             )
@@ -427,3 +325,49 @@ class _Walk:
         if len(there) and (missing := int(there[-1]) + 1 - len(there)):
             first = int(np.argmax(there != np.arange(len(there)))) if there[-1] != len(there) - 1 else len(there)
             self._problems.add(Kind.sequence, f"{missing} messages of {topic} are missing, the first is {first}")
+
+
+class _ChunkPlace:
+    """One chunk: where its messages are, and where the message indexes behind it say that they are.
+
+    entry  what the summary has to say of it, but for the message indexes
+    """
+
+    def __init__(self, entry: ChunkIndex) -> None:
+        self.entry = entry
+        self._there: dict[int, array[int]] = {}  # by channel: time and place of each message, flat
+        self._indexed: dict[int, array[int]] = {}
+        self._index_bytes = 0
+
+    def add_message(self, channel: int, log_time: int, position: int) -> None:
+        """A message of the chunk, and where in it that begins."""
+        self._there.setdefault(channel, array("Q")).extend((log_time, position))
+
+    def add_index(self, record: Record, channel: int, entries: memoryview) -> None:
+        """A message index that follows the chunk."""
+        self._indexed.setdefault(channel, array("Q")).frombytes(entries)
+        self.entry.places[channel] = record.begin
+        self._index_bytes += record.length
+
+    def check(self, problems: Problems) -> ChunkIndex:
+        """Compare messages and indexes, a chunk without any index being whole; returns the entry of the summary."""
+        begin = self.entry.start
+        times = [np.frombuffer(found, np.uint64)[::2] for found in self._there.values()]
+        first, last = (int(pick([pick(part) for part in times])) if times else 0 for pick in (np.min, np.max))
+        if times and (first, last) != (self.entry.first_time, self.entry.last_time):
+            problems.add(Kind.index, f"the chunk at byte {begin} says other times than its messages")
+        wrong = [
+            channel
+            for channel in self._indexed.keys() | self._there.keys()
+            if not np.array_equal(_sorted(self._indexed.get(channel)), _sorted(self._there.get(channel)))
+        ]
+        if self._indexed and wrong:
+            channels = ", ".join(map(str, sorted(wrong)[:_SHOWN]))
+            problems.add(Kind.index, f"behind the chunk at byte {begin}, for channel {channels}")
+        return self.entry._replace(index_bytes=self._index_bytes)
+
+
+def _sorted(flat: array[int] | None) -> NDArray[np.uint64]:
+    # pairs in order, shape [message, 2]
+    pairs = np.frombuffer(flat, np.uint64).reshape(-1, 2) if flat else np.empty((0, 2), np.uint64)
+    return pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]

@@ -2,79 +2,86 @@
 
 from __future__ import annotations
 
-import zlib
+from collections.abc import Mapping
 from typing import Any
 
-from mcap import records
-from mcap.opcode import Opcode
-
 from gpusimbench.evaluator.check.integrity.problem import Kind, Problems
-from gpusimbench.evaluator.check.integrity.records import parse
 from gpusimbench.evaluator.check.integrity.scan import Scan
-from gpusimbench.schemas.cursor import Cursor
-from gpusimbench.schemas.declarations import Declarations
-from gpusimbench.schemas.location import Place
+from gpusimbench.schemas.mcap.declarations import Declarations
+from gpusimbench.schemas.mcap.records import (
+    AttachmentIndex,
+    ChannelRecord,
+    ChunkIndex,
+    Footer,
+    MetadataIndex,
+    Op,
+    Schema,
+    Statistics,
+    parse,
+)
+from gpusimbench.schemas.mcap.walk import data_crc
+from gpusimbench.schemas.source import Source
 
-_KINDS = {
-    Opcode.SCHEMA: records.Schema,
-    Opcode.CHANNEL: records.Channel,
-    Opcode.STATISTICS: records.Statistics,
-    Opcode.CHUNK_INDEX: records.ChunkIndex,
-    Opcode.ATTACHMENT_INDEX: records.AttachmentIndex,
-    Opcode.METADATA_INDEX: records.MetadataIndex,
-    Opcode.SUMMARY_OFFSET: records.SummaryOffset,
-    Opcode.FOOTER: records.Footer,
+_KINDS: dict[int, type[Any]] = {
+    Op.SCHEMA: Schema,
+    Op.CHANNEL: ChannelRecord,
+    Op.STATISTICS: Statistics,
+    Op.CHUNK_INDEX: ChunkIndex,
+    Op.ATTACHMENT_INDEX: AttachmentIndex,
+    Op.METADATA_INDEX: MetadataIndex,
+    Op.FOOTER: Footer,
 }
 _CRC = 4
 
 
-def check_summary(path: Place, scan: Scan, problems: Problems) -> None:
+def check_summary(source: Source, scan: Scan, problems: Problems) -> None:
     """Compare the summary with what the data section holds; a file without a summary is whole."""
     if not scan.finished:
         return
     found: dict[int, list[Any]] = {}
     for record in scan.summary:
+        if record.opcode == Op.SUMMARY_OFFSET:
+            continue
         if record.opcode not in _KINDS:
             problems.add(Kind.record, f"a record of type {record.opcode} lies behind the data section's end")
             continue
-        with problems.noting(Kind.summary):
-            found.setdefault(record.opcode, []).append(parse(_KINDS[Opcode(record.opcode)], record.content))
-    if found.get(Opcode.FOOTER):
-        _check_crc(scan, found[Opcode.FOOTER][0], problems)
-    with problems.noting(Kind.summary, path=path):
-        _check_declarations(path, scan)
+        with problems.noting(Kind.summary, path=source.place):
+            found.setdefault(record.opcode, []).append(parse(_KINDS[record.opcode], record.cursor(source.place)))
+    with problems.noting(Kind.summary, path=source.place):
+        if found.get(Op.FOOTER):
+            _check_crc(source, scan, found[Op.FOOTER][0], problems)
+        _check_declarations(source, scan)
     _check_declared(scan, found, problems)
     _check_places(scan, found, problems)
-    if found.get(Opcode.STATISTICS):
+    if found.get(Op.STATISTICS):
         _check_statistics(scan, found, problems)
 
 
-def _check_crc(scan: Scan, footer: Any, problems: Problems) -> None:
+def _check_crc(source: Source, scan: Scan, footer: Footer, problems: Problems) -> None:
     summary = scan.summary
-    end = summary[-1].begin + summary[-1].length - _CRC
+    end = summary[-1].end - _CRC
     begin = footer.summary_start or summary[-1].begin
     if begin != summary[0].begin:
         problems.add(Kind.summary, f"the footer says that it begins at byte {begin}, it does at {summary[0].begin}")
         return
     if not footer.summary_crc:
         problems.add(Kind.crc_missing, "the summary has no CRC")
-    elif zlib.crc32(scan.data[begin:end]) != footer.summary_crc:
+    elif data_crc(source, begin, end) != footer.summary_crc:
         problems.add(Kind.summary_crc, "bytes behind the data section were changed")
 
 
-def _check_declarations(path: Place, scan: Scan) -> None:
+def _check_declarations(source: Source, scan: Scan) -> None:
     # as the readers do, who refuse a summary that contradicts itself
-    declared = Declarations(path)
+    declared = Declarations(source.place)
     for record in scan.summary:
-        if record.opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-            begin = record.begin + record.length - len(record.content)
-            declared.take(record.opcode, Cursor(path, record.content, 0, len(record.content), begin))
+        if record.opcode in (Op.SCHEMA, Op.CHANNEL):
+            declared.take(record)
 
 
 def _check_declared(scan: Scan, found: dict[int, list[Any]], problems: Problems) -> None:
     for opcode, declared, what in (
-        (Opcode.SCHEMA, scan.schemas, "schema"),
-        (Opcode.CHANNEL, scan.channels, "channel"),
+        (Op.SCHEMA, scan.schemas, "schema"),
+        (Op.CHANNEL, scan.channels, "channel"),
     ):
         said = {record.id: record for record in found.get(opcode, [])}
         for number, record in declared.items() if said else ():
@@ -82,42 +89,40 @@ def _check_declared(scan: Scan, found: dict[int, list[Any]], problems: Problems)
                 problems.add(Kind.summary, f"{what} {number} is not in it")
             elif said[number] != record:
                 problems.add(Kind.summary, f"{what} {number} is another one than in the data section")
+        for number in said.keys() - declared.keys():
+            problems.add(Kind.summary, f"{what} {number} is not in the data section")
 
 
 def _check_places(scan: Scan, found: dict[int, list[Any]], problems: Problems) -> None:
-    for opcode, what in (
-        (Opcode.CHUNK_INDEX, "chunks"),
-        (Opcode.ATTACHMENT_INDEX, "attachments"),
-        (Opcode.METADATA_INDEX, "metadata records"),
-    ):
+    there: dict[int, tuple[str, Mapping[int, Any]]] = {
+        Op.CHUNK_INDEX: ("chunks", scan.chunks),
+        Op.ATTACHMENT_INDEX: ("attachments", scan.attached),
+        Op.METADATA_INDEX: ("metadata records", scan.metadata),
+    }
+    for opcode, (what, expected) in there.items():
         listed = found.get(opcode, [])
-        said = {_offset(record): record for record in listed}
+        said = {record.start: record for record in listed}
         if len(said) < len(listed):
             problems.add(Kind.summary, f"its index of {what} lists {len(listed) - len(said)} of them again")
-        there = {_offset(record): record for record in scan.expected.get(opcode, [])}
-        if said and said != there:
-            wrong = sum(said.get(offset) != there.get(offset) for offset in said.keys() | there.keys())
+        if said and said != expected:
+            wrong = sum(said.get(start) != expected.get(start) for start in said.keys() | expected.keys())
             problems.add(Kind.summary, f"its index of {what} is wrong for {wrong} of them")
 
 
-def _offset(record: Any) -> int:
-    return int(record.chunk_start_offset if isinstance(record, records.ChunkIndex) else record.offset)
-
-
 def _check_statistics(scan: Scan, found: dict[int, list[Any]], problems: Problems) -> None:
-    said = found[Opcode.STATISTICS][0]
-    declared = {channel.id for channel in found.get(Opcode.CHANNEL, [])}
+    said = found[Op.STATISTICS][0]
+    declared = {channel.id for channel in found.get(Op.CHANNEL, [])}
     there = {
-        "messages": (said.message_count, sum(scan.counts.values())),
-        "channels": (said.channel_count, len(scan.channels.keys() | declared)),
-        "attachments": (said.attachment_count, len(scan.expected.get(Opcode.ATTACHMENT_INDEX, []))),
-        "metadata records": (said.metadata_count, scan.metadata_records),
-        "chunks": (said.chunk_count, len(scan.expected.get(Opcode.CHUNK_INDEX, []))),
-        "ns as the first time": (said.message_start_time, scan.first_time or 0),
-        "ns as the last time": (said.message_end_time, scan.last_time),
+        "messages": (said.messages, sum(scan.counts.values())),
+        "channels": (said.channels, len(scan.channels.keys() | declared)),
+        "attachments": (said.attachments, len(scan.attached)),
+        "metadata records": (said.metadata, scan.metadata_records),
+        "chunks": (said.chunks, len(scan.chunks)),
+        "ns as the first time": (said.first_time, scan.first_time or 0),
+        "ns as the last time": (said.last_time, scan.last_time),
     }
     for what, (claimed, counted) in there.items():
         if claimed != counted:
             problems.add(Kind.summary, f"its statistics count {claimed} {what}, there are {counted}")
-    if {n: c for n, c in said.channel_message_counts.items() if c} != scan.counts:
+    if {n: c for n, c in said.by_channel.items() if c} != scan.counts:
         problems.add(Kind.summary, "its statistics count other messages by channel than there are")

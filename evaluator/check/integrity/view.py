@@ -15,9 +15,9 @@ from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.read.state_array import StateArray
 from gpusimbench.schemas import topics
 from gpusimbench.schemas.configuration import EPOCH_NS, MAX_VIEW
-from gpusimbench.schemas.container import Container
 from gpusimbench.schemas.errors import DamagedRecording
-from gpusimbench.schemas.view import foxglove
+from gpusimbench.schemas.mcap.reader import Container
+from gpusimbench.schemas.messages import embedded_schema
 from gpusimbench.schemas.view.log import event_line, status_line
 from gpusimbench.schemas.view.recorded import LOG_TOPIC, LOG_TYPE, RecordedView, ViewMessage
 
@@ -165,7 +165,7 @@ def _same_definition(data: bytes, kind: str) -> bool:
         found = FileDescriptorSet.FromString(data)
     except Exception:  # protobuf's DecodeError differs between its backends
         return False
-    return _reached(found, kind) == _reached(FileDescriptorSet.FromString(foxglove.embedded_schema(kind)), kind)
+    return _reached(found, kind) == _reached(FileDescriptorSet.FromString(embedded_schema(kind)), kind)
 
 
 def _reached(files: Any, kind: str) -> dict[str, list[tuple[Any, ...]]]:

@@ -6,43 +6,35 @@ import numpy as np
 
 from gpusimbench.recorder.conformance.subject import SEED, Subject
 from gpusimbench.recorder.conformance.verdict import NotApplicable, expect
-from gpusimbench.recorder.scenes.registry import make_scene
-from gpusimbench.schemas.errors import UsageError
 
-_SCENE = "franka"
 _BLOCKS = (3, 2)
 _ENVS = 2
 
 
 def actions_are_those_drawn(subject: Subject) -> None:
     """applied gives the joint targets of the last step, bit for bit, and each environment's arm moves its own way."""
-    if _SCENE not in subject.scenes:
-        raise NotApplicable(f"the adapter does not simulate {_SCENE}")
-    scene = make_scene(_SCENE)
+    scene = next((scene for scene in subject.scenes if scene.actions is not None), None)
+    if scene is None or scene.actions is None:
+        raise NotApplicable("the adapter has not the abilities that any built-in scene with actions needs")
     targets = scene.actions
-    assert targets is not None
-    try:
-        with subject.built(scene, n_env=_ENVS) as (simulator, description):
-            before = tuple(np.array(array) for array in simulator.state())
-            simulator.compile("timed")
-            done = 0
-            for count in _BLOCKS:
-                drawn = targets.draw(SEED, n_env=_ENVS, first_step=done, n_step=count)
-                simulator.prepare(None if simulator.draws_actions else drawn)
-                simulator.step(count)
-                done += count
-                applied = simulator.applied()
-                if applied is not None:
-                    expect(applied.shape == drawn[-1].shape, f"applied() is {applied.shape}, not {drawn[-1].shape}")
-                    expect(
-                        np.array_equal(applied, drawn[-1]),
-                        f"applied() after step {done - 1} differs from the targets drawn, by "
-                        f"{np.abs(applied - drawn[-1]).max():.3g} rad",
-                    )
-            after = tuple(np.array(array) for array in simulator.state())
-    except UsageError as error:
-        expect(not subject.promises_scenes, f"scene {_SCENE} is promised by the registry and refused: {error}")
-        raise NotApplicable(f"the adapter does not simulate {_SCENE}: {error}") from None
+    with subject.built(scene, n_env=_ENVS) as (simulator, description):
+        before = tuple(np.array(array) for array in simulator.state())
+        simulator.compile("timed")
+        done = 0
+        for count in _BLOCKS:
+            drawn = targets.draw(SEED, n_env=_ENVS, first_step=done, n_step=count)
+            simulator.prepare(None if simulator.draws_actions else drawn)
+            simulator.step(count)
+            done += count
+            applied = simulator.applied()
+            if applied is not None:
+                expect(applied.shape == drawn[-1].shape, f"applied() is {applied.shape}, not {drawn[-1].shape}")
+                expect(
+                    np.array_equal(applied, drawn[-1]),
+                    f"applied() after step {done - 1} differs from the targets drawn, by "
+                    f"{np.abs(applied - drawn[-1]).max():.3g} rad",
+                )
+        after = tuple(np.array(array) for array in simulator.state())
     for layout, was, now in zip(description.fields, before, after, strict=True):
         expect(bool(np.isfinite(now).all()), f"{layout.name} is not finite after {done} steps")
         if layout.field == "qpos":

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 
+from gpusimbench.recorder.abilities import titles
 from gpusimbench.recorder.conformance.subject import Subject
 from gpusimbench.recorder.conformance.verdict import expect
 from gpusimbench.recorder.scenes.base import Scene
@@ -25,6 +26,8 @@ def class_keeps_the_contract(subject: Subject) -> None:
         kind()
     except TypeError as error:
         raise AssertionError(f"{kind.__name__} has a field without a default: {error}") from None
+    undeclared = titles(adapter.withheld(kind()).keys() - adapter.abilities)
+    expect(not undeclared, f"withheld() names what is not among the abilities: {', '.join(undeclared)}")
     levels = adapter.determinism_levels
     expect("default" in levels, f"determinism_levels has no 'default': {sorted(levels)}")
     unsaid = sorted(level for level, meaning in levels.items() if not meaning)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from gpusimbench.recorder.scenes.articulation import Robot
+from gpusimbench.recorder.scenes.base import Robot
 from gpusimbench.schemas.provenance import Deviation
 
 

@@ -5,8 +5,7 @@ from __future__ import annotations
 import xml.etree.ElementTree as ET
 from collections.abc import Iterable, Mapping
 
-from gpusimbench.recorder.scenes.articulation import Robot
-from gpusimbench.recorder.scenes.base import IDENTITY, Body, Box, Capsule, Plane, Scene, Shape, Sphere
+from gpusimbench.recorder.scenes.base import IDENTITY, Body, Box, Capsule, Plane, Robot, Scene, Shape, Sphere
 from gpusimbench.recorder.scenes.emit.deviations import unlimited_speed
 from gpusimbench.schemas.provenance import Deviation
 

@@ -21,19 +21,22 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from gpusimbench.recorder.scenes.articulation import Inertial, Link, Robot
 from gpusimbench.recorder.scenes.base import (
     IDENTITY,
     Body,
     Box,
     Capsule,
+    Inertial,
+    Link,
     Material,
     Plane,
     Quaternion,
+    Robot,
     Scene,
     Shape,
     Sphere,
     Vector,
+    solid_inertia,
 )
 
 ENVS = "/World/envs"
@@ -62,27 +65,6 @@ def identifiers(names: Iterable[str]) -> dict[str, str]:
             word = f"{stem}_{number}"
         found.setdefault(name, word)
     return found
-
-
-def solid_inertia(shape: Shape, mass: float) -> Vector:
-    """Principal moments of a uniform solid about its centre, along its axes [kg m2].
-
-    A capsule is a cylinder and two hemispheres, whose centres of mass are 3/8 of a radius beyond its ends; see any
-    table of moments of inertia. ValueError for a plane.
-    """
-    match shape:
-        case Box((x, y, z)):
-            return mass * (y * y + z * z) / 12, mass * (x * x + z * z) / 12, mass * (x * x + y * y) / 12
-        case Sphere(radius):
-            return (0.4 * mass * radius**2,) * 3
-        case Capsule(radius, length):
-            cylinder = mass * length / (length + 4 / 3 * radius)
-            ends = mass - cylinder
-            along = cylinder * radius**2 / 2 + ends * 0.4 * radius**2
-            across = cylinder * (length**2 / 12 + radius**2 / 4)
-            across += ends * (0.4 * radius**2 + length**2 / 4 + 3 / 8 * radius * length)
-            return across, across, along
-    raise ValueError("a plane has no inertia")
 
 
 @dataclass

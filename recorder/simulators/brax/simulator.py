@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gpusimbench.recorder.abilities import BODIES
 from gpusimbench.recorder.simulators.base import Description, States
 from gpusimbench.recorder.simulators.brax.options import BraxOptions, deviations
 from gpusimbench.recorder.simulators.counters import CANDIDATE_PAIRS, CONTACTS
@@ -18,7 +19,6 @@ from gpusimbench.recorder.simulators.jax import runtime as jax_runtime
 from gpusimbench.recorder.simulators.jax.block import OVERFLOW
 from gpusimbench.recorder.simulators.jax.simulator import JaxSimulator, Physics
 from gpusimbench.recorder.simulators.mujoco.options import MjcfOptions
-from gpusimbench.schemas.errors import UsageError
 from gpusimbench.schemas.fields import BODY_FIELDS, StateField, body_fields
 
 
@@ -31,13 +31,9 @@ class Brax(JaxSimulator):
     """
 
     Options = BraxOptions
+    abilities = BODIES  # its solvers have no position actuators with a scene's force limits
 
     def _load(self, device: Any) -> tuple[Physics, Description]:
-        if self.scene.robot is not None or self.scene.actions is not None:
-            raise UsageError(
-                f"simulator 'brax' does not simulate scene '{self.scene.name}': its solvers have no position actuators "
-                "with the scene's force limits; see gsb-record --list"
-            )
         options: BraxOptions = self.options
         compiled, caps = _compile(self, options)
         with _unheeded():

@@ -44,10 +44,8 @@ class Model:
 
 
 def model_of(scene: Scene) -> Model:
-    """The scene's arrays; UsageError where it has a robot or a shape that is none of sphere, box and plane."""
+    """The scene's arrays; UsageError where a sphere is fixed."""
     moving, fixed = scene.moving(), [body for body in scene.bodies if body.fixed]
-    if scene.robot is not None or not all(isinstance(b.shape, (Box, Sphere)) for b in moving):
-        raise UsageError(f"simulator 'calibration' has spheres and boxes alone, and scene '{scene.name}' has others")
     return Model(
         start=np.array([b.position for b in moving], dtype=np.float32),
         velocity=np.array([b.linear_velocity for b in moving], dtype=np.float32),

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gpusimbench.recorder.abilities import BODIES, Ability
 from gpusimbench.recorder.probes.gpu import Gpus
 from gpusimbench.recorder.simulators.base import Description, Simulator, States
 from gpusimbench.recorder.simulators.calibration.chance import entropy_of
@@ -31,6 +32,7 @@ class Calibration(Simulator):
     """N environments of spheres whose differences are built in."""
 
     Options = CalibrationOptions
+    abilities = BODIES - {Ability.CAPSULES}
 
     @classmethod
     def environment(cls, options: Any, determinism: str) -> dict[str, str]:

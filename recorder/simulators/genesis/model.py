@@ -10,12 +10,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gpusimbench.recorder.scenes.base import Body, Box, Capsule, Plane, Scene, Shape, Sphere
+from gpusimbench.recorder.scenes.base import Body, Box, Plane, Scene, Sphere
 from gpusimbench.recorder.scenes.emit.mjcf import emit_mjcf
 from gpusimbench.recorder.simulators.genesis.options import GenesisOptions
 from gpusimbench.recorder.simulators.genesis.sizes import Sizes
 from gpusimbench.recorder.simulators.mujoco.model import rotate_to_body
-from gpusimbench.schemas.errors import UsageError
 
 
 @dataclass(frozen=True)
@@ -62,7 +61,7 @@ class Model:
 def build_model(genesis: Any, scene: Scene, *, n_env: int, dt: float, options: GenesisOptions, sizes: Sizes) -> Model:
     """Build n_env environments of a scene in its initial state on the initialised engine.
 
-    UsageError for a shape that Genesis does not have; genesis.GenesisException for what it does not accept.
+    genesis.GenesisException for what it does not accept.
     """
     made = genesis.Scene(
         sim_options=genesis.options.SimOptions(dt=dt, substeps=options.substeps, gravity=scene.gravity),
@@ -139,7 +138,7 @@ def _morph(genesis: Any, body: Body) -> Any:
             return genesis.morphs.Sphere(radius=radius, **common)
         case Plane():
             return genesis.morphs.Plane(**common)
-    raise _no_shape(body.shape, body.name)
+    raise TypeError(body.shape)
 
 
 def _volume(body: Body) -> float:
@@ -149,9 +148,4 @@ def _volume(body: Body) -> float:
             return x * y * z
         case Sphere(radius):
             return 4.0 / 3.0 * math.pi * radius**3
-    raise _no_shape(body.shape, body.name)
-
-
-def _no_shape(shape: Shape, name: str) -> UsageError:
-    kind = "capsules outside a robot" if isinstance(shape, Capsule) else f"moving {type(shape).__name__.lower()}s"
-    return UsageError(f"simulator 'genesis' has no {kind}: '{name}'")
+    raise TypeError(body.shape)

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gpusimbench.recorder.abilities import BODIES, ROBOTS, Ability
 from gpusimbench.recorder.failure import Refused
 from gpusimbench.recorder.simulators.base import Description, Simulator, States
 from gpusimbench.recorder.simulators.evidence import Evidence
@@ -40,6 +41,7 @@ class Genesis(Simulator):
     """N environments on Genesis."""
 
     Options = GenesisOptions
+    abilities = BODIES - {Ability.CAPSULES} | ROBOTS
     timing_interval = 10  # Genesis itself waits for the device at every tenth substep, to look at its error codes
     determinism_levels = {
         "default": "as it ships: use_deterministic_algorithms is left to the engine, which sets it unless "

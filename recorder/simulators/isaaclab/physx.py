@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from importlib import metadata
+from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any
 
 from gpusimbench.recorder.scenes.base import Scene
@@ -11,6 +12,7 @@ from gpusimbench.recorder.simulators.engine_log import EngineLog
 from gpusimbench.recorder.simulators.evidence import Evidence
 from gpusimbench.recorder.simulators.isaaclab.options import GPU_SIZES, IsaacLabOptions
 from gpusimbench.recorder.simulators.isaaclab.scene import BODY_LIMITS
+from gpusimbench.schemas.errors import UsageError
 from gpusimbench.schemas.provenance import Buffer, Counter, OverflowBit
 
 if TYPE_CHECKING:
@@ -25,6 +27,21 @@ _NOT_ON_THE_GPU = r"falling back"  # to the CPU, step after step
 
 _PAIRS_MARGIN = 2.0  # PhysX finds other contacts of the same shapes, and its bodies make other motions
 _MEASURED = ("gpu_max_rigid_contact_count", "gpu_max_rigid_patch_count", "gpu_found_lost_pairs_capacity")
+
+
+def start_isaac_sim() -> None:
+    """Start Isaac Sim without a window, once in a process; it ends with the process. UsageError where there is none."""
+    if find_spec("isaacsim") is None:
+        raise UsageError(
+            "backend 'physx' of simulator 'isaaclab' needs Isaac Sim (isaacsim), which is not installed; "
+            "backend 'ovphysx' is PhysX without it"
+        )
+    from isaaclab.utils.version import has_kit
+
+    if not has_kit():
+        from isaaclab.app import AppLauncher
+
+        AppLauncher(headless=True)
 
 
 class Physx:

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from gpusimbench.recorder.scenes.base import IDENTITY, Body, Box, Capsule, Plane, Quaternion, Scene, Sphere
+from gpusimbench.recorder.scenes.base import Body, Box, Capsule, Plane, Quaternion, Scene, Sphere
 from gpusimbench.recorder.scenes.emit.usd import identifiers
 from gpusimbench.recorder.simulators.isaaclab.options import IsaacLabOptions
-from gpusimbench.schemas.errors import UsageError
 
 _AMBIGUOUS = (6, 7)
 """Numbers of bodies for which Isaac Lab 3.0 takes a binding of velocities (6 numbers a body) or of poses (7) for one
@@ -30,14 +29,11 @@ own defaults for the rest, so that they are on record. The angular velocity is i
 def scene_cfg(scene: Scene, *, n_env: int, options: IsaacLabOptions) -> tuple[Any, dict[str, tuple[str, ...]]]:
     """The InteractiveSceneCfg of a scene, and what each collection in it calls its bodies, by the collection's name.
 
-    Moving bodies form one collection, or two where one would not do, in the order of Scene.moving. UsageError for a
-    scene that this adapter cannot put into words.
+    Moving bodies form one collection, or two where one would not do, in the order of Scene.moving.
     """
     from isaaclab.assets import AssetBaseCfg, RigidObjectCfg, RigidObjectCollectionCfg
     from isaaclab.scene import InteractiveSceneCfg
 
-    if scene.robot is not None:
-        raise UsageError(f"simulator 'isaaclab' has no robots yet, and scene '{scene.name}' has one")
     names = identifiers(body.name for body in scene.bodies)
     cfg = InteractiveSceneCfg(num_envs=n_env, env_spacing=options.spacing)
     for body in scene.bodies:
@@ -119,11 +115,7 @@ def _spawner(body: Body, options: IsaacLabOptions) -> Any:
         case Capsule(radius, length):
             return lab.CapsuleCfg(radius=radius, height=length, axis="Z", **common)
         case Plane():
-            if body.orientation != IDENTITY:
-                # environments lie beside each other and share the plane
-                raise UsageError(f"simulator 'isaaclab' has horizontal planes only, and '{body.name}' is tilted")
             return lab.ShapeCfg(func=_spawn_plane, **common)
-    raise UsageError(f"simulator 'isaaclab' has no {type(body.shape).__name__.lower()}s: '{body.name}'")
 
 
 def _spawn_plane(prim_path: str, cfg: Any, translation: Any = None, orientation: Any = None, **kwargs: Any) -> Any:

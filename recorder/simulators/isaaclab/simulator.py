@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gpusimbench.recorder.abilities import BODIES, Ability
 from gpusimbench.recorder.failure import Refused, cause_of
 from gpusimbench.recorder.simulators.base import Description, Simulator, States
 from gpusimbench.recorder.simulators.evidence import Evidence
@@ -38,6 +39,7 @@ class IsaacLab(Simulator):
     """N environments of an InteractiveScene."""
 
     Options = IsaacLabOptions
+    abilities = BODIES - {Ability.TILTED_PLANES}  # environments beside each other share a plane
     timing_interval = 10  # Newton's steps are queued; synchronising after each would be charged to it
     determinism_levels = {
         "default": "as it ships, on any backend",
@@ -63,9 +65,9 @@ class IsaacLab(Simulator):
         if options.backend == "ovphysx" and find_spec("ovphysx") is None:
             raise UsageError("backend 'ovphysx' of simulator 'isaaclab' needs ovphysx, which is not installed")
         if options.backend == "physx":
-            from gpusimbench.recorder.simulators.isaaclab import kit
+            from gpusimbench.recorder.simulators.isaaclab.physx import start_isaac_sim
 
-            kit.start()
+            start_isaac_sim()
         self._device = warp_runtime.start(options.device)
         _without_pinned_memory()
         from gpusimbench.recorder.simulators.isaaclab.deviations import deviations

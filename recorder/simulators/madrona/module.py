@@ -97,8 +97,6 @@ class SimulatorModule:
         return manager
 
     def _check_scene(self, scene: Scene) -> None:
-        if scene.robot is not None:
-            raise UsageError(f"simulator 'madrona' has no robots, and scene '{scene.name}' has one")
         built_for = getattr(self._module, "SCENES", None)
         if built_for is None:
             return

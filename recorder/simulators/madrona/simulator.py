@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gpusimbench.recorder.abilities import BODIES
 from gpusimbench.recorder.simulators.base import Description, Simulator, States
 from gpusimbench.recorder.simulators.counters import CONTACTS
 from gpusimbench.recorder.simulators.evidence import Evidence
@@ -37,6 +38,7 @@ class Madrona(Simulator):
     """N environments, the worlds of one SimManager."""
 
     Options = MadronaOptions
+    abilities = BODIES
 
     def build(self) -> Description:
         """See Simulator.build."""

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from gpusimbench.recorder.scenes.base import Body, Box, Capsule, Plane, Scene, Sphere
+from gpusimbench.recorder.scenes.base import Body, Box, Capsule, Plane, Scene, Sphere, solid_inertia
 from gpusimbench.recorder.simulators.maniskill.options import ManiSkillOptions
-from gpusimbench.recorder.simulators.sapien.bodies import X_TO_Z, half, limit, make_material, principal_inertia
+from gpusimbench.recorder.simulators.sapien.bodies import X_TO_Z, half, limit, make_material
 from gpusimbench.schemas.errors import UsageError
 
 _BACKENDS = {"cpu": "physx_cpu", "cuda": "physx_cuda"}
@@ -128,5 +128,5 @@ def _build(scene: Any, body: Body) -> Any:
             builder.add_plane_collision(along_z, material=material)
     if body.mass is None:
         return builder.build_static(body.name)
-    builder.set_mass_and_inertia(body.mass, sapien.Pose(), principal_inertia(body.shape, body.mass))
+    builder.set_mass_and_inertia(body.mass, sapien.Pose(), solid_inertia(body.shape, body.mass))
     return builder.build(body.name)

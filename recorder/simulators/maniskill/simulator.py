@@ -5,6 +5,7 @@ from __future__ import annotations
 import warnings
 from typing import Any
 
+from gpusimbench.recorder.abilities import BODIES
 from gpusimbench.recorder.simulators.maniskill.options import ManiSkillOptions
 from gpusimbench.recorder.simulators.sapien.complaints import Complaints
 from gpusimbench.recorder.simulators.sapien.cpu import CpuWorlds
@@ -19,12 +20,11 @@ class ManiSkill(SapienStepper):
     """N environments of a mani_skill.envs.sapien_env.BaseEnv."""
 
     Options = ManiSkillOptions
+    abilities = BODIES
 
     def make(self, complaints: Complaints) -> Made:
         """See SapienStepper.make."""
         options: ManiSkillOptions = self.options
-        if self.scene.robot is not None:
-            raise UsageError(f"simulator 'maniskill' has no robots yet, and scene '{self.scene.name}' has one")
         frequency = round(1 / self.dt)
         if abs(frequency * self.dt - 1) > 1e-9:
             raise UsageError(f"ManiSkill makes a whole number of steps a second; dt is {self.dt:g} s")

@@ -8,6 +8,7 @@ from typing import Any, ClassVar
 
 from numpy.typing import NDArray
 
+from gpusimbench.recorder.abilities import BODIES, ROBOTS
 from gpusimbench.recorder.scenes.emit.mjcf import deviations
 from gpusimbench.recorder.simulators.base import Description, States
 from gpusimbench.recorder.simulators.jax import runtime as jax_runtime
@@ -24,6 +25,7 @@ class MjxSimulator(JaxSimulator):
     covers        what one timed call runs
     """
 
+    abilities = BODIES | ROBOTS
     name: ClassVar[str]
     distribution: ClassVar[str]
     covers: ClassVar[str]

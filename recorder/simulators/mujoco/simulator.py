@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from gpusimbench.recorder.abilities import BODIES, ROBOTS
 from gpusimbench.recorder.scenes.emit.mjcf import deviations
 from gpusimbench.recorder.simulators.base import Description, Simulator, States
 from gpusimbench.recorder.simulators.counters import CONSTRAINT_ROWS, CONTACTS
@@ -38,6 +39,7 @@ class MujocoC(Simulator):
     """N environments on MuJoCo C."""
 
     Options = MujocoOptions
+    abilities = BODIES | ROBOTS
 
     def build(self) -> Description:
         """See Simulator.build."""

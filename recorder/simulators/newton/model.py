@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from gpusimbench.recorder.scenes.base import Body, Box, Capsule, Plane, Quaternion, Scene, Sphere, Vector
+from gpusimbench.recorder.scenes.base import Body, Box, Capsule, Plane, Quaternion, Scene, Sphere, Vector, solid_inertia
 from gpusimbench.recorder.simulators.newton.options import NewtonOptions
-from gpusimbench.schemas.errors import UsageError
 
 _FREE = 6  # speeds of a free joint: linear of the centre of mass, then angular, both in the world frame
 
@@ -19,8 +18,6 @@ def build_model(scene: Scene, *, n_env: int, options: NewtonOptions, register: C
     """
     import newton
 
-    if scene.robot is not None:
-        raise UsageError(f"simulator 'newton' has no robots yet, and scene '{scene.name}' has one")
     world = newton.ModelBuilder(gravity=scene.gravity)
     register(world)
     for body in scene.bodies:
@@ -56,7 +53,7 @@ def _add(builder: Any, body: Body, options: NewtonOptions) -> None:
     if body.mass is None:
         _add_shape(builder, body, material, body=-1, pose=pose)
         return
-    xx, yy, zz = _inertia(body)
+    xx, yy, zz = solid_inertia(body.shape, body.mass)
     index = builder.add_body(
         xform=pose, mass=body.mass, inertia=((xx, 0.0, 0.0), (0.0, yy, 0.0), (0.0, 0.0, zz)), label=body.name
     )
@@ -77,17 +74,6 @@ def _add_shape(builder: Any, described: Body, material: Any, *, body: int, pose:
             builder.add_shape_capsule(body, radius=radius, half_height=length / 2, **common)
         case Plane():
             builder.add_shape_plane(None, body=body, width=0.0, length=0.0, **common)  # 0: without an edge
-
-
-def _inertia(body: Body) -> Vector:
-    """Of a uniform solid about its centre, along its axes [kg m2]."""
-    mass = body.mass or 0.0
-    match body.shape:
-        case Box((x, y, z)):
-            return mass * (y * y + z * z) / 12, mass * (x * x + z * z) / 12, mass * (x * x + y * y) / 12
-        case Sphere(radius):
-            return (0.4 * mass * radius**2,) * 3
-    raise UsageError(f"simulator 'newton' has no moving {type(body.shape).__name__.lower()}s yet: '{body.name}'")
 
 
 def _pose(position: Vector, orientation: Quaternion) -> Any:

@@ -15,12 +15,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gpusimbench.recorder.abilities import BODIES
 from gpusimbench.recorder.failure import Refused, cause_of
 from gpusimbench.recorder.simulators.base import Description, Simulator, States
 from gpusimbench.recorder.simulators.evidence import Evidence
 from gpusimbench.recorder.simulators.newton.options import NewtonOptions
 from gpusimbench.recorder.simulators.warp import runtime as warp_runtime
-from gpusimbench.schemas.errors import UsageError
 from gpusimbench.schemas.fields import StateField, body_fields
 
 _BLOCK = 10  # steps in a graph; even, so that it ends with the state that it began with
@@ -35,6 +35,7 @@ class Newton(Simulator):
     """N environments, the worlds of one newton.Model, all at the same place."""
 
     Options = NewtonOptions
+    abilities = BODIES
     timing_interval = _BLOCK
     determinism_levels = {
         "default": "as it ships: contacts, and what solvers add up by atomic operations, in the order in which the "
@@ -50,8 +51,6 @@ class Newton(Simulator):
         level, self._ordered = _LEVELS[self.determinism]
         # Kamino has no determinism of its own: it gets Warp's, for all kernels
         self._device = warp_runtime.start(options.device, level if options.solver == "kamino" else "off")
-        if self.scene.robot is not None:
-            raise UsageError(f"simulator 'newton' has no robots yet, and scene '{self.scene.name}' has one")
         import newton
         import warp as wp
 

@@ -12,8 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gpusimbench.recorder.scenes.articulation import Robot
-from gpusimbench.recorder.scenes.base import Scene
+from gpusimbench.recorder.scenes.base import Robot, Scene
 from gpusimbench.recorder.scenes.emit.usd import env_path, prim_names
 from gpusimbench.recorder.simulators.base import States
 from gpusimbench.recorder.simulators.physx import libraries

@@ -4,10 +4,7 @@ from __future__ import annotations
 
 import math
 
-from gpusimbench.recorder.scenes.base import Body, Plane, Scene, Vector
-from gpusimbench.schemas.errors import UsageError
-
-_UPRIGHT = 1e-12  # of a plane's normal
+from gpusimbench.recorder.scenes.base import Plane, Scene, Vector
 
 
 def origins(n_env: int, spacing: float) -> tuple[Vector, ...]:
@@ -26,22 +23,9 @@ def _cell(env: int) -> tuple[int, int]:
 def shared_bodies(scene: Scene, spacing: float) -> tuple[str, ...]:
     """Names of the fixed bodies of which one serves all environments: all of them where the spacing is 0, else planes.
 
-    A plane has no edge: every environment would meet those of all others. UsageError for one that is not level, and so
-    is another one at each origin.
+    A plane has no edge: every environment would meet those of all others.
     """
     fixed = [body for body in scene.bodies if body.fixed]
     if not spacing:
         return tuple(body.name for body in fixed)
-    planes = [body for body in fixed if isinstance(body.shape, Plane)]
-    for body in planes:
-        if not _level(body):
-            raise UsageError(
-                f"simulator 'physx' puts environments beside each other, where plane '{body.name}', which is not "
-                "level, is not the same for all: use a box, or option spacing=0 on a GPU"
-            )
-    return tuple(body.name for body in planes)
-
-
-def _level(body: Body) -> bool:
-    w, x, y, z = body.orientation
-    return math.hypot(2 * (x * z + w * y), 2 * (y * z - w * x)) < _UPRIGHT
+    return tuple(body.name for body in fixed if isinstance(body.shape, Plane))

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gpusimbench.recorder.abilities import BODIES, ROBOTS, Ability
 from gpusimbench.recorder.scenes.emit.usd import emit_usd
 from gpusimbench.recorder.simulators.base import Description, Simulator, States
 from gpusimbench.recorder.simulators.physx import grid
@@ -32,18 +33,22 @@ class Physx(Simulator):
     """N environments in one PhysX scene."""
 
     Options = PhysxOptions
+    abilities = BODIES | ROBOTS - {Ability.ROBOT_AMONG_BODIES}
     determinism_levels = {
         "default": "the engine as it ships: what an environment does may depend on how many others there are",
         "enhanced": "physxScene:enableEnhancedDeterminism: what an environment does does not depend on the others, "
         "but still on where it stands",
     }
 
+    @classmethod
+    def withheld(cls, options: Any) -> dict[Ability, str]:
+        """See Simulator.withheld: environments beside each other share a plane."""
+        return {Ability.TILTED_PLANES: "a box, or --option spacing=0 on a GPU"} if options.spacing else {}
+
     def build(self) -> Description:
         """See Simulator.build."""
         options: PhysxOptions = self.options
         robot = self.scene.robot
-        if robot is not None and self.scene.moving():
-            raise UsageError("simulator 'physx' has no scenes yet with both a robot and other bodies that move")
         device = self._device = warp_runtime.start(options.device)
         gpu = bool(device.is_cuda)
         if not gpu and not options.spacing and self.n_env > 1:

@@ -7,8 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gpusimbench.recorder.scenes.articulation import Hinge, Inertial, Link, Robot
-from gpusimbench.recorder.scenes.base import Quaternion, Vector
+from gpusimbench.recorder.scenes.base import Hinge, Inertial, Link, Quaternion, Robot, Vector
 from gpusimbench.recorder.scenes.emit.deviations import unlimited_speed
 from gpusimbench.recorder.simulators.sapien.bodies import X_TO_Z, limit, make_material, make_shape
 from gpusimbench.recorder.simulators.sapien.options import SapienOptions

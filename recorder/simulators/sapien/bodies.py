@@ -16,6 +16,7 @@ from gpusimbench.recorder.scenes.base import (
     Shape,
     Sphere,
     Vector,
+    solid_inertia,
 )
 from gpusimbench.recorder.simulators.sapien.options import SapienOptions
 
@@ -63,7 +64,7 @@ def make_component(body: Body, options: SapienOptions) -> Any:
     component = physx.PhysxRigidDynamicComponent()
     component.attach(shape)
     component.mass = body.mass
-    component.inertia = principal_inertia(body.shape, body.mass)
+    component.inertia = solid_inertia(body.shape, body.mass)
     component.cmass_local_pose = sapien.Pose()
     limit(component, options)
     return component
@@ -109,26 +110,3 @@ def half(size: Vector) -> Vector:
     """Half of each edge, as PhysX describes a box."""
     x, y, z = size
     return x / 2, y / 2, z / 2
-
-
-def principal_inertia(shape: Shape, mass: float) -> Vector:
-    """Of a uniform solid about its centre, along its axes [kg m2]; ValueError for a plane, which has none."""
-    match shape:
-        case Box((x, y, z)):
-            return mass * (y * y + z * z) / 12, mass * (x * x + z * z) / 12, mass * (x * x + y * y) / 12
-        case Sphere(radius):
-            return (0.4 * mass * radius**2,) * 3
-        case Capsule(radius, length):
-            return _capsule_inertia(radius, length, mass)
-    raise ValueError("a plane does not move")
-
-
-def _capsule_inertia(radius: float, length: float, mass: float) -> Vector:
-    # a cylinder and two hemispheres, whose centres of mass are 3/8 of a radius from their flat sides
-    cylinder, ball = length, 4 / 3 * radius  # volumes by pi r^2
-    cylinder_mass, ball_mass = mass * cylinder / (cylinder + ball), mass * ball / (cylinder + ball)
-    along = cylinder_mass * radius**2 / 2 + ball_mass * radius**2 * 2 / 5
-    across = cylinder_mass * (radius**2 / 4 + length**2 / 12) + ball_mass * (
-        radius**2 * 2 / 5 + length**2 / 4 + radius * length * 3 / 8
-    )
-    return across, across, along

@@ -18,7 +18,6 @@ from gpusimbench.recorder.simulators.base import States
 from gpusimbench.recorder.simulators.evidence import Evidence
 from gpusimbench.recorder.simulators.sapien.complaints import OVERFLOW_BITS, Complaints
 from gpusimbench.recorder.simulators.sapien.worlds import fields_of
-from gpusimbench.schemas.errors import UsageError
 from gpusimbench.schemas.fields import StateField
 from gpusimbench.schemas.provenance import Buffer, Counter
 
@@ -145,14 +144,6 @@ def square_grid(n_env: int, spacing: float) -> tuple[Vector, ...]:
     """Origins on a square grid, of which one is at zero, as ManiSkill lays them out [m]."""
     side = math.ceil(math.sqrt(n_env))
     return tuple((spacing * (env % side - side // 2), spacing * (env // side - side // 2), 0.0) for env in range(n_env))
-
-
-def check_scene(name: str, scene: Scene) -> None:
-    """UsageError where a scene has what is not stepped on a GPU."""
-    if scene.robot is not None:
-        raise UsageError(
-            f"simulator '{name}' has no robots on a GPU yet, and scene '{scene.name}' has one; use --option device=cpu"
-        )
 
 
 def _relative(field: StateField) -> StateField:

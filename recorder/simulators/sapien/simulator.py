@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from gpusimbench.recorder.abilities import BODIES, ROBOTS, Ability
 from gpusimbench.recorder.simulators.sapien.arm import add_arm
 from gpusimbench.recorder.simulators.sapien.bodies import add_bodies
 from gpusimbench.recorder.simulators.sapien.complaints import Complaints
@@ -21,6 +22,12 @@ class Sapien(SapienStepper):
     """N environments on SAPIEN."""
 
     Options = SapienOptions
+    abilities = BODIES | ROBOTS
+
+    @classmethod
+    def withheld(cls, options: Any) -> dict[Ability, str]:
+        """See Simulator.withheld: there are no robots on a GPU yet."""
+        return dict.fromkeys(ROBOTS, "--option device=cpu") if options.device == "cuda" else {}
 
     def make(self, complaints: Complaints) -> Made:
         """See SapienStepper.make."""
@@ -61,12 +68,11 @@ class Sapien(SapienStepper):
         import sapien
         from sapien import physx
 
-        from gpusimbench.recorder.simulators.sapien.gpu import GpuWorlds, check_scene, square_grid
+        from gpusimbench.recorder.simulators.sapien.gpu import GpuWorlds, square_grid
         from gpusimbench.recorder.simulators.sapien.gpu_library import enable_gpu
         from gpusimbench.recorder.simulators.sapien.sizes import DEFAULTS, choose_sizes
 
         options: SapienOptions = self.options
-        check_scene("sapien", self.scene)
         enable_gpu()
         configure(options, gravity=self.scene.gravity, enhanced_determinism=self.enhanced)
         buffers = choose_sizes(self.scene, n_env=self.n_env, dt=self.dt, options=options, defaults=DEFAULTS)

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gpusimbench.recorder.abilities import BODIES, ROBOTS
 from gpusimbench.recorder.failure import Refused, cause_of
 from gpusimbench.recorder.scenes.actions import GRID
 from gpusimbench.recorder.scenes.emit.mjcf import deviations
@@ -69,6 +70,7 @@ class MujocoWarp(Simulator):
     """N environments, the worlds of one mujoco_warp.Data."""
 
     Options = WarpOptions
+    abilities = BODIES | ROBOTS
     timing_interval = 10
     draws_actions = True
     blocks_ahead = 2

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from ballistic.engine import World
-from gpusimbench.recorder.scenes.base import Capsule, Scene
+from gpusimbench.recorder.abilities import BODIES, Ability
+from gpusimbench.recorder.scenes.base import Scene
 from gpusimbench.recorder.simulators.base import Description, Simulator, States
 from gpusimbench.recorder.simulators.counters import CONTACTS
 from gpusimbench.recorder.simulators.evidence import Evidence
-from gpusimbench.schemas.errors import UsageError
 from gpusimbench.schemas.fields import BODY_FIELDS, body_field
 from gpusimbench.schemas.provenance import Deviation
 
@@ -31,11 +31,10 @@ class Ballistic(Simulator):
     """N environments in one set of arrays."""
 
     Options = Options
+    abilities = BODIES - {Ability.CAPSULES}
 
     def build(self) -> Description:
         """See Simulator.build."""
-        if self.scene.robot or any(isinstance(body.shape, Capsule) for body in self.scene.bodies):
-            raise UsageError(f"ballistic simulates spheres and boxes alone, and scene {self.scene.name} has others")
         self.world = World(self.scene, self.n_env)
         self.counts = np.zeros((1, self.n_env), dtype=np.int64)
         groups = self.scene.groups()

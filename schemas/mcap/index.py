@@ -1,7 +1,7 @@
 """What the summary section of an MCAP file says is where, so that a file elsewhere is opened with a few requests.
 
 A summary is a claim like any other. Here its own records are held against its CRC, the size of the file, and each
-other; what is found at a place is held against it when it is read (schemas.container).
+other; what is found at a place is held against it when it is read (schemas.mcap.reader).
 """
 
 from __future__ import annotations
@@ -12,30 +12,24 @@ from array import array
 from bisect import bisect_left
 from dataclasses import dataclass
 
-from gpusimbench.schemas import decompression
-from gpusimbench.schemas.cursor import Cursor
-from gpusimbench.schemas.declarations import Declarations
 from gpusimbench.schemas.errors import DamagedRecording
-from gpusimbench.schemas.mcap_writer import MAGIC
-from gpusimbench.schemas.parts import (
-    ATTACHMENT,
-    ATTACHMENT_INDEX,
-    CHANNEL,
-    CHUNK,
-    CHUNK_INDEX,
-    DATA_END,
-    FOOTER,
-    HEADER,
-    MESSAGE,
+from gpusimbench.schemas.mcap import decompression
+from gpusimbench.schemas.mcap.declarations import Declarations
+from gpusimbench.schemas.mcap.records import (
+    INDEX_ENTRY,
+    MAGIC,
     MESSAGE_HEAD,
-    MESSAGE_INDEX,
-    METADATA,
     RECORD_HEAD,
-    SCHEMA,
-    STATISTICS,
     Attachment,
+    AttachmentIndex,
     Chunk,
+    ChunkIndex,
+    Op,
+    Record,
+    Statistics,
+    parse,
 )
+from gpusimbench.schemas.mcap.walk import split
 from gpusimbench.schemas.source import Source
 
 MAX_SUMMARY_BYTES = 64 << 20
@@ -44,10 +38,8 @@ MAX_SUMMARY_BYTES = 64 << 20
 _FOOTER = struct.Struct("<BQQQI")
 _DATA_END = struct.Struct("<BQI")
 _INDEX_HEAD = RECORD_HEAD + 6  # of a message index, before its entries
-_ENTRY = 16
-_LISTED = 10  # an entry of a chunk's list of message indexes
 _CHUNK_HEAD = 40  # of a chunk, without the name of its compression
-_NOT_HERE = (0, HEADER, FOOTER, MESSAGE, CHUNK, MESSAGE_INDEX, ATTACHMENT, METADATA, DATA_END)
+_NOT_HERE = (0, Op.HEADER, Op.FOOTER, Op.MESSAGE, Op.CHUNK, Op.MESSAGE_INDEX, Op.ATTACHMENT, Op.METADATA, Op.DATA_END)
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,7 +66,7 @@ class IndexedChunk:
     @property
     def messages(self) -> int:
         """How many the lengths of the indexes leave room for."""
-        return max(0, self.index_bytes - _INDEX_HEAD * len(self.channels)) // _ENTRY
+        return max(0, self.index_bytes - _INDEX_HEAD * len(self.channels)) // INDEX_ENTRY.size
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,7 +96,7 @@ def read_index(source: Source) -> Index | None:
         return None
     tail = source.read(footer_at, source.size)
     opcode, length, begin, offsets, crc = _FOOTER.unpack_from(tail)
-    if tail[-len(MAGIC) :] != MAGIC or (opcode, length) != (FOOTER, _FOOTER.size - RECORD_HEAD) or not begin:
+    if tail[-len(MAGIC) :] != MAGIC or (opcode, length) != (Op.FOOTER, _FOOTER.size - RECORD_HEAD) or not begin:
         return None
     data_end = begin - _DATA_END.size
     if not len(MAGIC) <= data_end <= footer_at or not (offsets == 0 or begin <= offsets <= footer_at):
@@ -117,7 +109,7 @@ def read_index(source: Source) -> Index | None:
     if crc and zlib.crc32(section[_DATA_END.size : -len(MAGIC) - 4]) != crc:
         raise DamagedRecording(f"{source.place}: the summary fails its CRC: bytes were changed")
     opcode, length, data_crc = _DATA_END.unpack_from(section)
-    if (opcode, length) != (DATA_END, _DATA_END.size - RECORD_HEAD):
+    if (opcode, length) != (Op.DATA_END, _DATA_END.size - RECORD_HEAD):
         return None
     return _Summary(source, data_end).read(section[_DATA_END.size : footer_at - data_end], data_crc)
 
@@ -133,30 +125,33 @@ class _Summary:
         self._counts: tuple[int, int, int, int] | None = None  # messages, channels, attachments, chunks
 
     def read(self, section: memoryview, data_crc: int) -> Index | None:
-        cursor = Cursor(self._place, section, 0, len(section), self._data_end + _DATA_END.size)
-        while cursor.left:
-            opcode, length = cursor.take(1)[0], cursor.u64()
-            if opcode in _NOT_HERE:
-                raise self._damaged(f"its summary has a record of type {opcode}, which none can have")
-            at = cursor.at
-            content = cursor.take(length)
-            record = Cursor(self._place, content, 0, length, at)
-            if opcode in (SCHEMA, CHANNEL):
-                self._declared.take(opcode, record)
-                self._channels += opcode == CHANNEL
-            elif opcode == CHUNK_INDEX:
-                self._chunks.append(self._chunk(record))
-            elif opcode == ATTACHMENT_INDEX:
-                self._attachments.append(self._attachment(record))
-            elif opcode == STATISTICS:
-                messages, _, channels, attachments = record.u64(), record.u16(), record.u32(), record.u32()
-                record.u32()  # metadata records
-                self._counts = messages, channels, attachments, record.u32()
+        begin = end = self._data_end + _DATA_END.size
+        for found in split(section):
+            record = found._replace(begin=begin + found.begin)
+            self._take(record)
+            end = record.end
+        if end != begin + len(section):
+            raise self._damaged(f"a record at byte {end} is shorter than it says")
         self._chunks.sort(key=lambda c: c.chunk.record)
         self._check_places()
         if self._counts != self._found() or not self._declared.whole:
             return None
         return Index(self._data_end, data_crc, self._declared, tuple(self._chunks), tuple(self._attachments))
+
+    def _take(self, record: Record) -> None:
+        opcode, cursor = record.opcode, record.cursor(self._place)
+        if opcode in _NOT_HERE:
+            raise self._damaged(f"its summary has a record of type {opcode}, which none can have")
+        if opcode in (Op.SCHEMA, Op.CHANNEL):
+            self._declared.take(record)
+            self._channels += opcode == Op.CHANNEL
+        elif opcode == Op.CHUNK_INDEX:
+            self._chunks.append(self._chunk(parse(ChunkIndex, cursor)))
+        elif opcode == Op.ATTACHMENT_INDEX:
+            self._attachments.append(self._attachment(parse(AttachmentIndex, cursor)))
+        elif opcode == Op.STATISTICS:
+            said = parse(Statistics, cursor)
+            self._counts = said.messages, said.channels, said.attachments, said.chunks
 
     def _found(self) -> tuple[int, int, int, int]:
         # Messages outside of chunks are in no index, so the numbers have to agree; where chunks have no index of their
@@ -165,44 +160,35 @@ class _Summary:
         messages = sum(c.messages for c in self._chunks) if indexed or self._counts is None else self._counts[0]
         return messages, self._channels, len(self._attachments), len(self._chunks)
 
-    def _chunk(self, record: Cursor) -> IndexedChunk:
-        first, last, start, length = record.u64(), record.u64(), record.u64(), record.u64()
-        entries = record.take(record.u32())
-        if len(entries) % _LISTED:
-            raise self._damaged("an index of a chunk has half an entry")
-        if len(entries) > _LISTED << 16:
-            raise self._damaged(f"its index says of the messages of the chunk at byte {start} what cannot be")
-        listed = sorted(struct.iter_unpack("<HQ", entries))
+    def _chunk(self, said: ChunkIndex) -> IndexedChunk:
+        listed = sorted(said.places.items())
         channels, places = array("H", [c for c, _ in listed]), array("Q", [at for _, at in listed])
-        index_bytes, compression = record.u64(), record.name()
-        stored, size = record.u64(), record.u64()
-        content, end = start + RECORD_HEAD, start + length
-        if length != RECORD_HEAD + _CHUNK_HEAD + len(compression.encode()) + stored:
-            raise self._damaged(f"its index says of the chunk at byte {start} what cannot be")
-        if size > decompression.limit(compression, stored):
-            raise self._damaged(f"its index says of the chunk at byte {start} that it becomes more than it can hold")
-        found = IndexedChunk(
-            Chunk(compression, size, content, end - stored, end), first, last, channels, places, index_bytes
-        )
+        content, end = said.start + RECORD_HEAD, said.start + said.length
+        if said.length != RECORD_HEAD + _CHUNK_HEAD + len(said.compression.encode()) + said.stored:
+            raise self._damaged(f"its index says of the chunk at byte {said.start} what cannot be")
+        if said.uncompressed_size > decompression.limit(said.compression, said.stored):
+            raise self._damaged(
+                f"its index says of the chunk at byte {said.start} that it becomes more than it can hold"
+            )
+        chunk = Chunk(said.compression, said.uncompressed_size, content, end - said.stored, end)
+        found = IndexedChunk(chunk, said.first_time, said.last_time, channels, places, said.index_bytes)
         # each index takes a few bytes, and each message that is listed: what can be announced is less than the file
         behind = end
         for at in sorted(places):
-            if not behind <= at <= end + index_bytes - _INDEX_HEAD:
-                raise self._damaged(f"its index says of the messages of the chunk at byte {start} what cannot be")
+            if not behind <= at <= end + said.index_bytes - _INDEX_HEAD:
+                raise self._damaged(f"its index says of the messages of the chunk at byte {said.start} what cannot be")
             behind = at + _INDEX_HEAD
-        if len(set(channels)) != len(channels) or found.messages > size // (RECORD_HEAD + MESSAGE_HEAD.size):
-            raise self._damaged(f"its index says of the messages of the chunk at byte {start} what cannot be")
+        if found.messages > said.uncompressed_size // (RECORD_HEAD + MESSAGE_HEAD.size):
+            raise self._damaged(f"its index says of the messages of the chunk at byte {said.start} what cannot be")
         return found
 
-    def _attachment(self, record: Cursor) -> Attachment:
-        start, length = record.u64(), record.u64()
-        record.take(16)  # log time and creation time
-        size, name, media_type = record.u64(), record.name(), record.name()
-        content = start + RECORD_HEAD
-        begin = content + 16 + 4 + len(name.encode()) + 4 + len(media_type.encode()) + 8
-        if start + length != begin + size + 4:
-            raise self._damaged(f"its index says of the attachment {name} what cannot be")
-        return Attachment(name, media_type, content, begin, begin + size)
+    def _attachment(self, said: AttachmentIndex) -> Attachment:
+        content = said.start + RECORD_HEAD
+        begin = content + 16 + 4 + len(said.name.encode()) + 4 + len(said.media_type.encode()) + 8
+        if said.start + said.length != begin + said.data_size + 4:
+            raise self._damaged(f"its index says of the attachment {said.name} what cannot be")
+        end = begin + said.data_size
+        return Attachment(said.name, said.media_type, content, begin, end, said.log_time, said.create_time)
 
     def _check_places(self) -> None:
         # within the data section, none upon another

@@ -19,14 +19,10 @@ from contextlib import suppress
 from io import FileIO
 from typing import NamedTuple
 
-from gpusimbench.schemas.crc import combine
-
-MAGIC = b"\x89MCAP0\r\n"
+from gpusimbench.schemas.mcap.crc import combine
+from gpusimbench.schemas.mcap.records import INDEX_ENTRY, MAGIC, Op
 
 _CHUNK_BYTES = 128 * 1024
-
-_HEADER, _FOOTER, _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _MESSAGE_INDEX, _CHUNK_INDEX = range(1, 9)
-_ATTACHMENT, _ATTACHMENT_INDEX, _STATISTICS, _METADATA, _METADATA_INDEX, _SUMMARY_OFFSET, _DATA_END = range(9, 16)
 
 _MESSAGE_HEAD = struct.Struct("<BQHIQQ")
 _U16, _U32, _U64 = struct.Struct("<H"), struct.Struct("<I"), struct.Struct("<Q")
@@ -107,13 +103,13 @@ class McapWriter:
         self._last_time = 0
         self._waiting: list[_Message] = []  # small messages of the open chunk
         self._waiting_bytes = 0
-        self._append(MAGIC + _record(_HEADER, _text(profile) + _text(library)))
+        self._append(MAGIC + _record(Op.HEADER, _text(profile) + _text(library)))
 
     def schema(self, name: str, encoding: str, data: bytes) -> int:
         """Declare a schema; returns its number."""
         number = len(self._schemas) + 1
         content = _U16.pack(number) + _text(name) + _text(encoding) + _U32.pack(len(data)) + data
-        self._schemas.append(_record(_SCHEMA, content))
+        self._schemas.append(_record(Op.SCHEMA, content))
         self._append(self._schemas[-1])
         return number
 
@@ -121,7 +117,7 @@ class McapWriter:
         """Declare a channel of a declared schema; returns its number."""
         number = len(self._channels) + 1
         content = struct.pack("<HH", number, schema) + _text(topic) + _text(encoding) + _text_map(metadata)
-        self._channels.append(_record(_CHANNEL, content))
+        self._channels.append(_record(Op.CHANNEL, content))
         self._append(self._channels[-1])
         return number
 
@@ -134,7 +130,7 @@ class McapWriter:
         """
         parts = [Part(data)] if isinstance(data, (bytes, bytearray, memoryview)) else data
         size = sum(len(part.data) for part in parts)
-        head = _MESSAGE_HEAD.pack(_MESSAGE, 22 + size, channel, sequence, log_time, publish_time)
+        head = _MESSAGE_HEAD.pack(Op.MESSAGE, 22 + size, channel, sequence, log_time, publish_time)
         message = _Message(channel, log_time, head, parts, len(head) + size)
         self._counts[channel] = self._counts.get(channel, 0) + 1
         self._first_time = log_time if self._first_time is None else min(self._first_time, log_time)
@@ -159,39 +155,39 @@ class McapWriter:
         self.flush()
         head = struct.pack("<QQ", log_time, create_time) + _text(name) + _text(media_type)
         content = head + _U64.pack(len(data)) + data
-        record = _record(_ATTACHMENT, content + _U32.pack(zlib.crc32(content)))
+        record = _record(Op.ATTACHMENT, content + _U32.pack(zlib.crc32(content)))
         place = struct.pack("<QQQQQ", self._offset, len(record), log_time, create_time, len(data))
-        self._attachment_indexes.append(_record(_ATTACHMENT_INDEX, place + _text(name) + _text(media_type)))
+        self._attachment_indexes.append(_record(Op.ATTACHMENT_INDEX, place + _text(name) + _text(media_type)))
         self._append(record)
 
     def metadata(self, name: str, values: Mapping[str, str]) -> None:
         """Add a metadata record."""
         self.flush()
-        record = _record(_METADATA, _text(name) + _text_map(values))
+        record = _record(Op.METADATA, _text(name) + _text_map(values))
         place = struct.pack("<QQ", self._offset, len(record))
-        self._metadata_indexes.append(_record(_METADATA_INDEX, place + _text(name)))
+        self._metadata_indexes.append(_record(Op.METADATA_INDEX, place + _text(name)))
         self._append(record)
 
     def finish(self) -> None:
         """End the data section; write the summary and the footer."""
         self.flush()
-        self._write([Part(_record(_DATA_END, _U32.pack(self._crc)))])
+        self._write([Part(_record(Op.DATA_END, _U32.pack(self._crc)))])
         begin = self._offset
         groups = {
-            _SCHEMA: self._schemas,
-            _CHANNEL: self._channels,
-            _STATISTICS: [self._statistics()],
-            _CHUNK_INDEX: self._chunk_indexes,
-            _ATTACHMENT_INDEX: self._attachment_indexes,
-            _METADATA_INDEX: self._metadata_indexes,
+            Op.SCHEMA: self._schemas,
+            Op.CHANNEL: self._channels,
+            Op.STATISTICS: [self._statistics()],
+            Op.CHUNK_INDEX: self._chunk_indexes,
+            Op.ATTACHMENT_INDEX: self._attachment_indexes,
+            Op.METADATA_INDEX: self._metadata_indexes,
         }
         summary, offsets = bytearray(), bytearray()
         for opcode, records in groups.items():
             group = b"".join(records)
             if group:
-                offsets += _record(_SUMMARY_OFFSET, struct.pack("<BQQ", opcode, begin + len(summary), len(group)))
+                offsets += _record(Op.SUMMARY_OFFSET, struct.pack("<BQQ", opcode, begin + len(summary), len(group)))
                 summary += group
-        head = struct.pack("<BQQQ", _FOOTER, 20, begin, begin + len(summary))
+        head = struct.pack("<BQQQ", Op.FOOTER, 20, begin, begin + len(summary))
         crc = zlib.crc32(summary + offsets + head)
         self._write([Part(summary), Part(offsets), Part(head + _U32.pack(crc) + MAGIC)])
 
@@ -208,7 +204,7 @@ class McapWriter:
             self._first_time or 0,
             self._last_time,
         )
-        return _record(_STATISTICS, content + _U32.pack(len(counts)) + counts)
+        return _record(Op.STATISTICS, content + _U32.pack(len(counts)) + counts)
 
     def _write_chunk(self, messages: Sequence[_Message]) -> None:
         parts = [part for message in messages for part in (Part(message.head), *message.parts)]
@@ -225,7 +221,7 @@ class McapWriter:
             packed = self._compress(b"".join(part.data for part in parts))
             stored, stored_crc, stored_size = [Part(packed)], zlib.crc32(packed), len(packed)
         fixed = struct.pack("<QQQI", first, last, size, crc) + _text(self._compression) + _U64.pack(stored_size)
-        head = struct.pack("<BQ", _CHUNK, len(fixed) + stored_size) + fixed
+        head = struct.pack("<BQ", Op.CHUNK, len(fixed) + stored_size) + fixed
         begin, length = self._offset, len(head) + stored_size
         indexes = self._message_indexes(messages)
         places, position = [], begin + length
@@ -244,17 +240,17 @@ class McapWriter:
             + _text(self._compression)
             + struct.pack("<QQ", stored_size, size)
         )
-        self._chunk_indexes.append(_record(_CHUNK_INDEX, content))
+        self._chunk_indexes.append(_record(Op.CHUNK_INDEX, content))
 
     def _message_indexes(self, messages: Sequence[_Message]) -> dict[int, bytes]:
         # a record for each channel of a chunk: when its messages are of, and where in the chunk they are
         entries: dict[int, list[bytes]] = {}
         position = 0
         for message in messages:
-            entries.setdefault(message.channel, []).append(struct.pack("<QQ", message.log_time, position))
+            entries.setdefault(message.channel, []).append(INDEX_ENTRY.pack(message.log_time, position))
             position += message.size
         return {
-            channel: _record(_MESSAGE_INDEX, struct.pack("<HI", channel, 16 * len(found)) + b"".join(found))
+            channel: _record(Op.MESSAGE_INDEX, struct.pack("<HI", channel, 16 * len(found)) + b"".join(found))
             for channel, found in entries.items()
         }
 

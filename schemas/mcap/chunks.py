@@ -7,11 +7,10 @@ from collections import OrderedDict
 from collections.abc import Iterator
 from threading import Lock
 
-from gpusimbench.schemas import decompression
-from gpusimbench.schemas.cursor import Cursor
 from gpusimbench.schemas.errors import DamagedRecording
 from gpusimbench.schemas.location import Place
-from gpusimbench.schemas.parts import CHUNK, RECORD_HEAD, Chunk, check_head, read_chunk
+from gpusimbench.schemas.mcap import decompression
+from gpusimbench.schemas.mcap.records import RECORD_HEAD, Chunk, ChunkHead, Cursor, Op, check_head
 from gpusimbench.schemas.source import Source
 
 _CACHED_CHUNKS = 4
@@ -64,9 +63,10 @@ class Chunks:
                 f"{decompression.MAX_BYTES} that are read from elsewhere; download it"
             )
         record = self._source.read(begin, chunk.end)
-        check_head(self._place, CHUNK, record, chunk.end - chunk.record)
-        there, crc = read_chunk(Cursor(self._place, record, RECORD_HEAD, len(record), begin))
-        if there != chunk:
+        check_head(self._place, Op.CHUNK, record, chunk.end - chunk.record)
+        head = ChunkHead.read(Cursor(self._place, record, RECORD_HEAD, len(record), begin))
+        crc = head.crc
+        if head.chunk != chunk:
             raise DamagedRecording(f"{self._place}: the chunk at byte {begin} is not what the file's index says")
         stored = record[chunk.begin - begin : chunk.end - begin]
         try:

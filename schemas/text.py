@@ -1,11 +1,12 @@
 """Text of strangers, made harmless to whatever shows it: a line is one line, a block is lines of our own.
 
-Nothing else is printed: `schemas.printing` and `evaluator.render.console` take these and make nothing else of text.
+Nothing else is printed: `show` and `evaluator.render.console` take these and make nothing else of text.
 """
 
 from __future__ import annotations
 
 import re
+import sys
 import unicodedata
 from collections.abc import Iterable
 from functools import cache
@@ -47,6 +48,18 @@ def printable(text: str) -> str:
     It is never printed.
     """
     return text if _plain(text) else "".join(c if c == "\n" else _in_line(c) for c in text)
+
+
+def show(text: Line | Block, *, error: bool = False) -> None:
+    """Print a line, or lines, on standard output, or on standard error; whoever reads them gets them at once."""
+    stream = sys.stderr if error else sys.stdout
+    stream.write(text if isinstance(text, Block) else f"{text}\n")
+    stream.flush()
+
+
+def show_document(text: str) -> None:
+    """Print JSON on standard output. What a CI service takes for a command is written as JSON's own escape."""
+    sys.stdout.write(re.sub("#(?=#)", r"\\u0023", text))
 
 
 _COMMAND = re.compile(

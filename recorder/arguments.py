@@ -1,0 +1,261 @@
+"""The arguments of gsb-record: what it takes, what each is where it is not given, and what does not go together."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any, NoReturn
+
+from gpusimbench.schemas.command_line import add_common
+from gpusimbench.schemas.configuration import CAPTURE_MODES, OPTIONAL_PHASES
+from gpusimbench.schemas.errors import UsageError
+from gpusimbench.schemas.provenance import REAL
+from gpusimbench.schemas.text import line
+
+_EPILOG = """\
+exit codes:
+  0  every run is complete; of a sweep, every run below its last point, and at least one run
+  1  a run failed or is invalid; its recording says why; a replay took too much of this machine and was stopped
+  2  the command asks for something that cannot be
+  3  a run's process died or the disk was full: data was lost
+
+sweeps:
+  --sweep makes the runs of each number of environments, smallest first, and ends behind the first at which every run
+  fails or is invalid. To find that limit is what a sweep is for, so a failure there is no failure of the command. Where
+  the first run is out of memory or of a buffer, is refused or times out, the other runs of its point are not made.
+  The same command with the same --out goes on where it stopped: runs whose recordings lie there are not made again.
+  Two commands do not make the same sweep in one folder at once: the second ends with 1 and names the process that does.
+
+replays:
+  --replay FILE makes the run of a recording again, here: its configuration, which passes the same checks as arguments,
+  and nothing else. What it asks for is printed first. The scene has to be the same; --option (and --impl, --device...)
+  replaces what was recorded, and the new recording says so; --runs, --phases, --view-env, --timeout, --python and --out
+  are yours.
+  A replay that takes more memory, threads or disk than its recording accounts for is stopped; nothing of it is kept.
+  gsb-audit FILE does this, and says whether the same came out.
+
+clusters:
+  --ray ADDRESS makes one run at a time on each GPU of a Ray cluster, or one a node where runs step on the CPU, and
+  copies each recording to --out here. Only machines of one kind are used: those of the kind that there are most of, or
+  that --ray-resource names. Every node needs this version of the project and the engine; see docs/cluster.md.
+
+environments:
+  Engines whose packages cannot live together get an environment each: --setup NAME makes it, in $GSB_ENVIRONMENTS or
+  the user's folder for data, from pinned requirements whose hashes are checked. Later runs of that simulator find it.
+  --python PATH takes one of your own. What builds on torch gets the torch that pip is configured for on this machine.
+
+examples:
+  gsb-record --sim mujoco
+  gsb-record --sim mujoco --scene free-fall --n-env 64 --runs 3 --out recordings/
+  gsb-record --sim mujoco --option cone=pyramidal --option integrator=Euler
+  gsb-record --sim mujoco --scene free-fall --sweep 1..131072:4 --runs 3 --phases timed --timeout 600
+  gsb-record --setup genesis && gsb-record --sim genesis
+  gsb-record --replay theirs.mcap --runs 3
+  gsb-record --sim real --trials trials.csv --unit cm
+"""
+
+
+_USAGE = """\
+%(prog)s --sim NAME [options]
+       %(prog)s --sim real --trials CSV --unit {m,cm} [options]
+       %(prog)s --replay FILE [options]
+       %(prog)s --setup NAME [--python PATH]
+       %(prog)s --list [--json]"""
+
+
+_SIMULATED: dict[str, Any] = {
+    "scene": "inclined-collision",
+    "sweep": None,
+    "n_env": 16,
+    "runs": 10,
+    "dt": None,
+    "seed": 0,
+    "option": (),
+    "impl": (),
+    "backend": (),
+    "solver": (),
+    "device": (),
+    "determinism": "default",
+    "timeout": 0.0,
+    "phases": ",".join(OPTIONAL_PHASES),
+    "steps": None,
+    "stride": 1,
+    "capture": CAPTURE_MODES[0],
+    "view_env": (),
+    "no_view": False,
+    "warmup": 100,
+    "timed_steps": 1000,
+    "ray": None,
+    "ray_resource": None,
+}
+"""Arguments that make sense for a simulator only, and what each is where it is not given."""
+
+_MEASURED: dict[str, Any] = {"scene": "inclined-collision", "trials": None, "unit": None, "sample_time": 5.0}
+"""The same for real trials."""
+
+_REPLAYED: dict[str, Any] = {
+    "runs": 1, "option": (), "timeout": 0.0, "phases": None, "view_env": (), "no_view": False,
+    "ray": None, "ray_resource": None,
+}  # fmt: skip
+"""The same for replays; and so are the options that are short for --option."""
+
+OUT, OUT_OF_REPLAYS = Path("recordings"), Path("replays")  # replays are no further runs of a set
+
+SHORTHANDS = {
+    "impl": "implementation, of simulators that have several",
+    "backend": "engine, of simulators that stand on several",
+    "solver": "solver",
+    "device": "device to step on",
+}
+"""Options of simulators that are common enough for a switch of their own."""
+
+
+class _Parser(argparse.ArgumentParser):
+    def error(self, message: str) -> NoReturn:
+        """See ArgumentParser.error."""
+        super().error(line(message))
+
+
+def parser() -> argparse.ArgumentParser:
+    """The command's arguments."""
+    p = _Parser(
+        prog="gsb-record",
+        description="Run a scene in N identical environments on a simulator; write one MCAP recording per run, "
+        "each run in a fresh process.",
+        usage=_USAGE,
+        epilog=_EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    add_common(p, _names)
+    p.add_argument("--list", action="store_true", help="show simulators, where they are installed, and scenes")
+    p.add_argument("--setup", metavar="NAME", help="make the environment of a simulator that needs one of its own")
+    p.add_argument(
+        "--python",
+        type=Path,
+        metavar="PATH",
+        help="interpreter, or virtual environment, that makes the runs (or the environment of --setup)",
+    )
+    p.add_argument("--json", action="store_true", help="print results (or the list) as JSON on standard output")
+
+    what = p.add_argument_group("what is run")
+    what.add_argument("--sim", metavar="NAME", help="simulator (see --list), or 'real' for measured trials")
+    what.add_argument("--replay", type=Path, metavar="FILE", help="run what a recording says that it ran; see below")
+    what.add_argument("--scene", metavar="NAME", help=f"what is simulated; see --list (default: {_SIMULATED['scene']})")
+    what.add_argument("--n-env", type=int, metavar="N", help=f"environments (default: {_SIMULATED['n_env']})")
+    what.add_argument(
+        "--sweep",
+        metavar="A..B[:F]",
+        help="instead of --n-env: A, A*F, A*F*F... and B environments, powers of two (F: 2); see below",
+    )
+    what.add_argument(
+        "--runs", type=int, metavar="R", help=f"independent runs (default: {_SIMULATED['runs']}; of --replay: 1)"
+    )
+    what.add_argument("--dt", type=float, metavar="S", help="step [s] (default: the scene's, such as 0.01)")
+    what.add_argument(
+        "--seed",
+        type=int,
+        metavar="N",
+        help=f"of what is drawn at random, in every run (default: {_SIMULATED['seed']})",
+    )
+    what.add_argument("--option", action="append", metavar="NAME=VALUE", help="an option of the simulator; repeatable")
+    for name, meaning in SHORTHANDS.items():
+        what.add_argument(f"--{name}", action="append", metavar="X", help=f"{meaning}: short for --option {name}=X")
+    what.add_argument(
+        "--determinism",
+        metavar="LEVEL",
+        help="what the engine has for it; see --list (default: default, the engine as it ships)",
+    )
+    what.add_argument(
+        "--timeout", type=float, metavar="S", help="end each run after so many seconds (default: 0, never)"
+    )
+
+    how = p.add_argument_group("what is recorded")
+    how.add_argument(
+        "--phases",
+        metavar="LIST",
+        help=f"timed (throughput), capture (states) or both (default: {_SIMULATED['phases']}; of --replay: as there)",
+    )
+    how.add_argument("--steps", type=int, metavar="N", help="captured steps (default: 5 s of simulated time)")
+    how.add_argument(
+        "--stride", type=int, metavar="K", help=f"record every K-th state (default: {_SIMULATED['stride']})"
+    )
+    how.add_argument(
+        "--capture",
+        choices=CAPTURE_MODES,
+        help="lossless: write while stepping, and wait where the disk is slower; memory: write after the last step "
+        f"(default: {_SIMULATED['capture']})",
+    )
+    how.add_argument(
+        "--view-env",
+        type=int,
+        action="append",
+        metavar="E",
+        help="environment that viewers such as Foxglove and rerun show; repeatable, up to 4 times (default: 0)",
+    )
+    how.add_argument("--no-view", action="store_true", default=None, help="write nothing for viewers")
+    how.add_argument("--warmup", type=int, metavar="N", help=f"untimed steps first (default: {_SIMULATED['warmup']})")
+    how.add_argument(
+        "--timed-steps", type=int, metavar="N", help=f"steps that are timed (default: {_SIMULATED['timed_steps']})"
+    )
+    how.add_argument(
+        "--compression",
+        choices=("none", "lz4", "zstd"),
+        default="none",
+        help="compression of the file's chunks (default: none)",
+    )
+    how.add_argument(
+        "--out",
+        type=Path,
+        metavar="DIR",
+        help=f"folder of the recordings (default: {OUT}/; of --replay: {OUT_OF_REPLAYS}/)",
+    )
+
+    across = p.add_argument_group("where it is run")
+    across.add_argument(
+        "--ray",
+        metavar="ADDRESS",
+        help="spread the runs over the Ray cluster there (HOST:PORT, auto), or over the GPUs of this machine (local); "
+        "see below",
+    )
+    across.add_argument("--ray-resource", metavar="NAME", help="use only nodes with this resource of Ray's")
+
+    real = p.add_argument_group("real trials (--sim real)")
+    real.add_argument("--trials", type=Path, metavar="CSV", help="positions of the cubes: trial,cube,x,y[,z]")
+    real.add_argument("--unit", choices=("m", "cm"), help="unit of the positions in the CSV")
+    real.add_argument(
+        "--sample-time",
+        type=float,
+        metavar="S",
+        help=f"when they were measured [s] (default: {_MEASURED['sample_time']})",
+    )
+    return p
+
+
+def _names() -> dict[str, tuple[str, ...]]:
+    from gpusimbench.recorder.environments.specification import SPECIFICATIONS
+    from gpusimbench.recorder.scenes.registry import scene_names
+    from gpusimbench.recorder.simulators.registry import simulators
+
+    return {"sim": (*simulators(), REAL), "scene": scene_names(), "setup": tuple(SPECIFICATIONS)}
+
+
+def fill(arguments: argparse.Namespace) -> None:
+    """Give what was not given its default; UsageError for what was given and would be ignored."""
+    if arguments.replay is not None:
+        own = {**_REPLAYED, **dict.fromkeys(SHORTHANDS, ())}
+        foreign, whose, doing = {**_SIMULATED, **_MEASURED}, "--sim", "--replay takes it from the recording"
+    elif arguments.sim == REAL:
+        own, foreign, whose, doing = _MEASURED, _SIMULATED, "a simulator", f"--sim {REAL} has no use for it"
+    else:
+        own, foreign, whose = _SIMULATED, _MEASURED, f"--sim {REAL}"
+        doing = f"--sim {arguments.sim} has no use for it"
+    for name in foreign:
+        if name not in own and getattr(arguments, name) is not None:
+            raise UsageError(f"--{name.replace('_', '-')} is for {whose}; {doing}")
+    if arguments.ray_resource is not None and arguments.ray is None:
+        raise UsageError("--ray-resource chooses nodes of a Ray cluster; say which cluster with --ray")
+    if arguments.sweep is not None and arguments.n_env is not None:
+        raise UsageError("--sweep says how many environments there are; leave --n-env out")
+    for name, default in own.items():
+        if getattr(arguments, name) is None:
+            setattr(arguments, name, default)

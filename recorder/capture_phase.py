@@ -1,0 +1,153 @@
+"""The capture phase: a fresh simulator, and the full state of every environment into the recording."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gpusimbench.recorder import interruption
+from gpusimbench.recorder.capture.actions import declare_actions, write_actions
+from gpusimbench.recorder.capture.evidence import EvidenceWriter
+from gpusimbench.recorder.capture.kept import KeptStates
+from gpusimbench.recorder.capture.states import StateWriter, row_bytes
+from gpusimbench.recorder.capture.stepping import CaptureClock, step_and_capture
+from gpusimbench.recorder.capture.view import ViewWriter
+from gpusimbench.recorder.capture.writing import Block, Writing
+from gpusimbench.recorder.given_actions import prepare, write_applied
+from gpusimbench.recorder.journal import Journal
+from gpusimbench.recorder.scenes.base import Scene
+from gpusimbench.recorder.simulators.base import Description, Simulator
+from gpusimbench.recorder.simulators.captured import RING_BLOCKS
+from gpusimbench.schemas.configuration import RunConfiguration
+from gpusimbench.schemas.errors import DamagedRecording, DataLost
+
+
+class CapturePhase:
+    """Steps a simulator and writes all of its states.
+
+    writer  of the states; None before the first step
+    """
+
+    def __init__(
+        self, journal: Journal, configuration: RunConfiguration, progress: Callable[[str, int, int], None]
+    ) -> None:
+        self._journal = journal
+        self._configuration = configuration
+        self._progress = progress
+        self.writer: StateWriter | None = None
+
+    def run(self, simulator: Simulator, description: Description) -> None:
+        """Step from the initial state to the last step; what speaks against the states is a gate of the journal."""
+        c, sink = self._configuration, self._journal.sink
+        view = self._view(simulator.scene, description) if c.view else None
+        writer = self.writer = StateWriter(sink, description.fields, n_env=c.n_env, dt=c.dt, stride=c.stride, view=view)
+        if simulator.scene.actions is not None:
+            declare_actions(sink, simulator.scene.actions, n_env=c.n_env)
+        counted = EvidenceWriter(sink, description, "capture", dt=c.dt, stride=1, workers=writer.workers)
+        kept = (
+            KeptStates(
+                description.fields,
+                n_env=c.n_env,
+                rows=c.steps + 1,
+                n_action=len(simulator.scene.actions.joints) if simulator.scene.actions else 0,
+                workers=writer.workers,
+            )
+            if c.capture == "memory"
+            else None
+        )
+        problems: list[str] = []
+
+        def write(block: Block) -> None:
+            if problems:
+                return  # nothing of use follows a state that is not finite
+            if block.first_step != writer.last_step + 1:
+                raise ValueError(
+                    f"the simulator gave states up to step {writer.last_step}, then from {block.first_step} on"
+                )
+            drawn = block.actions
+            if drawn is not None and simulator.scene.actions is not None:
+                held = block.captured.actions
+
+                def applied(envs: range) -> NDArray[np.float32]:
+                    found = held(slice(envs.start, envs.stop))
+                    return drawn(envs) if found is None else found
+
+                name, first = simulator.scene.actions.name, block.first_step - 1
+                write_actions(sink, writer.workers, name, applied, n_env=c.n_env, first_step=first, dt=c.dt)
+            problem = writer.take(block.captured)
+            if block.first_step:
+                self._journal.count(block.captured.evidence(), counted, block.first_step)
+            if problem:
+                problems.append(problem)
+
+        def captured(done: int) -> None:
+            interruption.check()
+            self._progress("capture", done, c.steps)
+
+        simulator.reserve(min(c.steps, writer.steps_per_block))
+        # until it has finished, the sink is its thread's
+        writing = Writing(kept.keep if kept else write)
+        clock = CaptureClock()
+        try:
+            try:
+                step_and_capture(
+                    simulator,
+                    writing,
+                    clock,
+                    steps=c.steps,
+                    block_steps=writer.steps_per_block,
+                    prepare=lambda first, count: prepare(simulator, c, first, count),
+                    progress=captured,
+                    stopped=lambda: bool(problems),
+                )
+            finally:
+                try:
+                    writing.finish()
+                finally:
+                    if kept:
+                        self._progress(interruption.ENDING, 0, 1)  # however long the disk takes
+                        with interruption.shielded():
+                            kept.write(write)
+        except DataLost:
+            raise
+        except BaseException:
+            writer.flush()  # whatever ended the run, the states so far are good
+            raise
+        writer.flush()
+        if writer.last_step != c.steps and not problems:
+            raise ValueError(f"the simulator gave states up to step {writer.last_step}, not of all {c.steps} steps")
+        clock.written()
+        self._write_clock(clock, writer)
+        if problems:
+            self._journal.gate(problems[0], "NOT_FINITE")
+        self._journal.ask_gates(simulator)
+        if not problems:
+            write_applied(self._journal, simulator, c, 0, c.steps)
+
+    def _view(self, scene: Scene, description: Description) -> ViewWriter | None:
+        try:
+            return ViewWriter(
+                self._journal.sink,
+                self._configuration,
+                fields=description.fields,
+                scene=scene,
+                env_origins=description.env_origins,
+            )
+        except DamagedRecording as error:  # a scene of somebody else's, of which states can be recorded all the same
+            self._journal.event("NOTE", f"nothing was written for viewers: {error}")
+            return None
+
+    def _write_clock(self, clock: CaptureClock, writer: StateWriter) -> None:
+        c = self._configuration
+        block = writer.steps_per_block * row_bytes(c.n_env, writer.fields)
+        how = {
+            "lossless": f"another thread writes them meanwhile; {RING_BLOCKS} blocks of at most {block} bytes are held",
+            "memory": "they are kept in memory, and written after the last step",
+        }
+        covers = f"from block to block: steps, and their states, counts and hashes on the host; {how[c.capture]}"
+        rows = writer.steps_per_block
+        self._journal.timing("capture", clock.blocks, 0, rows, covers)
+        self._journal.timing("stall", clock.stalls, 0, rows, "the engine stands still until a block was written")
+        self._journal.timing("drain", clock.drain, c.steps, 1, "from the last state on the host to that in the file")

@@ -1,0 +1,83 @@
+"""The warm-up and the timed phase: steps between clock readings, and nothing else.
+
+Between two clock readings lies what the simulator says of it (Description.timing_covers). From the first reading to the
+last, memory is sampled as well, at 100 Hz from another thread; nothing is written, drawn or reported meanwhile, and
+Python collects no garbage. An interval has `timing_interval` steps; the last may have fewer.
+"""
+
+from __future__ import annotations
+
+import gc
+import time
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gpusimbench.recorder.capture.evidence import EvidenceWriter
+from gpusimbench.recorder.capture.memory import MemoryWriter
+from gpusimbench.recorder.capture.states import declare_fingerprints, write_fingerprints
+from gpusimbench.recorder.given_actions import given, write_applied
+from gpusimbench.recorder.journal import Journal, Phase
+from gpusimbench.recorder.simulators.base import Description, Simulator
+from gpusimbench.schemas.configuration import RunConfiguration
+from gpusimbench.schemas.fingerprint import fingerprint
+
+_SAMPLED = "memory is sampled from another thread at 100 Hz"
+
+
+def warm_up_and_time(
+    journal: Journal,
+    memory: MemoryWriter,
+    simulator: Simulator,
+    description: Description,
+    configuration: RunConfiguration,
+    progress: Callable[[str, int, int], None],
+) -> None:
+    """Step through both phases; what speaks against them is noted as gates of the journal."""
+    sink, warmup, steps = journal.sink, configuration.warmup, configuration.timed_steps
+    covers = f"{description.timing_covers}; {_SAMPLED}"
+    interval = simulator.timing_interval
+    counted = EvidenceWriter(sink, description, "timed", dt=configuration.dt, stride=max(1, steps))
+    # The whole warm-up's clocks are kept too: its first step shows what compilation costs.
+    with Phase(journal, memory, "warmup"):
+        simulator.prepare(given(simulator, configuration, 0, warmup))
+        progress("warmup", 0, warmup)
+        clocks = _step(simulator, warmup, interval)
+        hashes = [fingerprint(simulator.state())]
+        memory.checkpoint("post-warmup")
+    journal.timing("warmup", clocks, 0, interval, covers)
+    if warmup:
+        journal.count(simulator.evidence(), counted, warmup)
+    journal.ask_gates(simulator)
+    simulator.prepare(given(simulator, configuration, warmup, steps))
+    with Phase(journal, memory, "timed"):
+        progress("timed", 0, steps)  # and not again before the last step: throughput counts what lies between
+        clocks = _step(simulator, steps, interval)
+    state = simulator.state()
+    hashes.append(fingerprint(state))
+    journal.timing("timed", clocks, warmup, interval, covers)
+    # Two hashes at steps that the capture may pass as well: equal ones show that capturing changed nothing.
+    declare_fingerprints(sink, "timed")
+    write_fingerprints(sink, "timed", np.stack(hashes), first_step=warmup, stride=steps, dt=configuration.dt)
+    if not all(np.isfinite(array).all() for array in state):
+        journal.gate(f"a state is not finite after {steps} timed steps", "NOT_FINITE")
+    journal.count(simulator.evidence(), counted, warmup + steps)
+    journal.ask_gates(simulator)
+    write_applied(journal, simulator, configuration, warmup, steps)
+
+
+def _step(simulator: Simulator, steps: int, interval: int) -> NDArray[np.int64]:
+    count = -(-steps // interval)
+    clocks = np.empty((2, count), dtype=np.int64)
+    clock = time.perf_counter_ns
+    gc.collect()
+    gc.disable()  # a collection inside the timed loop would be charged to the engine
+    try:
+        for k in range(count):
+            clocks[0, k] = clock()
+            simulator.step(min(interval, steps - k * interval))
+            clocks[1, k] = clock()
+    finally:
+        gc.enable()
+    return clocks

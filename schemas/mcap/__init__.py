@@ -1,0 +1,1 @@
+"""MCAP files (https://mcap.dev/spec): one walk over records and chunks, a reader, and a writer."""
