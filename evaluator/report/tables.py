@@ -113,8 +113,7 @@ def _legend(results: list[GroupResult]) -> list[str]:
             lines.append(f"column {number}: no floor of W1 between runs: {why_not}")
     if any(known(r.metrics["left_board"].value) for r in results):
         lines.append(
-            "clamped to the board: each cube beside the board is put at its nearest edge, so that flight after a "
-            "fall does not count"
+            "clamped: each cube beside the board is put at its nearest edge, so that flight after a fall does not count"
         )
     if any(known(r.metrics[name].value) for r in results for name in ("equality_runs", "equality_envs")):
         lines.append("what is less than bit-identical is said of the sample step alone")

@@ -38,7 +38,7 @@ def _clamped(published: Metric) -> Metric:
     return replace(
         published,
         name=published.name + SUFFIX,
-        title=f"{published.title}, clamped to the board",
+        title=f"clamped {published.title}",
         docs=f"`{published.name}` with every position beside the board put at the board's nearest edge; see below",
         published=False,
         values=None,
