@@ -24,6 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
+from gpusimbench.evaluator.check.protocol import unmet_by_file
 from gpusimbench.evaluator.compare.compare import compare
 from gpusimbench.evaluator.compare.finding import DEFAULT_GATES, Settings
 from gpusimbench.evaluator.compare.sides import Side
@@ -33,9 +34,8 @@ from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.results.metric import Axis
 from gpusimbench.evaluator.runs.physics.facts import PhysicsFacts
 from gpusimbench.evaluator.runs.positions import Positions
-from gpusimbench.evaluator.runs.reading import Read, Reader
-from gpusimbench.evaluator.runs.run_data import RunData
-from gpusimbench.evaluator.runs.summary import Summary
+from gpusimbench.evaluator.runs.reader import Reader
+from gpusimbench.evaluator.runs.run import Run as ReadRun
 from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.errors import ExitCode
 from gpusimbench.schemas.provenance import Provenance, Simulation
@@ -80,16 +80,16 @@ def record(count: int, folder: Path) -> None:
 
 def read(arms: dict[str, Path]) -> None:
     """Write the CSV from recordings, in the order in which they were made."""
-    reader = Reader(5.0, verify=False)
+    reader = Reader(5.0, unmet_by_file, verify=False)
     rows = []
     for arm, folder in arms.items():
         for path in folder.glob("*.mcap"):
             found = reader(path)
-            if not isinstance(found, Read) or not found.run or not found.run.elapsed_s or not found.run.host:
+            if not isinstance(found, ReadRun) or not found.elapsed_s or not found.host:
                 raise SystemExit(f"{path} is no complete run with a timed phase")
-            host = found.run.host
-            created = found.summary.provenance.created_utc
-            rows.append((created, arm, f"{found.run.elapsed_s:.9f}", host.baseline, host.peak))
+            host = found.host
+            created = found.provenance.created_utc
+            rows.append((created, arm, f"{found.elapsed_s:.9f}", host.baseline, host.peak))
     with CSV.open("w", newline="") as stream:
         writer = csv.writer(stream, lineterminator="\n")
         writer.writerow(("created_utc", "arm", "elapsed_s", "host_baseline_bytes", "host_peak_bytes"))
@@ -244,7 +244,7 @@ def positions(count: int = 200) -> Iterator[str]:
 
 def _compare_placed(rng: np.random.Generator, number: int, factor: float, settings: Settings) -> ExitCode:
     """Twelve runs in turn, whose cubes lie around one place by a shift of the run and of the environment."""
-    sides: tuple[list[Read], list[Read]] = ([], [])
+    sides: tuple[list[ReadRun], list[ReadRun]] = ([], [])
     for index, letter in enumerate((IN_TURN * PER_SET)[:PER_SET]):
         head = letter == "B"
         scale = SPREAD_M * (factor if head else 1.0)
@@ -276,7 +276,7 @@ def _side(runs: Sequence[Run], name: str) -> Side:
     return Side(tuple(_read(run, f"{name}-{index:04d}") for index, run in enumerate(runs)), (), ())
 
 
-def _read(run: Run, run_id: str, placed: NDArray[np.float64] | None = None) -> Read:
+def _read(run: Run, run_id: str, placed: NDArray[np.float64] | None = None) -> ReadRun:
     """What the reader would have made of the run's recording."""
     configuration = RunConfiguration(
         "mujoco",
@@ -291,18 +291,12 @@ def _read(run: Run, run_id: str, placed: NDArray[np.float64] | None = None) -> R
     # runs of one second are in the order of their ids
     provenance = Provenance(run_id, run.created_utc, (), configuration, host={"cpu": "one", "usable_threads": 2})
     simulation = Simulation("4.0.0", "cpu", {}, {}, (), (), {"sha256": "one"})
-    summary = Summary(
-        Path(f"{run_id}.mcap"), "complete", "", "", run_id, provenance, simulation, (), (), {}, {}, {}, None
-    )  # fmt: skip
-    host = Checkpoints(baseline=run.host_baseline, peak=run.host_peak)
-    missing = Missing("no states were captured")
-    return Read(
-        summary,
-        RunData(
-            summary, run.elapsed_s, missing, host, missing, missing, {}, missing, 0.0, missing, missing,
-            missing if placed is None else Positions(placed, None, 5.0),
-            False, None, missing, missing, missing, PhysicsFacts("free-fall", N_ENV, (), missing), missing,
-        ),
+    none = Missing("no states were captured")
+    return ReadRun(
+        Path(f"{run_id}.mcap"), "complete", "", "", run_id, provenance, simulation, elapsed_s=run.elapsed_s,
+        host=Checkpoints(baseline=run.host_baseline, peak=run.host_peak), stalled_s=0.0,
+        positions=none if placed is None else Positions(placed, None, 5.0),
+        physics=PhysicsFacts("free-fall", N_ENV, (), none),
     )  # fmt: skip
 
 

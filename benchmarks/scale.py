@@ -26,14 +26,15 @@ from benchmarks.machine import machine
 from benchmarks.scale_cost import Plan, Prices, Rates, extrapolate
 from benchmarks.scale_runs import SHIPPED, record
 from benchmarks.transport_large import thrown
+from gpusimbench.evaluator.check.protocol import unmet_by_file
 from gpusimbench.evaluator.compute.mapping import serial
 from gpusimbench.evaluator.metrics.variability import MAX_CERTIFIED_POINTS, parallel_variability, run_to_run_variability
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.report.parquet import parquet_tables
 from gpusimbench.evaluator.results.evaluate import evaluate
 from gpusimbench.evaluator.results.identity_metrics import identical_steps
-from gpusimbench.evaluator.runs.reading import Read, Reader
-from gpusimbench.evaluator.runs.run_data import RunData
+from gpusimbench.evaluator.runs.reader import Reader
+from gpusimbench.evaluator.runs.run import Run
 from gpusimbench.evaluator.runs.validation import verify
 from gpusimbench.evaluator.share.pack import pack
 from gpusimbench.evaluator.statistics.floor import floor
@@ -52,9 +53,9 @@ def _cpu(function: Callable[..., _Result], *arguments: object) -> tuple[float, _
     return time.process_time() - began, result
 
 
-def _read(paths: Sequence[Path], sample_time: float) -> list[Read]:
-    read = [Reader(sample_time, verify=False)(path) for path in paths]
-    found = [r for r in read if isinstance(r, Read) and r.run]
+def _read(paths: Sequence[Path], sample_time: float) -> list[Run]:
+    read = [Reader(sample_time, unmet_by_file, verify=False)(path) for path in paths]
+    found = [r for r in read if isinstance(r, Run) and r.usable]
     if len(found) < len(read):
         raise SystemExit("a run that was just recorded cannot be read")
     return found
@@ -85,7 +86,7 @@ def _pack(paths: Sequence[Path], folder: Path) -> tuple[float, list[Path]]:
     return (time.process_time() - began) / len(paths), packed
 
 
-def _tables(reads: Sequence[Read], sample_time: float) -> tuple[float, float]:
+def _tables(reads: Sequence[Run], sample_time: float) -> tuple[float, float]:
     # bytes of the tables of one group, and of each group more
     sizes = []
     shipped = _read(sorted(SHIPPED.glob("*.mcap")), sample_time)
@@ -119,8 +120,7 @@ def measure(folder: Path, *, runs: int, n_env: int, steps: int, points: int) -> 
     verify_archived_s, _ = _cpu(_verify, packed)
     read_s, reads = _cpu(_read, paths, sample_time)
     read_archived_s, _ = _cpu(_read, packed, sample_time)
-    data: list[RunData] = [read.run for read in reads if read.run]
-    planar = np.stack([run.positions.planar for run in data if run.positions])
+    planar = np.stack([run.positions.planar for run in reads if run.positions])
     env_pairs_s, _ = _cpu(lambda: [parallel_variability(run) for run in planar])
     between_s, between = _cpu(run_to_run_variability, planar)
     floor_s, _ = _cpu(floor, planar[0], planar[1], serial)
@@ -128,7 +128,7 @@ def measure(folder: Path, *, runs: int, n_env: int, steps: int, points: int) -> 
     began = time.process_time()
     certified_wasserstein1(thrown(points, 1), thrown(points, 2))
     certified_s = time.process_time() - began
-    same_s, _ = _cpu(lambda: [identical_steps(data, data) for _ in range(100)])  # of so many runs on either side
+    same_s, _ = _cpu(lambda: [identical_steps(reads, reads) for _ in range(100)])  # of so many runs on either side
     table, next_group = _tables(reads, sample_time)
     rates = Rates(
         recorded_bytes=recorded / runs,

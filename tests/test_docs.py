@@ -110,7 +110,8 @@ def test_the_how_tos(page: Path, tmp_path: Path) -> None:
 @pytest.mark.parametrize("cluster", [False, pytest.param(True, marks=pytest.mark.alone)], ids=["here", "cluster"])
 def test_readme_commands(cluster: bool, tmp_path: Path) -> None:
     """Run every command of the README in a folder that has the sample recordings."""
-    shutil.copytree(ROOT / "recordings", tmp_path / "recordings")
+    few = shutil.ignore_patterns("[a-oq-z]*-n*.mcap")  # of those of GPUs: physx, which the README names
+    shutil.copytree(ROOT / "recordings", tmp_path / "recordings", ignore=few)
     lines = [line for line in commands(ROOT / "README.md") if ("--ray" in line) == cluster]
     assert len(lines) >= (1 if cluster else 7)
     for line in lines:

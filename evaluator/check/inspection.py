@@ -12,7 +12,7 @@ from gpusimbench.evaluator.check.integrity.scan import Scan, Stream
 from gpusimbench.evaluator.metrics.cotenants import Sign, cotenants
 from gpusimbench.evaluator.metrics.throughput import frames_per_second
 from gpusimbench.evaluator.read.recording import Recording
-from gpusimbench.evaluator.runs.run_data import gpu_memory
+from gpusimbench.evaluator.runs.memory import gpu_memory
 from gpusimbench.schemas import topics
 from gpusimbench.schemas.errors import NUMBERS_OF_A_STRANGER, GsbError, NotARecording
 from gpusimbench.schemas.fields import StateField

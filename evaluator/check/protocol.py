@@ -10,16 +10,14 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
-from typing import TYPE_CHECKING, cast
+from typing import cast
 
 from gpusimbench.evaluator.check.integrity import Integrity
 from gpusimbench.evaluator.check.integrity.problem import Problems
 from gpusimbench.evaluator.check.rules.findings import check, points
 from gpusimbench.evaluator.check.rules.rule import Level, RuleSet, Scope, load_rules
 from gpusimbench.evaluator.read.recording import Recording
-
-if TYPE_CHECKING:
-    from gpusimbench.evaluator.runs.summary import Summary
+from gpusimbench.evaluator.runs.run import Run
 
 RULE_SET = "protocol-1"
 
@@ -48,7 +46,7 @@ def unmet_by_file(recording: Recording) -> tuple[str, ...]:
 class Protocol:
     """The rules that a set of recordings does not meet, for the whole set and for groups of it."""
 
-    def __init__(self, recordings: Sequence[Summary]) -> None:
+    def __init__(self, recordings: Sequence[Run]) -> None:
         shells = [_shell(cast(Recording, one)) for one in recordings]  # a point's facts are those that a summary has
         by_point = Counter((f.of, f.rule.id) for f in check(shells, [_rules(Scope.point)]).findings)
         run_ids = {id(shell): one.provenance.run_id for shell, one in zip(shells, recordings, strict=True)}
@@ -61,7 +59,7 @@ class Protocol:
         ]
         self.whole = self.of(recordings)
 
-    def of(self, recordings: Iterable[Summary]) -> Unmet:
+    def of(self, recordings: Iterable[Run]) -> Unmet:
         """What some of the recordings do not meet: rules of each file, and of the points that they belong to."""
         found = list(recordings)
         run_ids = {one.provenance.run_id for one in found}

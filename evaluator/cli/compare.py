@@ -109,17 +109,18 @@ def run(arguments: argparse.Namespace, command: str) -> int:
         check_target(str(target) if target else None)
     base, head = _given(arguments)
 
+    from gpusimbench.evaluator.check.protocol import unmet_by_file
     from gpusimbench.evaluator.compare.compare import compare
     from gpusimbench.evaluator.compare.sides import places_of, read_sides
-    from gpusimbench.evaluator.compute.cache.place import default_folder, open_store
+    from gpusimbench.evaluator.compute.cache.store import Store, default_folder
     from gpusimbench.evaluator.compute.work import Work
-    from gpusimbench.evaluator.runs.reading import Reader
+    from gpusimbench.evaluator.runs.reader import Reader
 
     if arguments.cache and arguments.cache.exists() and not arguments.cache.is_dir():
         raise UsageError(f"--cache is a folder, and {arguments.cache} is none")
     folder = None if arguments.no_cache else arguments.cache or default_folder()
-    work = Work(store=open_store(folder) if folder else None)
-    reader = Reader(arguments.sample_time, verify=not arguments.no_verify)
+    work = Work(store=Store(folder) if folder else None)
+    reader = Reader(arguments.sample_time, unmet_by_file, verify=not arguments.no_verify)
     sides = read_sides(places_of(base, "base"), places_of(head, "head"), reader, work)
     result = compare(*sides, settings, work, arguments.across)
     if work.store:

@@ -20,8 +20,8 @@ if TYPE_CHECKING:
     from gpusimbench.evaluator.compute.mapping import Mapper
     from gpusimbench.evaluator.compute.work import Work
     from gpusimbench.evaluator.results.evaluation import Evaluation
-    from gpusimbench.evaluator.runs.reading import Read, Unreadable
-    from gpusimbench.evaluator.runs.summary import Summary
+    from gpusimbench.evaluator.runs.reader import Unreadable
+    from gpusimbench.evaluator.runs.run import Run
 
 _FORMATS = ("parquet", "csv", "md", "tex")
 
@@ -94,10 +94,12 @@ def _formats(text: str) -> tuple[str, ...]:
 
 def run(arguments: argparse.Namespace, command: str) -> int:
     """Evaluate and print; returns the exit code."""
+    from gpusimbench.evaluator.check.protocol import unmet_by_file
     from gpusimbench.evaluator.read.addresses import expand
     from gpusimbench.evaluator.results.evaluate import evaluate
     from gpusimbench.evaluator.runs.known_files import read_all
-    from gpusimbench.evaluator.runs.reading import Read, Reader
+    from gpusimbench.evaluator.runs.reader import Reader
+    from gpusimbench.evaluator.runs.run import Run
 
     if not 0 < arguments.sample_time < float("inf"):
         raise UsageError(f"--sample-time is a time in seconds above 0, not {arguments.sample_time}")
@@ -114,7 +116,7 @@ def run(arguments: argparse.Namespace, command: str) -> int:
         reportlab()
     with ExitStack() as stack:
         work = _work(arguments, stack)
-        reader = Reader(arguments.sample_time, verify=not arguments.no_verify)
+        reader = Reader(arguments.sample_time, unmet_by_file, verify=not arguments.no_verify)
         places, reference_place = expand(arguments.files), _one(arguments.reference)
         wanted = list(dict.fromkeys([*places, *([reference_place] if reference_place else [])]))
         read = dict(zip(wanted, read_all(wanted, reader, work), strict=True))
@@ -123,7 +125,7 @@ def run(arguments: argparse.Namespace, command: str) -> int:
         evaluation = evaluate(files, reference=reference, sample_time=arguments.sample_time, work=work)
     if work.store:
         work.store.prune()
-    recordings = [f.summary for f in files if isinstance(f, Read)]
+    recordings = [f for f in files if isinstance(f, Run)]
     for failure in evaluation.unreadable:
         complain("gsb-eval", str(failure.error))
     if not evaluation.results:
@@ -136,7 +138,7 @@ def run(arguments: argparse.Namespace, command: str) -> int:
 
 
 def _work(arguments: argparse.Namespace, stack: ExitStack) -> Work:
-    from gpusimbench.evaluator.compute.cache.place import default_folder, open_store
+    from gpusimbench.evaluator.compute.cache.store import Store, default_folder
     from gpusimbench.evaluator.compute.mapping import serial
     from gpusimbench.evaluator.compute.work import Work
 
@@ -148,7 +150,7 @@ def _work(arguments: argparse.Namespace, stack: ExitStack) -> Work:
     folder = None if arguments.no_cache else arguments.cache or default_folder()
     if arguments.cache and arguments.cache.exists() and not arguments.cache.is_dir():
         raise UsageError(f"--cache is a folder, and {arguments.cache} is none")
-    return Work(mapper, open_store(folder) if folder else None)
+    return Work(mapper, Store(folder) if folder else None)
 
 
 def _one(given: Place | None) -> Place | None:
@@ -160,8 +162,8 @@ def _one(given: Place | None) -> Place | None:
     return found[0] if found else None
 
 
-def _readable(file: Read | Unreadable) -> Read:
-    from gpusimbench.evaluator.runs.reading import Unreadable
+def _readable(file: Run | Unreadable) -> Run:
+    from gpusimbench.evaluator.runs.reader import Unreadable
 
     if isinstance(file, Unreadable):
         raise file.error
@@ -212,7 +214,7 @@ def _present(evaluation: Evaluation, arguments: argparse.Namespace, command: str
         show(line(f"report: {page}"), error=arguments.json == "-")
 
 
-def _exit_code(evaluation: Evaluation, recordings: list[Summary]) -> int:
+def _exit_code(evaluation: Evaluation, recordings: list[Run]) -> int:
     lost = any(r.status == "incomplete" or r.dropouts for r in recordings)
     if evaluation.unreadable or lost:
         return int(ExitCode.DATA_LOST)

@@ -56,10 +56,10 @@ def leaderboard(arguments: argparse.Namespace) -> int:
 
 
 def _work(arguments: argparse.Namespace) -> Work:
-    from gpusimbench.evaluator.compute.cache.place import default_folder, open_store
+    from gpusimbench.evaluator.compute.cache.store import Store, default_folder
     from gpusimbench.evaluator.compute.work import Work
 
     folder = None if arguments.no_cache else arguments.cache or default_folder()
     if arguments.cache and arguments.cache.exists() and not arguments.cache.is_dir():
         raise UsageError(f"--cache is a folder, and {arguments.cache} is none")
-    return Work(store=open_store(folder) if folder else None)
+    return Work(store=Store(folder) if folder else None)

@@ -27,8 +27,7 @@ from gpusimbench.evaluator.results.timed_work import TimedWork, timed_work
 from gpusimbench.evaluator.runs.cotenancy import notes as cotenant_notes
 from gpusimbench.evaluator.runs.cotenancy import with_peers
 from gpusimbench.evaluator.runs.groups import group, status_notes
-from gpusimbench.evaluator.runs.reading import Unreadable
-from gpusimbench.evaluator.runs.run_data import RunData
+from gpusimbench.evaluator.runs.reader import Unreadable
 from gpusimbench.evaluator.statistics.families import able_to_reject, holm
 from gpusimbench.schemas.errors import ExitCode
 
@@ -131,16 +130,16 @@ def compare(base: Side, head: Side, settings: Settings, work: Work, across: Coll
 
     across  names of options, or of matching.ACROSS, that may differ between base and head
     """
-    sides = [group([f.summary for f in side.files]) for side in (base, head)]
+    runs = with_peers([*base.files, *head.files])
+    read = [runs[: len(base.files)], runs[len(base.files) :]]
+    sides = [group(side) for side in read]
     measured = sum(g.measured for side in sides for g in side)
     groups = [[g for g in side if not g.measured] for side in sides]
     check_across(across, [*groups[0], *groups[1]])
     matching = match(groups[0], groups[1], across)
-    data = with_peers({f.summary.provenance.run_id: f.run for side in (base, head) for f in side.files if f.run})
-    protocols = [Protocol([f.summary for f in side.files]) for side in (base, head)]
-    drafts = [_draft(pair, data, protocols, settings, work) for pair in matching.pairs]
+    protocols = [Protocol(side) for side in read]
+    drafts = [_draft(pair, protocols, settings, work) for pair in matching.pairs]
     findings, tests = _answered([draft.items for draft in drafts], settings)
-    summaries = [f.summary for side in (base, head) for f in side.files]
     notes = [*base.notes, *head.notes]
     if measured:
         notes.append("real trials are left out")
@@ -150,7 +149,7 @@ def compare(base: Side, head: Side, settings: Settings, work: Work, across: Coll
         tuple((name, u) for name, side in (("base", base), ("head", head)) for u in side.unreadable),
         settings,
         tests,
-        sum(s.status == "incomplete" or bool(s.dropouts) for s in summaries),
+        sum(s.status == "incomplete" or bool(s.dropouts) for s in runs),
         tuple(notes),
     )
 
@@ -171,10 +170,8 @@ class _Asked:
     question: Question
 
 
-def _draft(
-    pair: Pair, data: dict[str, RunData], protocols: Sequence[Protocol], settings: Settings, work: Work
-) -> _Draft:
-    base, head = ([data[s.provenance.run_id] for s in g.complete] for g in (pair.base, pair.head))
+def _draft(pair: Pair, protocols: Sequence[Protocol], settings: Settings, work: Work) -> _Draft:
+    base, head = pair.base.complete, pair.head.complete
     one, other = (GroupRuns(runs, work=work) for runs in (base, head))
     items: list[Finding | _Asked] = []
 

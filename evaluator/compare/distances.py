@@ -48,7 +48,7 @@ def distances(base: Runs, head: Runs, work: Work) -> Distances | Missing | None:
     one, why = positions(base)
     other, why_head = positions(head)
     if one is None or other is None:
-        captured = any("capture" in r.recording.configuration.phases for r in (*base, *head))
+        captured = any("capture" in r.configuration.phases for r in (*base, *head))
         return Missing(why or why_head) if captured else None
     times = {r.positions.time for r in (*base, *head) if r.positions}
     if one.shape[1:] != other.shape[1:] or len(times) > 1:
@@ -71,7 +71,7 @@ def distances(base: Runs, head: Runs, work: Work) -> Distances | Missing | None:
 
 def has_cubes(base: Runs, head: Runs) -> bool:
     """Whether there is anything to decide: a run that recorded cubes, or a side without a run."""
-    cubes = any(f.name == f"{GROUP}/position" for r in (*base, *head) for f in r.recording.fields)
+    cubes = any(f.name == f"{GROUP}/position" for r in (*base, *head) for f in r.fields)
     return cubes or not (base and head)
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, fields, replace
 from typing import Any
 
 from gpusimbench.evaluator.runs.groups import Group, GroupKey, asked, labels, options_given, precisions
-from gpusimbench.evaluator.runs.summary import Summary
+from gpusimbench.evaluator.runs.run import Run
 from gpusimbench.schemas.errors import UsageError
 
 ACROSS = ("simulator", "determinism", "warmup", "timed_steps")
@@ -16,7 +16,7 @@ ACROSS = ("simulator", "determinism", "warmup", "timed_steps")
 
 _SHOWN, _LENGTH = 12, 48
 
-Groups = Sequence[Group[Summary]]
+Groups = Sequence[Group[Run]]
 
 
 @dataclass(frozen=True)
@@ -29,8 +29,8 @@ class Pair:
     """
 
     label: str
-    base: Group[Summary]
-    head: Group[Summary]
+    base: Group[Run]
+    head: Group[Run]
     differs: tuple[str, ...]
     same_machine: bool
 
@@ -53,7 +53,7 @@ def match(base: Groups, head: Groups, across: Collection[str] = ()) -> Matching:
     across  names of options, or of ACROSS, that may differ too
     """
     left, right = list(base), list(head)
-    found: list[tuple[Group[Summary], Group[Summary]]] = []
+    found: list[tuple[Group[Run], Group[Run]]] = []
     for rule in (lambda g: g.key, lambda g: _asked(g, across), lambda g: _anywhere(g, across)):
         found += _unique(left, right, rule)
     found.sort(key=lambda pair: list(base).index(pair[0]))
@@ -81,10 +81,10 @@ def check_across(across: Collection[str], groups: Groups) -> None:
 
 
 def _unique(
-    left: list[Group[Summary]], right: list[Group[Summary]], rule: Callable[[Group[Summary]], Hashable]
-) -> list[tuple[Group[Summary], Group[Summary]]]:
+    left: list[Group[Run]], right: list[Group[Run]], rule: Callable[[Group[Run]], Hashable]
+) -> list[tuple[Group[Run], Group[Run]]]:
     """Take those out of both lists whose key no other has."""
-    alike: dict[Hashable, tuple[list[Group[Summary]], list[Group[Summary]]]] = {}
+    alike: dict[Hashable, tuple[list[Group[Run]], list[Group[Run]]]] = {}
     for side, groups in enumerate((left, right)):
         for group in groups:
             alike.setdefault(rule(group), ([], []))[side].append(group)
@@ -95,7 +95,7 @@ def _unique(
     return found
 
 
-def _asked(group: Group[Summary], across: Collection[str]) -> GroupKey:
+def _asked(group: Group[Run], across: Collection[str]) -> GroupKey:
     # all recordings of a group were asked for the same
     key = asked(group.recordings[0])
     plain: dict[str, Any] = {"conditions": ""}
@@ -107,20 +107,20 @@ def _asked(group: Group[Summary], across: Collection[str]) -> GroupKey:
     return replace(key, **plain)
 
 
-def _anywhere(group: Group[Summary], across: Collection[str]) -> GroupKey:
+def _anywhere(group: Group[Run], across: Collection[str]) -> GroupKey:
     return replace(_asked(group, across), device="")
 
 
-def _machine(group: Group[Summary]) -> str:
+def _machine(group: Group[Run]) -> str:
     return asked(group.recordings[0]).device
 
 
-def _one_scene(one: Group[Summary], other: Group[Summary]) -> bool:
+def _one_scene(one: Group[Run], other: Group[Run]) -> bool:
     hashes = {one.key.scene_hash, other.key.scene_hash} - {""}
     return len(hashes) < 2
 
 
-def _why(group: Group[Summary], others: Groups, across: Collection[str]) -> str:
+def _why(group: Group[Run], others: Groups, across: Collection[str]) -> str:
     alike = [g for g in others if _anywhere(g, across) == _anywhere(group, across)]
     if not alike:
         return "nothing on the other side was asked for the same"
@@ -129,7 +129,7 @@ def _why(group: Group[Summary], others: Groups, across: Collection[str]) -> str:
     return "several groups were asked for the same, in versions or conditions that differ: compare them one by one"
 
 
-def _differences(base: Group[Summary], head: Group[Summary]) -> tuple[str, ...]:
+def _differences(base: Group[Run], head: Group[Run]) -> tuple[str, ...]:
     found: list[str] = []
     for field in fields(GroupKey):
         one, other = getattr(base.key, field.name), getattr(head.key, field.name)
@@ -155,7 +155,7 @@ def _entries(one: dict[str, Any], other: dict[str, Any]) -> list[str]:
     return [_arrow(n, one.get(n, "unset"), other.get(n, "unset")) for n in names if one.get(n) != other.get(n)]
 
 
-def _commits(group: Group[Summary]) -> str:
+def _commits(group: Group[Run]) -> str:
     recorders = [r.provenance.software.get("recorder") for r in group.recordings]
     commits = {
         str(r.get("commit") or "")[:12] + ("+" if r.get("modified") else "") for r in recorders if isinstance(r, dict)

@@ -10,12 +10,12 @@ from gpusimbench.evaluator.results.aggregate import Runs
 from gpusimbench.evaluator.results.cost_metrics import GPU_MEMORY, process_peak
 from gpusimbench.evaluator.results.metric import Axis, Direction, Metric, each
 from gpusimbench.evaluator.results.metrics import METRICS
-from gpusimbench.evaluator.runs.run_data import RunData
+from gpusimbench.evaluator.runs.run import Run
 
 
-def contacts_of(run: RunData) -> float | Missing:
+def contacts_of(run: Run) -> float | Missing:
     """Contacts of an environment at a step: of the timed phase, or else of the captured steps."""
-    counts = run.recording.counts
+    counts = run.counts
     found = next(
         (counts[phase]["contacts"] for phase in ("timed", "capture") if "contacts" in counts.get(phase, {})), None
     )

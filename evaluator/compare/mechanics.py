@@ -21,7 +21,7 @@ def compare_mechanics(base: Runs, head: Runs, *, certain: bool) -> Sequence[Find
     certain  all runs of a side are bit-identical, so that one speaks for all, and a check has changed where its verdict
              has; otherwise it is counted in how many runs a check is broken, and tested whether that is another share
     """
-    if not any("capture" in r.recording.configuration.phases for r in (*base, *head)):
+    if not any("capture" in r.configuration.phases for r in (*base, *head)):
         return ()
     one, other = (fidelity("", [r.physics for r in runs]) for runs in (base, head))
     if why := "; ".join(dict.fromkeys(f.why_not for f in (one, other) if f.why_not)):

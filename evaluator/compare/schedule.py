@@ -6,7 +6,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from gpusimbench.evaluator.runs.run_data import RunData
+from gpusimbench.evaluator.runs.run import Run
 from gpusimbench.evaluator.statistics.exchange import least_p
 
 _UTC = re.compile(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\dZ")
@@ -23,7 +23,7 @@ class Schedule:
     known   whether recordings say when they were made, and not all at once: times are in whole seconds
     """
 
-    runs: tuple[RunData, ...]
+    runs: tuple[Run, ...]
     head: tuple[bool, ...]
     blocks: tuple[int, ...]
     known: bool
@@ -60,11 +60,11 @@ class Schedule:
         return blocks
 
 
-def schedule(base: Sequence[RunData], head: Sequence[RunData]) -> Schedule:
+def schedule(base: Sequence[Run], head: Sequence[Run]) -> Schedule:
     """The order of some runs; those of one second are in the order of their run ids, which says nothing of the side."""
     tagged = [(run, False) for run in base] + [(run, True) for run in head]
-    tagged.sort(key=lambda one: (one[0].recording.provenance.created_utc, one[0].recording.provenance.run_id))
-    times = [run.recording.provenance.created_utc for run, _ in tagged]
+    tagged.sort(key=lambda one: (one[0].provenance.created_utc, one[0].provenance.run_id))
+    times = [run.provenance.created_utc for run, _ in tagged]
     known = all(map(_UTC.fullmatch, times)) and 2 * len(set(times)) >= len(times)
     sides = tuple(side for _, side in tagged)
     return Schedule(tuple(run for run, _ in tagged), sides, neighbours(sides), known)

@@ -10,7 +10,8 @@ from gpusimbench.evaluator.compute.work import Work
 from gpusimbench.evaluator.read.addresses import expand
 from gpusimbench.evaluator.results.evaluate import without_copies
 from gpusimbench.evaluator.runs.known_files import read_all
-from gpusimbench.evaluator.runs.reading import Read, Reader, Unreadable
+from gpusimbench.evaluator.runs.reader import Reader, Unreadable
+from gpusimbench.evaluator.runs.run import Run
 from gpusimbench.schemas import PARTIAL
 from gpusimbench.schemas.errors import UsageError
 from gpusimbench.schemas.location import Place
@@ -25,7 +26,7 @@ class Side:
     notes       on copies
     """
 
-    files: tuple[Read, ...]
+    files: tuple[Run, ...]
     unreadable: tuple[Unreadable, ...]
     notes: tuple[str, ...]
 
@@ -49,17 +50,17 @@ def read_sides(base: Sequence[Place], head: Sequence[Place], reader: Reader, wor
     wanted = list(dict.fromkeys([*base, *head]))
     read = dict(zip(wanted, read_all(wanted, reader, work), strict=True))
     one, other = (_side([read[place] for place in places]) for places in (base, head))
-    ours = {file.summary.provenance.run_id: file for file in one.files}
+    ours = {file.provenance.run_id: file for file in one.files}
     for file in other.files:
-        if same := ours.get(file.summary.provenance.run_id):
+        if same := ours.get(file.provenance.run_id):
             raise UsageError(
-                f"{same.summary.path} of base and {file.summary.path} of head are one run, which tells nothing when it "
+                f"{same.path} of base and {file.path} of head are one run, which tells nothing when it "
                 "is compared with itself; record a second set"
             )
     return one, other
 
 
-def _side(files: Sequence[Read | Unreadable]) -> Side:
+def _side(files: Sequence[Run | Unreadable]) -> Side:
     failures = [f for f in files if isinstance(f, Unreadable)]
-    distinct, notes = without_copies([f for f in files if isinstance(f, Read)], failures)
+    distinct, notes = without_copies([f for f in files if isinstance(f, Run)], failures)
     return Side(tuple(distinct), tuple(failures), tuple(notes))

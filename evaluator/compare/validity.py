@@ -10,7 +10,7 @@ from gpusimbench.evaluator.compare.matching import Pair
 from gpusimbench.evaluator.report.words import trouble
 from gpusimbench.evaluator.results.metric import Axis, Direction
 from gpusimbench.evaluator.runs.groups import Group
-from gpusimbench.evaluator.runs.summary import Summary
+from gpusimbench.evaluator.runs.run import Run
 from gpusimbench.evaluator.statistics.families import fisher
 
 
@@ -39,6 +39,6 @@ def compare_validity(pair: Pair) -> Finding | Question:
     )
 
 
-def _said(group: Group[Summary]) -> str:
+def _said(group: Group[Run]) -> str:
     found = f"{len(group.complete)} of {len(group.recordings)}"
     return f"{found}; {said}" if (said := trouble(group)) else found

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from typing import Any, TypeVar
+from typing import Any, TypeVar, get_type_hints
 
 from gpusimbench.evaluator.compute.cache.store import Store
 from gpusimbench.evaluator.compute.mapping import Mapper, serial
@@ -33,8 +33,8 @@ class Work:
         if self.store is None:
             return list(self.mapper(function, items))
         found = list(items)
-        keys = self.store.keys(function, found)
-        known = {key: stored for key in dict.fromkeys(keys) if (stored := self.store.get(key)) is not None}
+        keys, kind = self.store.keys(function, found), _kind_of(function)
+        known = {key: stored for key in dict.fromkeys(keys) if (stored := self.store.get(key, kind)) is not None}
         missing = {key: item for key, item in zip(keys, found, strict=True) if key not in known}
         for key, result in zip(missing, self.mapper(function, list(missing.values())), strict=True):
             self.store.put(key, result)
@@ -46,11 +46,17 @@ class Work:
         if self.store is None:
             return function(*arguments, self.mapper)
         (key,) = self.store.keys(function, [list(arguments)])
-        stored: _Result | None = self.store.get(key)
+        stored: _Result | None = self.store.get(key, _kind_of(function))
         if stored is None:
             stored = function(*arguments, self.mapper)
             self.store.put(key, stored)
         return stored
+
+
+def _kind_of(function: Callable[..., Any]) -> Any:
+    # what its results are, by its annotation
+    called = function if hasattr(function, "__qualname__") else type(function).__call__
+    return get_type_hints(called)["return"]
 
 
 HERE = Work()

@@ -11,7 +11,7 @@ from gpusimbench.evaluator.player.encode import encode
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.results.result import GroupResult
 from gpusimbench.evaluator.runs.groups import Group
-from gpusimbench.evaluator.runs.summary import Summary
+from gpusimbench.evaluator.runs.run import Run
 from gpusimbench.schemas.errors import NUMBERS_OF_A_STRANGER, GsbError
 
 BUDGET_BYTES = 6_000_000
@@ -58,7 +58,7 @@ def playback_of(results: Sequence[GroupResult], *, budget: int = BUDGET_BYTES) -
     return Playback(tuple(kept), tuple(NotShown(tuple(labels), reason) for reason, labels in missing.items()))
 
 
-def _clip(group: Group[Summary], title: str) -> Clip | str:
+def _clip(group: Group[Run], title: str) -> Clip | str:
     if not group.captured:
         return "no complete run captured states"
     runs = [run for run in group.complete if "capture" in run.configuration.phases]
@@ -68,7 +68,7 @@ def _clip(group: Group[Summary], title: str) -> Clip | str:
     try:
         clip = make_clip([Recording(path) for path in paths], title=title, budget=_CLIP_BYTES)
     except _UNREADABLE as error:
-        # numbers of a stranger that numpy cannot take, too; evaluator.runs.run_data reads them the same way
+        # numbers of a stranger that numpy cannot take, too; evaluator.runs.reader reads them the same way
         return str(error) or type(error).__name__
     return clip
 

@@ -6,6 +6,7 @@ import time
 from contextlib import suppress
 from dataclasses import dataclass
 
+from gpusimbench.evaluator.missing import Missing
 from gpusimbench.schemas.location import Location, Place
 
 _SETTLED_NS = 2_000_000_000
@@ -23,12 +24,12 @@ class Stamp:
     changed_ns: int
 
 
-def stamp_of(path: Place) -> Stamp | None:
-    """The stamp of a file of this machine; None where there is none that can be relied on."""
+def stamp_of(path: Place) -> Stamp | Missing:
+    """The stamp of a file of this machine; Missing where there is none that can be relied on."""
     if isinstance(path, Location):
-        return None
+        return Missing("the file is elsewhere")
     with suppress(OSError, ValueError):
         status = path.stat()
         if time.time_ns() - max(status.st_mtime_ns, status.st_ctime_ns) > _SETTLED_NS:
             return Stamp(status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns, status.st_ctime_ns)
-    return None
+    return Missing("the file was changed a moment ago, or cannot be asked for its times")

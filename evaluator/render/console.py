@@ -1,4 +1,4 @@
-"""Where tables are printed, and how they look: whatever is printed here is made of lines (see schemas.printable)."""
+"""Where tables are printed, and how they look: whatever is printed here is made of lines (see schemas.text)."""
 
 from __future__ import annotations
 

@@ -24,7 +24,7 @@ from gpusimbench.evaluator.results.paper_tables import capability
 from gpusimbench.evaluator.results.result import GroupResult
 from gpusimbench.evaluator.results.sweeps import SOURCES, Sweep, SweepPoint
 from gpusimbench.evaluator.results.validity import Validity
-from gpusimbench.evaluator.runs.summary import Summary
+from gpusimbench.evaluator.runs.run import Run
 
 
 def to_json(evaluation: Evaluation) -> dict[str, Any]:
@@ -171,7 +171,7 @@ def _metric(metric: Estimate) -> dict[str, Any]:
     }
 
 
-def _recording(recording: Summary) -> dict[str, Any]:
+def _recording(recording: Run) -> dict[str, Any]:
     return {
         "file": str(recording.path),
         "content_hash": recording.content_hash or None,

@@ -19,7 +19,7 @@ from gpusimbench.evaluator.results.evaluation import Evaluation
 from gpusimbench.evaluator.results.metric import Estimate
 from gpusimbench.evaluator.results.result import GroupResult
 from gpusimbench.evaluator.results.timed_work import SETTINGS, TimedWork
-from gpusimbench.evaluator.runs.summary import Summary
+from gpusimbench.evaluator.runs.run import Run
 from gpusimbench.schemas.errors import UsageError
 
 METRICS, RUNS = "metrics.parquet", "runs.parquet"
@@ -129,7 +129,7 @@ def _run_rows(evaluation: Evaluation) -> Iterator[dict[str, Any]]:
             yield _clean({**_key_of(result), **_run(recording)})
 
 
-def _run(recording: Summary) -> dict[str, Any]:
+def _run(recording: Run) -> dict[str, Any]:
     provenance = recording.provenance
     return {
         "file": str(recording.path),

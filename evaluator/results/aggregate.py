@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gpusimbench.evaluator.metrics.startup import typical_time
-from gpusimbench.evaluator.runs.run_data import RunData
+from gpusimbench.evaluator.runs.run import Run
 from gpusimbench.evaluator.statistics.jackknife import Interval, jackknife_mean
 
 NO_RUN = "no run of this group is complete"
@@ -18,7 +18,7 @@ NO_RUN = "no run of this group is complete"
 _MIN_RUNS = 3  # for an interval
 _ROUNDING = 1e-12  # of a value
 
-Runs = Sequence[RunData]
+Runs = Sequence[Run]
 
 
 @dataclass(frozen=True)

@@ -15,20 +15,20 @@ from gpusimbench.evaluator.results.aggregate import MEDIAN, Runs
 from gpusimbench.evaluator.results.details import CaptureOverhead, Memory, RunPresence, SharedRun, ShrunkRun, Throughput
 from gpusimbench.evaluator.results.group_runs import GroupRuns
 from gpusimbench.evaluator.results.metric import Axis, Direction, Estimate, Metric, each, missing, over_runs
-from gpusimbench.evaluator.runs.run_data import RunData
+from gpusimbench.evaluator.runs.run import Run
 
 _NOT_SAMPLED = "the timed phase was left out, or no memory was sampled in it"
 
 
-def _fps(run: RunData) -> float | Missing:
-    c = run.recording.configuration
+def _fps(run: Run) -> float | Missing:
+    c = run.configuration
     if not run.elapsed_s:
         return Missing("the timed phase was left out")
     return frames_per_second(c.n_env, c.timed_steps, run.elapsed_s)
 
 
 def _throughput(group: GroupRuns) -> Throughput:
-    simulation = group.runs[0].recording.simulation
+    simulation = group.runs[0].simulation
     return Throughput(timing_covers=simulation.timing_covers if simulation else "", co_tenants=_presence(group.runs))
 
 
@@ -38,18 +38,18 @@ def _presence(runs: Runs) -> tuple[RunPresence, ...] | None:
     return tuple(RunPresence(_index(r), r.cotenants.presence, tuple(r.cotenants.signs)) for r in runs)
 
 
-def _index(run: RunData) -> int:
-    return run.recording.configuration.run_index
+def _index(run: Run) -> int:
+    return run.configuration.run_index
 
 
-def _no_gpu(run: RunData) -> Missing | None:
-    of = run.recording
+def _no_gpu(run: Run) -> Missing | None:
+    of = run
     if not of.provenance.gpus:
         return Missing("no GPU on the machine that recorded")
     return Missing("this simulator ran on the CPU") if of.simulation and of.simulation.device == "cpu" else None
 
 
-def _device_increment(run: RunData) -> float | Missing:
+def _device_increment(run: Run) -> float | Missing:
     if (none := _no_gpu(run)) is not None:
         return none
     if run.cotenants.presence is Presence.SOME:
@@ -58,7 +58,7 @@ def _device_increment(run: RunData) -> float | Missing:
     return Missing(_NOT_SAMPLED) if found is None else found
 
 
-def _process_peak(run: RunData) -> float | Missing:
+def _process_peak(run: Run) -> float | Missing:
     if (none := _no_gpu(run)) is not None:
         return none
     found = process_peak(run)
@@ -69,19 +69,19 @@ def _process_peak(run: RunData) -> float | Missing:
     )
 
 
-def process_peak(run: RunData) -> int | None:
+def process_peak(run: Run) -> int | None:
     """What NVML attributed to the run's process in the timed phase, at most [byte]; None where it did not tell."""
     return run.gpu.process.peak if run.gpu and run.gpu.process else None
 
 
-def _allocator_peak(run: RunData) -> float | Missing:
+def _allocator_peak(run: Run) -> float | Missing:
     if (none := _no_gpu(run)) is not None:
         return none
     why_not = "the engine's allocator did not tell its peak, or had it while the simulator was built"
     return Missing(why_not) if isinstance(run.allocator, Missing) else run.allocator
 
 
-def _host_increment(run: RunData) -> float | Missing:
+def _host_increment(run: Run) -> float | Missing:
     found = run.host.peak_increment if run.host else None
     return Missing(_NOT_SAMPLED) if found is None else found
 
@@ -149,15 +149,15 @@ def _compile(metric: Metric, group: GroupRuns) -> Estimate:
     return over_runs(metric, group, f"compilation of what the {_compiled(group)} phase runs")
 
 
-def _overhead(run: RunData) -> float | Missing:
-    c = run.recording.configuration
+def _overhead(run: Run) -> float | Missing:
+    c = run.configuration
     if not (run.capture_s and run.elapsed_s):
         return Missing("timed and captured steps were not both clocked")
     return overhead(run.capture_s, c.steps, run.elapsed_s, c.timed_steps)
 
 
 def _capture(group: GroupRuns) -> CaptureOverhead:
-    stalled = [r.stalled_s / r.capture_s for r in group.runs if r.capture_s and r.elapsed_s]
+    stalled = [(r.stalled_s or 0.0) / r.capture_s for r in group.runs if r.capture_s and r.elapsed_s]
     return CaptureOverhead(stalled_share=float(np.mean(stalled)))
 
 

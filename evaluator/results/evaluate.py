@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gpusimbench.evaluator.check.protocol import RULE_SET, Protocol, Unmet
+from gpusimbench.evaluator.check.protocol import RULE_SET, Protocol, Unmet, unmet_by_file
 from gpusimbench.evaluator.compute.work import HERE, Work
-from gpusimbench.evaluator.missing import Missing, known, why_missing
+from gpusimbench.evaluator.missing import Missing, known
 from gpusimbench.evaluator.results.accumulation import accumulations
 from gpusimbench.evaluator.results.density_maps import reference_density, shared_map, with_cloud
 from gpusimbench.evaluator.results.details import SunkCubes
@@ -30,9 +30,8 @@ from gpusimbench.evaluator.results.timed_work import timed_work
 from gpusimbench.evaluator.results.validity import validity_of
 from gpusimbench.evaluator.runs import cotenancy
 from gpusimbench.evaluator.runs.groups import Group, group, labels, options_given, status_notes
-from gpusimbench.evaluator.runs.reading import Read, Reader, Unreadable
-from gpusimbench.evaluator.runs.run_data import RunData
-from gpusimbench.evaluator.runs.summary import Summary
+from gpusimbench.evaluator.runs.reader import Reader, Unreadable
+from gpusimbench.evaluator.runs.run import Run
 from gpusimbench.schemas.errors import DamagedRecording
 from gpusimbench.schemas.location import Place
 from gpusimbench.schemas.provenance import REAL
@@ -43,19 +42,19 @@ class _Found:
     """One group's result with what it was computed from."""
 
     result: GroupResult
-    runs: tuple[RunData, ...]
+    runs: tuple[Run, ...]
     planar: NDArray[np.float64] | None
 
 
 def evaluate_files(paths: Iterable[Place], *, sample_time: float = 5.0) -> Evaluation:
     """Every metric of every group of some recordings, whose digests are taken on trust; see `evaluate`."""
-    return evaluate(map(Reader(sample_time, verify=False), paths), sample_time=sample_time)
+    return evaluate(map(Reader(sample_time, unmet_by_file, verify=False), paths), sample_time=sample_time)
 
 
 def evaluate(
-    files: Iterable[Read | Unreadable],
+    files: Iterable[Run | Unreadable],
     *,
-    reference: Read | None = None,
+    reference: Run | None = None,
     sample_time: float = 5.0,
     work: Work = HERE,
 ) -> Evaluation:
@@ -70,29 +69,28 @@ def evaluate(
     """
     files = list(files)
     failures = [f for f in files if isinstance(f, Unreadable)]
-    distinct, notes = without_copies([f for f in files if isinstance(f, Read)], failures)
-    readable = [r.summary for r in distinct]
-    data = cotenancy.with_peers({r.summary.provenance.run_id: r.run for r in distinct if r.run})
+    distinct, notes = without_copies([f for f in files if isinstance(f, Run)], failures)
+    distinct = cotenancy.with_peers(distinct)
 
-    measured = [r for r in distinct if r.summary.configuration.simulator == REAL]
+    measured = [r for r in distinct if r.configuration.simulator == REAL]
     chosen, reference_note = _choose_reference(reference, measured)
     target, why_not = _use_reference(chosen) if chosen else (None, reference_note)
     if target:
-        if chosen and chosen.run and chosen.run.doubt:
-            notes.append(f"the reference {target.path.name}: {chosen.run.doubt.text}")
+        if chosen and chosen.doubt:
+            notes.append(f"the reference {target.path.name}: {chosen.doubt.text}")
         reference_note = reference_note or f"compared with {target.label} in {target.path.name}"
 
-    groups = [g for g in group(readable) if not g.measured]
+    groups = [g for g in group(distinct) if not g.measured]
     if len({g.key.dt for g in groups}) > 1:
         notes.append("the recordings differ in dt, which changes the outcome: each dt is a group of its own")
-    names = labels([g.key for g in groups], options_given(readable))
-    protocol = Protocol(readable)
+    names = labels([g.key for g in groups], options_given(distinct))
+    protocol = Protocol(distinct)
     if protocol.whole.count:
         notes.append(
             f"the recordings break rules of {RULE_SET} {_times(protocol.whole.count)}: gsb-check --protocol names them"
         )
     found = [
-        _evaluate_group(g, label, data, protocol.of(g.recordings), target or Missing(why_not), sample_time, work)
+        _evaluate_group(g, label, protocol.of(g.recordings), target or Missing(why_not), sample_time, work)
         for g, label in zip(groups, names, strict=True)
     ]
     notes += _identical_groups(found)
@@ -124,66 +122,59 @@ def _times(count: int) -> str:
     return "once" if count == 1 else f"{count} times"
 
 
-def without_copies(files: Sequence[Read], failures: list[Unreadable]) -> tuple[list[Read], list[str]]:
+def without_copies(files: Sequence[Run], failures: list[Unreadable]) -> tuple[list[Run], list[str]]:
     """Each run once, with notes on its copies; a file that is no copy but says so is added to the failures."""
-    seen: dict[str, Read] = {}
+    seen: dict[str, Run] = {}
     notes: list[str] = []
     # of a whole file and one that was cut short, the whole one stays
-    for read in sorted(files, key=lambda r: r.summary.status == "incomplete"):
-        recording = read.summary
-        first = seen.setdefault(recording.provenance.run_id, read)
-        if first is read:
+    for run in sorted(files, key=lambda r: r.status == "incomplete"):
+        first = seen.setdefault(run.provenance.run_id, run)
+        if first is run:
             continue
-        if recording.content_hash in (first.summary.content_hash, ""):
-            notes.append(f"{recording.path.name} is a copy of {first.summary.path.name}; it counts once")
+        if run.content_hash in (first.content_hash, ""):
+            notes.append(f"{run.path.name} is a copy of {first.path.name}; it counts once")
         else:
-            why = (
-                f"{recording.path} has the run id of {first.summary.path.name} and another content: one of them was "
-                "changed"
-            )
-            failures.append(Unreadable(recording.path, DamagedRecording(why)))
+            why = f"{run.path} has the run id of {first.path.name} and another content: one of them was changed"
+            failures.append(Unreadable(run.path, DamagedRecording(why)))
     return list(seen.values()), notes
 
 
-def _choose_reference(given: Read | None, measured: Sequence[Read]) -> tuple[Read | None, str]:
+def _choose_reference(given: Run | None, measured: Sequence[Run]) -> tuple[Run | None, str]:
     if given is not None:
         return given, ""
     if len(measured) == 1:
-        return measured[0], f"compared with the real trials in {measured[0].summary.path.name}"
+        return measured[0], f"compared with the real trials in {measured[0].path.name}"
     if measured:
         return None, f"{len(measured)} recordings of real trials are here: choose one with --reference"
     return None, "no reference: give real trials or another recording with --reference"
 
 
-def _use_reference(read: Read) -> tuple[Reference | None, str]:
-    recording = read.summary
-    name = recording.path.name
-    if recording.status != "complete":
-        return None, f"the reference {name} is {recording.status}: {recording.reason}"
-    if recording.dropouts:
-        return None, f"the reference {name} lost data: {recording.dropouts[0]}"
-    if read.run is None or not read.run.positions:
-        why_not = why_missing(read.run.positions) if read.run else "it was not read"
-        return None, f"the reference {name} cannot be used: {why_not}"
-    if read.run.doubt and read.run.doubt.wrong:
-        return None, f"the reference {name} cannot be used: {read.run.doubt.text}: record it again with --unit"
-    planar = read.run.positions.planar
-    c = recording.configuration
+def _use_reference(run: Run) -> tuple[Reference | None, str]:
+    name = run.path.name
+    if run.status != "complete":
+        return None, f"the reference {name} is {run.status}: {run.reason}"
+    if run.dropouts:
+        return None, f"the reference {name} lost data: {run.dropouts[0]}"
+    if isinstance(run.positions, Missing):
+        return None, f"the reference {name} cannot be used: {run.positions.reason}"
+    if run.doubt and run.doubt.wrong:
+        return None, f"the reference {name} cannot be used: {run.doubt.text}: record it again with --unit"
+    planar = run.positions.planar
+    c = run.configuration
     measured = c.simulator == REAL
     label = f"{len(planar)} real trials" if measured else f"{c.simulator} with {c.n_env} envs, dt {c.dt:g} s"
-    return Reference(label, recording.path, recording.provenance.run_id, measured, c.scene, planar), ""
+    return Reference(label, run.path, run.provenance.run_id, measured, c.scene, planar), ""
 
 
 def _evaluate_group(
-    group: Group[Summary],
+    group: Group[Run],
     label: str,
-    data: Mapping[str, RunData],
     unmet: Unmet,
     reference: Reference | Missing,
     sample_time: float,
     work: Work,
 ) -> _Found:
-    runs = tuple(data[r.provenance.run_id] for r in group.complete)
+    runs = group.complete
     group_runs = GroupRuns(runs, reference, work)
     planar = group_runs.planar
     result = GroupResult(
@@ -194,21 +185,19 @@ def _evaluate_group(
         validity=validity_of(group),
         fidelity=fidelity(label, [run.physics for run in runs]),
         notes=tuple(_notes(group, runs, reference, sample_time)),
-        spreads=tuple(RunSpread(r.recording.configuration.run_index, r.spread) for r in runs),
+        spreads=tuple(RunSpread(r.configuration.run_index, r.spread) for r in runs),
         timed=timed_work(group.key, runs, unmet),
     )
     result = replace(result, notes=(*result.notes, *_warnings(result)))
     return _Found(result, runs, known(planar))
 
 
-def _notes(
-    group: Group[Summary], runs: Sequence[RunData], reference: Reference | Missing, sample_time: float
-) -> list[str]:
+def _notes(group: Group[Run], runs: Sequence[Run], reference: Reference | Missing, sample_time: float) -> list[str]:
     notes = [*status_notes(group), *left_out(runs), *ends_early(runs)]
     sampled = next((r.positions.time for r in runs if r.positions), sample_time)
     if not math.isclose(sampled, sample_time, rel_tol=1e-9):
         notes.append(f"positions are those at {sampled:g} s, the step nearest to {sample_time:g} s")
-    if isinstance(reference, Reference) and reference.run_id in {r.recording.provenance.run_id for r in runs}:
+    if isinstance(reference, Reference) and reference.run_id in {r.provenance.run_id for r in runs}:
         notes.append("the reference is one of this group's own runs, whose distance of zero is part of the mean")
     return [*notes, *cotenancy.notes(runs)]
 

@@ -11,7 +11,7 @@ from gpusimbench.evaluator.results.ranking import Comparison
 from gpusimbench.evaluator.results.reference import Reference
 from gpusimbench.evaluator.results.result import GroupResult, Map
 from gpusimbench.evaluator.results.sweeps import Sweep
-from gpusimbench.evaluator.runs.reading import Unreadable
+from gpusimbench.evaluator.runs.reader import Unreadable
 
 SCHEMA_VERSION = 1
 """Version of the JSON that ``gsb-eval --json`` prints."""

@@ -125,7 +125,7 @@ def _run_to_run(metric: Metric, group: GroupRuns) -> Estimate:
             interval_why_not=no_interval,
             floor=group.work.once(floor, planar[0], planar[1]),
             bounds_cm=None if found.exactness == "exact" else (found.low_cm, found.mean_cm),
-            runs=tuple(r.recording.configuration.run_index for r in group.at_sample) if kept else None,
+            runs=tuple(r.configuration.run_index for r in group.at_sample) if kept else None,
             classes=group.classes if kept else None,
             matrix_cm=found.matrix_cm,
         ),
@@ -175,7 +175,7 @@ def _left_board(metric: Metric, group: GroupRuns) -> Estimate:
     runs = group.at_sample
     if not runs:
         return missing(metric, NO_RUN)
-    board = runs[0].recording.board
+    board = runs[0].board
     if board is None:
         return missing(metric, "this scene has no board to leave")
     if why_not := no_positions(runs):
@@ -257,7 +257,7 @@ def _resampled(
     return Resampled(
         probabilities=found.probabilities,
         runs=found.n_run,
-        decided_by=tuple(group.at_sample[at].recording.configuration.run_index for at in found.decided_by),
+        decided_by=tuple(group.at_sample[at].configuration.run_index for at in found.decided_by),
         agreement=found.agreement,
         distinct=len(set(group.classes)),
         run_differs_below=found.run_differs_below,

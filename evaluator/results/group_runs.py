@@ -39,7 +39,7 @@ class GroupRuns:
     @property
     def scene(self) -> str:
         """Its name; empty without a run."""
-        return self.runs[0].recording.configuration.scene if self.runs else ""
+        return self.runs[0].configuration.scene if self.runs else ""
 
     @cached_property
     def at_sample(self) -> Runs:
@@ -67,7 +67,7 @@ class GroupRuns:
 
         Positions, or a reference, that do not move are the very same objects.
         """
-        board = self.runs[0].recording.board if self.runs else None
+        board = self.runs[0].board if self.runs else None
         if board is None or isinstance(self.planar, Missing):
             return Missing("this scene has no board")
         moved = clamped(self.planar, board)

@@ -27,7 +27,7 @@ from gpusimbench.evaluator.results.details import (
 from gpusimbench.evaluator.results.group_runs import GroupRuns
 from gpusimbench.evaluator.results.metric import Direction, Estimate, Metric, Table, each, missing
 from gpusimbench.evaluator.results.sampled import no_positions
-from gpusimbench.evaluator.runs.run_data import RunData
+from gpusimbench.evaluator.runs.run import Run
 from gpusimbench.evaluator.runs.state_hashes import Histories, side_by_side
 
 _MM_PER_M = 1000.0
@@ -44,9 +44,9 @@ def _distinct_envs(metric: Metric, group: GroupRuns) -> Estimate:
     runs = group.runs
     if why_not := _no_hashes(runs):
         return missing(metric, why_not)
-    if runs[0].recording.action_names:
+    if runs[0].action_names:
         return missing(metric, "the environments were given different actions, so they differ by design")
-    simulation = runs[0].recording.simulation
+    simulation = runs[0].simulation
     if simulation and len(set(simulation.env_origins)) > 1:
         return missing(metric, "environments at different origins cannot be compared by bits")
     found = [r.histories for r in runs if r.histories]
@@ -93,7 +93,7 @@ def _distinct_runs(metric: Metric, group: GroupRuns) -> Estimate:
         details=DistinctRuns(
             classes=tuple(over_time.classes.tolist()),
             first_difference_step=int(steps[apart[0]]) if len(apart) else None,
-            runs=tuple(r.recording.configuration.run_index for r in runs if r.histories),
+            runs=tuple(r.configuration.run_index for r in runs if r.histories),
             over_time=_over_time(steps, over_time.instant, over_time.histories),
             tree=split_tree(steps, over_time),
             without_hashes=_without_hashes(runs),
@@ -135,11 +135,11 @@ def identical_steps(one: Runs, other: Runs) -> int:
     return count if len({h.until(count) for h in found}) == 1 else 0
 
 
-def comparable(run: RunData) -> tuple[Any, ...]:
+def comparable(run: Run) -> tuple[Any, ...]:
     """What two runs must have in common for their states to be compared by bits."""
-    c, simulation = run.recording.configuration, run.recording.simulation
+    c, simulation = run.configuration, run.simulation
     scene = simulation.scene.get("sha256") if simulation else None
-    return (str(scene), c.n_env, c.dt, c.seed if run.recording.action_names else 0, run.recording.fields)
+    return (str(scene), c.n_env, c.dt, c.seed if run.action_names else 0, run.fields)
 
 
 def _capture_effect(metric: Metric, group: GroupRuns) -> Estimate:
@@ -174,13 +174,13 @@ def _equality_of_envs(metric: Metric, group: GroupRuns) -> Estimate:
     runs = group.at_sample
     if why_not := no_positions(runs):
         return missing(metric, why_not)
-    if runs[0].recording.action_names:
+    if runs[0].action_names:
         return missing(metric, "the environments were given different actions, so they differ by design")
     found = [r.equality for r in runs if r.equality]
     if not found:
         return missing(metric, "needs at least two environments")
     worst = max(range(len(found)), key=lambda index: (found[index].level, _difference(found[index])))
-    return _level(metric, found[worst], len(found), runs[worst].recording.configuration.run_index)
+    return _level(metric, found[worst], len(found), runs[worst].configuration.run_index)
 
 
 def _equality_of_runs(metric: Metric, group: GroupRuns) -> Estimate:
@@ -199,7 +199,7 @@ def _equality_of_runs(metric: Metric, group: GroupRuns) -> Estimate:
     return _level(metric, found, len(runs))
 
 
-def _rate(run: RunData) -> float | Missing:
+def _rate(run: Run) -> float | Missing:
     if isinstance(run.spread, Missing):
         return run.spread
     return run.spread.fit if isinstance(run.spread.fit, Missing) else run.spread.fit.rate

@@ -12,7 +12,7 @@ from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.results.aggregate import MEAN, NO_RUN, Aggregator
 from gpusimbench.evaluator.results.details import Details, OverRuns
 from gpusimbench.evaluator.results.group_runs import GroupRuns
-from gpusimbench.evaluator.runs.run_data import RunData
+from gpusimbench.evaluator.runs.run import Run
 
 BYTES = {"GB": 1e9, "MB": 1e6}
 """Units of memory, in bytes."""
@@ -168,7 +168,7 @@ def missing(metric: Metric, why_not: str, details: Details | None = None) -> Est
     return Estimate(metric, Missing(why_not), exactness="none", details=details or Details())
 
 
-def each(of_run: Callable[[RunData], float | Missing]) -> Values:
+def each(of_run: Callable[[Run], float | Missing]) -> Values:
     """The values of all runs of a group, by a function of one run."""
     return lambda group: [of_run(run) for run in group.runs]
 

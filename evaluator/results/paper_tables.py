@@ -13,7 +13,7 @@ from gpusimbench.evaluator.results.result import GroupResult
 from gpusimbench.evaluator.results.sweeps import Failure, Sweep
 from gpusimbench.evaluator.results.timed_work import TimedWork
 from gpusimbench.evaluator.runs.groups import GroupKey, is_instrument, labels, options_given, settings_asked
-from gpusimbench.evaluator.runs.summary import Summary
+from gpusimbench.evaluator.runs.run import Run
 
 CAPABILITY_SCENES = ("free-fall", "franka")
 VARIABILITY_SCENE = "inclined-collision"
@@ -104,7 +104,7 @@ def _elsewhere(key: GroupKey, by_scene: Mapping[str, Sweep], results: Sequence[G
     return tuple(f"{r.group.key.scene}: {wrong}" for r in others if (wrong := faults(r)))
 
 
-def _recordings(sweep: Sweep) -> list[Summary]:
+def _recordings(sweep: Sweep) -> list[Run]:
     return [r for point in sweep.points for r in point.recordings]
 
 

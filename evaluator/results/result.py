@@ -14,8 +14,8 @@ from gpusimbench.evaluator.results.metric import Estimate
 from gpusimbench.evaluator.results.timed_work import TimedWork
 from gpusimbench.evaluator.results.validity import Validity
 from gpusimbench.evaluator.runs.groups import Group
+from gpusimbench.evaluator.runs.run import Run
 from gpusimbench.evaluator.runs.spread import Spread
-from gpusimbench.evaluator.runs.summary import Summary
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,7 @@ class GroupResult:
     timed            what its throughput was measured over
     """
 
-    group: Group[Summary]
+    group: Group[Run]
     label: str
     metrics: dict[str, Estimate]
     cloud: Cloud | None

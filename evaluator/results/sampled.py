@@ -66,5 +66,5 @@ def ends_early(runs: Runs) -> list[str]:
 
 def named(runs: Runs) -> str:
     """Runs by index and file: "run 2 (a.mcap)", "runs 2 (a.mcap), 3 (b.mcap)"."""
-    parts = [f"{run.recording.configuration.run_index} ({run.recording.path.name})" for run in runs]
+    parts = [f"{run.configuration.run_index} ({run.path.name})" for run in runs]
     return f"run{'' if len(parts) == 1 else 's'} {', '.join(parts)}"

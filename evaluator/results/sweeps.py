@@ -12,7 +12,7 @@ from gpusimbench.evaluator.results.cost_metrics import common_memory
 from gpusimbench.evaluator.results.metric import Estimate
 from gpusimbench.evaluator.results.result import GroupResult
 from gpusimbench.evaluator.runs.groups import GroupKey, asked, labels, options_given
-from gpusimbench.evaluator.runs.summary import Summary
+from gpusimbench.evaluator.runs.run import Run
 
 LONG = 3
 """From so many points on, a sweep is shown as one, and its points no more as groups of their own."""
@@ -58,7 +58,7 @@ class SweepPoint:
     others: tuple[GroupResult, ...] = ()
 
     @property
-    def recordings(self) -> tuple[Summary, ...]:
+    def recordings(self) -> tuple[Run, ...]:
         """All runs at this number of environments."""
         return tuple(r for result in (self.result, *self.others) for r in result.group.recordings)
 
@@ -204,7 +204,7 @@ def _model(found: Sequence[tuple[int, Estimate]]) -> MemoryModel | Missing:
     return fit_memory([n for n, _ in measured], [memory for _, memory in measured])
 
 
-def _failure(recording: Summary) -> Failure:
+def _failure(recording: Run) -> Failure:
     if recording.status == "complete":
         return Failure("lost data", "", recording.dropouts[0])
     status = "INVALID" if recording.status == "invalid" else recording.status

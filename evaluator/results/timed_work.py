@@ -13,7 +13,7 @@ from typing import Any
 from gpusimbench.evaluator.check.protocol import Unmet
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.runs.groups import GroupKey
-from gpusimbench.evaluator.runs.run_data import RunData
+from gpusimbench.evaluator.runs.run import Run
 
 SHORT_S = 1.0
 """A timed phase below this [s] is marked: a pause of the system or a change of clocks is a large part of it."""
@@ -69,7 +69,7 @@ class TimedWork:
         return self.seconds is not None and self.seconds[0] < SHORT_S
 
 
-def timed_work(key: GroupKey, runs: Sequence[RunData], unmet: Unmet) -> TimedWork:
+def timed_work(key: GroupKey, runs: Sequence[Run], unmet: Unmet) -> TimedWork:
     """Of a group by its key, its complete runs and the rules that its recordings do not meet."""
     firsts = [run.timed_from for run in runs if not isinstance(run.timed_from, Missing)]
     windows = {Window(first, first + key.timed_steps) for first in firsts}

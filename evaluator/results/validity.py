@@ -9,7 +9,7 @@ import numpy as np
 
 from gpusimbench.evaluator.results.claims import Claim, every
 from gpusimbench.evaluator.runs.groups import Group
-from gpusimbench.evaluator.runs.summary import BitSummary, Summary
+from gpusimbench.evaluator.runs.run import BitSummary, Run
 from gpusimbench.schemas.provenance import Buffer, OverflowBit
 
 PHASES = ("capture", "timed")
@@ -121,7 +121,7 @@ class Validity:
         return next((found[phase] for phase in phases or PHASES if phase in found), None)
 
 
-def validity_of(group: Group[Summary]) -> Validity:
+def validity_of(group: Group[Run]) -> Validity:
     """Read it from the group's recordings; DamagedRecording where one says what cannot be."""
     return Validity(
         counted=tuple(_counted(group.complete)),
@@ -132,7 +132,7 @@ def validity_of(group: Group[Summary]) -> Validity:
     )
 
 
-def _counted(runs: Sequence[Summary]) -> Iterable[Counted]:
+def _counted(runs: Sequence[Run]) -> Iterable[Counted]:
     meanings = {c.name: c.meaning for run in runs if run.simulation for c in run.simulation.counters}
     names = dict.fromkeys([*meanings, *(name for run in runs for by in run.counts.values() for name in by)])
     for name in names:
@@ -151,7 +151,7 @@ def _counted(runs: Sequence[Summary]) -> Iterable[Counted]:
                 )
 
 
-def _buffers(runs: Sequence[Summary]) -> Iterable[BufferUse]:
+def _buffers(runs: Sequence[Run]) -> Iterable[BufferUse]:
     buffers = dict.fromkeys(buffer for run in runs if run.simulation for buffer in run.simulation.buffers)
     for buffer in buffers:
         having = [run for run in runs if run.simulation and buffer in run.simulation.buffers]
@@ -164,7 +164,7 @@ def _buffers(runs: Sequence[Summary]) -> Iterable[BufferUse]:
         yield BufferUse(buffer, max(needed, default=None))
 
 
-def _overflow(runs: Sequence[Summary]) -> tuple[OverflowSeen, ...] | None:
+def _overflow(runs: Sequence[Run]) -> tuple[OverflowSeen, ...] | None:
     telling = [run for run in runs if run.overflows]
     if not telling:
         return None
@@ -179,7 +179,7 @@ def _overflow(runs: Sequence[Summary]) -> tuple[OverflowSeen, ...] | None:
     return tuple(_seen(described.get(bit), seen[bit]) for bit in sorted(seen))
 
 
-def _told(runs: Sequence[Summary]) -> Claim:
+def _told(runs: Sequence[Run]) -> Claim:
     telling = sum(bool(run.overflows) for run in runs)
     why_not = f"{telling} of {len(runs)} complete runs tell of their overflow" if runs else NOTHING_TOLD.why_not
     return every((True if run.overflows else None for run in runs), why_not)
@@ -199,7 +199,7 @@ def _seen(described: OverflowBit | None, found: Sequence[tuple[BitSummary, str, 
     )
 
 
-def _actions(runs: Sequence[Summary]) -> Iterable[ActionsApplied]:
+def _actions(runs: Sequence[Run]) -> Iterable[ActionsApplied]:
     for phase in dict.fromkeys(phase for run in runs for phase in run.action_streams):
         found = [run.action_streams[phase] for run in runs if phase in run.action_streams]
         yield ActionsApplied(

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 from gpusimbench.evaluator.metrics.cotenants import TIMED, Presence, Sign, cotenants, peers_of
 from gpusimbench.evaluator.metrics.memory import GpuMemory
 from gpusimbench.evaluator.runs.groups import key_of
-from gpusimbench.evaluator.runs.run_data import RunData
-from gpusimbench.evaluator.runs.summary import Summary
+from gpusimbench.evaluator.runs.run import Run
 
 _KIND = ("name", "driver", "cuda_driver", "memory_bytes", "compute_capability", "ecc", "mig", "persistence_mode")
 """What the driver keeps for itself depends on, of a GPU."""
@@ -19,34 +18,29 @@ _MACHINE = ("cpu", "memory_bytes")
 """The same of the host, by which machines of another kind are told apart."""
 
 
-def with_peers(runs: Mapping[str, RunData]) -> dict[str, RunData]:
+def with_peers(runs: Sequence[Run]) -> list[Run]:
     """The same runs, each with what all of them tell of the other processes on its device."""
     idle: dict[str, int] = {}
     alike: dict[object, list[GpuMemory]] = {}
-    for run in runs.values():
+    for run in runs:
         if not run.gpu:
             continue
-        alike.setdefault(key_of(run.recording), []).append(run.gpu)
+        alike.setdefault(key_of(run), []).append(run.gpu)
         if run.gpu.device.baseline is not None:
-            kind = _kind(run.recording)
+            kind = _kind(run)
             idle[kind] = min(run.gpu.device.baseline, idle.get(kind, run.gpu.device.baseline))
-    return {
-        run_id: replace(
-            run,
-            cotenants=cotenants(
-                run.gpu, peers_of(alike[key_of(run.recording)], idle_bytes=idle.get(_kind(run.recording)))
-            ),
-        )
+    return [
+        replace(run, cotenants=cotenants(run.gpu, peers_of(alike[key_of(run)], idle_bytes=idle.get(_kind(run)))))
         if run.gpu
         else run
-        for run_id, run in runs.items()
-    }
+        for run in runs
+    ]
 
 
-def notes(runs: Sequence[RunData]) -> list[str]:
+def notes(runs: Sequence[Run]) -> list[str]:
     """What a reader must know beside throughput and memory: a sentence for each run with a co-tenant."""
     return [
-        f"run {run.recording.configuration.run_index}: another process was on the GPU "
+        f"run {run.configuration.run_index}: another process was on the GPU "
         f"({described(run.cotenants.signs)}): the increment of GPU memory leaves this run out, and its throughput may "
         "be lower for it"
         for run in runs
@@ -70,6 +64,6 @@ def _said(signs: Sequence[Sign]) -> str:
     return f"at {moments}: {many}{f'{max(held) / 1e9:.3g} GB' if held else 'bytes unknown'}, since {first.by}"
 
 
-def _kind(recording: Summary) -> str:
+def _kind(recording: Run) -> str:
     gpu, host = recording.provenance.gpus[0], recording.provenance.host
     return json.dumps([*(gpu.get(name) for name in _KIND), *(host.get(name) for name in _MACHINE)], default=str)

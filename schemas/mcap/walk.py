@@ -24,6 +24,7 @@ Report = Callable[[Fault, str], None]
 OF_DATA = (Op.MESSAGE, Op.CHUNK, Op.MESSAGE_INDEX, Op.ATTACHMENT, Op.METADATA, Op.DATA_END)
 """Records that stand in the data section alone."""
 
+_IN_CHUNK = (Op.SCHEMA, Op.CHANNEL, Op.MESSAGE)
 _IN_DATA = (Op.HEADER, Op.SCHEMA, Op.CHANNEL, *OF_DATA)
 _HEAD = Struct("<BQ")  # of a record: opcode, and bytes that follow
 _PIECE_BYTES = 4 << 20  # that a CRC is computed of at once
@@ -159,16 +160,16 @@ class Walk:
 
     def within(self, data: memoryview, at: int) -> Iterator[Record]:
         """What declares and what tells something among the records of the chunk at byte `at`, from its bytes."""
-        end = 0
+        inner = None
         for inner in split(data):
-            end = inner.end
-            if inner.opcode in (Op.SCHEMA, Op.CHANNEL, Op.MESSAGE):
+            opcode = inner.opcode
+            if opcode in _IN_CHUNK:
                 yield inner
-            elif not 0 < inner.opcode <= Op.DATA_END:
-                self._unknown(inner.opcode, len(inner.content), f"byte {inner.begin} of the chunk at byte {at}")
+            elif not 0 < opcode <= Op.DATA_END:
+                self._unknown(opcode, len(inner.content), f"byte {inner.begin} of the chunk at byte {at}")
             else:
-                self._skip("record", f"the chunk at byte {at} holds a record of type {inner.opcode}")
-        if end != len(data):
+                self._skip("record", f"the chunk at byte {at} holds a record of type {opcode}")
+        if (0 if inner is None else inner.end) != len(data):
             self._wrong("record", f"the chunk at byte {at} ends within a record")
 
     def attachment(self, record: Record) -> Attachment:

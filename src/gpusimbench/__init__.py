@@ -113,11 +113,12 @@ def evaluate(
     and the files that could not be read, which do not stop the others. Raises the reference's own error where that
     cannot be read, and Unreachable where a pattern's file system cannot be reached.
     """
+    from gpusimbench.evaluator.check.protocol import unmet_by_file
     from gpusimbench.evaluator.read.addresses import expand
     from gpusimbench.evaluator.results import evaluate as computing
-    from gpusimbench.evaluator.runs.reading import Reader, Unreadable
+    from gpusimbench.evaluator.runs.reader import Reader, Unreadable
 
-    read = Reader(sample_time, verify=verified)
+    read = Reader(sample_time, unmet_by_file, verify=verified)
     places = expand([place(file) for file in files])
     other = read(place(reference)) if reference is not None else None
     if isinstance(other, Unreadable):
@@ -140,14 +141,15 @@ def compare(
     Returns a Result: a comparison for each configuration that both have, with its findings, and an exit code. Raises
     UsageError where a run is in both sets, or where a folder has no recordings.
     """
+    from gpusimbench.evaluator.check.protocol import unmet_by_file
     from gpusimbench.evaluator.compare import compare as comparing
     from gpusimbench.evaluator.compare.finding import Settings
     from gpusimbench.evaluator.compare.sides import places_of, read_sides
     from gpusimbench.evaluator.compute.work import HERE
-    from gpusimbench.evaluator.runs.reading import Reader
+    from gpusimbench.evaluator.runs.reader import Reader
 
     ours, theirs = places_of(list(map(place, base)), "base"), places_of(list(map(place, head)), "head")
-    sides = read_sides(ours, theirs, Reader(sample_time), HERE)
+    sides = read_sides(ours, theirs, Reader(sample_time, unmet_by_file), HERE)
     return comparing.compare(*sides, Settings(alpha=alpha, threshold=threshold), HERE, across)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import Any
 
@@ -49,11 +49,17 @@ def _estimate(name: str, value: float | None, n: int, without_hashes: int | None
 
 @dataclass(frozen=True)
 class _Run:
-    """As much of RunData as bits need: None has no state hashes, others are equal where their numbers are."""
+    """As much of a Run as bits need: None has no state hashes, others are equal where their numbers are."""
 
     state: int | None
     n_env: int = 2
-    recording: Any = field(default=None, compare=False)
+    action_names: tuple[str, ...] = ()
+    simulation: None = None
+    fields: tuple[str, ...] = ()
+
+    @property
+    def configuration(self) -> Any:
+        return SimpleNamespace(n_env=self.n_env, dt=0.1, seed=0, phases=("capture",), run_index=0)
 
     @property
     def histories(self) -> Any:
@@ -64,9 +70,7 @@ class _Run:
 
 
 def _runs(states: list[int | None], n_env: int = 2) -> list[Any]:
-    configuration = SimpleNamespace(n_env=n_env, dt=0.1, seed=0, phases=("capture",), run_index=0)
-    recording = SimpleNamespace(action_names=(), simulation=None, configuration=configuration, fields=())
-    return [_Run(state, n_env, recording) for state in states]
+    return [_Run(state, n_env) for state in states]
 
 
 STATES = st.lists(st.sampled_from([1, 2, None]), max_size=4)

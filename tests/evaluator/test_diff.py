@@ -22,9 +22,9 @@ from gpusimbench.evaluator.diff.result import Basis, Change, Difference, StepRan
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.results.details import Equality
-from gpusimbench.evaluator.results.identity_metrics import equality_of_runs
-from gpusimbench.evaluator.runs.run_data import read_run
-from gpusimbench.evaluator.runs.summary import summarise
+from gpusimbench.evaluator.results.group_runs import GroupRuns
+from gpusimbench.evaluator.results.identity_metrics import EQUALITY_RUNS
+from gpusimbench.evaluator.runs.reader import read_run
 from gpusimbench.recorder.capture import states as capture
 from gpusimbench.recorder.capture.states import StateWriter
 from gpusimbench.schemas.errors import DamagedRecording, NothingComparable, UsageError
@@ -533,7 +533,7 @@ def test_another_order_is_recognised(
     assert diff_command([str(a.path), str(b.path)]) == 4
     assert (said or "DIFFERENT") in " ".join(capsys.readouterr().out.split())
     assert ("up to the order" in said) is bool(said)
-    metric = equality_of_runs([read_run(r, summarise(r), 0.08) for r in (a, b)])
+    metric = EQUALITY_RUNS.estimate(GroupRuns([read_run(r, 0.08) for r in (a, b)]))
     assert metric.of(Equality).text == (said.split(",")[0] if said else "different")
 
 

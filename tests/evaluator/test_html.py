@@ -43,8 +43,8 @@ from gpusimbench.evaluator.results.metrics import METRICS
 from gpusimbench.evaluator.results.ranking import Comparison, Contender
 from gpusimbench.evaluator.results.reference import Reference
 from gpusimbench.evaluator.results.result import Cloud, GroupResult, Map
-from gpusimbench.evaluator.runs.reading import Unreadable
-from gpusimbench.evaluator.runs.summary import Summary, summarise
+from gpusimbench.evaluator.runs.reader import Unreadable, read_run
+from gpusimbench.evaluator.runs.run import Run
 from gpusimbench.schemas.errors import DamagedRecording, GsbError
 from tests.synthetic import write_recording, write_sweep
 
@@ -95,9 +95,9 @@ class Page(HTMLParser):
 
 
 @pytest.fixture(scope="module")
-def recorded(small: Path) -> Summary:
+def recorded(small: Path) -> Run:
     """A small recording of MuJoCo."""
-    return summarise(Recording(small))
+    return read_run(Recording(small), 5.0)
 
 
 def cloud(positions: np.ndarray) -> Cloud:
@@ -152,7 +152,7 @@ def result(base: GroupResult, label: str, seed: int, *, off_map: int = 0) -> Gro
 
 
 @pytest.fixture(scope="module")
-def alone(recorded: Summary) -> Evaluation:
+def alone(recorded: Run) -> Evaluation:
     """One real group and no reference, sampled at a step that was recorded."""
     return evaluate_files([recorded.path], sample_time=0.1)
 
@@ -303,7 +303,7 @@ def test_maps_share_one_colour_scale(several: Evaluation) -> None:
     assert len(tops) == 1  # and one for the marginals
 
 
-def test_problems_stand_above_the_results(several: Evaluation, recorded: Summary) -> None:
+def test_problems_stand_above_the_results(several: Evaluation, recorded: Run) -> None:
     """Name files that were damaged, failed or cut short, with their reasons, before any table."""
     failed = replace(recorded, status="failed", reason="the engine ran out of memory")
     base = several.results[0]
@@ -318,7 +318,7 @@ def test_problems_stand_above_the_results(several: Evaluation, recorded: Summary
     assert "Files with problems" not in Page(render(replace(several, unreadable=()))).text
 
 
-def test_hostile_text_stays_text(several: Evaluation, recorded: Summary) -> None:
+def test_hostile_text_stays_text(several: Evaluation, recorded: Run) -> None:
     """Let nothing that a file says become an element or an attribute."""
     assert recorded.simulation is not None
     deviation = replace(recorded.simulation.deviations[0], parameter=HOSTILE, reason=HOSTILE, used=HOSTILE)
@@ -371,7 +371,7 @@ def test_deviations_are_in_sight(alone: Evaluation) -> None:
         assert deviation.reason in shown
 
 
-def test_provenance_is_complete(alone: Evaluation, recorded: Summary) -> None:
+def test_provenance_is_complete(alone: Evaluation, recorded: Run) -> None:
     """Show the machine, the software, the switches and the recording's full hash."""
     text = render(alone)
     page = Page(text)

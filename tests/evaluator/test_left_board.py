@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial.distance import cdist
 
+from gpusimbench.evaluator.check.protocol import unmet_by_file
 from gpusimbench.evaluator.metrics.board import Board, clamped
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.read.recording import Recording
@@ -29,7 +30,8 @@ from gpusimbench.evaluator.report.tables import print_tables
 from gpusimbench.evaluator.results.details import BetweenRuns, OffTheBoard
 from gpusimbench.evaluator.results.evaluate import evaluate, evaluate_files
 from gpusimbench.evaluator.results.evaluation import Evaluation
-from gpusimbench.evaluator.runs.reading import Read, Reader
+from gpusimbench.evaluator.runs.reader import Reader
+from gpusimbench.evaluator.runs.run import Run
 from tests.synthetic import grid, write_recording
 
 H200 = Path(__file__).resolve().parents[2] / "recordings" / "h200"
@@ -107,9 +109,9 @@ def few(tmp_path_factory: pytest.TempPathFactory) -> Evaluation:
     files.append(write_recording(folder, final, run=2))
     away = grid(8)
     away[0, 0] = (-9.0, 0.0, -9.0)
-    read = Reader(5.0)
+    read = Reader(5.0, unmet_by_file)
     reference = read(write_recording(folder, away, simulator="other"))
-    assert isinstance(reference, Read)
+    assert isinstance(reference, Run)
     return evaluate([read(path) for path in files], reference=reference)
 
 

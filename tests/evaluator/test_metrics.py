@@ -28,7 +28,7 @@ from tests.synthetic import write_recording
 STEPS = Metric(
     "captured_steps", "steps of the capture", "steps", Direction.HIGHER,
     "number of steps that the capture phase was asked for; mean over runs",
-    method="steps that were asked for", values=each(lambda run: float(run.recording.configuration.steps)),
+    method="steps that were asked for", values=each(lambda run: float(run.configuration.steps)),
     axis=Axis.BUILD,
 )  # fmt: skip
 

@@ -19,7 +19,9 @@ from hypothesis import strategies as st
 from benchmarks.scale import report
 from benchmarks.scale_cost import Plan, Prices, Rates, extrapolate
 from benchmarks.scale_runs import record
-from gpusimbench.evaluator.runs.reading import Read, Reader
+from gpusimbench.evaluator.check.protocol import unmet_by_file
+from gpusimbench.evaluator.runs.reader import Reader
+from gpusimbench.evaluator.runs.run import Run
 from gpusimbench.evaluator.transport.pair import MATRIX_LIMIT
 from tests.synthetic import grid, write_recording
 from tests.test_docs import blocks, commands, shell
@@ -78,13 +80,12 @@ def _taken(path: Path) -> tuple[int, int]:
     # bytes that stay, and at most
     gc.collect()
     tracemalloc.start()
-    read = Reader(1.0)(path)
+    read = Reader(1.0, unmet_by_file)(path)
     gc.collect()
     found = tracemalloc.get_traced_memory()
     tracemalloc.stop()
-    assert isinstance(read, Read)
-    assert read.run is not None
-    assert read.run.positions is not None
+    assert isinstance(read, Run)
+    assert read.positions
     return found
 
 
@@ -114,8 +115,8 @@ def test_environments_of_the_runs_all_differ(tmp_path: Path) -> None:
     """Record runs in which no two environments, and no two runs, are the same, so that nothing is left out."""
     pytest.importorskip("mujoco")
     paths = record(tmp_path, runs=2, n_env=3, steps=10)
-    reads = [Reader(0.1)(path) for path in paths]
-    histories = [r.run.histories for r in reads if isinstance(r, Read) and r.run and r.run.histories]
+    reads = [Reader(0.1, unmet_by_file)(path) for path in paths]
+    histories = [r.histories for r in reads if isinstance(r, Run) and r.histories]
     assert [h.n_distinct for h in histories] == [3, 3]
     assert histories[0].until(11) != histories[1].until(11)
 

@@ -15,9 +15,11 @@ from typing import Any
 import numpy as np
 
 from gpusimbench import open_recording
+from gpusimbench.evaluator.check.protocol import unmet_by_file
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.results.evaluate import evaluate
-from gpusimbench.evaluator.runs.reading import Read, Reader
+from gpusimbench.evaluator.runs.reader import Reader
+from gpusimbench.evaluator.runs.run import Run
 from gpusimbench.schemas.errors import GsbError
 
 SECONDS_A_STEP = 20
@@ -125,8 +127,8 @@ def use(path: Path, other: Path, turn: int) -> None:
             with contextlib.suppress(GsbError):
                 read()
     with in_time(), contextlib.suppress(GsbError):
-        read = [Reader(5.0, verify=False)(file) for file in ([path], [path, other])[turn % 2]]
-        evaluate(read, reference=read[0] if isinstance(read[0], Read) else None)
+        read = [Reader(5.0, unmet_by_file, verify=False)(file) for file in ([path], [path, other])[turn % 2]]
+        evaluate(read, reference=read[0] if isinstance(read[0], Run) else None)
     with tempfile.TemporaryDirectory(dir=path.parent) as out:
         calls = command_lines(path, other, Path(out))
         name, arguments = calls[turn % len(calls)]

@@ -11,7 +11,7 @@ from pathlib import Path
 from stat import S_ISREG
 from typing import Any
 
-from gpusimbench.evaluator.compute.cache.codec import Codec
+from gpusimbench.evaluator.compute.cache.codec import decode, encode
 from gpusimbench.evaluator.compute.cache.version import code_version
 from gpusimbench.schemas import PARTIAL
 from gpusimbench.schemas.errors import GsbError
@@ -26,16 +26,25 @@ _MOST = 256 << 20  # bytes of an entry
 _ABANDONED_S = 3600
 
 
+def default_folder() -> Path | None:
+    """GSB_CACHE, or gpusimbench in the user's folder of caches (XDG Base Directory Specification); None without one."""
+    if given := os.environ.get("GSB_CACHE"):
+        return Path(given)
+    home = os.environ.get("XDG_CACHE_HOME")
+    try:
+        return (Path(home) if home else Path.home() / ".cache") / "gpusimbench"
+    except RuntimeError:  # of a user that nobody knows, as in many a container
+        return None
+
+
 class Store:
     """Results by key. Several processes may use one folder; whatever goes wrong with a file, its result is missing.
 
     folder  made when first written to
-    codec   of the results
     """
 
-    def __init__(self, folder: Path, codec: Codec) -> None:
+    def __init__(self, folder: Path) -> None:
         self._folder = folder
-        self._codec = codec
 
     def keys(self, function: Callable[..., Any], items: Sequence[Any]) -> list[str]:
         """Of a function's result for each item: the function, the item, the versions of all code that computes.
@@ -44,11 +53,11 @@ class Store:
         """
         named = getattr(function, "__qualname__", None)
         digest = hashlib.sha256(code_version().encode())
-        digest.update(self._codec.encode(f"{function.__module__}.{named}" if named else function))
+        digest.update(encode(f"{function.__module__}.{named}" if named else function))
         found = []
         for item in items:
             one = digest.copy()
-            one.update(self._codec.encode(item))
+            one.update(encode(item))
             found.append(one.hexdigest())
         return found
 
@@ -56,8 +65,8 @@ class Store:
         """Of a function's result for one item."""
         return self.keys(function, [item])[0]
 
-    def get(self, key: str) -> Any:
-        """The result, None where there is none."""
+    def get(self, key: str, kind: Any) -> Any:
+        """The result, None where there is none of that kind: a class or another type hint."""
         path = self._path(key)
         try:
             status = path.stat()
@@ -68,8 +77,10 @@ class Store:
             document = memoryview(stored)[_DIGEST:]
             if _sealed(key, document) != stored[:_DIGEST]:
                 return None
-            result = self._codec.decode(document)
+            result = decode(document, kind)
         except (OSError, ValueError):
+            return None
+        if isinstance(kind, type) and not isinstance(result, kind):
             return None
         with suppress(OSError):
             os.utime(path)
@@ -78,7 +89,7 @@ class Store:
     def put(self, key: str, result: Any) -> None:
         """Keep a result. One that cannot be written is not kept: the next evaluation computes it again."""
         path = self._path(key)
-        document = self._codec.encode(result)
+        document = encode(result)
         if _DIGEST + len(document) > _MOST:
             return
         with suppress(OSError, GsbError):

@@ -6,7 +6,7 @@ from typing import Any
 
 from gpusimbench.evaluator.report.page.section import Section, Source
 from gpusimbench.evaluator.results.result import GroupResult
-from gpusimbench.evaluator.runs.summary import Summary
+from gpusimbench.evaluator.runs.run import Run
 
 
 def section(source: Source) -> Section:
@@ -19,9 +19,9 @@ def _simulation_of(result: GroupResult) -> Any:
     return next((r.simulation for r in result.group.recordings if r.simulation), None)
 
 
-def _origins(result: GroupResult) -> list[tuple[str, Summary]]:
+def _origins(result: GroupResult) -> list[tuple[str, Run]]:
     """One recording for each machine and software that the group's runs come from, with those runs' indices."""
-    alike: dict[str, list[Summary]] = {}
+    alike: dict[str, list[Run]] = {}
     for recording in result.group.recordings:
         p = recording.provenance
         alike.setdefault(repr((p.host, p.gpus, p.software, p.environment)), []).append(recording)

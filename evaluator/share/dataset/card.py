@@ -17,9 +17,9 @@ from gpusimbench.evaluator.report import timed, words
 from gpusimbench.evaluator.results.evaluation import Evaluation
 from gpusimbench.evaluator.results.result import GroupResult
 from gpusimbench.evaluator.runs.groups import shown_status
-from gpusimbench.evaluator.runs.summary import Summary
+from gpusimbench.evaluator.runs.run import Run
 from gpusimbench.evaluator.share.dataset.citation import Publication, quoted
-from gpusimbench.evaluator.share.dataset.contents import LookedAt, summaries
+from gpusimbench.evaluator.share.dataset.contents import LookedAt, runs_of
 from gpusimbench.evaluator.share.dataset.licences import HUB_NAMES
 from gpusimbench.evaluator.share.dataset.markdown import cell, fenced
 
@@ -83,7 +83,7 @@ def card(
     )
     environment.filters |= {"cell": cell, "quoted": quoted}
     results = evaluation.results
-    held = list(summaries(looked_at))
+    held = list(runs_of(looked_at))
     told, more = _commands(held)
     return environment.get_template("card.md.j2").render(
         publication=publication,
@@ -124,7 +124,7 @@ def problems(looked_at: Sequence[LookedAt]) -> list[Problem]:
     """Recordings that are damaged, did not end well, or lost data."""
     found = []
     for one in looked_at:
-        summary = one.summary
+        summary = one.run
         if summary is None:
             found.append(Problem(one.name, "damaged", "; ".join(one.checkup.findings)))
         elif summary.status != "complete":
@@ -154,13 +154,13 @@ def _row(result: GroupResult) -> Row:
     )
 
 
-def machines(held: Sequence[Summary]) -> list[Machine]:
+def machines(held: Sequence[Run]) -> list[Machine]:
     """The kinds of machines that recorded, as far as recordings tell them apart."""
     found = Counter((_host(one), _gpus(one)) for one in held)
     return [Machine(host, gpus, count) for (host, gpus), count in sorted(found.items())]
 
 
-def _host(summary: Summary) -> str:
+def _host(summary: Run) -> str:
     host = summary.provenance.host
     memory = host.get("memory_bytes")
     parts = [str(brief(host.get("cpu", "")) or "not told")]
@@ -171,14 +171,14 @@ def _host(summary: Summary) -> str:
     return ", ".join([*parts, *(str(brief(host[key])) for key in ("system", "kernel") if host.get(key))])
 
 
-def _gpus(summary: Summary) -> str:
+def _gpus(summary: Run) -> str:
     found = Counter(
         f"{brief(gpu.get('name', 'a GPU'))}, driver {brief(gpu.get('driver', '?'))}" for gpu in summary.provenance.gpus
     )
     return "; ".join(f"{count} x {name}" for name, count in found.items()) or "none"
 
 
-def _commands(held: Sequence[Summary]) -> tuple[list[str], str]:
+def _commands(held: Sequence[Run]) -> tuple[list[str], str]:
     found = Counter(shlex.join(one.provenance.argv) for one in held if one.provenance.argv)
     lines = [
         f"{command if len(command) <= _LONGEST_COMMAND else command[: _LONGEST_COMMAND - 3] + '...'}   # {count} x"
@@ -189,12 +189,12 @@ def _commands(held: Sequence[Summary]) -> tuple[list[str], str]:
 
 
 def _evaluate(looked_at: Sequence[LookedAt]) -> str:
-    folders = sorted({one.name.rpartition("/")[0] for one in looked_at if one.summary is not None})
+    folders = sorted({one.name.rpartition("/")[0] for one in looked_at if one.run is not None})
     globs = [f"{shlex.quote(folder)}/*.mcap" if folder else "*.mcap" for folder in folders]
     return f"gsb-eval {' '.join(globs) or '*.mcap'} --html report"
 
 
-def _replay(held: Sequence[Summary]) -> str:
+def _replay(held: Sequence[Run]) -> str:
     first = next((one for one in held if one.usable and one.configuration.simulator != "real"), None)
     if first is None:
         return ""

@@ -7,10 +7,11 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from gpusimbench.evaluator.check.protocol import unmet_by_file
 from gpusimbench.evaluator.results.evaluate import evaluate
 from gpusimbench.evaluator.results.evaluation import Evaluation
-from gpusimbench.evaluator.runs.reading import Read, Reader, Unreadable
-from gpusimbench.evaluator.runs.summary import Summary
+from gpusimbench.evaluator.runs.reader import Reader, Unreadable
+from gpusimbench.evaluator.runs.run import Run
 from gpusimbench.evaluator.share.dataset.checkup import DAMAGED, Checkup, check_up
 from gpusimbench.schemas import PARTIAL
 from gpusimbench.schemas.errors import DamagedRecording, GsbError
@@ -60,12 +61,12 @@ class LookedAt:
 
     name: str
     checkup: Checkup
-    read: Read | Unreadable
+    read: Run | Unreadable
 
     @property
-    def summary(self) -> Summary | None:
-        """What it says of itself; None where it is damaged."""
-        return self.read.summary if isinstance(self.read, Read) else None
+    def run(self) -> Run | None:
+        """What was read; None where it is damaged."""
+        return self.read if isinstance(self.read, Run) else None
 
 
 def look_at(path: Path, name: str, sample_time: float) -> LookedAt:
@@ -78,13 +79,12 @@ def look_at(path: Path, name: str, sample_time: float) -> LookedAt:
         why = "; ".join(checkup.findings)
         return LookedAt(name, checkup, Unreadable(Path(name), DamagedRecording(why)))
     # every digest was just compared
-    read = Reader(sample_time, verify=False)(path)
+    read = Reader(sample_time, unmet_by_file, verify=False)(path)
     if isinstance(read, Unreadable):
         error = DamagedRecording(str(read.error).replace(str(path), name))
         damaged = replace(checkup, outcome=DAMAGED, findings=(*checkup.findings, str(error)))
         return LookedAt(name, damaged, Unreadable(Path(name), error))
-    summary = replace(read.summary, path=Path(name))
-    return LookedAt(name, checkup, Read(summary, replace(read.run, recording=summary) if read.run else None))
+    return LookedAt(name, checkup, replace(read, path=Path(name)))
 
 
 def evaluate_set(looked_at: Iterable[LookedAt], sample_time: float) -> Evaluation:
@@ -103,6 +103,6 @@ def identity(content_hashes: Sequence[str]) -> str:
     return hashlib.sha256("".join(f"{one}\n" for one in sorted(set(content_hashes) - {""})).encode()).hexdigest()
 
 
-def summaries(looked_at: Iterable[LookedAt]) -> Iterator[Summary]:
-    """What the recordings that could be read say of themselves."""
-    yield from (one.summary for one in looked_at if one.summary is not None)
+def runs_of(looked_at: Iterable[LookedAt]) -> Iterator[Run]:
+    """The recordings that could be read."""
+    yield from (one.run for one in looked_at if one.run is not None)

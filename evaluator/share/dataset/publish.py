@@ -190,9 +190,9 @@ def entries_of(looked_at: Sequence[LookedAt], evaluation: Evaluation) -> dict[st
     return {
         one.name: RecordingEntry(
             content_hash=one.checkup.content_hash,
-            run_id=one.summary.provenance.run_id if one.summary else "",
-            status=one.summary.status if one.summary else "unreadable",
-            reason=one.summary.reason if one.summary else "; ".join(one.checkup.findings),
+            run_id=one.run.provenance.run_id if one.run else "",
+            status=one.run.status if one.run else "unreadable",
+            reason=one.run.reason if one.run else "; ".join(one.checkup.findings),
             group=groups.get(one.name, ""),
             check=one.checkup.outcome,
             findings=one.checkup.findings,

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from gpusimbench.evaluator.compute.work import Work
 from gpusimbench.evaluator.results.evaluate import evaluate
-from gpusimbench.evaluator.runs.reading import Read
+from gpusimbench.evaluator.runs.run import Run
 from gpusimbench.evaluator.share.dataset.checkup import WHOLE
 from gpusimbench.evaluator.share.dataset.contents import LookedAt
 from gpusimbench.evaluator.share.leaderboard.board import Board
@@ -42,7 +42,7 @@ def board(looked_at: Sequence[LookedAt], *, title: str, sample_time: float, work
     """The leaderboard of some recordings."""
     evaluation = evaluate(without_doubles([one.read for one in looked_at]), sample_time=sample_time, work=work)
     counted = {str(r.path) for result in evaluation.results for r in result.group.recordings}
-    reads = [one.read for one in looked_at if isinstance(one.read, Read) and str(one.read.summary.path) in counted]
+    reads = [one.read for one in looked_at if isinstance(one.read, Run) and str(one.read.path) in counted]
     whole = {one.checkup.content_hash for one in looked_at if one.checkup.outcome == WHOLE}
     return Board(
         title=title,

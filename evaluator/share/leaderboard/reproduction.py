@@ -11,9 +11,7 @@ from dataclasses import dataclass
 
 from gpusimbench.evaluator.json_values import brief
 from gpusimbench.evaluator.results.claims import every
-from gpusimbench.evaluator.runs.reading import Read
-from gpusimbench.evaluator.runs.run_data import RunData
-from gpusimbench.evaluator.runs.summary import Summary
+from gpusimbench.evaluator.runs.run import Run
 
 _MACHINE = ("cpu", "usable_threads", "memory_bytes")
 
@@ -77,27 +75,27 @@ class Reproduction:
         return sum(map(len, self.replays.values()))
 
 
-def replays_of(files: Sequence[Read], whole: Collection[str]) -> dict[str, tuple[Replay, ...]]:
+def replays_of(files: Sequence[Run], whole: Collection[str]) -> dict[str, tuple[Replay, ...]]:
     """Replays by the content hash of what they replay; only of recordings that are among the files, each once.
 
     whole  content hashes of recordings that keep every rule; others reproduce nothing
     """
-    known = {(f.summary.provenance.run_id, f.summary.content_hash): f for f in files if f.summary.content_hash}
+    known = {(f.provenance.run_id, f.content_hash): f for f in files if f.content_hash}
     found: dict[str, dict[str, Replay]] = {}
     for file in known.values():
-        of = file.summary.provenance.replay_of
+        of = file.provenance.replay_of
         original = known.get((of.run_id, of.content_hash)) if of else None
-        if of is None or original is None or original is file or file.summary.content_hash not in whole:
+        if of is None or original is None or original is file or file.content_hash not in whole:
             continue
-        ours = machine_of(file.summary)
-        found.setdefault(of.content_hash, {})[file.summary.content_hash] = Replay(
-            file.summary.content_hash, _agree(original.run, file.run), _other(original.summary, file.summary), ours,
+        ours = machine_of(file)
+        found.setdefault(of.content_hash, {})[file.content_hash] = Replay(
+            file.content_hash, _agree(original, file), _other(original, file), ours,
             tuple(sorted(of.changed)),
         )  # fmt: skip
     return {original: tuple(replays.values()) for original, replays in found.items()}
 
 
-def reproduction(group: Sequence[Summary], replays: dict[str, tuple[Replay, ...]]) -> Reproduction:
+def reproduction(group: Sequence[Run], replays: dict[str, tuple[Replay, ...]]) -> Reproduction:
     """What replays say of the complete runs of a group."""
     captured = [
         r.content_hash
@@ -111,14 +109,14 @@ def reproduction(group: Sequence[Summary], replays: dict[str, tuple[Replay, ...]
     )
 
 
-def machine_of(summary: Summary) -> str:
+def machine_of(summary: Run) -> str:
     """The kind of machine that a recording says it is from."""
     host = summary.provenance.host
     cpu = ", ".join(str(brief(host.get(key, "?"))) for key in _MACHINE)
     return "; ".join([cpu, *(str(brief(gpu.get("name", "a GPU"))) for gpu in summary.provenance.gpus)])
 
 
-def _other(one: Summary, other: Summary) -> bool | None:
+def _other(one: Run, other: Run) -> bool | None:
     for summary in (one, other):
         told = [summary.provenance.host.get(key) for key in _MACHINE]
         told += [gpu.get("name") for gpu in summary.provenance.gpus]
@@ -127,10 +125,10 @@ def _other(one: Summary, other: Summary) -> bool | None:
     return machine_of(one) != machine_of(other)
 
 
-def _agree(original: RunData | None, replay: RunData | None) -> bool | None:
-    if original is None or replay is None or not original.histories or not replay.histories:
+def _agree(original: Run, replay: Run) -> bool | None:
+    if not original.histories or not replay.histories:
         return None
-    if _kind(original.recording) != _kind(replay.recording):
+    if _kind(original) != _kind(replay):
         return None
     rows = len(original.histories.steps)
     if len(replay.histories.steps) < rows:
@@ -138,7 +136,7 @@ def _agree(original: RunData | None, replay: RunData | None) -> bool | None:
     return original.histories.until(rows) == replay.histories.until(rows)
 
 
-def _kind(recording: Summary) -> tuple[object, ...]:
+def _kind(recording: Run) -> tuple[object, ...]:
     # a replay may be of other options and on another device, and not of another simulator, scene or step
     c = recording.configuration
     return recording.fields, c.simulator, c.scene, c.n_env, c.dt

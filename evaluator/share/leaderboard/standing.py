@@ -17,7 +17,7 @@ from gpusimbench.evaluator.results.result import GroupResult
 from gpusimbench.evaluator.results.sweeps import Sweep, sweep_key
 from gpusimbench.evaluator.results.timed_work import Window
 from gpusimbench.evaluator.runs.groups import GroupKey, is_instrument, shown_status
-from gpusimbench.evaluator.runs.summary import Summary
+from gpusimbench.evaluator.runs.run import Run
 from gpusimbench.evaluator.share.dataset.checkup import BROKEN, Checkup
 from gpusimbench.evaluator.share.leaderboard.reproduction import Replay, Reproduction, reproduction
 
@@ -176,7 +176,7 @@ def _row(
     )
 
 
-def _entry(recording: Summary, checkup: Checkup) -> Entry:
+def _entry(recording: Run, checkup: Checkup) -> Entry:
     of = recording.provenance.replay_of
     return Entry(
         name=recording.path.name,

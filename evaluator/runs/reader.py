@@ -1,0 +1,195 @@
+"""From a file to a Run: opened, checked, read and closed again.
+
+A recording that cannot be read is found out here, and the others go on without it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from gpusimbench.evaluator.metrics.capture import changes_states
+from gpusimbench.evaluator.metrics.cotenants import CoTenants, cotenants
+from gpusimbench.evaluator.metrics.levels import Verdict, verdict
+from gpusimbench.evaluator.missing import Missing
+from gpusimbench.evaluator.read.recording import Recording
+from gpusimbench.evaluator.read.scene import board_of, extent_of_trials
+from gpusimbench.evaluator.read.stamp import stamp_of
+from gpusimbench.evaluator.read.step_evidence import Overflows, StepCounts
+from gpusimbench.evaluator.read.streams import Fingerprints
+from gpusimbench.evaluator.runs.memory import allocator_peak, gpu_memory, host_memory
+from gpusimbench.evaluator.runs.physics.measure import physics_of
+from gpusimbench.evaluator.runs.positions import GROUP, Positions, sample_positions, was_recorded
+from gpusimbench.evaluator.runs.run import BitSummary, CountSummary, OverflowSummary, Run
+from gpusimbench.evaluator.runs.sinking import sunk
+from gpusimbench.evaluator.runs.spread import spread
+from gpusimbench.evaluator.runs.state_hashes import Histories, histories_of
+from gpusimbench.evaluator.runs.validation import NOT_TIMED, check_overflow, elapsed_of, verify
+from gpusimbench.schemas.errors import NUMBERS_OF_A_STRANGER, DamagedRecording, GsbError
+from gpusimbench.schemas.location import Place
+from gpusimbench.schemas.provenance import REAL
+from gpusimbench.schemas.trial_units import METRES, UnitDoubt, unit_doubt
+
+
+@dataclass(frozen=True)
+class Unreadable:
+    """A file that could not be opened or failed its checks, and why."""
+
+    path: Place
+    error: GsbError
+
+
+@dataclass(frozen=True)
+class Reader:
+    """How files are read; a file that cannot be is a result too, so that the others are not lost with it.
+
+    sample_time  simulated time at which positions are compared [s]
+    rules        gives the rules that an open recording breaks by itself: check.protocol.unmet_by_file
+    verify       whether every byte is read and held against the digests
+    """
+
+    sample_time: float
+    rules: Callable[[Recording], tuple[str, ...]]
+    verify: bool = True
+
+    def __call__(self, path: Place) -> Run | Unreadable:
+        """Read one file, in memory that its size does not govern: see docs/scale.md."""
+        stamp = stamp_of(path)
+        try:
+            recording = Recording(path)
+            if self.verify:
+                verify(recording)
+            run = read_run(recording, self.sample_time)
+            return replace(run, unmet=self.rules(recording), stamp=stamp)
+        except GsbError as error:
+            return Unreadable(path, error)
+
+
+def read_run(recording: Recording, sample_time: float) -> Run:
+    """Read an open recording; DamagedRecording where the file does not hold what it should.
+
+    What is measured is read of a run that is complete and lost nothing. Rules are not asked.
+    """
+    run = _described(recording)
+    if not run.usable:
+        return run
+    try:
+        board_of(recording)  # of a run that failed, a board that cannot be read is no matter
+        check_overflow(recording)
+        return _measured(run, recording, sample_time)
+    except NUMBERS_OF_A_STRANGER as error:
+        raise DamagedRecording(f"{recording.path}: {str(error) or type(error).__name__}") from None
+
+
+def _described(recording: Recording) -> Run:
+    try:
+        board = board_of(recording)
+    except DamagedRecording:
+        board = None
+    return Run(
+        path=recording.path,
+        status=recording.status,
+        reason=recording.reason,
+        cause=recording.cause,
+        content_hash=recording.content_hash,
+        provenance=recording.provenance,
+        simulation=recording.simulation,
+        dropouts=recording.dropouts,
+        action_names=recording.action_names,
+        counts={
+            phase: {name: _counted(counts) for name, counts in by_name.items()}
+            for phase, by_name in recording.counts.items()
+        },
+        overflows={phase: _overflowed(overflows) for phase, overflows in recording.overflows.items()},
+        action_streams=recording.action_streams,
+        board=board,
+    )
+
+
+def _measured(run: Run, recording: Recording, sample_time: float) -> Run:
+    positions = sample_positions(recording, sample_time)
+    through = sunk(recording)
+    timing = recording.timing
+    gpu = gpu_memory(recording)
+    captured = recording.fingerprints("capture")
+    histories = histories_of(captured) if captured is not None else Missing("no states were captured")
+    return replace(
+        run,
+        elapsed_s=elapsed_of(recording),
+        gpu=gpu,
+        host=host_memory(recording),
+        allocator=allocator_peak(recording),
+        build_s=timing["build"].elapsed_s if "build" in timing else Missing("building was not clocked"),
+        compile_s={p: timing[f"compile_{p}"].elapsed_s for p in ("timed", "capture") if f"compile_{p}" in timing},
+        capture_s=timing["capture"].elapsed_s if "capture" in timing else Missing("the capture was not clocked"),
+        stalled_s=timing["stall"].total_s if "stall" in timing else 0.0,
+        histories=histories,
+        observed=_observed(captured, recording.fingerprints("timed")),
+        positions=positions,
+        reached=isinstance(positions, Positions) or was_recorded(recording, sample_time),
+        doubt=_doubt(recording, positions),
+        equality=_equality(positions, histories),
+        spread=spread(recording),
+        sunk=through,
+        physics=physics_of(recording, through),
+        timed_from=timing["timed"].first_step if "timed" in timing else NOT_TIMED,
+        cotenants=cotenants(gpu) if gpu else CoTenants(),
+    )
+
+
+def _counted(counts: StepCounts) -> CountSummary:
+    return CountSummary(
+        mean=float(counts.mean.mean()),
+        p95=float(counts.p95.mean()),
+        max=float(counts.max.max()),
+        fullest_mean=float(counts.mean.max()),
+        rows=len(counts.steps),
+    )
+
+
+def _overflowed(overflows: Overflows) -> OverflowSummary:
+    fired = int(np.bitwise_or.reduce(overflows.bits))
+    return OverflowSummary(
+        tuple(_bit(overflows, bit) for bit in range(32) if fired >> bit & 1), spread=overflows.stride > 1
+    )
+
+
+def _bit(overflows: Overflows, bit: int) -> BitSummary:
+    hit = overflows.rows_of(bit)
+    return BitSummary(bit, int(hit.sum()), int(overflows.steps[hit][0]), int(overflows.envs[hit].max()))
+
+
+def _equality(positions: Positions | Missing, histories: Histories | Missing) -> Verdict | Missing:
+    if isinstance(positions, Missing):
+        return positions
+    if len(positions.recorded) < 2:
+        return Missing("needs at least two environments")
+    agree = histories.n_distinct == 1 if histories else None
+    try:
+        return verdict(positions.recorded[:, np.newaxis], hashes_agree=agree, origins=positions.origins)
+    except ValueError as error:
+        raise ValueError(f"environments: {error}") from None
+
+
+def _doubt(recording: Recording, positions: Positions | Missing) -> UnitDoubt | None:
+    if recording.configuration.simulator != REAL or isinstance(positions, Missing):
+        return None
+    extent = extent_of_trials(recording, GROUP)
+    options = recording.simulation.options if recording.simulation else {}
+    unit, names = str(options.get("unit", "m")), options.get("trials")
+    if extent is None or unit not in METRES:
+        return None
+    planar = positions.planar
+    if not isinstance(names, list) or len(names) != len(planar):
+        names = [*range(len(planar))]
+    return unit_doubt(planar, unit, [str(name) for name in names], extent)
+
+
+def _observed(captured: Fingerprints | None, timed: Fingerprints | None) -> bool | Missing:
+    nothing_common = Missing("no step was passed by both the timed and the capture phase")
+    if captured is None or timed is None:
+        return nothing_common
+    changed = changes_states(timed.steps, timed.hashes, captured.steps, captured.hashes)
+    return nothing_common if changed is None else changed

@@ -1,0 +1,154 @@
+"""What remains of a recording once its file is closed: small, picklable, bounded. Behind it nothing reads a file."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from gpusimbench.evaluator.metrics.board import Board
+from gpusimbench.evaluator.metrics.cotenants import CoTenants
+from gpusimbench.evaluator.metrics.levels import Verdict
+from gpusimbench.evaluator.metrics.memory import Checkpoints, GpuMemory
+from gpusimbench.evaluator.missing import Missing
+from gpusimbench.evaluator.read.stamp import Stamp
+from gpusimbench.evaluator.read.step_evidence import ActionStream
+from gpusimbench.evaluator.runs.physics.facts import PhysicsFacts
+from gpusimbench.evaluator.runs.positions import Positions
+from gpusimbench.evaluator.runs.sinking import Sunk
+from gpusimbench.evaluator.runs.spread import Spread
+from gpusimbench.evaluator.runs.state_hashes import Histories
+from gpusimbench.schemas.configuration import RunConfiguration
+from gpusimbench.schemas.fields import StateField
+from gpusimbench.schemas.location import Place
+from gpusimbench.schemas.provenance import Provenance, Simulation
+from gpusimbench.schemas.trial_units import UnitDoubt
+
+NOT_MEASURED = Missing("the run did not complete, or lost data")
+
+
+@dataclass(frozen=True)
+class CountSummary:
+    """One counter of one phase, over its rows.
+
+    mean          over environments and rows
+    p95           95th percentile over environments, mean over rows
+    max           of any environment at any row
+    fullest_mean  largest mean over environments at any row
+    rows          steps that were counted
+    """
+
+    mean: float
+    p95: float
+    max: float
+    fullest_mean: float
+    rows: int
+
+
+@dataclass(frozen=True)
+class BitSummary:
+    """One overflow bit of one phase.
+
+    rows        recorded steps at which it fired
+    first_step  the first of them
+    envs        most environments with any bit at one of them
+    """
+
+    bit: int
+    rows: int
+    first_step: int
+    envs: int
+
+
+@dataclass(frozen=True)
+class OverflowSummary:
+    """The bits of a phase that fired; `spread` says that a row stands for all steps since the row before."""
+
+    bits: tuple[BitSummary, ...]
+    spread: bool
+
+
+@dataclass(frozen=True)
+class Run:
+    """One recording, read and closed: what it says of itself, and what was measured in it.
+
+    Of every recording, with attributes as `Recording` has them:
+
+    counts          by phase and name
+    overflows       by phase; a phase that tells nothing is left out
+    action_streams  what each phase applied, by phase
+    board           of the scene; None without one, and where its description cannot be read
+    unmet           rules of the benchmark's protocol that the file breaks by itself
+    stamp           of the file before it was read, where it was read
+
+    Measured, of a run that is complete and lost no data; of others each entry is Missing:
+
+    elapsed_s   of the timed phase [s]
+    gpu         memory of the device that steps [byte]; Missing also where the simulator ran on the CPU
+    host        memory of the process [byte]
+    allocator   peak of the engine's own device allocator up to the end of the timed phase [byte]
+    build_s     import of the engine, loading, allocation [s]
+    compile_s   compilation of what the timed phase runs, and of what the capture phase runs [s], by phase; what was not
+                clocked is left out
+    capture_s   from the first step of the capture to the last one's state on the host [s]
+    stalled_s   part of that in which the engine stood still until states were written [s]
+    histories   of the captured states by bits
+    observed    whether capturing changed the states, by the hashes of steps that timed and capture phase both passed
+    positions   at the sample step
+    reached     whether the sample step was recorded at all, whatever the positions are
+    doubt       what speaks against the unit of real trials; None where nothing does, and of simulations
+    equality    of the environments, by bits and at the sample step
+    spread      how the environments move apart
+    sunk        cubes that went through the floor
+    physics     how far the states keep to mechanics
+    timed_from  steps of the scene that were made before the first timed one
+    cotenants   other processes on that device, as far as the recordings it was read with tell
+    """
+
+    path: Place
+    status: str
+    reason: str
+    cause: str
+    content_hash: str
+    provenance: Provenance
+    simulation: Simulation | None
+    dropouts: tuple[str, ...] = ()
+    action_names: tuple[str, ...] = ()
+    counts: dict[str, dict[str, CountSummary]] = field(default_factory=dict)
+    overflows: dict[str, OverflowSummary] = field(default_factory=dict)
+    action_streams: dict[str, ActionStream] = field(default_factory=dict)
+    board: Board | None = None
+    unmet: tuple[str, ...] = ()
+    stamp: Stamp | Missing = Missing("the file was not read for good")
+    elapsed_s: float | Missing = NOT_MEASURED
+    gpu: GpuMemory | Missing = NOT_MEASURED
+    host: Checkpoints | Missing = NOT_MEASURED
+    allocator: int | Missing = NOT_MEASURED
+    build_s: float | Missing = NOT_MEASURED
+    compile_s: dict[str, float] = field(default_factory=dict)
+    capture_s: float | Missing = NOT_MEASURED
+    stalled_s: float | Missing = NOT_MEASURED
+    histories: Histories | Missing = NOT_MEASURED
+    observed: bool | Missing = NOT_MEASURED
+    positions: Positions | Missing = NOT_MEASURED
+    reached: bool = False
+    doubt: UnitDoubt | None = None
+    equality: Verdict | Missing = NOT_MEASURED
+    spread: Spread | Missing = NOT_MEASURED
+    sunk: Sunk | Missing = NOT_MEASURED
+    physics: PhysicsFacts = PhysicsFacts("", 0, (), NOT_MEASURED)
+    timed_from: int | Missing = NOT_MEASURED
+    cotenants: CoTenants = CoTenants()
+
+    @property
+    def configuration(self) -> RunConfiguration:
+        """What was asked."""
+        return self.provenance.configuration
+
+    @property
+    def fields(self) -> tuple[StateField, ...]:
+        """The state fields, in recording order."""
+        return self.simulation.fields if self.simulation else ()
+
+    @property
+    def usable(self) -> bool:
+        """Whether metrics may be computed from it: the run ended well and nothing was lost."""
+        return self.status == "complete" and not self.dropouts
