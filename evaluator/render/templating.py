@@ -7,7 +7,7 @@ from typing import Any
 import jinja2
 from markupsafe import Markup
 
-from gpusimbench.evaluator.render.text import printable
+from gpusimbench.schemas.text import printable
 
 
 def page_templates(loader: jinja2.BaseLoader) -> jinja2.Environment:

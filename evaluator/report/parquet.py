@@ -12,11 +12,11 @@ import json
 from collections.abc import Iterator
 from typing import Any
 
-from gpusimbench.evaluator.render.text import printable
 from gpusimbench.evaluator.results.result import Evaluation, GroupResult, Metric
 from gpusimbench.evaluator.results.timed_work import SETTINGS, TimedWork
 from gpusimbench.evaluator.runs.run import Run
 from gpusimbench.schemas.errors import UsageError
+from gpusimbench.schemas.text import printable
 
 METRICS, RUNS = "metrics.parquet", "runs.parquet"
 
