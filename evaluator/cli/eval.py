@@ -19,7 +19,7 @@ from gpusimbench.schemas.writing import write_file, write_files
 if TYPE_CHECKING:
     from gpusimbench.evaluator.compute.mapping import Mapper
     from gpusimbench.evaluator.compute.work import Work
-    from gpusimbench.evaluator.results.result import Evaluation
+    from gpusimbench.evaluator.results.evaluation import Evaluation
     from gpusimbench.evaluator.runs.reader import Unreadable
     from gpusimbench.evaluator.runs.run import Run
 

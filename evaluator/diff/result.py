@@ -318,7 +318,7 @@ class Difference:
     first                  where they part; None where they do not
     max_ulp                largest of any field that can be compared in units in the last place, at any common recorded
                            step; None where there is none. Other fields, and `unseen_steps`, may be further apart
-    growth                 None, and `no_growth` says why
+    growth                 how far bodies lie apart
     splits                 which states are the same, and when they part
     settings               what configurations, provenance, options, versions and attachments differ in
     copies                 both are recordings of the same run, so that being equal says nothing
@@ -337,8 +337,7 @@ class Difference:
     bodies_of_other_envs: bool
     first: Divergence | None
     max_ulp: int | None
-    growth: Growth | None
-    no_growth: str
+    growth: Growth | Missing
     splits: Splits
     settings: tuple[Setting, ...]
     copies: bool

@@ -19,8 +19,8 @@ _FEWEST = 8  # steps that are worth a sparkline
 def print_growth(console: Console, found: Difference) -> None:
     """Distances of bodies at some of the steps, a sparkline of all, and the fit."""
     growth = found.growth
-    if growth is None:
-        console.print(printable(f"distances of bodies: none, {found.no_growth}"))
+    if isinstance(growth, Missing):
+        console.print(printable(f"distances of bodies: none, {growth.reason}"))
         console.print()
         return
     console.print(printable(f"distances of bodies ({', '.join(growth.groups)})"), style="bold")

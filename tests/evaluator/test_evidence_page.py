@@ -17,8 +17,8 @@ from gpusimbench.evaluator.report.json import to_json
 from gpusimbench.evaluator.report.page import consistency, deviations, divergence, dot_plot, remade
 from gpusimbench.evaluator.report.page.section import Source
 from gpusimbench.evaluator.results.evaluate import evaluate_files
+from gpusimbench.evaluator.results.evaluation import Evaluation
 from gpusimbench.evaluator.results.paper_tables import Limit, capability, variability
-from gpusimbench.evaluator.results.result import Evaluation
 from gpusimbench.schemas.provenance import Deviation
 from tests.synthetic import cubes_field, grid, write_recording, write_sweep
 

@@ -26,7 +26,7 @@ from gpusimbench.evaluator.report.paper import latex
 from gpusimbench.evaluator.report.paper.figures import HEAD, INDEX, named, write_figures
 from gpusimbench.evaluator.report.paper.pdf import to_pdf
 from gpusimbench.evaluator.results.evaluate import evaluate_files
-from gpusimbench.evaluator.results.result import Evaluation
+from gpusimbench.evaluator.results.evaluation import Evaluation
 from tests.synthetic import grid, write_recording, write_sweep
 
 HOSTILE = r"\input{/etc/passwd} $x^2$ & 50 % #1 {_} ~ <script> \x00"

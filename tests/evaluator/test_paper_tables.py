@@ -17,7 +17,7 @@ from gpusimbench.evaluator.render.numbers import mean_sd
 from gpusimbench.evaluator.report.paper.tables import tables, text_tables
 from gpusimbench.evaluator.report.paper.text_table import Format, TextTable, as_csv, as_latex, as_markdown
 from gpusimbench.evaluator.results.evaluate import evaluate_files
-from gpusimbench.evaluator.results.result import Evaluation
+from gpusimbench.evaluator.results.evaluation import Evaluation
 from tests.conftest import Command
 from tests.synthetic import grid, write_recording, write_sweep
 

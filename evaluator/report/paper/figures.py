@@ -12,7 +12,7 @@ from gpusimbench.evaluator.report.page.picture import Picture
 from gpusimbench.evaluator.report.page.section import Source
 from gpusimbench.evaluator.report.paper import latex
 from gpusimbench.evaluator.report.paper.pdf import to_pdf
-from gpusimbench.evaluator.results.result import Evaluation
+from gpusimbench.evaluator.results.evaluation import Evaluation
 from gpusimbench.schemas.text import printable
 from gpusimbench.schemas.writing import write_files
 
