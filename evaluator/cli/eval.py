@@ -176,8 +176,7 @@ def _present(evaluation: Evaluation, arguments: argparse.Namespace, command: str
     if arguments.json == "-":
         show_document(dump_json(evaluation))
     else:
-        from gpusimbench.evaluator.report.published_tables import print_published
-        from gpusimbench.evaluator.report.tables import print_tables
+        from gpusimbench.evaluator.report.tables import print_published, print_tables
 
         print_tables(evaluation, sys.stdout)
         if arguments.physics:

@@ -9,7 +9,7 @@ from gpusimbench.evaluator.diff.result import Change, Difference, Divergence
 from gpusimbench.evaluator.missing import why_missing
 from gpusimbench.evaluator.render.figures import axis, lines, palette
 from gpusimbench.evaluator.render.figures.svg import element, figure, number, text, title
-from gpusimbench.evaluator.render.text import printable
+from gpusimbench.schemas.text import printable
 
 _WIDTH, _LEFT, _RIGHT = 640.0, 84.0, 20.0
 _SIDE = _WIDTH - _LEFT - _RIGHT

@@ -10,7 +10,7 @@ from gpusimbench.evaluator.diff import words
 from gpusimbench.evaluator.diff.result import Difference, Growth
 from gpusimbench.evaluator.diff.text_numbers import print_numbers
 from gpusimbench.evaluator.missing import Missing
-from gpusimbench.evaluator.render.text import printable
+from gpusimbench.schemas.text import printable
 
 _ROWS, _WIDTH = 6, 60
 _FEWEST = 8  # steps that are worth a sparkline

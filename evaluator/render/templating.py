@@ -8,7 +8,7 @@ import jinja2
 from markupsafe import Markup
 
 from gpusimbench.evaluator.missing import Missing
-from gpusimbench.evaluator.render.text import printable
+from gpusimbench.schemas.text import printable
 
 
 def page_templates(loader: jinja2.BaseLoader) -> jinja2.Environment:

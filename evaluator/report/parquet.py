@@ -13,7 +13,6 @@ from collections.abc import Iterator
 from typing import Any
 
 from gpusimbench.evaluator.missing import known, why_missing
-from gpusimbench.evaluator.render.text import printable
 from gpusimbench.evaluator.report.words import floor_of
 from gpusimbench.evaluator.results.evaluation import Evaluation
 from gpusimbench.evaluator.results.metric import Estimate
@@ -21,6 +20,7 @@ from gpusimbench.evaluator.results.result import GroupResult
 from gpusimbench.evaluator.results.timed_work import SETTINGS, TimedWork
 from gpusimbench.evaluator.runs.run import Run
 from gpusimbench.schemas.errors import UsageError
+from gpusimbench.schemas.text import printable
 
 METRICS, RUNS = "metrics.parquet", "runs.parquet"
 

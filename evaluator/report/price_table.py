@@ -9,11 +9,11 @@ from rich.text import Text
 
 from gpusimbench.evaluator.render.console import plain_table
 from gpusimbench.evaluator.render.numbers import NONE
-from gpusimbench.evaluator.render.text import printable
 from gpusimbench.evaluator.report import timed, words
 from gpusimbench.evaluator.results.determinism_cost import NO_EFFECT, Cost, Family, Price
 from gpusimbench.evaluator.results.faults import faults
 from gpusimbench.evaluator.results.result import GroupResult
+from gpusimbench.schemas.text import printable
 
 SAME = "cannot be told apart from 1"
 

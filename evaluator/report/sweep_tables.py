@@ -9,10 +9,10 @@ from rich.text import Text
 
 from gpusimbench.evaluator.render.console import plain_table
 from gpusimbench.evaluator.render.numbers import NONE, mean_sd
-from gpusimbench.evaluator.render.text import printable
 from gpusimbench.evaluator.report import timed, words
 from gpusimbench.evaluator.results.cost_metrics import FPS
 from gpusimbench.evaluator.results.sweeps import SOURCES, Sweep, SweepPoint
+from gpusimbench.schemas.text import printable
 
 
 def print_sweeps(console: Console, scene: str, sweeps: Sequence[Sweep]) -> None:

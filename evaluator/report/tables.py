@@ -12,7 +12,6 @@ from gpusimbench.evaluator.metrics.regime import REGIME_MEANING
 from gpusimbench.evaluator.missing import Missing, known
 from gpusimbench.evaluator.render.console import PlainTable, make_console, plain_table
 from gpusimbench.evaluator.render.numbers import NONE, distance, interval
-from gpusimbench.evaluator.render.text import printable
 from gpusimbench.evaluator.report import timed, words
 from gpusimbench.evaluator.report.accumulation import print_accumulation
 from gpusimbench.evaluator.report.price_table import print_prices
@@ -22,9 +21,12 @@ from gpusimbench.evaluator.results.cost_metrics import FPS
 from gpusimbench.evaluator.results.details import BetweenEnvs, BetweenRuns, ToReference
 from gpusimbench.evaluator.results.evaluation import Evaluation
 from gpusimbench.evaluator.results.fidelity import Verdict
+from gpusimbench.evaluator.results.group_metrics import W1_PARALLEL, W1_REAL, W1_RUN_TO_RUN
 from gpusimbench.evaluator.results.metrics import METRICS
+from gpusimbench.evaluator.results.published import SCALING, SOURCE, VARIABILITY, AtLargest
 from gpusimbench.evaluator.results.result import GroupResult
 from gpusimbench.evaluator.results.sweeps import swept_only
+from gpusimbench.schemas.text import printable
 
 _COLUMNS = 4
 
@@ -209,3 +211,26 @@ def _print_guidelines(console: Console, evaluation: Evaluation) -> None:
 
 def _barred(figures: SimulatorResult) -> str:
     return "; ".join(dict.fromkeys(part for part in (figures.barred, figures.barred_articulated) if part))
+
+
+def print_published(stream: IO[str]) -> None:
+    """Print both published tables; none of it was measured by this project."""
+    console = make_console(stream)
+    console.print(f"published figures, not results of this evaluation ({SOURCE})", style="bold")
+    variability = plain_table("simulator", "type", *(metric.titled for metric in (W1_REAL, W1_PARALLEL, W1_RUN_TO_RUN)))
+    for row in VARIABILITY:
+        variability.add_row(row.simulator, str(row.regime), str(row.w1_real), str(row.parallel), str(row.run_to_run))
+    console.print(variability)
+    console.print()
+    console.print("published, at the largest number of environments", style="bold")
+    scaling = plain_table("simulator", "free-fall envs", FPS.unit, "GB", "franka envs", FPS.unit, "GB")
+    for at in SCALING:
+        scaling.add_row(at.simulator, *_published_cells(at.free_fall), *_published_cells(at.franka))
+    console.print(scaling)
+    console.print()
+
+
+def _published_cells(at: AtLargest | None) -> tuple[str, str, str]:
+    if at is None:
+        return ("not supported", NONE, NONE)
+    return (f"{at.n_env_max:,}", f"{at.fps:,.0f}", f"{at.memory_gb:.1f}")

@@ -9,7 +9,6 @@ from typing import Any
 
 from gpusimbench.evaluator.json_values import dump, values_of
 from gpusimbench.evaluator.missing import known, why_missing
-from gpusimbench.evaluator.render.text import line
 from gpusimbench.evaluator.report import timed
 from gpusimbench.evaluator.results.details import Throughput
 from gpusimbench.evaluator.results.metric import Estimate
@@ -17,6 +16,7 @@ from gpusimbench.evaluator.share.leaderboard import words
 from gpusimbench.evaluator.share.leaderboard.board import Board
 from gpusimbench.evaluator.share.leaderboard.standing import Row, Section
 from gpusimbench.schemas import __version__
+from gpusimbench.schemas.text import line
 
 SCHEMA_VERSION = 1
 KIND = "gpusimbench leaderboard"

@@ -1,21 +1,42 @@
-"""A row's figures as words, for the page and for tables."""
+"""A leaderboard's figures as words: of a row, for the page and for tables; of all of it, for a terminal."""
 
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
 
 from gpusimbench.evaluator.missing import Missing
+from gpusimbench.evaluator.render import numbers
 from gpusimbench.evaluator.render.numbers import plural
+from gpusimbench.evaluator.report import timed
 from gpusimbench.evaluator.report import words as report_words
 from gpusimbench.evaluator.results.details import DistinctEnvs, DistinctRuns
 from gpusimbench.evaluator.results.identity_metrics import identical
 from gpusimbench.evaluator.results.metric import Estimate
 from gpusimbench.evaluator.share.dataset.checkup import BROKEN
+from gpusimbench.evaluator.share.leaderboard.board import Board
 from gpusimbench.evaluator.share.leaderboard.reproduction import Reproduction
 from gpusimbench.evaluator.share.leaderboard.standing import Row
 
 _SHORT = 10
 _LONGEST = 100
+
+
+def leaderboard_lines(board: Board) -> Iterator[str]:
+    """The first of each section, and how many stand behind."""
+    for section in board.sections:
+        where = f"{section.scene} on {section.device or 'a device that was never told'}, dt {section.dt:g} s"
+        if section.timed:
+            where += f", {section.timed}"
+        if section.ranked:
+            first = section.ranked[0]
+            yield (
+                f"{where}: 1. {first.name} {first.key.version} with {first.key.n_env:,} envs, "
+                f"{numbers.mean_sd(first.fps)} env-steps/s ({'; '.join(timed.beside(first.result.timed))}); "
+                f"{len(section.ranked)} ranked, {len(section.unranked)} not"
+            )
+        else:
+            yield f"{where}: none ranked, {len(section.unranked)} not"
 
 
 def short(content_hash: str) -> str:
