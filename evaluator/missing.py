@@ -1,4 +1,4 @@
-"""A value, or the reason why there is none: the one type for that through the evaluator."""
+"""A value, or the reason why there is none: the type for that in runs, estimates and growth."""
 
 from __future__ import annotations
 

@@ -10,8 +10,8 @@ from enum import Enum
 
 
 class Ability(Enum):
-    """What a scene may need of an engine. An engine that has an ability takes every scene that needs it, and says in
-    its deviations what it does otherwise than the scene.
+    """What a scene may need of an engine. An engine takes a scene where it has all abilities that the scene needs, with
+    the options that were given, and says in its deviations what it does otherwise than the scene.
 
     title    in the plural, as it stands in sentences and lists
     meaning  one line

@@ -32,6 +32,7 @@ axes, and what fails their gate:
   physics      a check of mechanics held for base and is broken for head; cubes end elsewhere
   validity     runs fail or are invalid that did not; steps have another number of contacts
   determinism  environments or runs were bit-identical, and are not any more
+  variability  environments or runs of head end further apart (not a gate by default)
   bits         the states of head are not those of base, bit for bit (not a gate by default)
   build        building or compiling takes longer (not a gate by default)
 

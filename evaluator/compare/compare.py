@@ -205,16 +205,17 @@ def _draft(pair: Pair, protocols: Sequence[Protocol], settings: Settings, work: 
 def _answered(drafts: Sequence[Sequence[Finding | _Asked]], settings: Settings) -> tuple[list[list[Finding]], int]:
     """Findings for all questions, their p-values adjusted for each other; and how many there were that count.
 
-    Those that do not count are a family of their own, and those of variability are: they must not make the others'
-    p-values larger.
+    Those that count are one family: the chance that any of them raises a false alarm is at most alpha. Of those that do
+    not count, variability is a family of its own, which makes no other p-value larger.
     """
     asked = [item for draft in drafts for item in draft if isinstance(item, _Asked)]
     families: dict[tuple[bool, bool], list[_Asked]] = {}
     for item in asked:
-        families.setdefault((counts(item.axis, settings), item.axis is Axis.VARIABILITY), []).append(item)
+        counted = counts(item.axis, settings)
+        families.setdefault((counted, item.axis is Axis.VARIABILITY and not counted), []).append(item)
     verdicts: dict[int, Finding] = {}
     tests = 0
-    for (counted, varies), family in families.items():
+    for (counted, _), family in families.items():
         able = able_to_reject([a.question.least_p for a in family], settings.alpha)
         level = settings.alpha / max(sum(able), 1)
         found = [a.question(level, able=can) for a, can in zip(family, able, strict=True)]
@@ -225,7 +226,7 @@ def _answered(drafts: Sequence[Sequence[Finding | _Asked]], settings: Settings) 
             p = next(adjusted) if can else None
             significant = p is not None and p <= settings.alpha
             verdicts[id(one)] = replace(shown if significant else not_shown, p_adjusted=p)
-        tests += sum(able) if counted and not varies else 0
+        tests += sum(able) if counted else 0
     return [[verdicts[id(i)] if isinstance(i, _Asked) else i for i in draft] for draft in drafts], tests
 
 

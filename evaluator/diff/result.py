@@ -1,4 +1,4 @@
-"""What comparing recordings found. A value that could not be computed is None, and a sentence beside it says why."""
+"""What comparing recordings found. A value that could not be computed is Missing, or None with a sentence beside it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What remains of a recording once its file is closed: small, picklable, bounded. Behind it nothing reads a file."""
+"""What remains of a recording once its file is closed: small, picklable, bounded. Metrics read nothing else."""
 
 from __future__ import annotations
 
@@ -79,7 +79,8 @@ class Run:
     unmet           rules of the benchmark's protocol that the file breaks by itself
     stamp           of the file before it was read, where it was read
 
-    Measured, of a run that is complete and lost no data; of others each entry is Missing:
+    Measured, of a run that is complete and lost no data; of others these are Missing, `compile_s` is empty and
+    `reached` false:
 
     elapsed_s   of the timed phase [s]
     gpu         memory of the device that steps [byte]; Missing also where the simulator ran on the CPU
