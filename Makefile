@@ -88,6 +88,7 @@ figures: install
 	$(BIN)/python docs/make_figures.py
 	$(BIN)/python docs/make_h200.py
 	$(BIN)/python docs/make_physics.py
+	$(BIN)/python -m docs.make_metrics
 
 site: $(VENV)/.installed-test
 	$(BIN)/python docs/build_site.py site

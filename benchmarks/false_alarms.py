@@ -21,16 +21,19 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import stats
 
 from gpusimbench.evaluator.check.protocol import unmet_by_file
 from gpusimbench.evaluator.compare.compare import compare
-from gpusimbench.evaluator.compare.finding import Settings
+from gpusimbench.evaluator.compare.finding import DEFAULT_GATES, Settings
 from gpusimbench.evaluator.compare.sides import Side
 from gpusimbench.evaluator.compute.work import HERE
 from gpusimbench.evaluator.metrics.memory import Checkpoints
 from gpusimbench.evaluator.missing import Missing
+from gpusimbench.evaluator.results.metric import Axis
 from gpusimbench.evaluator.runs.physics.facts import PhysicsFacts
+from gpusimbench.evaluator.runs.positions import Positions
 from gpusimbench.evaluator.runs.reader import Reader
 from gpusimbench.evaluator.runs.run import Run as ReadRun
 from gpusimbench.schemas.configuration import RunConfiguration
@@ -44,6 +47,8 @@ IN_TURN, IN_A_ROW = "ABBA", "AB"
 CHANGES = {"cone": "`cone`: `pyramidal` -> `elliptic`", "rk4": "`integrator`: `implicitfast` -> `RK4`"}
 PER_SET = 12
 SIMULATED = ((4, 400), (6, 400), (12, 100))
+SPREAD_M, SPREADS = 0.02, (1.0, 1.2, 2.0)
+CUBES = np.stack(np.meshgrid([0.0, 0.1, 0.2], [0.0, 0.1, 0.2]), axis=-1).reshape(-1, 2)
 DEVIATIONS, SLOWER = (0.005, 0.01, 0.02, 0.05, 0.1), (1.0, 1.049, 1.051, 1.1, 1.2, 1.34)
 
 
@@ -151,6 +156,8 @@ def tables(runs: Sequence[Run]) -> Iterator[str]:
     for runs_a_side, count in SIMULATED:
         yield ""
         yield from simulated(runs_a_side, count)
+    yield ""
+    yield from positions()
 
 
 def recorded(runs: Sequence[Run]) -> Iterator[str]:
@@ -214,6 +221,40 @@ def _simulated(deviation: float, count: int) -> list[Run]:
     ]
 
 
+def positions(count: int = 200) -> Iterator[str]:
+    """Lines of the table of cubes that end in places drawn at random: what comparing W1 adds to the alarms."""
+    every = frozenset({*DEFAULT_GATES, Axis.VARIABILITY})
+    rules = {
+        "gsb-compare": Settings(),
+        "gsb-compare --gate variability": Settings(gates=frozenset({Axis.VARIABILITY})),
+        "gsb-compare, default gates and variability": Settings(gates=every),
+        "the same, --threshold 0 --outcome 0": Settings(gates=every, threshold=0.0, outcome_cm=0.0),
+        "gsb-compare --expect-same": Settings(expect_same=True),
+    }
+    yield f"| 6 runs a side, cubes drawn | {' | '.join(f'head spread times {f:g}: fails in' for f in SPREADS)} |"
+    yield f"| --- |{' --- |' * len(SPREADS)}"
+    for name, settings in rules.items():
+        cells = []
+        for factor in SPREADS:
+            rng = np.random.default_rng(0)
+            codes = [_compare_placed(rng, number, factor, settings) for number in range(count)]
+            cells.append(share(codes))
+        yield f"| `{name}` | {' | '.join(cells)} |"
+
+
+def _compare_placed(rng: np.random.Generator, number: int, factor: float, settings: Settings) -> ExitCode:
+    """Twelve runs in turn, whose cubes lie around one place by a shift of the run and of the environment."""
+    sides: tuple[list[ReadRun], list[ReadRun]] = ([], [])
+    for index, letter in enumerate((IN_TURN * PER_SET)[:PER_SET]):
+        head = letter == "B"
+        scale = SPREAD_M * (factor if head else 1.0)
+        placed = CUBES + rng.normal(scale=scale, size=(1, 1, 2)) + rng.normal(scale=scale, size=(N_ENV, len(CUBES), 2))
+        run = Run("placed", f"2026-01-01T00:00:{index:02}Z", float(np.exp(rng.normal(scale=0.01))), 10**8, 2 * 10**8)
+        sides[head].append(_read(run, f"{number}-{index:04d}", placed))
+    base, head_side = (Side(tuple(side), (), ()) for side in sides)
+    return compare(base, head_side, settings, HERE).exit_code
+
+
 def _real_change(runs: Sequence[Run], name: str) -> str:
     base, head = ([run for run in runs if run.arm == f"{name}-{side}"] for side in ("base", "head"))
     whole = compare(_side(base, "base"), _side(head, "head"), Settings(), HERE).findings[0]
@@ -235,18 +276,27 @@ def _side(runs: Sequence[Run], name: str) -> Side:
     return Side(tuple(_read(run, f"{name}-{index:04d}") for index, run in enumerate(runs)), (), ())
 
 
-def _read(run: Run, run_id: str) -> ReadRun:
+def _read(run: Run, run_id: str, placed: NDArray[np.float64] | None = None) -> ReadRun:
     """What the reader would have made of the run's recording."""
     configuration = RunConfiguration(
-        "mujoco", "free-fall", N_ENV, 0.01, 500, warmup=50, timed_steps=TIMED_STEPS, phases=("timed",)
+        "mujoco",
+        "free-fall",
+        N_ENV,
+        0.01,
+        500,
+        warmup=50,
+        timed_steps=TIMED_STEPS,
+        phases=("timed",) if placed is None else ("timed", "capture"),
     )
     # runs of one second are in the order of their ids
     provenance = Provenance(run_id, run.created_utc, (), configuration, host={"cpu": "one", "usable_threads": 2})
     simulation = Simulation("4.0.0", "cpu", {}, {}, (), (), {"sha256": "one"})
+    none = Missing("no states were captured")
     return ReadRun(
         Path(f"{run_id}.mcap"), "complete", "", "", run_id, provenance, simulation, elapsed_s=run.elapsed_s,
         host=Checkpoints(baseline=run.host_baseline, peak=run.host_peak), stalled_s=0.0,
-        physics=PhysicsFacts("free-fall", N_ENV, (), Missing("no states were captured")),
+        positions=none if placed is None else Positions(placed, None, 5.0),
+        physics=PhysicsFacts("free-fall", N_ENV, (), none),
     )  # fmt: skip
 
 

@@ -32,12 +32,12 @@ from gpusimbench.evaluator.metrics.variability import MAX_CERTIFIED_POINTS, para
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.report.parquet import parquet_tables
 from gpusimbench.evaluator.results.evaluate import evaluate
-from gpusimbench.evaluator.results.group_metrics import floor
 from gpusimbench.evaluator.results.identity_metrics import identical_steps
 from gpusimbench.evaluator.runs.reader import Reader
 from gpusimbench.evaluator.runs.run import Run
 from gpusimbench.evaluator.runs.validation import verify
 from gpusimbench.evaluator.share.pack import pack
+from gpusimbench.evaluator.statistics.floor import floor
 from gpusimbench.evaluator.transport.large import certified_wasserstein1
 
 _Result = TypeVar("_Result")

@@ -14,7 +14,7 @@ from gpusimbench.evaluator.render.figures.svg import text
 from gpusimbench.evaluator.report.html import render_html
 from gpusimbench.evaluator.report.tables import print_tables
 from gpusimbench.evaluator.results.evaluate import evaluate_files
-from gpusimbench.evaluator.results.result import Evaluation
+from gpusimbench.evaluator.results.evaluation import Evaluation
 
 ROOT = Path(__file__).resolve().parent.parent
 BEGIN, END = "<!-- table: make figures -->", "<!-- end of table -->"

@@ -8,13 +8,16 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
+from gpusimbench.evaluator.missing import Missing, known
 from gpusimbench.evaluator.render.numbers import distance, figure
 from gpusimbench.evaluator.report import timed
 from gpusimbench.evaluator.report.price_table import of_family, ratio
 from gpusimbench.evaluator.report.words import EXCHANGED, exchanged
+from gpusimbench.evaluator.results.details import DistinctEnvs
 from gpusimbench.evaluator.results.determinism_cost import DEFAULT, price_list
 from gpusimbench.evaluator.results.evaluate import evaluate_files
-from gpusimbench.evaluator.results.result import Evaluation, GroupResult
+from gpusimbench.evaluator.results.evaluation import Evaluation
+from gpusimbench.evaluator.results.result import GroupResult
 from gpusimbench.evaluator.results.sweeps import Sweep, SweepPoint
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -45,22 +48,22 @@ def _who(result: GroupResult) -> str:
 
 def _of(result: GroupResult, name: str) -> str:
     metric = result.metrics[name]
-    return _NONE if metric.value is None else f"{metric.value:.0f} of {metric.n}"
+    return _NONE if isinstance(metric.value, Missing) else f"{metric.value:.0f} of {metric.n}"
 
 
 def _value(result: GroupResult, name: str) -> str:
     metric = result.metrics[name]
-    return _NONE if metric.value is None else distance(metric.value)
+    return _NONE if isinstance(metric.value, Missing) else distance(metric.value)
 
 
 def _outcome(result: GroupResult) -> str:
     endings = {f"{r.status}: {r.cause}" for r in result.group.recordings if not r.usable}
-    sank = result.metrics["sank"].value
+    sank = known(result.metrics["sank"].value)
     return "; ".join([*sorted(endings), *([f"{figure(sank, '')} of 27 cubes sank"] if sank else [])])
 
 
 def _fell(result: GroupResult) -> str:
-    left = result.metrics["left_board"].value
+    left = known(result.metrics["left_board"].value)
     return _NONE if left is None else figure(left, "")
 
 
@@ -88,13 +91,13 @@ def _sameness(results: Sequence[GroupResult]) -> list[str]:
     )  # fmt: skip
     rows = []
     for result in results:
-        first = result.metrics["distinct_envs"].extra.get("first_difference_step")
+        first = result.metrics["distinct_envs"].of(DistinctEnvs).first_difference_step
         rows.append((
             *_named(result),
             _of(result, "distinct_envs"),
             _NONE if first is None else str(first),
             _of(result, "distinct_runs"),
-            _NONE if (kind := result.metrics["regime_published"].value) is None else f"{kind:.0f}",
+            _NONE if (kind := known(result.metrics["regime_published"].value)) is None else f"{kind:.0f}",
             _fell(result),
             _value(result, "w1_parallel"),
             _value(result, "w1_parallel_clamped"),
@@ -108,7 +111,7 @@ def _sameness(results: Sequence[GroupResult]) -> list[str]:
 
 def _speed(results: Sequence[GroupResult]) -> list[str]:
     prices = _prices(results)
-    measured = [r for r in results if r.metrics["fps"].value is not None]
+    measured = [r for r in results if not isinstance(r.metrics["fps"].value, Missing)]
     columns = timed.columns(r.timed for r in measured)
     titles = ("simulator", "determinism", "env-steps/s", *(column.title for column in columns), "of default")
     rows = []
@@ -116,7 +119,7 @@ def _speed(results: Sequence[GroupResult]) -> list[str]:
         fps = result.metrics["fps"]
         rows.append((
             *_named(result),
-            f"{fps.value or 0.0:,.0f}",
+            f"{known(fps.value) or 0.0:,.0f}",
             *timed.cells(columns, result.timed),
             prices.get(result.label, _NONE),
         ))  # fmt: skip
@@ -144,7 +147,7 @@ def switches(evaluation: Evaluation) -> str:
     ]
     for family in price_list(results):
         for result in of_family(family):
-            kind = result.metrics["regime_published"].value
+            kind = known(result.metrics["regime_published"].value)
             cells = [
                 _who(result),
                 result.group.key.determinism,
@@ -160,7 +163,7 @@ def switches(evaluation: Evaluation) -> str:
 
 
 def _best(sweep: Sweep) -> SweepPoint:
-    return max(sweep.points, key=lambda point: (point.result.metrics["fps"].value or 0.0, point.n_env))
+    return max(sweep.points, key=lambda point: (known(point.result.metrics["fps"].value) or 0.0, point.n_env))
 
 
 def _memory(sweep: Sweep) -> str:
@@ -185,7 +188,7 @@ def sweeps(evaluation: Evaluation) -> str:
         best = _best(sweep)
         cells = [
             sweep.key.scene, f"{sweep.label} {sweep.key.version}", n_max, ends,
-            f"{best.result.metrics['fps'].value or 0.0:,.0f} at {best.n_env:,}",
+            f"{known(best.result.metrics['fps'].value) or 0.0:,.0f} at {best.n_env:,}",
             *timed.cells(columns, best.result.timed), _memory(sweep),
         ]  # fmt: skip
         lines.append(f"| {' | '.join(cells)} |")

@@ -23,7 +23,6 @@ from gpusimbench.schemas import errors
 from gpusimbench.schemas.errors import ExitCode, UsageError
 
 ROOT = Path(__file__).resolve().parent.parent
-SAMPLE = ROOT / "recordings" / "mujoco-amd-r0.mcap"
 FORMULAS = (
     "gpusimbench.evaluator.metrics",
     "gpusimbench.evaluator.metrics.physics",
@@ -133,14 +132,19 @@ def exit_codes() -> str:
 
 
 def metrics() -> str:
-    """Every metric of an evaluation, with unit, direction and method, from the evaluation of a shipped recording."""
-    from gpusimbench.evaluator.results.evaluate import evaluate_files
+    """Every metric of an evaluation, with unit and direction, from the declarations."""
+    from gpusimbench.evaluator.results.metrics import METRICS
 
-    page = _read("docs/metrics.md").replace("](", "](../")
-    defined = dict(re.findall(r"^\| `(\w+)` \|[^|]*\| (.*?) \|$", page, re.MULTILINE))
     better = {"higher": "higher", "lower": "lower", "neither": "-"}
-    (result,) = evaluate_files([SAMPLE]).results
-    rows = [(f"`{m.name}`", m.unit or "-", better[m.direction], defined[m.name]) for m in result.metrics.values()]
+    rows = [
+        (
+            f"`{m.name}`",
+            m.unit or "-",
+            better[m.direction.value],
+            f"{'*published*: ' if m.published else ''}{m.docs}".replace("](#", "](metrics.md#").replace("](", "](../"),
+        )
+        for m in METRICS.values()
+    ]
     text = "What `gsb-eval --json` has under `metrics` of each group. [Metrics](../metrics.md) says how to read them."
     return f"# Units and directions\n\n{text}\n\n{_table(('name', 'unit', 'better', 'what'), rows)}\n"
 
@@ -313,10 +317,6 @@ def _escape(text: str) -> str:
 def _table(head: tuple[str, ...], rows: list[tuple[str, ...]]) -> str:
     cells = [[cell.replace("|", "\\|").replace("\n", " ") for cell in row] for row in rows]
     return "\n".join("| " + " | ".join(row) + " |" for row in [list(head), ["---"] * len(head), *cells])
-
-
-def _read(path: str) -> str:
-    return (ROOT / path).read_text(encoding="utf-8")
 
 
 def main() -> None:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, TypeVar
+
+_T = TypeVar("_T")
 
 
 @dataclass(frozen=True)
@@ -17,6 +19,11 @@ class Missing:
 
     def __bool__(self) -> Literal[False]:
         return False
+
+
+def known(value: _T | Missing) -> _T | None:
+    """The value; None where it is missing."""
+    return None if isinstance(value, Missing) else value
 
 
 def why_missing(value: object) -> str:

@@ -157,7 +157,8 @@ def _given(arguments: argparse.Namespace) -> tuple[list[Place], list[Place]]:
 
 
 def _settings(arguments: argparse.Namespace) -> Settings:
-    from gpusimbench.evaluator.compare.finding import Axis, Settings
+    from gpusimbench.evaluator.compare.finding import Settings
+    from gpusimbench.evaluator.results.metric import Axis
 
     if not 0 < arguments.alpha < 1:
         raise UsageError(f"--alpha is a probability between 0 and 1, not {arguments.alpha:g}")

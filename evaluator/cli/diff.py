@@ -73,7 +73,7 @@ def run(arguments: argparse.Namespace, command: str) -> int:
         else:
             complain("gsb-diff", f"no difference to draw; {arguments.plot} was not written")
     if arguments.json == "-":
-        from gpusimbench.evaluator.diff.json import dump_json
+        from gpusimbench.evaluator.diff.result import dump_json
 
         show_document(dump_json(found))
         return _exit_code(found)
@@ -81,7 +81,7 @@ def run(arguments: argparse.Namespace, command: str) -> int:
 
     print_difference(found, sys.stdout)
     if arguments.json:
-        from gpusimbench.evaluator.diff.json import dump_json
+        from gpusimbench.evaluator.diff.result import dump_json
 
         write_file(Path(arguments.json), dump_json(found))
     return _exit_code(found)

@@ -19,7 +19,7 @@ from gpusimbench.schemas.writing import write_file, write_files
 if TYPE_CHECKING:
     from gpusimbench.evaluator.compute.mapping import Mapper
     from gpusimbench.evaluator.compute.work import Work
-    from gpusimbench.evaluator.results.result import Evaluation
+    from gpusimbench.evaluator.results.evaluation import Evaluation
     from gpusimbench.evaluator.runs.reader import Unreadable
     from gpusimbench.evaluator.runs.run import Run
 
@@ -176,8 +176,7 @@ def _present(evaluation: Evaluation, arguments: argparse.Namespace, command: str
     if arguments.json == "-":
         show_document(dump_json(evaluation))
     else:
-        from gpusimbench.evaluator.report.published_tables import print_published
-        from gpusimbench.evaluator.report.tables import print_tables
+        from gpusimbench.evaluator.report.tables import print_published, print_tables
 
         print_tables(evaluation, sys.stdout)
         if arguments.physics:

@@ -45,8 +45,7 @@ def run(arguments: argparse.Namespace, command: str) -> int:
     from gpusimbench.evaluator.check.integrity import examine
     from gpusimbench.evaluator.check.integrity.problem import DAMAGE
     from gpusimbench.evaluator.read.addresses import expand
-    from gpusimbench.evaluator.report.info_json import dump_info
-    from gpusimbench.evaluator.report.info_text import info_text
+    from gpusimbench.evaluator.report.info import dump_info, info_text
 
     check_target(arguments.json)
     found: list[Inspection] = []

@@ -37,7 +37,7 @@ def add_verb(verbs: Any) -> None:
 def leaderboard(arguments: argparse.Namespace) -> int:
     """Write a leaderboard; returns the exit code."""
     from gpusimbench.evaluator.share.leaderboard.make import make_leaderboard
-    from gpusimbench.evaluator.share.leaderboard.text import leaderboard_lines
+    from gpusimbench.evaluator.share.leaderboard.words import leaderboard_lines
 
     check_time(arguments.sample_time)
     if not arguments.title.strip() or not arguments.title.isprintable():

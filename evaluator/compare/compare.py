@@ -6,12 +6,13 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 from gpusimbench.evaluator.check.protocol import Protocol
-from gpusimbench.evaluator.compare.finding import FAILING, Axis, Change, Finding, Question, Settings
+from gpusimbench.evaluator.compare.distances import distances, has_cubes
+from gpusimbench.evaluator.compare.finding import FAILING, Change, Finding, Question, Settings
 from gpusimbench.evaluator.compare.matching import Pair, check_across, match
-from gpusimbench.evaluator.compare.measures import MEASURES, gpu_memory_by
+from gpusimbench.evaluator.compare.measures import compared_by
 from gpusimbench.evaluator.compare.mechanics import compare_mechanics
 from gpusimbench.evaluator.compare.numbers import compare_numbers
-from gpusimbench.evaluator.compare.outcome import compare_outcomes
+from gpusimbench.evaluator.compare.outcome import compare_outcomes, compare_spread
 from gpusimbench.evaluator.compare.sameness import all_alike, compare_bits, compare_determinism
 from gpusimbench.evaluator.compare.schedule import Schedule, schedule
 from gpusimbench.evaluator.compare.sides import Side
@@ -19,7 +20,9 @@ from gpusimbench.evaluator.compare.validity import compare_validity
 from gpusimbench.evaluator.compute.work import Work
 from gpusimbench.evaluator.report import timed
 from gpusimbench.evaluator.results.aggregate import Runs
-from gpusimbench.evaluator.results.cost_metrics import GPU_MEMORY
+from gpusimbench.evaluator.results.group_runs import GroupRuns
+from gpusimbench.evaluator.results.metric import Axis
+from gpusimbench.evaluator.results.metrics import METRICS
 from gpusimbench.evaluator.results.timed_work import TimedWork, timed_work
 from gpusimbench.evaluator.runs.cotenancy import notes as cotenant_notes
 from gpusimbench.evaluator.runs.cotenancy import with_peers
@@ -60,7 +63,8 @@ class Result:
     alone       groups without a partner: side, label, reason
     unreadable  side and file
     settings    what counts
-    tests       statistical comparisons that count and could show something, which p-values are adjusted for
+    tests       statistical comparisons that count and could show something, which p-values are adjusted for; those of
+                variability are a family of their own, and are not among them
     lost        recordings that were cut short or lost data
     notes       about the sets as a whole
     """
@@ -168,44 +172,49 @@ class _Asked:
 
 def _draft(pair: Pair, protocols: Sequence[Protocol], settings: Settings, work: Work) -> _Draft:
     base, head = pair.base.complete, pair.head.complete
+    one, other = (GroupRuns(runs, work=work) for runs in (base, head))
     items: list[Finding | _Asked] = []
-    other_sources = {*GPU_MEMORY} - {gpu_memory_by(base, head)}
 
     def add(axis: Axis, *found: Finding | Question | None) -> None:
-        for one in found:
-            if one is not None:
-                items.append(one if isinstance(one, Finding) else _Asked(axis, one))
+        items.extend(item if isinstance(item, Finding) else _Asked(axis, item) for item in found if item is not None)
 
     def numbers(axis: Axis) -> None:
-        for measure in MEASURES:
-            if measure.axis is axis and measure.name not in other_sources:
-                add(axis, compare_numbers(measure, base, head, settings, same_machine=pair.same_machine))
+        for metric in compared_by(axis, base, head):
+            add(axis, compare_numbers(metric, axis, one, other, settings, same_machine=pair.same_machine))
 
     for axis in (Axis.THROUGHPUT, Axis.MEMORY, Axis.BUILD):
         numbers(axis)
-    add(Axis.PHYSICS, *compare_mechanics(base, head, certain=all_alike(base) and all_alike(head)))
-    add(Axis.PHYSICS, compare_outcomes(base, head, settings, work))
+    add(Axis.PHYSICS, *compare_mechanics(base, head, certain=all_alike(one) and all_alike(other)))
+    between, applies = distances(base, head, work), has_cubes(base, head)
+    add(Axis.PHYSICS, compare_outcomes(between, settings, applies=applies))
     add(Axis.VALIDITY, compare_validity(pair))
     numbers(Axis.VALIDITY)
-    add(Axis.DETERMINISM, *compare_determinism(base, head))
+    numbers(Axis.VARIABILITY)
+    for metric in METRICS.values():
+        if metric.axis is Axis.VARIABILITY and metric.values is None:
+            add(Axis.VARIABILITY, compare_spread(metric, between, settings, applies=applies))
+    add(Axis.DETERMINISM, *compare_determinism(one, other))
     add(Axis.BITS, compare_bits(base, head))
-    one, other = (
+    timed_base, timed_head = (
         timed_work(group.key, runs, protocol.of(group.recordings))
         for group, runs, protocol in zip((pair.base, pair.head), (base, head), protocols, strict=True)
     )
-    return _Draft(pair, base, head, schedule(base, head), tuple(items), (one, other))
+    return _Draft(pair, base, head, schedule(base, head), tuple(items), (timed_base, timed_head))
 
 
 def _answered(drafts: Sequence[Sequence[Finding | _Asked]], settings: Settings) -> tuple[list[list[Finding]], int]:
     """Findings for all questions, their p-values adjusted for each other; and how many there were that count.
 
-    Those that do not count are a family of their own: they must not make the others' p-values larger.
+    Those that do not count are a family of their own, and those of variability are: they must not make the others'
+    p-values larger.
     """
     asked = [item for draft in drafts for item in draft if isinstance(item, _Asked)]
+    families: dict[tuple[bool, bool], list[_Asked]] = {}
+    for item in asked:
+        families.setdefault((counts(item.axis, settings), item.axis is Axis.VARIABILITY), []).append(item)
     verdicts: dict[int, Finding] = {}
     tests = 0
-    for counted in (True, False):
-        family = [a for a in asked if counts(a.axis, settings) is counted]
+    for (counted, varies), family in families.items():
         able = able_to_reject([a.question.least_p for a in family], settings.alpha)
         level = settings.alpha / max(sum(able), 1)
         found = [a.question(level, able=can) for a, can in zip(family, able, strict=True)]
@@ -216,7 +225,7 @@ def _answered(drafts: Sequence[Sequence[Finding | _Asked]], settings: Settings) 
             p = next(adjusted) if can else None
             significant = p is not None and p <= settings.alpha
             verdicts[id(one)] = replace(shown if significant else not_shown, p_adjusted=p)
-        tests += sum(able) if counted else 0
+        tests += sum(able) if counted and not varies else 0
     return [[verdicts[id(i)] if isinstance(i, _Asked) else i for i in draft] for draft in drafts], tests
 
 

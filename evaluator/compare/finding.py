@@ -7,34 +7,9 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Protocol
 
-
-class Axis(Enum):
-    """What is asked of a change; the value is its name as a gate."""
-
-    THROUGHPUT = "throughput"
-    MEMORY = "memory"
-    BUILD = "build"
-    PHYSICS = "physics"
-    VALIDITY = "validity"
-    DETERMINISM = "determinism"
-    BITS = "bits"
-
+from gpusimbench.evaluator.results.metric import Axis, Direction
 
 DEFAULT_GATES = frozenset({Axis.THROUGHPUT, Axis.MEMORY, Axis.PHYSICS, Axis.VALIDITY, Axis.DETERMINISM})
-
-
-class Direction(Enum):
-    """Which way is better."""
-
-    HIGHER = "higher"
-    LOWER = "lower"
-    NEITHER = "neither"
-
-    def judged(self, *, rises: bool) -> Change:
-        """What a difference is that is large enough to matter."""
-        if self is Direction.NEITHER:
-            return Change.CHANGED
-        return Change.IMPROVEMENT if rises == (self is Direction.HIGHER) else Change.REGRESSION
 
 
 class Change(Enum):
@@ -60,6 +35,13 @@ class Change(Enum):
     WITHIN = "within threshold"
     UNCLEAR = "not distinguishable"
     NOT_COMPARED = "not compared"
+
+
+def judged(direction: Direction, *, rises: bool) -> Change:
+    """What a difference is that is large enough to matter."""
+    if direction is Direction.NEITHER:
+        return Change.CHANGED
+    return Change.IMPROVEMENT if rises == (direction is Direction.HIGHER) else Change.REGRESSION
 
 
 FAILING = frozenset({Change.REGRESSION, Change.CHANGED})

@@ -6,9 +6,10 @@ from typing import Any
 
 from gpusimbench.evaluator.compare import words
 from gpusimbench.evaluator.compare.compare import Compared, Result, counts
-from gpusimbench.evaluator.compare.finding import Axis, Finding
+from gpusimbench.evaluator.compare.finding import Finding
 from gpusimbench.evaluator.json_values import dump, values_of
 from gpusimbench.evaluator.report.timed import timed_record
+from gpusimbench.evaluator.results.metric import Axis
 
 SCHEMA_VERSION = 1
 """Version of the JSON that ``gsb-compare --json`` prints."""

@@ -7,8 +7,9 @@ from xml.etree import ElementTree as ET
 
 from gpusimbench.evaluator.compare import words
 from gpusimbench.evaluator.compare.compare import Compared, Result, counts
-from gpusimbench.evaluator.compare.finding import Axis, Change, Finding
-from gpusimbench.evaluator.render.text import line
+from gpusimbench.evaluator.compare.finding import Change, Finding
+from gpusimbench.evaluator.results.metric import Axis
+from gpusimbench.schemas.text import line
 
 
 def junit(result: Result) -> str:

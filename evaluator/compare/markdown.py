@@ -8,7 +8,7 @@ import string
 from gpusimbench.evaluator.compare import words
 from gpusimbench.evaluator.compare.compare import Compared, Result
 from gpusimbench.evaluator.compare.finding import Change
-from gpusimbench.evaluator.render.text import line
+from gpusimbench.schemas.text import line
 
 _ROOM = 40_000  # characters for details, and rows of the first table: a comment may have 65,536 characters
 _ROWS = 40

@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from gpusimbench.evaluator.compare.counted import Counted
-from gpusimbench.evaluator.compare.finding import Axis, Change, Direction, Finding, Question, not_compared
+from gpusimbench.evaluator.compare.finding import Change, Finding, Question, not_compared
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.results.aggregate import Runs
 from gpusimbench.evaluator.results.fidelity import Fidelity, FidelityRow, Verdict, fidelity
+from gpusimbench.evaluator.results.metric import Axis, Direction
 from gpusimbench.evaluator.runs.physics.facts import Check, Measured
 
 _NAME, _TITLE = "mechanics", "checks of mechanics"

@@ -3,21 +3,25 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gpusimbench.evaluator.compare.finding import Axis, Change, Finding, Question, Settings, not_compared
-from gpusimbench.evaluator.compare.measures import Measure
+from gpusimbench.evaluator.compare.finding import Change, Finding, Question, Settings, judged, not_compared
 from gpusimbench.evaluator.compare.schedule import Schedule, schedule
-from gpusimbench.evaluator.results.aggregate import Runs
+from gpusimbench.evaluator.missing import Missing
+from gpusimbench.evaluator.results.group_runs import GroupRuns
+from gpusimbench.evaluator.results.metric import Axis, Metric
 from gpusimbench.evaluator.statistics.exchange import Shift, compare_means, least_p
 
 Values = NDArray[np.float64]
 
 _SPEED: Final = (Axis.THROUGHPUT, Axis.MEMORY, Axis.BUILD)
+_OPTIONAL: Final = (Axis.VALIDITY, Axis.VARIABILITY)
+"""Axes of which nothing is said where neither side has a number."""
 
 _MOST = 1e100
 """A file may hold any number; the ratio of larger ones, or of those below its inverse, is none."""
@@ -27,33 +31,34 @@ _LEAST_BYTES = 1_000_000
 
 
 def compare_numbers(
-    measure: Measure, base: Runs, head: Runs, settings: Settings, *, same_machine: bool
+    metric: Metric, axis: Axis, base: GroupRuns, head: GroupRuns, settings: Settings, *, same_machine: bool
 ) -> Finding | Question | None:
     """A verdict that needs no statistics, a question, or None where neither side has anything to compare.
 
     Logarithms are compared, so that a factor counts the same up and down; the numbers themselves where one is zero.
     """
-    reasons = [why for why in (measure.why_not(base), measure.why_not(head)) if why]
-    axis, name, title = measure.axis, measure.name, measure.title
-    if len(reasons) == 2 and measure.axis is Axis.VALIDITY:
+    estimates = [metric.estimate(side) for side in (base, head)]
+    reasons = [one.value.reason for one in estimates if isinstance(one.value, Missing)]
+    name, title = metric.name, metric.title
+    if len(reasons) == 2 and axis in _OPTIONAL:
         return None
     if reasons:
-        either = len(reasons) == 1 or not (base and head) or any(map(measure.spoilt, (*base, *head)))
+        either = len(reasons) == 1 or not (base.runs and head.runs) or any(one.details.spoilt for one in estimates)
         return not_compared(axis, name, title, "; ".join(dict.fromkeys(reasons)), applies=either)
     if axis in _SPEED and not same_machine:
         return not_compared(axis, name, title, "base and head were recorded on different machines")
-    order = schedule(
-        [r for r in base if measure.of(r) is not None], [r for r in head if measure.of(r) is not None]
-    )  # fmt: skip
-    values = np.array([measure.of(run) for run in order.runs], dtype=np.float64)
+    of = {id(run): value for side in (base, head) for run, value in zip(side.runs, _values(metric, side), strict=True)}
+    having = [[run for run in side.runs if not isinstance(of[id(run)], Missing)] for side in (base, head)]
+    order = schedule(*having)
+    values = np.array([of[id(run)] for run in order.runs], dtype=np.float64)
     if not ((values == 0) | ((values > 1 / _MOST) & (values < _MOST))).all():
         return not_compared(axis, name, title, "a run has a value that is negative, not finite or beyond all measure")
     second = np.array(order.head)
     one, other = values[~second], values[second]
     finding = Finding(
-        axis, name, title, Change.SAME, measure.direction, measure.unit,
+        axis, name, title, Change.SAME, metric.direction, metric.base_unit,
         base=_mean(one), head=_mean(other), ratio=_ratio(_mean(one), _mean(other)), n=order.n,
-        method=measure.method,
+        method=metric.method,
     )  # fmt: skip
     if np.ptp(one) == 0.0 and np.ptp(other) == 0.0:
         if one[0] == other[0]:
@@ -61,19 +66,19 @@ def compare_numbers(
         if min(order.n) > 1:
             return replace(
                 finding,
-                change=measure.direction.judged(rises=other[0] > one[0])
-                if _matters(measure, one[0], other[0], settings)
+                change=judged(metric.direction, rises=other[0] > one[0])
+                if _matters(metric, one[0], other[0], settings)
                 else Change.SMALL,
                 note=f"every run of a side has this very value; {_by_chance(order)}",
             )
-    return _Asked(measure, order, values, finding, settings)
+    return _Asked(metric, order, values, finding, settings)
 
 
 @dataclass(frozen=True)
 class _Asked:
-    """The test of one measure."""
+    """The test of one metric."""
 
-    measure: Measure
+    metric: Metric
     order: Schedule
     values: Values
     finding: Finding
@@ -87,7 +92,9 @@ class _Asked:
     def __call__(self, level: float, *, able: bool) -> tuple[Finding, Finding]:
         """See Question; what is as large as matters is by the ends of the interval, not by its middle."""
         logs = bool((self.values > 0).all())
-        blocks = self.order.blocks_for(level)
+        # what the engine computes has no clock in it: such runs are exchanged with any other
+        clocked = self.finding.axis is not Axis.VARIABILITY
+        blocks = self.order.blocks_for(level) if clocked else (0,) * len(self.order.head)
         found = compare_means(
             np.log(self.values) if logs else self.values, self.order.head, blocks, confidence=0.95
         )  # fmt: skip
@@ -119,7 +126,7 @@ class _Asked:
         )
 
     def _matters(self, base: float, end: float) -> bool:
-        return _matters(self.measure, base, end, self.settings)
+        return _matters(self.metric, base, end, self.settings)
 
     def _judged(self, tested: Finding, *, falls: bool, rises: bool, beyond: bool = False) -> tuple[Finding, Finding]:
         """What is found where p is significant, and where it is not.
@@ -128,7 +135,7 @@ class _Asked:
         beyond        whether it holds nothing else
         """
         ways = [way for way, held in ((False, falls), (True, rises)) if held]
-        left = tuple(dict.fromkeys(self.measure.direction.judged(rises=way) for way in ways))
+        left = tuple(dict.fromkeys(judged(self.metric.direction, rises=way) for way in ways))
         not_shown = replace(tested, change=Change.UNCLEAR if left else Change.WITHIN, left_open=left)
         if beyond:
             return replace(tested, change=left[0]), not_shown
@@ -147,8 +154,13 @@ def _exchanged(found: Shift, blocks: tuple[int, ...]) -> str:
     return f"permutation test, runs exchanged {within} ({how}); the interval inverts it"
 
 
-def _matters(measure: Measure, base: float, head: float, settings: Settings) -> bool:
-    return settings.matters(base, head) and (measure.unit != "B" or abs(head - base) >= _LEAST_BYTES)
+def _values(metric: Metric, side: GroupRuns) -> Sequence[float | Missing]:
+    return metric.values(side) if metric.values else ()
+
+
+def _matters(metric: Metric, base: float, head: float, settings: Settings) -> bool:
+    least = {"B": _LEAST_BYTES, "cm": settings.outcome_cm}.get(metric.base_unit, 0.0)
+    return settings.matters(base, head) and abs(head - base) >= least
 
 
 def _mean(values: Values) -> float:

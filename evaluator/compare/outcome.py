@@ -1,102 +1,131 @@
-"""Where the cubes end: whether head's runs lie apart from base's, beyond what runs of one side do."""
+"""Where the cubes end: whether head's runs lie apart from base's, and whether they vary as much among themselves."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-import numpy as np
-from numpy.typing import NDArray
-
-from gpusimbench.evaluator.compare.finding import Axis, Change, Finding, Question, Settings, not_compared
-from gpusimbench.evaluator.compute.work import Work
-from gpusimbench.evaluator.metrics.variability import run_to_run_variability
-from gpusimbench.evaluator.results.aggregate import Runs
-from gpusimbench.evaluator.results.sampled import positions
-from gpusimbench.evaluator.runs.positions import GROUP
-from gpusimbench.evaluator.statistics.exchange import compare_distances, least_p
+from gpusimbench.evaluator.compare.distances import Distances
+from gpusimbench.evaluator.compare.finding import Change, Finding, Question, Settings, judged, not_compared
+from gpusimbench.evaluator.missing import Missing
+from gpusimbench.evaluator.results.metric import Axis, Metric
+from gpusimbench.evaluator.statistics.exchange import Shift, compare_distances, compare_within, least_p
 
 _NAME, _TITLE = "outcome", "where cubes end, W1"
 _METHOD = "W1 between the pooled planar positions of two runs at the sample step"
+_FEW = "needs at least two complete runs on each side"
 
 
-def compare_outcomes(base: Runs, head: Runs, settings: Settings, work: Work) -> Finding | Question | None:
+def compare_outcomes(
+    found: Distances | Missing | None, settings: Settings, *, applies: bool
+) -> Finding | Question | None:
     """W1 between runs of base and of head, beside W1 between runs of one side; None where no states were captured.
 
     Where all runs of each side are bit-identical, as far as positions at the sample step go, the two outcomes are
     compared as they are; otherwise whole runs are exchanged.
     """
-    one, why = positions(base)
-    other, why_head = positions(head)
-    if one is None or other is None:
-        if not any("capture" in r.configuration.phases for r in (*base, *head)):
-            return None
-        cubes = any(f.name == f"{GROUP}/position" for r in (*base, *head) for f in r.fields)
-        return not_compared(Axis.PHYSICS, _NAME, _TITLE, why or why_head, applies=cubes or not (base and head))
-    times = {r.positions.time for r in (*base, *head) if r.positions}
-    if one.shape[1:] != other.shape[1:] or len(times) > 1:
-        why = "other numbers of environments or cubes, or another time that is nearest to the sample time"
-        return not_compared(Axis.PHYSICS, _NAME, _TITLE, why)
-    try:
-        found = run_to_run_variability(np.concatenate([one, other]), work.map)
-    except ValueError as error:
-        return not_compared(Axis.PHYSICS, _NAME, _TITLE, str(error))
-    if found.matrix_cm is None:
-        return not_compared(Axis.PHYSICS, _NAME, _TITLE, "so many large runs that not all distances were computed")
-    n = (len(one), len(other))
-    bounds = "" if found.exactness == "exact" else " (upper bounds)"
+    if found is None:
+        return None
+    if isinstance(found, Missing):
+        return not_compared(Axis.PHYSICS, _NAME, _TITLE, found.reason, applies=applies)
     finding = Finding(
-        Axis.PHYSICS, _NAME, _TITLE, Change.SAME, unit="cm", n=n, method=f"{_METHOD}{bounds}",
-        said=_apart(found.matrix_cm, n),
+        Axis.PHYSICS, _NAME, _TITLE, Change.SAME, unit="cm", n=found.n, method=f"{_METHOD}{_bounds(found)}",
+        said=_apart(found),
     )  # fmt: skip
-    alike = [len({run.tobytes() for run in side}) == 1 for side in (one, other)]
-    if all(alike):
-        if one[0].tobytes() == other[0].tobytes():
+    if all(found.alike):
+        if found.same:
             return replace(finding, note="the same bits in every run at the sample step")
-        if min(n) > 1:
+        if min(found.n) > 1:
             change = Change.CHANGED if found.matrix_cm[0, -1] > settings.outcome_cm else Change.SMALL
             return replace(finding, change=change, note="all runs of a side end at the same bits")
-    if min(n) < 2:
-        return not_compared(Axis.PHYSICS, _NAME, _TITLE, "needs at least two complete runs on each side")
-    return _Asked(found.matrix_cm, finding, settings)
+    if min(found.n) < 2:
+        return not_compared(Axis.PHYSICS, _NAME, _TITLE, _FEW)
+    return _Outcome(found, finding, settings)
+
+
+def compare_spread(
+    metric: Metric, found: Distances | Missing | None, settings: Settings, *, applies: bool
+) -> Finding | Question | None:
+    """W1 between runs of base beside W1 between runs of head; None where no states were captured.
+
+    Whole runs are exchanged, with any other: no clock is in what they compute.
+    """
+    if found is None:
+        return None
+    axis, name, title = Axis.VARIABILITY, metric.name, metric.title
+    if isinstance(found, Missing):
+        return not_compared(axis, name, title, found.reason, applies=applies)
+    base, head = found.within()
+    if base is None or head is None:
+        return not_compared(axis, name, title, _FEW)
+    finding = Finding(
+        axis, name, title, Change.SAME, metric.direction, metric.unit, base=base, head=head,
+        ratio=head / base if base > 0 else None, n=found.n, method=f"{metric.method}{_bounds(found)}",
+    )  # fmt: skip
+    if all(found.alike):
+        return replace(finding, note="the same bits in every run of a side at the sample step")
+    return _Spread(found, finding, settings)
 
 
 @dataclass(frozen=True)
-class _Asked:
-    matrix_cm: NDArray[np.float64]
+class _Outcome:
+    found: Distances
     finding: Finding
     settings: Settings
 
     @property
     def least_p(self) -> float:
         """See Question."""
-        return least_p(self._head, [0] * sum(self.finding.n))
-
-    @property
-    def _head(self) -> list[bool]:
-        return [False] * self.finding.n[0] + [True] * self.finding.n[1]
+        return least_p(self.found.head, [0] * sum(self.found.n))
 
     def __call__(self, level: float, *, able: bool) -> tuple[Finding, Finding]:
         """See Question; whole runs are exchanged with any other, since no clock is in what they compute."""
-        found = compare_distances(self.matrix_cm, self._head)
-        how = f"all {found.n} ways" if found.exhaustive else f"{found.n - 1} ways drawn with seed {found.seed}"
+        found = compare_distances(self.found.matrix_cm, self.found.head)
         shown = replace(
-            self.finding,
+            _tested(self.finding, found),
             change=Change.CHANGED if found.difference > self.settings.outcome_cm else Change.SMALL,
-            p_value=found.p_value,
-            least_p=found.least_p,
-            test=f"permutation test, whole runs exchanged with any other ({how})",
             note=f"further apart than runs of one side by {found.difference:.3g} cm",
         )
         return shown, replace(shown, change=Change.UNCLEAR, left_open=() if able else (Change.CHANGED,))
 
 
-def _apart(matrix: NDArray[np.float64], n: tuple[int, int]) -> tuple[str, str]:
+@dataclass(frozen=True)
+class _Spread:
+    found: Distances
+    finding: Finding
+    settings: Settings
+
+    @property
+    def least_p(self) -> float:
+        """See Question."""
+        return least_p(self.found.head, [0] * sum(self.found.n))
+
+    def __call__(self, level: float, *, able: bool) -> tuple[Finding, Finding]:
+        """See Question."""
+        found = compare_within(self.found.matrix_cm, self.found.head)
+        base, head = self.finding.base or 0.0, self.finding.head or 0.0
+        large = self.settings.matters(base, head) and abs(head - base) >= self.settings.outcome_cm
+        change = judged(self.finding.direction, rises=head > base)
+        shown = replace(_tested(self.finding, found), change=change if large else Change.SMALL)
+        left = () if able else (Change.REGRESSION, Change.IMPROVEMENT)
+        return shown, replace(shown, change=Change.UNCLEAR, left_open=left)
+
+
+def _tested(finding: Finding, found: Shift) -> Finding:
+    how = f"all {found.n} ways" if found.exhaustive else f"{found.n - 1} ways drawn with seed {found.seed}"
+    return replace(
+        finding,
+        p_value=found.p_value,
+        least_p=found.least_p,
+        test=f"permutation test, whole runs exchanged with any other ({how})",
+    )
+
+
+def _bounds(found: Distances) -> str:
+    return "" if found.exact else " (upper bounds)"
+
+
+def _apart(found: Distances) -> tuple[str, str]:
     """Mean distance within each side, and between the two [cm]."""
-    within = [_within(matrix[rows, rows]) for rows in (slice(0, n[0]), slice(n[0], None))]
-    between = f"{matrix[: n[0], n[0] :].mean():.3g} apart"
-    return within[0], f"{within[1]}, {between}" if within[1] else between
-
-
-def _within(matrix: NDArray[np.float64]) -> str:
-    runs = len(matrix)
-    return f"{matrix.sum() / (runs * (runs - 1)):.3g} within" if runs > 1 else ""
+    base, head = ("" if one is None else f"{one:.3g} within" for one in found.within())
+    between = f"{found.matrix_cm[: found.n[0], found.n[0] :].mean():.3g} apart"
+    return base, f"{head}, {between}" if head else between

@@ -7,31 +7,33 @@ from typing import Any
 
 import numpy as np
 
-from gpusimbench.evaluator.compare.finding import Axis, Change, Direction, Finding, not_compared
-from gpusimbench.evaluator.results import identity_metrics as identity
+from gpusimbench.evaluator.compare.finding import Change, Finding, judged, not_compared
+from gpusimbench.evaluator.missing import known
 from gpusimbench.evaluator.results.aggregate import Runs
-from gpusimbench.evaluator.results.claims import every, identical
-from gpusimbench.evaluator.results.result import Metric
+from gpusimbench.evaluator.results.claims import every
+from gpusimbench.evaluator.results.group_runs import GroupRuns
+from gpusimbench.evaluator.results.identity_metrics import DISTINCT_ENVS, DISTINCT_RUNS, comparable, identical
+from gpusimbench.evaluator.results.metric import Axis, Direction, Estimate
 from gpusimbench.evaluator.runs.state_hashes import Histories
 
 _ENVS, _RUNS = "bits of environments", "bits of runs"
 _STATES = "states of head and base"
 
 
-def compare_determinism(base: Runs, head: Runs) -> Sequence[Finding]:
+def compare_determinism(base: GroupRuns, head: GroupRuns) -> Sequence[Finding]:
     """Whether environments, and runs, are bit-identical on either side; empty where no states were captured."""
-    if not any(r.histories for r in (*base, *head)):
+    if not any(r.histories for r in (*base.runs, *head.runs)):
         return ()
-    one, other = identity.distinct(base), identity.distinct(head)
+    n = len(base.runs), len(head.runs)
     return [
-        _level("distinct_envs", _ENVS, one[0], other[0], (len(base), len(head))),
-        _level("distinct_runs", _RUNS, one[1], other[1], (len(base), len(head))),
+        _level(title, metric.estimate(base), metric.estimate(head), n)
+        for metric, title in ((DISTINCT_ENVS, _ENVS), (DISTINCT_RUNS, _RUNS))
     ]
 
 
-def all_alike(runs: Runs) -> bool:
+def all_alike(side: GroupRuns) -> bool:
     """Whether at least two runs were compared, and all have the same bits at every captured step."""
-    return identical(identity.distinct(runs)[1]).yes
+    return identical(DISTINCT_RUNS.estimate(side)).yes
 
 
 def compare_bits(base: Runs, head: Runs) -> Finding | None:
@@ -41,7 +43,7 @@ def compare_bits(base: Runs, head: Runs) -> Finding | None:
         return None
     n = (len(base), len(head))
     method = "64-bit state hashes of every environment at every captured step"
-    if len(set(map(identity.comparable, runs))) > 1:
+    if len(set(map(comparable, runs))) > 1:
         return not_compared(Axis.BITS, "states", _STATES, "other scene, seed of actions, or layout of the states")
     found = [[r.histories for r in side if r.histories] for side in (base, head)]
     if not all(found) or sum(map(len, found)) < len(runs):
@@ -70,22 +72,23 @@ def _shared(one: Sequence[Histories], other: Sequence[Histories]) -> str:
     return f"{len(common)} of their histories {'is' if len(common) == 1 else 'are'} on both sides"
 
 
-def _level(name: str, title: str, one: Metric, other: Metric, n: tuple[int, int]) -> Finding:
-    axis = Axis.DETERMINISM
+def _level(title: str, one: Estimate, other: Estimate, n: tuple[int, int]) -> Finding:
+    axis, name = Axis.DETERMINISM, one.name
     claims = [identical(metric) for metric in (one, other)]
     if unknown := [claim for claim in claims if claim.holds is None]:
         # environments that differ by design, on either side, leave nothing to decide; too few runs do
         designed = name == "distinct_envs" and len(unknown) == len(claims) and min(n) > 0
         return not_compared(axis, name, title, every(unknown).why_not, applies=not designed)
     alike, stays = (claim.yes for claim in claims)
-    change = Direction.LOWER.judged(rises=alike) if alike != stays else Change.SAME
+    change = judged(Direction.LOWER, rises=alike) if alike != stays else Change.SAME
     return Finding(
-        axis, name, title, change, Direction.LOWER, said=(_said(one), _said(other)), base=one.value, head=other.value,
-        n=n, method="64-bit state hashes of every captured step", note=_bound(name, one if alike else other, change),
+        axis, name, title, change, Direction.LOWER, said=(_said(one), _said(other)),
+        base=known(one.value), head=known(other.value), n=n, method="64-bit state hashes of every captured step",
+        note=_bound(name, one if alike else other, change),
     )  # fmt: skip
 
 
-def _bound(name: str, alike: Metric, change: Change) -> str:
+def _bound(name: str, alike: Estimate, change: Change) -> str:
     # the rule of three, as in docs/statistics.md
     if name != "distinct_runs" or change is Change.SAME:
         return ""
@@ -93,6 +96,6 @@ def _bound(name: str, alike: Metric, change: Change) -> str:
     return f"{alike.n} bit-identical runs: another one differs in some bit with a probability below {below:.0%} (95 %)"
 
 
-def _said(metric: Metric) -> str:
-    count = int(metric.value or 0)
+def _said(metric: Estimate) -> str:
+    count = int(known(metric.value) or 0)
     return f"identical, all {metric.n}" if count == 1 else f"{count} of {metric.n} distinct"

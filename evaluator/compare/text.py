@@ -11,7 +11,7 @@ from gpusimbench.evaluator.compare import words
 from gpusimbench.evaluator.compare.compare import Compared, Result
 from gpusimbench.evaluator.compare.finding import Change
 from gpusimbench.evaluator.render.console import make_console, plain_table
-from gpusimbench.evaluator.render.text import printable
+from gpusimbench.schemas.text import printable
 
 _COLUMNS = 4  # of a usual table's width: others are narrower here
 

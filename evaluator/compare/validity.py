@@ -5,9 +5,10 @@ from __future__ import annotations
 from dataclasses import replace
 
 from gpusimbench.evaluator.compare.counted import Counted
-from gpusimbench.evaluator.compare.finding import Axis, Change, Direction, Finding, Question
+from gpusimbench.evaluator.compare.finding import Change, Finding, Question
 from gpusimbench.evaluator.compare.matching import Pair
 from gpusimbench.evaluator.report.words import trouble
+from gpusimbench.evaluator.results.metric import Axis, Direction
 from gpusimbench.evaluator.runs.groups import Group
 from gpusimbench.evaluator.runs.run import Run
 from gpusimbench.evaluator.statistics.families import fisher

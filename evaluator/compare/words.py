@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from gpusimbench.evaluator.compare.compare import Compared, Result, counts
-from gpusimbench.evaluator.compare.finding import Axis, Change, Direction, Finding
+from gpusimbench.evaluator.compare.finding import Change, Finding
 from gpusimbench.evaluator.render.numbers import NONE, figure, plural
 from gpusimbench.evaluator.report.words import size
+from gpusimbench.evaluator.results.metric import Axis, Direction
 
 TITLES = ("", "base", "head", "head / base", "95 % interval", "p", "verdict")
 
@@ -135,6 +136,10 @@ def legend(result: Result) -> list[str]:
         lines.append(
             f"p: adjusted for {tests} on axes that count, of enough runs to show something (Holm), so that any false "
             f"alarm among them has a chance of at most {alpha}; intervals are of one comparison alone"
+        )
+    if any(f.axis is Axis.VARIABILITY and f.p_adjusted is not None for f in findings):
+        lines.append(
+            "p of W1 between envs and between runs: adjusted for each other alone, with as large a chance again"
         )
     passed = [f for f in findings if not f.undecided(result.settings)]
     if any(f.change in (Change.UNCLEAR, Change.WITHIN) for f in passed):

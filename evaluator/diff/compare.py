@@ -14,6 +14,7 @@ from gpusimbench.evaluator.diff.settings import differing_settings
 from gpusimbench.evaluator.diff.splits import Agreement, Classes, step_range, without_classes
 from gpusimbench.evaluator.diff.states import CommonStates
 from gpusimbench.evaluator.diff.walk import walk_hashes, walk_states
+from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.schemas.errors import NothingComparable, UsageError
 
@@ -98,8 +99,7 @@ def _compare(a: Selection, b: Selection) -> Difference:
         bodies_of_other_envs=bodies is not None and bodies.any_env and not bodies.in_env,
         first=first,
         max_ulp=max((f.max_ulp for f in walked.fields if f.max_ulp is not None), default=None),
-        growth=walked.growth,
-        no_growth="" if walked.growth else remarks.no_growth(fields),
+        growth=walked.growth or Missing(remarks.no_growth(fields)),
         splits=_splits(agreement, classes, no_classes, by_hashes=hashes is not None),
         settings=() if one_recording else differing_settings(a.recording, b.recording),
         copies=not one_recording and a.recording.provenance.run_id == b.recording.provenance.run_id,

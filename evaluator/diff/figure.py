@@ -6,9 +6,10 @@ import math
 from collections.abc import Sequence
 
 from gpusimbench.evaluator.diff.result import Change, Difference, Divergence
+from gpusimbench.evaluator.missing import why_missing
 from gpusimbench.evaluator.render.figures import axis, lines, palette
 from gpusimbench.evaluator.render.figures.svg import element, figure, number, text, title
-from gpusimbench.evaluator.render.text import printable
+from gpusimbench.schemas.text import printable
 
 _WIDTH, _LEFT, _RIGHT = 640.0, 84.0, 20.0
 _SIDE = _WIDTH - _LEFT - _RIGHT
@@ -76,8 +77,8 @@ def _distances(found: Difference, times: tuple[float, float]) -> list[str]:
         if growth else []
     )  # fmt: skip
     positive = [d for _, values in series for d in values if d]
-    if growth is None or not positive:
-        why = found.no_growth or "no recorded position differs"
+    if not growth or not positive:
+        why = why_missing(growth) or "no recorded position differs"
         return [frame, text(f"no distances: {why}", _LEFT + _SIDE / 2, _TOP + _UPPER / 2, class_="mid")]
     low, high = min(*positive, 1e-4) / 2, max(*positive, 1e-2) * 2
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import Enum
 
+from gpusimbench.evaluator.json_values import dump, values_of
 from gpusimbench.evaluator.metrics.divergence import GrowthFit
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.schemas.location import Place
@@ -317,7 +318,7 @@ class Difference:
     first                  where they part; None where they do not
     max_ulp                largest of any field that can be compared in units in the last place, at any common recorded
                            step; None where there is none. Other fields, and `unseen_steps`, may be further apart
-    growth                 None, and `no_growth` says why
+    growth                 how far bodies lie apart
     splits                 which states are the same, and when they part
     settings               what configurations, provenance, options, versions and attachments differ in
     copies                 both are recordings of the same run, so that being equal says nothing
@@ -336,8 +337,7 @@ class Difference:
     bodies_of_other_envs: bool
     first: Divergence | None
     max_ulp: int | None
-    growth: Growth | None
-    no_growth: str
+    growth: Growth | Missing
     splits: Splits
     settings: tuple[Setting, ...]
     copies: bool
@@ -362,3 +362,15 @@ class Difference:
     def lost(self) -> tuple[str, ...]:
         """What the recordings should hold and do not."""
         return tuple(dict.fromkeys((*self.a.lost, *self.b.lost)))
+
+
+def dump_json(found: Difference) -> str:
+    """The document that ``gsb-diff --json`` prints: the result's own names, the verdict, and whether it is over all."""
+    document = {
+        "schema_version": SCHEMA_VERSION,
+        "verdict": found.verdict.value,
+        "all_compared": not (found.compared.left_out or found.lost),
+        "lost": list(found.lost),
+        **values_of(found),
+    }
+    return dump(document)

@@ -14,7 +14,7 @@ from gpusimbench.evaluator.diff.text_growth import print_growth
 from gpusimbench.evaluator.diff.text_numbers import print_numbers
 from gpusimbench.evaluator.diff.text_splits import print_splits
 from gpusimbench.evaluator.render.console import make_console, plain_table
-from gpusimbench.evaluator.render.text import printable
+from gpusimbench.schemas.text import printable
 
 _ITEMS, _SETTINGS, _VALUE, _INDENT = 6, 16, 48, 18
 _BASIS = {

@@ -10,7 +10,7 @@ from gpusimbench.evaluator.diff import words
 from gpusimbench.evaluator.diff.result import Difference, Growth
 from gpusimbench.evaluator.diff.text_numbers import print_numbers
 from gpusimbench.evaluator.missing import Missing
-from gpusimbench.evaluator.render.text import printable
+from gpusimbench.schemas.text import printable
 
 _ROWS, _WIDTH = 6, 60
 _FEWEST = 8  # steps that are worth a sparkline
@@ -19,8 +19,8 @@ _FEWEST = 8  # steps that are worth a sparkline
 def print_growth(console: Console, found: Difference) -> None:
     """Distances of bodies at some of the steps, a sparkline of all, and the fit."""
     growth = found.growth
-    if growth is None:
-        console.print(printable(f"distances of bodies: none, {found.no_growth}"))
+    if isinstance(growth, Missing):
+        console.print(printable(f"distances of bodies: none, {growth.reason}"))
         console.print()
         return
     console.print(printable(f"distances of bodies ({', '.join(growth.groups)})"), style="bold")

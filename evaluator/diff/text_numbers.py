@@ -9,7 +9,7 @@ from rich.console import Console
 from rich.text import Text
 
 from gpusimbench.evaluator.render.console import plain_table
-from gpusimbench.evaluator.render.text import printable
+from gpusimbench.schemas.text import printable
 
 _GAP = 2  # columns of a terminal between those of a table
 _NAME = 5  # of them for names, at least

@@ -6,7 +6,7 @@ from rich.console import Console
 
 from gpusimbench.evaluator.diff import words
 from gpusimbench.evaluator.diff.result import Difference, Splits
-from gpusimbench.evaluator.render.text import printable
+from gpusimbench.schemas.text import printable
 
 _CHANGES, _CLASSES = 8, 8
 

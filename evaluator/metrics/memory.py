@@ -1,8 +1,8 @@
-"""GPU memory: what a run takes on top of what was in use before it."""
+"""Memory of device and host: what a run takes on top of what was in use before it."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 
@@ -62,13 +62,13 @@ class GpuMemory:
 
 
 def peak_increment(base_bytes: int, peak_bytes: int) -> int:
-    """Memory increment of a run (GPUSimBench definition).
+    """Memory increment of a run (GPUSimBench definition, of GPU memory; the same of the host's resident set).
 
         M_usage = M_peak - M_base
 
     Args:
-        base_bytes: GPU memory in use before env creation [bytes].
-        peak_bytes: highest GPU memory in use during stepping [bytes].
+        base_bytes: memory in use before env creation [bytes].
+        peak_bytes: highest memory in use during stepping [bytes].
 
     Returns:
         increment [bytes].
@@ -82,3 +82,20 @@ def peak_increment(base_bytes: int, peak_bytes: int) -> int:
     if peak_bytes < base_bytes:
         raise ValueError(f"peak memory {peak_bytes} lies below the baseline {base_bytes} bytes")
     return peak_bytes - base_bytes
+
+
+def allocator_peak(built_bytes: int | None, peaks_bytes: Sequence[int]) -> int | None:
+    """Peak that the engine's own allocator kept while it stepped.
+
+        M = max over checkpoints of M_peak, where that is larger than the peak of building the simulator
+
+    Args:
+        built_bytes: the peak by the time the simulator was built [bytes]; None where it was not read.
+        peaks_bytes: the peaks at all checkpoints [bytes].
+
+    Returns:
+        the peak [bytes]; None without one, and where building took as much: then it is the memory of a compiler or a
+        loader, and that of the simulation was smaller.
+    """
+    peak = max(peaks_bytes, default=None)
+    return None if peak is None or (built_bytes is not None and peak <= built_bytes) else peak

@@ -27,13 +27,13 @@ class SimulatorResult:
     """Figures of one simulator; None where one was not measured.
 
     name              as shown
-    fps               throughput at n_max, simple bodies [env steps / s]
+    fps               throughput at n_max, simple bodies [env-steps/s]
     n_max             largest sustained number of envs, simple bodies
     memory_gb         peak memory increment at n_max, simple bodies [GB]
     w1_real           EMD to real [cm]
     parallel          parallel variability [cm]
     run_to_run        run-to-run variability [cm]
-    fps_articulated   throughput at n_max_articulated, articulated robot [env steps / s]
+    fps_articulated   throughput at n_max_articulated, articulated robot [env-steps/s]
     n_max_articulated largest sustained number of envs, articulated robot
     barred            why its figures of simple bodies earn no pick, in words; empty where nothing speaks against it
     barred_articulated  the same of its figures of an articulated robot

@@ -16,7 +16,7 @@ def frames_per_second(n_env: int, n_step: int, elapsed_s: float) -> float:
         elapsed_s: wall time of the timed steps [s].
 
     Returns:
-        throughput [env steps / s].
+        throughput [env-steps/s].
 
     Raises:
         ValueError: a count is below one, or the time is not positive and finite.

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from gpusimbench.evaluator.player.clip import Clip, Track
 from gpusimbench.evaluator.player.poses import Shape, Surroundings
-from gpusimbench.evaluator.render.text import printable
+from gpusimbench.schemas.text import printable
 
 RESOLUTION_M = 2.0**-17
 """Positions are rounded to multiples of it, 0.0076 mm, and are float32."""

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from gpusimbench.evaluator.read.recording import Recording
-from gpusimbench.evaluator.render.text import printable
+from gpusimbench.schemas.text import printable
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.render.figures import palette
 from gpusimbench.evaluator.render.scripts import allowed
 from gpusimbench.evaluator.render.templating import page_templates
-from gpusimbench.evaluator.render.text import printable
+from gpusimbench.schemas.text import printable
 
 _HERE = Path(__file__).parent
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gpusimbench.evaluator.metrics.memory import allocator_peak
 from gpusimbench.evaluator.read.messages import MAX_NOTES, Messages
 from gpusimbench.schemas import topics
 from gpusimbench.schemas.blocks import decode_fingerprints
@@ -109,9 +110,8 @@ class MemoryTrace:
         compiler or a loader, and that of the simulation was smaller.
         """
         kept = [(c, int(u)) for c, u in zip(self.checkpoint, self.used_bytes, strict=True) if c.startswith(_PEAK)]
-        built = max((used for name, used in kept if name == f"{_PEAK}post-init"), default=-1)
-        used = [used for _, used in kept if used > built]
-        return max(used, default=None)
+        built = max((used for name, used in kept if name == f"{_PEAK}post-init"), default=None)
+        return allocator_peak(built, [used for _, used in kept])
 
 
 @dataclass(frozen=True)

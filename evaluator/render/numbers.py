@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from gpusimbench.evaluator.results.result import Metric
+from gpusimbench.evaluator.missing import Missing
+from gpusimbench.evaluator.results.metric import Estimate
 
 NONE = "-"
 _MARKS = {"certified": "<= ", "sampled": "~ "}
@@ -22,6 +23,8 @@ def figure(value: float, unit: str) -> str:
         return distance(value)
     if unit == "env-steps/s":
         return f"{value:,.0f}"
+    if unit == "s":
+        return seconds(value)
     if unit in ("GB", "MB"):
         return f"{value:.2f}"
     if value == round(value):
@@ -29,17 +32,17 @@ def figure(value: float, unit: str) -> str:
     return f"{value:.2f}" if abs(value) >= 0.005 else f"{value:.1g}"
 
 
-def mean_sd(metric: Metric) -> str:
+def mean_sd(metric: Estimate) -> str:
     """Mean and SD as published tables print them; a dash where there is no value."""
-    if metric.value is None:
+    if isinstance(metric.value, Missing):
         return NONE
     mean = _MARKS.get(metric.exactness, "") + figure(metric.value, metric.unit)
     return mean if metric.sd is None else f"{mean} ± {figure(metric.sd, metric.unit)}"
 
 
-def interval(metric: Metric) -> str:
+def interval(metric: Estimate) -> str:
     """The 95 % interval, a dash where there is none."""
-    if metric.value is None or metric.ci95 is None:
+    if isinstance(metric.value, Missing) or metric.ci95 is None:
         return NONE
     low, high = metric.ci95
     return f"[{figure(low, metric.unit)}, {figure(high, metric.unit)}]"
@@ -48,3 +51,8 @@ def interval(metric: Metric) -> str:
 def plural(number: int, what: str) -> str:
     """A number of things, a single one without the s."""
     return f"{number} {what}{'' if number == 1 else 's'}"
+
+
+def seconds(value: float) -> str:
+    """A time in as many digits as matter."""
+    return f"{value:.0f}" if value >= 100 else f"{value:.2g}" if value >= 0.01 else "0"

@@ -7,12 +7,13 @@ from typing import Any
 import jinja2
 from markupsafe import Markup
 
-from gpusimbench.evaluator.render.text import printable
+from gpusimbench.evaluator.missing import Missing
+from gpusimbench.schemas.text import printable
 
 
 def page_templates(loader: jinja2.BaseLoader) -> jinja2.Environment:
     """What renders HTML templates; what recordings say is a stranger's text, and a name that is missing an error."""
-    return jinja2.Environment(
+    made = jinja2.Environment(
         loader=loader,
         autoescape=True,
         undefined=jinja2.StrictUndefined,
@@ -20,6 +21,8 @@ def page_templates(loader: jinja2.BaseLoader) -> jinja2.Environment:
         trim_blocks=True,
         lstrip_blocks=True,
     )
+    made.tests["missing"] = lambda value: isinstance(value, Missing)
+    return made
 
 
 def _visible(value: Any) -> Any:

@@ -9,10 +9,10 @@ from rich.text import Text
 
 from gpusimbench.evaluator.render.console import plain_table
 from gpusimbench.evaluator.render.numbers import NONE, distance
-from gpusimbench.evaluator.render.text import printable
 from gpusimbench.evaluator.results.accumulation import Accumulation
 from gpusimbench.evaluator.statistics.jackknife import Interval
 from gpusimbench.evaluator.statistics.matched import Variability
+from gpusimbench.schemas.text import printable
 
 TITLES = ("N", "runs", "between runs", "floor", "between envs", "between runs, all envs", "floor, all envs")
 """Distances are W1 in cm; the first three are of as many environments at each N."""

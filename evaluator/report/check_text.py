@@ -10,8 +10,7 @@ from gpusimbench.evaluator.check.rules.facts import CONDITIONS, FACTS
 from gpusimbench.evaluator.check.rules.findings import Checked, Finding, Report
 from gpusimbench.evaluator.check.rules.predicates import FILE_PREDICATES, SET_PREDICATES
 from gpusimbench.evaluator.check.rules.rule import Level, RuleSet, Scope
-from gpusimbench.evaluator.render.text import block, line
-from gpusimbench.schemas.text import Block
+from gpusimbench.schemas.text import Block, block, line
 
 _WIDTH = 80
 _FILES = 5

@@ -6,7 +6,7 @@ import csv
 import io
 from collections.abc import Iterable, Sequence
 
-from gpusimbench.evaluator.render.text import line
+from gpusimbench.schemas.text import line
 
 Cell = str | int | float | None
 """None is an empty cell."""

@@ -7,14 +7,16 @@ from typing import Any
 import numpy as np
 
 from gpusimbench.evaluator.metrics.divergence import FIT_LIMIT_M, first_reaching
-from gpusimbench.evaluator.missing import Missing, why_missing
+from gpusimbench.evaluator.missing import Missing, known, why_missing
+from gpusimbench.evaluator.report import words
 from gpusimbench.evaluator.report.timed import timed_record
 from gpusimbench.evaluator.results.determinism_cost import Cost, Family, Price
 from gpusimbench.evaluator.results.faults import Faults, faults
 from gpusimbench.evaluator.results.fidelity import Verdict
+from gpusimbench.evaluator.results.metric import Estimate
 from gpusimbench.evaluator.results.paper_tables import AtMax, Capability
 from gpusimbench.evaluator.results.ranking import Contender
-from gpusimbench.evaluator.results.result import GroupResult, Metric, RunSpread
+from gpusimbench.evaluator.results.result import GroupResult, RunSpread
 
 
 def family_record(family: Family) -> dict[str, Any]:
@@ -78,8 +80,8 @@ def _level(result: GroupResult) -> dict[str, Any]:
         "group": result.label,
         "determinism": result.group.key.determinism,
         "runs": result.group.outcomes,
-        "distinct_envs": result.metrics["distinct_envs"].value,
-        "distinct_runs": result.metrics["distinct_runs"].value,
+        "distinct_envs": known(result.metrics["distinct_envs"].value),
+        "distinct_runs": known(result.metrics["distinct_runs"].value),
         "faults": faults_record(faults(result)),
         "timed": timed_record(result.timed),
     }
@@ -113,16 +115,16 @@ def _at_max(at: AtMax) -> dict[str, Any]:
     }
 
 
-def _value(metric: Metric) -> dict[str, Any]:
+def _value(metric: Estimate) -> dict[str, Any]:
     return {
         "metric": metric.name,
-        "value": metric.value,
+        "value": known(metric.value),
         "unit": metric.unit,
         "sd": metric.sd,
         "ci95": metric.ci95,
         "n": metric.n,
-        "why_not": metric.why_not,
-        "interval_why_not": metric.extra.get("interval_why_not", ""),
+        "why_not": why_missing(metric.value),
+        "interval_why_not": words.why_no_interval(metric, ""),
     }
 
 

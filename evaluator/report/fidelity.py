@@ -10,8 +10,8 @@ from rich.text import Text
 
 from gpusimbench.evaluator.render.console import make_console, plain_table
 from gpusimbench.evaluator.render.numbers import NONE
-from gpusimbench.evaluator.render.text import printable
 from gpusimbench.evaluator.results.fidelity import Fidelity, FidelityRow, Verdict
+from gpusimbench.schemas.text import printable
 
 TITLES = ("check", "measured", "range", "allowed", "tolerance", "verdict")
 _AT_REST = "at rest at the sample time (mechanics does not demand it)"

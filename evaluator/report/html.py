@@ -41,7 +41,7 @@ from gpusimbench.evaluator.report.page import (
 from gpusimbench.evaluator.report.page.environment import environment
 from gpusimbench.evaluator.report.page.header import header
 from gpusimbench.evaluator.report.page.section import Section, Source
-from gpusimbench.evaluator.results.result import Evaluation
+from gpusimbench.evaluator.results.evaluation import Evaluation
 from gpusimbench.schemas.writing import write_files
 
 SECTIONS: tuple[Callable[[Source], Section | None], ...] = (

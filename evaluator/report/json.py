@@ -7,6 +7,7 @@ from typing import Any
 
 from gpusimbench.evaluator.json_values import dump, values_of
 from gpusimbench.evaluator.metrics.memory_model import MemoryModel
+from gpusimbench.evaluator.missing import known, why_missing
 from gpusimbench.evaluator.report.evidence_json import (
     capability_record,
     contender_record,
@@ -16,9 +17,11 @@ from gpusimbench.evaluator.report.evidence_json import (
 )
 from gpusimbench.evaluator.report.fidelity import fidelity_record
 from gpusimbench.evaluator.report.timed import timed_record
+from gpusimbench.evaluator.results.evaluation import SCHEMA_VERSION, Evaluation
 from gpusimbench.evaluator.results.faults import faults
+from gpusimbench.evaluator.results.metric import Estimate
 from gpusimbench.evaluator.results.paper_tables import capability
-from gpusimbench.evaluator.results.result import SCHEMA_VERSION, Evaluation, GroupResult, Metric
+from gpusimbench.evaluator.results.result import GroupResult
 from gpusimbench.evaluator.results.sweeps import SOURCES, Sweep, SweepPoint
 from gpusimbench.evaluator.results.validity import Validity
 from gpusimbench.evaluator.runs.run import Run
@@ -126,7 +129,7 @@ def _point(point: SweepPoint) -> dict[str, Any]:
     return {
         "n_env": point.n_env,
         "group": point.result.label,
-        **{name: point.result.metrics[name].value for name in ("fps", *SOURCES)},
+        **{name: known(point.result.metrics[name].value) for name in ("fps", *SOURCES)},
         "timed": timed_record(point.result.timed),
         "n_run": point.complete,
         "n_recording": len(point.recordings),
@@ -153,18 +156,18 @@ def _deviations(result: GroupResult) -> tuple[Any, ...]:
     return next((r.simulation.deviations for r in result.group.recordings if r.simulation), ())
 
 
-def _metric(metric: Metric) -> dict[str, Any]:
+def _metric(metric: Estimate) -> dict[str, Any]:
     return {
-        "value": metric.value,
+        "value": known(metric.value),
         "unit": metric.unit,
         "sd": metric.sd,
         "ci95": list(metric.ci95) if metric.ci95 else None,
         "n": metric.n,
-        "direction": metric.direction,
+        "direction": metric.metric.direction,
         "method": metric.method,
         "exactness": metric.exactness,
-        "why_not": metric.why_not,
-        **({"extra": metric.extra} if metric.extra else {}),
+        "why_not": why_missing(metric.value),
+        **({"extra": extra} if (extra := metric.details.record()) else {}),
     }
 
 

@@ -12,11 +12,15 @@ import json
 from collections.abc import Iterator
 from typing import Any
 
-from gpusimbench.evaluator.render.text import printable
-from gpusimbench.evaluator.results.result import Evaluation, GroupResult, Metric
+from gpusimbench.evaluator.missing import known, why_missing
+from gpusimbench.evaluator.report.words import floor_of
+from gpusimbench.evaluator.results.evaluation import Evaluation
+from gpusimbench.evaluator.results.metric import Estimate
+from gpusimbench.evaluator.results.result import GroupResult
 from gpusimbench.evaluator.results.timed_work import SETTINGS, TimedWork
 from gpusimbench.evaluator.runs.run import Run
 from gpusimbench.schemas.errors import UsageError
+from gpusimbench.schemas.text import printable
 
 METRICS, RUNS = "metrics.parquet", "runs.parquet"
 
@@ -90,11 +94,11 @@ def _metric_rows(evaluation: Evaluation) -> Iterator[dict[str, Any]]:
     for result in evaluation.results:
         for metric in result.metrics.values():
             low, high = metric.ci95 or (None, None)
-            floor = metric.extra.get("floor", {})
+            floor = known(floor_of(metric).w1)
             yield _clean({
                 **_key_of(result), "metric": metric.name, **_values_of(metric), "low": low, "high": high, "n": metric.n,
                 **_timed(result.timed),
-                "floor": floor.get("floor_mean_cm"), "p_value": floor.get("p_value"),
+                "floor": floor.floor_mean if floor else None, "p_value": floor.p_value if floor else None,
             })  # fmt: skip
 
 
@@ -109,9 +113,13 @@ def _timed(work: TimedWork) -> dict[str, Any]:
     }
 
 
-def _values_of(metric: Metric) -> dict[str, Any]:
+def _values_of(metric: Estimate) -> dict[str, Any]:
     return {
-        name: getattr(metric, name) for name in ("value", "unit", "direction", "sd", "exactness", "method", "why_not")
+        "value": known(metric.value),
+        "unit": metric.unit,
+        "direction": metric.metric.direction.value,
+        "why_not": why_missing(metric.value),
+        **{name: getattr(metric, name) for name in ("sd", "exactness", "method")},
     }
 
 

@@ -9,11 +9,11 @@ from rich.text import Text
 
 from gpusimbench.evaluator.render.console import plain_table
 from gpusimbench.evaluator.render.numbers import NONE
-from gpusimbench.evaluator.render.text import printable
 from gpusimbench.evaluator.report import timed, words
 from gpusimbench.evaluator.results.determinism_cost import NO_EFFECT, Cost, Family, Price
 from gpusimbench.evaluator.results.faults import faults
-from gpusimbench.evaluator.results.result import GroupResult, Metric
+from gpusimbench.evaluator.results.result import GroupResult
+from gpusimbench.schemas.text import printable
 
 SAME = "cannot be told apart from 1"
 
@@ -34,7 +34,7 @@ def print_prices(console: Console, families: Sequence[Family]) -> None:
         levels = [(p.result, (_brief(p.speed), _brief(p.memory))) for p in family.prices]
         for index, (result, costs) in enumerate([*base, *levels]):
             name = said if index == 0 else ""
-            distinct = [_of(result.metrics[f"distinct_{of}"]) for of in ("envs", "runs")]
+            distinct = [words.count_of(result.metrics[f"distinct_{of}"]) for of in ("envs", "runs")]
             cells = (name, result.group.key.determinism, *distinct, *costs, *timed.cells(beside, result.timed))
             table.add_row(*(Text(printable(cell)) for cell in cells))
             remarks += _remarks(said, result)
@@ -93,10 +93,6 @@ def _brief(cost: Cost) -> str:
     if cost.ratio is None or cost.ci95 is None:
         return ratio(cost)
     return f"{cost.ratio:.3g} [{cost.ci95[0]:.3g}, {cost.ci95[1]:.3g}]"
-
-
-def _of(metric: Metric) -> str:
-    return NONE if metric.value is None else f"{metric.value:.0f} of {metric.n}"
 
 
 def _remarks(name: str, result: GroupResult) -> list[str]:

@@ -7,21 +7,18 @@ from dataclasses import dataclass
 
 from markupsafe import Markup
 
+from gpusimbench.evaluator.missing import Missing, known
 from gpusimbench.evaluator.render.figures import lines
 from gpusimbench.evaluator.render.figures.scaling import Curve, Foreign, scaling_chart
 from gpusimbench.evaluator.report import timed, words
 from gpusimbench.evaluator.report.csv import Cell
 from gpusimbench.evaluator.report.page.picture import Numbers, Picture, file_name
-from gpusimbench.evaluator.results.cost_metrics import GPU_MEMORY, HOST_MEMORY
+from gpusimbench.evaluator.results.cost_metrics import DEVICE_MEMORY, FPS, HOST_MEMORY, PROCESS_MEMORY
+from gpusimbench.evaluator.results.metric import Metric
 from gpusimbench.evaluator.results.published import SCALING, AtLargest
 from gpusimbench.evaluator.results.sweeps import Sweep
 
-_DEVICE, _PROCESS = GPU_MEMORY
-_MEMORY = {
-    _DEVICE: "device memory increment",
-    _PROCESS: "device memory of the process",
-    HOST_MEMORY: "host memory increment",
-}
+_MEMORY = (DEVICE_MEMORY, PROCESS_MEMORY, HOST_MEMORY)
 
 
 @dataclass(frozen=True)
@@ -68,31 +65,30 @@ def _of_scene(scene: str, marked: list[tuple[Markup, Sweep]], charts: list[Pictu
 def _charts(scene: str, sweeps: Sequence[Sweep], paper: dict[str, AtLargest], key: str) -> Iterator[Picture]:
     about = f"{scene}, sweeps over the number of environments" + (", with the paper's points" if paper else "")
     speed = [Foreign(name, at.n_env_max, at.fps) for name, at in paper.items()]
-    yield _chart("throughput [env steps/s]", steps_label, sweeps, "fps", speed, f"{key}-throughput", about)
-    for metric, said in _MEMORY.items():
+    yield _chart(steps_label, sweeps, FPS, speed, f"{key}-throughput", about)
+    for metric in _MEMORY:
         memory = [Foreign(name, at.n_env_max, at.memory_gb * 1e9) for name, at in paper.items()]
-        if metric == _DEVICE or not paper:
-            yield _chart(said, words.size, sweeps, metric, memory, f"{key}-{file_name(said)}", about)
+        if metric is DEVICE_MEMORY or not paper:
+            yield _chart(words.size, sweeps, metric, memory, f"{key}-{file_name(metric.title)}", about)
 
 
 def _chart(
-    value: str,
     tick: Callable[[float], str],
     sweeps: Sequence[Sweep],
-    metric: str,
+    metric: Metric,
     foreign: list[Foreign],
     key: str,
     about: str,
 ) -> Picture:
     """A metric of the sweeps that have it, and the published points; without a picture where nothing is measured."""
-    of_metric = [(i, s) for i, s in enumerate(sweeps) if metric not in _MEMORY or s.memory == metric]
-    curves = [_curve(i, s, metric) for i, s in of_metric]
+    of_metric = [(i, s) for i, s in enumerate(sweeps) if metric not in _MEMORY or s.memory == metric.name]
+    curves = [_curve(i, s, metric.name) for i, s in of_metric]
+    value = metric.title if metric in _MEMORY else metric.titled
     svg = scaling_chart(curves, value=value, tick=tick, foreign=foreign)
-    title = f"{value} [B]" if metric in _MEMORY else value
     numbers = Numbers(
-        ("sweep", "environments", title, "95 % low", "95 % high", *(c.title for c in timed.ALL), "complete runs",
-         "memory model [B]", "what"),
-        [*(row for _, sweep in of_metric for row in _rows(sweep, metric)),
+        ("sweep", "environments", f"{metric.title} [{metric.base_unit}]", "95 % low", "95 % high",
+         *(c.title for c in timed.ALL), "complete runs", "memory model [B]", "what"),
+        [*(row for _, sweep in of_metric for row in _rows(sweep, metric.name)),
          *((one.label, one.n_env, one.value, *[None] * (4 + len(timed.ALL)), "published") for one in foreign)],
     )  # fmt: skip
     return Picture(value, "", Markup(svg) if svg else None, key, numbers, about)
@@ -102,8 +98,8 @@ def _rows(sweep: Sweep, name: str) -> Iterator[tuple[Cell, ...]]:
     model = sweep.models.get(name)
     for point in sweep.points:
         metric = point.result.metrics[name]
-        scale = words.BYTES.get(metric.unit, 1.0)
-        value, low, high = (None if v is None else v * scale for v in (metric.value, *(metric.ci95 or (None, None))))
+        scale, found = metric.metric.per_unit, (known(metric.value), *(metric.ci95 or (None, None)))
+        value, low, high = (None if v is None else v * scale for v in found)
         what = "N_env^max" if point.n_env == sweep.n_max else "" if point.complete else "; ".join(point.causes)
         modelled = model.at(point.n_env) if model else None
         beside = timed.cells(timed.ALL, point.result.timed)
@@ -112,7 +108,9 @@ def _rows(sweep: Sweep, name: str) -> Iterator[tuple[Cell, ...]]:
 
 def _curve(index: int, sweep: Sweep, name: str) -> Curve:
     found = [(p.n_env, p.result.metrics[name]) for p in sweep.points]
-    points = tuple((float(n), m.value * words.BYTES.get(m.unit, 1.0)) for n, m in found if m.value)
+    points = tuple(
+        (float(n), m.value * m.metric.per_unit) for n, m in found if not isinstance(m.value, Missing) and m.value
+    )
     model = sweep.models.get(name)
     return Curve(
         index,

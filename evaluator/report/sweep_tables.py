@@ -9,9 +9,10 @@ from rich.text import Text
 
 from gpusimbench.evaluator.render.console import plain_table
 from gpusimbench.evaluator.render.numbers import NONE, mean_sd
-from gpusimbench.evaluator.render.text import printable
 from gpusimbench.evaluator.report import timed, words
+from gpusimbench.evaluator.results.cost_metrics import FPS
 from gpusimbench.evaluator.results.sweeps import SOURCES, Sweep, SweepPoint
+from gpusimbench.schemas.text import printable
 
 
 def print_sweeps(console: Console, scene: str, sweeps: Sequence[Sweep]) -> None:
@@ -23,7 +24,7 @@ def print_sweeps(console: Console, scene: str, sweeps: Sequence[Sweep]) -> None:
     # settings are those of a sweep, and stand below; the points of one may differ in how long they took
     beside = timed.columns_within([[p.result.timed for p in sweep.points] for sweep in sweeps])
     table = plain_table(
-        "", "N", "throughput [env-steps/s]", *(column.title for column in beside), "memory increment",
+        "", "N", FPS.titled, *(column.title for column in beside), "memory increment",
         "contacts per env: mean / max", "runs",
     )  # fmt: skip
     for sweep in sweeps:

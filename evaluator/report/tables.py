@@ -9,30 +9,26 @@ from rich.text import Text
 
 from gpusimbench.evaluator.metrics.radar import SimulatorResult
 from gpusimbench.evaluator.metrics.regime import REGIME_MEANING
+from gpusimbench.evaluator.missing import Missing, known
 from gpusimbench.evaluator.render.console import PlainTable, make_console, plain_table
-from gpusimbench.evaluator.render.numbers import NONE, distance, interval, mean_sd
-from gpusimbench.evaluator.render.text import printable
+from gpusimbench.evaluator.render.numbers import NONE, distance, interval
 from gpusimbench.evaluator.report import timed, words
 from gpusimbench.evaluator.report.accumulation import print_accumulation
 from gpusimbench.evaluator.report.price_table import print_prices
 from gpusimbench.evaluator.report.sweep_tables import print_sweeps
 from gpusimbench.evaluator.results.clamped_metrics import SUFFIX
+from gpusimbench.evaluator.results.cost_metrics import FPS
+from gpusimbench.evaluator.results.details import BetweenEnvs, BetweenRuns, ToReference
+from gpusimbench.evaluator.results.evaluation import Evaluation
 from gpusimbench.evaluator.results.fidelity import Verdict
-from gpusimbench.evaluator.results.result import Evaluation, GroupResult, Metric
+from gpusimbench.evaluator.results.group_metrics import W1_PARALLEL, W1_REAL, W1_RUN_TO_RUN
+from gpusimbench.evaluator.results.metrics import METRICS
+from gpusimbench.evaluator.results.published import SCALING, SOURCE, VARIABILITY, AtLargest
+from gpusimbench.evaluator.results.result import GroupResult
 from gpusimbench.evaluator.results.sweeps import swept_only
+from gpusimbench.schemas.text import printable
 
 _COLUMNS = 4
-_UNSHOWN = (
-    "process_memory_peak",
-    "allocator_peak",
-    "build_time",
-    "compile_time",
-    "capture_slowdown",
-    "divergence_rate",
-    "w1_parallel_clamped",
-    "w1_run_to_run_clamped",
-    "w1_real_clamped",
-)  # no row of dashes, so no reason
 
 
 def print_tables(evaluation: Evaluation, stream: IO[str]) -> None:
@@ -75,72 +71,41 @@ def _print_scene(
         if any(cell != NONE for cell in cells):
             row(title, cells)
 
-    def both(title: str, name: str, *, with_interval: bool = True) -> None:
-        found = [r.metrics[name] for r in results]
-        row(title, [mean_sd(m) for m in found])
-        if with_interval and any(m.ci95 and m.value is not None for m in found):
-            row("  95 % interval", [interval(m) for m in found])
-        floors = [m.extra.get("floor", {}) for m in found]
-        if any("p_value" in f for f in floors):
-            row(f"  {words.EXCHANGED}", [words.exchanged(m) for m in found])
-        if any("energy_p_value" in f for f in floors):
-            row("  energy distance; p", [_energy(f) for f in floors])
-
     row("version", [r.group.key.version or NONE for r in results])
     row("device", [r.group.key.device or NONE for r in results])
     row("envs x complete runs", [f"{r.group.key.n_env} x {len(r.group.complete)}" for r in results])
     told("INVALID or failed runs", [words.trouble(r.group) or NONE for r in results])
-    both("throughput [env-steps/s]", "fps")
-    for column in timed.columns(r.timed for r in of_scene):
-        row(f"  {column.title}", [column.cell(r.timed) for r in results])
-    told("  another process on the GPU", [words.shared(r.metrics["fps"]) or NONE for r in results])
-    both("GPU memory increment [GB]", "memory_peak_increment")
-    told("  the process alone [GB]", [mean_sd(r.metrics["process_memory_peak"]) for r in results])
-    both("host memory increment [MB]", "host_memory_peak_increment")
     # where no cube left the board, the clamped distance is the published one
-    fell = any(r.metrics["left_board"].value for r in results)
-    for title, name in (("envs", "w1_parallel"), ("runs", "w1_run_to_run"), ("reference", "w1_real")):
-        to = "to" if name == "w1_real" else "between"
-        both(f"W1 {to} {title} [cm]", name)
-        if fell and any(r.metrics[name].value is not None for r in results):
-            both("  cubes clamped to the board", f"{name}{SUFFIX}")
-    told("cubes off the board per env", [mean_sd(r.metrics["left_board"]) for r in results])
-    row("distinct envs, bitwise", [_of(r.metrics["distinct_envs"]) for r in results])
-    row("distinct runs, bitwise", [_of(r.metrics["distinct_runs"]) for r in results])
-    told("envs are", [words.equality(r.metrics["equality_envs"]) for r in results])
-    told("runs are", [words.equality(r.metrics["equality_runs"]) for r in results])
-    told("envs part: doubling time [s]", [words.doubling(r.metrics["divergence_rate"]) for r in results])
-    both("cubes sunk per env", "sank")
+    fell = any(known(r.metrics["left_board"].value) for r in results)
+    for metric in METRICS.values():
+        if metric.name.endswith(SUFFIX) and not fell:
+            continue
+        found = [r.metrics[metric.name] for r in results]
+        told(metric.titled, [words.cell(one) for one in found])
+        told("  95 % interval", [interval(one) for one in found])
+        told(f"  {words.EXCHANGED}", [words.exchanged(one) for one in found])
+        told(f"  {words.ENERGY}", [words.energy(one) for one in found])
+        if metric is FPS:
+            for column in timed.columns(r.timed for r in of_scene):
+                row(f"  {column.title}", [column.cell(r.timed) for r in results])
+            told("  another process on the GPU", [words.shared(one) or NONE for one in found])
     told("checks of mechanics held", [words.mechanics(r.fidelity) for r in results])
-    row("published type", [words.regime(r.metrics["regime_published"]) for r in results])
-    row("capture changed the states", [_capture(r.metrics["capture_changes_states"]) for r in results])
-    told("captured / timed step; standing still", [words.capturing(r.metrics) for r in results])
     told("contacts per env: mean / max", [words.counted(r.validity.of("contacts")) for r in results])
     told("buffers used", [words.buffers(r.validity) for r in results])
     told("overflow", [words.overflow(r.validity) for r in results])
-    told("build; compile [s]", [words.preparation(r.metrics) for r in results])
     console.print(table)
     for line in (*_legend(results), *_reasons(results)):
         console.print(printable(f"  {line}"), style="dim")
     console.print()
 
 
-def _energy(floor: dict[str, float]) -> str:
-    if "energy_p_value" not in floor:
-        return NONE
-    return f"{distance(floor['energy_cm'])}; {floor['energy_p_value']:.2g}"
-
-
-def _of(metric: Metric) -> str:
-    return NONE if metric.value is None else f"{metric.value:.0f} of {metric.n}"
-
-
 def _legend(results: list[GroupResult]) -> list[str]:
-    found = {int(m.value) for r in results if (m := r.metrics["regime_published"]).value is not None}
+    types = [r.metrics["regime_published"].value for r in results]
+    found = {int(value) for value in types if not isinstance(value, Missing)}
     lines = [f"type {number}: {REGIME_MEANING[number]}" for number in sorted(found)]
     lines += _agreement(results)
     lines += _bounds(results)
-    if any("p_value" in m.extra.get("floor", {}) for r in results for m in r.metrics.values()):
+    if any(words.exchanged(m) != NONE for r in results for m in r.metrics.values()):
         lines.append(
             f"{words.EXCHANGED}: W1 of the first two runs (or of the first run and the reference), its mean with whole "
             "envs exchanged between them at random, and the share of exchanges that give as much"
@@ -148,18 +113,17 @@ def _legend(results: list[GroupResult]) -> list[str]:
     for number, result in enumerate(results, start=1):
         if why_not := words.not_exchanged(result.metrics["w1_run_to_run"]):
             lines.append(f"column {number}: no floor of W1 between runs: {why_not}")
-    if any(r.metrics["left_board"].value for r in results):
+    if any(known(r.metrics["left_board"].value) for r in results):
         lines.append(
-            "cubes clamped to the board: each cube beside the board is put at its nearest edge, so that flight after a "
-            "fall does not count"
+            "clamped: each cube beside the board is put at its nearest edge, so that flight after a fall does not count"
         )
-    if any(r.metrics["equality_runs"].value or r.metrics["equality_envs"].value for r in results):
+    if any(known(r.metrics[name].value) for r in results for name in ("equality_runs", "equality_envs")):
         lines.append("what is less than bit-identical is said of the sample step alone")
     if any(r.fidelity.of(Verdict.BROKEN) for r in results):
         lines.append("which checks of mechanics are broken, and by how much: --physics")
     if any(r.fidelity.of(Verdict.MOVING) for r in results):
         lines.append("cubes still move or spin at the sample time, which is no check of mechanics: --physics")
-    if any(r.metrics["capture_slowdown"].value is not None for r in results):
+    if any(not isinstance(r.metrics["capture_slowdown"].value, Missing) for r in results):
         lines.append("captured and timed steps are other steps of the scene: a difference in contacts counts as well")
     return lines
 
@@ -168,31 +132,27 @@ def _bounds(results: list[GroupResult]) -> list[str]:
     lines = []
     for number, result in enumerate(results, start=1):
         for metric in result.metrics.values():
-            low, high = metric.extra.get("bounds_cm", (None, None))
+            details = metric.details
+            bounds = details.bounds_cm if isinstance(details, BetweenRuns | ToReference) else None
+            drawn = metric.of(BetweenEnvs).sampled
             where = f"column {number}, {metric.name}"
-            if low is not None and high is not None:
+            if bounds:
+                low, high = bounds
                 pairs = f", of {metric.n} pairs drawn with seed 0" if metric.exactness == "sampled" else ""
                 lines.append(f"{where} is {metric.exactness}: between {distance(low)} and {distance(high)}{pairs}")
-            elif metric.exactness == "sampled":
-                drawn = metric.extra["sampled"]
-                lines.append(f"{where} is sampled: {drawn['envs']} envs of a run drawn with seed {drawn['seed']}")
+            elif drawn:
+                lines.append(f"{where} is sampled: {drawn.envs} envs of a run drawn with seed {drawn.seed}")
     return lines
 
 
 def _agreement(results: list[GroupResult]) -> list[str]:
     # runs that all agree leave a resampling nothing to find
-    found = [m for r in results if (m := r.metrics["regime_published"]).extra.get("agreement")]
-    lines = {(m.extra["runs"], m.extra["agreement"]): words.another(m) for m in found}
+    found = [again for r in results if (again := words.resampled(r.metrics["regime_published"])) and again.agreement]
+    lines = {(again.runs, again.agreement): words.another(again) for again in found}
     return [
         f"{count} runs that are {'bit-identical' if kind == 'bits' else 'within 0.01 cm'}: {line}"
         for (count, kind), line in sorted(lines.items())
     ]
-
-
-def _capture(metric: Metric) -> str:
-    if metric.value is None:
-        return NONE
-    return f"in {metric.value:.0f} of {metric.n} runs"
 
 
 def _reasons(results: list[GroupResult]) -> list[str]:
@@ -200,8 +160,8 @@ def _reasons(results: list[GroupResult]) -> list[str]:
     metrics: dict[tuple[int, str], list[str]] = {}
     for number, result in enumerate(results, start=1):
         for metric in result.metrics.values():
-            if metric.value is None and metric.name not in _UNSHOWN:
-                metrics.setdefault((number, metric.why_not), []).append(metric.name)
+            if isinstance(metric.value, Missing) and not metric.metric.optional:
+                metrics.setdefault((number, metric.value.reason), []).append(metric.name)
     columns: dict[tuple[str, str], list[int]] = {}
     for (column, why), missing in metrics.items():
         columns.setdefault((", ".join(missing), why), []).append(column)
@@ -251,3 +211,26 @@ def _print_guidelines(console: Console, evaluation: Evaluation) -> None:
 
 def _barred(figures: SimulatorResult) -> str:
     return "; ".join(dict.fromkeys(part for part in (figures.barred, figures.barred_articulated) if part))
+
+
+def print_published(stream: IO[str]) -> None:
+    """Print both published tables; none of it was measured by this project."""
+    console = make_console(stream)
+    console.print(f"published figures, not results of this evaluation ({SOURCE})", style="bold")
+    variability = plain_table("simulator", "type", *(metric.titled for metric in (W1_REAL, W1_PARALLEL, W1_RUN_TO_RUN)))
+    for row in VARIABILITY:
+        variability.add_row(row.simulator, str(row.regime), str(row.w1_real), str(row.parallel), str(row.run_to_run))
+    console.print(variability)
+    console.print()
+    console.print("published, at the largest number of environments", style="bold")
+    scaling = plain_table("simulator", "free-fall envs", FPS.unit, "GB", "franka envs", FPS.unit, "GB")
+    for at in SCALING:
+        scaling.add_row(at.simulator, *_published_cells(at.free_fall), *_published_cells(at.franka))
+    console.print(scaling)
+    console.print()
+
+
+def _published_cells(at: AtLargest | None) -> tuple[str, str, str]:
+    if at is None:
+        return ("not supported", NONE, NONE)
+    return (f"{at.n_env_max:,}", f"{at.fps:,.0f}", f"{at.memory_gb:.1f}")

@@ -2,20 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from statistics import median
 
 from gpusimbench.evaluator.metrics.cotenants import Presence
 from gpusimbench.evaluator.metrics.levels import Level
 from gpusimbench.evaluator.metrics.memory_model import MemoryModel
-from gpusimbench.evaluator.render.numbers import NONE, distance
-from gpusimbench.evaluator.results.claims import identical
+from gpusimbench.evaluator.missing import Missing, why_missing
+from gpusimbench.evaluator.render.numbers import NONE, distance, mean_sd
+from gpusimbench.evaluator.results.details import (
+    BetweenRuns,
+    CaptureOverhead,
+    Equality,
+    Growth,
+    OverRuns,
+    PublishedType,
+    Resampled,
+    Throughput,
+    ToReference,
+)
 from gpusimbench.evaluator.results.fidelity import Fidelity, Verdict
-from gpusimbench.evaluator.results.result import Metric
+from gpusimbench.evaluator.results.identity_metrics import identical
+from gpusimbench.evaluator.results.metric import Estimate
 from gpusimbench.evaluator.results.validity import BufferUse, Counted, OverflowSeen, Validity
 from gpusimbench.evaluator.runs.groups import Described, Group, shown_status
-
-BYTES = {"GB": 1e9, "MB": 1e6}
+from gpusimbench.evaluator.statistics.floor import Floor
 
 
 def trouble(group: Group[Described]) -> str:
@@ -70,21 +81,16 @@ def fired(seen: OverflowSeen) -> str:
     return f"{seen.name} ({kind}) at {steps}, {since}"
 
 
-def preparation(metrics: Mapping[str, Metric]) -> str:
-    """Seconds of build and compilation."""
-    values = [metrics[name].value for name in ("build_time", "compile_time")]
-    return NONE if values == [None, None] else "; ".join(NONE if v is None else seconds(v) for v in values)
+def count_of(metric: Estimate) -> str:
+    """How many of how many; a dash where there is no value."""
+    return NONE if isinstance(metric.value, Missing) else f"{metric.value:.0f} of {metric.n}"
 
 
-def capturing(metrics: Mapping[str, Metric]) -> str:
+def capturing(metric: Estimate) -> str:
     """What capturing costs a step, and the share of it in which the engine waited for the disk."""
-    found = metrics["capture_slowdown"]
-    return NONE if found.value is None else f"{found.value:.3g}; {found.extra['stalled_share']:.1%}"
-
-
-def seconds(value: float) -> str:
-    """A time in as many digits as matter."""
-    return f"{value:.0f}" if value >= 100 else f"{value:.2g}" if value >= 0.01 else "0"
+    if isinstance(metric.value, Missing):
+        return NONE
+    return f"{metric.value:.3g}x; {metric.of(CaptureOverhead).stalled_share:.1%} of the time waiting for the disk"
 
 
 def size(value: float, digits: str = ".3g") -> str:
@@ -95,15 +101,15 @@ def size(value: float, digits: str = ".3g") -> str:
     return f"{value:.0f} B"
 
 
-def amount(metric: Metric) -> str:
+def amount(metric: Estimate) -> str:
     """Mean of a metric of memory, in three digits."""
-    return NONE if metric.value is None else size(metric.value * BYTES[metric.unit], "#.3g")
+    return NONE if isinstance(metric.value, Missing) else size(metric.value * metric.metric.per_unit, "#.3g")
 
 
-def shared(fps: Metric) -> str:
+def shared(fps: Estimate) -> str:
     """The runs of a throughput with another process on their GPU: "2 of 10 runs: 0, 1"; empty without any."""
-    told = fps.extra.get("co_tenants") or []
-    found = [str(one["run"]) for one in told if one["presence"] == Presence.SOME.value]
+    told = fps.of(Throughput).co_tenants or ()
+    found = [str(one.run) for one in told if one.presence is Presence.SOME]
     return f"{len(found)} of {len(told)} runs: {', '.join(found)}" if found else ""
 
 
@@ -122,19 +128,20 @@ def shortened(text: str, length: int = 160) -> str:
     return text if len(text) <= length else f"{text[: length - 3]}..."
 
 
-def equality(metric: Metric) -> str:
+def equality(metric: Estimate) -> str:
     """A level of equality with the difference that it rests on; a dash where there is none."""
-    if metric.value is None:
+    if isinstance(metric.value, Missing):
         return NONE
-    worst = metric.extra["worst"]
-    if metric.value == Level.DIFFERENT and worst is None and metric.extra["worst_ulp"] == 0:
+    details = metric.of(Equality)
+    worst = details.worst
+    if metric.value == Level.DIFFERENT and worst is None and details.worst_ulp == 0:
         return "different, though not at the sample step"
-    if metric.value == Level.BIT_IDENTICAL and metric.extra["note"]:  # there are no state hashes
-        return f"{metric.extra['text']} at the sample step, no other was compared"
-    return f"{metric.extra['text']}, {_length(worst['difference'])} apart" if worst else str(metric.extra["text"])
+    if metric.value == Level.BIT_IDENTICAL and details.note:  # there are no state hashes
+        return f"{details.text} at the sample step, no other was compared"
+    return f"{details.text}, {_length(worst.difference)} apart" if worst else details.text
 
 
-def all_alike(metric: Metric) -> str:
+def all_alike(metric: Estimate) -> str:
     """What a metric of distinct environments or runs says where it has found one: alike, or not compared and why."""
     claim = identical(metric)
     if claim.holds is None:
@@ -155,55 +162,109 @@ def mechanics(fidelity: Fidelity) -> str:
     return f"{held} of {held + broken}" if held + broken else NONE
 
 
-def doubling(metric: Metric) -> str:
+def doubling(metric: Estimate) -> str:
     """How long a distance takes to double, as the median of the runs; a dash where nothing was fitted."""
-    times = [time for time in metric.extra.get("doubling_time_s", ()) if time is not None]
+    times = [time for time in metric.of(Growth).doubling_time_s if time is not None]
     return f"{median(times):.2g}" if times else NONE
 
 
-def regime(metric: Metric) -> str:
+def growth(metric: Estimate) -> str:
+    """A rate of growth with the time in which a distance doubles, as the median of the runs; a dash without a rate."""
+    times = doubling(metric)
+    return mean_sd(metric) if times == NONE else f"{mean_sd(metric)}; doubles in {times} s"
+
+
+def regime(metric: Estimate) -> str:
     """A published type with how often another sample of as many runs would have it; a dash where there is none."""
-    if metric.value is None:
+    if isinstance(metric.value, Missing):
         return NONE
     number = int(metric.value)
-    again = metric.extra.get("probabilities")
-    if not again:
+    again = resampled(metric)
+    if again is None:
         return str(number)
-    share, runs = again[number - 1], metric.extra["runs"]
-    if share == 1 and metric.extra["agreement"]:
-        return f"{number} ({alike(metric)})"
-    return f"{number} (in {'all' if share == 1 else format(share, '.0%') + ' of'} resamples of {runs} runs)"
+    share = again.probabilities[number - 1]
+    if share == 1 and again.agreement:
+        return f"{number} ({alike(again)})"
+    return f"{number} (in {'all' if share == 1 else format(share, '.0%') + ' of'} resamples of {again.runs} runs)"
 
 
-def alike(metric: Metric) -> str:
+def resampled(metric: Estimate) -> Resampled | None:
+    """Probabilities of the published types; None where there are none."""
+    found = metric.of(PublishedType).resampled
+    return None if isinstance(found, Missing) else found
+
+
+def alike(again: Resampled) -> str:
     """In what all runs of a published type are alike: in every bit, or rounded as the type is, with other bits."""
-    runs, distinct = metric.extra["runs"], metric.extra["distinct"]
-    if metric.extra["agreement"] == "bits":
-        return f"all {runs} runs bit-identical"
-    return f"all {runs} runs within 0.01 cm, {distinct} distinct"
+    if again.agreement == "bits":
+        return f"all {again.runs} runs bit-identical"
+    return f"all {again.runs} runs within 0.01 cm, {again.distinct} distinct"
 
 
-def another(metric: Metric) -> str:
+def another(again: Resampled) -> str:
     """What is not excluded where all runs of a published type are alike: that another run differs."""
-    how = "in some bit" if metric.extra["agreement"] == "bits" else "by 0.01 cm"
-    return f"another run differs {how} with a probability below {metric.extra['run_differs_below']:.0%} (95 %)"
+    how = "in some bit" if again.agreement == "bits" else "by 0.01 cm"
+    return f"another run differs {how} with a probability below {again.run_differs_below:.0%} (95 %)"
+
+
+def floor_of(metric: Estimate) -> Floor:
+    """What exchanging whole environments gives; without a figure where the metric has no floor."""
+    details = metric.details
+    return details.floor if isinstance(details, BetweenRuns | ToReference) else Floor()
 
 
 EXCHANGED = "first two: W1; floor; p"
 """Title of ``exchanged``."""
 
 
-def exchanged(metric: Metric) -> str:
+def exchanged(metric: Estimate) -> str:
     """W1 of the first two sides, its mean with whole environments exchanged between them at random, and its p-value.
 
     A dash where there is none.
     """
-    found = metric.extra.get("floor", {})
-    if "p_value" not in found:
+    found = floor_of(metric).w1
+    if isinstance(found, Missing):
         return NONE
-    return f"{distance(found['observed_cm'])}; {distance(found['floor_mean_cm'])}; {found['p_value']:.2g}"
+    return f"{distance(found.observed)}; {distance(found.floor_mean)}; {found.p_value:.2g}"
 
 
-def not_exchanged(metric: Metric) -> str:
+def not_exchanged(metric: Estimate) -> str:
     """Why a W1 that is not 0 has no such figures; empty where it has them, or is 0."""
-    return str(metric.extra.get("floor", {}).get("why_not", "")) if metric.value else ""
+    has_floor = isinstance(metric.details, BetweenRuns | ToReference)
+    apart = not isinstance(metric.value, Missing) and metric.value != 0
+    return why_missing(floor_of(metric).w1) if has_floor and apart else ""
+
+
+ENERGY = "energy distance; p"
+"""Title of ``energy``."""
+
+
+def energy(metric: Estimate) -> str:
+    """Energy distance of the first two sides and its p-value; a dash where there is none."""
+    found = floor_of(metric).energy
+    return NONE if isinstance(found, Missing) else f"{distance(found.v_statistic)}; {found.p_value:.2g}"
+
+
+def why_no_interval(metric: Estimate, otherwise: str) -> str:
+    """Why an estimate has no 95 % interval."""
+    details = metric.details
+    why_not = details.interval_why_not if isinstance(details, OverRuns | BetweenRuns) else None
+    return why_not or otherwise
+
+
+CELLS: Mapping[str, Callable[[Estimate], str]] = {
+    "capture_slowdown": capturing,
+    "distinct_envs": count_of,
+    "distinct_runs": count_of,
+    "equality_envs": equality,
+    "equality_runs": equality,
+    "divergence_rate": growth,
+    "regime_published": regime,
+    "capture_changes_states": count_of,
+}
+"""How metrics are written whose number alone says too little, by name."""
+
+
+def cell(metric: Estimate) -> str:
+    """An estimate as the text of a table's cell: mean and SD, or what its metric needs; a dash where there is none."""
+    return CELLS.get(metric.name, mean_sd)(metric)

@@ -1,14 +1,14 @@
-"""Values of the runs of a group to one metric: mean, SD and interval."""
+"""Values of the runs of a group to one value: mean or median, SD and interval."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gpusimbench.evaluator.results.result import Metric
+from gpusimbench.evaluator.metrics.startup import typical_time
 from gpusimbench.evaluator.runs.run import Run
 from gpusimbench.evaluator.statistics.jackknife import Interval, jackknife_mean
 
@@ -21,25 +21,60 @@ _ROUNDING = 1e-12  # of a value
 Runs = Sequence[Run]
 
 
-def mean_over_runs(
-    name: str, unit: str, direction: str, values: list[float], *, method: str, extra: dict[str, Any]
-) -> Metric:
-    """A metric that is a mean of one value per run."""
-    runs, spread = len(values), differ(np.array(values))
-    interval = jackknife_mean(np.array(values), nonnegative=True) if runs >= _MIN_RUNS else None
-    bounds, no_interval = ends_of(interval, runs, spread=spread)
+@dataclass(frozen=True)
+class Aggregate:
+    """One value of several runs.
+
+    value             in the unit of the runs' values
+    sd                standard deviation of a sample; None for one run, and where none is meant
+    ci95              95 % interval; None where there is none, and `interval_why_not` says why
+    interval_why_not  None where no interval is meant
+    method            how the interval was obtained
+    """
+
+    value: float
+    sd: float | None = None
+    ci95: tuple[float, float] | None = None
+    interval_why_not: str | None = None
+    method: str = ""
+
+
+@dataclass(frozen=True)
+class Aggregator:
+    """Makes one value of the values of runs.
+
+    name      "mean" or "median"
+    interval  what the interval is, for the documentation; empty where there is none
+    """
+
+    name: str
+    interval: str
+    of: Callable[[Sequence[float]], Aggregate]
+
+
+def mean_of(values: Sequence[float]) -> Aggregate:
+    """The mean of nonnegative values, one a run, with SD and a jackknife interval."""
+    found = np.array(values)
+    spread = differ(found)
+    interval = jackknife_mean(found, nonnegative=True) if len(found) >= _MIN_RUNS else None
+    bounds, why_not = ends_of(interval, len(found), spread=spread)
     # equal values have their very value for a mean, and no deviation: sums of them round
-    return Metric(
-        name,
+    return Aggregate(
         float(np.mean(values)) if spread else values[0],
-        unit,
-        direction,
-        n=runs,
-        sd=(float(np.std(values, ddof=1)) if spread else 0.0) if runs > 1 else None,
+        sd=(float(np.std(values, ddof=1)) if spread else 0.0) if len(found) > 1 else None,
         ci95=bounds,
-        method=method + (f"; interval: {interval.method}" if bounds and interval else ""),
-        extra={"per_run": values, "interval_why_not": no_interval, **extra},
+        interval_why_not=why_not,
+        method=interval.method if bounds and interval else "",
     )
+
+
+def median_of(values: Sequence[float]) -> Aggregate:
+    """The median, without SD and interval."""
+    return Aggregate(typical_time(values))
+
+
+MEAN = Aggregator("mean", "delete-one-run jackknife", mean_of)
+MEDIAN = Aggregator("median", "", median_of)
 
 
 def differ(values: NDArray[np.float64]) -> bool:

@@ -4,10 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from gpusimbench.evaluator.results.result import Metric
 
 
 @dataclass(frozen=True)
@@ -54,20 +50,3 @@ def tally(claims: Iterable[Claim]) -> Tally:
     """Count claims."""
     found = list(claims)
     return Tally(sum(c.yes for c in found), sum(c.holds is not None for c in found), len(found))
-
-
-def identical(metric: Metric) -> Claim:
-    """Whether all that a metric of distinct environments or runs is about has the same bits.
-
-    One environment or run is compared with nothing; runs without state hashes are named by the metric, and where those
-    that have them agree, nothing is known of all.
-    """
-    if metric.value is None:
-        return Claim(None, metric.why_not)
-    if metric.n < 2:
-        return Claim(None, "there is one alone, and nothing to compare it with")
-    if metric.value != 1:
-        return Claim(False)
-    if without := metric.extra.get("without_hashes"):
-        return Claim(None, f"{without} complete run{'s have' if without > 1 else ' has'} no state hashes")
-    return Claim(True)

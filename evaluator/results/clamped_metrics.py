@@ -6,17 +6,13 @@ cubes decides a mean over all. Both numbers are shown, the published one first.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 
-import numpy as np
-from numpy.typing import NDArray
-
-from gpusimbench.evaluator.compute.work import Work
-from gpusimbench.evaluator.metrics.board import Board, clamped
-from gpusimbench.evaluator.results import group_metrics as gm
-from gpusimbench.evaluator.results.aggregate import Runs
-from gpusimbench.evaluator.results.result import Metric, Reference, not_computed
+from gpusimbench.evaluator.missing import Missing
+from gpusimbench.evaluator.results.details import BetweenEnvs, BetweenRuns, Details
+from gpusimbench.evaluator.results.group_metrics import W1_PARALLEL, W1_REAL, W1_RUN_TO_RUN
+from gpusimbench.evaluator.results.group_runs import GroupRuns
+from gpusimbench.evaluator.results.metric import Estimate, Metric, missing
 
 SUFFIX = "_clamped"
 """Of the name: "w1_parallel_clamped" stands beside "w1_parallel"."""
@@ -24,49 +20,43 @@ SUFFIX = "_clamped"
 _HOW = "; positions beside the board are put at its nearest edge"
 
 
-def clamped_metrics(
-    runs: Runs,
-    planar: NDArray[np.float64] | None,
-    published: tuple[Metric, Metric, Metric],
-    reference: Reference | None,
-    scene: str,
-    work: Work,
-) -> list[Metric]:
-    """The clamped counterparts of W1 between environments, between runs and to the reference.
+def _clamped(published: Metric) -> Metric:
+    """The counterpart of a metric, which has its very value where no position is beside the board."""
 
-    runs       that have positions at the sample step
-    planar     their positions [m], [run, env, item, 2]; None without any
-    published  the metrics as published, in that order; one that could not be computed has no counterpart either
-    """
-    board = runs[0].board if runs else None
-    if planar is None or board is None:
-        return [_none(metric, "this scene has no board") for metric in published]
-    moved = clamped(planar, board)
-    real = _clamped_reference(reference, board)
-    beside = not np.array_equal(moved, planar)
-    beside_of_real = beside or (reference is not None and real is not reference)
-    parallel, between, gap = published
-    return [
-        _counterpart(parallel, beside, lambda: gm.parallel(moved, "", work)[0]),
-        _counterpart(between, beside, lambda: gm.run_to_run(moved, "", work)[0]),
-        _counterpart(gap, beside_of_real, lambda: gm.real(moved, "", real, "", scene, work)),
-    ]
+    def estimate(metric: Metric, group: GroupRuns) -> Estimate:
+        found, board = published.estimate(group), group.on_board
+        if isinstance(found.value, Missing):
+            return missing(metric, found.value.reason)
+        if isinstance(board, Missing):
+            return missing(metric, board.reason)
+        beside = board.planar is not group.planar or (published is W1_REAL and board.reference is not group.reference)
+        if beside:
+            found = published.estimate(board)
+            found = replace(found, details=_without_matrix(found.details))
+        return replace(found, metric=metric, method=found.method + _HOW)
 
-
-def _counterpart(metric: Metric, beside: bool, compute: Callable[[], Metric]) -> Metric:
-    """The metric of clamped positions, which is the published one where no position is beside the board."""
-    if metric.value is None:
-        return _none(metric, metric.why_not)
-    found = compute() if beside else metric
-    return replace(found, name=metric.name + SUFFIX, method=found.method + _HOW)
+    return replace(
+        published,
+        name=published.name + SUFFIX,
+        title=f"clamped {published.title}",
+        docs=f"`{published.name}` with every position beside the board put at the board's nearest edge; see below",
+        published=False,
+        values=None,
+        of_group=estimate,
+        optional=True,
+        axis=None,
+        radar=None,
+    )
 
 
-def _clamped_reference(reference: Reference | None, board: Board) -> Reference | None:
-    if reference is None:
-        return None
-    moved = clamped(reference.positions, board)
-    return reference if np.array_equal(moved, reference.positions) else replace(reference, positions=moved)
+def _without_matrix(details: Details) -> Details:
+    # the matrices that are kept are those of the published values
+    if isinstance(details, BetweenEnvs):
+        return replace(details, matrix_of=None, matrix_cm=None)
+    if isinstance(details, BetweenRuns):
+        return replace(details, runs=None, classes=None, matrix_cm=None)
+    return details
 
 
-def _none(metric: Metric, why: str) -> Metric:
-    return not_computed(metric.name + SUFFIX, metric.unit, metric.direction, metric.why_not or why)
+CLAMPED = tuple(_clamped(metric) for metric in (W1_PARALLEL, W1_RUN_TO_RUN, W1_REAL))
+"""The clamped counterparts of W1 between environments, between runs and to the reference."""

@@ -3,67 +3,70 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
+from gpusimbench.evaluator.metrics.capture import overhead
 from gpusimbench.evaluator.metrics.cotenants import Presence
+from gpusimbench.evaluator.metrics.radar import Axis as RadarAxis
 from gpusimbench.evaluator.metrics.throughput import frames_per_second
 from gpusimbench.evaluator.missing import Missing
-from gpusimbench.evaluator.results.aggregate import NO_RUN, Runs, mean_over_runs
-from gpusimbench.evaluator.results.result import Metric, not_computed
+from gpusimbench.evaluator.results.aggregate import MEDIAN, Runs
+from gpusimbench.evaluator.results.details import CaptureOverhead, Memory, RunPresence, SharedRun, ShrunkRun, Throughput
+from gpusimbench.evaluator.results.group_runs import GroupRuns
+from gpusimbench.evaluator.results.metric import Axis, Direction, Estimate, Metric, each, missing, over_runs
 from gpusimbench.evaluator.runs.run import Run
-
-_GB = 1e9
-_MB = 1e6
 
 _NOT_SAMPLED = "the timed phase was left out, or no memory was sampled in it"
 
-GPU_MEMORY = ("memory_peak_increment", "process_memory_peak")
-"""Metrics of GPU memory that groups can be compared by, in the order in which they are asked: the published first."""
 
-HOST_MEMORY = "host_memory_peak_increment"
-
-
-def throughput(runs: Runs) -> Metric:
-    """FPS: mean over runs of N_env * N_step / T_step of the timed phase."""
-    name, unit = "fps", "env-steps/s"
-    values = [
-        frames_per_second(r.configuration.n_env, r.configuration.timed_steps, r.elapsed_s)
-        for r in runs
-        if not isinstance(r.elapsed_s, Missing)
-    ]
-    if not values:
-        return not_computed(name, unit, "higher", "the timed phase was left out" if runs else NO_RUN)
-    simulation = runs[0].simulation
-    covers = simulation.timing_covers if simulation else ""
-    method = "N_env * N_step / T_step of the timed phase, mean over runs"
-    extra = {"timing_covers": covers, "co_tenants": _presence(runs)}
-    return mean_over_runs(name, unit, "higher", values, method=method, extra=extra)
+def _fps(run: Run) -> float | Missing:
+    c = run.configuration
+    if not run.elapsed_s:
+        return Missing("the timed phase was left out")
+    return frames_per_second(c.n_env, c.timed_steps, run.elapsed_s)
 
 
-def _presence(runs: Runs) -> list[dict[str, Any]] | None:
-    """By run, whether another process was on the device that stepped; None where the simulator ran on the CPU."""
+def _throughput(group: GroupRuns) -> Throughput:
+    simulation = group.runs[0].simulation
+    return Throughput(timing_covers=simulation.timing_covers if simulation else "", co_tenants=_presence(group.runs))
+
+
+def _presence(runs: Runs) -> tuple[RunPresence, ...] | None:
     if not any(r.gpu for r in runs):
         return None
-    return [
-        {
-            "run": r.configuration.run_index,
-            "presence": r.cotenants.presence.value,
-            "signs": [vars(sign) for sign in r.cotenants.signs],
-        }
-        for r in runs
-    ]
+    return tuple(RunPresence(_index(r), r.cotenants.presence, tuple(r.cotenants.signs)) for r in runs)
 
 
-def device_increment(run: Run) -> int | None:
-    """What the whole device held in the timed phase beyond the baseline [byte].
+def _index(run: Run) -> int:
+    return run.configuration.run_index
 
-    None where it was not sampled, and where another process was on the device, whose memory it would count.
-    """
-    shared = run.cotenants.presence is Presence.SOME
-    return None if shared or not run.gpu else run.gpu.device.peak_increment
+
+def _no_gpu(run: Run) -> Missing | None:
+    of = run
+    if not of.provenance.gpus:
+        return Missing("no GPU on the machine that recorded")
+    return Missing("this simulator ran on the CPU") if of.simulation and of.simulation.device == "cpu" else None
+
+
+def _device_increment(run: Run) -> float | Missing:
+    if (none := _no_gpu(run)) is not None:
+        return none
+    if run.cotenants.presence is Presence.SOME:
+        return Missing("another process was on the GPU")
+    found = run.gpu.device.peak_increment if run.gpu else None
+    return Missing(_NOT_SAMPLED) if found is None else found
+
+
+def _process_peak(run: Run) -> float | Missing:
+    if (none := _no_gpu(run)) is not None:
+        return none
+    found = process_peak(run)
+    return (
+        Missing("the timed phase was left out, or NVML attributed no memory to the run's process")
+        if found is None
+        else found
+    )
 
 
 def process_peak(run: Run) -> int | None:
@@ -71,155 +74,175 @@ def process_peak(run: Run) -> int | None:
     return run.gpu.process.peak if run.gpu and run.gpu.process else None
 
 
-def memory_peak_increment(runs: Runs) -> Metric:
-    """GPU memory: largest reading of the timed phase minus the baseline, as the hardware monitor reports it.
+def _allocator_peak(run: Run) -> float | Missing:
+    if (none := _no_gpu(run)) is not None:
+        return none
+    why_not = "the engine's allocator did not tell its peak, or had it while the simulator was built"
+    return Missing(why_not) if isinstance(run.allocator, Missing) else run.allocator
 
-    Of runs that no other process shared the device with, as far as is known.
-    """
-    name, unit = "memory_peak_increment", "GB"
-    if why_not := _no_gpu(runs):
-        return not_computed(name, unit, "lower", why_not)
-    left_out = [
-        {
-            "run": r.configuration.run_index,
-            "increment_bytes": r.gpu.device.peak - r.gpu.device.baseline
+
+def _host_increment(run: Run) -> float | Missing:
+    found = run.host.peak_increment if run.host else None
+    return Missing(_NOT_SAMPLED) if found is None else found
+
+
+def _device_memory(group: GroupRuns) -> Memory:
+    shared = tuple(
+        SharedRun(
+            _index(r),
+            r.gpu.device.peak - r.gpu.device.baseline
             if r.gpu and r.gpu.device.peak is not None and r.gpu.device.baseline is not None
             else None,
-            "process_bytes": process_peak(r),
-        }
-        for r in runs
+            process_peak(r),
+        )
+        for r in group.runs
         if r.cotenants.presence is Presence.SOME
-    ]
-    extra = {
-        "source": "device",
-        "checkpoints_bytes": [vars(r.gpu.device) for r in runs if r.gpu],
-        "left_out": left_out,
-    }
-    values = [value / _GB for r in runs if (value := device_increment(r)) is not None]
-    if not values:
-        why = f"another process was on the GPU in {len(left_out)} of {len(runs)} runs" if left_out else _NOT_SAMPLED
-        return replace(not_computed(name, unit, "lower", why), extra=extra)
-    alone = ", of runs without a known co-tenant" if left_out else ""
-    method = (
-        f"peak of the timed phase minus baseline (NVML, the whole of the device that steps){alone}, mean over runs; "
-        f"1 {unit} = {_GB:.0e} B"
     )
-    return mean_over_runs(name, unit, "lower", values, method=method, extra=extra)
+    return Memory(
+        source="device", checkpoints_bytes=tuple(r.gpu.device for r in group.runs if r.gpu), left_out=shared
+    )  # fmt: skip
 
 
-def process_memory_peak(runs: Runs) -> Metric:
-    """GPU memory that the hardware monitor attributes to the run's own process: of all runs, whoever else was there."""
-    name, unit = "process_memory_peak", "GB"
-    if why_not := _no_gpu(runs):
-        return not_computed(name, unit, "lower", why_not)
-    values = [value / _GB for r in runs if (value := process_peak(r)) is not None]
-    if not values:
-        why = "the timed phase was left out, or NVML attributed no memory to the run's process"
-        return not_computed(name, unit, "lower", why)
-    method = (
-        f"largest reading of the timed phase (NVML, of the run's process, which held none before), mean over runs; "
-        f"1 {unit} = {_GB:.0e} B"
+def _process_memory(group: GroupRuns) -> Memory:
+    processes = tuple(r.gpu.process for r in group.runs if r.gpu and r.gpu.process)
+    return Memory(source="process", checkpoints_bytes=processes)
+
+
+def _host_memory(group: GroupRuns) -> Memory:
+    return Memory(
+        source="host",
+        checkpoints_bytes=tuple(r.host for r in group.runs if r.host),
+        left_out=tuple(ShrunkRun(_index(r)) for r in group.runs if r.host and r.host.shrank),
     )
-    extra = {"source": "process", "checkpoints_bytes": [vars(r.gpu.process) for r in runs if r.gpu and r.gpu.process]}
-    return mean_over_runs(name, unit, "lower", values, method=method, extra=extra)
 
 
-def common_memory(found: Sequence[Mapping[str, Metric]]) -> str:
+def _device(metric: Metric, group: GroupRuns) -> Estimate:
+    """Of runs that no other process shared the device with, as far as is known."""
+    shared = sum(r.cotenants.presence is Presence.SOME for r in group.runs)
+    found = over_runs(metric, group, f"{metric.method}, of runs without a known co-tenant" if shared else "")
+    if not isinstance(found.value, Missing) or not group.runs or _no_gpu(group.runs[0]) is not None:
+        return found
+    why = f"another process was on the GPU in {shared} of {len(group.runs)} runs" if shared else _NOT_SAMPLED
+    return missing(metric, why, _device_memory(group))
+
+
+def _host(metric: Metric, group: GroupRuns) -> Estimate:
+    found = over_runs(metric, group)
+    if not isinstance(found.value, Missing) or not group.runs:
+        return found
+    details = _host_memory(group)
+    why = "the process held less in the timed phase than at the baseline" if details.left_out else _NOT_SAMPLED
+    return missing(metric, why, details)
+
+
+def _compile_times(group: GroupRuns) -> list[float | Missing]:
+    none = Missing("compilation was not clocked")
+    return [run.compile_s.get(_compiled(group), none) for run in group.runs]
+
+
+def _compiled(group: GroupRuns) -> str:
+    """The phase whose compilation is told: what the capture runs, where nothing was timed."""
+    return next((p for p in ("timed", "capture") if any(p in r.compile_s for r in group.runs)), "")
+
+
+def _compile(metric: Metric, group: GroupRuns) -> Estimate:
+    return over_runs(metric, group, f"compilation of what the {_compiled(group)} phase runs")
+
+
+def _overhead(run: Run) -> float | Missing:
+    c = run.configuration
+    if not (run.capture_s and run.elapsed_s):
+        return Missing("timed and captured steps were not both clocked")
+    return overhead(run.capture_s, c.steps, run.elapsed_s, c.timed_steps)
+
+
+def _capture(group: GroupRuns) -> CaptureOverhead:
+    stalled = [(r.stalled_s or 0.0) / r.capture_s for r in group.runs if r.capture_s and r.elapsed_s]
+    return CaptureOverhead(stalled_share=float(np.mean(stalled)))
+
+
+FPS = Metric(
+    "fps", "throughput", "env-steps/s", Direction.HIGHER,
+    "N_env * N_step / T_step of the timed phase; mean over runs",
+    method="N_env * N_step / T_step of the timed phase", published=True,
+    values=each(_fps), details=_throughput, axis=Axis.THROUGHPUT, radar=RadarAxis.THROUGHPUT,
+)  # fmt: skip
+
+DEVICE_MEMORY = Metric(
+    "memory_peak_increment", "GPU memory increment", "GB", Direction.LOWER,
+    "largest reading of the GPU's memory in the timed phase minus the baseline, as NVML reports it for the whole of "
+    "the device that steps: the first that CUDA shows to the run; up to the phase's last clock reading; mean over runs "
+    "without a known [co-tenant](#gpu-memory-and-other-processes)",
+    method="peak of the timed phase minus baseline (NVML, the whole of the device that steps)", published=True,
+    values=each(_device_increment), details=_device_memory, of_group=_device,
+    interval="delete-one-run jackknife", axis=Axis.MEMORY, radar=RadarAxis.MEMORY,
+)  # fmt: skip
+
+PROCESS_MEMORY = Metric(
+    "process_memory_peak", "GPU memory of the process", "GB", Direction.LOWER,
+    "largest reading of the timed phase of the memory that NVML attributes to the run's process, which held none at "
+    "the baseline; mean over all runs",
+    method="largest reading of the timed phase (NVML, of the run's process, which held none before)",
+    values=each(_process_peak), details=_process_memory, optional=True, axis=Axis.MEMORY,
+)  # fmt: skip
+
+ALLOCATOR_PEAK = Metric(
+    "allocator_peak", "peak of the engine's allocator", "GB", Direction.LOWER,
+    "peak that the engine's own device allocator kept, up to the end of the timed phase, without what CUDA graphs "
+    "hold; none where the peak was reached while the simulator was built; mean over runs",
+    method="peak that the engine's own allocator kept",
+    values=each(_allocator_peak), details=lambda _: Memory(source="allocator"), optional=True, axis=Axis.MEMORY,
+)  # fmt: skip
+
+HOST_MEMORY = Metric(
+    "host_memory_peak_increment", "host memory increment", "MB", Direction.LOWER,
+    "largest resident set of the run's process in the timed phase minus the baseline; mean over runs",
+    method="peak of the timed phase minus baseline (resident set of the run's process)",
+    values=each(_host_increment), details=_host_memory, of_group=_host,
+    interval="delete-one-run jackknife", axis=Axis.MEMORY,
+)  # fmt: skip
+
+BUILD_TIME = Metric(
+    "build_time", "time to build", "s", Direction.LOWER,
+    "import of the engine, sizing of its buffers, loading of the model, allocation; median over runs, since the first "
+    "run of a set fills the caches of the others",
+    method="import of the engine, sizing of its buffers, loading of the model, allocation",
+    values=each(lambda run: run.build_s),
+    aggregate=MEDIAN, optional=True, axis=Axis.BUILD,
+)  # fmt: skip
+
+COMPILE_TIME = Metric(
+    "compile_time", "time to compile", "s", Direction.LOWER,
+    "compilation of what the timed phase runs (the capture phase, where nothing was timed); median over runs",
+    method="compilation of what the timed (or else the capture) phase runs",
+    values=_compile_times, aggregate=MEDIAN, of_group=_compile, optional=True, axis=Axis.BUILD,
+)  # fmt: skip
+
+CAPTURE_OVERHEAD = Metric(
+    "capture_slowdown", "capture overhead", "", Direction.LOWER,
+    "time of a captured step over that of a timed step, (T_capture / N_capture) / (T_timed / N_timed), mean over runs; "
+    "`stalled_share`: the share of the capture's time that the engine waited for the disk. The two phases make other "
+    "steps of the scene: contacts that come late make it larger or smaller",
+    method="time of a captured step / of a timed step",
+    values=each(_overhead), remark="; the phases make other steps of the scene", details=_capture, optional=True,
+)  # fmt: skip
+
+COSTS = (
+    FPS, DEVICE_MEMORY, PROCESS_MEMORY, ALLOCATOR_PEAK, HOST_MEMORY, BUILD_TIME, COMPILE_TIME, CAPTURE_OVERHEAD,
+)  # fmt: skip
+"""Metrics of what runs cost."""
+
+GPU_MEMORY = (DEVICE_MEMORY.name, PROCESS_MEMORY.name)
+"""Metrics of GPU memory that groups can be compared by, in the order in which they are asked: the published first."""
+
+
+def common_memory(found: Sequence[Mapping[str, Estimate]]) -> str:
     """The metric of memory by which groups can be compared: figures of different sources are different quantities.
 
     The first of the device's increment, the process's own and the host's increment that each group has; the one that
     most have, where none is everyone's.
     """
-    having = {name: sum(m[name].value is not None for m in found) for name in (*GPU_MEMORY, HOST_MEMORY)}
-    if not any(having[name] for name in GPU_MEMORY):
-        return HOST_MEMORY
+    having = {name: sum(not isinstance(m[name].value, Missing) for m in found) for name in GPU_MEMORY}
+    if not any(having.values()):
+        return HOST_MEMORY.name
     return max(GPU_MEMORY, key=lambda name: having[name])
-
-
-def allocator_peak(runs: Runs) -> Metric:
-    """GPU memory by the engine's own allocator: its peak up to the end of the timed phase."""
-    name, unit = "allocator_peak", "GB"
-    if why_not := _no_gpu(runs):
-        return not_computed(name, unit, "lower", why_not)
-    values = [r.allocator / _GB for r in runs if not isinstance(r.allocator, Missing)]
-    if not values:
-        return not_computed(
-            name, unit, "lower", "the engine's allocator did not tell its peak, or had it while the simulator was built"
-        )
-    method = f"peak that the engine's own allocator kept, mean over runs; 1 {unit} = {_GB:.0e} B"
-    return mean_over_runs(name, unit, "lower", values, method=method, extra={"source": "allocator"})
-
-
-def _no_gpu(runs: Runs) -> str:
-    if not runs:
-        return NO_RUN
-    first = runs[0]
-    if not first.provenance.gpus:
-        return "no GPU on the machine that recorded"
-    return "this simulator ran on the CPU" if first.simulation and first.simulation.device == "cpu" else ""
-
-
-def build_time(runs: Runs) -> Metric:
-    """Time that building the simulator takes: median over runs."""
-    why_not = "building was not clocked" if runs else NO_RUN
-    values = [r.build_s for r in runs if not isinstance(r.build_s, Missing)]
-    return _median_time(
-        "build_time", values, "import of the engine, sizing of its buffers, loading of the model, allocation", why_not
-    )
-
-
-def compile_time(runs: Runs) -> Metric:
-    """Time that compiling what the timed phase runs takes (what the capture runs, where nothing was timed): median."""
-    phase = next((p for p in ("timed", "capture") if any(p in r.compile_s for r in runs)), "")
-    why_not = "compilation was not clocked" if runs else NO_RUN
-    values = [r.compile_s[phase] for r in runs if phase in r.compile_s]
-    return _median_time("compile_time", values, f"compilation of what the {phase} phase runs", why_not)
-
-
-def capture_slowdown(runs: Runs) -> Metric:
-    """Time of a step of the capture phase over that of the timed phase, and how much of it was waiting for the disk."""
-    name = "capture_slowdown"
-    ratios, stalled = [], []
-    for run in runs:
-        c = run.configuration
-        if run.capture_s and run.elapsed_s and not isinstance(run.stalled_s, Missing):
-            ratios.append(run.capture_s / c.steps / (run.elapsed_s / c.timed_steps))
-            stalled.append(run.stalled_s / run.capture_s)
-    if not ratios:
-        why_not = "timed and captured steps were not both clocked" if runs else NO_RUN
-        return not_computed(name, "", "lower", why_not)
-    method = "time of a captured step / of a timed step, mean over runs; the phases make other steps of the scene"
-    return mean_over_runs(name, "", "lower", ratios, method=method, extra={"stalled_share": float(np.mean(stalled))})
-
-
-def _median_time(name: str, values: list[float], what: str, why_not: str) -> Metric:
-    if not values:
-        return not_computed(name, "s", "lower", why_not)
-    # the first run of a set fills the caches on disk that the others find: a mean would mix the two
-    median = float(np.median(values))
-    return Metric(
-        name, median, "s", "lower", n=len(values), method=f"{what}, median over runs", extra={"per_run": values}
-    )
-
-
-def host_memory_peak_increment(runs: Runs) -> Metric:
-    """Host memory: largest resident set of the timed phase minus the baseline."""
-    name, unit = HOST_MEMORY, "MB"
-    if not runs:
-        return not_computed(name, unit, "lower", NO_RUN)
-    checkpoints = [r.host for r in runs if r.host]
-    values = [c.peak_increment / _MB for c in checkpoints if c.peak_increment is not None]
-    shrank = [r.configuration.run_index for r in runs if r.host and r.host.shrank]
-    extra = {
-        "source": "host",
-        "checkpoints_bytes": [vars(c) for c in checkpoints],
-        "left_out": [{"run": run} for run in shrank],
-    }
-    if not values:
-        why = "the process held less in the timed phase than at the baseline" if shrank else _NOT_SAMPLED
-        return replace(not_computed(name, unit, "lower", why), extra=extra)
-    method = (
-        f"peak of the timed phase minus baseline (resident set of the run's process), mean over runs; "
-        f"1 {unit} = {_MB:.0e} B"
-    )
-    return mean_over_runs(name, unit, "lower", values, method=method, extra=extra)

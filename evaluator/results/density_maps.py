@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gpusimbench.evaluator.metrics.density import HexGrid, marginal
-from gpusimbench.evaluator.results.result import Cloud, GroupResult, Map, Reference
+from gpusimbench.evaluator.results.reference import Reference
+from gpusimbench.evaluator.results.result import Cloud, GroupResult, Map
 
 _BIN_M = 0.01  # half a cube's edge
 _MARGIN_M = 0.1

@@ -7,9 +7,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
+from gpusimbench.evaluator.missing import Missing, why_missing
 from gpusimbench.evaluator.results.cost_metrics import common_memory
+from gpusimbench.evaluator.results.details import OverRuns
 from gpusimbench.evaluator.results.faults import faults
-from gpusimbench.evaluator.results.result import GroupResult, Metric
+from gpusimbench.evaluator.results.metric import Estimate
+from gpusimbench.evaluator.results.result import GroupResult
 from gpusimbench.evaluator.runs.groups import GroupKey, asked
 from gpusimbench.evaluator.statistics.ratio import ratio_of_means
 
@@ -212,10 +215,10 @@ def _cost(result: GroupResult, base: GroupResult | None, name: str) -> Cost:
             return Cost(None, why_not=f"{which}{invalid}, so it has no price")
     ours, theirs = result.metrics[name], base.metrics[name]
     for metric, which in ((ours, ""), (theirs, "the default: ")):
-        if metric.value is None:
+        if isinstance(metric.value, Missing):
             return Cost(None, why_not=f"{which}{_why_not(result if metric is ours else base, metric)}")
     try:
-        found = ratio_of_means(ours.extra["per_run"], theirs.extra["per_run"])
+        found = ratio_of_means(ours.of(OverRuns).per_run or (), theirs.of(OverRuns).per_run or ())
     except ValueError as error:
         return Cost(None, why_not=str(error))
     if found.low is None or found.high is None:
@@ -223,6 +226,6 @@ def _cost(result: GroupResult, base: GroupResult | None, name: str) -> Cost:
     return Cost(found.estimate, (found.low, found.high))
 
 
-def _why_not(result: GroupResult, metric: Metric) -> str:
+def _why_not(result: GroupResult, metric: Estimate) -> str:
     endings = dict.fromkeys(f"{r.cause or r.status}: {r.reason}" for r in result.group.recordings if not r.usable)
-    return "; ".join(endings) if endings and not result.group.complete else metric.why_not
+    return "; ".join(endings) if endings and not result.group.complete else why_missing(metric.value)

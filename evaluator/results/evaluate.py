@@ -1,4 +1,4 @@
-"""From recordings to an Evaluation: which metric is computed from what, and why one cannot be."""
+"""From recordings to an Evaluation: groups, their metrics, sweeps, and what compares groups."""
 
 from __future__ import annotations
 
@@ -11,18 +11,20 @@ from numpy.typing import NDArray
 
 from gpusimbench.evaluator.check.protocol import RULE_SET, Protocol, Unmet, unmet_by_file
 from gpusimbench.evaluator.compute.work import HERE, Work
-from gpusimbench.evaluator.missing import Missing
-from gpusimbench.evaluator.results import cost_metrics as costs
-from gpusimbench.evaluator.results import group_metrics as gm
-from gpusimbench.evaluator.results import identity_metrics as identity
+from gpusimbench.evaluator.missing import Missing, known
 from gpusimbench.evaluator.results.accumulation import accumulations
-from gpusimbench.evaluator.results.clamped_metrics import clamped_metrics
 from gpusimbench.evaluator.results.density_maps import reference_density, shared_map, with_cloud
+from gpusimbench.evaluator.results.details import SunkCubes
 from gpusimbench.evaluator.results.determinism_cost import price_list
+from gpusimbench.evaluator.results.evaluation import Evaluation
 from gpusimbench.evaluator.results.fidelity import fidelity
+from gpusimbench.evaluator.results.group_runs import GroupRuns
+from gpusimbench.evaluator.results.identity_metrics import identical_steps
+from gpusimbench.evaluator.results.metrics import METRICS
 from gpusimbench.evaluator.results.ranking import compare
-from gpusimbench.evaluator.results.result import Evaluation, GroupResult, Metric, Reference, RunSpread
-from gpusimbench.evaluator.results.sampled import ends_early, left_out, positions, sampled
+from gpusimbench.evaluator.results.reference import Reference
+from gpusimbench.evaluator.results.result import GroupResult, RunSpread
+from gpusimbench.evaluator.results.sampled import ends_early, left_out
 from gpusimbench.evaluator.results.sweeps import find_sweeps
 from gpusimbench.evaluator.results.timed_work import timed_work
 from gpusimbench.evaluator.results.validity import validity_of
@@ -88,7 +90,7 @@ def evaluate(
             f"the recordings break rules of {RULE_SET} {_times(protocol.whole.count)}: gsb-check --protocol names them"
         )
     found = [
-        _evaluate_group(g, label, protocol.of(g.recordings), target, why_not, sample_time, work)
+        _evaluate_group(g, label, protocol.of(g.recordings), target or Missing(why_not), sample_time, work)
         for g, label in zip(groups, names, strict=True)
     ]
     notes += _identical_groups(found)
@@ -168,51 +170,18 @@ def _evaluate_group(
     group: Group[Run],
     label: str,
     unmet: Unmet,
-    reference: Reference | None,
-    no_reference: str,
+    reference: Reference | Missing,
     sample_time: float,
     work: Work,
 ) -> _Found:
     runs = group.complete
-    at_sample = sampled(runs)
-    planar, why_not = positions(at_sample)
-    parallel, parallel_matrix = gm.parallel(planar, why_not, work)
-    between, run_matrix = gm.run_to_run(planar, why_not, work)
-    real = gm.real(planar, why_not, reference, no_reference, group.key.scene, work)
-    distinct_envs, distinct_runs = identity.distinct(runs)
-    classes = identity.classes_of(at_sample)
-    between.extra.update(_drawn_runs(at_sample, classes) if run_matrix is not None else {})
-    parallel.extra.update({"matrix_of": _place(at_sample[0], runs)} if parallel_matrix is not None else {})
-    metrics: list[Metric] = [
-        costs.throughput(runs),
-        costs.memory_peak_increment(runs),
-        costs.process_memory_peak(runs),
-        costs.allocator_peak(runs),
-        costs.host_memory_peak_increment(runs),
-        costs.build_time(runs),
-        costs.compile_time(runs),
-        costs.capture_slowdown(runs),
-        parallel,
-        between,
-        real,
-        *clamped_metrics(at_sample, planar, (parallel, between, real), reference, group.key.scene, work),
-        distinct_envs,
-        distinct_runs,
-        identity.equality_of_envs(at_sample),
-        identity.equality_of_runs(at_sample),
-        identity.growth(runs),
-        gm.left_board(at_sample),
-        gm.sank(runs),
-        gm.regime(at_sample, parallel, between, run_matrix, classes),
-        identity.capture_effect(runs, distinct_runs),
-    ]
+    group_runs = GroupRuns(runs, reference, work)
+    planar = group_runs.planar
     result = GroupResult(
         group=group,
         label=label,
-        metrics={m.name: m for m in metrics},
+        metrics={name: metric.estimate(group_runs) for name, metric in METRICS.items()},
         cloud=None,
-        parallel_matrix=parallel_matrix,
-        run_matrix=run_matrix,
         validity=validity_of(group),
         fidelity=fidelity(label, [run.physics for run in runs]),
         notes=tuple(_notes(group, runs, reference, sample_time)),
@@ -220,25 +189,15 @@ def _evaluate_group(
         timed=timed_work(group.key, runs, unmet),
     )
     result = replace(result, notes=(*result.notes, *_warnings(result)))
-    return _Found(result, runs, planar)
+    return _Found(result, runs, known(planar))
 
 
-def _drawn_runs(at_sample: Sequence[Run], classes: list[int]) -> dict[str, list[int]]:
-    """What the rows of the matrix of runs are: their indices, and their classes by bits."""
-    return {"runs": [r.configuration.run_index for r in at_sample], "classes": classes}
-
-
-def _place(run: Run, runs: Sequence[Run]) -> int | None:
-    """Of the run whose environments are drawn, among the runs whose environments are compared by bits."""
-    return next((at for at, one in enumerate(r for r in runs if r.histories) if one is run), None)
-
-
-def _notes(group: Group[Run], runs: Sequence[Run], reference: Reference | None, sample_time: float) -> list[str]:
+def _notes(group: Group[Run], runs: Sequence[Run], reference: Reference | Missing, sample_time: float) -> list[str]:
     notes = [*status_notes(group), *left_out(runs), *ends_early(runs)]
     sampled = next((r.positions.time for r in runs if r.positions), sample_time)
     if not math.isclose(sampled, sample_time, rel_tol=1e-9):
         notes.append(f"positions are those at {sampled:g} s, the step nearest to {sample_time:g} s")
-    if reference and reference.run_id in {r.provenance.run_id for r in runs}:
+    if isinstance(reference, Reference) and reference.run_id in {r.provenance.run_id for r in runs}:
         notes.append("the reference is one of this group's own runs, whose distance of zero is part of the mean")
     return [*notes, *cotenancy.notes(runs)]
 
@@ -247,11 +206,12 @@ def _warnings(result: GroupResult) -> list[str]:
     """What the numbers themselves warn of."""
     notes = []
     sank = result.metrics["sank"]
-    if sank.value:
-        mean = f"{sank.value:.3g} of {sank.extra['cubes']}"
+    if not isinstance(sank.value, Missing) and sank.value:
+        details = sank.of(SunkCubes)
+        mean = f"{sank.value:.3g} of {details.cubes}"
         notes.append(
-            f"cubes through the floor: {mean} per env by step {sank.extra['last_step']}, the first at step "
-            f"{sank.extra['first_step']}"
+            f"cubes through the floor: {mean} per env by step {details.last_step}, the first at step "
+            f"{details.first_step}"
         )
     if any(len(applied.sha256) > 1 for applied in result.validity.actions):
         notes.append("the runs were given different actions, so they differ by design")
@@ -263,7 +223,7 @@ def _identical_groups(found: Sequence[_Found]) -> list[str]:
     notes = []
     for index, one in enumerate(found):
         for other in found[index + 1 :]:
-            count = identity.identical_steps(one.runs, other.runs)
+            count = identical_steps(one.runs, other.runs)
             if count:
                 names = f"{one.result.label} and {other.result.label}"
                 notes.append(f"{names}: all runs are bit-identical over their {count} common states")

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+from gpusimbench.evaluator.missing import Missing
+from gpusimbench.evaluator.results.details import SunkCubes
 from gpusimbench.evaluator.results.fidelity import Verdict
 from gpusimbench.evaluator.results.result import GroupResult
 from gpusimbench.evaluator.runs.groups import GroupKey, settings_asked, shown_status
@@ -61,12 +63,13 @@ def _invalid(result: GroupResult) -> str:
 
 
 def _sunk(result: GroupResult) -> str:
-    metric = result.metrics.get("sank")
-    if metric is None or not metric.value:
+    sank = result.metrics.get("sank")
+    if sank is None or isinstance(sank.value, Missing) or not sank.value:
         return ""
-    if metric.value < 0.1:  # few enough to be counted one by one
-        return f"{metric.extra['total']:,} of {metric.extra['of']:,} cubes sank"
-    return f"{metric.value:.3g} of {metric.extra['of'] // metric.n} cubes per env sank"
+    details = sank.of(SunkCubes)
+    if sank.value < 0.1:  # few enough to be counted one by one
+        return f"{details.total:,} of {details.of:,} cubes sank"
+    return f"{sank.value:.3g} of {details.of // sank.n} cubes per env sank"
 
 
 def _broken(result: GroupResult) -> str:

@@ -1,96 +1,109 @@
-"""The metrics of one group of runs: what each is computed from, and why one cannot be.
-
-The formulas are in ``evaluator.metrics`` and ``evaluator.statistics``; here the runs are turned into their arguments.
-"""
+"""Metrics of where the cubes of a group are at the sample step: W1 between environments, runs and to a reference."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gpusimbench.evaluator.compute.mapping import Mapper
-from gpusimbench.evaluator.compute.work import Work
 from gpusimbench.evaluator.metrics.alignment import GapTo
 from gpusimbench.evaluator.metrics.board import left_board as lost
+from gpusimbench.evaluator.metrics.radar import Axis as RadarAxis
 from gpusimbench.evaluator.metrics.regime import PRESENT_FROM_CM, published_regime
 from gpusimbench.evaluator.metrics.variability import (
     CM_PER_M,
     MATRIX_ENVS,
     SAMPLED_ENVS,
+    ParallelVariability,
     parallel_variability,
     run_to_run_variability,
 )
-from gpusimbench.evaluator.missing import why_missing
-from gpusimbench.evaluator.results.aggregate import NO_RUN, Runs, differ, ends_of, mean_over_runs
-from gpusimbench.evaluator.results.result import Metric, Reference, not_computed
+from gpusimbench.evaluator.missing import Missing, why_missing
+from gpusimbench.evaluator.results.aggregate import NO_RUN, differ, ends_of
+from gpusimbench.evaluator.results.details import (
+    BetweenEnvs,
+    BetweenRuns,
+    Drawn,
+    OffTheBoard,
+    OverRuns,
+    PublishedType,
+    Resampled,
+    SunkCubes,
+    ToReference,
+)
+from gpusimbench.evaluator.results.group_runs import GroupRuns
+from gpusimbench.evaluator.results.metric import Axis, Direction, Estimate, Metric, Table, missing, over_runs
 from gpusimbench.evaluator.results.sampled import no_positions
-from gpusimbench.evaluator.statistics.energy import energy_distance
+from gpusimbench.evaluator.statistics.floor import floor
 from gpusimbench.evaluator.statistics.jackknife import jackknife_pair_mean
-from gpusimbench.evaluator.statistics.permutation import permutation_floor
 from gpusimbench.evaluator.statistics.regimes import MIN_RUNS, regime_probabilities
 
 _SEED = 0
 
-_PERMUTATIONS = ((1000, 99), (2000, 19))
-"""Permutations by the number of points a side: one distance costs about n^2.5, and a table should take seconds."""
 
-_ENERGY_PERMUTATIONS = 999
-_ENERGY_POINTS = 20_000
-"""Of both sides: their distances are some four seconds of computing."""
-
-
-def parallel(planar: NDArray[np.float64] | None, why_not: str, work: Work) -> tuple[Metric, NDArray[np.float64] | None]:
-    """Parallel variability: mean over runs of the mean W1 over pairs of environments, with the first run's matrix."""
-    name = "w1_parallel"
-    if planar is None:
-        return not_computed(name, "cm", "lower", why_not), None
+def _solved(group: GroupRuns) -> list[ParallelVariability] | Missing:
+    """Of every run that recorded the sample step; identical runs are solved once."""
+    planar = group.planar
+    if isinstance(planar, Missing):
+        return planar
     if planar.shape[1] < 2:
-        return not_computed(name, "cm", "lower", "needs at least two environments"), None
-    distinct = {run.tobytes(): run for run in planar}  # identical runs are solved once
+        return Missing("needs at least two environments")
+    distinct = {run.tobytes(): run for run in planar}
     if planar.shape[1] > MATRIX_ENVS:
-        solved = [parallel_variability(run, work.map) for run in distinct.values()]
+        solved = [parallel_variability(run, group.work.map) for run in distinct.values()]
     else:
-        solved = work.map(parallel_variability, distinct.values())
+        solved = group.work.map(parallel_variability, distinct.values())
     by_run = dict(zip(distinct, solved, strict=True))
-    found = [by_run[run.tobytes()] for run in planar]
-    metric = mean_over_runs(
-        name,
-        "cm",
-        "lower",
-        [f.mean_cm for f in found],
-        method="W1 between the planar positions of two environments, mean over pairs, mean over runs",
-        extra={"distinct_at_sample_step": [f.n_distinct for f in found]},
+    return [by_run[run.tobytes()] for run in planar]
+
+
+def _parallel_values(group: GroupRuns) -> list[float | Missing]:
+    """Of every run; a run that did not record the sample step has none."""
+    found = W1_PARALLEL.estimate(group)
+    per_run = iter(found.of(BetweenEnvs).per_run or ())
+    none = found.value if isinstance(found.value, Missing) else Missing("the sample step was not recorded")
+    used = {id(run) for run in group.at_sample}
+    return [next(per_run, none) if id(run) in used else none for run in group.runs]
+
+
+def _parallel(metric: Metric, group: GroupRuns) -> Estimate:
+    found = _solved(group)
+    if isinstance(found, Missing):
+        return missing(metric, found.reason)
+    drawn = [f for f in found if f.exactness == "sampled"]
+    matrix = found[0].matrix_cm
+    n_env = len(group.planar[0]) if not isinstance(group.planar, Missing) else 0
+    details = BetweenEnvs(
+        distinct_at_sample_step=tuple(f.n_distinct for f in found),
+        sampled=Drawn(SAMPLED_ENVS, drawn[0].seed, tuple(f.interval_cm for f in found)) if drawn else None,
+        no_matrix=f"{n_env} environments are too many for one (limit: {MATRIX_ENVS})" if matrix is None else None,
+        matrix_of=_place(group) if matrix is not None else None,
+        matrix_cm=matrix,
     )
-    sampled = [f for f in found if f.exactness == "sampled"]
-    if sampled:
-        metric.extra["sampled"] = {
-            "envs": SAMPLED_ENVS,
-            "seed": sampled[0].seed,
-            "intervals_cm": [list(f.interval_cm) if f.interval_cm else None for f in found],
-        }
-        metric = replace(metric, exactness="sampled")
-    if found[0].matrix_cm is None:
-        metric.extra["no_matrix"] = f"{planar.shape[1]} environments are too many for one (limit: {MATRIX_ENVS})"
-    return metric, found[0].matrix_cm
+    estimate = over_runs(replace(metric, values=lambda _: [f.mean_cm for f in found], details=lambda _: details), group)
+    return replace(estimate, metric=metric, exactness="sampled" if drawn else "exact")
 
 
-def run_to_run(
-    planar: NDArray[np.float64] | None, why_not: str, work: Work
-) -> tuple[Metric, NDArray[np.float64] | None]:
-    """Run-to-run variability: mean and SD of W1 over pairs of runs, all environments of a run pooled."""
-    name = "w1_run_to_run"
-    if planar is None:
-        return not_computed(name, "cm", "lower", why_not), None
+def _place(group: GroupRuns) -> int | Missing:
+    """Of the run whose matrix is kept, among the runs whose environments are compared by bits."""
+    hashed = [run for run in group.runs if run.histories]
+    found = next((at for at, run in enumerate(hashed) if run is group.at_sample[0]), None)
+    return Missing("its states have no hashes") if found is None else found
+
+
+def _run_to_run(metric: Metric, group: GroupRuns) -> Estimate:
+    planar = group.planar
+    if isinstance(planar, Missing):
+        return missing(metric, planar.reason)
     runs = len(planar)
     if runs < 2:
-        return not_computed(name, "cm", "lower", "needs at least two complete runs"), None
+        return missing(metric, "needs at least two complete runs")
     try:
-        found = run_to_run_variability(planar, work.map)
+        found = run_to_run_variability(planar, group.work.map)
     except ValueError as error:  # more points than an exact distance can be computed for
-        return not_computed(name, "cm", "lower", str(error)), None
+        return missing(metric, str(error))
     if found.matrix_cm is None:
         bounds, method, no_interval = None, "", f"{found.n_pair} pairs of runs were drawn with seed {found.seed}"
     else:
@@ -98,210 +111,211 @@ def run_to_run(
         pairs = found.matrix_cm[np.triu_indices(runs, k=1)]
         bounds, no_interval = ends_of(interval, runs, spread=differ(pairs))
         method = f"; interval: {interval.method}"
-    metric = Metric(
-        name,
+    kept = found.matrix_cm is not None
+    return Estimate(
+        metric,
         found.mean_cm,
-        "cm",
-        "lower",
         n=found.n_pair,
         sd=found.sd_cm,
         ci95=bounds,
-        method=f"W1 between the pooled planar positions of two runs, mean and SD over pairs of runs{method}",
+        method=f"{metric.method}, mean and SD over pairs of runs{method}",
         exactness=found.exactness,
-        extra={"n_run": runs, "interval_why_not": no_interval, "floor": work.once(floor, planar[0], planar[1])},
+        details=BetweenRuns(
+            n_run=runs,
+            interval_why_not=no_interval,
+            floor=group.work.once(floor, planar[0], planar[1]),
+            bounds_cm=None if found.exactness == "exact" else (found.low_cm, found.mean_cm),
+            runs=tuple(r.configuration.run_index for r in group.at_sample) if kept else None,
+            classes=group.classes if kept else None,
+            matrix_cm=found.matrix_cm,
+        ),
     )
-    if found.exactness != "exact":
-        metric.extra["bounds_cm"] = [found.low_cm, found.mean_cm]
-    return metric, found.matrix_cm
 
 
-def real(
-    planar: NDArray[np.float64] | None,
-    why_not: str,
-    reference: Reference | None,
-    no_reference: str,
-    scene: str,
-    work: Work,
-) -> Metric:
-    """Gap to the reference: mean and SD over runs of W1 between all positions of a run and all of the reference."""
-    name = "w1_real"
-    if reference is None:
-        return not_computed(name, "cm", "lower", no_reference)
-    if planar is None:
-        return not_computed(name, "cm", "lower", why_not)
-    if reference.scene != scene:
-        return not_computed(name, "cm", "lower", f"the reference is of scene {reference.scene}")
+def _to_reference(metric: Metric, group: GroupRuns) -> Estimate:
+    reference, planar = group.reference, group.planar
+    if isinstance(reference, Missing):
+        return missing(metric, reference.reason)
+    if isinstance(planar, Missing):
+        return missing(metric, planar.reason)
+    if reference.scene != group.scene:
+        return missing(metric, f"the reference is of scene {reference.scene}")
     if planar.shape[2] != reference.positions.shape[1]:
-        why = f"the reference has {reference.positions.shape[1]} items, this group {planar.shape[2]}"
-        return not_computed(name, "cm", "lower", why)
+        return missing(metric, f"the reference has {reference.positions.shape[1]} items, this group {planar.shape[2]}")
     distinct = {run.tobytes(): run for run in planar}
     try:
-        gaps = dict(zip(distinct, work.map(GapTo(reference.positions), distinct.values()), strict=True))
+        gaps = dict(zip(distinct, group.work.map(GapTo(reference.positions), distinct.values()), strict=True))
     except ValueError as error:  # more points than an exact distance can be computed for
-        return not_computed(name, "cm", "lower", str(error))
+        return missing(metric, str(error))
     found = [gaps[run.tobytes()] for run in planar]
-    extra: dict[str, Any] = {
-        "reference": reference.label,
-        "measured": reference.measured,
-        "floor": work.once(floor, planar[0], reference.positions),
-    }
-    if found[0].extension:
-        extra["extension"] = found[0].extension
-    method = f"W1 between the planar positions of a run and {reference.label}, mean over runs ({found[0].method})"
-    metric = mean_over_runs(name, "cm", "lower", [f.value_cm for f in found], method=method, extra=extra)
-    if all(f.exactness == "exact" for f in found):
-        return metric
-    metric.extra["bounds_cm"] = [float(np.mean([f.low_cm for f in found])), metric.value]
-    return replace(metric, exactness="certified")
+    exact = all(f.exactness == "exact" for f in found)
+    details = ToReference(
+        reference=reference.label,
+        measured=reference.measured,
+        floor=group.work.once(floor, planar[0], reference.positions),
+        extension=found[0].extension or None,
+    )
+    measured = replace(
+        metric,
+        values=lambda _: [f.value_cm for f in found],
+        details=lambda _: details,
+        remark=f" ({found[0].method})",
+    )
+    estimate = over_runs(measured, group, f"W1 between the planar positions of a run and {reference.label}")
+    estimate = replace(estimate, metric=metric)
+    if exact or isinstance(estimate.value, Missing):
+        return estimate
+    bounds = float(np.mean([f.low_cm for f in found])), estimate.value
+    return replace(
+        estimate, exactness="certified", details=replace(estimate.of(ToReference), bounds_cm=bounds)
+    )  # fmt: skip
 
 
-def left_board(runs: Runs) -> Metric:
-    """Mean number of cubes per environment that are not on the board at the sample step."""
-    name, unit = "left_board", "cubes per env"
+def _left_board(metric: Metric, group: GroupRuns) -> Estimate:
+    runs = group.at_sample
     if not runs:
-        return not_computed(name, unit, "lower", NO_RUN)
+        return missing(metric, NO_RUN)
     board = runs[0].board
     if board is None:
-        return not_computed(name, unit, "lower", "this scene has no board to leave")
+        return missing(metric, "this scene has no board to leave")
     if why_not := no_positions(runs):
-        return not_computed(name, unit, "lower", why_not)
+        return missing(metric, why_not)
     spatial = [r.positions.spatial for r in runs if r.positions]
     if any(found is None for found in spatial):
-        return not_computed(name, unit, "lower", "heights were not recorded")
+        return missing(metric, "heights were not recorded")
     left = [lost(found, board) for found in spatial if found is not None]
-    counts = [int(np.count_nonzero(run)) for run in left]
+    counts = tuple(int(np.count_nonzero(run)) for run in left)
     envs = sum(len(run) for run in left)
-    return Metric(
-        name,
+    return Estimate(
+        metric,
         sum(counts) / envs,
-        unit,
-        "lower",
         n=envs,
-        method="cubes whose centre is beside or below the board at the sample step",
-        extra={
-            "total": sum(counts),
-            "of": sum(run.size for run in left),
-            "per_run": counts,
-            "envs_with_any": sum(int(run.any(axis=1).sum()) for run in left),
-        },
+        method=metric.method,
+        details=OffTheBoard(
+            total=sum(counts),
+            of=sum(run.size for run in left),
+            per_run=counts,
+            envs_with_any=sum(int(run.any(axis=1).sum()) for run in left),
+        ),
     )
 
 
-def sank(runs: Runs) -> Metric:
-    """Mean number of cubes per environment that went through the floor or the board."""
-    name, unit = "sank", "cubes per env"
-    found = [r.sunk for r in runs if r.sunk]
+def _sank(metric: Metric, group: GroupRuns) -> Estimate:
+    found = [r.sunk for r in group.runs if r.sunk]
     if not found:
-        return not_computed(name, unit, "lower", why_missing(runs[0].sunk) if runs else NO_RUN)
-    counts = [sum(s.per_env) for s in found]
+        return missing(metric, why_missing(group.runs[0].sunk) if group.runs else NO_RUN)
+    counts = tuple(sum(s.per_env) for s in found)
     envs = sum(len(s.per_env) for s in found)
-    return Metric(
-        name,
+    return Estimate(
+        metric,
         sum(counts) / envs,
-        unit,
-        "lower",
         n=envs,
-        method="cubes that are wholly beneath a level surface that they went through, at the last captured step",
-        extra={
-            "total": sum(counts),
-            "of": sum(s.cubes * len(s.per_env) for s in found),
-            "cubes": found[0].cubes,
-            "per_run": counts,
-            "last_step": max(s.last_step for s in found),
-            "first_step": min((s.first_step for s in found if s.first_step is not None), default=None),
-        },
+        method=metric.method,
+        details=SunkCubes(
+            total=sum(counts),
+            of=sum(s.cubes * len(s.per_env) for s in found),
+            cubes=found[0].cubes,
+            per_run=counts,
+            last_step=max(s.last_step for s in found),
+            first_step=min((s.first_step for s in found if s.first_step is not None), default=None),
+        ),
     )
 
 
-def regime(
-    runs: Runs, parallel: Metric, between: Metric, run_matrix: NDArray[np.float64] | None, classes: list[int]
-) -> Metric:
-    """The published type, 1 to 4, and how sure it is.
-
-    run_matrix  W1 between runs [cm], shape [run, run]
-    classes     of the runs by their bits
-    """
-    name = "regime_published"
+def _regime(metric: Metric, group: GroupRuns) -> Estimate:
+    runs = group.at_sample
     resolution = CM_PER_M * max((r.equality.resolution or 0.0 for r in runs if r.equality), default=0.0)
     if resolution > PRESENT_FROM_CM:
         why = f"environments lie so far apart that positions are stored to {resolution:.2g} cm, coarser than 0.005 cm"
-        return not_computed(name, "type", "neither", why)
+        return missing(metric, why)
+    parallel, between = W1_PARALLEL.estimate(group), W1_RUN_TO_RUN.estimate(group)
     for needed in (parallel, between):
-        if needed.value is None:
-            return not_computed(name, "type", "neither", f"{needed.name} could not be computed: {needed.why_not}")
-    assert parallel.value is not None
-    assert between.value is not None
-    return Metric(
-        name,
+        if isinstance(needed.value, Missing):
+            return missing(metric, f"{needed.name} could not be computed: {needed.value.reason}")
+    assert not isinstance(parallel.value, Missing)
+    assert not isinstance(between.value, Missing)
+    per_run = parallel.of(OverRuns).per_run or ()
+    resampled = _resampled(group, per_run, between.of(BetweenRuns).matrix_cm)
+    return Estimate(
+        metric,
         float(published_regime(parallel.value, between.value)),
-        "type",
-        "neither",
-        method="variability counts as present where it is nonzero after rounding to 0.01 cm",
-        extra=_probabilities(runs, parallel.extra["per_run"], run_matrix, classes),
+        method=metric.method,
+        details=PublishedType(resampled),
     )
 
 
-def _probabilities(
-    runs: Runs, per_run: list[float], matrix: NDArray[np.float64] | None, classes: list[int]
-) -> dict[str, Any]:
+def _resampled(
+    group: GroupRuns, per_run: Sequence[float], matrix: NDArray[np.float64] | None
+) -> Resampled | Missing:  # fmt: skip
     if len(per_run) < MIN_RUNS:
-        return {"probabilities_why_not": f"needs at least {MIN_RUNS} runs"}
+        return Missing(f"needs at least {MIN_RUNS} runs")
     if matrix is None:
-        return {"probabilities_why_not": "not all pairs of runs were computed"}
-    if len(classes) != len(matrix):
-        return {"probabilities_why_not": "the runs cannot be compared by bits"}
-    found = regime_probabilities(per_run, matrix, classes, seed=_SEED)
-    return {
-        "probabilities": list(found.probabilities),
-        "runs": found.n_run,
-        "decided_by": [runs[at].configuration.run_index for at in found.decided_by],
-        "agreement": found.agreement,
-        "distinct": len(set(classes)),
-        "run_differs_below": found.run_differs_below,
-        "parallel_below": found.parallel_below,
-        "method": found.method.value,
-        "draws": found.n_draw,
-        "seed": found.seed,
-    }
+        return Missing("not all pairs of runs were computed")
+    if len(group.classes) != len(matrix):
+        return Missing("the runs cannot be compared by bits")
+    found = regime_probabilities(per_run, matrix, group.classes, seed=_SEED)
+    return Resampled(
+        probabilities=found.probabilities,
+        runs=found.n_run,
+        decided_by=tuple(group.at_sample[at].configuration.run_index for at in found.decided_by),
+        agreement=found.agreement,
+        distinct=len(set(group.classes)),
+        run_differs_below=found.run_differs_below,
+        parallel_below=found.parallel_below,
+        method=found.method.value,
+        draws=found.n_draw,
+        seed=found.seed,
+    )
 
 
-def floor(a: NDArray[np.float64], b: NDArray[np.float64], mapper: Mapper) -> dict[str, Any]:
-    """What W1 and energy distance [cm] are between two samples of one law: whole envs of a and b exchanged at random.
+W1_PARALLEL = Metric(
+    "w1_parallel", "W1 between envs", "cm", Direction.LOWER,
+    "parallel variability: mean of W1 over all pairs of environments of a run; mean over runs; `matrix_of`: place, in "
+    "the lists of `distinct_envs`, of the run whose matrix is drawn",
+    method="W1 between the planar positions of two environments, mean over pairs", published=True,
+    table=Table.VARIABILITY, values=_parallel_values, of_group=_parallel,
+    interval="delete-one-run jackknife", axis=Axis.VARIABILITY, radar=RadarAxis.PARALLEL,
+)  # fmt: skip
 
-    a, b    planar positions [m], shape [env, item, 2]
-    mapper  makes the distances
-    """
-    if all((side == side[:1]).all() for side in (a, b)):
-        why = "the environments of a side are identical: there is nothing to exchange"
-        return {"why_not": why, "energy_why_not": why}
-    return {**_floor_of_w1(a * CM_PER_M, b * CM_PER_M, mapper), **_energy(a * CM_PER_M, b * CM_PER_M)}
+W1_RUN_TO_RUN = Metric(
+    "w1_run_to_run", "W1 between runs", "cm", Direction.LOWER,
+    "run-to-run variability: mean and SD of W1 over all pairs of runs, environments pooled; `runs` and `classes`: "
+    "indices of the runs, and their classes by bits, in the order of the matrix",
+    method="W1 between the pooled planar positions of two runs", published=True,
+    table=Table.VARIABILITY, of_group=_run_to_run,
+    interval="delete-one-run jackknife of a mean over pairs", axis=Axis.VARIABILITY, radar=RadarAxis.RUN_TO_RUN,
+)  # fmt: skip
 
+W1_REAL = Metric(
+    "w1_real", "W1 to the reference", "cm", Direction.LOWER,
+    "distance to real trials (or to another recording): W1 between all positions of a run and all of the reference; "
+    "mean over runs",
+    method="W1 between the planar positions of a run and the reference", published=True,
+    table=Table.VARIABILITY, of_group=_to_reference, interval="delete-one-run jackknife", radar=RadarAxis.EMD_TO_REAL,
+)  # fmt: skip
 
-def _floor_of_w1(a: NDArray[np.float64], b: NDArray[np.float64], mapper: Mapper) -> dict[str, Any]:
-    points = max(a.shape[0] * a.shape[1], b.shape[0] * b.shape[1])
-    permutations = next((count for limit, count in _PERMUTATIONS if points <= limit), None)
-    if permutations is None:
-        return {"why_not": f"{points} points a side are too many for a permutation test"}
-    found = permutation_floor(a, b, n_permutation=permutations, seed=_SEED, mapper=mapper)
-    return {
-        "observed_cm": found.observed,
-        "floor_mean_cm": found.floor_mean,
-        "floor_q95_cm": found.floor_q95,
-        "p_value": found.p_value,
-        "permutations": found.n_permutation,
-        "seed": found.seed,
-    }
+LEFT_BOARD = Metric(
+    "left_board", "cubes off the board", "cubes per env", Direction.LOWER,
+    "cubes beside or below the board at the sample step; `total`, and `envs_with_any`: environments with such a cube; "
+    "see below",
+    method="cubes whose centre is beside or below the board at the sample step",
+    table=Table.VARIABILITY, of_group=_left_board,
+)  # fmt: skip
 
+SANK = Metric(
+    "sank", "cubes sunk", "cubes per env", Direction.LOWER,
+    "cubes that went through the board or the ground by the last captured step; see below",
+    method="cubes that are wholly beneath a level surface that they went through, at the last captured step",
+    table=Table.VARIABILITY, of_group=_sank,
+)  # fmt: skip
 
-def _energy(a: NDArray[np.float64], b: NDArray[np.float64]) -> dict[str, Any]:
-    points = a.shape[0] * a.shape[1] + b.shape[0] * b.shape[1]
-    if points > _ENERGY_POINTS:
-        return {"energy_why_not": f"{points} points are too many for their energy distance"}
-    found = energy_distance(a, b, n_permutation=_ENERGY_PERMUTATIONS, seed=_SEED)
-    return {
-        "energy_cm": found.v_statistic,
-        "energy_unbiased_cm": found.u_statistic,
-        "energy_floor_mean_cm": found.floor_mean,
-        "energy_p_value": found.p_value,
-        "energy_permutations": found.n_permutation,
-    }
+REGIME = Metric(
+    "regime_published", "published type", "type", Direction.NEITHER,
+    "types 1 to 4, from whether the two variabilities are nonzero after rounding to 0.01 cm; `probabilities`: of each "
+    "type for another sample of as many runs, by resampling whole runs; `decided_by`: indices of the runs without "
+    "which the type is another; `agreement`: whether all runs are equal in `bits` or only by `rounding`; `distinct`: "
+    "how many are distinct by bits; `run_differs_below`: where all runs are equal in that sense, a bound on how often "
+    "another run is not ([statistics](statistics.md))",
+    method="variability counts as present where it is nonzero after rounding to 0.01 cm", published=True,
+    table=Table.VARIABILITY, of_group=_regime,
+)  # fmt: skip

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -13,94 +12,112 @@ from gpusimbench.evaluator.metrics.divergence import FIT_LIMIT_M
 from gpusimbench.evaluator.metrics.identity import changes, distinct_over_time
 from gpusimbench.evaluator.metrics.levels import Verdict, verdict
 from gpusimbench.evaluator.metrics.split_tree import split_tree
-from gpusimbench.evaluator.missing import Missing, why_missing
-from gpusimbench.evaluator.results.aggregate import NO_RUN, Runs, mean_over_runs
-from gpusimbench.evaluator.results.result import Metric, not_computed
+from gpusimbench.evaluator.missing import Missing
+from gpusimbench.evaluator.results.aggregate import NO_RUN, Runs
+from gpusimbench.evaluator.results.claims import Claim
+from gpusimbench.evaluator.results.details import (
+    Changed,
+    DistinctEnvs,
+    DistinctRuns,
+    Equality,
+    Growth,
+    OverTime,
+    SpreadCurve,
+)
+from gpusimbench.evaluator.results.group_runs import GroupRuns
+from gpusimbench.evaluator.results.metric import Direction, Estimate, Metric, Table, each, missing
 from gpusimbench.evaluator.results.sampled import no_positions
 from gpusimbench.evaluator.runs.run import Run
 from gpusimbench.evaluator.runs.state_hashes import Histories, side_by_side
 
 _MM_PER_M = 1000.0
-_LEVELS = "0 bit-identical, 1 equal up to order of envs or bodies, 2 within k ULP, 3 within tolerance, 4 different"
+_HASHED = "64-bit state hashes of every captured step"
 
 
-def distinct(runs: Runs) -> tuple[Metric, Metric]:
-    """Bitwise distinct environments and runs, over every step of the capture phase."""
-    if not any(r.histories for r in runs):
-        why = "no states were captured" if runs else NO_RUN
-        return not_computed("distinct_envs", "", "neither", why), not_computed("distinct_runs", "", "neither", why)
-    method = "64-bit state hashes of every captured step"
-    return _distinct_envs(runs, method), _distinct_runs(runs, method)
+def _no_hashes(runs: Runs) -> str:
+    if any(r.histories for r in runs):
+        return ""
+    return "no states were captured" if runs else NO_RUN
 
 
-def _distinct_envs(runs: Runs, method: str) -> Metric:
+def _distinct_envs(metric: Metric, group: GroupRuns) -> Estimate:
+    runs = group.runs
+    if why_not := _no_hashes(runs):
+        return missing(metric, why_not)
     if runs[0].action_names:
-        why = "the environments were given different actions, so they differ by design"
-        return not_computed("distinct_envs", "", "neither", why)
+        return missing(metric, "the environments were given different actions, so they differ by design")
     simulation = runs[0].simulation
     if simulation and len(set(simulation.env_origins)) > 1:
-        why = "environments at different origins cannot be compared by bits"
-        return not_computed("distinct_envs", "", "neither", why)
+        return missing(metric, "environments at different origins cannot be compared by bits")
     found = [r.histories for r in runs if r.histories]
-    counts = [h.n_distinct for h in found]
-    return Metric(
-        "distinct_envs",
+    counts = tuple(h.n_distinct for h in found)
+    return Estimate(
+        metric,
         float(max(counts)),
-        "",
-        "neither",
-        method=f"largest number of distinct environments in a run, by {method}",
+        method=metric.method,
         n=len(found[0].classes),
-        extra={
-            "per_run": counts,
-            "classes": [h.classes.tolist() for h in found],
-            "first_difference_step": min((h.first_step for h in found if h.first_step is not None), default=None),
-            "over_time": _most_distinct(found),
-            "tree": found[0].tree,
-            **_without_hashes(runs),
-        },
+        details=DistinctEnvs(
+            per_run=counts,
+            classes=tuple(tuple(h.classes.tolist()) for h in found),
+            first_difference_step=min((h.first_step for h in found if h.first_step is not None), default=None),
+            over_time=_most_distinct(found),
+            tree=found[0].tree,
+            without_hashes=_without_hashes(runs),
+        ),
     )
 
 
-def _without_hashes(runs: Runs) -> dict[str, int]:
-    # complete runs of which nothing is known by bits; evaluator.results.claims makes no claim of all runs then
-    without = sum(not r.histories for r in runs)
-    return {"without_hashes": without} if without else {}
+def _without_hashes(runs: Runs) -> int | None:
+    # complete runs of which nothing is known by bits; `identical` makes no claim of all runs then
+    return sum(not r.histories for r in runs) or None
 
 
-def _distinct_runs(runs: Runs, method: str) -> Metric:
+def _distinct_runs(metric: Metric, group: GroupRuns) -> Estimate:
+    runs = group.runs
+    if why_not := _no_hashes(runs):
+        return missing(metric, why_not)
     found = [r.histories for r in runs if r.histories]
     if len(found) < 2:
-        return not_computed("distinct_runs", "", "neither", "needs at least two complete runs")
+        return missing(metric, "needs at least two complete runs")
     both = side_by_side(found)
     if both is None:
-        return not_computed("distinct_runs", "", "neither", "the runs have no captured step in common")
+        return missing(metric, "the runs have no captured step in common")
     steps, digests = both
     over_time = distinct_over_time(digests)
     apart = np.flatnonzero(over_time.instant > 1)
-    first = int(steps[apart[0]]) if len(apart) else None
-    return Metric(
-        "distinct_runs",
+    return Estimate(
+        metric,
         float(over_time.classes.max() + 1),
-        "",
-        "neither",
-        method=f"distinct runs, env by env, by {method}",
+        method=metric.method,
         n=len(found),
-        extra={
-            "classes": over_time.classes.tolist(),
-            "first_difference_step": first,
-            "runs": _indices([r for r in runs if r.histories]),
-            "over_time": _over_time(steps, over_time.instant, over_time.histories),
-            "tree": split_tree(steps, over_time),
-            **_without_hashes(runs),
-        },
+        details=DistinctRuns(
+            classes=tuple(over_time.classes.tolist()),
+            first_difference_step=int(steps[apart[0]]) if len(apart) else None,
+            runs=tuple(r.configuration.run_index for r in runs if r.histories),
+            over_time=_over_time(steps, over_time.instant, over_time.histories),
+            tree=split_tree(steps, over_time),
+            without_hashes=_without_hashes(runs),
+        ),
     )
 
 
-def classes_of(runs: Runs) -> list[int]:
-    """The class of each run by its bits, numbered in order of first appearance; empty where one cannot be compared."""
-    found = [r.histories for r in runs if r.histories]
-    both = side_by_side(found) if found and len(found) == len(runs) else None
-    return [] if both is None else distinct_over_time(both[1]).classes.tolist()
+def identical(estimate: Estimate) -> Claim:
+    """Whether all that an estimate of distinct environments or runs is about has the same bits.
+
+    One environment or run is compared with nothing; runs without state hashes are named by the estimate, and where
+    those that have them agree, nothing is known of all.
+    """
+    if isinstance(estimate.value, Missing):
+        return Claim(None, estimate.value.reason)
+    if estimate.n < 2:
+        return Claim(None, "there is one alone, and nothing to compare it with")
+    if estimate.value != 1:
+        return Claim(False)
+    details = estimate.details
+    without = details.without_hashes if isinstance(details, DistinctEnvs | DistinctRuns) else None
+    if without:
+        return Claim(None, f"{without} complete run{'s have' if without > 1 else ' has'} no state hashes")
+    return Claim(True)
 
 
 def identical_steps(one: Runs, other: Runs) -> int:
@@ -125,129 +142,166 @@ def comparable(run: Run) -> tuple[Any, ...]:
     return (str(scene), c.n_env, c.dt, c.seed if run.action_names else 0, run.fields)
 
 
-def capture_effect(runs: Runs, distinct_runs: Metric) -> Metric:
+def _capture_effect(metric: Metric, group: GroupRuns) -> Estimate:
     """In how many runs the states differ between the timed phase, which nothing observes, and the capture phase.
 
     Only of an engine that repeats itself, bit for bit, is such a difference the doing of the capture.
-
-    distinct_runs  of the same runs
     """
-    name = "capture_changes_states"
-    observed = [r.observed for r in runs if not isinstance(r.observed, Missing)]
+    observed = [r.observed for r in group.runs if not isinstance(r.observed, Missing)]
     if not observed:
-        why = "no step was passed by both the timed and the capture phase" if runs else NO_RUN
-        return not_computed(name, "", "lower", why)
+        return missing(
+            metric, "no step was passed by both the timed and the capture phase" if group.runs else NO_RUN
+        )  # fmt: skip
     changed, of = sum(observed), len(observed)
-    if changed and distinct_runs.value != 1:
+    runs = DISTINCT_RUNS.estimate(group)
+    if changed and runs.value != 1:
         why = (
-            f"{distinct_runs.value:.0f} of {distinct_runs.n} runs are distinct"
-            if distinct_runs.value
-            else f"nothing shows that runs repeat themselves ({distinct_runs.why_not})"
+            f"nothing shows that runs repeat themselves ({runs.value.reason})"
+            if isinstance(runs.value, Missing)
+            else f"{runs.value:.0f} of {runs.n} runs are distinct"
         )
-        missing = not_computed(
-            name, "", "lower",
+        return missing(
+            metric,
             f"cannot be told: timed and captured states differ in {changed} of {of} runs, but {why}, so they may "
             "differ anyway",
-        )  # fmt: skip
-        return replace(missing, extra={"differ": changed, "of": of})
-    method = "runs whose state hashes differ between timed and capture phase at a step that both passed"
-    return Metric(name, float(changed), "", "lower", n=of, method=method)
+            Changed(changed, of),
+        )
+    return Estimate(metric, float(changed), n=of, method=metric.method)
 
 
-def equality_of_envs(runs: Runs) -> Metric:
+def _equality_of_envs(metric: Metric, group: GroupRuns) -> Estimate:
     """How equal the environments of a run are, of the run in which they are least so."""
-    name = "equality_envs"
+    runs = group.at_sample
     if why_not := no_positions(runs):
-        return not_computed(name, "level", "lower", why_not)
+        return missing(metric, why_not)
     if runs[0].action_names:
-        why = "the environments were given different actions, so they differ by design"
-        return not_computed(name, "level", "lower", why)
+        return missing(metric, "the environments were given different actions, so they differ by design")
     found = [r.equality for r in runs if r.equality]
     if not found:
-        return not_computed(name, "level", "lower", "needs at least two environments")
+        return missing(metric, "needs at least two environments")
     worst = max(range(len(found)), key=lambda index: (found[index].level, _difference(found[index])))
-    return _level(name, found[worst], len(found), {"run": runs[worst].configuration.run_index})
+    return _level(metric, found[worst], len(found), runs[worst].configuration.run_index)
 
 
-def equality_of_runs(runs: Runs) -> Metric:
+def _equality_of_runs(metric: Metric, group: GroupRuns) -> Estimate:
     """How equal the runs are, environment by environment."""
-    name = "equality_runs"
+    runs = group.at_sample
     if why_not := no_positions(runs):
-        return not_computed(name, "level", "lower", why_not)
+        return missing(metric, why_not)
     if len(runs) < 2:
-        return not_computed(name, "level", "lower", "needs at least two complete runs")
-    classes = classes_of(runs)
-    agree = len(set(classes)) == 1 if classes else None
+        return missing(metric, "needs at least two complete runs")
+    agree = len(set(group.classes)) == 1 if group.classes else None
     samples = np.stack([r.positions.recorded for r in runs if r.positions])
     try:
         found = verdict(samples, hashes_agree=agree)
     except ValueError as error:
-        return not_computed(name, "level", "lower", str(error))
-    return _level(name, found, len(runs), {})
+        return missing(metric, str(error))
+    return _level(metric, found, len(runs))
 
 
-def growth(runs: Runs) -> Metric:
-    """Rate at which the largest distance between environments grows while it is small."""
-    name, unit = "divergence_rate", "1/s"
-    if not runs:
-        return not_computed(name, unit, "lower", NO_RUN)
-    fitted = [r.spread.fit for r in runs if r.spread and r.spread.fit]
-    if not fitted:
-        first = runs[0].spread
-        return not_computed(name, unit, "lower", why_missing(first.fit if first else first))
-    shown = next(r.spread for r in runs if r.spread and r.spread.fit)
-    method = (
-        "rate of an exponential through the largest distance of a body from environment 0, from the first that is not "
-        f"zero up to {FIT_LIMIT_M * _MM_PER_M:g} mm, mean over runs"
+def _rate(run: Run) -> float | Missing:
+    if isinstance(run.spread, Missing):
+        return run.spread
+    return run.spread.fit if isinstance(run.spread.fit, Missing) else run.spread.fit.rate
+
+
+def _growth(group: GroupRuns) -> Growth:
+    shown = [r.spread for r in group.runs if r.spread and r.spread.fit]
+    fitted = [spread.fit for spread in shown if spread.fit]
+    first = shown[0]
+    return Growth(
+        doubling_time_s=tuple(fit.doubling_time for fit in fitted),
+        r_squared=tuple(fit.r_squared for fit in fitted),
+        window_s=tuple((fit.begin, fit.end) for fit in fitted),
+        curve=SpreadCurve(tuple(first.steps), tuple(first.rms), tuple(first.largest)),
     )
-    extra = {
-        "doubling_time_s": [fit.doubling_time for fit in fitted],
-        "r_squared": [fit.r_squared for fit in fitted],
-        "window_s": [[fit.begin, fit.end] for fit in fitted],
-        "curve": {"step": shown.steps, "rms_m": shown.rms, "largest_m": shown.largest},
-    }
-    return mean_over_runs(name, unit, "lower", [fit.rate for fit in fitted], method=method, extra=extra)
 
 
-def _over_time(
-    steps: NDArray[np.int64], instant: NDArray[np.int64], histories: NDArray[np.int64]
-) -> dict[str, list[int]]:
+def _over_time(steps: NDArray[np.int64], instant: NDArray[np.int64], histories: NDArray[np.int64]) -> OverTime:
     # where either count changes
     rows = changes(instant, histories)
-    return {"step": steps[rows].tolist(), "at_step": instant[rows].tolist(), "histories": histories[rows].tolist()}
+    return OverTime(tuple(steps[rows].tolist()), tuple(instant[rows].tolist()), tuple(histories[rows].tolist()))
 
 
-def _most_distinct(found: Sequence[Histories]) -> dict[str, list[int]]:
+def _most_distinct(found: Sequence[Histories]) -> OverTime:
     # of the run with the most environments that differ
     most = max(found, key=lambda h: h.n_distinct)
     return _over_time(most.steps, most.at_step, most.so_far)
-
-
-def _indices(runs: Runs) -> list[int]:
-    return [r.configuration.run_index for r in runs]
 
 
 def _difference(found: Verdict) -> float:
     return found.worst.difference if found.worst else 0.0
 
 
-def _level(name: str, found: Verdict, n: int, extra: dict[str, Any]) -> Metric:
-    worst = found.worst
-    return Metric(
-        name,
+def _level(metric: Metric, found: Verdict, n: int, run: int | None = None) -> Estimate:
+    return Estimate(
+        metric,
         float(found.level),
-        "level",
-        "lower",
-        method=f"level of equality at the sample step, and of all state hashes: {_LEVELS}",
+        method=metric.method,
         n=n,
-        extra={
-            "text": found.text,
-            "note": found.note,
-            "order": found.order,
-            "max_ulp": found.max_ulp,
-            "tolerance_m": found.tolerance,
-            "worst_ulp": found.worst_ulp,
-            "worst": vars(worst) if worst else None,
-            **extra,
-        },
+        details=Equality(
+            text=found.text,
+            note=found.note,
+            order=found.order,
+            max_ulp=found.max_ulp,
+            tolerance_m=found.tolerance,
+            worst_ulp=found.worst_ulp,
+            worst=found.worst,
+            run=run,
+        ),
     )
+
+
+DISTINCT_ENVS = Metric(
+    "distinct_envs", "distinct envs", "", Direction.NEITHER,
+    "classes of environments of a run that are bit-identical at every captured step; `over_time`: how many differ at a "
+    "step, and how many have by then, at the steps where either changes; `tree`: which left which in the first run",
+    method=f"largest number of distinct environments in a run, by {_HASHED}",
+    table=Table.VARIABILITY, of_group=_distinct_envs,
+)  # fmt: skip
+
+DISTINCT_RUNS = Metric(
+    "distinct_runs", "distinct runs", "", Direction.NEITHER,
+    "classes of runs that are bit-identical, environment by environment; `over_time` and `tree` likewise",
+    method=f"distinct runs, env by env, by {_HASHED}", table=Table.VARIABILITY, of_group=_distinct_runs,
+)  # fmt: skip
+
+_LEVELS = (
+    "level of equality at the sample step, and of all state hashes: 0 bit-identical, 1 equal up to order of envs or "
+    "bodies, 2 within k ULP, 3 within tolerance, 4 different"
+)
+
+EQUALITY_ENVS = Metric(
+    "equality_envs", "equality of envs", "level", Direction.LOWER,
+    "how equal the environments of a run are, in the run where they are least so: 0 bit-identical at every captured "
+    'step, 1 the same positions with bodies in another order ("equal up to the order of bodies"), 2 within 8 ULP, 3 '
+    "within 0.1 mm, 4 different; 1 to 4 at the sample step, with the worst pair",
+    method=_LEVELS, table=Table.VARIABILITY, of_group=_equality_of_envs,
+)  # fmt: skip
+
+EQUALITY_RUNS = Metric(
+    "equality_runs", "equality of runs", "level", Direction.LOWER,
+    "the same of the runs, environment by environment; 1 also where the environments are the same in other places "
+    '("equal up to the order of environments", "... environments and bodies"), bit by bit and each as often. `order` '
+    "names what is in another order. Orders up to rounding, and of environments at different origins, are not "
+    "recognised; orientations and velocities are not looked at ([`gsb-diff`](diff.md) does)",
+    method=_LEVELS, table=Table.VARIABILITY, of_group=_equality_of_runs,
+)  # fmt: skip
+
+DIVERGENCE_RATE = Metric(
+    "divergence_rate", "divergence rate of envs", "1/s", Direction.LOWER,
+    "rate of an exponential through the largest distance of a body from where it is in environment 0, from the first "
+    "that is not zero up to 1 mm; mean over runs, with the curve of one of them",
+    method="rate of an exponential through the largest distance of a body from environment 0, from the first that is "
+    f"not zero up to {FIT_LIMIT_M * _MM_PER_M:g} mm",
+    table=Table.VARIABILITY, values=each(_rate), details=_growth, optional=True,
+)  # fmt: skip
+
+CAPTURE_CHANGES_STATES = Metric(
+    "capture_changes_states", "runs changed by capturing", "", Direction.LOWER,
+    "runs whose captured states differ from those of the timed phase, which nothing observed. A difference has a value "
+    "only where all runs are bit-identical (`distinct_runs` is 1): otherwise an engine's own noise would be blamed on "
+    "the capture, and the reason says so, with the counts in `extra`",
+    method="runs whose state hashes differ between timed and capture phase at a step that both passed",
+    of_group=_capture_effect,
+)  # fmt: skip

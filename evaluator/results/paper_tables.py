@@ -6,8 +6,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 
+from gpusimbench.evaluator.missing import known
 from gpusimbench.evaluator.results.faults import Faults, faults
-from gpusimbench.evaluator.results.result import GroupResult, Metric
+from gpusimbench.evaluator.results.metric import Estimate
+from gpusimbench.evaluator.results.result import GroupResult
 from gpusimbench.evaluator.results.sweeps import Failure, Sweep
 from gpusimbench.evaluator.results.timed_work import TimedWork
 from gpusimbench.evaluator.runs.groups import GroupKey, is_instrument, labels, options_given, settings_asked
@@ -46,8 +48,8 @@ class AtMax:
 
     sweep: Sweep
     n_max: int | None
-    fps: Metric | None
-    memory: Metric | None
+    fps: Estimate | None
+    memory: Estimate | None
     limit: Limit
     ends: str
     faults: Faults
@@ -93,7 +95,7 @@ def capability(sweeps: Sequence[Sweep], results: Sequence[GroupResult]) -> tuple
 def variability(results: Sequence[GroupResult]) -> tuple[GroupResult, ...]:
     """Rows of the second table: groups of its scene by published type, those without one last."""
     rows = [r for r in results if r.group.key.scene == VARIABILITY_SCENE and not is_instrument(r.group.key)]
-    return tuple(sorted(rows, key=lambda r: (r.metrics["regime_published"].value or float("inf"), r.label)))
+    return tuple(sorted(rows, key=lambda r: (known(r.metrics["regime_published"].value) or float("inf"), r.label)))
 
 
 def _elsewhere(key: GroupKey, by_scene: Mapping[str, Sweep], results: Sequence[GroupResult]) -> tuple[str, ...]:

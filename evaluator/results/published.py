@@ -39,7 +39,7 @@ class AtLargest:
     """Throughput and memory at the largest number of environments that a simulator sustained.
 
     n_env_max  environments
-    fps        mean over successful runs [env steps / s]
+    fps        mean over successful runs [env-steps/s]
     memory_gb  GPU memory increment, mean over successful runs [GB]
     """
 

@@ -9,20 +9,16 @@ from typing import TypeVar
 
 from gpusimbench.evaluator.metrics.guidelines import Guideline, guidelines
 from gpusimbench.evaluator.metrics.radar import Axis, Radar, SimulatorResult, radar
+from gpusimbench.evaluator.missing import Missing, known
 from gpusimbench.evaluator.results.cost_metrics import GPU_MEMORY, common_memory
 from gpusimbench.evaluator.results.faults import faults_anywhere
-from gpusimbench.evaluator.results.result import GroupResult, Metric, Reference
+from gpusimbench.evaluator.results.metric import Estimate
+from gpusimbench.evaluator.results.metrics import on_radar
+from gpusimbench.evaluator.results.reference import Reference
+from gpusimbench.evaluator.results.result import GroupResult
 from gpusimbench.evaluator.results.sweeps import Sweep, swept_only
 from gpusimbench.evaluator.results.timed_work import most_common, window_key
 from gpusimbench.evaluator.runs.groups import GroupKey, is_instrument, labels, options_given, settings_asked
-
-AXIS_METRICS = {
-    Axis.THROUGHPUT: "fps",
-    Axis.MEMORY: GPU_MEMORY[0],
-    Axis.EMD_TO_REAL: "w1_real",
-    Axis.PARALLEL: "w1_parallel",
-    Axis.RUN_TO_RUN: "w1_run_to_run",
-}
 
 _DISTANCES = (Axis.EMD_TO_REAL, Axis.PARALLEL, Axis.RUN_TO_RUN)
 _NO_SWEEP = "needs a sweep over envs, by at least two simulators under the same conditions"
@@ -48,7 +44,7 @@ class Contender:
     robot: Sweep | None
     figures: SimulatorResult
     why_not: dict[Axis, str]
-    metrics: Mapping[Axis, Metric] = field(default_factory=dict)
+    metrics: Mapping[Axis, Estimate] = field(default_factory=dict)
     speed: GroupResult | None = None
 
 
@@ -157,7 +153,13 @@ def _as_far(sweeps: list[Sweep]) -> list[Sweep]:
 
 
 def _distances(result: GroupResult) -> int:
-    return sum(result.metrics[AXIS_METRICS[axis]].value is not None for axis in _DISTANCES)
+    return sum(known(result.metrics[_name_on(axis)].value) is not None for axis in _DISTANCES)
+
+
+def _name_on(axis: Axis) -> str:
+    shown = on_radar(axis)
+    assert shown is not None
+    return shown.name
 
 
 def _left_out(results: Sequence[GroupResult], sweeps: Sequence[Sweep], used: set[str]) -> list[str]:
@@ -230,7 +232,7 @@ def _contender(
     """What a simulator is compared by; `memory`, the metric that all are compared by, where it is one of the GPU's."""
     speed = _speed(parts, at_max=at_max)
     why_not: dict[Axis, str] = {}
-    metrics: dict[Axis, Metric] = {}
+    metrics: dict[Axis, Estimate] = {}
 
     def value(axis: Axis, result: GroupResult | None) -> float | None:
         if result is None:
@@ -239,13 +241,15 @@ def _contender(
         if axis is Axis.THROUGHPUT and result.label in timed_otherwise:
             why_not[axis] = timed_otherwise[result.label]
             return None
-        chosen = memory if axis is Axis.MEMORY and memory in GPU_MEMORY else AXIS_METRICS[axis]
-        metric: Metric = result.metrics[chosen]
-        if axis is Axis.EMD_TO_REAL and metric.value is not None and not (reference and reference.measured):
+        metric = result.metrics[memory if axis is Axis.MEMORY and memory in GPU_MEMORY else _name_on(axis)]
+        if isinstance(metric.value, Missing):
+            why_not[axis] = metric.value.reason
+            return None
+        if axis is Axis.EMD_TO_REAL and not (reference and reference.measured):
             why_not[axis] = "the reference is another simulation, not measured"
             return None
-        if metric.value is None or not math.isfinite(metric.value):
-            why_not[axis] = metric.why_not or "it is not finite"
+        if not math.isfinite(metric.value):
+            why_not[axis] = "it is not finite"
             return None
         metrics[axis] = metric
         return metric.value
@@ -263,7 +267,7 @@ def _contender(
         w1_real=value(Axis.EMD_TO_REAL, parts.group),
         parallel=value(Axis.PARALLEL, parts.group),
         run_to_run=value(Axis.RUN_TO_RUN, parts.group),
-        fps_articulated=robot.metrics["fps"].value if robot else None,
+        fps_articulated=known(robot.metrics["fps"].value) if robot else None,
         n_max_articulated=parts.robot.n_max if parts.robot else None,
         barred=_barred(results, parts.group, parts.sweep.at_max if parts.sweep else None, robot),
         barred_articulated=_barred(results, robot),

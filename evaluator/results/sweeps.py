@@ -7,8 +7,10 @@ from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 from gpusimbench.evaluator.metrics.memory_model import MIN_POINTS, MemoryModel, fit_memory
+from gpusimbench.evaluator.missing import Missing, known, why_missing
 from gpusimbench.evaluator.results.cost_metrics import common_memory
-from gpusimbench.evaluator.results.result import GroupResult, Metric
+from gpusimbench.evaluator.results.metric import Estimate
+from gpusimbench.evaluator.results.result import GroupResult
 from gpusimbench.evaluator.runs.groups import GroupKey, asked, labels, options_given
 from gpusimbench.evaluator.runs.run import Run
 
@@ -16,7 +18,6 @@ LONG = 3
 """From so many points on, a sweep is shown as one, and its points no more as groups of their own."""
 
 _ROBOT = "robot"
-_BYTES = {"GB": 1e9, "MB": 1e6}
 
 SOURCES = {
     "memory_peak_increment": "device, NVML: peak minus baseline",
@@ -181,26 +182,25 @@ def _sweep(key: GroupKey, label: str, points: tuple[SweepPoint, ...]) -> Sweep:
     else:
         ends = "largest N that was tried"
     memory = common_memory([p.result.metrics for p in points])
-    told = any(p.result.metrics["allocator_peak"].value is not None for p in points)
+    told = any(known(p.result.metrics["allocator_peak"].value) is not None for p in points)
     models, no_model = {}, {}
     for source in (memory, "allocator_peak") if told else (memory,):
         model = _model([(p.n_env, p.result.metrics[source]) for p in points])
-        if isinstance(model, MemoryModel):
-            models[source] = model
+        if isinstance(model, Missing):
+            no_model[source] = model.reason
         else:
-            no_model[source] = model
+            models[source] = model
     return Sweep(key, label, points, n_max, ends, memory, models, no_model)
 
 
-def _model(found: Sequence[tuple[int, Metric]]) -> MemoryModel | str:
-    """The model, or why there is none."""
-    measured = [(n, m.value * _BYTES[m.unit]) for n, m in found if m.value is not None]
+def _model(found: Sequence[tuple[int, Estimate]]) -> MemoryModel | Missing:
+    measured = [(n, m.value * m.metric.per_unit) for n, m in found if not isinstance(m.value, Missing)]
     if not measured:
-        return next((m.why_not for _, m in found), "it was not measured")
+        return Missing(next((why_missing(m.value) for _, m in found), "it was not measured"))
     if len(measured) < MIN_POINTS:
-        return f"needs at least {MIN_POINTS} numbers of environments with a complete run, got {len(measured)}"
+        return Missing(f"needs at least {MIN_POINTS} numbers of environments with a complete run, got {len(measured)}")
     if any(memory <= 0 for _, memory in measured):
-        return "a point took no memory, of which no relative error can be said"
+        return Missing("a point took no memory, of which no relative error can be said")
     return fit_memory([n for n, _ in measured], [memory for _, memory in measured])
 
 

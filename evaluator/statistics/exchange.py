@@ -140,8 +140,7 @@ def compare_means(
     centred = found - found.mean()  # weights add up to zero, so this loses only rounding
     shifts = coefficients @ centred
     overlap = coefficients @ observed.astype(np.float64)
-    tie = _TIE * max(float(np.abs(shifts).max()), 1e-300)
-    reached = int((np.abs(shifts) >= abs(shifts[0]) - tie).sum())
+    reached = int((np.abs(shifts) >= abs(shifts[0]) - _tie_of(shifts)).sum())
     low, high = _inverted(shifts, overlap, 1.0 - confidence)
     return Shift(
         float(shifts[0]),
@@ -173,28 +172,89 @@ def compare_distances(matrix: npt.ArrayLike, head: npt.ArrayLike, *, seed: int =
     Raises:
         ValueError: not a square matrix of finite numbers, or a side of fewer than two runs.
     """
+    found = _distances_between(matrix, head, seed)
+    within1, within2, between = found.means()
+    apart = between - (within1 + within2) / 2.0
+    reached = int((apart >= apart[0] - _tie_of(apart)).sum())
+    # with as many runs on either side, the exchanged sides are as far apart
+    count, (n1, n2) = count_dealings(found.head, np.zeros(len(found.head))), found.n
+    least = (1 + (n1 == n2)) / count if found.dealt.exhaustive else 1 / len(apart)
+    return Shift(
+        float(apart[0]), None, None, reached / len(apart), least, len(apart), found.dealt.exhaustive, found.dealt.seed
+    )
+
+
+def compare_within(matrix: npt.ArrayLike, head: npt.ArrayLike, *, seed: int = 0) -> Shift:
+    """Whether runs of one side lie further from each other than runs of the other, any run exchanged with any.
+
+        T = mean distance within the second - mean distance within the first
+
+    The test is two-sided, and exact where runs of both sides have one law.
+
+    Args:
+        matrix: distances between runs [any unit], shape [run, run]; symmetric.
+        head: whether a run is on the second side, shape [run]; at least two runs on each.
+        seed: of the draw, where there are too many dealings for all of them.
+
+    Returns:
+        the difference is T, in the unit of the matrix; no interval.
+
+    Raises:
+        ValueError: not a square matrix of finite numbers, or a side of fewer than two runs.
+    """
+    found = _distances_between(matrix, head, seed)
+    within1, within2, _ = found.means()
+    further = within2 - within1
+    reached = int((np.abs(further) >= abs(further[0]) - _tie_of(further)).sum())
+    return Shift(
+        float(further[0]),
+        None,
+        None,
+        reached / len(further),
+        least_p(found.head, np.zeros(len(found.head))),
+        len(further),
+        found.dealt.exhaustive,
+        found.dealt.seed,
+    )
+
+
+@dataclass(frozen=True)
+class _Distances:
+    """Distances between runs, and how the runs are dealt to the two sides."""
+
+    matrix: Floats
+    head: Bools
+    dealt: Dealings
+
+    @property
+    def n(self) -> tuple[int, int]:
+        second = int(self.head.sum())
+        return len(self.head) - second, second
+
+    def means(self) -> tuple[Floats, Floats, Floats]:
+        """Mean distance within the first side, within the second and between them, of each dealing."""
+        n1, n2 = self.n
+        second = self.dealt.head.astype(np.float64)
+        first = 1.0 - second
+        to_second = second @ self.matrix  # of each run, [dealing, run]
+        within2 = (to_second * second).sum(axis=1) / (n2 * (n2 - 1))
+        between = (to_second * first).sum(axis=1) / (n1 * n2)
+        within1 = ((first @ self.matrix) * first).sum(axis=1) / (n1 * (n1 - 1))
+        return within1, within2, between
+
+
+def _distances_between(matrix: npt.ArrayLike, head: npt.ArrayLike, seed: int = 0) -> _Distances:
     found = np.asarray(matrix, dtype=np.float64)
     observed, labels = _arrays(head, np.zeros(len(found), dtype=np.int64))
-    n2 = int(observed.sum())
-    n1 = len(observed) - n2
     if found.shape != (len(observed), len(observed)) or not np.isfinite(found).all():
         raise ValueError("distances must be finite, in a square matrix")
-    if min(n1, n2) < 2:
+    if min(observed.sum(), len(observed) - observed.sum()) < 2:
         raise ValueError("needs at least two runs a side")
-    dealt = dealings(observed, labels, seed=seed)
-    second = dealt.head.astype(np.float64)
-    to_second = second @ found  # of each run, [dealing, run]
-    within2 = (to_second * second).sum(axis=1) / (n2 * (n2 - 1))
-    between = (to_second * (1.0 - second)).sum(axis=1) / (n1 * n2)
-    first = 1.0 - second
-    within1 = ((first @ found) * first).sum(axis=1) / (n1 * (n1 - 1))
-    apart = between - (within1 + within2) / 2.0
-    tie = _TIE * max(float(np.abs(apart).max()), 1e-300)
-    reached = int((apart >= apart[0] - tie).sum())
-    # with as many runs on either side, the exchanged sides are as far apart
-    count = count_dealings(observed, labels)
-    least = (1 + (n1 == n2)) / count if dealt.exhaustive else 1 / len(apart)
-    return Shift(float(apart[0]), None, None, reached / len(apart), least, len(apart), dealt.exhaustive, dealt.seed)
+    return _Distances(found, observed, dealings(observed, labels, seed=seed))
+
+
+def _tie_of(shifts: Floats) -> float:
+    return _TIE * max(float(np.abs(shifts).max()), 1e-300)
 
 
 def _drawn(runs: int) -> int:

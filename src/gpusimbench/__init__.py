@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from gpusimbench.evaluator.compare.compare import Result
     from gpusimbench.evaluator.diff.result import Difference
     from gpusimbench.evaluator.read.recording import Recording
-    from gpusimbench.evaluator.results.result import Evaluation
+    from gpusimbench.evaluator.results.evaluation import Evaluation
     from gpusimbench.recorder.log import RecordingWriter
     from gpusimbench.recorder.scenes.base import Scene
     from gpusimbench.recorder.simulators.base import Simulator

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import Any
 
@@ -23,9 +23,13 @@ from gpusimbench.evaluator.report import words
 from gpusimbench.evaluator.report.fidelity import cells
 from gpusimbench.evaluator.report.page import summary
 from gpusimbench.evaluator.results import identity_metrics as identity
-from gpusimbench.evaluator.results.claims import Claim, Tally, every, identical, tally
+from gpusimbench.evaluator.results.claims import Claim, Tally, every, tally
+from gpusimbench.evaluator.results.details import DistinctEnvs, DistinctRuns
 from gpusimbench.evaluator.results.fidelity import Verdict, fidelity
-from gpusimbench.evaluator.results.result import Metric, not_computed
+from gpusimbench.evaluator.results.group_runs import GroupRuns
+from gpusimbench.evaluator.results.identity_metrics import identical
+from gpusimbench.evaluator.results.metric import Estimate, missing
+from gpusimbench.evaluator.results.metrics import METRICS
 from gpusimbench.evaluator.results.validity import validity_of
 from gpusimbench.evaluator.runs.physics.facts import Check, PhysicsFacts, measured
 from gpusimbench.evaluator.runs.state_hashes import histories_of
@@ -36,19 +40,26 @@ THREE = st.lists(st.sampled_from([True, False, None]), max_size=5)
 """What is known of some parts: any mixture of yes, no and not compared, and no part at all."""
 
 
-def _metric(name: str, value: float | None, n: int, **extra: Any) -> Metric:
-    return not_computed(name, "", "neither", "nobody looked") if value is None else Metric(
-        name, value, "", "neither", method="", n=n, extra=extra
-    )  # fmt: skip
+def _estimate(name: str, value: float | None, n: int, without_hashes: int | None = None) -> Estimate:
+    if value is None:
+        return missing(METRICS[name], "nobody looked")
+    details = (DistinctEnvs if name == "distinct_envs" else DistinctRuns)(without_hashes=without_hashes)
+    return Estimate(METRICS[name], value, n=n, details=details)
 
 
 @dataclass(frozen=True)
 class _Run:
-    """As much of RunData as bits need: None has no state hashes, others are equal where their numbers are."""
+    """As much of a Run as bits need: None has no state hashes, others are equal where their numbers are."""
 
     state: int | None
     n_env: int = 2
-    recording: Any = field(default=None, compare=False)
+    action_names: tuple[str, ...] = ()
+    simulation: None = None
+    fields: tuple[str, ...] = ()
+
+    @property
+    def configuration(self) -> Any:
+        return SimpleNamespace(n_env=self.n_env, dt=0.1, seed=0, phases=("capture",), run_index=0)
 
     @property
     def histories(self) -> Any:
@@ -59,9 +70,7 @@ class _Run:
 
 
 def _runs(states: list[int | None], n_env: int = 2) -> list[Any]:
-    configuration = SimpleNamespace(n_env=n_env, dt=0.1, seed=0, phases=("capture",), run_index=0)
-    recording = SimpleNamespace(action_names=(), simulation=None, configuration=configuration, fields=())
-    return [_Run(state, n_env, recording) for state in states]
+    return [_Run(state, n_env) for state in states]
 
 
 STATES = st.lists(st.sampled_from([1, 2, None]), max_size=4)
@@ -84,7 +93,7 @@ def test_every(parts: list[bool | None]) -> None:
 @given(st.sampled_from([None, 1.0, 2.0]), st.integers(0, 3), st.integers(0, 2))
 def test_identical(value: float | None, n: int, without: int) -> None:
     """Claim alike environments or runs only of two at least, of which each has hashes; in every text that says so."""
-    metric = _metric("distinct_runs", value, n, without_hashes=without)
+    metric = _estimate("distinct_runs", value, n, without_hashes=without)
     yes = value == 1 and n > 1 and not without
     claim = identical(metric)
     assert claim.yes == yes
@@ -98,8 +107,8 @@ def test_the_summary_of_a_report(groups: list[tuple[float | None, int]]) -> None
     """Count a group as bit-identical only where it was compared, and say of how many that is."""
     results: list[Any] = [
         SimpleNamespace(
-            metrics={name: _metric(name, value, n) for name in ("distinct_envs", "distinct_runs")} | {
-                "fps": _metric("fps", None, 0)
+            metrics={name: _estimate(name, value, n) for name in ("distinct_envs", "distinct_runs")} | {
+                "fps": _estimate("fps", None, 0)
             },
             group=SimpleNamespace(recordings=(), key=SimpleNamespace(version="1", switches="", scene="s", device="d")),
             fidelity=fidelity("", []),
@@ -116,8 +125,8 @@ def test_comparing_two_sets(base: list[int | None], head: list[int | None], n_en
     """Say "identical", or that nothing changed, only of runs that all have state hashes, and of more than one."""
     sides = _runs(base, n_env), _runs(head, n_env)
     for side, states in zip(sides, (base, head), strict=True):
-        assert all_alike(side) == (len(states) > 1 and None not in states and len(set(states)) == 1)
-    for finding in compare_determinism(*sides):
+        assert all_alike(GroupRuns(side)) == (len(states) > 1 and None not in states and len(set(states)) == 1)
+    for finding in compare_determinism(*map(GroupRuns, sides)):
         told = finding.name == "distinct_envs"
         for said, states in zip(finding.said, (base, head), strict=True):
             if said.startswith("identical"):
@@ -249,13 +258,13 @@ def test_environments_at_other_origins(tmp_path: Any) -> None:
 @pytest.mark.parametrize("value", [None, 1.0])
 def test_a_reason_is_told(value: float | None) -> None:
     """Give the metric's own reason where it has one."""
-    assert identical(_metric("distinct_envs", value, 1)).why_not
+    assert identical(_estimate("distinct_envs", value, 1)).why_not
 
 
 @pytest.mark.parametrize("agree", [True, None])
 def test_equality_at_one_step(agree: bool | None) -> None:
     """Call positions bit-identical without more only where state hashes of every step say so."""
     found = verdict(np.zeros((2, 1, 1, 2)), hashes_agree=agree)
-    said = words.equality(identity._level("equality_runs", found, 2, {}))
+    said = words.equality(identity._level(METRICS["equality_runs"], found, 2))
     assert said.startswith("bit-identical")
     assert ("sample step" in said) == (agree is None)

@@ -17,9 +17,13 @@ from gpusimbench.evaluator.cli.eval import main as gsb_eval
 from gpusimbench.evaluator.cli.info import main as gsb_info
 from gpusimbench.evaluator.metrics.cotenants import BASELINE, Presence, cotenants, peers_of
 from gpusimbench.evaluator.metrics.memory import Checkpoints, GpuMemory, Listing
+from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.results.cost_metrics import GPU_MEMORY, HOST_MEMORY, common_memory
+from gpusimbench.evaluator.results.details import Memory, Throughput
 from gpusimbench.evaluator.results.evaluate import evaluate_files
-from gpusimbench.evaluator.results.result import GroupResult, Metric
+from gpusimbench.evaluator.results.metric import Estimate, missing
+from gpusimbench.evaluator.results.metrics import METRICS
+from gpusimbench.evaluator.results.result import GroupResult
 from tests.synthetic import write_recording
 
 H200 = Path(__file__).resolve().parents[2] / "recordings" / "h200"
@@ -44,7 +48,7 @@ def only(files: list[Path]) -> GroupResult:
 
 def presences(result: GroupResult) -> list[str]:
     """Of the runs, in order."""
-    return [one["presence"] for one in result.metrics["fps"].extra["co_tenants"]]
+    return [one.presence.value for one in result.metrics["fps"].of(Throughput).co_tenants or ()]
 
 
 @pytest.mark.parametrize(
@@ -61,10 +65,10 @@ def test_shipped_runs_with_a_co_tenant(
     result = only(shipped(name, *runs))
     device, own = (result.metrics[metric] for metric in GPU_MEMORY)
     assert device.value == pytest.approx(increment, abs=5e-4)
-    assert [one["run"] for one in device.extra["left_out"]] == out
-    assert (device.n, device.extra["source"]) == (len(runs) - len(out), "device")
+    assert [one.run for one in device.of(Memory).left_out or ()] == out
+    assert (device.n, device.of(Memory).source) == (len(runs) - len(out), "device")
     assert own.value == pytest.approx(process, abs=5e-4)
-    assert (own.n, own.extra["source"]) == (len(runs), "process")
+    assert (own.n, own.of(Memory).source) == (len(runs), "process")
     assert presences(result) == ["some" if run in out else "unknown" for run in runs]
     for run in runs:
         assert any(note.startswith(f"run {run}: another process was on the GPU") for note in result.notes) is (
@@ -76,8 +80,7 @@ def test_no_zero_for_a_run_alone() -> None:
     """Give no increment of a run whose device held less at its peak than at the baseline, not 0.0."""
     result = only(shipped("isaaclab-newton", 1))
     device, own = (result.metrics[metric] for metric in GPU_MEMORY)
-    assert (device.value, device.n) == (None, 0)
-    assert device.why_not == "another process was on the GPU in 1 of 1 runs"
+    assert (device.value, device.n) == (Missing("another process was on the GPU in 1 of 1 runs"), 0)
     assert own.value == pytest.approx(0.820, abs=5e-4)
 
 
@@ -129,9 +132,9 @@ def test_what_one_file_tells(
     """Tell none, some and unknown apart: in gsb-info, in its JSON, and in the evaluation."""
     path = write_recording(tmp_path, None, gpu_bytes=gpu, **keywords)
     result = only([path])
-    (told,) = result.metrics["fps"].extra["co_tenants"]
-    assert (told["presence"], [sign["moment"] for sign in told["signs"]]) == (presence, moments)
-    assert (result.metrics["memory_peak_increment"].value is None) is (presence == "some")
+    (told,) = result.metrics["fps"].of(Throughput).co_tenants or ()
+    assert (told.presence.value, [sign.moment for sign in told.signs]) == (presence, moments)
+    assert isinstance(result.metrics["memory_peak_increment"].value, Missing) is (presence == "some")
     assert gsb_info([str(path), "--json", "-"]) == 0
     (shown,) = json.loads(capsys.readouterr().out)["files"]
     assert (shown["co_tenants"]["presence"], len(shown["co_tenants"]["signs"])) == (presence, len(moments))
@@ -181,7 +184,7 @@ def test_tables_and_page(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> 
     rows = {row[0]: row[1] for row in cells if len(row) == 2}
     assert rows["another process on the GPU"] == "1 of 3 runs: 1"
     assert rows["GPU memory increment [GB]"] == "1.00 ± 0.00"
-    assert rows["the process alone [GB]"] == "0.99 ± 0.00"
+    assert rows["GPU memory of the process [GB]"] == "0.99 ± 0.00"
     assert "lower for it: synthetic (1 of 3 runs: 1)" in printed
     html = (page / "index.html").read_text()
     assert "another process on the GPU: 1 of 3 runs: 1" in html
@@ -215,16 +218,20 @@ def test_a_price_has_one_source(tmp_path: Path) -> None:
 _VALUES = st.none() | st.floats(0.1, 10)
 
 
-@given(st.lists(st.fixed_dictionaries(dict.fromkeys((*GPU_MEMORY, HOST_MEMORY), _VALUES)), min_size=1, max_size=4))
+@given(st.lists(st.fixed_dictionaries(dict.fromkeys((*GPU_MEMORY, HOST_MEMORY.name), _VALUES)), min_size=1, max_size=4))
 def test_a_common_source(values: list[dict[str, float | None]]) -> None:
     """Choose a metric that all groups have, the published first, before one that only some have."""
-    groups: list[Mapping[str, Metric]] = [
-        {name: Metric(name, value, "GB", "lower", "m") for name, value in one.items()} for one in values
+    groups: list[Mapping[str, Estimate]] = [
+        {
+            name: missing(METRICS[name], "not sampled") if value is None else Estimate(METRICS[name], value)
+            for name, value in one.items()
+        }
+        for one in values
     ]
     everyones = [name for name in GPU_MEMORY if all(one[name] is not None for one in values)]
     anyones = [name for name in GPU_MEMORY if any(one[name] is not None for one in values)]
     chosen = common_memory(groups)
-    assert chosen == everyones[0] if everyones else chosen in (anyones or [HOST_MEMORY])
+    assert chosen == everyones[0] if everyones else chosen in (anyones or [HOST_MEMORY.name])
 
 
 _AMOUNT = st.integers(0, 8 * GB)

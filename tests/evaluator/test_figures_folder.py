@@ -26,7 +26,7 @@ from gpusimbench.evaluator.report.paper import latex
 from gpusimbench.evaluator.report.paper.figures import HEAD, INDEX, named, write_figures
 from gpusimbench.evaluator.report.paper.pdf import to_pdf
 from gpusimbench.evaluator.results.evaluate import evaluate_files
-from gpusimbench.evaluator.results.result import Evaluation
+from gpusimbench.evaluator.results.evaluation import Evaluation
 from tests.synthetic import grid, write_recording, write_sweep
 
 HOSTILE = r"\input{/etc/passwd} $x^2$ & 50 % #1 {_} ~ <script> \x00"
@@ -126,8 +126,8 @@ def test_numbers_of_sweeps(written: Path) -> None:
         rows = [r for r in csv.DictReader(file) if r["sweep"] == "one"]
     assert [r["environments"] for r in rows] == ["1", "4", "16"]
     assert rows[1]["what"] == "N_env^max"
-    assert (rows[2]["throughput [env steps/s]"], rows[2]["what"]) == ("", "failed (device memory)")
-    assert float(rows[0]["throughput [env steps/s]"]) > 0
+    assert (rows[2]["throughput [env-steps/s]"], rows[2]["what"]) == ("", "failed (device memory)")
+    assert float(rows[0]["throughput [env-steps/s]"]) > 0
 
 
 def test_the_index_is_latex(written: Path) -> None:

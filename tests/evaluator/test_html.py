@@ -10,6 +10,7 @@ import xml.etree.ElementTree as ET
 from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,15 +18,31 @@ import pytest
 from gpusimbench.evaluator.metrics import variability
 from gpusimbench.evaluator.metrics.density import HexGrid, marginal
 from gpusimbench.evaluator.metrics.guidelines import guidelines
+from gpusimbench.evaluator.metrics.levels import Worst
 from gpusimbench.evaluator.metrics.radar import SimulatorResult, radar
+from gpusimbench.evaluator.missing import Missing, known
 from gpusimbench.evaluator.player.playback import playback_of
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.render.scripts import script
 from gpusimbench.evaluator.report.html import render_html, write_html
 from gpusimbench.evaluator.results import group_metrics, published
+from gpusimbench.evaluator.results.details import (
+    BetweenEnvs,
+    BetweenRuns,
+    Details,
+    DistinctEnvs,
+    DistinctRuns,
+    Equality,
+    OffTheBoard,
+    SunkCubes,
+)
 from gpusimbench.evaluator.results.evaluate import evaluate_files
+from gpusimbench.evaluator.results.evaluation import Evaluation
+from gpusimbench.evaluator.results.metric import Estimate, missing
+from gpusimbench.evaluator.results.metrics import METRICS
 from gpusimbench.evaluator.results.ranking import Comparison, Contender
-from gpusimbench.evaluator.results.result import Cloud, Evaluation, GroupResult, Map, Metric, Reference, not_computed
+from gpusimbench.evaluator.results.reference import Reference
+from gpusimbench.evaluator.results.result import Cloud, GroupResult, Map
 from gpusimbench.evaluator.runs.reader import Unreadable, read_run
 from gpusimbench.evaluator.runs.run import Run
 from gpusimbench.schemas.errors import DamagedRecording, GsbError
@@ -95,34 +112,41 @@ def result(base: GroupResult, label: str, seed: int, *, off_map: int = 0) -> Gro
     positions = rng.normal(0.2, 0.05, (3, 4, 27, 2)) * [1.0, 0.3]
     positions.reshape(-1, 2)[:off_map] = 9.0
     half = np.triu(rng.random((4, 4)), k=1)
-    made = [
-        Metric("fps", 1_234_567.0 + seed, "env-steps/s", "higher", "m", n=3, sd=321.0, ci95=(1_233_000.0, 1_236_000.0)),
-        Metric("memory_peak_increment", 2.5 + seed, "GB", "lower", "m", n=3, sd=0.25, ci95=(2.0, 3.0)),
-        Metric("process_memory_peak", 2.25 + seed, "GB", "lower", "m", n=3, sd=0.25, ci95=(2.0, 3.0)),
-        Metric("host_memory_peak_increment", 77.25, "MB", "lower", "m", n=3, sd=0.5, ci95=(76.0, 78.0)),
-        Metric("distinct_envs", 3.0, "", "neither", "m", n=4, extra={"first_difference_step": 118}),
-        Metric("distinct_runs", 1.0, "", "neither", "m", n=3, extra={"first_difference_step": None}),
-        Metric("capture_changes_states", 0.0, "", "lower", "m", n=3),
-        Metric("w1_parallel", 0.00001234 + seed, "cm", "lower", "m", n=3, sd=0.0, ci95=(0.0, 0.5)),
-        Metric("w1_run_to_run", 0.0, "cm", "lower", "m", n=3, sd=0.0, ci95=(0.0, 0.0)),
-        Metric("w1_real", 3.375 + seed, "cm", "lower", "m", n=3, sd=0.125, ci95=(3.0, 4.0)),
-        Metric("w1_parallel_clamped", 0.0625, "cm", "lower", "m", n=3, sd=0.0),
-        Metric("w1_run_to_run_clamped", 0.0, "cm", "lower", "m", n=3, sd=0.0),
-        Metric("w1_real_clamped", 2.125, "cm", "lower", "m", n=3, sd=0.125),
-        Metric("left_board", 0.25, "cubes per env", "lower", "m", n=12, extra={"total": 3, "of": 324}),
-        Metric("sank", 0.5, "cubes per env", "lower", "m", n=12, extra={"total": 6, "of": 324, "first_step": 17}),
-        Metric("regime_published", 1.0, "type", "neither", "m"),
-        Metric("allocator_peak", 1.5, "GB", "lower", "m", n=3, sd=0.0),
-        Metric(
-            "equality_envs", 4.0, "level", "lower", "m", extra={"text": "different", "worst": {"difference": 0.012}}
-        ),
-        Metric("equality_runs", 0.0, "level", "lower", "m", extra={"text": "bit-identical", "worst": None}),
-        Metric("build_time", 1.25, "s", "lower", "m", n=3),
-        Metric("compile_time", 33.0, "s", "lower", "m", n=3),
+
+    def made(name: str, value: float, details: Details | None = None, **rest: Any) -> Estimate:
+        return Estimate(METRICS[name], value, "m", details=details or Details(), **rest)
+
+    several_envs = BetweenEnvs(matrix_cm=half + half.T)
+    runs = BetweenRuns(matrix_cm=np.zeros((3, 3)))
+    apart = Equality(text="different", worst=Worst((0, 1), 0, 0, 0, 0.012, 1.0))
+    found = [
+        made("fps", 1_234_567.0 + seed, n=3, sd=321.0, ci95=(1_233_000.0, 1_236_000.0)),
+        made("memory_peak_increment", 2.5 + seed, n=3, sd=0.25, ci95=(2.0, 3.0)),
+        made("process_memory_peak", 2.25 + seed, n=3, sd=0.25, ci95=(2.0, 3.0)),
+        made("host_memory_peak_increment", 77.25, n=3, sd=0.5, ci95=(76.0, 78.0)),
+        made("distinct_envs", 3.0, DistinctEnvs(first_difference_step=118), n=4),
+        made("distinct_runs", 1.0, DistinctRuns(first_difference_step=None), n=3),
+        made("capture_changes_states", 0.0, n=3),
+        made("w1_parallel", 0.00001234 + seed, several_envs, n=3, sd=0.0, ci95=(0.0, 0.5)),
+        made("w1_run_to_run", 0.0, runs, n=3, sd=0.0, ci95=(0.0, 0.0)),
+        made("w1_real", 3.375 + seed, n=3, sd=0.125, ci95=(3.0, 4.0)),
+        made("w1_parallel_clamped", 0.0625, n=3, sd=0.0),
+        made("w1_run_to_run_clamped", 0.0, n=3, sd=0.0),
+        made("w1_real_clamped", 2.125, n=3, sd=0.125),
+        made("left_board", 0.25, OffTheBoard(total=3, of=324), n=12),
+        made("sank", 0.5, SunkCubes(total=6, of=324, first_step=17), n=12),
+        made("regime_published", 1.0),
+        made("allocator_peak", 1.5, n=3, sd=0.0),
+        made("equality_envs", 4.0, apart),
+        made("equality_runs", 0.0, Equality(text="bit-identical")),
+        made("build_time", 1.25, n=3),
+        made("compile_time", 33.0, n=3),
     ]
+    estimates = {name: missing(metric, f"no {name} here") for name, metric in METRICS.items()}
+    estimates |= {one.name: one for one in found}
     return GroupResult(
-        group=base.group, label=label, metrics={m.name: m for m in made}, cloud=cloud(positions),
-        parallel_matrix=half + half.T, run_matrix=np.zeros((3, 3)), validity=base.validity, fidelity=base.fidelity,
+        group=base.group, label=label, metrics=estimates, cloud=cloud(positions),
+        validity=base.validity, fidelity=base.fidelity,
         notes=(f"a note on {label}",),
     )  # fmt: skip
 
@@ -139,7 +163,7 @@ def several(alone: Evaluation) -> Evaluation:
     results = tuple(result(alone.results[0], f"engine {i}", i, off_map=101 if i == 2 else 0) for i in range(3))
     real = np.random.default_rng(9).normal(0.2, 0.05, (16, 27, 2))
     clouds = [r.cloud.density for r in results if r.cloud] + [GRID.bin(real)]
-    figures = [SimulatorResult(r.label, fps=r.metrics["fps"].value, w1_real=r.metrics["w1_real"].value)
+    figures = [SimulatorResult(r.label, fps=known(r.metrics["fps"].value), w1_real=known(r.metrics["w1_real"].value))
                for r in results]  # fmt: skip
     contenders = tuple(Contender(r, None, None, f, {}) for r, f in zip(results, figures, strict=True))
     return Evaluation(
@@ -246,13 +270,13 @@ def test_missing_values_are_reasons(alone: Evaluation) -> None:
     """Print why there is no value, in its row, and never a zero."""
     text = render(alone)
     for metric in alone.results[0].metrics.values():
-        if metric.value is None:
-            assert metric.why_not
-            assert f"not computed: {metric.why_not}" in Page(text).text
+        if isinstance(metric.value, Missing):
+            assert metric.value.reason
+            assert f"not computed: {metric.value.reason}" in Page(text).text
     base = alone.results[0]
-    reasons = {name: not_computed(name, m.unit, m.direction, f"reason of {name}") for name, m in base.metrics.items()}
+    reasons = {name: missing(metric, f"reason of {name}") for name, metric in METRICS.items()}
     unseen = replace(base.fidelity, rows=(), why_not="no states were recorded")
-    empty = replace(base, metrics=reasons, cloud=None, parallel_matrix=None, run_matrix=None, fidelity=unseen)
+    empty = replace(base, metrics=reasons, cloud=None, fidelity=unseen)
     text = render(replace(alone, results=(empty,), maps={}))
     rows = re.findall(r"<tbody>(.*?)</tbody>", text, flags=re.DOTALL)
     for name in reasons:
@@ -285,7 +309,7 @@ def test_problems_stand_above_the_results(several: Evaluation, recorded: Run) ->
     base = several.results[0]
     bad = replace(base, group=replace(base.group, recordings=(failed,)))
     text = Page(render(replace(several, results=(bad, *several.results[1:])))).text
-    before = text[: text.index("mean ± SD over runs")]
+    before = text[: text.index("W1 between envs [cm]")]
     assert "torn.mcap" in before
     assert "chunk 7 fails its CRC" in before
     assert recorded.path.name in before
@@ -312,7 +336,7 @@ def test_hostile_text_stays_text(several: Evaluation, recorded: Run) -> None:
     )  # fmt: skip
     base = several.results[0]
     group = replace(base.group, recordings=(hostile,), key=replace(base.group.key, scene=HOSTILE, version=HOSTILE))
-    metrics = {**base.metrics, "fps": not_computed("fps", HOSTILE, "higher", HOSTILE)}
+    metrics = {**base.metrics, "fps": missing(METRICS["fps"], HOSTILE)}
     one = replace(base, group=group, label=HOSTILE, metrics=metrics, notes=(HOSTILE,))
     assert several.reference is not None
     evaluation = replace(
@@ -483,7 +507,7 @@ def test_too_many_environments_for_a_matrix(tmp_path: Path, monkeypatch: pytest.
         monkeypatch.setattr(module, "MATRIX_ENVS", 3)
     evaluation = evaluate_files([path])
     without = evaluation.results[0]
-    assert with_matrix.parallel_matrix is not None
-    assert without.parallel_matrix is None
+    assert with_matrix.metrics["w1_parallel"].of(BetweenEnvs).matrix_cm is not None
+    assert without.metrics["w1_parallel"].of(BetweenEnvs).matrix_cm is None
     assert without.metrics["w1_parallel"].value == pytest.approx(with_matrix.metrics["w1_parallel"].value, rel=1e-12)
     assert "No matrix: 4 environments are too many for one (limit: 3)." in Page(render(evaluation)).text

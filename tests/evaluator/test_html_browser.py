@@ -17,7 +17,7 @@ from gpusimbench.evaluator.report.html import sections_of, write_html
 from gpusimbench.evaluator.report.page.picture import Picture
 from gpusimbench.evaluator.report.page.section import Source
 from gpusimbench.evaluator.results.evaluate import evaluate_files
-from gpusimbench.evaluator.results.result import Evaluation
+from gpusimbench.evaluator.results.evaluation import Evaluation
 from tests.browser import Browser, needs_chromium
 from tests.synthetic import grid, write_recording, write_sweep
 

@@ -12,7 +12,7 @@ from gpusimbench.evaluator.report.page import summary
 from gpusimbench.evaluator.report.page.section import Source
 from gpusimbench.evaluator.results.claims import Tally
 from gpusimbench.evaluator.results.evaluate import evaluate_files
-from gpusimbench.evaluator.results.result import Evaluation
+from gpusimbench.evaluator.results.evaluation import Evaluation
 from tests.synthetic import grid, write_recording, write_sweep
 
 

@@ -12,7 +12,7 @@ import pytest
 from gpusimbench.evaluator.check.inspection import inspect
 from gpusimbench.evaluator.check.integrity import examine
 from gpusimbench.evaluator.cli.info import main
-from gpusimbench.evaluator.report.info_text import info_text
+from gpusimbench.evaluator.report.info import info_text
 from gpusimbench.schemas.errors import ExitCode
 from gpusimbench.schemas.provenance import PROVENANCE, SIMULATION, OverflowBit
 from tests.conftest import Command, call

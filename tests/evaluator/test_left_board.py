@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import re
 from itertools import combinations
 from pathlib import Path
 
@@ -18,6 +19,7 @@ from scipy.spatial.distance import cdist
 
 from gpusimbench.evaluator.check.protocol import unmet_by_file
 from gpusimbench.evaluator.metrics.board import Board, clamped
+from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.render.numbers import figure
 from gpusimbench.evaluator.report.html import render_html
@@ -25,8 +27,9 @@ from gpusimbench.evaluator.report.json import to_json
 from gpusimbench.evaluator.report.paper.tables import tables
 from gpusimbench.evaluator.report.parquet import frames
 from gpusimbench.evaluator.report.tables import print_tables
+from gpusimbench.evaluator.results.details import BetweenRuns, OffTheBoard
 from gpusimbench.evaluator.results.evaluate import evaluate, evaluate_files
-from gpusimbench.evaluator.results.result import Evaluation
+from gpusimbench.evaluator.results.evaluation import Evaluation
 from gpusimbench.evaluator.runs.reader import Reader
 from gpusimbench.evaluator.runs.run import Run
 from tests.synthetic import grid, write_recording
@@ -61,7 +64,7 @@ def test_a_cube_that_flew_off(tmp_path: Path) -> None:
     assert found["w1_parallel"].value == pytest.approx(100 * (60.0 - 0.5) / 27 * pairs)
     assert found["w1_parallel_clamped"].value == pytest.approx(100 * (0.6 - 0.5) / 27 * pairs)
     assert found["left_board"].value == 0.25
-    assert found["left_board"].extra["envs_with_any"] == 2
+    assert found["left_board"].of(OffTheBoard).envs_with_any == 2
 
 
 @pytest.mark.parametrize("name", ["isaaclab-newton-inclined", "mjx-jax-inclined"])
@@ -76,7 +79,7 @@ def test_shipped_recordings_against_scipy(name: str) -> None:
     if simulation.env_origins:
         runs -= np.array(simulation.env_origins)[:, None]
     beside = (runs[..., 0] < 0) | (runs[..., 0] > 0.6) | (np.abs(runs[..., 1]) > 0.3)
-    assert result.metrics["left_board"].extra["total"] == (beside | (runs[..., 2] < 0.02)).sum()
+    assert result.metrics["left_board"].of(OffTheBoard).total == (beside | (runs[..., 2] < 0.02)).sum()
     for suffix, planar in (("", runs[..., :2]), ("_clamped", np.clip(runs[..., :2], [0.0, -0.3], [0.6, 0.3]))):
         envs = np.mean([[w1(a, b) for a, b in combinations(run, 2)] for run in planar])
         assert result.metrics[f"w1_parallel{suffix}"].value == pytest.approx(envs, rel=1e-9)
@@ -87,9 +90,10 @@ def test_shipped_recordings_against_scipy(name: str) -> None:
 def test_five_runs_of_mjx_end_in_three_places() -> None:
     """Hold the README's figures: 2.4, 12.4 and 13.9 cm apart, and 1.7 to 2.9 without the cube that fell."""
     (result,) = evaluate_files(sorted(H200.glob("mjx-jax-inclined*.mcap"))).results
-    assert result.run_matrix is not None
-    assert sorted(set(np.round(result.run_matrix, 1).ravel())) == [0.0, 2.4, 12.4, 13.9]
-    assert result.metrics["left_board"].extra["per_run"] == [0, 0, 0, 0, 16]
+    matrix = result.metrics["w1_run_to_run"].of(BetweenRuns).matrix_cm
+    assert matrix is not None
+    assert sorted(set(np.round(matrix, 1).ravel())) == [0.0, 2.4, 12.4, 13.9]
+    assert result.metrics["left_board"].of(OffTheBoard).per_run == (0, 0, 0, 0, 16)
     shown = (Path(__file__).resolve().parents[2] / "README.md").read_text(encoding="utf-8")
     assert "2.4, 12.4 and 13.9 cm" in " ".join(shown.split())
 
@@ -121,8 +125,8 @@ def test_one_cube_of_many_is_shown(few: Evaluation) -> None:
     stream = io.StringIO()
     print_tables(few, stream)
     lines = [" ".join(line.split()) for line in stream.getvalue().splitlines()]
-    assert "cubes off the board per env 0.04" in lines
-    assert sum(line.startswith("cubes clamped to the board 0.") for line in lines) == 3
+    assert "cubes off the board [cubes per env] 0.04" in lines
+    assert sum(bool(re.match(r"clamped W1 .* \[cm\] 0\.", line)) for line in lines) == 3
 
     page = render_html(few, published=False, command="")
     assert page.count("<small>clamped to the board: 0.") == 5, "in two tables"
@@ -170,7 +174,7 @@ def test_no_board_no_clamping(tmp_path: Path) -> None:
     """Say that a scene without a board has none, and keep the published value."""
     (result,) = evaluate_files([write_recording(tmp_path, grid(2), scene="free-fall")]).results
     assert result.metrics["w1_parallel"].value == 0
-    assert result.metrics["w1_parallel_clamped"].why_not == "this scene has no board"
+    assert result.metrics["w1_parallel_clamped"].value == Missing("this scene has no board")
     assert json.dumps(to_json(evaluate_files([])))
 
 

@@ -17,7 +17,7 @@ from gpusimbench.evaluator.render.numbers import mean_sd
 from gpusimbench.evaluator.report.paper.tables import tables, text_tables
 from gpusimbench.evaluator.report.paper.text_table import Format, TextTable, as_csv, as_latex, as_markdown
 from gpusimbench.evaluator.results.evaluate import evaluate_files
-from gpusimbench.evaluator.results.result import Evaluation
+from gpusimbench.evaluator.results.evaluation import Evaluation
 from tests.conftest import Command
 from tests.synthetic import grid, write_recording, write_sweep
 
@@ -48,7 +48,7 @@ def test_tables_say_what_was_evaluated(evaluation: Evaluation) -> None:
     groups = {r.label: r for r in evaluation.results}
     for row in found["throughput"].rows:
         said = dict(zip(found["throughput"].titles, row, strict=True))
-        assert said["throughput [env steps/s]"] == mean_sd(groups[said["group"]].metrics["fps"])
+        assert said["throughput [env-steps/s]"] == mean_sd(groups[said["group"]].metrics["fps"])
     assert [row[2] for row in found["scaling-points"].rows] == ["1", "4", "16"]
     assert "failed" in found["scaling-points"].rows[2][-1]
     assert not any(table.key.startswith("published") for table in tables(evaluation, published=False))

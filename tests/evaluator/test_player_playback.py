@@ -13,7 +13,7 @@ from gpusimbench.evaluator.player.playback import BUDGET_BYTES, playback_of
 from gpusimbench.evaluator.render.scripts import script as download
 from gpusimbench.evaluator.report.html import write_html
 from gpusimbench.evaluator.results.evaluate import evaluate_files
-from gpusimbench.evaluator.results.result import Evaluation
+from gpusimbench.evaluator.results.evaluation import Evaluation
 from tests.browser import Browser, needs_chromium
 from tests.evaluator.test_html import Page
 from tests.evaluator.test_player_clip import diverging

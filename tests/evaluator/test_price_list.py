@@ -17,8 +17,8 @@ from gpusimbench.evaluator.report.price_table import SAME, ratio
 from gpusimbench.evaluator.report.tables import print_tables
 from gpusimbench.evaluator.results.determinism_cost import NO_EFFECT, Family, Price
 from gpusimbench.evaluator.results.evaluate import evaluate_files
+from gpusimbench.evaluator.results.evaluation import Evaluation
 from gpusimbench.evaluator.results.faults import faults
-from gpusimbench.evaluator.results.result import Evaluation
 from tests.synthetic import cubes_field, grid, write_recording
 
 SWITCH = {"exact": True}

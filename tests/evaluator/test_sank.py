@@ -12,8 +12,10 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from gpusimbench.evaluator.metrics.sank import Sinking, Support, may_have_sunk
+from gpusimbench.evaluator.missing import why_missing
+from gpusimbench.evaluator.results.details import SunkCubes
 from gpusimbench.evaluator.results.evaluate import evaluate_files
-from gpusimbench.evaluator.results.result import Metric
+from gpusimbench.evaluator.results.metric import Estimate
 from tests.synthetic import grid, write_recording
 
 GROUND = Support(0.0, (-math.inf, -math.inf), (math.inf, math.inf))
@@ -69,7 +71,7 @@ def test_a_ground_plane_has_no_edge(x: float, y: float, above: float, below: flo
     assert follow([(x, y, above), (y, x, below)], GROUND) == (True, 1)
 
 
-def sank(path: Path) -> Metric:
+def sank(path: Path) -> Estimate:
     """The metric of one file."""
     (result,) = evaluate_files([path]).results
     return result.metrics["sank"]
@@ -90,8 +92,8 @@ def test_cubes_through_the_floor(tmp_path: Path, scene: str, left: float | None)
     path = write_recording(tmp_path, final, scene=scene, steps=6, path_of=fall)
     found = sank(path)
     assert found.value == 1.5
-    assert found.extra == {
-        "total": 3, "of": 54, "cubes": 27, "per_run": [3], "last_step": 6, "first_step": 3
+    assert found.details.record() == {
+        "total": 3, "of": 54, "cubes": 27, "per_run": (3,), "last_step": 6, "first_step": 3
     }  # fmt: skip
     (result,) = evaluate_files([path]).results
     assert "cubes through the floor: 1.5 of 27 per env by step 6, the first at step 3" in result.notes
@@ -119,7 +121,7 @@ def test_origins_and_strides(tmp_path: Path) -> None:
     final[1, 5] += (0.0, 0.0, -1.0)
     found = sank(write_recording(tmp_path, final, origins=origins, steps=6, stride=3,
                                  path_of=lambda start, step: grid(2) + np.array(origins)[:, None]))  # fmt: skip
-    assert (found.extra["total"], found.extra["first_step"]) == (1, 6)
+    assert (found.of(SunkCubes).total, found.of(SunkCubes).first_step) == (1, 6)
 
 
 def test_a_real_scene_holds(small_set: list[Path]) -> None:
@@ -130,11 +132,11 @@ def test_a_real_scene_holds(small_set: list[Path]) -> None:
 
 def test_why_it_cannot_be_said(tmp_path: Path) -> None:
     """Give a reason without states, and for a scene of which nothing level is known."""
-    assert "no states were recorded" in sank(write_recording(tmp_path, None)).why_not
+    assert "no states were recorded" in why_missing(sank(write_recording(tmp_path, None)).value)
 
     def no_floor(name: str, record: dict[str, Any]) -> None:
         if name == "scene.json":
             record["bodies"] = [b for b in record["bodies"] if b.get("mass")]
             record["board"] = ""
 
-    assert "no level surface" in sank(write_recording(tmp_path, grid(1), change=no_floor)).why_not
+    assert "no level surface" in why_missing(sank(write_recording(tmp_path, grid(1), change=no_floor)).value)

@@ -14,7 +14,7 @@ from gpusimbench.evaluator.metrics.radar import Axis
 from gpusimbench.evaluator.report.html import render_html
 from gpusimbench.evaluator.report.tables import print_tables
 from gpusimbench.evaluator.results.evaluate import evaluate_files
-from gpusimbench.evaluator.results.result import Evaluation
+from gpusimbench.evaluator.results.evaluation import Evaluation
 from gpusimbench.evaluator.results.sweeps import Sweep
 from tests.conftest import Command
 from tests.synthetic import grid, write_recording, write_sweep

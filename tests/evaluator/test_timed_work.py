@@ -26,7 +26,7 @@ from gpusimbench.evaluator.report.paper.text_table import Format
 from gpusimbench.evaluator.report.parquet import METRICS, frames
 from gpusimbench.evaluator.report.tables import print_tables
 from gpusimbench.evaluator.results.evaluate import evaluate_files
-from gpusimbench.evaluator.results.result import Evaluation
+from gpusimbench.evaluator.results.evaluation import Evaluation
 from gpusimbench.evaluator.results.timed_work import SHORT_S, TimedWork, Window
 from tests.evaluator.sets import WORDS
 from tests.synthetic import grid, write_recording, write_sweep

@@ -14,11 +14,14 @@ from hypothesis import strategies as st
 
 from gpusimbench.evaluator.metrics.identity import distinct_over_time
 from gpusimbench.evaluator.metrics.split_tree import Branch, SplitTree
+from gpusimbench.evaluator.missing import Missing, why_missing
 from gpusimbench.evaluator.report.html import render_html
 from gpusimbench.evaluator.report.json import to_json
 from gpusimbench.evaluator.report.tables import print_tables
+from gpusimbench.evaluator.results.details import BetweenEnvs, BetweenRuns, Changed, Equality
 from gpusimbench.evaluator.results.evaluate import evaluate_files
-from gpusimbench.evaluator.results.result import Evaluation, GroupResult
+from gpusimbench.evaluator.results.evaluation import Evaluation
+from gpusimbench.evaluator.results.result import GroupResult
 from gpusimbench.evaluator.runs.state_hashes import Histories, side_by_side
 from gpusimbench.schemas import topics
 from gpusimbench.schemas.messages import message_class
@@ -49,7 +52,7 @@ def test_a_short_run_is_left_out_by_name(tmp_path: Path) -> None:
     assert metrics["w1_parallel"].value == 0
     assert metrics["regime_published"].value == 4
     assert metrics["left_board"].value == 0
-    assert metrics["equality_runs"].extra["text"] == "different"
+    assert metrics["equality_runs"].of(Equality).text == "different"
     assert metrics["distinct_runs"].value == 2
     assert metrics["distinct_runs"].n == 3
     note = "run 2 (cut.mcap) left out of W1, equality, published type and cubes off the board"
@@ -64,9 +67,9 @@ def test_matrices_name_the_runs_that_are_in_them(tmp_path: Path) -> None:
     files = [write_recording(tmp_path, grid(2), run=0, steps=3)]
     files += [write_recording(tmp_path, moved(y), run=run) for run, y in enumerate((0.0, 0.03), start=1)]
     metrics = evaluate_files(files).results[0].metrics
-    assert metrics["w1_run_to_run"].extra["runs"] == [1, 2]
-    assert metrics["w1_run_to_run"].extra["classes"] == [0, 1]
-    assert metrics["w1_parallel"].extra["matrix_of"] == 1
+    assert metrics["w1_run_to_run"].of(BetweenRuns).runs == (1, 2)
+    assert metrics["w1_run_to_run"].of(BetweenRuns).classes == (0, 1)
+    assert metrics["w1_parallel"].of(BetweenEnvs).matrix_of == 1
 
 
 def test_positions_that_are_no_numbers_are_not_left_out(tmp_path: Path) -> None:
@@ -74,7 +77,7 @@ def test_positions_that_are_no_numbers_are_not_left_out(tmp_path: Path) -> None:
     wild = grid(2)
     wild[0, 0, 0] = np.nan
     files = [write_recording(tmp_path, final, run=run) for run, final in enumerate((grid(2), wild))]
-    why_not = evaluate_files(files).results[0].metrics["w1_parallel"].why_not
+    why_not = why_missing(evaluate_files(files).results[0].metrics["w1_parallel"].value)
     assert why_not.startswith("run 1 (")
     assert why_not.endswith("positions at the sample step are not finite")
 
@@ -121,7 +124,7 @@ def test_a_capture_that_changes_what_repeats_itself(tmp_path: Path) -> None:
     result, text = _changes(tmp_path, [grid(2)] * 3)
     metric = result.metrics["capture_changes_states"]
     assert (metric.value, metric.n) == (3, 3)
-    assert "capture changed the states in 3 of 3 runs" in text
+    assert "runs changed by capturing 3 of 3" in text
 
 
 @pytest.mark.parametrize(
@@ -135,11 +138,11 @@ def test_noise_of_an_engine_is_not_blamed_on_the_capture(tmp_path: Path, finals:
     """Say that it cannot be told where runs differ anyway, or where there is one run."""
     result, text = _changes(tmp_path, finals)
     metric = result.metrics["capture_changes_states"]
-    assert metric.value is None
-    assert why in metric.why_not
+    assert isinstance(metric.value, Missing)
+    assert why in metric.value.reason
     assert why in text
-    assert metric.extra == {"differ": len(finals), "of": len(finals)}
-    assert "capture changed the states -" in text
+    assert metric.details == Changed(differ=len(finals), of=len(finals))
+    assert "runs changed by capturing" not in text
 
 
 def test_rounding_and_bits_have_words_of_their_own(tmp_path: Path) -> None:
@@ -148,7 +151,7 @@ def test_rounding_and_bits_have_words_of_their_own(tmp_path: Path) -> None:
     other[0, 0, 0] += 1e-9
     found = evaluate_files([write_recording(tmp_path, one, run=r) for r, one in enumerate((grid(2), grid(2), other))])
     text, page = text_of(found), render_html(found, published=False, command="")
-    assert "distinct runs, bitwise 2 of 3" in text
+    assert "distinct runs 2 of 3" in text
     for said in (text, page):
         assert "(all 3 runs within 0.01 cm, 2 distinct)" in said
         assert "another run differs by 0.01 cm with a probability below 78% (95 %)" in said

@@ -6,16 +6,20 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from mcap.reader import make_reader
+from mcap.records import Attachment, Message
+from mcap.stream_reader import StreamReader
+
 from gpusimbench.evaluator.check.integrity.content import check_content, read_end
-from gpusimbench.evaluator.check.integrity.library import check_library
-from gpusimbench.evaluator.check.integrity.outline import outline
 from gpusimbench.evaluator.check.integrity.problem import OF_STREAMS, WHOLE_CONTENT, Kind, Problems, without_path
-from gpusimbench.evaluator.check.integrity.scan import Scan, scan
+from gpusimbench.evaluator.check.integrity.scan import Scan, Stream, scan
 from gpusimbench.evaluator.check.integrity.streams import check_streams
 from gpusimbench.evaluator.check.integrity.summary import check_summary
 from gpusimbench.evaluator.check.integrity.view import check_view
 from gpusimbench.evaluator.read.addresses import fetched
 from gpusimbench.evaluator.read.recording import Recording
+from gpusimbench.schemas import topics
+from gpusimbench.schemas.blocks import STATE_HEAD_BYTES, state_header_in
 from gpusimbench.schemas.checks import Budget
 from gpusimbench.schemas.errors import NotARecording, RecordingError, Unreachable
 from gpusimbench.schemas.location import Location, Place, place
@@ -82,7 +86,7 @@ def _examine_index(location: Location) -> Integrity:
     try:
         container = Container(location)
         recording = Recording(location, container.source)
-        found = outline(container)
+        found = _outline(container)
     except (NotARecording, Unreachable):
         raise
     except RecordingError as error:
@@ -128,7 +132,7 @@ def _examine(path: Path, named: Place, *, verify: bool) -> Integrity:
         if structural.intersection(problems.kinds()):
             problems.skip("the library takes a file at its word, and this one is not sound", Kind.library)
         else:
-            check_library(path, found, problems)
+            _check_library(path, found, problems)
         if recording is not None:
             check_streams(recording, problems)
             with problems.noting(Kind.view, path=named):
@@ -141,6 +145,53 @@ def _examine(path: Path, named: Place, *, verify: bool) -> Integrity:
         problems.add(Kind.stream, not_opened)
     found.close()  # many files are examined before any of them is reported
     return Integrity(named, problems, recording, not_opened, found, provenance, simulation, end, complete=verify)
+
+
+def _outline(container: Container) -> Scan:
+    """What a file's own summary says is in it, as a scan would, as far as facts of a recording ask for it.
+
+    A stream's encodings are those of its last block alone; its sequences are not looked at.
+    """
+    found = Scan(container.size, library=container.library, finished=container.finished)
+    for chunk in container.chunks:
+        found.compressions[chunk.compression] = found.compressions.get(chunk.compression, 0) + 1
+        found.stored += chunk.end - chunk.begin
+        found.unpacked += chunk.uncompressed_size
+    for topic, channel in container.channels.items():
+        stream = Stream(topic, channel.message, bytes=container.stored_bytes(topic))
+        found.streams[topic] = stream
+        if topics.parse_state(topic) is not None and (messages := container.messages(topic)):
+            size, head = container.peek(messages[-1], STATE_HEAD_BYTES)
+            header = state_header_in(head, size)
+            stream.encodings = set() if header is None else {header.encoding}
+    found.attachments = {name: memoryview(container.attachment(name) or b"") for name in container.attachment_names()}
+    found.ends = [bytes(content) for content in container.in_sequence(topics.RUN_END)]
+    return found
+
+
+def _check_library(path: Path, scan: Scan, problems: Problems) -> None:
+    """Whether the MCAP library, its CRC checks on, finds the same in the whole file.
+
+    Only for a file whose records, chunks and sizes are sound: the library takes a file at its word.
+    """
+    messages = attachments = 0
+    try:
+        with path.open("rb") as stream:
+            for record in StreamReader(stream, validate_crcs=True, record_size_limit=scan.size).records:
+                messages += isinstance(record, Message)
+                attachments += isinstance(record, Attachment)
+        with path.open("rb") as stream:
+            make_reader(stream).get_summary()
+    except Exception as error:  # whatever its parts raise
+        problems.add(Kind.library, f"it does not read the file: {str(error) or type(error).__name__}")
+        return
+    there = sum(scan.counts.values())
+    if (messages, attachments) != (there, len(scan.attachments)):
+        problems.add(
+            Kind.library,
+            f"it finds {messages} messages and {attachments} attachments, there are {there} and "
+            f"{len(scan.attachments)}",
+        )
 
 
 def _nothing(path: Place, error: RecordingError) -> Integrity:

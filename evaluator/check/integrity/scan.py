@@ -2,7 +2,7 @@
 
 ``schemas.mcap.reader`` stops at the first damage, so that no wrong number is handed out. This hands out no numbers, and
 goes on behind what is wrong. Both read records by the same code, so the MCAP library, which shares none of it, is the
-second opinion (evaluator.check.integrity.library).
+second opinion (evaluator.check.integrity.examination).
 """
 
 from __future__ import annotations

@@ -55,7 +55,7 @@ def scaling_chart(
 ) -> str:
     """Curves of a value against the number of environments; empty where there is nothing to draw.
 
-    value  what the upward axis is, for example "throughput [env steps/s]"
+    value  what the upward axis is, for example "throughput [env-steps/s]"
     tick   label of a value on it
     """
     drawn = [p for c in curves for p in c.points] + [(f.n_env, f.value) for f in foreign]

@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterable, Sequence
 from xml.sax.saxutils import escape, quoteattr
 
-from gpusimbench.evaluator.render.text import printable
+from gpusimbench.schemas.text import printable
 
 
 def number(value: float) -> str:

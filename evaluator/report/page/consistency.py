@@ -8,10 +8,12 @@ import numpy as np
 from markupsafe import Markup
 from numpy.typing import NDArray
 
+from gpusimbench.evaluator.missing import Missing, why_missing
 from gpusimbench.evaluator.render.figures import matrix
 from gpusimbench.evaluator.render.figures.tree import in_ranges
 from gpusimbench.evaluator.report.page.picture import Numbers, Picture
 from gpusimbench.evaluator.report.page.section import Section, Source
+from gpusimbench.evaluator.results.details import BetweenEnvs, BetweenRuns, DistinctEnvs
 from gpusimbench.evaluator.results.result import GroupResult
 
 _CLASSES = 12  # that a caption names
@@ -30,21 +32,19 @@ def section(source: Source) -> Section:
 
 
 def _envs(result: GroupResult, key: str) -> Picture:
-    metric = result.metrics["distinct_envs"]
-    values = result.parallel_matrix
-    of_runs = metric.extra.get("classes", ()) if metric.value is not None else ()
-    drawn = result.metrics["w1_parallel"].extra.get("matrix_of", 0)
-    classes = of_runs[drawn] if drawn is not None and drawn < len(of_runs) else ()
+    distinct, distances = result.metrics["distinct_envs"], result.metrics["w1_parallel"].of(BetweenEnvs)
+    values, drawn = distances.matrix_cm, distances.matrix_of
+    of_runs = distinct.of(DistinctEnvs).classes
+    classes = of_runs[drawn] if isinstance(drawn, int) and drawn < len(of_runs) else ()
     names = range(len(values)) if values is not None else ()
-    return _matrix(result, values, "env", "w1_parallel", classes, metric.why_not, names, key)
+    return _matrix(result, values, "env", "w1_parallel", classes, why_missing(distinct.value), names, key)
 
 
 def _runs(result: GroupResult, key: str) -> Picture:
-    metric = result.metrics["distinct_runs"]
-    between = result.metrics["w1_run_to_run"].extra
-    classes = between.get("classes", ()) if metric.value is not None else ()
-    names = between.get("runs", ())
-    return _matrix(result, result.run_matrix, "run", "w1_run_to_run", classes, metric.why_not, names, key)
+    distinct, between = result.metrics["distinct_runs"].value, result.metrics["w1_run_to_run"].of(BetweenRuns)
+    classes = () if isinstance(distinct, Missing) else between.classes or ()
+    why_not, names = why_missing(distinct), between.runs or ()
+    return _matrix(result, between.matrix_cm, "run", "w1_run_to_run", classes, why_not, names, key)
 
 
 def _matrix(
@@ -58,9 +58,8 @@ def _matrix(
     key: str,
 ) -> Picture:
     if values is None:
-        metric = result.metrics.get(name)
-        why_not = (metric.why_not or metric.extra.get("no_matrix")) if metric else ""
-        why_not = why_not or "it was not computed"
+        metric = result.metrics[name]
+        why_not = why_missing(metric.value) or metric.of(BetweenEnvs).no_matrix or "it was not computed"
         return Picture(result.label, f"No matrix: {why_not}.", None)
     if len(names) != len(values):
         names = range(len(values))

@@ -10,11 +10,14 @@ from markupsafe import Markup
 from numpy.typing import NDArray
 
 from gpusimbench.evaluator.metrics.density import Density, marginal
+from gpusimbench.evaluator.missing import Missing, why_missing
 from gpusimbench.evaluator.render.figures import density_map
 from gpusimbench.evaluator.report.csv import Cell
 from gpusimbench.evaluator.report.page.picture import Numbers, Picture, file_name
 from gpusimbench.evaluator.report.page.section import Section, Source
-from gpusimbench.evaluator.results.result import Evaluation, GroupResult, Map, Reference
+from gpusimbench.evaluator.results.evaluation import Evaluation
+from gpusimbench.evaluator.results.reference import Reference
+from gpusimbench.evaluator.results.result import GroupResult, Map
 
 _DIGITS = 9  # nanometres: the grid's own rounding is not told
 
@@ -101,10 +104,10 @@ def _largest_share(density: Density, sides: Marginals) -> float:
 
 
 def _why_no_cloud(result: GroupResult, evaluation: Evaluation) -> str:
-    metric = result.metrics.get("w1_parallel")
-    if metric and metric.value is not None and result.group.key.scene not in evaluation.maps:
+    found = result.metrics["w1_parallel"].value
+    if not isinstance(found, Missing) and result.group.key.scene not in evaluation.maps:
         return "the groups of this scene lie too far apart for one map"
-    return metric.why_not if metric and metric.why_not else "no positions were recorded at the sample time"
+    return why_missing(found) or "no positions were recorded at the sample time"
 
 
 def _board(result: GroupResult) -> density_map.Outline | None:

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 
 from gpusimbench.evaluator.render.figures.matrix import letter
 from gpusimbench.evaluator.report.page.section import Section, Source
-from gpusimbench.evaluator.results.result import Evaluation, GroupResult
+from gpusimbench.evaluator.results.evaluation import Evaluation
+from gpusimbench.evaluator.results.result import GroupResult
 from gpusimbench.schemas.provenance import Deviation
 
 _SHORT = 12

@@ -11,14 +11,15 @@ from numpy.typing import NDArray
 
 from gpusimbench.evaluator.metrics.divergence import FIT_LIMIT_M, first_reaching
 from gpusimbench.evaluator.metrics.split_tree import SplitTree
-from gpusimbench.evaluator.missing import why_missing
+from gpusimbench.evaluator.missing import Missing, why_missing
 from gpusimbench.evaluator.render.figures import divergence as chart
 from gpusimbench.evaluator.render.figures.tree import members, tree_chart, window
 from gpusimbench.evaluator.render.numbers import NONE
 from gpusimbench.evaluator.report import words
 from gpusimbench.evaluator.report.page.picture import Numbers, Picture
 from gpusimbench.evaluator.report.page.section import Section, Source
-from gpusimbench.evaluator.results.result import GroupResult, RunSpread, not_computed
+from gpusimbench.evaluator.results.details import DistinctEnvs, DistinctRuns
+from gpusimbench.evaluator.results.result import GroupResult, RunSpread
 
 _MM = 1e3
 _CURVES = ("run", "simulated time [s]", "largest distance [m]", "rms distance [m]")
@@ -44,7 +45,7 @@ class Onset:
 
 def section(source: Source) -> Section | None:
     """A row for every group whose states were captured; figures for those in which anything came apart."""
-    told = [r for r in source.shown if r.metrics["distinct_envs"].value is not None or _spreads(r)]
+    told = [r for r in source.shown if not isinstance(r.metrics["distinct_envs"].value, Missing) or _spreads(r)]
     if not told:
         return None
     apart = [(r, found) for r in told if (found := list(_pictures(source, r)))]
@@ -61,24 +62,29 @@ def _spreads(result: GroupResult) -> list[RunSpread]:
 
 
 def _onset(result: GroupResult) -> Onset:
-    rate = result.metrics.get("divergence_rate", not_computed("divergence_rate", "1/s", "lower", "it was not computed"))
+    rate = result.metrics["divergence_rate"]
     reached = [t for s in _spreads(result) if (t := _reaches(s)) is not None]
     return Onset(
         result,
         _first(result, "distinct_envs"),
         _first(result, "distinct_runs"),
         words.doubling(rate),
-        rate.why_not,
+        why_missing(rate.value),
         f"{min(reached):g}" if reached else NONE,
     )
 
 
 def _first(result: GroupResult, name: str) -> str:
     metric = result.metrics[name]
-    if metric.value is None:
-        return f"not known: {metric.why_not}"
-    step = metric.extra.get("first_difference_step")
+    if isinstance(metric.value, Missing):
+        return f"not known: {metric.value.reason}"
+    step = _distinct(result, name).first_difference_step
     return "never" if step is None else f"step {step}, {step * result.group.key.dt:g} s"
+
+
+def _distinct(result: GroupResult, name: str) -> DistinctEnvs | DistinctRuns:
+    details = result.metrics[name].details
+    return details if isinstance(details, DistinctEnvs | DistinctRuns) else DistinctRuns()
 
 
 def _reaches(found: RunSpread) -> float | None:
@@ -106,7 +112,7 @@ def _growth(result: GroupResult, key: str) -> Picture:
     if not curves:
         why_not = why_missing(result.spreads[0].spread) if result.spreads else "no run is complete"
         return Picture(label, f"No curve: {why_not}.", None)
-    step = result.metrics["distinct_envs"].extra.get("first_difference_step")
+    step = _distinct(result, "distinct_envs").first_difference_step
     onset = None if step is None else step * result.group.key.dt
     svg = chart.divergence_chart(curves, onset=onset, name=result.label)
     if not svg:
@@ -159,12 +165,14 @@ def _said(curves: Sequence[chart.Curve]) -> str:
 
 def _tree(result: GroupResult, of: str, key: str) -> Picture | None:
     metric = result.metrics[f"distinct_{of}s"]
-    tree: SplitTree | None = metric.extra.get("tree") if metric.value is not None else None
+    details = _distinct(result, f"distinct_{of}s")
+    tree = details.tree
     runs = [r.configuration.run_index for r in result.group.complete]
     label = "environments" + (f" of run {runs[0]}" if of == "env" and runs else "") if of == "env" else "runs"
     if tree is None:
-        return Picture(label, f"No tree: {metric.why_not}.", None) if metric.value is None else None
-    names = metric.extra.get("runs", runs) if of == "run" else range(len(metric.extra["classes"][0]))
+        why_not = why_missing(metric.value)
+        return Picture(label, f"No tree: {why_not}.", None) if why_not else None
+    names = details.runs if isinstance(details, DistinctRuns) else range(len(details.classes[0]))
     dt = result.group.key.dt
     svg = tree_chart(tree, dt=dt, of=of, names=names, label=result.label)
     if not svg:

@@ -7,23 +7,18 @@ from collections.abc import Iterable, Iterator
 from markupsafe import Markup
 
 from gpusimbench.evaluator.metrics.radar import LOWER_IS_BETTER, Axis
+from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.render.figures.axis import tick_label
 from gpusimbench.evaluator.render.figures.dot_plot import Dot, dot_plot, is_logarithmic
 from gpusimbench.evaluator.render.numbers import figure, interval
+from gpusimbench.evaluator.report import words
 from gpusimbench.evaluator.report.page.picture import Numbers, Picture
 from gpusimbench.evaluator.report.page.section import Section, Source
 from gpusimbench.evaluator.report.scaling import steps_label
 from gpusimbench.evaluator.results.fidelity import Verdict
+from gpusimbench.evaluator.results.metrics import on_radar
 from gpusimbench.evaluator.results.ranking import Contender
 
-_UNITS = {
-    Axis.THROUGHPUT: "env-steps/s",
-    Axis.PARALLELISM: "envs",
-    Axis.MEMORY: "GB",
-    Axis.EMD_TO_REAL: "cm",
-    Axis.PARALLEL: "cm",
-    Axis.RUN_TO_RUN: "cm",
-}
 _TITLES = ("group", "value", "low", "high", "note")
 _MECHANICS = "broken checks of mechanics"
 
@@ -58,7 +53,9 @@ def _panels(contenders: tuple[Contender, ...]) -> Iterator[Picture]:
                 )
             else:
                 dots.append(dot)
-        yield _picture(axis.value, _UNITS[axis], dots, missing, larger=axis not in LOWER_IS_BETTER)
+        shown = on_radar(axis)
+        title, unit = (shown.title, shown.unit) if shown else (axis.value, "envs")
+        yield _picture(title, unit, dots, missing, larger=axis not in LOWER_IS_BETTER)
 
 
 def _dot(index: int, contender: Contender, axis: Axis) -> Dot | None:
@@ -73,18 +70,18 @@ def _dot(index: int, contender: Contender, axis: Axis) -> Dot | None:
             return Dot(index, name, float(n_max), open=True, said=said)
         return Dot(index, name, float(n_max), float(n_max), float(following), said=said)
     metric = contender.metrics.get(axis)
-    if metric is None or metric.value is None:
+    if metric is None or isinstance(metric.value, Missing):
         return None
     low, high = metric.ci95 or (None, None)
-    why_not = "" if metric.ci95 else f", no interval: {_why_no_interval(metric.n, metric.extra)}"
+    why_not = (
+        ""
+        if metric.ci95
+        else f", no interval: {words.why_no_interval(metric, 'one run' if metric.n == 1 else 'none was computed')}"
+    )
     said = (
         f"{name}: {figure(metric.value, metric.unit)} {metric.unit} {interval(metric) if metric.ci95 else ''}{why_not}"
     )
     return Dot(index, name, metric.value, low, high, said=said)
-
-
-def _why_no_interval(n: int, extra: dict[str, object]) -> str:
-    return "one run" if n == 1 else str(extra.get("interval_why_not") or "none was computed")
 
 
 def _mechanics(contenders: tuple[Contender, ...]) -> Picture:

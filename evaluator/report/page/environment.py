@@ -14,7 +14,7 @@ from gpusimbench.evaluator.render import numbers
 from gpusimbench.evaluator.render.templating import page_templates
 from gpusimbench.evaluator.report import timed, words
 from gpusimbench.evaluator.report.page.picture import LARGEST_CSV, Picture
-from gpusimbench.evaluator.results.result import Metric
+from gpusimbench.evaluator.results.metric import Estimate
 from gpusimbench.evaluator.results.sweeps import SOURCES
 from gpusimbench.evaluator.runs.groups import shown_status
 
@@ -40,10 +40,10 @@ def environment() -> jinja2.Environment:
     return made
 
 
-def _interval(metric: Metric) -> str:
+def _interval(metric: Estimate) -> str:
     if metric.ci95 is not None:
         return numbers.interval(metric)
-    why_not = metric.extra.get("interval_why_not") or ("one run" if metric.n == 1 else "")
+    why_not = words.why_no_interval(metric, "one run" if metric.n == 1 else "")
     return f"no interval: {why_not}" if why_not else "no interval"
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from gpusimbench.evaluator.report.page.section import Source
-from gpusimbench.evaluator.results.result import Evaluation
+from gpusimbench.evaluator.results.evaluation import Evaluation
 from gpusimbench.evaluator.runs.groups import shown_status, status_notes
 from gpusimbench.schemas.location import Location
 

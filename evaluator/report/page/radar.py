@@ -11,22 +11,13 @@ from gpusimbench.evaluator.render.figures import lines, radar_chart
 from gpusimbench.evaluator.report import timed
 from gpusimbench.evaluator.report.page.picture import Numbers, Picture
 from gpusimbench.evaluator.report.page.section import Section, Source
+from gpusimbench.evaluator.results.metrics import on_radar
 from gpusimbench.evaluator.results.ranking import Contender
-
-_AXIS_UNITS = {
-    Axis.THROUGHPUT: "env-steps/s",
-    Axis.MEMORY: "GB",
-    Axis.EMD_TO_REAL: "cm",
-    Axis.PARALLEL: "cm",
-    Axis.RUN_TO_RUN: "cm",
-}
 
 _CAPTION = (
     "Rim: the best of these groups. Middle: the worst of them. The scale is relative: another set of groups gives "
     "another picture. An outline is open at an axis without a value. Where all groups are equal they stand at the rim."
 )
-
-_UNITS_OF_FILES = {**_AXIS_UNITS, Axis.PARALLELISM: "log2 of environments"}
 
 
 def section(source: Source) -> Section:
@@ -36,17 +27,26 @@ def section(source: Source) -> Section:
     context = {
         "radar": _picture(compared.contenders, compared.radar) if compared.radar else None,
         "contenders": compared.contenders,
-        "axes": list(Axis),
-        "axis_units": _AXIS_UNITS,
+        "axes": [(axis, on_radar(axis)) for axis in Axis],
         "notes": timed.remarks((c.speed for c in compared.contenders if c.speed), named=lambda r: names[r.label]),
         "swatches": [Markup(lines.swatch(i)) for i in range(len(compared.contenders))],
     }
     return Section("radar", "Radar", context)
 
 
+def _title(axis: Axis) -> str:
+    shown = on_radar(axis)
+    return shown.title if shown else axis.value
+
+
+def _unit(axis: Axis) -> str:
+    shown = on_radar(axis)
+    return shown.unit if shown else "log2 of environments"
+
+
 def _picture(contenders: Sequence[Contender], radar: Radar) -> Picture:
     rows = [
-        (c.figures.name, axis.value, value, _UNITS_OF_FILES.get(axis, ""), radar.values[c.figures.name][axis],
+        (c.figures.name, _title(axis), value, _unit(axis), radar.values[c.figures.name][axis],
          c.why_not.get(axis, "") if value is None else "")
         for c in contenders for axis, value in c.figures.axis_values().items()
     ]  # fmt: skip

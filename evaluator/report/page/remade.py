@@ -6,6 +6,7 @@ import json
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
+from gpusimbench.evaluator.missing import Missing, known
 from gpusimbench.evaluator.render import numbers
 from gpusimbench.evaluator.report import timed, words
 from gpusimbench.evaluator.report.page.section import Section, Source
@@ -15,8 +16,9 @@ from gpusimbench.evaluator.results.clamped_metrics import SUFFIX
 from gpusimbench.evaluator.results.cost_metrics import GPU_MEMORY
 from gpusimbench.evaluator.results.determinism_cost import DEFAULT
 from gpusimbench.evaluator.results.faults import Faults, faults
+from gpusimbench.evaluator.results.metric import Estimate
 from gpusimbench.evaluator.results.published import AtLargest, Variability
-from gpusimbench.evaluator.results.result import GroupResult, Metric
+from gpusimbench.evaluator.results.result import GroupResult
 from gpusimbench.evaluator.runs.groups import GroupKey
 
 _SPEED = {"free-fall": 1e4, "franka": 1e6}
@@ -111,23 +113,23 @@ def _cells(row: remade.Capability, paper: dict[str, published.Scaling]) -> Itera
             yield CapabilityCell(at, _scaled(at.fps, 1 / _SPEED[scene], 3), _memory(at.memory), foreign)
 
 
-def _memory(metric: Metric | None) -> Figure:
+def _memory(metric: Estimate | None) -> Figure:
     if metric is None:
         return _scaled(None, 1.0, 1)
-    scale = words.BYTES[metric.unit] / _GB
+    scale = metric.metric.per_unit / _GB
     found = _scaled(metric, scale, 1)
-    if metric.value is None or metric.name == GPU_MEMORY[0]:
+    if isinstance(metric.value, Missing) or metric.name == GPU_MEMORY[0]:
         return found
     if metric.name in GPU_MEMORY:
         return Figure(found.value, found.interval, "of the process: others were on the GPU")
     return Figure(found.value, found.interval, "of the host: it ran on the CPU")
 
 
-def _scaled(metric: Metric | None, scale: float, decimals: int) -> Figure:
+def _scaled(metric: Estimate | None, scale: float, decimals: int) -> Figure:
     if metric is None:
         return Figure(why_not="no run is complete")
-    if metric.value is None:
-        return Figure(why_not=metric.why_not)
+    if isinstance(metric.value, Missing):
+        return Figure(why_not=metric.value.reason)
     value = f"{metric.value * scale:.{decimals}f}"
     note = f"{metric.value * scale:.2g}" if float(value) == 0 else ""
     if metric.ci95 is None:
@@ -136,10 +138,10 @@ def _scaled(metric: Metric | None, scale: float, decimals: int) -> Figure:
     return Figure(value, f"[{low}, {high}]", note)
 
 
-def _no_interval(metric: Metric) -> str:
+def _no_interval(metric: Estimate) -> str:
     if metric.n == 1:
         return "one run"
-    return str(metric.extra.get("interval_why_not") or "no interval")
+    return words.why_no_interval(metric, "no interval")
 
 
 def _is_first(result: GroupResult, shown: list[GroupResult]) -> bool:
@@ -164,19 +166,19 @@ def _row(result: GroupResult, source: Source, *, first: bool) -> VariabilityRow:
     return VariabilityRow(result, distance, printed[0], printed[1], faults(result), told)
 
 
-def _beside(figure: Figure, result: GroupResult, metric: Metric) -> Figure:
+def _beside(figure: Figure, result: GroupResult, metric: Estimate) -> Figure:
     """With what the value is without the flight of cubes that left the board."""
-    fell, clamped = (result.metrics[name].value for name in ("left_board", metric.name + SUFFIX))
+    fell, clamped = (known(result.metrics[name].value) for name in ("left_board", metric.name + SUFFIX))
     if not fell or clamped is None:
         return figure
     said = f"clamped to the board: {numbers.distance(clamped)}; {numbers.figure(fell, '')} cubes off it per env"
     return replace(figure, note="; ".join(part for part in (figure.note, said) if part))
 
 
-def _printed(metric: Metric, decimals: int) -> Figure:
+def _printed(metric: Estimate, decimals: int) -> Figure:
     """Mean and SD [cm] with the paper's decimals, and what those hide of a small value."""
-    if metric.value is None:
-        return Figure(why_not=metric.why_not)
+    if isinstance(metric.value, Missing):
+        return Figure(why_not=metric.value.reason)
     value = f"{metric.value:.{decimals}f}"
     if metric.sd is not None:
         value += f" ± {metric.sd:.{decimals}f}"

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, fields, is_dataclass
 from functools import cached_property
 from typing import Any
 
+from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.player.playback import Playback
 from gpusimbench.evaluator.report.page.picture import Picture
-from gpusimbench.evaluator.results.result import Evaluation, GroupResult
+from gpusimbench.evaluator.results.evaluation import Evaluation
+from gpusimbench.evaluator.results.metric import Metric, Table
+from gpusimbench.evaluator.results.metrics import of_table
+from gpusimbench.evaluator.results.result import GroupResult
 from gpusimbench.evaluator.results.sweeps import swept_only
 
 
@@ -37,6 +41,15 @@ class Source:
     def hidden(self) -> list[GroupResult]:
         """Groups that are points of a sweep and captured no states."""
         return [r for r in self.evaluation.results if r.label in self._swept]
+
+    def columns(self, table: Table, folded: Collection[str] = ()) -> list[Metric]:
+        """Metrics that a table shows: without those of `folded`, and optional ones that no group has."""
+        return [
+            metric
+            for metric in of_table(table)
+            if metric.name not in folded
+            and not (metric.optional and all(isinstance(r.metrics[metric.name].value, Missing) for r in self.shown))
+        ]
 
     @cached_property
     def _swept(self) -> set[str]:

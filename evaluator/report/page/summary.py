@@ -5,12 +5,15 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
+from gpusimbench.evaluator.missing import Missing, known
 from gpusimbench.evaluator.report import timed
 from gpusimbench.evaluator.report.page.section import Section, Source
-from gpusimbench.evaluator.results.claims import Tally, identical, tally
+from gpusimbench.evaluator.results.claims import Tally, tally
+from gpusimbench.evaluator.results.evaluation import Evaluation
 from gpusimbench.evaluator.results.faults import faults_anywhere
 from gpusimbench.evaluator.results.fidelity import Verdict
-from gpusimbench.evaluator.results.result import Evaluation, GroupResult
+from gpusimbench.evaluator.results.identity_metrics import identical
+from gpusimbench.evaluator.results.result import GroupResult
 from gpusimbench.evaluator.results.timed_work import most_common, window_key
 from gpusimbench.evaluator.runs.groups import is_instrument, shown_status
 
@@ -25,8 +28,8 @@ class Speed:
 
     @property
     def fps(self) -> float:
-        """Throughput [env steps/s]."""
-        return self.result.metrics["fps"].value or 0.0
+        """Throughput [env-steps/s]."""
+        return known(self.result.metrics["fps"].value) or 0.0
 
     @property
     def broken(self) -> bool:
@@ -121,8 +124,8 @@ def _speeds(results: Sequence[GroupResult]) -> Iterator[Speed]:
     for result in results:
         key = result.group.key
         one = Speed(key.scene, key.device, result)
-        known = best.get((key.scene, key.device))
-        if result.metrics["fps"].value is not None and (known is None or one.fps > known.fps):
+        before = best.get((key.scene, key.device))
+        if not isinstance(result.metrics["fps"].value, Missing) and (before is None or one.fps > before.fps):
             best[key.scene, key.device] = one
     yield from (best[at] for at in sorted(best))
 
@@ -132,7 +135,7 @@ def _fastest(results: Sequence[GroupResult]) -> Iterator[Fastest]:
     clocked: dict[tuple[str, str], list[GroupResult]] = {}
     for result in results:
         key = result.group.key
-        if result.metrics["fps"].value is not None and not is_instrument(key):
+        if not (isinstance(result.metrics["fps"].value, Missing) or is_instrument(key)):
             clocked.setdefault((key.scene, key.device), []).append(result)
     for (scene, device), found in sorted(clocked.items()):
         windows = [window_key(r.group.key, r.timed) for r in found]

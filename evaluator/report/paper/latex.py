@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from gpusimbench.evaluator.render.text import printable
+from gpusimbench.schemas.text import printable
 
 _SPECIAL = {
     "\\": r"\textbackslash{}", "{": r"\{", "}": r"\}", "$": r"\$", "&": r"\&", "#": r"\#", "%": r"\%", "_": r"\_",

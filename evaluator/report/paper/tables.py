@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 
 from gpusimbench.evaluator.render.numbers import NONE, interval, mean_sd
 from gpusimbench.evaluator.report import accumulation, fidelity, timed, words
@@ -11,34 +11,27 @@ from gpusimbench.evaluator.report.page.section import Source
 from gpusimbench.evaluator.report.paper.text_table import WRITERS, Format, TextTable
 from gpusimbench.evaluator.report.price_table import family_name, ratio
 from gpusimbench.evaluator.report.sweep_tables import point_cells
-from gpusimbench.evaluator.results.clamped_metrics import SUFFIX
+from gpusimbench.evaluator.results.cost_metrics import FPS
 from gpusimbench.evaluator.results.determinism_cost import Family
+from gpusimbench.evaluator.results.evaluation import Evaluation
 from gpusimbench.evaluator.results.faults import faults
+from gpusimbench.evaluator.results.group_metrics import W1_PARALLEL, W1_REAL, W1_RUN_TO_RUN
+from gpusimbench.evaluator.results.metric import Estimate, Metric, Table
+from gpusimbench.evaluator.results.metrics import of_table
 from gpusimbench.evaluator.results.paper_tables import AtMax, Capability, capability
 from gpusimbench.evaluator.results.published import SCALING, SOURCE, VARIABILITY, AtLargest
-from gpusimbench.evaluator.results.result import Evaluation, GroupResult, Metric
+from gpusimbench.evaluator.results.result import GroupResult
 from gpusimbench.evaluator.results.sweeps import Sweep
 
 _TIMED = tuple(column.title for column in timed.ALL)
 
-_VARIABILITY = (
-    "group", "scene", "envs x runs", "EMD to reference [cm]", "95 % of EMD", "EMD, clamped [cm]", "parallel [cm]",
-    "95 % of parallel", "parallel, clamped [cm]", "run-to-run [cm]", "95 % of run-to-run", "run-to-run, clamped [cm]",
-    words.EXCHANGED, "cubes off the board per env", "distinct envs", "distinct runs", "published type",
-    "not complete",
-)  # fmt: skip
-_THROUGHPUT = (
-    "group", "scene", "device", "envs x runs", "throughput [env steps/s]", "95 %", *_TIMED, "GPU memory increment [GB]",
-    "GPU memory of the process [GB]", "runs with another process on the GPU",
-    "host memory increment [MB]", "build; compile [s]", "not complete",
-)  # fmt: skip
 _LARGEST = (
     "sweep",
     "scene",
     "version",
     "device",
     "N_env^max",
-    "throughput [env steps/s]",
+    FPS.titled,
     *_TIMED,
     "memory increment",
     "why it ends",
@@ -47,14 +40,14 @@ _POINTS = (
     "sweep",
     "scene",
     "envs",
-    "throughput [env steps/s]",
+    FPS.titled,
     *_TIMED,
     "memory increment",
     "contacts per env: mean / max",
     "runs",
 )
 _CAPABILITY = (
-    "simulator", "scene", "N_env^max", "throughput [env steps/s]", "95 %", *_TIMED, "memory increment", "what limits N",
+    "simulator", "scene", "N_env^max", FPS.titled, "95 %", *_TIMED, "memory increment", "what limits N",
     "what speaks against it", "in other scenes",
 )  # fmt: skip
 _PRICES = (
@@ -62,7 +55,7 @@ _PRICES = (
     "throughput of the default's", *_TIMED, "memory increment of the default's", "what speaks against it",
     "why no price",
 )  # fmt: skip
-_AT_LARGEST = ("simulator", "N_env^max", "throughput [env steps/s]", "memory increment [GB]")
+_AT_LARGEST = ("simulator", "N_env^max", FPS.titled, "memory increment [GB]")
 _GUIDELINES = ("need", "pick", "rule", "evidence")
 
 
@@ -82,8 +75,8 @@ def tables(evaluation: Evaluation, *, published: bool) -> Iterator[TextTable]:
     when = f"positions at t = {evaluation.sample_time:g} s"
     swept = evaluation.sweeps
     found = [
-        TextTable("variability", f"Variability, {when}; mean ± SD", _VARIABILITY, [*map(_variability, shown)]),
-        TextTable("throughput", _warned("Complete runs; mean ± SD", shown), _THROUGHPUT, [*map(_throughput, shown)]),
+        _of_metrics(Table.VARIABILITY, f"Variability, {when}; mean ± SD", shown),
+        _of_metrics(Table.THROUGHPUT, _warned("Complete runs; mean ± SD", shown), shown),
         TextTable("scaling-largest", "How far sweeps over environments go", _LARGEST, [*map(_largest, swept)]),
         TextTable("scaling-points", "Every point of the sweeps", _POINTS, [*_points(swept)]),
         TextTable("capability", "Parallel capability, the published table re-made", _CAPABILITY, [
@@ -97,27 +90,39 @@ def tables(evaluation: Evaluation, *, published: bool) -> Iterator[TextTable]:
     yield from (table for table in [*found, *(_published() if published else ())] if table.rows)
 
 
-def _variability(result: GroupResult) -> tuple[str, ...]:
-    key, metrics = result.group.key, result.metrics
-    distances = [(metrics[name], metrics[name + SUFFIX]) for name in ("w1_real", "w1_parallel", "w1_run_to_run")]
-    return (
-        result.label, key.scene, _size(result),
-        *(cell for metric, beside in distances for cell in (mean_sd(metric), interval(metric), mean_sd(beside))),
-        words.exchanged(metrics["w1_run_to_run"]), mean_sd(metrics["left_board"]),
-        _of(metrics["distinct_envs"]), _of(metrics["distinct_runs"]), words.regime(metrics["regime_published"]),
-        words.trouble(result.group) or NONE,
-    )  # fmt: skip
+_Column = tuple[str, Callable[[GroupResult], str]]
 
 
-def _throughput(result: GroupResult) -> tuple[str, ...]:
-    key, metrics = result.group.key, result.metrics
-    return (
-        result.label, key.scene, key.device or NONE, _size(result), mean_sd(metrics["fps"]), interval(metrics["fps"]),
-        *_timed(result),
-        mean_sd(metrics["memory_peak_increment"]), mean_sd(metrics["process_memory_peak"]),
-        words.shared(metrics["fps"]) or NONE, mean_sd(metrics["host_memory_peak_increment"]),
-        words.preparation(metrics), words.trouble(result.group) or NONE,
-    )  # fmt: skip
+def _of_metrics(wanted: Table, caption: str, shown: Sequence[GroupResult]) -> TextTable:
+    """Every metric of a table, each with its interval and with what else stands beside it."""
+    columns: list[_Column] = [
+        ("group", lambda r: r.label),
+        ("scene", lambda r: r.group.key.scene),
+        ("device", lambda r: r.group.key.device or NONE),
+        ("envs x runs", _size),
+        *(column for metric in of_table(wanted) for column in _columns(metric)),
+        ("not complete", lambda r: words.trouble(r.group) or NONE),
+    ]
+    titles = [title for title, _ in columns]
+    return TextTable(wanted.value, caption, titles, [tuple(cell(r) for _, cell in columns) for r in shown])
+
+
+def _columns(metric: Metric) -> Iterator[_Column]:
+    def of(write: Callable[[Estimate], str]) -> Callable[[GroupResult], str]:
+        return lambda r: write(r.metrics[metric.name])
+
+    yield metric.titled, of(words.cell)
+    if metric.has_interval:
+        yield f"95 % of {metric.title}", of(interval)
+    if metric is FPS:
+        yield from ((column.title, _beside(column)) for column in timed.ALL)
+        yield "runs with another process on the GPU", of(lambda fps: words.shared(fps) or NONE)
+    if metric is W1_RUN_TO_RUN:
+        yield words.EXCHANGED, of(words.exchanged)
+
+
+def _beside(column: timed.Column) -> Callable[[GroupResult], str]:
+    return lambda r: column.cell(r.timed)
 
 
 def _warned(caption: str, results: Sequence[GroupResult]) -> str:
@@ -133,10 +138,6 @@ def _timed(result: GroupResult | None) -> tuple[str, ...]:
 
 def _size(result: GroupResult) -> str:
     return f"{result.group.key.n_env} x {len(result.group.complete)}"
-
-
-def _of(metric: Metric) -> str:
-    return NONE if metric.value is None else f"{metric.value:.0f} of {metric.n}"
 
 
 def _largest(sweep: Sweep) -> tuple[str, ...]:
@@ -182,7 +183,7 @@ def _prices(families: Sequence[Family]) -> Iterator[tuple[str, ...]]:
 
 def _level(name: str, result: GroupResult, differs: str = NONE) -> tuple[str, ...]:
     key, metrics = result.group.key, result.metrics
-    distinct = _of(metrics["distinct_envs"]), _of(metrics["distinct_runs"])
+    distinct = words.count_of(metrics["distinct_envs"]), words.count_of(metrics["distinct_runs"])
     return name, key.scene, str(key.n_env), key.device or NONE, key.determinism, differs, *distinct
 
 
@@ -209,7 +210,7 @@ def _published() -> Iterator[TextTable]:
     rows: list[tuple[str, ...]] = [
         (r.simulator, str(r.regime), str(r.w1_real), str(r.parallel), str(r.run_to_run)) for r in VARIABILITY
     ]
-    titles = ("simulator", "type", "EMD to real [cm]", "parallel [cm]", "run-to-run [cm]")
+    titles = ("simulator", "type", *(metric.titled for metric in (W1_REAL, W1_PARALLEL, W1_RUN_TO_RUN)))
     yield TextTable("published-variability", f"Not results of this evaluation: {SOURCE}", titles, rows)
     for name in ("free_fall", "franka"):
         found = [(r.simulator, *_at(at)) for r in SCALING if (at := getattr(r, name))]

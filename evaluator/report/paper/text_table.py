@@ -6,9 +6,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 
-from gpusimbench.evaluator.render.text import line
 from gpusimbench.evaluator.report.csv import to_csv
 from gpusimbench.evaluator.report.paper import latex
+from gpusimbench.schemas.text import line
 
 _LONG, _LONG_FROM = "p{5cm}", 40
 

@@ -14,7 +14,8 @@ from gpusimbench.evaluator.json_values import brief
 from gpusimbench.evaluator.metrics.regime import REGIME_MEANING
 from gpusimbench.evaluator.render import numbers
 from gpusimbench.evaluator.report import timed, words
-from gpusimbench.evaluator.results.result import Evaluation, GroupResult, Metric
+from gpusimbench.evaluator.results.evaluation import Evaluation
+from gpusimbench.evaluator.results.result import GroupResult
 from gpusimbench.evaluator.runs.groups import shown_status
 from gpusimbench.evaluator.runs.run import Run
 from gpusimbench.evaluator.share.dataset.citation import Publication, quoted
@@ -143,18 +144,14 @@ def _row(result: GroupResult) -> Row:
         device=key.device,
         runs=f"{key.n_env} x {len(result.group.complete)}",
         determinism=key.determinism,
-        distinct_envs=_of(found["distinct_envs"]),
-        distinct_runs=_of(found["distinct_runs"]),
+        distinct_envs=words.count_of(found["distinct_envs"]),
+        distinct_runs=words.count_of(found["distinct_runs"]),
         type=words.regime(found["regime_published"]),
         throughput=numbers.mean_sd(found["fps"]),
         timed=timed.cells(timed.ALL, result.timed),
         interval=numbers.interval(found["fps"]),
         trouble=words.trouble(result.group),
     )
-
-
-def _of(metric: Metric) -> str:
-    return numbers.NONE if metric.value is None else f"{metric.value:.0f} of {metric.n}"
 
 
 def machines(held: Sequence[Run]) -> list[Machine]:

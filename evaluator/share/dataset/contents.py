@@ -9,7 +9,7 @@ from pathlib import Path
 
 from gpusimbench.evaluator.check.protocol import unmet_by_file
 from gpusimbench.evaluator.results.evaluate import evaluate
-from gpusimbench.evaluator.results.result import Evaluation
+from gpusimbench.evaluator.results.evaluation import Evaluation
 from gpusimbench.evaluator.runs.reader import Reader, Unreadable
 from gpusimbench.evaluator.runs.run import Run
 from gpusimbench.evaluator.share.dataset.checkup import DAMAGED, Checkup, check_up

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from gpusimbench.evaluator.report.parquet import METRICS, RUNS, parquet_tables, polars
-from gpusimbench.evaluator.results.result import Evaluation
+from gpusimbench.evaluator.results.evaluation import Evaluation
 from gpusimbench.evaluator.share.dataset.card import CARD, KEYWORDS, card
 from gpusimbench.evaluator.share.dataset.checksums import CHECKSUMS, write_sums
 from gpusimbench.evaluator.share.dataset.citation import CITATION, Publication, citation

@@ -8,7 +8,7 @@ from dataclasses import fields
 from pathlib import Path
 
 from gpusimbench.evaluator.report.parquet import METRICS, RUNS, frames, polars
-from gpusimbench.evaluator.results.result import Evaluation
+from gpusimbench.evaluator.results.evaluation import Evaluation
 from gpusimbench.evaluator.share.dataset.card import CARD
 from gpusimbench.evaluator.share.dataset.checksums import CHECKSUMS, read_sums
 from gpusimbench.evaluator.share.dataset.checkup import BROKEN, DAMAGED

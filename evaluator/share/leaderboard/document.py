@@ -8,13 +8,15 @@ import json
 from typing import Any
 
 from gpusimbench.evaluator.json_values import dump, values_of
-from gpusimbench.evaluator.render.text import line
+from gpusimbench.evaluator.missing import known, why_missing
 from gpusimbench.evaluator.report import timed
-from gpusimbench.evaluator.results.result import Metric
+from gpusimbench.evaluator.results.details import Throughput
+from gpusimbench.evaluator.results.metric import Estimate
 from gpusimbench.evaluator.share.leaderboard import words
 from gpusimbench.evaluator.share.leaderboard.board import Board
 from gpusimbench.evaluator.share.leaderboard.standing import Row, Section
 from gpusimbench.schemas import __version__
+from gpusimbench.schemas.text import line
 
 SCHEMA_VERSION = 1
 KIND = "gpusimbench leaderboard"
@@ -73,7 +75,7 @@ def _row(row: Row) -> dict[str, Any]:
         "timed_steps": key.timed_steps,
         "runs": row.result.group.outcomes,
         "throughput": _metric(row.fps),
-        "co_tenants": row.fps.extra.get("co_tenants"),
+        "co_tenants": row.fps.of(Throughput).co_tenants,
         "timed": timed.timed_record(row.result.timed),
         "memory": _metric(row.memory),
         "n_env_max": row.sweep.n_max if row.sweep else None,
@@ -86,15 +88,15 @@ def _row(row: Row) -> dict[str, Any]:
     }
 
 
-def _metric(metric: Metric) -> dict[str, Any]:
+def _metric(metric: Estimate) -> dict[str, Any]:
     return {
         "name": metric.name,
-        "value": metric.value,
+        "value": known(metric.value),
         "unit": metric.unit,
         "sd": metric.sd,
         "ci95": metric.ci95,
         "n": metric.n,
-        "why_not": metric.why_not,
+        "why_not": why_missing(metric.value),
     }
 
 
@@ -115,9 +117,10 @@ def _values(section: Section, row: Row) -> tuple[Any, ...]:
     return (
         section.scene, section.device, section.dt, row.place, key.simulator, key.version, key.determinism,
         row.result.label, key.n_env, len(row.result.group.complete), len(row.entries),
-        row.fps.value, row.fps.sd, low, high, row.memory.value, row.memory.unit,
-        row.sweep.n_max if row.sweep else None, metrics["distinct_envs"].value, metrics["distinct_runs"].value,
-        metrics["regime_published"].value, words.checked(row), row.reproduction.reproduced, row.reproduction.count,
+        known(row.fps.value), row.fps.sd, low, high, known(row.memory.value), row.memory.unit,
+        row.sweep.n_max if row.sweep else None,
+        *(known(metrics[name].value) for name in ("distinct_envs", "distinct_runs", "regime_published")),
+        words.checked(row), row.reproduction.reproduced, row.reproduction.count,
         "; ".join(row.gates), row.no_place, " ".join(entry.content_hash for entry in row.entries),
         *timed.cells(timed.ALL, row.result.timed),
     )  # fmt: skip

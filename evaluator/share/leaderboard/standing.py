@@ -5,10 +5,15 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
+from gpusimbench.evaluator.missing import Missing, known
+from gpusimbench.evaluator.report import words
 from gpusimbench.evaluator.results.cost_metrics import common_memory
+from gpusimbench.evaluator.results.details import SunkCubes
+from gpusimbench.evaluator.results.evaluation import Evaluation
 from gpusimbench.evaluator.results.faults import faults_anywhere
 from gpusimbench.evaluator.results.fidelity import Verdict
-from gpusimbench.evaluator.results.result import Evaluation, GroupResult, Metric
+from gpusimbench.evaluator.results.metric import Estimate
+from gpusimbench.evaluator.results.result import GroupResult
 from gpusimbench.evaluator.results.sweeps import Sweep, sweep_key
 from gpusimbench.evaluator.results.timed_work import Window
 from gpusimbench.evaluator.runs.groups import GroupKey, is_instrument, shown_status
@@ -67,12 +72,12 @@ class Row:
         return self.sweep.label if self.sweep else self.result.label
 
     @property
-    def fps(self) -> Metric:
+    def fps(self) -> Estimate:
         """Its throughput."""
         return self.result.metrics["fps"]
 
     @property
-    def memory(self) -> Metric:
+    def memory(self) -> Estimate:
         """Of the device; of the process on it, where another one was there in every run; of the host without a GPU."""
         return self.result.metrics[common_memory([self.result.metrics])]
 
@@ -200,11 +205,11 @@ def _no_place(result: GroupResult, results: Sequence[GroupResult], entries: Sequ
         return "; ".join(reasons)
     if wrong := result.fidelity.of(Verdict.BROKEN):
         sank = result.metrics["sank"]
-        also = f" ({sank.value:.3g} of {sank.extra['cubes']})" if sank.value else ""
+        also = f" ({sunk:.3g} of {sank.of(SunkCubes).cubes})" if (sunk := known(sank.value)) else ""
         return f"states break mechanics: {'; '.join(row.check.title for row in wrong)}{also}"
     fps = result.metrics["fps"]
-    if fps.value is None:
-        return fps.why_not
+    if isinstance(fps.value, Missing):
+        return fps.value.reason
     elsewhere = faults_anywhere(result, results)
     return f"the same engine elsewhere: {'; '.join(elsewhere)}" if elsewhere else ""
 
@@ -217,14 +222,14 @@ def _gates(result: GroupResult, entries: Sequence[Entry]) -> list[str]:
             ended[entry.status] = ended.get(entry.status, 0) + 1
     gates += [f"{count} of {len(entries)} runs {status}" for status, count in ended.items()]
     changed, runs = result.metrics["capture_changes_states"], result.metrics["distinct_runs"]
-    if changed.value and runs.value == 1:  # of an engine that does not repeat itself it says nothing
-        gates.append(f"capturing changed the states in {changed.value:.0f} of {changed.n} runs")
+    if known(changed.value) and runs.value == 1:  # of an engine that does not repeat itself it says nothing
+        gates.append(f"capturing changed the states in {words.count_of(changed)} runs")
     return gates
 
 
 def _placed(rows: Sequence[Row]) -> tuple[Row, ...]:
     """The fastest point of each configuration gets a place, by throughput; equal throughput, equal place."""
-    able = [row for row in rows if not row.no_place and row.fps.value is not None]
+    able = [row for row in rows if not row.no_place and not isinstance(row.fps.value, Missing)]
     best: dict[GroupKey, Row] = {}
     for row in sorted(able, key=_speed):
         best.setdefault(sweep_key(row.key), row)
@@ -237,4 +242,4 @@ def _placed(rows: Sequence[Row]) -> tuple[Row, ...]:
 
 
 def _speed(row: Row) -> tuple[float, int, str]:
-    return -(row.fps.value or 0.0), row.key.n_env, row.result.label
+    return -(known(row.fps.value) or 0.0), row.key.n_env, row.result.label

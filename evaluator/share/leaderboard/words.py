@@ -1,19 +1,42 @@
-"""A row's figures as words, for the page and for tables."""
+"""A leaderboard's figures as words: of a row, for the page and for tables; of all of it, for a terminal."""
 
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
 
+from gpusimbench.evaluator.missing import Missing
+from gpusimbench.evaluator.render import numbers
 from gpusimbench.evaluator.render.numbers import plural
+from gpusimbench.evaluator.report import timed
 from gpusimbench.evaluator.report import words as report_words
-from gpusimbench.evaluator.results.claims import identical
-from gpusimbench.evaluator.results.result import Metric
+from gpusimbench.evaluator.results.details import DistinctEnvs, DistinctRuns
+from gpusimbench.evaluator.results.identity_metrics import identical
+from gpusimbench.evaluator.results.metric import Estimate
 from gpusimbench.evaluator.share.dataset.checkup import BROKEN
+from gpusimbench.evaluator.share.leaderboard.board import Board
 from gpusimbench.evaluator.share.leaderboard.reproduction import Reproduction
 from gpusimbench.evaluator.share.leaderboard.standing import Row
 
 _SHORT = 10
 _LONGEST = 100
+
+
+def leaderboard_lines(board: Board) -> Iterator[str]:
+    """The first of each section, and how many stand behind."""
+    for section in board.sections:
+        where = f"{section.scene} on {section.device or 'a device that was never told'}, dt {section.dt:g} s"
+        if section.timed:
+            where += f", {section.timed}"
+        if section.ranked:
+            first = section.ranked[0]
+            yield (
+                f"{where}: 1. {first.name} {first.key.version} with {first.key.n_env:,} envs, "
+                f"{numbers.mean_sd(first.fps)} env-steps/s ({'; '.join(timed.beside(first.result.timed))}); "
+                f"{len(section.ranked)} ranked, {len(section.unranked)} not"
+            )
+        else:
+            yield f"{where}: none ranked, {len(section.unranked)} not"
 
 
 def short(content_hash: str) -> str:
@@ -25,22 +48,23 @@ def repeats(row: Row) -> list[str]:
     """How far environments and runs are the same, a line each; why that is not known where nothing is."""
     metrics = row.result.metrics
     envs, runs = metrics["distinct_envs"], metrics["distinct_runs"]
-    if envs.value is None and runs.value is None:
-        return [*dict.fromkeys((envs.why_not, runs.why_not))]
+    if isinstance(envs.value, Missing) and isinstance(runs.value, Missing):
+        return [*dict.fromkeys((envs.value.reason, runs.value.reason))]
     lines = [_distinct("envs", envs), _distinct("runs", runs)]
     kind = metrics["regime_published"]
-    return [*lines, f"type {report_words.regime(kind)}"] if kind.value is not None else lines
+    return [*lines, f"type {report_words.regime(kind)}"] if not isinstance(kind.value, Missing) else lines
 
 
-def _distinct(what: str, metric: Metric) -> str:
-    if metric.value is None:
-        return f"{what}: {metric.why_not}"
+def _distinct(what: str, metric: Estimate) -> str:
+    if isinstance(metric.value, Missing):
+        return f"{what}: {metric.value.reason}"
     claim = identical(metric)
     if claim.holds is None:
         return f"{what}: {claim.why_not}"
     if claim.yes:
         return f"all {metric.n} {what} alike"
-    since = metric.extra.get("first_difference_step")
+    details = metric.details
+    since = details.first_difference_step if isinstance(details, DistinctEnvs | DistinctRuns) else None
     return f"{metric.value:.0f} of {metric.n} {what} distinct" + ("" if since is None else f", from step {since}")
 
 

@@ -1,22 +1,27 @@
-"""What gsb-info prints: one screen a file, readable in 80 columns."""
+"""What gsb-info says of recordings: one screen a file, readable in 80 columns, or a JSON document."""
 
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from dataclasses import fields, is_dataclass
 from typing import Any
 
 from gpusimbench.evaluator.check.inspection import Array, CoTenancy, Inspection, Memory, Rate
 from gpusimbench.evaluator.check.integrity.problem import REMARKS, Kind
-from gpusimbench.evaluator.json_values import brief, plain
+from gpusimbench.evaluator.json_values import brief, dump, plain
 from gpusimbench.evaluator.metrics.cotenants import Presence
 from gpusimbench.evaluator.render.numbers import plural
-from gpusimbench.evaluator.render.text import block, line
 from gpusimbench.evaluator.results.timed_work import SHORT_S
 from gpusimbench.evaluator.runs.cotenancy import described
+from gpusimbench.schemas import __version__
 from gpusimbench.schemas.configuration import MAX_VIEW, RunConfiguration
+from gpusimbench.schemas.errors import GsbError
+from gpusimbench.schemas.location import Place
 from gpusimbench.schemas.provenance import REAL, Provenance, Simulation
-from gpusimbench.schemas.text import Block
+from gpusimbench.schemas.text import Block, block, line
+
+SCHEMA_VERSION = 1
 
 _WIDTH = 80
 _LABEL = 12
@@ -41,6 +46,25 @@ def info_text(found: Inspection) -> Block:
             break_on_hyphens=False,
         )  # fmt: skip
     return block(lines)
+
+
+def dump_info(found: Sequence[Inspection], unreadable: Sequence[tuple[Place, GsbError]]) -> str:
+    """A JSON document with an object for each file, those that are no recordings with their error."""
+    files: list[Any] = [_file(one) for one in found]
+    files += [{"path": str(path), "status": "unreadable", "reason": str(error)} for path, error in unreadable]
+    document = {"schema_version": SCHEMA_VERSION, "gpusimbench": __version__, "files": files}
+    return dump(document)
+
+
+def _file(value: Any) -> Any:
+    # not dataclasses.asdict, which follows a stranger's JSON to any depth
+    if is_dataclass(value):
+        return {f.name: _file(getattr(value, f.name)) for f in fields(value)}
+    if isinstance(value, tuple):
+        return [_file(item) for item in value]
+    if isinstance(value, dict) and any(map(is_dataclass, value.values())):
+        return {name: _file(item) for name, item in value.items()}
+    return plain(value)
 
 
 def _clean_cell(text: str) -> str:

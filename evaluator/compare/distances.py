@@ -1,0 +1,80 @@
+"""W1 between all runs of both sides: what two questions about where cubes end are asked of."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gpusimbench.evaluator.compute.work import Work
+from gpusimbench.evaluator.metrics.variability import run_to_run_variability
+from gpusimbench.evaluator.missing import Missing
+from gpusimbench.evaluator.results.aggregate import Runs
+from gpusimbench.evaluator.results.sampled import positions
+from gpusimbench.evaluator.runs.positions import GROUP
+
+
+@dataclass(frozen=True)
+class Distances:
+    """W1 between runs, those of base first.
+
+    matrix_cm  [cm], shape [run, run]
+    n          runs of base and of head
+    exact      whether they are no upper bounds
+    alike      of each side, whether all its runs are bit-identical at the sample step
+    same       whether base's first run is head's first, bit by bit
+    """
+
+    matrix_cm: NDArray[np.float64]
+    n: tuple[int, int]
+    exact: bool
+    alike: tuple[bool, bool]
+    same: bool
+
+    @property
+    def head(self) -> list[bool]:
+        """Whether each run is of head."""
+        return [False] * self.n[0] + [True] * self.n[1]
+
+    def within(self) -> tuple[float | None, float | None]:
+        """Mean distance between runs of base, and between runs of head [cm]; None of a single run."""
+        of_base, of_head = slice(0, self.n[0]), slice(self.n[0], None)
+        return _mean(self.matrix_cm[of_base, of_base]), _mean(self.matrix_cm[of_head, of_head])
+
+
+def distances(base: Runs, head: Runs, work: Work) -> Distances | Missing | None:
+    """W1 between runs; None where no states were captured."""
+    one, why = positions(base)
+    other, why_head = positions(head)
+    if one is None or other is None:
+        captured = any("capture" in r.configuration.phases for r in (*base, *head))
+        return Missing(why or why_head) if captured else None
+    times = {r.positions.time for r in (*base, *head) if r.positions}
+    if one.shape[1:] != other.shape[1:] or len(times) > 1:
+        return Missing("other numbers of environments or cubes, or another time that is nearest to the sample time")
+    try:
+        found = run_to_run_variability(np.concatenate([one, other]), work.map)
+    except ValueError as error:
+        return Missing(str(error))
+    if found.matrix_cm is None:
+        return Missing("so many large runs that not all distances were computed")
+    alike = [len({run.tobytes() for run in side}) == 1 for side in (one, other)]
+    return Distances(
+        found.matrix_cm,
+        (len(one), len(other)),
+        found.exactness == "exact",
+        (alike[0], alike[1]),
+        one[0].tobytes() == other[0].tobytes(),
+    )
+
+
+def has_cubes(base: Runs, head: Runs) -> bool:
+    """Whether there is anything to decide: a run that recorded cubes, or a side without a run."""
+    cubes = any(f.name == f"{GROUP}/position" for r in (*base, *head) for f in r.fields)
+    return cubes or not (base and head)
+
+
+def _mean(matrix: NDArray[np.float64]) -> float | None:
+    runs = len(matrix)
+    return float(matrix.sum()) / (runs * (runs - 1)) if runs > 1 else None

@@ -1,0 +1,334 @@
+"""Figures that belong to an estimate, by kind of metric; JSON has them under `extra`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, fields
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gpusimbench.evaluator.metrics.cotenants import Presence, Sign
+from gpusimbench.evaluator.metrics.levels import Worst
+from gpusimbench.evaluator.metrics.memory import Checkpoints
+from gpusimbench.evaluator.metrics.split_tree import SplitTree
+from gpusimbench.evaluator.missing import Missing
+from gpusimbench.evaluator.statistics.floor import Floor
+
+_OPTIONAL = {"optional": True}
+"""Marks a field that JSON leaves out where it is None."""
+
+_HIDDEN = {"hidden": True}
+"""Marks a field that JSON never has."""
+
+
+@dataclass(frozen=True)
+class Details:
+    """Nothing but the value."""
+
+    @property
+    def spoilt(self) -> bool:
+        """Whether a run had a figure that cannot be used."""
+        return False
+
+    def record(self) -> dict[str, Any]:
+        """What JSON has under `extra`; empty where there is nothing."""
+        found: dict[str, Any] = {}
+        for one in fields(self):
+            value = getattr(self, one.name)
+            if "hidden" in one.metadata or ("optional" in one.metadata and value is None):
+                continue
+            if isinstance(value, Missing):
+                found[one.name] = None
+            else:
+                found[one.name] = value.record() if isinstance(value, Floor) else value
+        return found
+
+
+@dataclass(frozen=True)
+class OverRuns(Details):
+    """Of a metric with one value a run.
+
+    per_run           the values, in the unit of the metric
+    interval_why_not  why there is no interval; empty where there is one, None where none is computed
+    """
+
+    per_run: tuple[float, ...] | None = field(default=None, metadata=_OPTIONAL)
+    interval_why_not: str | None = field(default=None, metadata=_OPTIONAL)
+
+
+@dataclass(frozen=True)
+class RunPresence:
+    """Whether another process was on the device of a run, and what shows it."""
+
+    run: int
+    presence: Presence
+    signs: tuple[Sign, ...]
+
+
+@dataclass(frozen=True)
+class Throughput(OverRuns):
+    """Of throughput.
+
+    timing_covers  what lies between the clocks, in the words of the simulator
+    co_tenants     by run; None where the simulator ran on the CPU
+    """
+
+    timing_covers: str = ""
+    co_tenants: tuple[RunPresence, ...] | None = None
+
+
+@dataclass(frozen=True)
+class SharedRun:
+    """A run whose device another process used: what was read of device and process [byte], None where nothing was."""
+
+    run: int
+    increment_bytes: int | None
+    process_bytes: int | None
+
+
+@dataclass(frozen=True)
+class ShrunkRun:
+    """A run whose process held less in the timed phase than at the baseline."""
+
+    run: int
+
+
+@dataclass(frozen=True)
+class Memory(OverRuns):
+    """Of a metric of memory.
+
+    source             "device", "process", "allocator" or "host"
+    checkpoints_bytes  of every run that was sampled
+    left_out           runs whose figure cannot be used
+    """
+
+    source: str = ""
+    checkpoints_bytes: tuple[Checkpoints, ...] | None = field(default=None, metadata=_OPTIONAL)
+    left_out: tuple[SharedRun | ShrunkRun, ...] | None = field(default=None, metadata=_OPTIONAL)
+
+    @property
+    def spoilt(self) -> bool:
+        """Whether a run had an increment to which another process added."""
+        shared = [one for one in self.left_out or () if isinstance(one, SharedRun)]
+        return any(one.increment_bytes is not None and one.increment_bytes >= 0 for one in shared)
+
+
+@dataclass(frozen=True)
+class CaptureOverhead(OverRuns):
+    """Of the capture's overhead: the share of its time that the engine waited for the disk."""
+
+    stalled_share: float = 0.0
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """Environments that were drawn, where a run has too many: how many, and a 95 % interval [cm] of each run."""
+
+    envs: int
+    seed: int
+    intervals_cm: tuple[tuple[float, float] | None, ...]
+
+
+@dataclass(frozen=True)
+class BetweenEnvs(OverRuns):
+    """Of W1 between environments.
+
+    distinct_at_sample_step  bitwise different environments of each run
+    sampled                  None where all environments were compared
+    no_matrix                why there is no matrix; None where there is one
+    matrix_of                place of the run whose matrix is kept, among the runs that `distinct_envs` compares
+    matrix_cm                W1 between the environments of that run [cm], shape [env, env]
+    """
+
+    distinct_at_sample_step: tuple[int, ...] = ()
+    sampled: Drawn | None = field(default=None, metadata=_OPTIONAL)
+    no_matrix: str | None = field(default=None, metadata=_OPTIONAL)
+    matrix_of: int | Missing | None = field(default=None, metadata=_OPTIONAL)
+    matrix_cm: NDArray[np.float64] | None = field(default=None, metadata=_HIDDEN, compare=False)
+
+
+@dataclass(frozen=True)
+class BetweenRuns(Details):
+    """Of W1 between runs.
+
+    n_run             runs
+    interval_why_not  why there is no interval; empty where there is one
+    floor             of the first two runs
+    bounds_cm         that enclose the value where it is not exact
+    runs, classes     indices of the runs in the order of the matrix, and their classes by bits
+    matrix_cm         W1 between runs [cm], shape [run, run]; None where not all pairs were computed
+    """
+
+    n_run: int = 0
+    interval_why_not: str = ""
+    floor: Floor = Floor()
+    bounds_cm: tuple[float, float] | None = field(default=None, metadata=_OPTIONAL)
+    runs: tuple[int, ...] | None = field(default=None, metadata=_OPTIONAL)
+    classes: tuple[int, ...] | None = field(default=None, metadata=_OPTIONAL)
+    matrix_cm: NDArray[np.float64] | None = field(default=None, metadata=_HIDDEN, compare=False)
+
+
+@dataclass(frozen=True)
+class ToReference(OverRuns):
+    """Of W1 to the reference.
+
+    reference  what it is
+    measured   whether it is real trials
+    floor      of the first run and the reference
+    extension  what goes beyond the published definition
+    bounds_cm  that enclose the value where it is not exact
+    """
+
+    reference: str = ""
+    measured: bool = False
+    floor: Floor = Floor()
+    extension: str | None = field(default=None, metadata=_OPTIONAL)
+    bounds_cm: tuple[float, float] | None = field(default=None, metadata=_OPTIONAL)
+
+
+@dataclass(frozen=True)
+class OverTime:
+    """How many are distinct, at the steps where a count changes: at that very step, and by all steps up to it."""
+
+    step: tuple[int, ...]
+    at_step: tuple[int, ...]
+    histories: tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class DistinctEnvs(Details):
+    """Of bitwise distinct environments.
+
+    per_run                how many in each run
+    classes                of the environments of each run, numbered in order of first appearance
+    first_difference_step  in any run; None where no environments differ
+    over_time              of the run with the most
+    tree                   which left which, in the first run
+    without_hashes         complete runs without state hashes
+    """
+
+    per_run: tuple[int, ...] = ()
+    classes: tuple[tuple[int, ...], ...] = ()
+    first_difference_step: int | None = None
+    over_time: OverTime | None = None
+    tree: SplitTree | None = None
+    without_hashes: int | None = field(default=None, metadata=_OPTIONAL)
+
+
+@dataclass(frozen=True)
+class DistinctRuns(Details):
+    """Of bitwise distinct runs; see DistinctEnvs.
+
+    classes  of the runs
+    runs     their indices
+    """
+
+    classes: tuple[int, ...] = ()
+    first_difference_step: int | None = None
+    runs: tuple[int, ...] = ()
+    over_time: OverTime | None = None
+    tree: SplitTree | None = None
+    without_hashes: int | None = field(default=None, metadata=_OPTIONAL)
+
+
+@dataclass(frozen=True)
+class Changed(Details):
+    """Of capturing that may have changed the states: in how many runs they differ, of how many."""
+
+    differ: int = 0
+    of: int = 0
+
+
+@dataclass(frozen=True)
+class Equality(Details):
+    """Of a level of equality; see levels.Verdict. `run` has the index of the run whose environments these are."""
+
+    text: str = ""
+    note: str = ""
+    order: str = ""
+    max_ulp: float = 0.0
+    tolerance_m: float = 0.0
+    worst_ulp: float | None = None
+    worst: Worst | None = None
+    run: int | None = field(default=None, metadata=_OPTIONAL)
+
+
+@dataclass(frozen=True)
+class SpreadCurve:
+    """How far environments lie apart at the recorded steps: root mean square and largest distance [m]."""
+
+    step: tuple[int, ...]
+    rms_m: tuple[float | None, ...]
+    largest_m: tuple[float | None, ...]
+
+
+@dataclass(frozen=True)
+class Growth(OverRuns):
+    """Of the rate at which distances grow, by run: doubling times [s], R squared, window of the fit [s].
+
+    curve  of one of the runs
+    """
+
+    doubling_time_s: tuple[float | None, ...] = ()
+    r_squared: tuple[float, ...] = ()
+    window_s: tuple[tuple[float, float], ...] = ()
+    curve: SpreadCurve | None = None
+
+
+@dataclass(frozen=True)
+class OffTheBoard(Details):
+    """Of cubes off the board: how many of how many in all, by run, and environments with any."""
+
+    total: int = 0
+    of: int = 0
+    per_run: tuple[int, ...] = ()
+    envs_with_any: int = 0
+
+
+@dataclass(frozen=True)
+class SunkCubes(Details):
+    """Of cubes that sank.
+
+    total, of   of all runs
+    cubes       of an environment
+    per_run     how many
+    last_step   that they were followed to
+    first_step  at which the first was through; None where none was
+    """
+
+    total: int = 0
+    of: int = 0
+    cubes: int = 0
+    per_run: tuple[int, ...] = ()
+    last_step: int = 0
+    first_step: int | None = None
+
+
+@dataclass(frozen=True)
+class Resampled:
+    """Probabilities of the published types, by resampling runs; see regimes.RegimeProbabilities."""
+
+    probabilities: tuple[float, float, float, float]
+    runs: int
+    decided_by: tuple[int, ...]
+    agreement: str
+    distinct: int
+    run_differs_below: float | None
+    parallel_below: float | None
+    method: str
+    draws: int
+    seed: int
+
+
+@dataclass(frozen=True)
+class PublishedType(Details):
+    """Of the published type."""
+
+    resampled: Resampled | Missing | None = None
+
+    def record(self) -> dict[str, Any]:
+        """The probabilities, or why there are none."""
+        if isinstance(self.resampled, Missing):
+            return {"probabilities_why_not": self.resampled.reason}
+        return dict(vars(self.resampled)) if self.resampled else {}

@@ -1,0 +1,48 @@
+"""The result of evaluating a set of recordings, before any presentation."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from gpusimbench.evaluator.check.protocol import Unmet
+from gpusimbench.evaluator.results.accumulation import Accumulation
+from gpusimbench.evaluator.results.determinism_cost import Family
+from gpusimbench.evaluator.results.ranking import Comparison
+from gpusimbench.evaluator.results.reference import Reference
+from gpusimbench.evaluator.results.result import GroupResult, Map
+from gpusimbench.evaluator.results.sweeps import Sweep
+from gpusimbench.evaluator.runs.reader import Unreadable
+
+SCHEMA_VERSION = 1
+"""Version of the JSON that ``gsb-eval --json`` prints."""
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """The result of evaluating a set of recordings.
+
+    sample_time  simulated time at which positions are compared [s]
+    results      one per group
+    unreadable   files that could not be read, with their errors
+    reference    None where there is none; `reference_note` says why, or where it came from
+    sweeps       groups that differ in the number of environments alone
+    accumulation how variability of sweeps goes with the number of environments
+    comparison   of simulators: radar and guidelines
+    maps         by scene; none for a scene whose positions were not recorded or lie too far apart
+    price_list   what levels of determinism cost
+    unmet        rules of the benchmark's protocol that the recordings do not meet
+    notes        about the set as a whole
+    """
+
+    sample_time: float
+    results: tuple[GroupResult, ...]
+    unreadable: tuple[Unreadable, ...]
+    reference: Reference | None
+    reference_note: str
+    sweeps: tuple[Sweep, ...]
+    accumulation: tuple[Accumulation, ...]
+    comparison: Comparison
+    maps: dict[str, Map]
+    notes: tuple[str, ...] = ()
+    price_list: tuple[Family, ...] = ()
+    unmet: Unmet = Unmet()

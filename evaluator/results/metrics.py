@@ -1,0 +1,48 @@
+"""The registry: every metric of an evaluation, in the order of its outputs. All of them iterate over it."""
+
+from __future__ import annotations
+
+from gpusimbench.evaluator.metrics.radar import Axis
+from gpusimbench.evaluator.results.clamped_metrics import CLAMPED
+from gpusimbench.evaluator.results.cost_metrics import COSTS
+from gpusimbench.evaluator.results.group_metrics import LEFT_BOARD, REGIME, SANK, W1_PARALLEL, W1_REAL, W1_RUN_TO_RUN
+from gpusimbench.evaluator.results.identity_metrics import (
+    CAPTURE_CHANGES_STATES,
+    DISTINCT_ENVS,
+    DISTINCT_RUNS,
+    DIVERGENCE_RATE,
+    EQUALITY_ENVS,
+    EQUALITY_RUNS,
+)
+from gpusimbench.evaluator.results.metric import Metric, Table
+
+METRICS: dict[str, Metric] = {
+    metric.name: metric
+    for metric in (
+        *COSTS,
+        W1_PARALLEL,
+        W1_RUN_TO_RUN,
+        W1_REAL,
+        *CLAMPED,
+        DISTINCT_ENVS,
+        DISTINCT_RUNS,
+        EQUALITY_ENVS,
+        EQUALITY_RUNS,
+        DIVERGENCE_RATE,
+        LEFT_BOARD,
+        SANK,
+        REGIME,
+        CAPTURE_CHANGES_STATES,
+    )
+}
+"""By name."""
+
+
+def of_table(table: Table) -> list[Metric]:
+    """The metrics that are columns of a table of the report."""
+    return [metric for metric in METRICS.values() if metric.table is table]
+
+
+def on_radar(axis: Axis) -> Metric | None:
+    """The metric that an axis of the radar shows; None of the largest number of environments, which is of a sweep."""
+    return next((metric for metric in METRICS.values() if metric.radar is axis), None)

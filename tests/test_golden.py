@@ -1,0 +1,87 @@
+"""The JSON of the commands over shipped recordings, against files that are kept: a change of a value is a decision.
+
+python -m tests.test_golden        writes the files anew; the commit that changes them names what has changed
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+GOLDEN = Path(__file__).resolve().parent / "golden"
+_TOP = ("amd-r0", "amd-r1", "amd-r2", "pyramidal-r0", "pyramidal-r1", "xeon-r0", "xeon-r1", "xeon-r2")
+_FILES = tuple(f"recordings/mujoco-{name}.mcap" for name in _TOP)
+_H200 = "recordings/h200/newton-xpbd-inclined-collision-n16-r"
+COMMANDS = {
+    "eval": ("eval", *_FILES, "--no-cache"),
+    "eval-sweep": ("eval", *(f"recordings/h200/warp-free-fall-n{n}-r0.mcap" for n in (1, 4096, 32768)), "--no-cache"),
+    "check": ("check", *_FILES),
+    "check-found": ("check", *sorted(str(p.relative_to(ROOT)) for p in (ROOT / "tests/hostile/found").glob("*.mcap"))),
+    "info": ("info", _FILES[0], "recordings/h200/warp-free-fall-n4096-r0.mcap"),
+    "diff": ("diff", _FILES[0], _FILES[3]),
+    "diff-envs": ("diff", "recordings/h200/physx-spacing-0-inclined-collision-n16-r0.mcap"),
+    "compare": (
+        "compare", "--base", *(f"{_H200}{r}.mcap" for r in range(4)), "--head",
+        *(f"{_H200}{r}.mcap" for r in range(4, 8)), "--no-cache",
+    ),
+}  # fmt: skip
+_RELATIVE = 1e-9  # another processor rounds sums otherwise
+
+
+def said(name: str) -> Any:
+    """What a command writes as JSON, run as a user runs it in a checkout."""
+    verb, *arguments = COMMANDS[name]
+    done = subprocess.run(
+        [sys.executable, "-P", "-m", f"gpusimbench.evaluator.cli.{verb}", *arguments, "--json", "-"],
+        cwd=ROOT, capture_output=True, text=True, timeout=300, env={**os.environ, "OMP_NUM_THREADS": "1"},
+    )  # fmt: skip
+    assert done.returncode in (0, 3, 4, 5), done.stderr
+    return json.loads(done.stdout)
+
+
+def differences(kept: Any, found: Any, where: str = "") -> list[str]:
+    """Places at which two documents differ by more than rounding."""
+    if isinstance(kept, dict) and isinstance(found, dict):
+        here = [f"{where}/{key}: only in one" for key in kept.keys() ^ found.keys()]
+        return here + [
+            d for key in kept.keys() & found.keys() for d in differences(kept[key], found[key], f"{where}/{key}")
+        ]
+    if isinstance(kept, list) and isinstance(found, list):
+        if len(kept) != len(found):
+            return [f"{where}: {len(kept)} entries, now {len(found)}"]
+        return [d for i, (a, b) in enumerate(zip(kept, found, strict=True)) for d in differences(a, b, f"{where}[{i}]")]
+    if isinstance(kept, float) and isinstance(found, float):
+        same = math.isclose(kept, found, rel_tol=_RELATIVE, abs_tol=1e-15)
+    else:
+        same = type(kept) is type(found) and kept == found
+    return [] if same else [f"{where}: {kept!r}, now {found!r}"]
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_json_is_what_it_was(name: str) -> None:
+    """Write the same keys, verdicts and numbers as before."""
+    kept = json.loads((GOLDEN / f"{name}.json").read_text(encoding="utf-8"))
+    assert differences(kept, said(name)) == []
+
+
+def test_differences_are_seen() -> None:
+    """See another number, another type, a key too many, and a shorter list; not the last bits of a number."""
+    kept = {"a": [1.0, 2], "b": "x"}
+    assert differences(kept, {"a": [1.0 + 1e-12, 2], "b": "x"}) == []
+    assert differences(kept, {"a": [1.1, 2], "b": "x"}) == ["/a[0]: 1.0, now 1.1"]
+    assert differences(kept, {"a": [1.0, 2.0], "b": "x"}) == ["/a[1]: 2, now 2.0"]
+    assert differences(kept, {"a": [1.0], "b": "x"}) == ["/a: 2 entries, now 1"]
+    assert differences(kept, {"a": [1.0, 2]}) == ["/b: only in one"]
+
+
+if __name__ == "__main__":
+    for each in COMMANDS:
+        (GOLDEN / f"{each}.json").write_text(json.dumps(said(each), indent=1) + "\n", encoding="utf-8")

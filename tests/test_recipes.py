@@ -1,0 +1,158 @@
+"""The recipes of CONTRIBUTING.md, followed in a copy of the package: each file that they name, and no other."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.test_docs import ROOT
+
+SHIPPED = ROOT / "recordings" / "mujoco-amd-r0.mcap"
+
+
+class Copy:
+    """A copy of the package in a folder of its own; commands run in it."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.package = folder / "src" / "gpusimbench"
+        shutil.copytree(ROOT / "src", folder / "src", ignore=shutil.ignore_patterns("__pycache__"))
+
+    def write(self, name: str, text: str) -> None:
+        """Make a file that a recipe names."""
+        path = self.package / name
+        path.parent.mkdir(exist_ok=True)
+        path.write_text(text, encoding="utf-8")
+
+    def edit(self, name: str, before: str, after: str) -> None:
+        """Change a line of a file that a recipe names."""
+        path = self.package / name
+        text = path.read_text(encoding="utf-8")
+        assert text.count(before) == 1, f"{name} has changed: {before}"
+        path.write_text(text.replace(before, after), encoding="utf-8")
+
+    def run(self, *command: str) -> str:
+        """What a command prints on standard output."""
+        done = subprocess.run(
+            [sys.executable, "-P", "-m", *command], cwd=self.folder, capture_output=True, text=True, timeout=120,
+            env={**os.environ, "PYTHONPATH": str(self.folder / "src")},
+        )  # fmt: skip
+        assert done.returncode == 0, done.stderr
+        return done.stdout
+
+
+@pytest.fixture
+def copy(tmp_path: Path) -> Copy:
+    """A fresh copy."""
+    return Copy(tmp_path)
+
+
+@pytest.mark.slow
+def test_add_a_scene(copy: Copy) -> None:
+    """Record a new scene on an engine that does not know it."""
+    copy.write(
+        "recorder/scenes/one_ball.py",
+        '''"""A ball falls onto a ground plane."""
+
+from __future__ import annotations
+
+from gpusimbench.recorder.scenes.base import Body, Plane, Scene, Sphere
+from gpusimbench.recorder.scenes.cube_stack import ROUGH_WOOD
+
+
+def one_ball() -> Scene:
+    """The scene."""
+    ball = Body("ball", Sphere(0.05), ROUGH_WOOD, position=(0.0, 0.0, 0.5), mass=0.2, group="balls")
+    return Scene(
+        name="one-ball", summary="a ball falls", parameters={},
+        bodies=(Body("ground", Plane(), ROUGH_WOOD, position=(0.0, 0.0, 0.0)), ball),
+    )
+''',
+    )
+    registry = "recorder/scenes/registry.py"
+    copy.edit(registry, '    "franka": franka,\n', '    "franka": franka,\n    "one-ball": one_ball,\n')
+    copy.edit(
+        registry,
+        "from gpusimbench.schemas.errors",
+        "from gpusimbench.recorder.scenes.one_ball import one_ball\nfrom gpusimbench.schemas.errors",
+    )
+    listed = json.loads(copy.run("gpusimbench.recorder.cli", "--list", "--json"))
+    assert "one-ball" in [scene["name"] for scene in listed["scenes"]]
+    assert "one-ball" in next(s for s in listed["simulators"] if s["name"] == "newton")["scenes"]
+    wanted = ["--scene", "one-ball", "--n-env", "2", "--runs", "1", "--steps", "20", "--phases", "capture"]
+    copy.run("gpusimbench.recorder.cli", "--sim", "mujoco", *wanted, "--out", "made")
+    assert len(list((copy.folder / "made").glob("*one-ball*.mcap"))) == 1
+
+
+@pytest.mark.slow
+def test_add_an_engine(copy: Copy) -> None:
+    """Record with a new engine a scene that does not know it, and refuse a scene by the ability that is missing."""
+    copy.write(
+        "recorder/simulators/twin/simulator.py",
+        '''"""MuJoCo C once more, without robots."""
+
+from __future__ import annotations
+
+from gpusimbench.recorder.abilities import Ability
+from gpusimbench.recorder.simulators.mujoco.simulator import MujocoC
+
+
+class Twin(MujocoC):
+    """The adapter."""
+
+    abilities = MujocoC.abilities - {Ability.FIXED_BASE}
+''',
+    )
+    copy.write("recorder/simulators/twin/__init__.py", "")
+    copy.edit(
+        "recorder/simulators/registry.py",
+        "BUILT_IN = (\n",
+        'BUILT_IN = (\n    Entry("twin", "a twin", "gpusimbench.recorder.simulators.twin.simulator:Twin", '
+        'requires=("mujoco",)),\n',
+    )
+    wanted = ["--scene", "free-fall", "--n-env", "2", "--runs", "1", "--steps", "20", "--phases", "capture"]
+    copy.run("gpusimbench.recorder.cli", "--sim", "twin", *wanted, "--out", "made")
+    assert len(list((copy.folder / "made").glob("twin*.mcap"))) == 1
+    twin = next(
+        s
+        for s in json.loads(copy.run("gpusimbench.recorder.cli", "--list", "--json"))["simulators"]
+        if s["name"] == "twin"
+    )
+    assert "franka" not in twin["scenes"]
+    assert "fixed-base" in str(twin["missing_for"]["franka"])
+
+
+@pytest.mark.slow
+def test_add_a_section_of_the_report(copy: Copy) -> None:
+    """Show a new section in the page."""
+    copy.write(
+        "evaluator/report/page/greeting.py",
+        '''"""A greeting."""
+
+from __future__ import annotations
+
+from gpusimbench.evaluator.report.page.section import Section, Source
+
+
+def section(source: Source) -> Section:
+    """How many groups there are."""
+    return Section("greeting", "A greeting", {"count": len(source.evaluation.results)})
+''',
+    )
+    copy.write("evaluator/report/page/templates/greeting.html.j2", "<p>There are {{ count }} groups.</p>\n")
+    copy.edit(
+        "evaluator/report/html.py", "    recordings.section,\n)", "    recordings.section,\n    greeting.section,\n)"
+    )
+    copy.edit(
+        "evaluator/report/html.py", "    guidelines,\n    mechanics", "    greeting,\n    guidelines,\n    mechanics"
+    )
+    copy.run("gpusimbench.evaluator.cli.eval", str(SHIPPED), "--html", "report", "--no-cache")
+    page = (copy.folder / "report" / "index.html").read_text(encoding="utf-8")
+    assert "<p>There are 1 groups.</p>" in page
+    assert "A greeting" in page

@@ -1,0 +1,80 @@
+"""The shape of the house: no circles of imports, no module too large to be held in mind."""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+
+import grimp
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+LONGEST = 400
+"""Lines; a longer module has two nouns in it."""
+
+
+@cache
+def imports() -> dict[str, set[str]]:
+    """Each module of the package, and those that it imports itself, wherever in it."""
+    graph = grimp.build_graph("gpusimbench", cache_dir=None)
+    return {module: graph.find_modules_directly_imported_by(module) for module in graph.modules}
+
+
+def circles(graph: dict[str, set[str]]) -> list[set[str]]:
+    """Sets of modules that import each other around a circle: strongly connected components of more than one."""
+    order: list[str] = []
+    seen: set[str] = set()
+
+    def visit(start: str, edges: dict[str, set[str]], found: list[str]) -> None:
+        stack = [(start, iter(sorted(edges.get(start, ()))))]
+        seen.add(start)
+        while stack:
+            node, following = stack[-1]
+            for other in following:
+                if other not in seen:
+                    seen.add(other)
+                    stack.append((other, iter(sorted(edges.get(other, ())))))
+                    break
+            else:
+                found.append(node)
+                stack.pop()
+
+    for module in sorted(graph):
+        if module not in seen:
+            visit(module, graph, order)
+    backwards: dict[str, set[str]] = {}
+    for module, others in graph.items():
+        for other in others:
+            backwards.setdefault(other, set()).add(module)
+    seen.clear()
+    components = []
+    for module in reversed(order):
+        if module not in seen:
+            component: list[str] = []
+            visit(module, backwards, component)
+            components.append(set(component))
+    return [component for component in components if len(component) > 1]
+
+
+def test_a_circle_is_found() -> None:
+    """Find the circle of a graph that has one, and none in one that has none."""
+    assert circles({"a": {"b"}, "b": {"c"}, "c": {"b"}, "d": {"a"}}) == [{"b", "c"}]
+    assert circles({"a": {"b", "c"}, "b": {"c"}, "c": set()}) == []
+
+
+def test_no_circles_of_imports() -> None:
+    """Import in one direction alone, also inside functions and for types."""
+    found = circles(imports())
+    assert [sorted(circle) for circle in found] == []
+    assert len(imports()) > 300
+
+
+@pytest.mark.parametrize("package", ["schemas", "recorder", "evaluator"])
+def test_no_module_is_too_long(package: str) -> None:
+    """Keep modules short enough to be read in one sitting."""
+    long = {
+        str(path.relative_to(ROOT)): lines
+        for path in (ROOT / package).rglob("*.py")
+        if (lines := len(path.read_text(encoding="utf-8").splitlines())) > LONGEST
+    }
+    assert long == {}
