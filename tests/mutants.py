@@ -248,7 +248,7 @@ def _first_failure(tree: Path, tests: Sequence[str], *, compiled: bool) -> str |
             return f"the limit of {LIMIT_S} s"
     if child.returncode == 0:
         return None
-    failed = re.search(r"^(?:FAILED|ERROR) (\S+)", said, re.MULTILINE)
+    failed = re.search(r"^(?:FAILED|ERROR) (.+?)(?: - .*)?$", said, re.MULTILINE)
     return failed[1] if failed else f"exit code {child.returncode}"
 
 

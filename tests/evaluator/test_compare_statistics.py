@@ -228,3 +228,25 @@ def test_few_runs_of_one_configuration_do_not_hide_another() -> None:
 def test_neighbours_in_time(order: str, blocks: str) -> None:
     """Cut an order into the shortest stretches that hold both sides."""
     assert "".join(map(str, neighbours([letter == "B" for letter in order]))) == blocks
+
+
+def test_drawn_dealings_of_distances(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Count the observed dealing among those that are drawn, and give the smallest p that so many can have."""
+    places = np.concatenate([np.linspace(0, 1, 8), np.linspace(9, 10, 8)])
+    matrix = abs(places[:, None] - places)
+    monkeypatch.setattr(exchange, "MOST_DEALINGS", 100)
+    found = compare_distances(matrix, [False] * 8 + [True] * 8)
+    assert (found.exhaustive, found.n) == (False, exchange.DRAWN + 1)
+    assert found.least_p == 1 / found.n
+    assert found.p_value < 0.01
+
+
+def test_sides_of_different_size_have_no_mirror() -> None:
+    """Give one dealing of all as the smallest p where the sides differ in size, and both differences by hand."""
+    places = np.array([0.0, 0.1, 5.0, 5.3, 5.7])
+    matrix = abs(places[:, None] - places)
+    found = compare_distances(matrix, [False, False, True, True, True])
+    within2 = (0.3 + 0.7 + 0.4) / 3
+    assert found.difference == pytest.approx(matrix[:2, 2:].mean() - (0.1 + within2) / 2)
+    assert found.p_value == found.least_p == 1 / 10
+    assert least_p([False, False, True, True, True], [0] * 5) == 1 / 10

@@ -124,3 +124,18 @@ def test_the_worst_point_is_named() -> None:
     """Point at the number of environments with the largest residual."""
     model = MemoryModel(0.0, 1.0, 0.0, 0.0, (1, 2, 4), (0.1, -0.5, 0.2))
     assert (model.worst_n, model.largest_residual, model.holds) == (2, 0.5, False)
+
+
+def test_standard_errors_are_those_of_weighted_least_squares() -> None:
+    """Agree with the inverse of X'X from one environment on, with two degrees of freedom less than points."""
+    n = [1, 4, 16, 64, 256]
+    memory = np.array([1.02e6, 1.3e6, 2.7e6, 7.2e6, 27.1e6])
+    found = fit_memory(n, memory.tolist())
+    design = np.column_stack([1 / memory, np.array(n) / memory])
+    solution, (left,), _, _ = np.linalg.lstsq(design, np.ones(5), rcond=None)
+    errors = np.sqrt(left / 3 * np.diagonal(np.linalg.inv(design.T @ design)))
+    assert (found.fixed, found.per_env) == pytest.approx(solution.tolist())
+    assert (found.fixed_se, found.per_env_se) == pytest.approx(errors.tolist())
+    assert found.n == tuple(n)
+    with pytest.raises(ValueError, match="at 1 or more environments"):
+        fit_memory([0, 4, 16, 64, 256], memory.tolist())

@@ -128,3 +128,15 @@ def test_refuses(parallel: Any, matrix: Any, classes: Any, message: str) -> None
         regime_probabilities(np.zeros(6), SAME, np.zeros(6, int), seed=0, n_draw=0)
     with pytest.raises(ValueError, match="trials"):
         upper_bound_of_none(0)
+
+
+def test_halves_are_drawn_without_repeating_a_run() -> None:
+    """Find the one odd run of six in half of all halves, and call what differs between runs alone by its name."""
+    matrix = np.zeros((6, 6))
+    matrix[4, :] = matrix[:, 4] = 1.0
+    matrix[4, 4] = 0.0
+    found = regime_probabilities(np.zeros(6), matrix, [0, 0, 0, 0, 1, 0], seed=3, method=Resampling.HALF)
+    assert found.probability(Regime.RUN_TO_RUN_ONLY) == pytest.approx(0.5, abs=0.03)
+    assert found.probability(Regime.NEITHER) == pytest.approx(0.5, abs=0.03)
+    assert found.leave_one_out[4] is Regime.NEITHER
+    assert (found.observed, found.decided_by) == (Regime.RUN_TO_RUN_ONLY, (4,))

@@ -276,3 +276,13 @@ def test_bounds_beyond_the_matrix(counts: tuple[int, int], monkeypatch: pytest.M
     assert found.low * (1 - 1e-9) <= exact <= found.high * (1 + 1e-9)
     assert found.value == found.high
     assert found.high <= 1.02 * found.low
+
+
+def test_only_single_units_are_an_assignment() -> None:
+    """Tell mass of single points from points of which one side has several in one place."""
+    rng = np.random.default_rng(5)
+    single, twice = rng.normal(size=(6, 2)), np.repeat(rng.normal(size=(3, 2)), 2, axis=0)
+    assert net_mass(single, rng.normal(size=(6, 2))).single
+    assert net_mass(twice, twice + 1).single  # all points count twice
+    assert not net_mass(single, twice).single
+    assert not net_mass(twice, single).single

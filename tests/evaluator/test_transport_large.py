@@ -15,7 +15,7 @@ from hypothesis.extra.numpy import arrays
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial.distance import cdist
 
-from gpusimbench.evaluator.transport.kd_tree import build, set_planes
+from gpusimbench.evaluator.transport.kd_tree import LEAF, build, lift_planes, set_planes
 from gpusimbench.evaluator.transport.large import SAME_POINTS, Certified, certified_wasserstein1
 from gpusimbench.evaluator.transport.multiscale import COARSEST, RATIO, Solution, solve
 
@@ -265,3 +265,47 @@ def test_one_result_and_little_memory(tmp_path) -> None:
         assert kib < 60 * 1024  # the matrix would take 7,200 MB
         results.append(first)
     assert results[0] == results[1]
+
+
+def test_boxes_are_those_of_their_points() -> None:
+    """Give each node the box around its points and no more, each point once in a level."""
+    points = np.random.default_rng(7).normal(size=(50, 2)) + 5.0
+    tree = build(points)
+    assert sorted(tree.order.tolist()) == list(range(50))
+    assert tree.points.tolist() == points[tree.order].tolist()
+    for begin, end, box in zip(tree.begin, tree.end, tree.nodes, strict=True):
+        inside = tree.points[begin:end]
+        low, high = inside.min(axis=0), inside.max(axis=0)
+        assert box[:2] == pytest.approx((low + high) / 2)
+        assert box[2:4] == pytest.approx((high - low) / 2)
+    assert np.diff(np.searchsorted(tree.leaf, np.arange(tree.first, 2 * tree.first + 2))).max() <= LEAF
+
+
+def test_planes_follow_prices_that_rise_evenly() -> None:
+    """Find the slope of prices that are a plane, and touch the lowest price with it."""
+    points = np.random.default_rng(8).uniform(2.0, 3.0, size=(60, 2))
+    tree = build(points)
+    prices = 0.3 * tree.points[:, 0] - 0.5 * tree.points[:, 1]
+    set_planes(tree.points, prices, tree.begin, tree.end, tree.nodes)
+    for begin, end, node in zip(tree.begin, tree.end, tree.nodes, strict=True):
+        assert node[4:6] == pytest.approx([0.3, -0.5], abs=0.02)
+        below = prices[begin:end] - (node[6] + (tree.points[begin:end] - node[:2]) @ node[4:6])
+        assert below.min() == pytest.approx(0.0, abs=1e-12)
+
+
+def test_planes_rise_with_their_prices() -> None:
+    """Touch the lowest price of a leaf again after every rise, and stay below all prices at every node."""
+    rng = np.random.default_rng(9)
+    tree = build(rng.uniform(size=(64, 2)))
+    prices = rng.uniform(size=64)
+    set_planes(tree.points, prices, tree.begin, tree.end, tree.nodes)
+    before = tree.nodes[:, 6].copy()
+    for j in rng.permutation(64):
+        prices[j] += rng.uniform(1.0, 2.0)
+        lift_planes(j, tree.points, prices, tree.begin, tree.end, tree.nodes, tree.leaf)
+    for k, (begin, end, node) in enumerate(zip(tree.begin, tree.end, tree.nodes, strict=True)):
+        lowest = (prices[begin:end] - (node[6] + (tree.points[begin:end] - node[:2]) @ node[4:6])).min()
+        assert lowest >= -1e-12
+        if k >= tree.first:
+            assert lowest == pytest.approx(0.0, abs=1e-12)
+    assert (tree.nodes[:, 6] > before).all()

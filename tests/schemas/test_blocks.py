@@ -11,13 +11,20 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
+from gpusimbench.schemas import wire
 from gpusimbench.schemas.blocks import (
+    STATE_HEAD_BYTES,
     decode_action,
     decode_fingerprints,
     decode_state,
     encode_action,
     encode_fingerprints,
     encode_state,
+    pack_state,
+    state_bytes,
+    state_header,
+    state_header_in,
+    unpack_state,
 )
 from gpusimbench.schemas.errors import DamagedRecording
 from gpusimbench.schemas.messages import message_class
@@ -125,3 +132,36 @@ def test_other_dtypes_are_refused() -> None:
     """Raise on numbers that the format has no field for."""
     with pytest.raises(ValueError, match="float32 or float64"):
         _block(np.zeros((1, 1, 1, 1), dtype=np.int32))
+
+
+def test_a_field_of_another_wire_type_is_passed_over() -> None:
+    """Read a packed block with a small field of a type that is not its own, as protobuf does: the field is unknown."""
+    array = np.zeros((3, 2, 1, 3), np.float32)
+    data = pack_state(encode_state(array, first_step=4, stride=1, env_start=0, sim_time_ns=0))
+    steps = message_class("gsb.v1.StateBlock").DESCRIPTOR.fields_by_name["first_step"].number
+    header, decoded = decode_state(data + wire.delimited_head(steps, 2) + b"ab")
+    assert header.first_step == 4
+    assert np.array_equal(decoded, array)
+
+
+def test_a_head_alone_tells_the_small_fields() -> None:
+    """Read the small fields of a block from its first bytes, where the array is all that follows."""
+    array = np.ones((3, 2, 40, 3), np.float64)
+    data = memoryview(encode_state(array, first_step=4, stride=5, env_start=6, sim_time_ns=7))
+    head = state_header_in(data[:STATE_HEAD_BYTES], len(data))
+    assert head == state_header(data)
+    assert (head.steps, head.envs, head.items, head.width, head.stride) == (3, 2, 40, 3, 5)
+    assert state_header_in(data[:STATE_HEAD_BYTES], len(data) + 1) is None
+    assert state_header_in(data[:10], len(data)) is None
+    assert state_bytes(data) == array.nbytes
+
+
+def test_packing_is_undone() -> None:
+    """Return the very bytes of a block that was packed and unpacked, and keep what would not get smaller."""
+    small = encode_state(np.zeros((50, 2, 9, 3), np.float32), first_step=1, stride=1, env_start=0, sim_time_ns=2)
+    packed = pack_state(small)
+    assert len(packed) < len(small) / 10
+    assert unpack_state(packed) == small
+    noise = np.random.default_rng(0).integers(0, 2**32, size=(2, 1, 3, 3), dtype=np.uint32).view(np.float32)
+    kept = encode_state(noise, first_step=1, stride=1, env_start=0, sim_time_ns=2)
+    assert pack_state(kept) == kept
