@@ -3,19 +3,22 @@ PYTHON ?= python3
 VENV   ?= .venv
 BIN    := $(VENV)/bin
 OUT    ?= demo
+SAMPLE ?= 100
+SEED   ?= 1
 JOBS   ?= 2
 # Simulators whose environments make test-all sets up; make engines has them all, with minutes of kernel builds.
 ENGINES     ?= calibration physx sapien
 ALL_ENGINES := calibration genesis isaaclab maniskill physx sapien
 export GSB_ENVIRONMENTS ?= $(abspath $(VENV))/environments
 
-.PHONY: help install demo test test-all engines environments test-engines lint proto locks figures site man bench clean
+.PHONY: help install demo test test-all engines environments test-engines mutants lint proto locks figures site man bench clean
 
 help:
 	@echo "make demo   install, record 16 envs x 10 runs of inclined-collision with MuJoCo C, evaluate, write a report"
 	@echo "make test   install what is missing, run style, types, import contracts and the quick tests"
 	@echo "make test-all  every check and test: engines, clusters, kills, limits, every command of the documents"
 	@echo "make engines  the same with every simulator that has an environment of its own: gigabytes, and minutes of builds"
+	@echo "make mutants  SAMPLE=100 SEED=1: how many random mutants of the code the quick tests notice, and which not"
 	@echo "make lint   style, types and the import contract"
 	@echo "make proto  rebuild the descriptor set after a change of schemas/proto"
 	@echo "make locks  pin the environments of simulators anew; INDEX=URL names a package index (PEP 503)"
@@ -70,6 +73,11 @@ test-engines: environments
 	  PYTHONPATH="$(CURDIR)/src:$(CURDIR):$$tools" "$$python" -P -m pytest tests/recorder/test_$$engine.py || exit; \
 	done
 
+# cosmic-ray makes the mutants; nothing else needs it.
+mutants: $(VENV)/.installed-test
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt cosmic-ray
+	$(BIN)/python -m tests.mutants --sample $(SAMPLE) --seed $(SEED) --jobs $(JOBS)
+
 proto: $(VENV)/.installed-test
 	$(BIN)/python schemas/build_descriptors.py
 
@@ -80,6 +88,7 @@ figures: install
 	$(BIN)/python docs/make_figures.py
 	$(BIN)/python docs/make_h200.py
 	$(BIN)/python docs/make_physics.py
+	$(BIN)/python -m docs.make_metrics
 
 site: $(VENV)/.installed-test
 	$(BIN)/python docs/build_site.py site

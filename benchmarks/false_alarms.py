@@ -291,11 +291,12 @@ def _read(run: Run, run_id: str, placed: NDArray[np.float64] | None = None) -> R
     # runs of one second are in the order of their ids
     provenance = Provenance(run_id, run.created_utc, (), configuration, host={"cpu": "one", "usable_threads": 2})
     simulation = Simulation("4.0.0", "cpu", {}, {}, (), (), {"sha256": "one"})
+    none = Missing("no states were captured")
     return ReadRun(
         Path(f"{run_id}.mcap"), "complete", "", "", run_id, provenance, simulation, elapsed_s=run.elapsed_s,
         host=Checkpoints(baseline=run.host_baseline, peak=run.host_peak), stalled_s=0.0,
-        positions=Missing("no states were captured") if placed is None else Positions(placed, None, 5.0),
-        physics=PhysicsFacts("free-fall", N_ENV, (), Missing("no states were captured")),
+        positions=none if placed is None else Positions(placed, None, 5.0),
+        physics=PhysicsFacts("free-fall", N_ENV, (), none),
     )  # fmt: skip
 
 

@@ -141,7 +141,7 @@ def metrics() -> str:
             f"`{m.name}`",
             m.unit or "-",
             better[m.direction.value],
-            f"{'*published*: ' if m.published else ''}{m.docs}".replace("](", "](../"),
+            f"{'*published*: ' if m.published else ''}{m.docs}".replace("](#", "](metrics.md#").replace("](", "](../"),
         )
         for m in METRICS.values()
     ]

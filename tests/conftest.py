@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from hypothesis import HealthCheck, settings
+from hypothesis import HealthCheck, Phase, settings
 
 from tests.browser import Browser
 from tests.in_process import in_process
@@ -26,6 +26,13 @@ from tests.in_process import in_process
 # The machine that runs the tests may be slow or busy; a test says what is right, not how fast.
 settings.register_profile("any-machine", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("any-machine")
+settings.register_profile(  # for make mutants, which asks whether a test fails and not of what
+    "mutants",
+    settings.get_profile("any-machine"),
+    phases=(Phase.explicit, Phase.generate),
+    derandomize=True,
+    database=None,
+)
 
 # Tests interrupt commands as a user does. A shell that starts the tests in the background has them ignore SIGINT, and
 # every process that they start would inherit it.

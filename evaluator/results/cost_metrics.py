@@ -157,11 +157,7 @@ def _overhead(run: Run) -> float | Missing:
 
 
 def _capture(group: GroupRuns) -> CaptureOverhead:
-    stalled = [
-        r.stalled_s / r.capture_s
-        for r in group.runs
-        if r.capture_s and r.elapsed_s and not isinstance(r.stalled_s, Missing)
-    ]
+    stalled = [(r.stalled_s or 0.0) / r.capture_s for r in group.runs if r.capture_s and r.elapsed_s]
     return CaptureOverhead(stalled_share=float(np.mean(stalled)))
 
 

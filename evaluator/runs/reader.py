@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from gpusimbench.evaluator.metrics.capture import changes_states
 from gpusimbench.evaluator.metrics.cotenants import CoTenants, cotenants
 from gpusimbench.evaluator.metrics.levels import Verdict, verdict
 from gpusimbench.evaluator.missing import Missing
@@ -190,5 +191,5 @@ def _observed(captured: Fingerprints | None, timed: Fingerprints | None) -> bool
     nothing_common = Missing("no step was passed by both the timed and the capture phase")
     if captured is None or timed is None:
         return nothing_common
-    common, at_timed, at_captured = np.intersect1d(timed.steps, captured.steps, return_indices=True)
-    return bool((timed.hashes[at_timed] != captured.hashes[at_captured]).any()) if len(common) else nothing_common
+    changed = changes_states(timed.steps, timed.hashes, captured.steps, captured.hashes)
+    return nothing_common if changed is None else changed

@@ -22,7 +22,8 @@ from gpusimbench.evaluator.diff.result import Basis, Change, Difference, StepRan
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.results.details import Equality
-from gpusimbench.evaluator.results.identity_metrics import equality_of_runs
+from gpusimbench.evaluator.results.group_runs import GroupRuns
+from gpusimbench.evaluator.results.identity_metrics import EQUALITY_RUNS
 from gpusimbench.evaluator.runs.reader import read_run
 from gpusimbench.recorder.capture import states as capture
 from gpusimbench.recorder.capture.states import StateWriter
@@ -116,7 +117,7 @@ def test_equal_recordings_are_equal(tmp_path: Path) -> None:
     compared = found.compared
     assert compared.state_steps == compared.hash_steps == StepRange(STEPS + 1, 0, STEPS)
     assert (compared.n_env, compared.left_out, compared.fields[0].numbers) == (3, (), 9 * 3 * 27 * 3)
-    assert found.growth
+    assert found.growth is not None
     assert set(found.growth.max_spatial) == {0.0}
     assert (found.growth.to_1mm, found.growth.fit) == (None, Missing("nothing moved apart"))
 
@@ -144,7 +145,7 @@ def test_zeros_and_payloads_are_bits(tmp_path: Path) -> None:
     assert found.first is not None
     assert found.first.state is not None
     assert (found.first.step_a, found.first.state.number.distance, found.max_ulp) == (2, 0.0, 5)
-    assert found.growth
+    assert found.growth is not None
     assert found.growth.not_finite_from == 2
     assert "invalid" in found.notes[0]
     assert compare(a, a).bit_identical  # the same payload
@@ -222,7 +223,7 @@ def test_origins_are_no_difference(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     assert (found.verdict, found.bitwise, found.bit_identical) == (Verdict.WITHIN_RESOLUTION, False, False)
     assert (found.max_ulp, found.same_up_to_env_order, found.compared.hash_steps) == (None, None, None)
     assert "origins" in found.splits.no_classes
-    assert found.growth
+    assert found.growth is not None
     assert set(found.growth.max_spatial) == {0.0}
 
     b = record(tmp_path, changed(base, 2, lambda p: p[2, 7, 1:2].__iadd__(0.002)), origins=origins)
@@ -396,7 +397,7 @@ def test_distances_that_are_not_finite(tmp_path: Path) -> None:
     a = record(tmp_path, still())
     found = compare(a, record(tmp_path, changed(still(), 5, with_nan)))
     assert [(f.different, f.max_distance) for f in found.compared.fields] == [(STEPS - 4, None)]
-    assert found.growth
+    assert found.growth is not None
     assert (found.growth.not_finite_from, found.growth.fit) == (5, Missing("nothing moved apart of what is finite"))
     (field,) = compare(a, record(tmp_path, changed(still(), 5, and_moved))).compared.fields
     assert field.max_distance == pytest.approx(0.5, rel=1e-6)
@@ -472,7 +473,9 @@ def test_shipped_runs_by_hashes() -> None:
 def test_runs_without_states() -> None:
     """Compare the hashes of the timed phase where no states were captured."""
     found = compare(h200("warp-franka-n64-r0"), h200("warp-franka-n512-r0"))
-    assert (found.bit_identical, found.max_ulp, bool(found.growth)) == (True, None, False)
+    assert (found.bit_identical, found.max_ulp, found.growth) == (
+        True, None, Missing("no positions of bodies were recorded by both")
+    )  # fmt: skip
     assert (found.compared.state_steps, found.compared.hash_steps) == (None, StepRange(2, 100, 300))
     assert "timed phase" in found.notes[0]
 
@@ -532,7 +535,7 @@ def test_another_order_is_recognised(
     assert diff_command([str(a.path), str(b.path)]) == 4
     assert (said or "DIFFERENT") in " ".join(capsys.readouterr().out.split())
     assert ("up to the order" in said) is bool(said)
-    metric = equality_of_runs([read_run(r, 0.08) for r in (a, b)])
+    metric = EQUALITY_RUNS.estimate(GroupRuns([read_run(r, 0.08) for r in (a, b)]))
     assert metric.of(Equality).text == (said.split(",")[0] if said else "different")
 
 

@@ -147,3 +147,29 @@ def test_bits_are_not_values() -> None:
     assert differs(np.array([0.0]), np.array([-0.0]))[0]
     assert not differs(nan, nan.copy())[0]
     assert differs(nan, np.array([np.nan]))[0]
+
+
+def test_the_fit_says_how_much_it_explains() -> None:
+    """Give the squared correlation of time and log(distance), which least squares through noise has."""
+    times = np.linspace(0.1, 2.0, 40)
+    logs = 3.0 * times - 15.0 + np.random.default_rng(0).normal(scale=2.0, size=40)
+    fit = fit_growth(times, np.exp(logs), limit=1.0)
+    assert isinstance(fit, GrowthFit)
+    assert fit.points == 40
+    assert (fit.begin, fit.end) == (times[0], times[-1])
+    correlation = np.corrcoef(times, logs)[0, 1]
+    assert 0.1 < correlation**2 < 0.9
+    assert fit.r_squared == pytest.approx(correlation**2)
+    assert fit.rate == pytest.approx(np.polyfit(times, logs, 1)[0])
+
+
+def test_five_points_make_a_rate() -> None:
+    """Fit exactly as many points as a rate needs, and stop at a distance that equals the limit."""
+    times, distances = np.arange(7.0), 2.0 ** np.arange(-40, -33)
+    fit = fit_growth(times, distances, limit=float(distances[5]))
+    assert isinstance(fit, GrowthFit)
+    assert (fit.points, fit.begin, fit.end) == (5, 0.0, 4.0)
+    assert fit.doubling_time == pytest.approx(1.0)
+    none = fit_growth(times, distances, limit=float(distances[4]))
+    assert isinstance(none, Missing)
+    assert none.reason.startswith("4 recorded steps with a distance above zero before it passes ")

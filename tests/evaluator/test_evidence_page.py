@@ -18,6 +18,7 @@ from gpusimbench.evaluator.report.page import consistency, deviations, divergenc
 from gpusimbench.evaluator.report.page.section import Source
 from gpusimbench.evaluator.results.evaluate import evaluate_files
 from gpusimbench.evaluator.results.evaluation import Evaluation
+from gpusimbench.evaluator.results.metrics import METRICS
 from gpusimbench.evaluator.results.paper_tables import Limit, capability, variability
 from gpusimbench.schemas.provenance import Deviation
 from tests.synthetic import cubes_field, grid, write_recording, write_sweep
@@ -229,17 +230,18 @@ def test_dots_show_what_the_radar_compares(swept: Evaluation) -> None:
     section = dot_plot.section(source(swept))
     assert section is not None
     panels = {p.label: p for p in section.context["panels"]}
+    titles = {axis: axis.value for axis in Axis} | {m.radar: m.title for m in METRICS.values() if m.radar}
     for contender in swept.comparison.contenders:
         values = contender.figures.axis_values()
         for axis in (Axis.THROUGHPUT, Axis.MEMORY, Axis.PARALLEL, Axis.RUN_TO_RUN):
             names = (contender.figures.name, f"{contender.figures.name} †")  # mjx is INVALID beyond its N_env^max
-            found = [row for row in panels[axis.value].numbers.rows if row[0] in names]
+            found = [row for row in panels[titles[axis]].numbers.rows if row[0] in names]
             assert [row[1] for row in found] == ([] if values[axis] is None else [values[axis]])
-    parallel = panels[Axis.PARALLEL.value]
+    parallel = panels[titles[Axis.PARALLEL]]
     assert parallel.svg.count("nothing") == 1
     assert "Open circle: exactly 0 (1)." in parallel.caption
-    assert "Nothing to show" in next(p.caption for p in section.context["empty"] if p.label == Axis.EMD_TO_REAL.value)
-    ranges = {row[0]: row[2:4] for row in panels[Axis.PARALLELISM.value].numbers.rows}
+    assert "Nothing to show" in next(p.caption for p in section.context["empty"] if p.label == titles[Axis.EMD_TO_REAL])
+    ranges = {row[0]: row[2:4] for row in panels[titles[Axis.PARALLELISM]].numbers.rows}
     assert ranges["genesis"] == (128.0, 256.0)
     assert ranges["warp"] == (None, None)
     compared = {one["name"]: one for one in to_json(swept)["compared"]}

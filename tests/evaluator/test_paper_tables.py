@@ -48,7 +48,7 @@ def test_tables_say_what_was_evaluated(evaluation: Evaluation) -> None:
     groups = {r.label: r for r in evaluation.results}
     for row in found["throughput"].rows:
         said = dict(zip(found["throughput"].titles, row, strict=True))
-        assert said["throughput [env steps/s]"] == mean_sd(groups[said["group"]].metrics["fps"])
+        assert said["throughput [env-steps/s]"] == mean_sd(groups[said["group"]].metrics["fps"])
     assert [row[2] for row in found["scaling-points"].rows] == ["1", "4", "16"]
     assert "failed" in found["scaling-points"].rows[2][-1]
     assert not any(table.key.startswith("published") for table in tables(evaluation, published=False))

@@ -136,3 +136,14 @@ def test_a_full_disk(tmp_path: Path) -> None:
         finally:
             resource.setrlimit(resource.RLIMIT_FSIZE, before)
     assert [m.log_time for m in Container(tmp_path / "a.mcap").messages("/one")] == [1]
+
+
+def test_a_chunk_ends_at_its_limit(tmp_path: Path) -> None:
+    """Close the chunk of small messages when it reaches 128 KiB, and give a message as large one of its own."""
+    limit, head = 128 * 1024, 31  # a record's bytes before a message's data
+    sizes = (limit // 2 - head, limit // 2 - head, 0, limit - head, limit - head - 1, 0, 1)
+    write(tmp_path / "a.mcap", sizes, "none")
+    with (tmp_path / "a.mcap").open("rb") as stream:
+        summary = make_reader(stream).get_summary()
+    assert summary is not None
+    assert [c.uncompressed_size for c in summary.chunk_indexes] == [limit, head, limit, limit - 1 + head, head + 1]

@@ -1,0 +1,183 @@
+"""What an audit says in words: every count and every cut of a text, on audits whose outcome is given."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gpusimbench import open_recording
+from gpusimbench.evaluator.audit.audit import Audit, Outcome
+from gpusimbench.evaluator.audit.checking import Check
+from gpusimbench.evaluator.audit.distribution import LawTest, Unit
+from gpusimbench.evaluator.audit.replaying import Replay, Replays
+from gpusimbench.evaluator.audit.settings import Settings
+from gpusimbench.evaluator.audit.text import text_of
+from gpusimbench.evaluator.audit.verdict import Level, Match, ladder
+from gpusimbench.evaluator.diff.compare import compare
+from gpusimbench.evaluator.diff.result import Setting
+from gpusimbench.evaluator.read.recording import Recording
+from tests.synthetic import grid, write_recording
+
+NO_FINDINGS = Check((), {}, {}, {})
+
+
+@pytest.fixture(scope="module")
+def five(tmp_path_factory: pytest.TempPathFactory) -> list[Recording]:
+    """Five recordings of two environments; in the last, one cube of the second ends 2 m higher."""
+    folder = tmp_path_factory.mktemp("five")
+    moved = grid(2)
+    moved[1, 3, 2] += 2.0
+    finals = [grid(2), grid(2), grid(2), grid(2), moved]
+    return [
+        open_recording(write_recording(folder, final, run=run, name=f"{run}.mcap")) for run, final in enumerate(finals)
+    ]
+
+
+def lines(audit: Audit, checked: Check = NO_FINDINGS) -> list[str]:
+    """The lines of a report."""
+    return text_of(audit, checked).splitlines()
+
+
+def made(recordings: list[Recording]) -> Replays:
+    """Replays that all came to their end."""
+    return Replays("gsb-record --replay x", tuple(Replay("complete", "", Path(str(r.path))) for r in recordings), "")
+
+
+def test_the_set_and_its_files_are_counted(five: list[Recording]) -> None:
+    """Count the other originals, and name three recordings of replays and how many more there are."""
+    (alone,) = [line for line in lines(Audit((five[0],))) if "2 envs" in line]
+    assert alone == "0.mcap: synthetic 1.0, inclined-collision, 2 envs, dt 1 s, complete"
+    assert lines(Audit((five[0], five[1])))[0].startswith("0.mcap and 1 more of its set: ")
+    three = lines(Audit((five[0],), made(five[1:4]), tuple(five[1:4])))
+    assert [line for line in three if "complete: " in line] == [f"  replay    complete: {r.path}" for r in five[1:4]]
+    assert not any(line.endswith(" more") for line in three)
+    four = lines(Audit((five[0],), made(five[1:]), tuple(five[1:])))
+    assert [line for line in four if "complete: " in line] == [f"  replay    complete: {r.path}" for r in five[1:4]]
+    assert "            and 1 more" in four
+
+
+def test_distinct_runs_are_counted(five: list[Recording]) -> None:
+    """Tell the numbers of runs from those of distinct runs, there, here and together."""
+    audit = Audit(tuple(five[:2]), made(five[2:]), tuple(five[2:]), distinct=(1, 2, 3))
+    assert "  runs      2 there, 1 distinct by state hashes; 3 here, 2 distinct; 3 together" in lines(audit)
+    unknown = replace(audit, distinct=None)
+    assert "  runs      2 there, 3 here; without state hashes, bits are not compared" in lines(unknown)
+    assert not any(line.startswith("  runs") for line in lines(Audit(tuple(five))))
+
+
+def test_findings_come_once_each(five: list[Recording]) -> None:
+    """Give a finding of several files once, broken rules before warnings, and say which of the two it is."""
+    paths = [r.path for r in five[:2]]
+    check = Check((), {}, dict.fromkeys(paths, ("it is broken",)), dict.fromkeys(paths, ("it is odd",)))
+    text = lines(Audit(tuple(five[:2])), check)
+    assert [line.strip() for line in text if line.strip() in ("it is broken", "it is odd")] == [
+        "it is broken",
+        "it is odd",
+    ]
+    assert any(line.startswith("  check     integrity-1 is broken; content hash ") for line in text)
+    warned = lines(Audit(tuple(five[:2])), replace(check, broken={}))
+    assert any(line.startswith("  check     integrity-1 holds, with warnings; ") for line in warned)
+    assert any(line.startswith("  check     integrity-1 holds; ") for line in lines(Audit(tuple(five[:2]))))
+
+
+def test_the_first_difference_is_in_numbers(five: list[Recording]) -> None:
+    """Give step, time, environment, cube, both values and their distance of what differs first."""
+    audit = Audit((five[0],), made(five[4:]), (five[4],), compare(five[0], five[4]))
+    text = lines(audit)
+    assert "  differs   from step 5 (5 s), env 1; 1 envs at that step" in text
+    (number,) = [line for line in text if "cubes/position" in line]
+    assert " z: 0.03 there, 2.03 here, " in number
+    assert number.endswith(" ULP, 2 m")
+    assert "  settings  the same" in text
+
+
+def test_settings_are_cut_and_counted(five: list[Recording]) -> None:
+    """Cut a value of more than 60 characters to 60, list all settings of a difference, and count packages."""
+    same, other = compare(five[0], five[1]), compare(five[0], five[4])
+    settings = Settings((Setting("engine.cone", "a" * 60, "b" * 61),), 3)
+    differing = lines(Audit((five[0],), made(five[4:]), (five[4],), other, settings))
+    assert f"            engine.cone: {'a' * 60} | {'b' * 57}..." in differing
+    assert "            and 3 other installed packages" in differing
+    equal = lines(Audit((five[0],), made(five[1:2]), (five[1],), same, settings))
+    assert "  settings  different, and the numbers are the same: engine.cone, 3 other installed packages" in equal
+    none = lines(Audit((five[0],), made(five[1:2]), (five[1],), same, Settings((), 3)))
+    assert "  settings  the same but for 3 other installed packages" in none
+    many = Settings(tuple(Setting(f"environment.NAME_{number}", "a", "b") for number in range(20)))
+    wrapped = lines(Audit((five[0],), made(five[1:2]), (five[1],), same, many))
+    begin = next(i for i, line in enumerate(wrapped) if line.startswith("  settings  "))
+    assert len(wrapped) > begin + 1
+    assert all(line.startswith(" " * 12) and len(line) <= 120 for line in wrapped[begin + 1 :])
+    assert max(map(len, wrapped[begin:])) > 95
+
+
+def test_what_has_no_verdict_says_why(five: list[Recording]) -> None:
+    """Say for each outcome why there is no verdict, and what ended the replays."""
+    stopped = Replays("gsb-record", (Replay("stopped", "memory", None),), "")
+    failed = Replays("gsb-record", (Replay("failed", "it broke", None), Replay("complete", "", None)), "")
+    refused = Replays("gsb-record", (), "no such engine")
+    nothing, invalid = Audit(tuple(five)), Replays("gsb-record", (Replay("invalid", "it slid", None),), "")
+    outcomes = {
+        Outcome.NOT_TRIED: nothing,
+        Outcome.STOPPED: replace(nothing, replays=stopped),
+        Outcome.FAILED: replace(nothing, replays=failed),
+        Outcome.REFUSED: replace(nothing, replays=refused),
+        Outcome.MADE: replace(nothing, replays=made(five[:1]), recordings=(five[0],)),
+    }
+    assert {outcome: audit.outcome for outcome, audit in outcomes.items()} == {outcome: outcome for outcome in outcomes}
+    verdicts = [line for audit in outcomes.values() for line in lines(audit) if line.startswith("  verdict   none: ")]
+    assert len(set(verdicts)) == 5
+    assert "  replay    failed: it broke" in lines(outcomes[Outcome.FAILED])
+    assert "  tried     gsb-record" in lines(outcomes[Outcome.REFUSED])
+    assert "  run here  gsb-record" in lines(outcomes[Outcome.FAILED])
+    assert "  verdict   different" in lines(replace(nothing, replays=invalid))
+    assert replace(nothing, replays=invalid).meets(Level.DIFFERENT) is False
+    assert nothing.meets(Level.SAME_DISTRIBUTION) is None
+
+
+def said(*matches: Match, law: LawTest | str = "no positions", originals: int = 1) -> list[str]:
+    """The sentences of a ladder, strongest level first, with 4 ULP allowed."""
+    return [rung.said for rung in ladder(matches, lambda: law, max_ulps=4, originals=originals).rungs]
+
+
+def test_replays_of_a_rung_are_counted() -> None:
+    """Count the replays that reach a level among all, and give the largest distance over the fewest steps."""
+    same, turned = Match(True, True, 0, steps=9), Match(False, True, 10**9, steps=8)
+    near, far = Match(False, False, 3, steps=7), Match(False, False, 5000, steps=6)
+    assert said(same, turned, far)[:3] == [
+        "1 of 3 replays: every bit of an original",
+        "2 of 3 replays: an original's envs in any order",
+        "largest distance 5,000 ULP over 6 recorded steps; 4 are allowed",
+    ]
+    assert said(same, turned, near)[2] == "largest distance 3 ULP over 7 recorded steps; 4 are allowed"
+    assert said(replace(near, steps=0))[2] == "largest distance 3 ULP; 4 are allowed"
+    assert ladder([replace(near, max_ulp=4)], lambda: "", max_ulps=4, originals=1).level is Level.WITHIN_ULPS
+    assert said(turned)[2] == "follows from same-up-to-env-order"
+
+
+LAW = LawTest(5.0, Unit.RUNS, 3, 4, 8, 8, 1.25, 2.5, 0.5, 0.01, 199, False, 0)
+
+
+@pytest.mark.parametrize(
+    ("law", "expected"),
+    [
+        (LAW, "p = 0.5: 3 original and 4 replayed runs exchanged; not refuted at 0.05"),
+        (replace(LAW, p_value=0.01), "p = 0.01: 3 original and 4 replayed runs exchanged"),
+        (replace(LAW, envs_per_run=7), "replayed runs exchanged, 7 of 8 envs each; not refuted at 0.05"),
+        (replace(LAW, least_p=0.1), "so few cannot show a difference (p is at least 0.1): give --runs 5"),
+    ],
+)
+def test_the_test_of_one_law_in_words(law: LawTest, expected: str) -> None:
+    """Give distance, floor, p-value, what was exchanged, and how many runs could decide."""
+    words = said(Match(False, False, None), law=law, originals=2)[-1]
+    assert words.startswith("W1 at 5 s 1.25 cm, up to 2.5 cm under one law (95 %), p = ")
+    assert words.endswith(expected)
+
+
+def test_levels_of_a_p_value_at_the_border() -> None:
+    """Reject at exactly five per cent, and be able to at exactly that."""
+    assert replace(LAW, p_value=0.05).rejects
+    assert not replace(LAW, p_value=float(np.nextafter(0.05, 1))).rejects
+    assert replace(LAW, least_p=0.05).can_reject
