@@ -110,14 +110,14 @@ def extrapolate(rates: Rates, plan: Plan, prices: Prices, certified_pairs: int) 
     shards = -(-groups // plan.shard)
     tables = shards * rates.table_bytes + (groups - shards) * rates.next_group_bytes
 
-    def both(values: tuple[float, ...], form: str) -> tuple[str, str]:
+    def formatted(values: tuple[float, ...], form: str) -> tuple[str, str]:
         return form.format(values[0]), form.format(values[1])
 
     def hours(*seconds: float) -> tuple[str, str]:
-        return both(tuple(s / _HOUR for s in seconds), "{:,.1f}")
+        return formatted(tuple(s / _HOUR for s in seconds), "{:,.1f}")
 
     return [
-        ("files [GB]", *both(sizes, "{:,.0f}")),
+        ("files [GB]", *formatted(sizes, "{:,.0f}")),
         ("verifying [core h]", *hours(*verifying)),
         ("reading [core h]", *hours(*reading)),
         ("W1, environments of a run [core h]", *hours(in_runs, in_runs)),
@@ -125,7 +125,7 @@ def extrapolate(rates: Rates, plan: Plan, prices: Prices, certified_pairs: int) 
         ("floors [core h]", *hours(floors, floors)),
         ("all of it [core h]", *hours(*totals)),
         (f"by the clock on {plan.cores} cores [h]", *hours(*walls)),
-        ("read meanwhile [GB/s]", *both(tuple(s / w for s, w in zip(sizes, walls, strict=True)), "{:,.2f}")),
+        ("read meanwhile [GB/s]", *formatted(tuple(s / w for s, w in zip(sizes, walls, strict=True)), "{:,.2f}")),
         ("packing, once [core h]", "-", f"{rates.pack_s * n / _HOUR:,.1f}"),
         (
             f"instead, {certified_pairs} certified pairs a group [core h]",
@@ -136,13 +136,13 @@ def extrapolate(rates: Rates, plan: Plan, prices: Prices, certified_pairs: int) 
             f"  in shards of {plan.shard} groups [core h]",
             *hours(*(shards * pairs(plan.shard) * rates.pair_of_groups_s,) * 2),
         ),
-        ("summaries at once [GB]", *both((rates.summary_bytes * n / _GB,) * 2, "{:,.1f}")),
+        ("summaries at once [GB]", *formatted((rates.summary_bytes * n / _GB,) * 2, "{:,.1f}")),
         (
             f"  in shards of {plan.shard} groups [GB]",
-            *both((rates.summary_bytes * plan.shard * plan.runs / _GB,) * 2, "{:,.2f}"),
+            *formatted((rates.summary_bytes * plan.shard * plan.runs / _GB,) * 2, "{:,.2f}"),
         ),
-        ("tables [GB]", *both((tables / _GB,) * 2, "{:,.2f}")),
-        ("cores [$]", *both(tuple(t / _HOUR * prices.core_hour for t in totals), "{:,.0f}")),
-        ("files kept, a month [$]", *both(tuple(s * prices.gb_month for s in sizes), "{:,.0f}")),
-        ("files sent out once [$]", *both(tuple(s * prices.gb_egress for s in sizes), "{:,.0f}")),
+        ("tables [GB]", *formatted((tables / _GB,) * 2, "{:,.2f}")),
+        ("cores [$]", *formatted(tuple(t / _HOUR * prices.core_hour for t in totals), "{:,.0f}")),
+        ("files kept, a month [$]", *formatted(tuple(s * prices.gb_month for s in sizes), "{:,.0f}")),
+        ("files sent out once [$]", *formatted(tuple(s * prices.gb_egress for s in sizes), "{:,.0f}")),
     ]

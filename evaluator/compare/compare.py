@@ -260,10 +260,10 @@ def _warnings(draft: _Draft, findings: Sequence[Finding], alpha: float) -> list[
     if 0 < min(order.n) < FEW_RUNS:
         what = "complete run" if order.n[0] == 1 else "complete runs"
         lines.append(f"{order.n[0]} {what} of base and {order.n[1]} of head are few: {FEW_RUNS} a side are advised")
-    return [*timed.of_sides(*draft.timed), *lines, *_blind(findings, alpha)]
+    return [*timed.of_sides(*draft.timed), *lines, *_without_power(findings, alpha)]
 
 
-def _blind(findings: Sequence[Finding], alpha: float) -> list[str]:
+def _without_power(findings: Sequence[Finding], alpha: float) -> list[str]:
     """Which comparisons could have shown nothing, whatever the runs had been."""
     found: dict[float, list[str]] = {}
     for f in findings:

@@ -5,8 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from gpusimbench.evaluator.metrics.board import Board
-from gpusimbench.evaluator.metrics.sank import Support
+from gpusimbench.evaluator.metrics.lost_cubes import Board, Support
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.schemas import checks
 from gpusimbench.schemas.errors import DamagedRecording

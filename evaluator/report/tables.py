@@ -66,33 +66,33 @@ def _print_scene(
     def row(title: str, cells: list[str]) -> None:
         table.add_row(Text(title), *(Text(printable(c)) for c in cells))
 
-    def told(title: str, cells: list[str]) -> None:
-        # what no group of this table tells would be a row of dashes
+    def row_if_known(title: str, cells: list[str]) -> None:
+        # what is known of no group would be a row of dashes
         if any(cell != NONE for cell in cells):
             row(title, cells)
 
     row("version", [r.group.key.version or NONE for r in results])
     row("device", [r.group.key.device or NONE for r in results])
     row("envs x complete runs", [f"{r.group.key.n_env} x {len(r.group.complete)}" for r in results])
-    told("INVALID or failed runs", [words.trouble(r.group) or NONE for r in results])
+    row_if_known("INVALID or failed runs", [words.trouble(r.group) or NONE for r in results])
     # where no cube left the board, the clamped distance is the published one
     fell = any(known(r.metrics["left_board"].value) for r in results)
     for metric in METRICS.values():
         if metric.name.endswith(SUFFIX) and not fell:
             continue
         found = [r.metrics[metric.name] for r in results]
-        told(metric.titled, [words.cell(one) for one in found])
-        told("  95 % interval", [interval(one) for one in found])
-        told(f"  {words.EXCHANGED}", [words.exchanged(one) for one in found])
-        told(f"  {words.ENERGY}", [words.energy(one) for one in found])
+        row_if_known(metric.titled, [words.cell(one) for one in found])
+        row_if_known("  95 % interval", [interval(one) for one in found])
+        row_if_known(f"  {words.EXCHANGED}", [words.exchanged(one) for one in found])
+        row_if_known(f"  {words.ENERGY}", [words.energy(one) for one in found])
         if metric is FPS:
             for column in timed.columns(r.timed for r in of_scene):
                 row(f"  {column.title}", [column.cell(r.timed) for r in results])
-            told("  another process on the GPU", [words.shared(one) or NONE for one in found])
-    told("checks of mechanics held", [words.mechanics(r.fidelity) for r in results])
-    told("contacts per env: mean / max", [words.counted(r.validity.of("contacts")) for r in results])
-    told("buffers used", [words.buffers(r.validity) for r in results])
-    told("overflow", [words.overflow(r.validity) for r in results])
+            row_if_known("  another process on the GPU", [words.shared(one) or NONE for one in found])
+    row_if_known("checks of mechanics held", [words.mechanics(r.fidelity) for r in results])
+    row_if_known("contacts per env: mean / max", [words.counted(r.validity.of("contacts")) for r in results])
+    row_if_known("buffers used", [words.buffers(r.validity) for r in results])
+    row_if_known("overflow", [words.overflow(r.validity) for r in results])
     console.print(table)
     for line in (*_legend(results), *_reasons(results)):
         console.print(printable(f"  {line}"), style="dim")

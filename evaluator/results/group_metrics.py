@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gpusimbench.evaluator.metrics.alignment import GapTo
-from gpusimbench.evaluator.metrics.board import left_board as lost
+from gpusimbench.evaluator.metrics.lost_cubes import left_board
 from gpusimbench.evaluator.metrics.radar import Axis as RadarAxis
 from gpusimbench.evaluator.metrics.regime import PRESENT_FROM_CM, published_regime
 from gpusimbench.evaluator.metrics.variability import (
@@ -183,7 +183,7 @@ def _left_board(metric: Metric, group: GroupRuns) -> Estimate:
     spatial = [r.positions.spatial for r in runs if r.positions]
     if any(found is None for found in spatial):
         return missing(metric, "heights were not recorded")
-    left = [lost(found, board) for found in spatial if found is not None]
+    left = [left_board(found, board) for found in spatial if found is not None]
     counts = tuple(int(np.count_nonzero(run)) for run in left)
     envs = sum(len(run) for run in left)
     return Estimate(

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gpusimbench.evaluator.compute.work import HERE, Work
-from gpusimbench.evaluator.metrics.board import clamped
 from gpusimbench.evaluator.metrics.identity import distinct_over_time
+from gpusimbench.evaluator.metrics.lost_cubes import clamped
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.results.aggregate import Runs
 from gpusimbench.evaluator.results.reference import Reference

@@ -74,7 +74,9 @@ class _Parts:
     def key(self) -> GroupKey:
         if self.group:
             return settings_asked(self.group.group.recordings)
-        return _swept_settings(self.sweep or self.robot or _never())
+        swept = self.sweep or self.robot
+        assert swept is not None, "a contender has a group or a sweep"
+        return _swept_settings(swept)
 
 
 def compare(results: Sequence[GroupResult], sweeps: Sequence[Sweep], reference: Reference | None) -> Comparison:
@@ -96,8 +98,8 @@ def compare(results: Sequence[GroupResult], sweeps: Sequence[Sweep], reference: 
     notes = [f"radar and guidelines leave out instruments: {', '.join(aside)}"] if aside and results else []
 
     ended = [s for s in sweeps if s.n_max is not None]
-    simple = _as_far(_shared([s for s in ended if not s.articulated], lambda s: s.key, _timed_alike))
-    robots = _as_far(_shared([s for s in ended if s.articulated], lambda s: s.key, _timed_alike))
+    simple = _went_far_enough(_shared([s for s in ended if not s.articulated], lambda s: s.key, _timed_alike))
+    robots = _went_far_enough(_shared([s for s in ended if s.articulated], lambda s: s.key, _timed_alike))
     swept = {p.result.label for s in (*simple, *robots) for p in s.points}
     complete = [r for r in results if r.group.complete]
     # points of a sweep that captured no states would be compared twice
@@ -145,7 +147,7 @@ def _shared(
     return max(shared, key=lambda found: (len(found), sum(map(merit, found))), default=[])
 
 
-def _as_far(sweeps: list[Sweep]) -> list[Sweep]:
+def _went_far_enough(sweeps: list[Sweep]) -> list[Sweep]:
     """Those that met their simulator's limit, or went as far as any; none where that leaves a single simulator."""
     tried = max((s.points[-1].n_env for s in sweeps), default=0)
     kept = [s for s in sweeps if s.limited or s.n_max == tried]
@@ -281,7 +283,3 @@ def _barred(results: Sequence[GroupResult], *found: GroupResult | None) -> str:
     """Why what these show, or the same engine in any scene, earns no pick."""
     said = [wrong for r in found if r is not None for wrong in faults_anywhere(r, results)]
     return "; ".join(dict.fromkeys(said))
-
-
-def _never() -> Sweep:
-    raise AssertionError("a contender has a group or a sweep")

@@ -23,9 +23,9 @@ from gpusimbench.evaluator.runs.memory import allocator_peak, gpu_memory, host_m
 from gpusimbench.evaluator.runs.physics.measure import physics_of
 from gpusimbench.evaluator.runs.positions import GROUP, Positions, sample_positions, was_recorded
 from gpusimbench.evaluator.runs.run import BitSummary, CountSummary, OverflowSummary, Run
-from gpusimbench.evaluator.runs.sinking import sunk
 from gpusimbench.evaluator.runs.spread import spread
 from gpusimbench.evaluator.runs.state_hashes import Histories, histories_of
+from gpusimbench.evaluator.runs.sunk_cubes import count_sunk
 from gpusimbench.evaluator.runs.validation import NOT_TIMED, check_overflow, elapsed_of, verify
 from gpusimbench.schemas.errors import NUMBERS_OF_A_STRANGER, DamagedRecording, GsbError
 from gpusimbench.schemas.location import Place
@@ -110,7 +110,7 @@ def _described(recording: Recording) -> Run:
 
 def _measured(run: Run, recording: Recording, sample_time: float) -> Run:
     positions = sample_positions(recording, sample_time)
-    through = sunk(recording)
+    sunk = count_sunk(recording)
     timing = recording.timing
     gpu = gpu_memory(recording)
     captured = recording.fingerprints("capture")
@@ -132,8 +132,8 @@ def _measured(run: Run, recording: Recording, sample_time: float) -> Run:
         doubt=_doubt(recording, positions),
         equality=_equality(positions, histories),
         spread=spread(recording),
-        sunk=through,
-        physics=physics_of(recording, through),
+        sunk=sunk,
+        physics=physics_of(recording, sunk),
         timed_from=timing["timed"].first_step if "timed" in timing else NOT_TIMED,
         cotenants=cotenants(gpu) if gpu else CoTenants(),
     )

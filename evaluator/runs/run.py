@@ -4,18 +4,18 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from gpusimbench.evaluator.metrics.board import Board
 from gpusimbench.evaluator.metrics.cotenants import CoTenants
 from gpusimbench.evaluator.metrics.levels import Verdict
+from gpusimbench.evaluator.metrics.lost_cubes import Board
 from gpusimbench.evaluator.metrics.memory import Checkpoints, GpuMemory
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.read.stamp import Stamp
 from gpusimbench.evaluator.read.step_evidence import ActionStream
 from gpusimbench.evaluator.runs.physics.facts import PhysicsFacts
 from gpusimbench.evaluator.runs.positions import Positions
-from gpusimbench.evaluator.runs.sinking import Sunk
 from gpusimbench.evaluator.runs.spread import Spread
 from gpusimbench.evaluator.runs.state_hashes import Histories
+from gpusimbench.evaluator.runs.sunk_cubes import Sunk
 from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.fields import StateField
 from gpusimbench.schemas.location import Place

@@ -203,7 +203,7 @@ def hashes_of_others(monkeypatch: pytest.MonkeyPatch) -> None:
 def whole(folder: Path, *, change: Callable[[str, dict[str, Any]], None] | None = None, **keywords: Any) -> Path:
     """A synthetic recording in which nothing is wrong, but for what `change` does to its JSON."""
 
-    def told(name: str, record: dict[str, Any]) -> str | None:
+    def edited(name: str, record: dict[str, Any]) -> str | None:
         before = json.dumps(record)
         if name == PROVENANCE:
             record["host"] = {"cpu": "test", "usable_threads": 2, "memory_bytes": 1 << 33, "system": "Linux"}
@@ -223,4 +223,4 @@ def whole(folder: Path, *, change: Callable[[str, dict[str, Any]], None] | None 
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(Sink, "attach", with_packages)
-        return write_recording(folder, grid(2), **{"change": told, **keywords})
+        return write_recording(folder, grid(2), **{"change": edited, **keywords})

@@ -404,15 +404,15 @@ def test_every_rule_of_integrity_can_be_broken() -> None:
 
 def test_a_reader_that_disagrees_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Say what the mcap library makes of a file, where it reads it in another way."""
-    from gpusimbench.evaluator.check.integrity import library
+    from gpusimbench.evaluator.check.integrity import examination
 
-    class Deaf(library.StreamReader):  # type: ignore[misc]
+    class Deaf(examination.StreamReader):  # type: ignore[misc]
         @property
         def records(self):  # type: ignore[no-untyped-def]
             return iter(())
 
     path = whole(tmp_path)
-    monkeypatch.setattr(library, "StreamReader", Deaf)
+    monkeypatch.setattr(examination, "StreamReader", Deaf)
     assert "it finds 0 messages" in examine(path).of(Kind.library)[0]
 
 

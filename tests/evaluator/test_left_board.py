@@ -18,7 +18,7 @@ from scipy.optimize import linear_sum_assignment
 from scipy.spatial.distance import cdist
 
 from gpusimbench.evaluator.check.protocol import unmet_by_file
-from gpusimbench.evaluator.metrics.board import Board, clamped
+from gpusimbench.evaluator.metrics.lost_cubes import Board, clamped
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.render.numbers import figure

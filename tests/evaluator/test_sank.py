@@ -11,7 +11,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from gpusimbench.evaluator.metrics.sank import Sinking, Support, may_have_sunk
+from gpusimbench.evaluator.metrics.lost_cubes import Sinking, Support, may_have_sunk
 from gpusimbench.evaluator.missing import why_missing
 from gpusimbench.evaluator.results.details import SunkCubes
 from gpusimbench.evaluator.results.evaluate import evaluate_files

@@ -19,7 +19,7 @@ from gpusimbench.evaluator.runs.physics.slope import slope_facts
 from gpusimbench.evaluator.runs.physics.states import States, Walk, drawn_envs
 from gpusimbench.evaluator.runs.physics.world import world_of
 from gpusimbench.evaluator.runs.positions import NO_STATES
-from gpusimbench.evaluator.runs.sinking import Sunk, sunk
+from gpusimbench.evaluator.runs.sunk_cubes import Sunk, count_sunk
 from gpusimbench.schemas import checks
 from gpusimbench.schemas.errors import DamagedRecording
 from gpusimbench.schemas.provenance import REAL
@@ -31,7 +31,7 @@ _LONGEST = 1e9  # [s]
 def physics_of(recording: Recording, sank: Sunk | Missing | None = None) -> PhysicsFacts:
     """What can be measured of a usable recording.
 
-    sank  what evaluator.runs.sinking.sunk found, where it is known already
+    sank  what evaluator.runs.sunk_cubes.count_sunk found, where it is known already
 
     Raises DamagedRecording where the file does not hold what it should.
     """
@@ -59,7 +59,7 @@ def _facts(recording: Recording, envs: tuple[tuple[int, int], ...], sank: Sunk |
         return world
     configuration = recording.configuration
     setting = Setting(walk, world, configuration.dt, configuration.stride, _sample_time(recording))
-    return {**_of_states(setting), Check.SANK: _sank(sunk(recording) if sank is None else sank)}
+    return {**_of_states(setting), Check.SANK: _sank(count_sunk(recording) if sank is None else sank)}
 
 
 def check_described(recording: Recording) -> None:

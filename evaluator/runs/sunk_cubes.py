@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gpusimbench.evaluator.metrics.sank import Sinking, may_have_sunk
+from gpusimbench.evaluator.metrics.lost_cubes import Sinking, may_have_sunk
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.read.scene import radius_of, supports_of
@@ -31,8 +31,8 @@ class Sunk:
     first_step: int | None
 
 
-def sunk(recording: Recording) -> Sunk | Missing:
-    """Count them, or say why that cannot be."""
+def count_sunk(recording: Recording) -> Sunk | Missing:
+    """Count the sunk cubes of each environment; Missing says why they cannot be counted."""
     field = next((f for f in recording.fields if f.name == f"{GROUP}/position"), None)
     if field is None:
         return Missing(f"no positions of {GROUP} were recorded")
