@@ -304,3 +304,15 @@ def test_impact_is_the_fastest_row() -> None:
     velocity = np.array([0.0, -1.0, -2.0, -0.5, 0.6, 0.4])[:, None]
     found = impact(np.arange(6, dtype=np.float64) * 0.1, velocity, velocity)
     assert (found.time[0], found.speed[0], found.rebound[0]) == (pytest.approx(0.2), 2.0, pytest.approx(0.3))
+
+
+def test_rounding_adds_up_over_the_steps() -> None:
+    """Agree with the sum, step by step, of what half a unit in the last place of place and speed comes to."""
+    steps, dt, place, speed, epsilon = 1000, 0.004, 3.0, 50.0, 2.0**-23
+    drift, error = 0.0, 0.0
+    for _ in range(steps):
+        error += epsilon / 2 * speed
+        drift += epsilon / 2 * place + error * dt
+    assert rounding(steps, dt, largest_place=place, largest_speed=speed, epsilon=epsilon) == pytest.approx(
+        drift, rel=2e-3
+    )
