@@ -538,7 +538,7 @@ def test_without_ray(tmp_path: Path) -> None:
     """Say how to get Ray where it is not installed."""
     (tmp_path / "ray.py").write_text("raise ImportError('no ray')\n")
     environment = {**os.environ, "PYTHONPATH": f"{tmp_path}{os.pathsep}{ROOT / 'src'}"}
-    done = call("gsb-record", *TINY, "--ray", "local", "--out", tmp_path / "out", env=environment)
+    done = call("gsb-record", *TINY, "--ray", "local", "--out", tmp_path / "out", env=environment, timeout=60)
     assert done.returncode == ExitCode.USAGE
     assert done.stderr.startswith("gsb-record: --ray needs Ray, which is not installed: pip install 'gpusimbench[ray]'")
     assert len(done.stderr.splitlines()) == 1
