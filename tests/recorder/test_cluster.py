@@ -481,7 +481,9 @@ def test_two_interruptions(nodes: Nodes, tmp_path: Path) -> None:
     time.sleep(0.5)
     os.killpg(process.pid, signal.SIGINT)
     _, err = process.communicate(timeout=60)
-    assert process.returncode in (1, 3), err
+    # runs that heeded the first may have ended, and the second come while Python itself was ending, which it kills
+    ended = process.returncode == -signal.SIGINT and "interrupted: " in err
+    assert ended or process.returncode in (1, 3), err
     assert "Traceback" not in err
     for path in tmp_path.glob("*.mcap"):  # of a run that heeded the first
         recording = open_recording(path)
