@@ -67,7 +67,9 @@ def compare_spread(
 
 
 @dataclass(frozen=True)
-class _Outcome:
+class _Exchanged:
+    """A question that exchanges whole runs with any other, since no clock is in what they compute."""
+
     found: Distances
     finding: Finding
     settings: Settings
@@ -77,8 +79,10 @@ class _Outcome:
         """See Question."""
         return least_p(self.found.head, [0] * sum(self.found.n))
 
+
+class _Outcome(_Exchanged):
     def __call__(self, level: float, *, able: bool) -> tuple[Finding, Finding]:
-        """See Question; whole runs are exchanged with any other, since no clock is in what they compute."""
+        """See Question."""
         found = compare_distances(self.found.matrix_cm, self.found.head)
         shown = replace(
             _tested(self.finding, found),
@@ -88,17 +92,7 @@ class _Outcome:
         return shown, replace(shown, change=Change.UNCLEAR, left_open=() if able else (Change.CHANGED,))
 
 
-@dataclass(frozen=True)
-class _Spread:
-    found: Distances
-    finding: Finding
-    settings: Settings
-
-    @property
-    def least_p(self) -> float:
-        """See Question."""
-        return least_p(self.found.head, [0] * sum(self.found.n))
-
+class _Spread(_Exchanged):
     def __call__(self, level: float, *, able: bool) -> tuple[Finding, Finding]:
         """See Question."""
         found = compare_within(self.found.matrix_cm, self.found.head)

@@ -118,13 +118,20 @@ def _at_max(at: AtMax) -> dict[str, Any]:
 def _value(metric: Estimate) -> dict[str, Any]:
     return {
         "metric": metric.name,
-        "value": known(metric.value),
-        "unit": metric.unit,
-        "sd": metric.sd,
-        "ci95": metric.ci95,
-        "n": metric.n,
-        "why_not": why_missing(metric.value),
+        **estimate_record(metric),
         "interval_why_not": words.why_no_interval(metric, ""),
+    }
+
+
+def estimate_record(estimate: Estimate) -> dict[str, Any]:
+    """The figures of an estimate, or why there are none."""
+    return {
+        "value": known(estimate.value),
+        "unit": estimate.unit,
+        "sd": estimate.sd,
+        "ci95": estimate.ci95,
+        "n": estimate.n,
+        "why_not": why_missing(estimate.value),
     }
 
 

@@ -175,13 +175,9 @@ def compare_distances(matrix: npt.ArrayLike, head: npt.ArrayLike, *, seed: int =
     found = _distances_between(matrix, head, seed)
     within1, within2, between = found.means()
     apart = between - (within1 + within2) / 2.0
-    reached = int((apart >= apart[0] - _tie_of(apart)).sum())
-    # with as many runs on either side, the exchanged sides are as far apart
-    count, (n1, n2) = count_dealings(found.head, np.zeros(len(found.head))), found.n
-    least = (1 + (n1 == n2)) / count if found.dealt.exhaustive else 1 / len(apart)
-    return Shift(
-        float(apart[0]), None, None, reached / len(apart), least, len(apart), found.dealt.exhaustive, found.dealt.seed
-    )
+    # one-sided, and the least p is that of a two-sided test: with as many runs on either side, the exchanged sides are
+    # as far apart
+    return found.shift(apart, apart >= apart[0] - _tie_of(apart))
 
 
 def compare_within(matrix: npt.ArrayLike, head: npt.ArrayLike, *, seed: int = 0) -> Shift:
@@ -205,17 +201,7 @@ def compare_within(matrix: npt.ArrayLike, head: npt.ArrayLike, *, seed: int = 0)
     found = _distances_between(matrix, head, seed)
     within1, within2, _ = found.means()
     further = within2 - within1
-    reached = int((np.abs(further) >= abs(further[0]) - _tie_of(further)).sum())
-    return Shift(
-        float(further[0]),
-        None,
-        None,
-        reached / len(further),
-        least_p(found.head, np.zeros(len(found.head))),
-        len(further),
-        found.dealt.exhaustive,
-        found.dealt.seed,
-    )
+    return found.shift(further, np.abs(further) >= abs(further[0]) - _tie_of(further))
 
 
 @dataclass(frozen=True)
@@ -241,6 +227,19 @@ class _Distances:
         between = (to_second * first).sum(axis=1) / (n1 * n2)
         within1 = ((first @ self.matrix) * first).sum(axis=1) / (n1 * (n1 - 1))
         return within1, within2, between
+
+    def shift(self, statistic: Floats, reaches: Bools) -> Shift:
+        """The statistic of the observed dealing, and its p: the share of dealings that reach it."""
+        return Shift(
+            float(statistic[0]),
+            None,
+            None,
+            int(reaches.sum()) / len(statistic),
+            least_p(self.head, np.zeros(len(self.head))),
+            len(statistic),
+            self.dealt.exhaustive,
+            self.dealt.seed,
+        )
 
 
 def _distances_between(matrix: npt.ArrayLike, head: npt.ArrayLike, seed: int = 0) -> _Distances:

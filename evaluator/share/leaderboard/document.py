@@ -8,8 +8,9 @@ import json
 from typing import Any
 
 from gpusimbench.evaluator.json_values import dump, values_of
-from gpusimbench.evaluator.missing import known, why_missing
+from gpusimbench.evaluator.missing import known
 from gpusimbench.evaluator.report import timed
+from gpusimbench.evaluator.report.evidence_json import estimate_record
 from gpusimbench.evaluator.results.details import Throughput
 from gpusimbench.evaluator.results.metric import Estimate
 from gpusimbench.evaluator.share.leaderboard import words
@@ -89,15 +90,7 @@ def _row(row: Row) -> dict[str, Any]:
 
 
 def _metric(metric: Estimate) -> dict[str, Any]:
-    return {
-        "name": metric.name,
-        "value": known(metric.value),
-        "unit": metric.unit,
-        "sd": metric.sd,
-        "ci95": metric.ci95,
-        "n": metric.n,
-        "why_not": why_missing(metric.value),
-    }
+    return {"name": metric.name, **estimate_record(metric)}
 
 
 def dump_csv(board: Board) -> str:
