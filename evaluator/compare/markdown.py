@@ -2,23 +2,13 @@
 
 from __future__ import annotations
 
-import re
-import string
-
 from gpusimbench.evaluator.compare import words
 from gpusimbench.evaluator.compare.compare import Compared, Result
 from gpusimbench.evaluator.compare.finding import Change
-from gpusimbench.schemas.text import line
+from gpusimbench.evaluator.render.markdown import code, safe
 
 _ROOM = 40_000  # characters for details, and rows of the first table: a comment may have 65,536 characters
 _ROWS = 40
-_LENGTH = 300
-
-_ADDRESS = re.compile(r"(?<=[A-Za-z])\.(?=\S)")
-
-_ISSUE = re.compile(r"(?i)(?<=\bGH-)(?=\d)")
-
-_PLAIN = ".,-()/;%'\"?"  # punctuation that is no structure where it cannot begin a line
 
 _HELD, _FAILED, _OPEN = ":white_check_mark:", ":x:", ":grey_question:"
 
@@ -36,33 +26,6 @@ def markdown(result: Result, command: str) -> str:
     parts += _all_folded(result)
     parts += ["", *(f"<sub>{safe(line)}</sub><br>" for line in _legend(result))]
     return "\n".join([*parts, "", f"<sub>{code(command)}</sub>", ""])
-
-
-def safe(text: str) -> str:
-    """Text of strangers, in which nothing is markup, a mention or a link, on one line.
-
-    Every character that Markdown or HTML knows becomes a character reference, which is never structure; what moves or
-    hides text becomes visible.
-    """
-    shown = text if len(text) <= _LENGTH else f"{text[: _LENGTH - 3]}..."
-    # a point behind a letter may be part of an address, others are of numbers and sentences
-    return _ISSUE.sub("\u200b", _ADDRESS.sub("&#46;", "".join(map(_safe, shown))))
-
-
-def code(text: str) -> str:
-    """The same in a fixed font, where no mention or link is looked for."""
-    return f"<code>{safe(text)}</code>"
-
-
-def _safe(character: str) -> str:
-    if character in "\t\n\r":
-        return " "
-    if (shown := line(character)) != character:
-        return f"&#92;{shown[1:]}"
-    if character in string.punctuation and character not in _PLAIN:
-        # a mention or an address is looked for in what was rendered, so a space of no width parts them
-        return f"&#{ord(character)};" + ("\u200b" if character in "@#" else "")
-    return character
 
 
 def _differing(result: Result) -> list[str]:

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from gpusimbench.evaluator.missing import Missing
+from gpusimbench.evaluator.render.document import NONE as NONE
 from gpusimbench.evaluator.results.metric import Estimate
 
-NONE = "-"
 _MARKS = {"certified": "<= ", "sampled": "~ "}
 """Of a value that is an upper bound, or of a sample."""
 

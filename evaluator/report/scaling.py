@@ -8,10 +8,10 @@ from dataclasses import dataclass
 from markupsafe import Markup
 
 from gpusimbench.evaluator.missing import Missing, known
+from gpusimbench.evaluator.render.csv import Cell
 from gpusimbench.evaluator.render.figures import lines
 from gpusimbench.evaluator.render.figures.scaling import Curve, Foreign, scaling_chart
 from gpusimbench.evaluator.report import timed, words
-from gpusimbench.evaluator.report.csv import Cell
 from gpusimbench.evaluator.report.page.picture import Numbers, Picture, file_name
 from gpusimbench.evaluator.results.cost_metrics import DEVICE_MEMORY, FPS, HOST_MEMORY, PROCESS_MEMORY
 from gpusimbench.evaluator.results.metric import Metric

@@ -18,11 +18,11 @@ from markupsafe import Markup
 
 from gpusimbench.evaluator.cli.eval import main
 from gpusimbench.evaluator.metrics.density import HexGrid
+from gpusimbench.evaluator.render import latex
 from gpusimbench.evaluator.render.figures import matrix, style, svg
 from gpusimbench.evaluator.report.html import sections_of
 from gpusimbench.evaluator.report.page.picture import Numbers, Picture, file_name
 from gpusimbench.evaluator.report.page.section import Section, Source
-from gpusimbench.evaluator.report.paper import latex
 from gpusimbench.evaluator.report.paper.figures import HEAD, INDEX, named, write_figures
 from gpusimbench.evaluator.report.paper.pdf import to_pdf
 from gpusimbench.evaluator.results.evaluate import evaluate_files

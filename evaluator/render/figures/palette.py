@@ -31,12 +31,14 @@ _DARK_ENDS = (0.26, 1.0)
 _LIGHT = {
     "page": "#ffffff", "ink": "#1b1f24", "quiet": "#57606a", "rule": "#c9d0d8", "panel": "#f5f7f9", "link": "#0a5ea8",
     "alert": "#8f1d14", "alert-panel": "#fdf0ee", "board": "#eceae4", "edge": "#8a8372", "bar": "#7b8794",
-    "zero": "#e3e6ea", "zero-line": "#7b8794",
+    "zero": "#e3e6ea", "zero-line": "#7b8794", "good": "#0b5f38", "good-panel": "#e4f3ea", "warn": "#734d00",
+    "warn-panel": "#fcf1d8",
 }  # fmt: skip
 _DARK = {
     "page": "#14171b", "ink": "#e4e8ec", "quiet": "#a3adb8", "rule": "#3b444e", "panel": "#1c2126", "link": "#7fbcff",
     "alert": "#ffb0a6", "alert-panel": "#36201e", "board": "#22241f", "edge": "#8f8871", "bar": "#8a97a5",
-    "zero": "#2b3138", "zero-line": "#8a97a5",
+    "zero": "#2b3138", "zero-line": "#8a97a5", "good": "#84d9ac", "good-panel": "#14311f", "warn": "#f0c674",
+    "warn-panel": "#362b12",
 }  # fmt: skip
 
 GROUPS_LIGHT = ("#0a5ea8", "#b8470a", "#0d7a52", "#9c2f78", "#6d6200", "#5a46b0", "#a02834", "#3d5a66")

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from gpusimbench.evaluator.metrics.density import Density, marginal
 from gpusimbench.evaluator.missing import Missing, why_missing
+from gpusimbench.evaluator.render.csv import Cell
 from gpusimbench.evaluator.render.figures import density_map
-from gpusimbench.evaluator.report.csv import Cell
 from gpusimbench.evaluator.report.page.picture import Numbers, Picture, file_name
 from gpusimbench.evaluator.report.page.section import Section, Source
 from gpusimbench.evaluator.results.evaluation import Evaluation

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 from markupsafe import Markup
 
-from gpusimbench.evaluator.report.csv import Cell, to_csv
+from gpusimbench.evaluator.render.csv import Cell, to_csv
 
 LARGEST_CSV = 256_000
 """Characters of a figure's numbers that a page carries; more of them are left to `gsb-eval --figures`."""

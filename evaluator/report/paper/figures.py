@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
+from gpusimbench.evaluator.render import latex
 from gpusimbench.evaluator.render.figures.matrix import hatch
 from gpusimbench.evaluator.render.figures.style import standalone
 from gpusimbench.evaluator.report.html import sections_of
 from gpusimbench.evaluator.report.page.picture import Picture
 from gpusimbench.evaluator.report.page.section import Source
-from gpusimbench.evaluator.report.paper import latex
 from gpusimbench.evaluator.report.paper.pdf import to_pdf
 from gpusimbench.evaluator.results.evaluation import Evaluation
 from gpusimbench.schemas.text import printable

@@ -6,8 +6,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 
-from gpusimbench.evaluator.report.csv import to_csv
-from gpusimbench.evaluator.report.paper import latex
+from gpusimbench.evaluator.render import latex
+from gpusimbench.evaluator.render.csv import to_csv
 from gpusimbench.schemas.text import line
 
 _LONG, _LONG_FROM = "p{5cm}", 40

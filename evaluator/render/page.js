@@ -1,0 +1,106 @@
+"use strict";
+// Sorting, filters and search; without this script the page shows the same words and figures, in the order written.
+(() => {
+  const tools = document.querySelector(".tools");
+  const said = tools.querySelector("output");
+  const selects = [...tools.querySelectorAll("select")];
+  const words = tools.elements.words;
+
+  // What an element says, in lower case; computed once, when it is first asked for.
+  const texts = new WeakMap();
+  function textOf(element) {
+    if (!texts.has(element)) texts.set(element, element.textContent.toLowerCase());
+    return texts.get(element);
+  }
+
+  function value(row, index) {
+    const cell = row.cells[index];
+    return cell.dataset.v === undefined ? cell.textContent.trim().toLowerCase() : Number(cell.dataset.v);
+  }
+
+  // Numbers before texts, and what says "-" last, whichever way the column is sorted.
+  function compare(one, other, way) {
+    const empty = (one === "-") - (other === "-");
+    if (empty || one === other) return empty;
+    if (typeof one !== typeof other) return typeof one === "number" ? -1 : 1;
+    return (one < other ? -1 : 1) * way;
+  }
+
+  function sort(head) {
+    const body = head.closest("table").tBodies[0];
+    const rows = [...body.rows];
+    const numbers = rows.some((row) => typeof value(row, head.cellIndex) === "number");
+    const before = head.getAttribute("aria-sort");
+    const descending = before ? before === "ascending" : numbers;
+    for (const other of head.parentElement.cells) other.removeAttribute("aria-sort");
+    head.setAttribute("aria-sort", descending ? "descending" : "ascending");
+    const way = descending ? -1 : 1;
+    rows.sort((a, b) => compare(value(a, head.cellIndex), value(b, head.cellIndex), way));
+    body.append(...rows);
+  }
+
+  for (const table of document.querySelectorAll("main table")) {
+    table.classList.add("cards");
+    const heads = [...table.tHead.rows[0].cells];
+    const titles = heads.map((head) => head.textContent);
+    for (const row of table.tBodies[0].rows) {
+      for (const cell of row.querySelectorAll("td")) cell.dataset.t = titles[cell.cellIndex];
+    }
+    if (table.tBodies[0].rows.length < 2) continue;
+    for (const head of heads) {
+      const button = document.createElement("button");
+      button.type = "button";
+      button.append(...head.childNodes);
+      button.addEventListener("click", () => sort(head));
+      head.append(button);
+    }
+  }
+
+  const sections = [...document.querySelectorAll("main details")];
+  const rows = [...document.querySelectorAll("main tbody tr")];
+
+  function apply() {
+    const wanted = selects.filter((select) => select.value);
+    const looked = words.value.trim().toLowerCase();
+    const other = (element) =>
+      wanted.some(({ name, value }) => name in element.dataset && element.dataset[name] !== value);
+    let found = 0;
+    for (const section of sections) {
+      const holds = textOf(section).includes(looked);
+      section.classList.toggle("out", other(section) || !holds);
+      found += holds && !section.querySelector("details");
+    }
+    for (const row of rows) {
+      // of a table that holds the words, the rows that hold them; what stands in no section is not searched
+      const misses = looked && row.closest("details") && !textOf(row).includes(looked);
+      row.classList.toggle("out", other(row) || Boolean(misses && textOf(row.closest("table")).includes(looked)));
+    }
+    said.textContent = looked ? `${found} ${found === 1 ? "section has" : "sections have"} these words` : "";
+  }
+
+  let waiting = 0;
+  words.addEventListener("input", () => {
+    clearTimeout(waiting);
+    waiting = setTimeout(apply, 150);
+  });
+  for (const select of selects) select.addEventListener("change", apply);
+  tools.addEventListener("submit", (event) => event.preventDefault());
+  const all = (open) => () => sections.forEach((section) => { section.open = open; });
+  tools.elements.open.addEventListener("click", all(true));
+  tools.elements.close.addEventListener("click", all(false));
+  tools.hidden = sections.length === 0 && selects.length === 0;
+
+  function reveal() {
+    const target = location.hash && document.getElementById(decodeURIComponent(location.hash.slice(1)));
+    if (!target) return;
+    for (let at = target; at; at = at.parentElement) if (at.tagName === "DETAILS") at.open = true;
+    target.scrollIntoView();
+  }
+  window.addEventListener("hashchange", reveal);
+  // a link to the section that the address names already changes no hash
+  document.addEventListener("click", (event) => {
+    const link = event.target.closest("a[href^='#']");
+    if (link && link.getAttribute("href") === location.hash) reveal();
+  });
+  reveal();
+})();

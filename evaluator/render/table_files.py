@@ -1,0 +1,97 @@
+"""Tables of a document as files: CSV with numbers in full, Markdown, LaTeX."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from enum import StrEnum
+
+from gpusimbench.evaluator.render import latex
+from gpusimbench.evaluator.render.csv import Cell as CsvCell
+from gpusimbench.evaluator.render.csv import to_csv
+from gpusimbench.evaluator.render.document import Cell, Document, Table
+from gpusimbench.evaluator.render.markdown import table_markdown
+
+_LONG, _LONG_FROM = "p{5cm}", 40
+
+
+class Format(StrEnum):
+    """What tables are written as; the value is the ending of their files."""
+
+    CSV = "csv"
+    MARKDOWN = "md"
+    LATEX = "tex"
+    PARQUET = "parquet"
+
+
+def table_files(document: Document, formats: Iterable[Format]) -> dict[str, bytes]:
+    """Every table of a document that has a row in each of the formats, Parquet aside, by the name of its file.
+
+    A key that two tables have is numbered.
+    """
+    named = _named(document.tables())
+    wanted = [(one, _WRITERS[one]) for one in formats if one in _WRITERS]
+    return {
+        f"{name}.{one.value}": write(table).encode("utf-8", "backslashreplace")
+        for name, table in named.items()
+        for one, write in wanted
+    }
+
+
+def as_csv(table: Table) -> str:
+    """Numbers in full, each interval as two columns more, and what stands below values as a column of its own."""
+    columns = [_csv_column(title.title, [row.cells[i] for row in table.rows]) for i, title in enumerate(table.columns)]
+    flat = [(title, column) for group in columns for title, column in group]
+    return to_csv([title for title, _ in flat], list(zip(*(column for _, column in flat), strict=True)))
+
+
+def as_latex(table: Table) -> str:
+    """A floating table with rules of booktabs; columns of long texts are paragraphs."""
+    texts = [[_joined(one) for one in row.cells] for row in table.rows]
+    longest = (max(map(len, column)) for column in zip(*texts, strict=True))
+    columns = "".join(_LONG if long > _LONG_FROM else "r" if i else "l" for i, long in enumerate(longest))
+    body = "".join(f"    {_latex(row)}\n" for row in texts)
+    caption = ". ".join([table.caption, *table.legend])
+    return (
+        "% needs \\usepackage{booktabs}\n\\begin{table}\n  \\centering\n"
+        f"  \\caption{{{latex.escape(caption)}}}\n  \\label{{tab:{table.key}}}\n"
+        f"  \\begin{{tabular}}{{{columns}}}\n    \\toprule\n    {_latex([c.title for c in table.columns])}\n"
+        f"    \\midrule\n{body}    \\bottomrule\n  \\end{{tabular}}\n\\end{{table}}\n"
+    )
+
+
+_WRITERS: dict[Format, Callable[[Table], str]] = {
+    Format.CSV: as_csv,
+    Format.MARKDOWN: table_markdown,
+    Format.LATEX: as_latex,
+}
+
+
+def _named(tables: Iterable[Table]) -> dict[str, Table]:
+    found: dict[str, Table] = {}
+    for table in tables:
+        name, number = table.key, 1
+        while name in found:
+            number += 1
+            name = f"{table.key}-{number}"
+        found[name] = table
+    return found
+
+
+def _csv_column(title: str, cells: Sequence[Cell]) -> Iterator[tuple[str, list[CsvCell]]]:
+    numeric = any(one.value is not None for one in cells)
+    yield title, [one.value if one.value is not None else one.text if numeric else _joined(one) for one in cells]
+    if any(one.ci95 for one in cells):
+        for index, end in enumerate(("low", "high")):
+            yield f"{title}, 95 % {end}", [one.ci95[index] if one.ci95 else None for one in cells]
+    if numeric and any(one.notes for one in cells):
+        yield f"{title}, remarks", ["; ".join(one.notes) for one in cells]
+
+
+def _joined(said: Cell) -> str:
+    head = " ".join(part for part in (said.text, said.range) if part)
+    return "; ".join([head, *said.notes])
+
+
+def _latex(cells: Sequence[str]) -> str:
+    # the group in front: a bracket or a star would belong to the end of the line before
+    return "{}" + " & ".join(map(latex.escape, cells)) + r" \\"

@@ -1,0 +1,270 @@
+"""Every renderer over one document: all that it says comes through, and no text of a stranger does anything there."""
+
+from __future__ import annotations
+
+import csv
+import html.parser
+import io
+import re
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from markdown_it import MarkdownIt
+from markupsafe import Markup
+
+from gpusimbench.evaluator.render.document import (
+    Beside,
+    Cell,
+    Code,
+    Column,
+    Document,
+    Embed,
+    Figure,
+    Gallery,
+    Item,
+    Items,
+    Numbers,
+    Row,
+    Section,
+    Text,
+    Tone,
+    facts,
+    items,
+    key_of,
+    table,
+    walk,
+)
+from gpusimbench.evaluator.render.html import render_page
+from gpusimbench.evaluator.render.markdown import render_markdown
+from gpusimbench.evaluator.render.table_files import Format, as_csv, as_latex, table_files
+from gpusimbench.evaluator.render.terminal import print_document
+from tests.browser import Browser, needs_chromium
+
+HOSTILE = (
+    "<script>document.title = 'gone'</script>",
+    "</style></pre></title><img src=x onerror=alert(1)>",
+    '" onmouseover="alert(1)" x=\'',
+    "\x1b[2J\x1b[31mred\x07\r\nnext line\u2028other line",
+    "a | b || c\n\n# heading\n- item",
+    "::error file=a::b\n##[error]c",
+    "@somebody GH-12 #1 https://example.org/ www.example.org [x](y) `code` **bold** <b>",
+    "\\input{/etc/passwd} $x$ & % _ ^ ~ {",
+    '=HYPERLINK("http://example.org")',
+    "\u202egnp.exe\u200b\ufeff",
+    "</tr></table></section></main>{{ 7 * 7 }}{% raw %}",
+)
+
+
+def document_of(text: str) -> Document:
+    """A document in which every text of every block is `text`, behind a word that tells where it stands."""
+
+    def of(where: str) -> str:
+        return f"{where} {text}"
+
+    one = Cell(
+        of("cell"),
+        3.5,
+        (3.0, 4.0),
+        of("range"),
+        (of("note"),),
+        Tone.BAD,
+    )
+    return Document(
+        of("title"),
+        (
+            table(
+                "of-values",
+                of("caption"),
+                [Column(of("head"), of("meaning")), of("column"), "code"],
+                [
+                    Row((Cell(of("row")), one, Cell(of("typed"), code=True, link="part")), {"simulator": of("facet")}),
+                    Row((Cell(of("other row")), Cell("-", notes=(of("reason"),)), Cell("c")), {"simulator": "b"}),
+                ],
+                [of("legend")],
+            ),
+            Section(
+                "part",
+                of("section"),
+                (
+                    Text(of("paragraph"), Tone.WARNING),
+                    facts((of("name"), of("fact"))),
+                    Code((of("command"),)),
+                    Items((Item(of("item"), Tone.GOOD, (Item(of("item within"), link="part"),)),)),
+                    Beside(((Text(of("left")),), (items(of("right")),))),
+                    Gallery((Figure(of("label"), of("why nothing is drawn"), None),)),
+                    Embed(Markup("<p>a player</p>"), Markup(""), Markup(""), of("instead of the player")),
+                ),
+                of("summary"),
+                folded=True,
+                facets={"scene": of("of a scene")},
+            ),
+        ),
+        of("lead"),
+        (Text(of("made by")),),
+    )
+
+
+WHERE = [
+    "title", "caption", "head", "column", "row", "cell", "range", "note", "typed", "reason", "legend", "section",
+    "paragraph", "name", "fact", "command", "item", "item within", "left", "right", "label", "why nothing is drawn",
+    "summary", "lead", "made by",
+]  # fmt: skip
+
+
+def printed(document: Document) -> str:
+    stream = io.StringIO()
+    print_document(document, stream)
+    return stream.getvalue()
+
+
+def test_everything_is_said_in_every_format_of_a_whole_document() -> None:
+    document = document_of("X")
+    for shown in (printed(document), render_markdown(document).replace("&#", ""), render_page(document)):
+        assert [where for where in WHERE if f"{where} X" not in shown] == []
+
+
+@pytest.mark.parametrize("text", HOSTILE)
+def test_a_terminal_prints_a_text_as_text(text: str) -> None:
+    shown = printed(document_of(text))
+    assert all(c == "\n" or c.isprintable() for c in shown)
+    assert not re.search(r"^\s*(::error|##\[error)", shown, re.MULTILINE)
+    # no line begins as one of ours: what a text's line goes on with has blanks before it
+    ours = {one.split(" ")[0] for one in (*WHERE, "other row", "code", "instead")}
+    assert {one.split(" ")[0] for one in shown.splitlines() if one and not one.startswith(" ")} <= ours
+
+
+class _Elements(html.parser.HTMLParser):
+    """Names and attributes of all elements, and whether they are closed in order."""
+
+    _VOID = frozenset(("meta", "input", "br", "img", "link", "option"))
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.found: list[tuple[str, frozenset[str]]] = []
+        self.open: list[str] = []
+        self.feed(text)
+        self.close()
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.found.append((tag, frozenset(name for name, _ in attrs)))
+        if tag not in self._VOID:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag: str) -> None:
+        if tag not in self._VOID:
+            assert self.open.pop() == tag
+
+
+@given(st.one_of(st.sampled_from(HOSTILE), st.text(max_size=30)))
+def test_a_page_has_the_same_elements_whatever_the_texts_are(text: str) -> None:
+    plain, shown = _Elements(render_page(document_of("X"))), _Elements(render_page(document_of(text)))
+    assert shown.found == plain.found
+    assert shown.open == []
+
+
+@given(st.one_of(st.sampled_from(HOSTILE), st.text(max_size=30)))
+def test_markdown_has_the_same_structure_whatever_the_texts_are(text: str) -> None:
+    markdown = MarkdownIt("commonmark", {"html": True}).enable("table")
+
+    def structure(source: str) -> list[tuple[str, list[str]]]:
+        kept = ("text", "softbreak")
+        return [
+            (token.type, [child.type for child in token.children or () if child.type not in kept])
+            for token in markdown.parse(source)
+        ]
+
+    assert structure(render_markdown(document_of(text))) == structure(render_markdown(document_of("X")))
+
+
+@given(st.one_of(st.sampled_from(HOSTILE), st.text(max_size=30)))
+def test_csv_has_the_same_cells_and_no_formula(text: str) -> None:
+    (found,) = document_of(text).tables()
+    rows = list(csv.reader(io.StringIO(as_csv(found))))
+    assert len(rows) == 3
+    assert {len(row) for row in rows} == {6}  # two columns for the interval, one for remarks
+    assert rows[1][1:4] == ["3.5", "3.0", "4.0"]
+    assert not any(one.startswith(("=", "+", "@")) for row in rows for one in row)
+
+
+@given(st.one_of(st.sampled_from(HOSTILE), st.text(max_size=30)))
+def test_latex_has_no_command_of_a_stranger(text: str) -> None:
+    def commands(source: str) -> list[str]:
+        letters = re.findall(r"\\([a-zA-Z]+)", source)
+        return [one for one in letters if not one.startswith("text") and one not in ("pm", "times", "le", "ge", "dots")]
+
+    (plain,), (found,) = document_of("X").tables(), document_of(text).tables()
+    assert commands(as_latex(plain)) == [one for one in commands(as_latex(found)) if one not in ("mu", "to", "circ")]
+
+
+def test_table_files_are_named_by_keys_and_none_is_lost() -> None:
+    twice = Document("", (*document_of("a").blocks, *document_of("b").blocks))
+    files = table_files(twice, [Format.CSV, Format.LATEX, Format.PARQUET])
+    assert sorted(files) == ["of-values-2.csv", "of-values-2.tex", "of-values.csv", "of-values.tex"]
+    assert b"cell b" in files["of-values-2.tex"]
+
+
+def test_a_wide_table_stands_sideways_in_a_terminal_and_loses_nothing() -> None:
+    rows = [[f"group {r}", *(Cell(f"{r}.{c} of many", float(c)) for c in range(30))] for r in range(7)]
+    wide = Document("", (table("wide", "", ["group", *(f"metric {c}" for c in range(30))], rows),))
+    shown = printed(wide)
+    assert max(map(len, shown.splitlines())) <= 120
+    for r in range(7):
+        assert all(f"{r}.{c} of many" in shown for c in range(30))
+
+
+def test_numbers_of_a_figure_are_in_the_page_as_csv() -> None:
+    drawn = Markup('<svg viewBox="0 0 1 1"><text>a</text></svg>')
+    figure = Figure("a", "b", drawn, "key of it", Numbers(["x", "<y>"], [[1, 2.5], ["<b>", None]]))
+    page = render_page(Document("t", (figure,)))
+    assert "<pre hidden>x,&lt;y&gt;\n1,2.5\n&lt;b&gt;,\n</pre>" in page
+    assert 'data-file="key-of-it"' in page
+
+
+def test_walking_meets_every_block_once() -> None:
+    kinds = [type(one).__name__ for one in walk(document_of("X").blocks)]
+    assert sorted(kinds) == sorted(
+        ["Table", "Section", "Text", "Facts", "Code", "Items", "Beside", "Text", "Items", "Gallery", "Figure", "Embed"]
+    )  # fmt: skip
+
+
+def test_a_key_is_letters_digits_and_hyphens() -> None:
+    assert key_of("../../etc", "Passwd ü", 3) == "etc-passwd-3"
+    assert key_of("***") == "figure"
+    assert len(key_of("a" * 500)) == 80
+
+
+@needs_chromium
+def test_a_page_sorts_filters_searches_and_opens_what_a_link_names(tmp_path: Path) -> None:
+    rows = [
+        Row((Cell(name), Cell(f"{value:g}", value)), {"simulator": name.split()[0]})
+        for name, value in (("a one", 9.0), ("b two", 10.0), ("a three", 1.5))
+    ]
+    folded = Section("deep", "Deep", (table("t", "T", ["group", "value"], [*rows, ["none", "-"]]),), folded=True)
+    other = Section("other", "Other", (Text("nothing of that kind"),), folded=True)
+    page = tmp_path / "page.html"
+    page.write_text(render_page(Document("t", (folded, other))))
+
+    def names(browser: Browser) -> object:
+        return browser.evaluate("[...document.querySelectorAll('tbody tr:not(.out) th')].map(e => e.textContent)")
+
+    with Browser() as browser:
+        browser.open(page)
+        assert browser.evaluate("document.querySelector('details').open") is False
+        browser.evaluate("location.hash = '#deep'")
+        browser.wait("document.querySelector('details').open")
+        browser.evaluate("document.querySelectorAll('thead button')[1].click()")
+        assert names(browser) == ["b two", "a one", "a three", "none"]
+        browser.evaluate("document.querySelectorAll('thead button')[1].click()")
+        assert names(browser) == ["a three", "a one", "b two", "none"]
+        browser.evaluate(
+            "(e => { e.value = 'a'; e.dispatchEvent(new Event('change')); })(document.querySelector('select'))"
+        )
+        assert names(browser) == ["a three", "a one", "none"]
+        browser.evaluate(
+            "(e => { e.value = 'THREE'; e.dispatchEvent(new Event('input')); })(document.querySelector('input'))"
+        )
+        browser.wait("document.querySelector('output').textContent.startsWith('1 section has')")
+        assert names(browser) == ["a three"]
+        assert browser.evaluate("document.querySelector('#other').closest('details').classList.contains('out')") is True
