@@ -22,6 +22,7 @@ from gpusimbench.evaluator.render.figures import (
     palette,
     radar_chart,
     scaling,
+    scatter,
     style,
     svg,
     tree,
@@ -308,7 +309,7 @@ def test_published_points_are_marked_as_foreign() -> None:
     assert min(np.diff(heights)) >= 12
 
 
-FIGURES = ["matrix", "map", "scale", "radar", "scaling", "classes", "dots", "divergence", "tree"]
+FIGURES = ["matrix", "map", "scale", "radar", "scaling", "classes", "dots", "divergence", "tree", "scatter"]
 
 
 def every_figure() -> list[str]:
@@ -335,6 +336,16 @@ def every_figure() -> list[str]:
         ),
         divergence.divergence_chart([apart], onset=0.2, name=HOSTILE),
         tree.tree_chart(split, dt=0.01, of="env", names=range(4), label=HOSTILE),
+        scatter.scatter(
+            [
+                scatter.Point(i, f"{HOSTILE}{i}", 9.0 + i, 0.1 * (i % 2), (8.0, 11.0), (0.0, 0.2), i == 0)
+                for i in range(9)
+            ],
+            across="x",
+            up="y",
+            across_tick=str,
+            up_tick=str,
+        ),
     ]
 
 
