@@ -138,6 +138,21 @@ def test_exact_zero_differs_from_the_smallest_nonzero() -> None:
     assert "1.0e-12 cm" in "".join(root.itertext())
 
 
+def test_matrices_share_a_logarithmic_scale() -> None:
+    """Give a distance the same colour in every matrix of a scale, and each decade as many colours."""
+    small, large = (np.array([[0.0, v], [v, 0.0]]) for v in (0.1, 10.0))
+    middle = np.array([[0.0, 1.0, np.nan], [1.0, 0.0, 0.1], [np.nan, 0.1, 0.0]])
+    scale = matrix.scale_of([small, middle, large, np.zeros((3, 3))])
+    assert scale == matrix.Scale(0.1, 10.0)
+    drawn = [
+        {c for c in classes(ET.fromstring(matrix.matrix_map(m, of="env", name="a", scale=scale))) if "cell q" in c}
+        for m in (small, middle, large)
+    ]
+    top = palette.LEVELS - 1
+    assert drawn == [{"cell q0 flat"}, {"cell q0 flat", f"cell q{(top + 1) // 2} flat"}, {f"cell q{top} flat"}]
+    assert matrix.scale_of([np.zeros((2, 2))]) is None
+
+
 def test_matrix_of_zeros_says_so() -> None:
     """Say that every distance is exactly zero, and draw no scale."""
     said = matrix.caption(np.zeros((4, 4)), of="run")

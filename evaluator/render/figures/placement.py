@@ -87,7 +87,7 @@ def place(
 def _room(i: int, points: Sequence[tuple[float, float]]) -> float:
     """Distance to the other points, the nearest counting most."""
     distances = sorted(math.dist(points[i], other) for j, other in enumerate(points) if j != i)
-    return sum(d / 2**k for k, d in enumerate(distances))
+    return sum(d / 2.0**k for k, d in enumerate(distances))
 
 
 def _free(
