@@ -13,7 +13,8 @@ from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.render.numbers import NONE
 from gpusimbench.evaluator.report.fidelity import allowed, number
 from gpusimbench.evaluator.results.fidelity import Fidelity, FidelityRow, Verdict, fidelity
-from gpusimbench.evaluator.runs.groups import group, labels, options_given
+from gpusimbench.evaluator.runs.groups import group
+from gpusimbench.evaluator.runs.labels import labels, options_given
 from gpusimbench.evaluator.runs.physics.facts import Check
 from gpusimbench.evaluator.runs.physics.measure import physics_of
 

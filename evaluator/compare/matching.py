@@ -7,7 +7,8 @@ from collections.abc import Callable, Collection, Hashable, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
-from gpusimbench.evaluator.runs.groups import Group, GroupKey, asked, labels, options_given, precisions
+from gpusimbench.evaluator.runs.groups import Group, GroupKey, asked, precisions
+from gpusimbench.evaluator.runs.labels import labels, options_given
 from gpusimbench.evaluator.runs.run import Run
 from gpusimbench.schemas.errors import UsageError
 
@@ -74,7 +75,7 @@ def match(base: Groups, head: Groups, across: Collection[str] = ()) -> Matching:
 
 def check_across(across: Collection[str], groups: Groups) -> None:
     """UsageError where --across names nothing that any recording was asked for."""
-    known = options_given(r for g in groups for r in g.recordings) | set(ACROSS)
+    known = {name for g in groups for r in g.recordings for name in r.configuration.options} | set(ACROSS)
     for name in across:
         if name not in known:
             raise UsageError(f"--across takes an option that a run was given or {', '.join(ACROSS)}, not '{name}'")

@@ -29,7 +29,8 @@ from gpusimbench.evaluator.results.sweeps import find_sweeps
 from gpusimbench.evaluator.results.timed_work import timed_work
 from gpusimbench.evaluator.results.validity import validity_of
 from gpusimbench.evaluator.runs import cotenancy
-from gpusimbench.evaluator.runs.groups import Group, group, labels, options_given, status_notes
+from gpusimbench.evaluator.runs.groups import Group, group, status_notes
+from gpusimbench.evaluator.runs.labels import footnotes, labels, options_given
 from gpusimbench.evaluator.runs.reader import Reader, Unreadable
 from gpusimbench.evaluator.runs.run import Run
 from gpusimbench.schemas.errors import DamagedRecording
@@ -99,7 +100,10 @@ def evaluate(
         for scene in dict.fromkeys(g.key.scene for g in groups)
         if (shared := shared_map([f.planar for f in found if f.result.group.key.scene == scene], target, scene))
     }
-    results = tuple(with_cloud(f.result, f.planar, maps.get(f.result.group.key.scene)) for f in found)
+    results = tuple(
+        replace(with_cloud(f.result, f.planar, maps.get(f.result.group.key.scene)), footnotes=notes_of)
+        for f, notes_of in zip(found, footnotes([g.key for g in groups]), strict=True)
+    )
     sweeps = find_sweeps(results)
     comparison = compare(results, sweeps, target)
     return Evaluation(

@@ -12,7 +12,8 @@ from gpusimbench.evaluator.results.metric import Estimate
 from gpusimbench.evaluator.results.result import GroupResult
 from gpusimbench.evaluator.results.sweeps import Failure, Sweep
 from gpusimbench.evaluator.results.timed_work import TimedWork
-from gpusimbench.evaluator.runs.groups import GroupKey, is_instrument, labels, options_given, settings_asked
+from gpusimbench.evaluator.runs.groups import GroupKey, is_instrument, settings_asked
+from gpusimbench.evaluator.runs.labels import labels, options_given
 from gpusimbench.evaluator.runs.run import Run
 
 CAPABILITY_SCENES = ("free-fall", "franka")

@@ -18,7 +18,8 @@ from gpusimbench.evaluator.results.reference import Reference
 from gpusimbench.evaluator.results.result import GroupResult
 from gpusimbench.evaluator.results.sweeps import Sweep, swept_only
 from gpusimbench.evaluator.results.timed_work import most_common, window_key
-from gpusimbench.evaluator.runs.groups import GroupKey, is_instrument, labels, options_given, settings_asked
+from gpusimbench.evaluator.runs.groups import GroupKey, is_instrument, settings_asked
+from gpusimbench.evaluator.runs.labels import Given, labels, options_given
 
 _DISTANCES = (Axis.EMD_TO_REAL, Axis.PARALLEL, Axis.RUN_TO_RUN)
 _NO_SWEEP = "needs a sweep over envs, by at least two simulators under the same conditions"
@@ -211,7 +212,7 @@ def _join(found: list[_Parts], sweep: Sweep, part: str) -> _Parts:
     return found[-1]
 
 
-def _names(found: Sequence[_Parts], given: set[str]) -> list[str]:
+def _names(found: Sequence[_Parts], given: Given) -> list[str]:
     if all(parts.group and not parts.sweep and not parts.robot for parts in found):
         return [parts.group.label for parts in found if parts.group]
     return labels([parts.key for parts in found], given)

@@ -55,6 +55,7 @@ class GroupResult:
     validity         contacts, buffers, overflow, actions
     fidelity         whether the states keep to mechanics
     notes            sentences that a reader must see beside the numbers
+    footnotes        on its label: protocol and environment variables that differ from the others of its scene
     spreads          of the complete runs
     timed            what its throughput was measured over
     """
@@ -68,6 +69,7 @@ class GroupResult:
     notes: tuple[str, ...]
     spreads: tuple[RunSpread, ...] = ()
     timed: TimedWork = TimedWork()
+    footnotes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)

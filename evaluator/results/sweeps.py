@@ -11,7 +11,8 @@ from gpusimbench.evaluator.missing import Missing, known, why_missing
 from gpusimbench.evaluator.results.cost_metrics import common_memory
 from gpusimbench.evaluator.results.metric import Estimate
 from gpusimbench.evaluator.results.result import GroupResult
-from gpusimbench.evaluator.runs.groups import GroupKey, asked, labels, options_given
+from gpusimbench.evaluator.runs.groups import GroupKey, asked
+from gpusimbench.evaluator.runs.labels import Given, labels, options_given
 from gpusimbench.evaluator.runs.run import Run
 
 LONG = 3
@@ -161,7 +162,7 @@ def swept_only(results: Sequence[GroupResult], sweeps: Sequence[Sweep]) -> set[s
     return {r.label for r in results if r.label in members and not r.group.captured}
 
 
-def _label(key: GroupKey, swept: Mapping[GroupKey, object], given: set[str]) -> str:
+def _label(key: GroupKey, swept: Mapping[GroupKey, object], given: Given) -> str:
     same_scene = [k for k in swept if k.scene == key.scene]
     return dict(zip(same_scene, labels(same_scene, given), strict=True))[key]
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Generic, Protocol, TypeVar
 
@@ -226,102 +226,9 @@ def is_instrument(key: GroupKey) -> bool:
     return bool(key.switches) and json.loads(key.switches).get("instrument") is True
 
 
-def labels(keys: Sequence[GroupKey], given: Collection[str] = ()) -> list[str]:
-    """A short unique name for each key: the simulator, and what tells it from its others in the same scene.
-
-    The scene is named where two scenes would have the same name otherwise. What a user chose comes first, then the
-    precision of the states. Settings that nobody chose are named only where nothing else tells two keys apart: most of
-    them follow from a choice, a machine or a level of determinism.
-
-    given  names of the options that a user gave for any of them
-    """
-    telling_parts = []
-    for one in keys:
-        # a run that failed before it was built knows only what was asked, and would make every default stand out
-        built = [key for key in keys if key.version or not one.version]
-        rivals = [key for key in built if (key.simulator, key.scene) == (one.simulator, one.scene) and key is not one]
-        telling = [name for name in _DISTINGUISHING if any(_differs(name, one, r) for r in rivals)]
-        parts = [_shown(name, one) for name in telling if getattr(one, name) != ""]
-        chosen = _chosen(one, given)
-        parts += _changed(chosen, [_chosen(rival, given) for rival in rivals])
-        alike = [r for r in rivals if _chosen(r, given) == chosen and not any(_differs(n, one, r) for n in telling)]
-        if any(precisions(r) not in ([], precisions(one)) for r in alike):
-            parts += precisions(one)
-            alike = [r for r in alike if precisions(r) in ([], precisions(one))]
-        parts += _limited(_changed(_settings(one), [_settings(rival) for rival in alike]))
-        if "version" in telling and not one.version:
-            parts.append("never built")
-        telling_parts.append(parts)
-    named = _apart(keys, telling_parts)
-    return [label if named.count(label) == 1 else f"{label} #{i + 1}" for i, label in enumerate(named)]
-
-
-def _apart(keys: Sequence[GroupKey], parts: Sequence[list[str]]) -> list[str]:
-    # the same name in two scenes: the scene comes first
-    scenes: dict[tuple[str, ...], set[str]] = {}
-    for key, found in zip(keys, parts, strict=True):
-        scenes.setdefault((key.simulator, *found), set()).add(key.scene)
-    names = []
-    for key, found in zip(keys, parts, strict=True):
-        shown = [key.scene, *found] if len(scenes[(key.simulator, *found)]) > 1 else found
-        names.append(f"{key.simulator} [{', '.join(shown)}]" if shown else key.simulator)
-    return names
-
-
-def options_given(recordings: Iterable[Described]) -> set[str]:
-    """Names of the options that a user gave for any of some recordings."""
-    return {name for recording in recordings for name in recording.configuration.options}
-
-
-_SHOWN_SETTINGS = 4
-_SHOWN_LENGTH = 60
-
-_DISTINGUISHING = (
-    "version", "device", "scene_hash", "n_env", "dt", "seed", "warmup", "timed_steps", "determinism",
-)  # fmt: skip
-
-
-def _differs(name: str, one: GroupKey, other: GroupKey) -> bool:
-    return bool(getattr(one, name) != getattr(other, name))
-
-
-def _shown(name: str, key: GroupKey) -> str:
-    value = getattr(key, name)
-    if name == "scene_hash":
-        return f"scene {value[:8]}"
-    if name in ("version", "device"):
-        return str(value)
-    return f"{name}={value:g}" if isinstance(value, float) else f"{name}={value}"
-
-
-def _limited(changed: list[str]) -> list[str]:
-    more = len(changed) - _SHOWN_SETTINGS
-    return [*changed[:_SHOWN_SETTINGS], *([f"and {more} more"] if more > 0 else [])]
-
-
-def _changed(own: dict[str, Any], others: Sequence[dict[str, Any]]) -> list[str]:
-    names = [n for n in set(own).union(*others) if any(other.get(n) != own.get(n) for other in others)]
-    # what it has comes before what only the others have
-    return [_setting(n, own.get(n, "unset")) for n in sorted(names, key=lambda n: (n not in own, n))]
-
-
-def _setting(name: str, value: Any) -> str:
-    text = f"{name}={value}"
-    return text if len(text) <= _SHOWN_LENGTH else f"{text[: _SHOWN_LENGTH - 3]}..."
-
-
-def _chosen(key: GroupKey, given: Collection[str]) -> dict[str, Any]:
-    return {name: value for name, value in json.loads(key.options).items() if name in given}
-
-
 def precisions(key: GroupKey) -> list[str]:
     """Of the states; empty where the run ended before they were known."""
     return sorted({dtype for dtype, *_ in json.loads(key.layout or "{}").values()})
-
-
-def _settings(key: GroupKey) -> dict[str, Any]:
-    # options before switches before conditions, as they are named
-    return {**json.loads(key.conditions), **json.loads(key.switches or "{}"), **json.loads(key.options)}
 
 
 def _order(key: GroupKey) -> tuple[Any, ...]:

@@ -105,7 +105,7 @@ def test_every_figure_of_the_page_is_written(evaluation: Evaluation, written: Pa
 
 def test_numbers_of_maps(evaluation: Evaluation, written: Path) -> None:
     """Write every position of a map: hexagons and what lies off it, and the same again along each side."""
-    (path,) = written.glob("density-0-?-*-one.csv")
+    (path,) = written.glob("density-0-?-*-one*.csv")
     with path.open(newline="", encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
     count = {what: sum(int(r["positions"]) for r in rows if r["what"] == what) for what in {r["what"] for r in rows}}

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from gpusimbench import open_recording
-from gpusimbench.evaluator.runs.groups import group, labels, options_given
+from gpusimbench.evaluator.runs.groups import group
+from gpusimbench.evaluator.runs.labels import footnotes, labels, options_given
 from tests.synthetic import grid, write_recording
 
 
@@ -87,6 +89,62 @@ def test_another_precision_is_named(tmp_path: Path) -> None:
     failed = open_recording(
         write_recording(tmp_path, None, built=False, status="FAILED", reason="no memory", options={"cone": "x"})
     )
-    found = labels([g.key for g in group([*recordings, failed])], {"cone"})
+    found = labels([g.key for g in group([*recordings, failed])], {"synthetic": frozenset({"cone"})})
     assert sum("float32" in label for label in found) == sum("float64" in label for label in found) == 1
     assert not any("#" in label for label in found)
+
+
+def test_protocol_stands_in_a_footnote(tmp_path: Path) -> None:
+    """Name neither warm-up nor environment variables where options tell groups apart, and say both below the table."""
+    kinds: list[dict[str, Any]] = [
+        {"options": {"impl": "warp"}, "warmup": 100, "elapsed_s": 2.0},
+        {
+            "options": {"impl": "jax"}, "warmup": 20, "timed_steps": 100, "elapsed_s": 2.0,
+            "environment": {"XLA_FLAGS": "--xla_gpu_autotune_level=0 --xla_dump_to=x"},
+            "switches": {"xla_flags_of_level": "--xla_gpu_autotune_level=0"},
+        },
+        {"simulator": "other", "warmup": 100, "elapsed_s": 2.0},
+    ]  # fmt: skip
+    recordings = [open_recording(write_recording(tmp_path, grid(1), **kind)) for kind in kinds]
+    keys = [g.key for g in group(recordings)]
+    said = dict(zip(labels(keys, options_given(recordings)), footnotes(keys), strict=True))
+    assert sorted(said) == ["other", "synthetic [impl=jax]", "synthetic [impl=warp]"]
+    assert said["other"] == ()
+    protocol, variable = said["synthetic [impl=jax]"]
+    assert "100 steps after 20 warm-up steps" in protocol
+    assert "1,000 after 100: throughput not comparable" in protocol
+    assert "XLA_FLAGS=--xla_dump_to=x, unlike others" in variable  # what the level sets is the level's
+    assert said["synthetic [impl=warp]"] == (variable.replace("=--xla_dump_to=x", "=unset"),)
+
+
+def test_what_alone_tells_groups_apart_is_named(tmp_path: Path) -> None:
+    """Name the protocol, or an environment variable, where nothing else differs: labels stay unique."""
+    assert named(tmp_path, {"warmup": 20, "elapsed_s": 2.0}, {"warmup": 100, "elapsed_s": 2.0}) == [
+        "synthetic [warmup=100]",
+        "synthetic [warmup=20]",
+    ]
+    assert named(tmp_path, {"environment": {"OMP_NUM_THREADS": "1"}}, {}) == [
+        "synthetic [OMP_NUM_THREADS=1]",
+        "synthetic [OMP_NUM_THREADS=unset]",
+    ]
+
+
+def test_an_option_of_another_simulator_tells_nothing(tmp_path: Path) -> None:
+    """Leave out an option that a user gave to one simulator only from the labels of another, where it follows."""
+    mine = {"options": {"cone": "pyramidal"}, "simulator": "one"}
+    theirs = [{"options": {"solver": s}, "in_force": {"solver": s, "cone": s}} for s in ("a", "b")]
+    recordings = []
+    for kind in (mine, {"simulator": "one"}, *theirs):
+        recordings.append(open_recording(write_recording(tmp_path, grid(1), **kind)))
+    found = labels([g.key for g in group(recordings)], options_given(recordings))
+    assert sorted(found)[-2:] == ["synthetic [solver=a]", "synthetic [solver=b]"]
+
+
+def test_a_scene_is_named_for_all_groups_or_none(tmp_path: Path) -> None:
+    """Name the scene of all groups of a simulator there, if one of them has the name of another scene's, or none."""
+    [one] = group([open_recording(write_recording(tmp_path, grid(1)))])
+    places = [("a", 1), ("a", 2), ("b", 2), ("b", 3), ("c", 5), ("c", 6), ("d", 7)]
+    keys = [replace(one.key, scene=scene, n_env=n_env) for scene, n_env in places]
+    assert [label.removeprefix("synthetic ") for label in labels(keys)] == [
+        "[a, n_env=1]", "[a, n_env=2]", "[b, n_env=2]", "[b, n_env=3]", "[n_env=5]", "[n_env=6]", "[d]",
+    ]  # fmt: skip

@@ -22,6 +22,7 @@ from gpusimbench.evaluator.render.figures import (
     palette,
     radar_chart,
     scaling,
+    scatter,
     style,
     svg,
     tree,
@@ -135,6 +136,21 @@ def test_exact_zero_differs_from_the_smallest_nonzero() -> None:
     cells = [c for c in classes(root) if c.startswith("cell ")]
     assert sorted(cells) == sorted(["cell zero"] * 2 + ["cell q0 flat"] * 2 + [f"cell q{palette.LEVELS - 1} flat"] * 2)
     assert "1.0e-12 cm" in "".join(root.itertext())
+
+
+def test_matrices_share_a_logarithmic_scale() -> None:
+    """Give a distance the same colour in every matrix of a scale, and each decade as many colours."""
+    small, large = (np.array([[0.0, v], [v, 0.0]]) for v in (0.1, 10.0))
+    middle = np.array([[0.0, 1.0, np.nan], [1.0, 0.0, 0.1], [np.nan, 0.1, 0.0]])
+    scale = matrix.scale_of([small, middle, large, np.zeros((3, 3))])
+    assert scale == matrix.Scale(0.1, 10.0)
+    drawn = [
+        {c for c in classes(ET.fromstring(matrix.matrix_map(m, of="env", name="a", scale=scale))) if "cell q" in c}
+        for m in (small, middle, large)
+    ]
+    top = palette.LEVELS - 1
+    assert drawn == [{"cell q0 flat"}, {"cell q0 flat", f"cell q{(top + 1) // 2} flat"}, {f"cell q{top} flat"}]
+    assert matrix.scale_of([np.zeros((2, 2))]) is None
 
 
 def test_matrix_of_zeros_says_so() -> None:
@@ -308,7 +324,7 @@ def test_published_points_are_marked_as_foreign() -> None:
     assert min(np.diff(heights)) >= 12
 
 
-FIGURES = ["matrix", "map", "scale", "radar", "scaling", "classes", "dots", "divergence", "tree"]
+FIGURES = ["matrix", "map", "scale", "radar", "scaling", "classes", "dots", "divergence", "tree", "scatter"]
 
 
 def every_figure() -> list[str]:
@@ -335,6 +351,16 @@ def every_figure() -> list[str]:
         ),
         divergence.divergence_chart([apart], onset=0.2, name=HOSTILE),
         tree.tree_chart(split, dt=0.01, of="env", names=range(4), label=HOSTILE),
+        scatter.scatter(
+            [
+                scatter.Point(i, f"{HOSTILE}{i}", 9.0 + i, 0.1 * (i % 2), (8.0, 11.0), (0.0, 0.2), i == 0)
+                for i in range(9)
+            ],
+            across="x",
+            up="y",
+            across_tick=str,
+            up_tick=str,
+        ),
     ]
 
 

@@ -12,16 +12,15 @@ _MARKS = 4
 _ROW, _SWATCH, _LETTER = 16.0, 40.0, 6.2
 
 
-def mark(index: int, x: float, y: float) -> str:
-    """The mark of a series at a point."""
+def mark(index: int, x: float, y: float, *, hollow: bool = False) -> str:
+    """The mark of a series at a point, filled with its colour or with the page's."""
+    class_ = f"{colour_class(index)} nothing" if hollow else colour_class(index)
     shapes = {
-        0: element("circle", cx=x, cy=y, r=3.6, class_=colour_class(index)),
-        1: element("rect", x=x - 3.2, y=y - 3.2, width=6.4, height=6.4, class_=colour_class(index)),
-        2: element("path", d=closed_path([(x, y - 4.6), (x + 4.2, y + 3), (x - 4.2, y + 3)]),
-                   class_=colour_class(index)),
-        3: element("path", d=closed_path([(x, y - 4.6), (x + 4.6, y), (x, y + 4.6), (x - 4.6, y)]),
-                   class_=colour_class(index)),
-    }  # fmt: skip
+        0: element("circle", cx=x, cy=y, r=3.6, class_=class_),
+        1: element("rect", x=x - 3.2, y=y - 3.2, width=6.4, height=6.4, class_=class_),
+        2: element("path", d=closed_path([(x, y - 4.6), (x + 4.2, y + 3), (x - 4.2, y + 3)]), class_=class_),
+        3: element("path", d=closed_path([(x, y - 4.6), (x + 4.6, y), (x, y + 4.6), (x - 4.6, y)]), class_=class_),
+    }
     return shapes[_style(index) % _MARKS]
 
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,10 +17,36 @@ from gpusimbench.evaluator.render.numbers import distance
 LARGEST = 128
 """Rows that are drawn at most; larger matrices are drawn in blocks."""
 
+_DECADES = 6.0  # of the colour scale at most: what is smaller has its lowest colour
+_CLOSE = 13.0  # labels of the scale nearer than that are left out
 _NAMED = 20
 _LEFT, _TOP = 48.0, 18.0
 _LETTER = 9.0  # width of a class that has room for its letter
 _SIDE_LEAST, _SIDE_LIMIT = 128.0, 280.0
+
+
+@dataclass(frozen=True)
+class Scale:
+    """A logarithmic scale of colours, from the smallest to the largest distance that is not zero [cm]."""
+
+    low: float
+    high: float
+
+    def share(self, value: float) -> float:
+        """Where on the scale a distance lies, from 0 to 1; 1 where the scale has one value alone."""
+        if self.low == self.high:
+            return 1.0
+        return min(1.0, max(0.0, math.log(value / self.low) / math.log(self.high / self.low)))
+
+
+def scale_of(matrices: Iterable[NDArray[np.float64]]) -> Scale | None:
+    """The scale that all of some matrices [cm] are drawn on; None where none has a finite distance above zero."""
+    found = [m[np.isfinite(m) & (m > 0)] for m in matrices]
+    positive = np.concatenate([f for f in found if f.size] or [np.zeros(0)])
+    if not positive.size:
+        return None
+    high = float(positive.max())
+    return Scale(max(float(positive.min()), high / 10**_DECADES), high)
 
 
 def in_blocks(matrix: NDArray[np.float64]) -> tuple[NDArray[np.float64], int]:
@@ -63,8 +91,9 @@ def matrix_map(
     name: str,
     classes: Sequence[int] = (),
     names: Sequence[int] | None = None,
+    scale: Scale | None = None,
 ) -> str:
-    """Heat map from 0 to the matrix's own largest value.
+    """Heat map on a logarithmic scale of colours.
 
     matrix   [cm], shape [n, n]; the diagonal is zero by definition and left blank
     of       what rows and columns are: "env" or "run"
@@ -72,6 +101,7 @@ def matrix_map(
     classes  of the rows by their bits, numbered in order of first appearance; where they put rows together (see
              `grouped`), rows and columns are ordered by them, with a line between classes and a letter above each
     names    of the rows, as readers know them; their places where it is None
+    scale    that it shares with other matrices; its own where it is None
 
     Cells that are exactly zero are hatched in a grey outside the scale (see `hatch`); the smallest nonzero value is the
     scale's lowest colour. Cells that are not finite have a red edge.
@@ -83,8 +113,8 @@ def matrix_map(
     shown = [names[i] if names is not None else i for i in order.tolist()]
     side = min(_SIDE_LIMIT, max(_SIDE_LEAST, 36.0 * n))
     size = side / max(n, 1)
-    largest = float(drawn[np.isfinite(drawn)].max(initial=0.0))
-    kinds = _kinds(drawn, largest, blank_diagonal=block == 1)
+    scale = scale or scale_of([drawn])
+    kinds = _kinds(drawn, scale, blank_diagonal=block == 1)
     cells = _titled(kinds, drawn, size, of, shown) if n <= _NAMED else _merged(kinds, size)
     bottom = _TOP + side
     # rows out of order are named one by one, as far as there is room
@@ -101,7 +131,7 @@ def matrix_map(
         text(of, _LEFT + side / 2, bottom + 32, class_="mid"),
         text(of, 11, _TOP + side / 2, class_="mid", rotate=-90),
         *(_boundaries([classes[i] for i in order], size, side) if grouped(len(values), classes) else ()),
-        *_bar(largest, side),
+        *_bar(scale, side),
     )
 
 
@@ -154,7 +184,7 @@ def caption(matrix: NDArray[np.float64], *, of: str) -> str:
     return " ".join(said)
 
 
-def _kinds(matrix: NDArray[np.float64], largest: float, *, blank_diagonal: bool) -> list[list[str]]:
+def _kinds(matrix: NDArray[np.float64], scale: Scale | None, *, blank_diagonal: bool) -> list[list[str]]:
     """The class of every cell; empty where nothing is drawn."""
     rows = []
     for i, row in enumerate(matrix.tolist()):
@@ -165,7 +195,7 @@ def _kinds(matrix: NDArray[np.float64], largest: float, *, blank_diagonal: bool)
             elif not np.isfinite(value):
                 kinds.append("lost")
             else:
-                kinds.append("zero" if value == 0 else f"q{level(value / largest)} flat")
+                kinds.append("zero" if value == 0 or scale is None else f"q{level(scale.share(value))} flat")
         rows.append(kinds)
     return rows
 
@@ -207,20 +237,31 @@ def _cell(i: int, j: int, columns: int, size: float) -> str:
     return f"M{x} {y}h{w}v{number(size)}h-{w}z"
 
 
-def _bar(largest: float, side: float) -> list[str]:
+def _bar(scale: Scale | None, side: float) -> list[str]:
     """The scale, and the swatch of exact zeros below it."""
     x, width, height = _LEFT + side + 16, 12.0, side - 34
     drawn = []
-    if largest > 0:
+    if scale:
         step = height / LEVELS
         drawn += [
             element("rect", x=x, y=_TOP + height - (i + 1) * step, width=width, height=step + 0.3, class_=f"q{i} flat")
             for i in range(LEVELS)
         ]
-        drawn.append(axis.right(x + width, _TOP + 4, f"{distance(largest)} cm"))
-        drawn.append(axis.right(x + width, _TOP + height / 2, distance(largest / 2)))
-        drawn.append(axis.right(x + width, _TOP + height, ">\u20090"))
+        drawn += [axis.right(x + width, _TOP + (1 - share) * height, label) for share, label in _labels(scale, height)]
     swatch = _TOP + side - 12
     drawn.append(element("rect", x=x, y=swatch, width=width, height=12, class_="zero"))
     drawn.append(text("exactly 0", x + width + 7, swatch + 10, class_="small"))
     return drawn
+
+
+def _labels(scale: Scale, height: float) -> list[tuple[float, str]]:
+    """Both ends of the scale, and round values between them as far as there is room."""
+    ends = {1.0: f"{_rounded(scale.high)} cm"} | ({0.0: _rounded(scale.low)} if scale.low < scale.high else {})
+    ticks = axis.log_ticks(scale.low, scale.high) if scale.low < scale.high else []
+    marks = [(scale.share(value), _rounded(value)) for value in ticks]
+    between = [mark for mark in marks if all(abs(mark[0] - end) * height >= _CLOSE for end in ends)]
+    return [*ends.items(), *between]
+
+
+def _rounded(value: float) -> str:
+    return f"{value:.3g}" if value >= 0.001 else f"{value:.0e}"

@@ -41,6 +41,7 @@ PALETTE
 .lead-out { fill: none; stroke: var(--quiet); stroke-width: 1; stroke-dasharray: 2 3; }
 .cross { fill: none; stroke: var(--alert); stroke-width: 2; }
 .foreign-name { paint-order: stroke; stroke: var(--panel); stroke-width: 3px; stroke-linejoin: round; }
+.over { paint-order: stroke; stroke: var(--page); stroke-width: 3px; stroke-linejoin: round; }
 .foreign { fill: var(--page); stroke: var(--quiet); stroke-width: 1.5; }
 .whisker { fill: none; stroke-width: 1.8; }
 .nothing { fill: var(--page); stroke-width: 1.8; }

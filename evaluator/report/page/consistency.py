@@ -23,28 +23,39 @@ _PARTS = 8  # ranges of members that it names of each
 def section(source: Source) -> Section:
     """The matrices of every group."""
     numbers = {id(r): number for number, r in enumerate(source.evaluation.results)}
+    scales = {scene: _scale(source.shown, scene) for scene in {r.group.key.scene for r in source.shown}}
     context = {
-        "parallel_matrices": [_envs(r, f"matrix-envs-{numbers[id(r)]}") for r in source.shown],
-        "run_matrices": [_runs(r, f"matrix-runs-{numbers[id(r)]}") for r in source.shown],
+        "parallel_matrices": [
+            _envs(r, f"matrix-envs-{numbers[id(r)]}", scales[r.group.key.scene]) for r in source.shown
+        ],
+        "run_matrices": [_runs(r, f"matrix-runs-{numbers[id(r)]}", scales[r.group.key.scene]) for r in source.shown],
         "hatch": Markup(matrix.hatch()),
     }
     return Section("consistency", "Consistency matrices", context)
 
 
-def _envs(result: GroupResult, key: str) -> Picture:
+def _scale(shown: Sequence[GroupResult], scene: str) -> matrix.Scale | None:
+    """The scale of all matrices of a scene."""
+    of_scene = [r.metrics for r in shown if r.group.key.scene == scene]
+    found = [m["w1_parallel"].of(BetweenEnvs).matrix_cm for m in of_scene]
+    found += [m["w1_run_to_run"].of(BetweenRuns).matrix_cm for m in of_scene]
+    return matrix.scale_of(values for values in found if values is not None)
+
+
+def _envs(result: GroupResult, key: str, scale: matrix.Scale | None) -> Picture:
     distinct, distances = result.metrics["distinct_envs"], result.metrics["w1_parallel"].of(BetweenEnvs)
     values, drawn = distances.matrix_cm, distances.matrix_of
     of_runs = distinct.of(DistinctEnvs).classes
     classes = of_runs[drawn] if isinstance(drawn, int) and drawn < len(of_runs) else ()
     names = range(len(values)) if values is not None else ()
-    return _matrix(result, values, "env", "w1_parallel", classes, why_missing(distinct.value), names, key)
+    return _matrix(result, values, "env", "w1_parallel", classes, why_missing(distinct.value), names, key, scale)
 
 
-def _runs(result: GroupResult, key: str) -> Picture:
+def _runs(result: GroupResult, key: str, scale: matrix.Scale | None) -> Picture:
     distinct, between = result.metrics["distinct_runs"].value, result.metrics["w1_run_to_run"].of(BetweenRuns)
     classes = () if isinstance(distinct, Missing) else between.classes or ()
     why_not, names = why_missing(distinct), between.runs or ()
-    return _matrix(result, between.matrix_cm, "run", "w1_run_to_run", classes, why_not, names, key)
+    return _matrix(result, between.matrix_cm, "run", "w1_run_to_run", classes, why_not, names, key, scale)
 
 
 def _matrix(
@@ -56,17 +67,31 @@ def _matrix(
     no_classes: str,
     names: Sequence[int],
     key: str,
+    scale: matrix.Scale | None,
 ) -> Picture:
     if values is None:
         metric = result.metrics[name]
         why_not = why_missing(metric.value) or metric.of(BetweenEnvs).no_matrix or "it was not computed"
         return Picture(result.label, f"No matrix: {why_not}.", None)
+    if len(values) > 1 and not values.any():
+        return Picture(result.label, _all_zero(len(values), of, classes), None)
     if len(names) != len(values):
         names = range(len(values))
-    svg = Markup(matrix.matrix_map(values, of=of, name=result.label, classes=classes, names=names))
+    svg = Markup(matrix.matrix_map(values, of=of, name=result.label, classes=classes, names=names, scale=scale))
     said = f"{matrix.caption(values, of=of)} {_order(len(values), of, classes, no_classes, names)}"
     about = f"Distances between {of}s, {result.group.key.scene}"
     return Picture(result.label, said, svg, key, _numbers(values, of, classes, names), about)
+
+
+def _all_zero(n: int, of: str, classes: Sequence[int]) -> str:
+    """What stands in place of a matrix of zeros."""
+    apart = f"All {n} {of}s are 0 cm apart at the sample step"
+    if len(classes) != n:
+        return f"{apart}; whether their bits differ is not known."
+    count = len(set(classes))
+    if count == 1:
+        return f"{apart}: bit-identical at every captured step."
+    return f"{apart}, in {count} classes of bits."
 
 
 def _order(n: int, of: str, classes: Sequence[int], no_classes: str, names: Sequence[int]) -> str:

@@ -1,0 +1,194 @@
+"""What groups are called: by what differs within a set and by nothing else; the rest stands in footnotes."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+from gpusimbench.evaluator.runs.groups import Described, GroupKey, precisions
+
+Given = Mapping[str, frozenset[str]]
+"""By simulator, the names of the options that a user gave for any of its runs."""
+
+NONE_GIVEN: Given = {}
+
+_SHOWN_SETTINGS = 4
+_SHOWN_LENGTH = 60
+
+_ATTRIBUTES = ("version", "device", "scene_hash", "n_env", "dt", "seed", "determinism")
+_PROTOCOL = ("warmup", "timed_steps")
+
+_MEANINGS = (
+    ("XLA_PYTHON_CLIENT", "how JAX reserves memory of the GPU; memory is not comparable"),
+    ("XLA_", "flags of the XLA compiler; results and throughput may differ for it"),
+    ("JAX_", "a setting of JAX; results and throughput may differ for it"),
+    ("CUBLAS_", "a setting of cuBLAS; results may differ for it"),
+    ("OMP_", "a setting of OpenMP; throughput may differ for it"),
+)
+_UNKNOWN = "results and throughput may differ for it"
+
+
+def options_given(recordings: Iterable[Described]) -> Given:
+    """Names of the options that a user gave for any of some recordings, by simulator."""
+    found: dict[str, frozenset[str]] = {}
+    for recording in recordings:
+        configuration = recording.configuration
+        found[configuration.simulator] = found.get(configuration.simulator, frozenset()) | set(configuration.options)
+    return found
+
+
+def labels(keys: Sequence[GroupKey], given: Given = NONE_GIVEN) -> list[str]:
+    """A short unique name for each key: the simulator, and what tells it from its others in the same scene.
+
+    What was asked for comes first: version, device, size and time of the scene, determinism, and options that a user
+    gave to this simulator; then the precision of the states. Where these leave two keys alike, settings that nobody
+    chose, then environment variables and versions of packages, and last the protocol of the throughput phase tell them
+    apart, as far as needed: what else differs of these stands in `footnotes`. The scene is named where a simulator
+    would have the same name in two scenes, or a bare name in one of several; then for all its groups of that scene.
+    """
+    parts = [_parts(key, keys, given.get(key.simulator, frozenset())) for key in keys]
+    scenes = _scenes_to_name(keys, parts)
+    named = []
+    for key, found in zip(keys, parts, strict=True):
+        shown = [key.scene, *found] if (key.simulator, key.scene) in scenes else found
+        named.append(f"{key.simulator} [{', '.join(shown)}]" if shown else key.simulator)
+    return [label if named.count(label) == 1 else f"{label} #{i + 1}" for i, label in enumerate(named)]
+
+
+def footnotes(keys: Sequence[GroupKey]) -> list[tuple[str, ...]]:
+    """For each key, sentences on its protocol and environment variables where these differ from its others.
+
+    The protocol of the throughput phase is compared with the most common one of the scene, of all simulators, since
+    throughputs are; environment variables with those of the same simulator in the scene, without flags that its level
+    of determinism sets.
+    """
+    usual = {scene: _usual_protocol([k for k in keys if k.scene == scene]) for scene in {k.scene for k in keys}}
+    return [
+        (*_protocol_note(key, usual[key.scene]), *_variable_notes(key, [k for k in keys if _rivals(key, k)]))
+        for key in keys
+    ]
+
+
+def _parts(key: GroupKey, keys: Sequence[GroupKey], given: frozenset[str]) -> list[str]:
+    # a run that failed before it was built knows only what was asked, and would make every default stand out
+    rivals = [k for k in keys if _rivals(key, k) and (k.version or not key.version)]
+    telling = [name for name in _ATTRIBUTES if any(getattr(key, name) != getattr(rival, name) for rival in rivals)]
+    parts = [_shown(name, key) for name in telling if getattr(key, name) != ""]
+    chosen = _chosen(key, given)
+    parts += _changed(chosen, [_chosen(rival, given) for rival in rivals])
+    alike = [
+        r for r in rivals if _chosen(r, given) == chosen and all(getattr(r, n) == getattr(key, n) for n in _ATTRIBUTES)
+    ]
+    if any(precisions(rival) not in ([], precisions(key)) for rival in alike):
+        parts += precisions(key)
+        alike = [rival for rival in alike if precisions(rival) in ([], precisions(key))]
+    for settings in (_settings, _conditions):
+        changed = _changed(settings(key), [settings(rival) for rival in alike])
+        parts += _limited(changed)
+        alike = [rival for rival in alike if settings(rival) == settings(key)]
+    parts += [f"{n}={getattr(key, n)}" for n in _PROTOCOL if any(getattr(r, n) != getattr(key, n) for r in alike)]
+    if "version" in telling and not key.version:
+        parts.append("never built")
+    return parts
+
+
+def _rivals(one: GroupKey, other: GroupKey) -> bool:
+    return (one.simulator, one.scene) == (other.simulator, other.scene) and one is not other
+
+
+def _scenes_to_name(keys: Sequence[GroupKey], parts: Sequence[list[str]]) -> set[tuple[str, str]]:
+    """Simulators and scenes whose groups are named with their scene."""
+    scenes: dict[str, set[str]] = {}
+    same: dict[tuple[str, ...], set[str]] = {}
+    for key, found in zip(keys, parts, strict=True):
+        scenes.setdefault(key.simulator, set()).add(key.scene)
+        same.setdefault((key.simulator, *found), set()).add(key.scene)
+    return {
+        (key.simulator, key.scene)
+        for key, found in zip(keys, parts, strict=True)
+        if len(scenes[key.simulator]) > 1 and (not found or len(same[(key.simulator, *found)]) > 1)
+    }
+
+
+def _shown(name: str, key: GroupKey) -> str:
+    value = getattr(key, name)
+    if name == "scene_hash":
+        return f"scene {value[:8]}"
+    if name == "device":
+        # what every processor of a maker has in its name tells none apart
+        return re.sub(r"\((R|TM)\)| Processor\b", "", value)
+    if name == "version":
+        return str(value)
+    return f"{name}={value:g}" if isinstance(value, float) else f"{name}={value}"
+
+
+def _limited(changed: list[str]) -> list[str]:
+    more = len(changed) - _SHOWN_SETTINGS
+    return [*changed[:_SHOWN_SETTINGS], *([f"and {more} more"] if more > 0 else [])]
+
+
+def _changed(own: Mapping[str, Any], others: Sequence[Mapping[str, Any]]) -> list[str]:
+    names = [n for n in set(own).union(*others) if any(other.get(n) != own.get(n) for other in others)]
+    # what it has comes before what only the others have
+    return [_setting(n, own.get(n, "unset")) for n in sorted(names, key=lambda n: (n not in own, n))]
+
+
+def _setting(name: str, value: Any) -> str:
+    text = f"{name}={value}"
+    return text if len(text) <= _SHOWN_LENGTH else f"{text[: _SHOWN_LENGTH - 3]}..."
+
+
+def _chosen(key: GroupKey, given: frozenset[str]) -> dict[str, Any]:
+    return {name: value for name, value in json.loads(key.options).items() if name in given}
+
+
+def _settings(key: GroupKey) -> dict[str, Any]:
+    # options before switches, as they are named
+    return {**json.loads(key.switches or "{}"), **json.loads(key.options)}
+
+
+def _conditions(key: GroupKey) -> dict[str, Any]:
+    found: dict[str, Any] = json.loads(key.conditions)
+    return found
+
+
+def _usual_protocol(keys: Sequence[GroupKey]) -> tuple[int, int] | None:
+    """The most common protocol of those that were timed, of equals the longest; None where none was."""
+    timed = Counter((key.warmup, key.timed_steps) for key in keys if key.timed_steps)
+    return max(timed, key=lambda protocol: (timed[protocol], protocol), default=None)
+
+
+def _protocol_note(key: GroupKey, usual: tuple[int, int] | None) -> tuple[str, ...]:
+    if usual is None or not key.timed_steps or (key.warmup, key.timed_steps) == usual:
+        return ()
+    return (
+        f"timed over {key.timed_steps:,} steps after {key.warmup:,} warm-up steps, others of {key.scene} over "
+        f"{usual[1]:,} after {usual[0]:,}: throughput not comparable",
+    )
+
+
+def _variable_notes(key: GroupKey, rivals: Sequence[GroupKey]) -> list[str]:
+    own, others = _variables(key), [_variables(rival) for rival in rivals]
+    names = {n for n in set(own).union(*others) if any(other.get(n) != own.get(n) for other in others)}
+    return [
+        f"run with {_setting(name, own.get(name, 'unset'))}, unlike others of {key.simulator}: {_meaning(name)}"
+        for name in sorted(names)
+    ]
+
+
+def _variables(key: GroupKey) -> dict[str, str]:
+    """Environment variables, without the flags that the level of determinism sets."""
+    by_level = str(json.loads(key.switches or "{}").get("xla_flags_of_level", "")).split()
+    found = {
+        name: " ".join(word for word in str(value).split() if word not in by_level)
+        for name, value in _conditions(key).items()
+        if name.isupper()  # packages and the driver are not
+    }
+    return {name: value for name, value in found.items() if value}
+
+
+def _meaning(name: str) -> str:
+    return next((meaning for start, meaning in _MEANINGS if name.startswith(start)), _UNKNOWN)
