@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import argparse
 import textwrap
 
 from gpusimbench import schemas
 from gpusimbench.schemas.completion import SHELLS, Names, PrintCompletion
+from gpusimbench.schemas.parser import HelpAll, Parser
 
 _WIDTH = 118
 
@@ -58,11 +58,12 @@ _SEE_ALSO = {
 """Where each command's reader may go on."""
 
 
-def add_common(parser: argparse.ArgumentParser, names: Names = dict) -> None:
+def add_common(parser: Parser, names: Names = dict) -> None:
     """Give a parser the options that every command has, and its help the sections on its environment and its kin.
 
     names  see PrintCompletion
     """
+    parser.add_argument("--help-all", action=HelpAll, help="show every option and every section of this help, and exit")
     parser.add_argument(
         "--version",
         action="version",

@@ -10,6 +10,7 @@ from typing import Any
 from gpusimbench.evaluator.runs.groups import Group, GroupKey, asked, labels, options_given, precisions
 from gpusimbench.evaluator.runs.run import Run
 from gpusimbench.schemas.errors import UsageError
+from gpusimbench.schemas.suggestion import did_you_mean
 
 ACROSS = ("simulator", "determinism", "warmup", "timed_steps")
 """What --across takes besides names of options."""
@@ -77,7 +78,8 @@ def check_across(across: Collection[str], groups: Groups) -> None:
     known = options_given(r for g in groups for r in g.recordings) | set(ACROSS)
     for name in across:
         if name not in known:
-            raise UsageError(f"--across takes an option that a run was given or {', '.join(ACROSS)}, not '{name}'")
+            takes = f"an option that a run was given or {', '.join(ACROSS)}"
+            raise UsageError(f"--across takes {takes}, not '{name}'{did_you_mean(name, known)}")
 
 
 def _unique(
