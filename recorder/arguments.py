@@ -120,7 +120,7 @@ def parser() -> Parser:
         epilog=_EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    add_common(p, _names)
+    add_common(p, names)
     p.add_argument("--list", action="store_true", help="show simulators, where they are installed, and scenes")
     p.add_argument("--setup", metavar="NAME", help="make the environment of a simulator that needs one of its own")
     p.add_argument(
@@ -229,7 +229,8 @@ def parser() -> Parser:
     return p
 
 
-def _names() -> dict[str, tuple[str, ...]]:
+def names() -> dict[str, tuple[str, ...]]:
+    """Names that completion offers, by the destination of the option that takes them."""
     from gpusimbench.recorder.environments.specification import SPECIFICATIONS
     from gpusimbench.recorder.scenes.registry import scene_names
     from gpusimbench.recorder.simulators.registry import simulators

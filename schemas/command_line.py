@@ -42,6 +42,7 @@ _FILES = {
 """What commands leave on the disk without being told its name."""
 
 _SEE_ALSO = {
+    "gsb": "gsb-record and gsb-eval, which are gsb record and gsb eval; docs/tutorial.md; docs/index.md",
     "gsb-record": "gsb-eval, which computes what the runs show; gsb-audit, which replays and compares; "
     "docs/simulators.md; docs/timing.md",
     "gsb-eval": "gsb-record, which makes recordings; gsb-check, which holds them against rules; docs/metrics.md; "
