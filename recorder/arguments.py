@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any
 
 from gpusimbench.schemas.command_line import add_common
 from gpusimbench.schemas.configuration import CAPTURE_MODES, OPTIONAL_PHASES
 from gpusimbench.schemas.errors import UsageError
+from gpusimbench.schemas.parser import Parser
 from gpusimbench.schemas.provenance import REAL
-from gpusimbench.schemas.text import line
 
 _EPILOG = """\
 exit codes:
@@ -110,15 +110,9 @@ SHORTHANDS = {
 """Options of simulators that are common enough for a switch of their own."""
 
 
-class _Parser(argparse.ArgumentParser):
-    def error(self, message: str) -> NoReturn:
-        """See ArgumentParser.error."""
-        super().error(line(message))
-
-
-def parser() -> argparse.ArgumentParser:
+def parser() -> Parser:
     """The command's arguments."""
-    p = _Parser(
+    p = Parser(
         prog="gsb-record",
         description="Run a scene in N identical environments on a simulator; write one MCAP recording per run, "
         "each run in a fresh process.",
@@ -126,7 +120,7 @@ def parser() -> argparse.ArgumentParser:
         epilog=_EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    add_common(p, _names)
+    add_common(p, names)
     p.add_argument("--list", action="store_true", help="show simulators, where they are installed, and scenes")
     p.add_argument("--setup", metavar="NAME", help="make the environment of a simulator that needs one of its own")
     p.add_argument(
@@ -228,10 +222,15 @@ def parser() -> argparse.ArgumentParser:
         metavar="S",
         help=f"when they were measured [s] (default: {_MEASURED['sample_time']})",
     )
+    p.show_first(
+        "--list", "--setup", "--sim", "--scene", "--n-env", "--runs", "--option", "--determinism", "--phases",
+        "--steps", "--out", "--replay",
+    )  # fmt: skip
     return p
 
 
-def _names() -> dict[str, tuple[str, ...]]:
+def names() -> dict[str, tuple[str, ...]]:
+    """Names that completion offers, by the destination of the option that takes them."""
     from gpusimbench.recorder.environments.specification import SPECIFICATIONS
     from gpusimbench.recorder.scenes.registry import scene_names
     from gpusimbench.recorder.simulators.registry import simulators

@@ -14,6 +14,7 @@ from gpusimbench.recorder.output import flush, show, show_document
 from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.errors import ExitCode, UsageError
 from gpusimbench.schemas.provenance import REAL
+from gpusimbench.schemas.suggestion import did_you_mean
 from gpusimbench.schemas.text import block, line
 
 if TYPE_CHECKING:
@@ -68,8 +69,9 @@ def check_configuration(configuration: RunConfiguration) -> None:
     levels = adapter.determinism_levels
     if configuration.determinism not in levels:
         has = "; ".join(f"{level} ({meaning})" for level, meaning in levels.items())
+        hint = did_you_mean(configuration.determinism, levels)
         raise UsageError(
-            f"simulator '{simulator}' has no determinism level '{configuration.determinism}'; it has: {has}"
+            f"simulator '{simulator}' has no determinism level '{configuration.determinism}'; it has: {has}{hint}"
         )
     if refusal := adapter.refusal(simulator, make_scene(configuration.scene), options):
         raise UsageError(refusal)

@@ -7,6 +7,7 @@ from dataclasses import fields
 from typing import Any, get_type_hints
 
 from gpusimbench.schemas.errors import UsageError
+from gpusimbench.schemas.suggestion import did_you_mean
 
 _BOOLEANS = {"true": True, "on": True, "1": True, "false": False, "off": False, "0": False}
 
@@ -32,7 +33,8 @@ def parse_options(simulator: str, kind: type, given: Mapping[str, str]) -> Any:
     values: dict[str, Any] = {}
     for name, text in given.items():
         if name not in known:
-            raise UsageError(f"simulator '{simulator}' has no option '{name}'; it has: {', '.join(known) or 'none'}")
+            has = f"{', '.join(known) or 'none'}{did_you_mean(name, known)}"
+            raise UsageError(f"simulator '{simulator}' has no option '{name}'; it has: {has}")
         try:
             values[name] = _BOOLEANS[text.lower()] if known[name] is bool else known[name](text)
         except (ValueError, KeyError):

@@ -13,6 +13,7 @@ from pathlib import Path
 from gpusimbench.schemas import PARTIAL
 from gpusimbench.schemas.configuration import CAPTURE_MODES, MAX_ENVS, MAX_VIEW, OPTIONAL_PHASES, RunConfiguration
 from gpusimbench.schemas.errors import DataLost, GsbError, UsageError
+from gpusimbench.schemas.suggestion import did_you_mean
 from gpusimbench.schemas.writing import Taken, create, give_name
 
 MIN_DT = 1e-6
@@ -61,7 +62,7 @@ def check(configuration: RunConfiguration) -> None:
     if unknown or not c.phases or len(set(c.phases)) < len(c.phases):
         raise UsageError(
             f"--phases takes {' and '.join(OPTIONAL_PHASES)}, comma separated, each at most once, "
-            f"not '{','.join(c.phases)}'"
+            f"not '{','.join(c.phases)}'{did_you_mean(min(unknown), OPTIONAL_PHASES) if unknown else ''}"
         )
 
 

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import argparse
 import textwrap
 
 from gpusimbench import schemas
 from gpusimbench.schemas.completion import SHELLS, Names, PrintCompletion
+from gpusimbench.schemas.parser import HelpAll, Parser
 
 _WIDTH = 118
 
@@ -42,6 +42,7 @@ _FILES = {
 """What commands leave on the disk without being told its name."""
 
 _SEE_ALSO = {
+    "gsb": "gsb-record and gsb-eval, which are gsb record and gsb eval; docs/tutorial.md; docs/index.md",
     "gsb-record": "gsb-eval, which computes what the runs show; gsb-audit, which replays and compares; "
     "docs/simulators.md; docs/timing.md",
     "gsb-eval": "gsb-record, which makes recordings; gsb-check, which holds them against rules; docs/metrics.md; "
@@ -58,11 +59,12 @@ _SEE_ALSO = {
 """Where each command's reader may go on."""
 
 
-def add_common(parser: argparse.ArgumentParser, names: Names = dict) -> None:
+def add_common(parser: Parser, names: Names = dict) -> None:
     """Give a parser the options that every command has, and its help the sections on its environment and its kin.
 
     names  see PrintCompletion
     """
+    parser.add_argument("--help-all", action=HelpAll, help="show every option and every section of this help, and exit")
     parser.add_argument(
         "--version",
         action="version",

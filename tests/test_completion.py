@@ -71,6 +71,9 @@ def test_options_and_names(folder: Path) -> None:
     assert completed("gsb-audit --require bit", folder) == {"bit-identical"}
     assert completed("gsb-share re", folder) == {"recover"}
     assert completed("gsb-share viewer --ra", folder) == {"--rate"}
+    assert completed("gsb ev", folder) == {"eval"}
+    assert completed("gsb record --sim mu", folder) == {"mujoco"}
+    assert completed("gsb eval ", folder) == {"run.mcap", "left.mcap.partial", "more"}
 
 
 @needs_bash

@@ -27,6 +27,7 @@ HEAVY = (
 @pytest.mark.parametrize(
     "module",
     [
+        "gpusimbench.cli",
         "gpusimbench.recorder.cli",
         *(
             f"gpusimbench.evaluator.cli.{name}"
@@ -37,6 +38,7 @@ HEAVY = (
 def test_help_imports_nothing_heavy(module: str) -> None:
     """Print help and version without a numerical library, a simulator, a file format or, to evaluate, the recorder."""
     heavy = HEAVY if ".recorder." in module else (*HEAVY, "gpusimbench.recorder")
+    heavy = (*heavy, "gpusimbench.evaluator") if module == "gpusimbench.cli" else heavy
     code = (
         f"import sys\nfrom {module} import main\n"
         "for argument in ('--help', '--version'):\n"

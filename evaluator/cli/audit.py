@@ -61,7 +61,7 @@ def parser() -> argparse.ArgumentParser:
         "agrees. Recordings that were made alike are originals of one audit.",
         _EPILOG,
     )
-    p.add_argument("files", nargs="+", type=local_path, metavar="FILE", help="recordings (.mcap)")
+    p.add_argument("files", nargs="+", type=local_path, metavar="FILE", help="recordings (.mcap), or folders of them")
     p.add_argument("--runs", type=int, default=1, metavar="R", help="replays of each (default: 1; statistics want 6)")
     p.add_argument(
         "--out", type=local_path, default=Path("audit"), metavar="DIR", help="folder of the replays (default: audit/)"
@@ -100,6 +100,7 @@ def run(arguments: argparse.Namespace, command: str) -> int:
     from gpusimbench.evaluator.audit.replaying import ReplayPlan
     from gpusimbench.evaluator.audit.text import text_of
     from gpusimbench.evaluator.audit.verdict import Level
+    from gpusimbench.evaluator.read.addresses import expand_paths
     from gpusimbench.evaluator.runs.groups import group
 
     _check(arguments)
@@ -113,7 +114,7 @@ def run(arguments: argparse.Namespace, command: str) -> int:
         arguments.phases,
     )
     required = Level(arguments.require)
-    checked = check_files(arguments.files)
+    checked = check_files(expand_paths(arguments.files))
     for path, findings in checked.damaged.items():
         complain("gsb-audit", f"{path} is not audited: {'; '.join(findings)}")
     audits = []

@@ -39,7 +39,9 @@ def parser() -> argparse.ArgumentParser:
         "checked as a set, too.",
         _EPILOG,
     )
-    p.add_argument("files", nargs="*", type=place, metavar="FILE", help="recordings (.mcap), or addresses of them")
+    p.add_argument(
+        "files", nargs="*", type=place, metavar="FILE", help="recordings (.mcap), folders of them, or addresses"
+    )
     p.add_argument("--protocol", action="store_true", help="check the benchmark's protocol as well as integrity")
     p.add_argument(
         "--rules",

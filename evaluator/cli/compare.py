@@ -11,6 +11,7 @@ from gpusimbench.evaluator.cli.entry import complain, enter, new_parser
 from gpusimbench.evaluator.cli.json_target import check_target, write_json
 from gpusimbench.schemas.errors import UsageError
 from gpusimbench.schemas.location import Place, place
+from gpusimbench.schemas.suggestion import did_you_mean
 from gpusimbench.schemas.writing import write_file
 
 if TYPE_CHECKING:
@@ -100,6 +101,9 @@ def parser() -> argparse.ArgumentParser:
         "--cache", type=local_path, metavar="DIR", help="where to keep results (default: the user's cache folder)"
     )
     p.add_argument("--no-cache", action="store_true", help="read everything anew and keep nothing")
+    p.show_first(
+        "--base", "--head", "--across", "--gate", "--threshold", "--expect-same", "--json", "--markdown", "--junit"
+    )
     return p
 
 
@@ -112,9 +116,10 @@ def run(arguments: argparse.Namespace, command: str) -> int:
 
     from gpusimbench.evaluator.check.protocol import unmet_by_file
     from gpusimbench.evaluator.compare.compare import compare
-    from gpusimbench.evaluator.compare.sides import places_of, read_sides
+    from gpusimbench.evaluator.compare.sides import read_sides
     from gpusimbench.evaluator.compute.cache.store import Store, default_folder
     from gpusimbench.evaluator.compute.work import Work
+    from gpusimbench.evaluator.read.addresses import expand
     from gpusimbench.evaluator.runs.reader import Reader
 
     if arguments.cache and arguments.cache.exists() and not arguments.cache.is_dir():
@@ -122,7 +127,7 @@ def run(arguments: argparse.Namespace, command: str) -> int:
     folder = None if arguments.no_cache else arguments.cache or default_folder()
     work = Work(store=Store(folder) if folder else None)
     reader = Reader(arguments.sample_time, unmet_by_file, verify=not arguments.no_verify)
-    sides = read_sides(places_of(base, "base"), places_of(head, "head"), reader, work)
+    sides = read_sides(expand(base), expand(head), reader, work)
     result = compare(*sides, settings, work, arguments.across)
     if work.store:
         work.store.prune()
@@ -171,7 +176,8 @@ def _settings(arguments: argparse.Namespace) -> Settings:
     named = [name.strip() for name in arguments.gate.split(",") if name.strip()]
     unknown = [name for name in named if name not in axes]
     if unknown or not named:
-        raise UsageError(f"--gate takes some of {', '.join(axes)}, comma separated, not '{arguments.gate}'")
+        hint = did_you_mean(unknown[0], axes) if unknown else ""
+        raise UsageError(f"--gate takes some of {', '.join(axes)}, comma separated, not '{arguments.gate}'{hint}")
     return Settings(
         alpha=arguments.alpha,
         threshold=arguments.threshold,

@@ -43,7 +43,9 @@ def parser() -> argparse.ArgumentParser:
         "differ, and how fast the difference grows.",
         _EPILOG,
     )
-    p.add_argument("files", nargs="+", type=place, metavar="FILE", help="one or two recordings (.mcap), or addresses")
+    p.add_argument(
+        "files", nargs="+", type=place, metavar="FILE", help="one or two recordings (.mcap), addresses, or folders"
+    )
     p.add_argument(
         "--env", type=int, action="append", default=[], metavar="E",
         help="with one recording, twice: these two; with two, once: this one of both, or twice: E of the first "
@@ -90,7 +92,7 @@ def run(arguments: argparse.Namespace, command: str) -> int:
 def _check(arguments: argparse.Namespace) -> None:
     files, envs = len(arguments.files), len(arguments.env)
     if files > 2:
-        raise UsageError(f"gsb-diff compares two recordings, or one with itself; {files} files were given")
+        raise UsageError(f"gsb-diff compares two recordings, or one with itself; {files} recordings were given")
     if envs > 2 or (files == 1 and envs == 1):
         raise UsageError(f"{envs} environments were given: one recording needs two of them, two take one or two")
     if arguments.plot and arguments.plot.suffix != ".svg":

@@ -9,26 +9,20 @@ import shlex
 import sys
 import warnings
 from collections.abc import Callable
-from typing import NoReturn
 
 from gpusimbench.schemas.command_line import add_common
 from gpusimbench.schemas.errors import ExitCode, GsbError
 from gpusimbench.schemas.location import redacted, shown_argument
+from gpusimbench.schemas.parser import Parser
 from gpusimbench.schemas.text import line, show
 
 _NO_THREAD = "can't start new thread"
 """What Python says of a thread whose stack finds no memory."""
 
 
-class _Parser(argparse.ArgumentParser):
-    def error(self, message: str) -> NoReturn:
-        """See ArgumentParser.error; an argument that is no number may be an address with a password."""
-        super().error(line(redacted(message)))
-
-
-def new_parser(command: str, description: str, epilog: str) -> argparse.ArgumentParser:
+def new_parser(command: str, description: str, epilog: str) -> Parser:
     """A parser of a command's arguments, with what all commands have."""
-    p = _Parser(
+    p = Parser(
         prog=command, description=description, epilog=epilog, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     add_common(p)

@@ -13,6 +13,7 @@ from gpusimbench.evaluator.cli.entry import complain, enter, new_parser
 from gpusimbench.evaluator.cli.json_target import check_target
 from gpusimbench.schemas.errors import ExitCode, NothingComparable, UsageError
 from gpusimbench.schemas.location import Place, place
+from gpusimbench.schemas.suggestion import did_you_mean
 from gpusimbench.schemas.text import line, show, show_document
 from gpusimbench.schemas.writing import write_file, write_files
 
@@ -50,7 +51,9 @@ def parser() -> argparse.ArgumentParser:
         "simulator, version, switches, scene, environments, step, device.",
         _EPILOG,
     )
-    p.add_argument("files", nargs="+", type=place, metavar="FILE", help="recordings (.mcap), or addresses of them")
+    p.add_argument(
+        "files", nargs="+", type=place, metavar="FILE", help="recordings (.mcap), folders of them, or addresses"
+    )
     p.add_argument("--reference", type=place, metavar="FILE", help="recording to compare positions with")
     p.add_argument(
         "--sample-time",
@@ -81,6 +84,9 @@ def parser() -> argparse.ArgumentParser:
         "--cache", type=local_path, metavar="DIR", help="where to keep results (default: the user's cache folder)"
     )
     p.add_argument("--no-cache", action="store_true", help="compute everything anew and keep nothing")
+    p.show_first(
+        "--reference", "--sample-time", "--json", "--html", "--tables", "--format", "--figures", "--physics", "--ray"
+    )
     return p
 
 
@@ -88,7 +94,8 @@ def _formats(text: str) -> tuple[str, ...]:
     """Formats of tables, each once."""
     names = tuple(dict.fromkeys(part.strip() for part in text.split(",")))
     if unknown := [name for name in names if name not in _FORMATS]:
-        raise argparse.ArgumentTypeError(f"no format of tables: {', '.join(unknown)}; known: {', '.join(_FORMATS)}")
+        known = f"{', '.join(_FORMATS)}{did_you_mean(unknown[0], _FORMATS)}"
+        raise argparse.ArgumentTypeError(f"no format of tables: {', '.join(unknown)}; known: {known}")
     return names
 
 

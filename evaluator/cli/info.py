@@ -33,7 +33,9 @@ def parser() -> argparse.ArgumentParser:
         "Say who made a recording, of what, where, how long it took, and what is in it. The whole file is verified.",
         _EPILOG,
     )
-    p.add_argument("files", nargs="+", type=place, metavar="FILE", help="recordings (.mcap), or addresses of them")
+    p.add_argument(
+        "files", nargs="+", type=place, metavar="FILE", help="recordings (.mcap), folders of them, or addresses"
+    )
     p.add_argument("--json", type=local_name, metavar="FILE", help="write it as JSON; - for standard output, alone")
     p.add_argument("--no-verify", action="store_true", help="skip digests and comparisons; CRCs are still checked")
     return p

@@ -112,6 +112,7 @@ def run(arguments: argparse.Namespace, command: str) -> int:
 
 
 def _pack(arguments: argparse.Namespace) -> int:
+    from gpusimbench.evaluator.read.addresses import expand_paths
     from gpusimbench.evaluator.share.pack import pack, unpack
     from gpusimbench.schemas.packing import LEVELS
 
@@ -119,7 +120,7 @@ def _pack(arguments: argparse.Namespace) -> int:
     if packing and arguments.level not in LEVELS:
         raise UsageError(f"--level is a whole number from {LEVELS[0]} to {LEVELS[-1]}, not {arguments.level}")
     code = ExitCode.OK
-    for file in _recordings(arguments.files):
+    for file in expand_paths(arguments.files):
         path = arguments.out / file.name
         try:
             copied = pack(file, path, level=arguments.level) if packing else unpack(file, path)
@@ -129,17 +130,6 @@ def _pack(arguments: argparse.Namespace) -> int:
         else:
             show(line(_line(copied)))
     return int(code)
-
-
-def _recordings(paths: list[Path]) -> Iterator[Path]:
-    for path in paths:
-        if not path.is_dir():
-            yield path
-            continue
-        inside = sorted(path.glob("*.mcap"))
-        if not inside:
-            raise UsageError(f"{path} has no recordings (*.mcap)")
-        yield from inside
 
 
 def _line(copied: Copied) -> str:

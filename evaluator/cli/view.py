@@ -42,7 +42,9 @@ examples:
 def parser() -> argparse.ArgumentParser:
     """The command's arguments."""
     p = new_parser("gsb-view", "Show environments of recordings in motion.", _EPILOG)
-    p.add_argument("files", nargs="+", type=place, metavar="FILE", help="recordings (.mcap), or addresses of them")
+    p.add_argument(
+        "files", nargs="+", type=place, metavar="FILE", help="recordings (.mcap), folders of them, or addresses"
+    )
     p.add_argument(
         "--with", dest="program", choices=_PROGRAMS, default="auto",
         help="what to open (default: auto, which is Foxglove or Lichtblick where one is installed, else the page)",

@@ -11,6 +11,7 @@ from gpusimbench.evaluator.runs.groups import Group, GroupKey, asked, precisions
 from gpusimbench.evaluator.runs.labels import labels, options_given
 from gpusimbench.evaluator.runs.run import Run
 from gpusimbench.schemas.errors import UsageError
+from gpusimbench.schemas.suggestion import did_you_mean
 
 ACROSS = ("simulator", "determinism", "warmup", "timed_steps")
 """What --across takes besides names of options."""
@@ -78,7 +79,8 @@ def check_across(across: Collection[str], groups: Groups) -> None:
     known = {name for g in groups for r in g.recordings for name in r.configuration.options} | set(ACROSS)
     for name in across:
         if name not in known:
-            raise UsageError(f"--across takes an option that a run was given or {', '.join(ACROSS)}, not '{name}'")
+            takes = f"an option that a run was given or {', '.join(ACROSS)}"
+            raise UsageError(f"--across takes {takes}, not '{name}'{did_you_mean(name, known)}")
 
 
 def _unique(

@@ -4,15 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 from gpusimbench.evaluator.compute.work import Work
-from gpusimbench.evaluator.read.addresses import expand
 from gpusimbench.evaluator.results.evaluate import without_copies
 from gpusimbench.evaluator.runs.known_files import read_all
 from gpusimbench.evaluator.runs.reader import Reader, Unreadable
 from gpusimbench.evaluator.runs.run import Run
-from gpusimbench.schemas import PARTIAL
 from gpusimbench.schemas.errors import UsageError
 from gpusimbench.schemas.location import Place
 
@@ -29,20 +26,6 @@ class Side:
     files: tuple[Run, ...]
     unreadable: tuple[Unreadable, ...]
     notes: tuple[str, ...]
-
-
-def places_of(given: Sequence[Place], name: str) -> list[Place]:
-    """Files, and of each folder its recordings, also those that were never finished; UsageError where it has none."""
-    found: list[Place] = []
-    for one in given:
-        if not isinstance(one, Path) or not one.is_dir():
-            found.append(one)
-            continue
-        inside = sorted(path for end in ("*.mcap", f"*.mcap{PARTIAL}") for path in one.glob(end))
-        if not inside:
-            raise UsageError(f"{one} has no recordings (*.mcap); {name} is a folder of them, or files")
-        found += inside
-    return expand(found)
 
 
 def read_sides(base: Sequence[Place], head: Sequence[Place], reader: Reader, work: Work) -> tuple[Side, Side]:

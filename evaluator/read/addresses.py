@@ -1,4 +1,5 @@
-"""Files elsewhere, as commands are given them: addresses that stand for several files, and copies that do not last."""
+"""Files as commands are given them: folders, patterns and addresses that stand for several files; copies that do not
+last of files elsewhere."""
 
 from __future__ import annotations
 
@@ -9,7 +10,8 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
-from gpusimbench.schemas.errors import GsbError, Unreachable
+from gpusimbench.schemas import PARTIAL
+from gpusimbench.schemas.errors import GsbError, Unreachable, UsageError
 from gpusimbench.schemas.location import Location, Place
 from gpusimbench.schemas.writing import write_pieces
 
@@ -18,13 +20,14 @@ MAX_FILES = 10_000
 
 
 def expand(places: Sequence[Place], *, copies: bool = False) -> list[Place]:
-    """Each path and address with wildcards as the files that it stands for, the others as they are; each file once.
+    """Each folder, and each path and address with wildcards, as the files that it stands for; each file once.
 
-    A path with wildcards that stands for nothing stays as it is, and whoever opens it says that there is no such file.
+    A folder stands for the recordings directly in it, not for those of the folders below it. A path with wildcards that
+    stands for nothing stays as it is, and whoever opens it says that there is no such file.
 
     copies  what is named twice is there twice
 
-    Unreachable where a file system does not tell.
+    UsageError for a folder without recordings; Unreachable where a file system does not tell.
     """
     found: list[Place] = []
     for given in places:
@@ -32,11 +35,40 @@ def expand(places: Sequence[Place], *, copies: bool = False) -> list[Place]:
             from gpusimbench.schemas.remote import matching
 
             found += matching(given, MAX_FILES)
-        elif glob.has_magic(str(given)) and not given.exists():
-            found += sorted(map(Path, glob.glob(str(given)))) or [given]
         else:
-            found.append(given)
+            found += _expanded(given)
     return found if copies else list(dict.fromkeys(found))
+
+
+def expand_paths(paths: Sequence[Path]) -> list[Path]:
+    """The same for files of this machine."""
+    return list(dict.fromkeys(path for given in paths for path in _expanded(given)))
+
+
+def _expanded(given: Path) -> list[Path]:
+    if glob.has_magic(str(given)) and not given.exists():
+        return sorted(map(Path, glob.glob(str(given)))) or [given]
+    return recordings_in(given) if given.is_dir() else [given]
+
+
+def recordings_in(folder: Path) -> list[Path]:
+    """The recordings of a folder, sorted, also what a crash left of one; none of the folders below it.
+
+    UsageError where it has none.
+    """
+    found = sorted(folder.glob("*.mcap")) + sorted(filter(_has_bytes, folder.glob(f"*.mcap{PARTIAL}")))
+    if not found:
+        below = sorted({path.parent for path in folder.glob("*/*.mcap")})
+        hint = f"; there are some in {below[0]}: name that folder" if below else ""
+        raise UsageError(f"{folder} is a folder without recordings (*.mcap){hint}")
+    return found
+
+
+def _has_bytes(path: Path) -> bool:
+    try:
+        return path.stat().st_size > 0
+    except FileNotFoundError:  # its run has ended meanwhile
+        return False
 
 
 @contextmanager

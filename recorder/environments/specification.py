@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from gpusimbench.schemas.errors import UsageError
+from gpusimbench.schemas.suggestion import did_you_mean
 
 FOLDER = Path(__file__).parent / "requirements"
 
@@ -57,5 +58,6 @@ def specification_of(simulator: str) -> Specification:
     if simulator not in SPECIFICATIONS:
         raise UsageError(
             f"there is no environment for '{simulator}' to set up; there is one for: {', '.join(SPECIFICATIONS)}"
+            f"{did_you_mean(simulator, SPECIFICATIONS)}"
         )
     return SPECIFICATIONS[simulator]

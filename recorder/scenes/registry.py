@@ -15,6 +15,7 @@ from gpusimbench.recorder.scenes.franka import franka
 from gpusimbench.recorder.scenes.free_fall import free_fall
 from gpusimbench.recorder.scenes.inclined_collision import inclined_collision
 from gpusimbench.schemas.errors import UsageError
+from gpusimbench.schemas.suggestion import did_you_mean
 
 ENTRY_POINTS = "gsb.scenes"
 
@@ -37,7 +38,8 @@ def make_scene(name: str) -> Scene:
         return SCENES[name]()
     point = _added().get(name)
     if point is None:
-        raise UsageError(f"there is no scene '{name}'; known scenes: {', '.join(scene_names())}")
+        names = scene_names()
+        raise UsageError(f"there is no scene '{name}'; known scenes: {', '.join(names)}{did_you_mean(name, names)}")
     owner = point.dist.name if point.dist else "an installed distribution"
     try:
         scene = point.load()()

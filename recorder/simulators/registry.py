@@ -15,6 +15,8 @@ from gpusimbench.recorder.interruption import blocked
 from gpusimbench.recorder.plugins import in_words
 from gpusimbench.recorder.simulators.base import Simulator
 from gpusimbench.schemas.errors import UsageError
+from gpusimbench.schemas.provenance import REAL
+from gpusimbench.schemas.suggestion import did_you_mean
 
 ENTRY_POINTS = "gsb.simulators"
 
@@ -226,5 +228,8 @@ def find_simulator(name: str) -> Entry:
     """The simulator of that name; UsageError names the known ones."""
     known = simulators()
     if name not in known:
-        raise UsageError(f"there is no simulator '{name}'; known: {', '.join(known)}, real (see gsb-record --list)")
+        hint = did_you_mean(name, [*known, REAL])
+        raise UsageError(
+            f"there is no simulator '{name}'; known: {', '.join(known)}, {REAL} (see gsb-record --list){hint}"
+        )
     return known[name]

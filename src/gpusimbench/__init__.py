@@ -104,7 +104,7 @@ def evaluate(
 ) -> Evaluation:
     """Compute every metric of every group of runs, as ``gsb-eval`` does.
 
-    files        paths, addresses, or patterns of them, in any order; copies of one run count once
+    files        paths, folders, addresses, or patterns of them, in any order; copies of one run count once
     reference    recording that simulations are compared with; None: the real trials among the files, if any
     sample_time  simulated time at which positions are compared [s]
     verified     check every byte of the files first; without it, digests are taken on trust
@@ -144,11 +144,12 @@ def compare(
     from gpusimbench.evaluator.check.protocol import unmet_by_file
     from gpusimbench.evaluator.compare import compare as comparing
     from gpusimbench.evaluator.compare.finding import Settings
-    from gpusimbench.evaluator.compare.sides import places_of, read_sides
+    from gpusimbench.evaluator.compare.sides import read_sides
     from gpusimbench.evaluator.compute.work import HERE
+    from gpusimbench.evaluator.read.addresses import expand
     from gpusimbench.evaluator.runs.reader import Reader
 
-    ours, theirs = places_of(list(map(place, base)), "base"), places_of(list(map(place, head)), "head")
+    ours, theirs = expand(list(map(place, base))), expand(list(map(place, head)))
     sides = read_sides(ours, theirs, Reader(sample_time, unmet_by_file), HERE)
     return comparing.compare(*sides, Settings(alpha=alpha, threshold=threshold), HERE, across)
 

@@ -475,8 +475,9 @@ def test_exchanging_base_and_head_mirrors_every_verdict(
     """Turn every regression into an improvement and leave all else, and do not mind the order of files."""
     from gpusimbench.evaluator.compare.compare import compare
     from gpusimbench.evaluator.compare.finding import Settings
-    from gpusimbench.evaluator.compare.sides import places_of, read_sides
+    from gpusimbench.evaluator.compare.sides import read_sides
     from gpusimbench.evaluator.compute.work import HERE
+    from gpusimbench.evaluator.read.addresses import expand
     from gpusimbench.evaluator.runs.reader import Reader
 
     folder = tmp_path_factory.mktemp("mirror")
@@ -487,7 +488,7 @@ def test_exchanging_base_and_head_mirrors_every_verdict(
         [{"elapsed_s": s, "host_bytes": (10**8, 10**8 + 10**8 + more), **(bad if s > 1.2 else {})} for s in head],
         order,
     )
-    places = places_of([one], "base"), places_of([other], "head")
+    places = expand([one]), expand([other])
     results = [
         compare(*read_sides(a, b, Reader(5.0, unmet_by_file), HERE), Settings(), HERE)
         for a, b in (places, (places[0][::-1], places[1][::-1]), (places[1], places[0]))

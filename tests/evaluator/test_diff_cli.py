@@ -166,7 +166,7 @@ def test_a_picture_of_hashes_alone(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (["a", "b", "c"], "3 files were given"),
+        (["a", "b", "c"], "3 recordings were given"),
         (["a", "--env", "1"], "1 environments were given"),
         (["a", "b", "--env", "1", "--env", "2", "--env", "3"], "3 environments were given"),
         (["a", "b", "--plot", "growth.png"], "--plot draws SVG"),

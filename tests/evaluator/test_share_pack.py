@@ -195,7 +195,7 @@ def test_the_command_packs_a_folder(moving: Path, tmp_path: Path) -> None:
     ("arguments", "message"),
     [
         (("pack", SHIPPED, "--level", "0"), "--level is a whole number from 1 to 22"),
-        (("pack", ROOT / "docs"), "has no recordings"),
+        (("pack", ROOT / "docs"), "is a folder without recordings"),
         (("pack", "missing.mcap"), "cannot read missing.mcap"),
         ((), "VERB"),
     ],

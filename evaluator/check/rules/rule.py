@@ -12,6 +12,7 @@ from typing import Any
 from gpusimbench.evaluator.check.rules.facts import CONDITIONS, FACTS
 from gpusimbench.evaluator.check.rules.predicates import FILE_PREDICATES, SET_PREDICATES
 from gpusimbench.schemas.errors import UsageError
+from gpusimbench.schemas.suggestion import did_you_mean
 
 SHIPPED = ("integrity-1", "protocol-1")
 """Rule sets that come with the package."""
@@ -86,8 +87,8 @@ def load_rules(name: str) -> RuleSet:
             data = stream.read(_MAX_BYTES + 1)
         text = data.decode("utf-8")
     except OSError as error:
-        shipped = ", ".join(SHIPPED)
-        raise UsageError(f"'{name}' is no rule set ({shipped}), and no file of rules: {error.strerror}") from None
+        shipped, hint = ", ".join(SHIPPED), did_you_mean(name, SHIPPED)
+        raise UsageError(f"'{name}' is no rule set ({shipped}), and no file of rules: {error.strerror}{hint}") from None
     except UnicodeDecodeError:
         raise UsageError(f"{path} is not a text file in UTF-8") from None
     if len(data) > _MAX_BYTES:

@@ -11,6 +11,7 @@ import jinja2
 from markupsafe import Markup
 
 from gpusimbench.evaluator.render import numbers
+from gpusimbench.evaluator.render.csv import to_csv
 from gpusimbench.evaluator.render.templating import page_templates
 from gpusimbench.evaluator.report import timed, words
 from gpusimbench.evaluator.report.page.picture import LARGEST_CSV, Picture
@@ -49,7 +50,7 @@ def _interval(metric: Estimate) -> str:
 
 def _page_csv(picture: Picture) -> str:
     """A picture's numbers as a page carries them, with its own line ends; empty where there are none, or too many."""
-    text = picture.numbers.csv()
+    text = to_csv(picture.numbers.titles, picture.numbers.rows)
     return text.replace("\r\n", "\n") if len(text) <= LARGEST_CSV else ""
 
 

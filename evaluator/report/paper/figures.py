@@ -6,6 +6,7 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 from gpusimbench.evaluator.render import latex
+from gpusimbench.evaluator.render.csv import to_csv
 from gpusimbench.evaluator.render.figures.matrix import hatch
 from gpusimbench.evaluator.render.figures.style import standalone
 from gpusimbench.evaluator.report.html import sections_of
@@ -41,7 +42,7 @@ def write_figures(evaluation: Evaluation, folder: Path, *, published: bool) -> l
         svg = standalone(str(picture.svg), hatch())
         files[folder / f"{name}.svg"] = svg
         files[folder / f"{name}.pdf"] = to_pdf(svg, printable(picture.title))
-        if numbers := picture.numbers.csv():
+        if numbers := to_csv(picture.numbers.titles, picture.numbers.rows):
             files[folder / f"{name}.csv"] = numbers
         environments.append(latex.figure(name, ". ".join(filter(None, (picture.title, picture.caption)))))
     files[folder / INDEX] = "\n".join(environments)

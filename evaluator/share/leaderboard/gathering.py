@@ -25,8 +25,8 @@ def recordings_of(places: Sequence[Place]) -> list[Place]:
     NothingComparable where there are none.
     """
     found: dict[object, Place] = {}
-    for place in expand(places):
-        for path in _inside(place) if isinstance(place, Path) and place.is_dir() else (place,):
+    for place in places:
+        for path in _inside(place) if isinstance(place, Path) and place.is_dir() else expand([place]):
             found.setdefault(path.resolve() if isinstance(path, Path) else path, path)
     if not found:
         raise NothingComparable("there is no recording (*.mcap) in what was named: nothing to rank")

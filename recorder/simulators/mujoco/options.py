@@ -6,6 +6,8 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
+from gpusimbench.schemas.suggestion import did_you_mean
+
 INTEGRATORS = ("Euler", "RK4", "implicit", "implicitfast")
 CONES = ("elliptic", "pyramidal")
 SOLVERS = ("Newton", "CG", "PGS")
@@ -76,4 +78,5 @@ class MjcfOptions:
 def one_of(name: str, value: Any, allowed: tuple[Any, ...]) -> None:
     """ValueError where an option has none of the values that it may have."""
     if value not in allowed:
-        raise ValueError(f"{name} is one of {', '.join(map(str, allowed))}, not '{value}'")
+        known = list(map(str, allowed))
+        raise ValueError(f"{name} is one of {', '.join(known)}, not '{value}'{did_you_mean(str(value), known)}")

@@ -1,0 +1,126 @@
+"""The parser of every command: a short help and a whole one, and errors that suggest what may have been meant."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import textwrap
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any, NoReturn
+
+from gpusimbench.schemas.location import redacted
+from gpusimbench.schemas.suggestion import did_you_mean
+from gpusimbench.schemas.text import line
+
+_EXAMPLES = "\nexamples:\n"
+_WIDTH = 118
+
+
+class Parser(argparse.ArgumentParser):
+    """An ArgumentParser whose --help shows the options that most people need, and whose --help-all shows all.
+
+    A mistyped option, verb or choice ends with the message that argparse has for it and the nearest known name.
+    """
+
+    def __init__(self, *arguments: Any, **keywords: Any) -> None:
+        super().__init__(*arguments, **keywords)
+        self._first: list[argparse.Action] = []
+
+    def show_first(self, *names: str) -> None:
+        """Name the options that --help shows, beside those without dashes; the others are left to --help-all.
+
+        KeyError for an option that the parser does not have.
+        """
+        options = self._option_string_actions
+        self._first = [options["--help"], options["--help-all"], *(options[name] for name in names)]
+
+    def format_usage(self) -> str:
+        """See ArgumentParser.format_usage; of the options, those that --help shows."""
+        with self._without(self._rare()):
+            return super().format_usage()
+
+    def format_help(self) -> str:
+        """See ArgumentParser.format_help; of the options, those that --help shows, and of the sections the examples."""
+        rare = self._rare()
+        if not rare:
+            return super().format_help()
+        whole = self.epilog or ""
+        before, heading, examples = whole.partition(_EXAMPLES)
+        titles = [text[:-1] for text in before.splitlines() if text.endswith(":") and not text.startswith(" ")]
+        more = f"{self.prog} --help-all shows {len(rare)} more options, and the sections {', '.join(titles)}."
+        with self._without(rare):
+            self.epilog = heading.lstrip("\n") + examples.rstrip("\n") + "\n\n" + textwrap.fill(more, _WIDTH) + "\n"
+            try:
+                return super().format_help()
+            finally:
+                self.epilog = whole
+
+    def format_whole_help(self) -> str:
+        """The help with every option and every section."""
+        kept, self._first = self._first, []
+        try:
+            return self.format_help()
+        finally:
+            self._first = kept
+
+    def parse_args(self, args: Sequence[str] | None = None, namespace: Any = None) -> Any:  # type: ignore[override]
+        """See ArgumentParser.parse_args."""
+        found, unknown = self.parse_known_args(args, namespace)
+        if unknown:
+            known = [name for parser in self._asked(found) for name in parser._option_string_actions]
+            written = [text.partition("=")[0] for text in unknown if text.startswith("--")]
+            hint = next(filter(None, (did_you_mean(name, known) for name in written)), "")
+            self.error(f"unrecognized arguments: {' '.join(unknown)}{hint}")
+        return found
+
+    def error(self, message: str) -> NoReturn:
+        """See ArgumentParser.error; an argument may be an address with a password, which is not shown."""
+        super().error(line(redacted(message)))
+
+    def _check_value(self, action: argparse.Action, value: Any) -> None:
+        try:
+            super()._check_value(action, value)
+        except argparse.ArgumentError as error:
+            error.message += did_you_mean(str(value), map(str, action.choices or ()))
+            raise
+
+    def _rare(self) -> list[argparse.Action]:
+        if not self._first:
+            return []
+        return [action for action in self._actions if action.option_strings and action not in self._first]
+
+    def _asked(self, found: argparse.Namespace) -> Iterator[argparse.ArgumentParser]:
+        # this parser, and that of the verb that was given
+        yield self
+        for action in self._actions:
+            if isinstance(action, argparse._SubParsersAction):
+                verb = getattr(found, action.dest, None)
+                if verb in action.choices:
+                    yield action.choices[verb]
+
+    @contextmanager
+    def _without(self, actions: Iterable[argparse.Action]) -> Iterator[None]:
+        kept = [(action, action.help) for action in actions]
+        for action, _ in kept:
+            action.help = argparse.SUPPRESS
+        try:
+            yield
+        finally:
+            for action, text in kept:
+                action.help = text
+
+
+class HelpAll(argparse.Action):
+    """--help-all: print the whole help and end."""
+
+    def __init__(self, option_strings: list[str], dest: str, help: str) -> None:  # noqa: A002 - argparse's
+        super().__init__(option_strings, argparse.SUPPRESS, nargs=0, default=argparse.SUPPRESS, help=help)
+
+    def __call__(
+        self, parser: argparse.ArgumentParser, namespace: object, values: object, option_string: str | None = None
+    ) -> None:
+        """See argparse.Action."""
+        assert isinstance(parser, Parser)
+        parser._print_message(parser.format_whole_help(), sys.stdout)
+        parser.exit()

@@ -1,0 +1,115 @@
+"""gsb: every command under one name, and what to do next in a folder."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from gpusimbench.cli import COMMANDS
+from gpusimbench.next_steps import next_steps
+from tests.conftest import call, command
+from tests.test_help import PARSERS
+
+ROOT = Path(__file__).resolve().parent.parent
+FILE = ROOT / "recordings" / "mujoco-amd-r0.mcap"
+
+
+def test_every_command_is_a_verb() -> None:
+    """Have a verb for each command of the hyphen family, with its options."""
+    assert {f"gsb-{verb}" for verb in COMMANDS} == set(PARSERS) - {"gsb"}
+    (verbs,) = (action for action in PARSERS["gsb"]._actions if action.dest == "verb")
+    assert verbs.choices is not None
+    for verb, parser in dict(verbs.choices).items():
+        assert parser._option_string_actions.keys() == PARSERS[f"gsb-{verb}"]._option_string_actions.keys()
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("info", FILE),
+        ("info", "nowhere.mcap"),
+        ("check", FILE, "--rules", "no-such-rules"),
+        ("diff", FILE, ROOT / "recordings" / "mujoco-pyramidal-r0.mcap", "--json", "-"),
+        ("record", "--sim", "mujco"),
+        ("share", "--help"),
+        ("eval", "--help-all"),
+    ],
+)
+def test_a_verb_does_what_its_command_does(arguments: tuple[object, ...]) -> None:
+    """Print the same, and end with the same code."""
+    verb, *given = arguments
+    one, other = call("gsb", verb, *given), call(f"gsb-{verb}", *given)
+    assert (one.returncode, one.stdout, one.stderr) == (other.returncode, other.stdout, other.stderr)
+
+
+def test_a_verb_that_is_none() -> None:
+    """End with 2 and the verb that may have been meant."""
+    done = call("gsb", "evaluate")
+    assert done.returncode == 2
+    assert "did you mean 'eval'?" in done.stderr
+
+
+def test_the_module() -> None:
+    """Be what python -m gpusimbench runs."""
+    done = subprocess.run(
+        [sys.executable, "-m", "gpusimbench", "info", str(FILE)], capture_output=True, text=True, timeout=60
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stdout == call("gsb-info", FILE).stdout
+    assert subprocess.run([*command("gsb"), "--version"], capture_output=True, timeout=60).returncode == 0
+
+
+def _suggested(text: str) -> list[list[str]]:
+    # arguments of gsb in the lines that show a command
+    return [line.split("  ")[1].split()[1:] for line in text.splitlines() if line.startswith("  gsb ")]
+
+
+def test_an_empty_folder(tmp_path: Path) -> None:
+    """Say that recordings come first, and how they are made."""
+    done = call("gsb", cwd=tmp_path)
+    assert done.returncode == 0
+    assert "no recordings here" in done.stdout
+    assert "gsb record --sim mujoco" in done.stdout
+    assert len(done.stdout.splitlines()) <= 10
+
+
+def test_a_folder_of_work(tmp_path: Path) -> None:
+    """Name the newest set, an older one to compare it with, a page of results and what a crash left."""
+    for name in ("older", "newer set"):
+        (tmp_path / name).mkdir()
+        shutil.copyfile(FILE, tmp_path / name / "run.mcap")
+    (tmp_path / "newer set" / "left.mcap.partial").write_bytes(b"content")
+    (tmp_path / "site").mkdir()
+    (tmp_path / "site" / "index.html").write_text("<title>mine</title>", encoding="utf-8")
+    assert call("gsb", "eval", "newer set", "--html", "report", cwd=tmp_path).returncode == 3
+    said = call("gsb", cwd=tmp_path).stdout
+    assert "1 recording in newer set/, 1 recording in older/, 1 unfinished recording, 1 page of results" in said
+    assert "gsb eval 'newer set' " in said
+    assert "gsb compare older 'newer set' " in said
+    assert "gsb share recover 'newer set/left.mcap.partial'" in said
+    assert "report/index.html" in said
+    assert "site/index.html" not in said
+    assert len(said.splitlines()) <= 12
+
+
+def test_what_is_said_can_be_typed(tmp_path: Path) -> None:
+    """Show commands that the parsers take."""
+    (tmp_path / "runs").mkdir()
+    for make in (lambda: None, lambda: shutil.copyfile(FILE, tmp_path / "runs" / "run.mcap")):
+        make()
+        for arguments in _suggested(call("gsb", cwd=tmp_path).stdout):
+            if arguments != ["--help"]:
+                PARSERS["gsb"].parse_args(arguments)
+
+
+def test_the_present_folder_itself(tmp_path: Path) -> None:
+    """Name the folder by a point where the recordings lie in it, and mind no folder that cannot be read."""
+    shutil.copyfile(FILE, tmp_path / "run.mcap")
+    said = call("gsb", cwd=tmp_path).stdout
+    assert "1 recording in this folder" in said
+    assert "gsb eval . " in said
+    assert next_steps(tmp_path / "nowhere")[0].startswith("There are no recordings here")
