@@ -1,0 +1,186 @@
+"""Change points of a series: after which points its level is another, and by how much."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from gpusimbench.evaluator.statistics.jackknife import CONFIDENCE
+
+MIN_POINTS = 3
+"""Fewer points have no spread beside a change."""
+
+_ROUNDING = 1e-12  # values that are apart by less, in proportion, are taken for equal: sums of them round
+
+Floats = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class ChangePoint:
+    """One change of level, in the unit of the values.
+
+    index       of the first point that has the new level
+    begin, end  the points from `begin` to before `index` have the old level, those from `index` to before `end` the new
+    before      mean of those
+    after       mean of these
+    ci95        of after - before, with the position taken as known; None where neither level has two points
+    p_value     chance of so clear a change, anywhere in the stretch in which it was found, were nothing changed there
+    """
+
+    index: int
+    begin: int
+    end: int
+    before: float
+    after: float
+    ci95: tuple[float, float] | None
+    p_value: float
+
+    @property
+    def difference(self) -> float:
+        """After - before."""
+        return self.after - self.before
+
+
+def change_points(values: npt.ArrayLike, level: float) -> list[ChangePoint]:
+    """Where the mean of a series changes: circular binary segmentation (Olshen et al. 2004), in order.
+
+    In a stretch of T points, every split into two parts, and every inner part against the rest (a change that is undone
+    later), is a candidate. Both have one statistic, that of the two-sample t-test with one variance:
+
+        t^2 = (T - 2) B / (S - B),   B = sum of squares between the two parts, S = of all points about their mean
+
+    p is bounded by Bonferroni's inequality over the candidates (for normal values that are independent), half of the
+    level for either kind, so that the many inner parts do not hide a change at the newest point:
+
+        p = 2 N P(|t_(T-2)| >= t),   N = T - 1 splits, or (T - 1)(T - 2)/2 inner parts       (splits: Worsley 1979)
+
+    The candidate with the smallest p divides the stretch if p <= level, and the parts are searched likewise. The chance
+    of any change point in a series whose values are independent and of one normal law is at most `level`.
+
+    Args:
+        values: one finite value a point, in order of time, shape [T].
+        level: chance of a false alarm.
+
+    Raises:
+        ValueError: values of another shape or not finite; a level that is no probability.
+    """
+    series = np.asarray(values, dtype=np.float64)
+    if series.ndim != 1 or not np.isfinite(series).all():
+        raise ValueError(f"values must be finite, of shape [point], got {list(series.shape)}")
+    if not 0 < level < 1:
+        raise ValueError(f"level is a probability between 0 and 1, not {level:g}")
+    found: dict[int, float] = {}
+    _divide(series, 0, len(series), level, found)
+    ends = [0, *sorted(found), len(series)]
+    return [
+        _change(series, ends[i - 1], index, ends[i + 1], found[index])
+        for i, index in enumerate(ends[1:-1], start=1)
+    ]  # fmt: skip
+
+
+def least_visible(values: npt.ArrayLike, level: float) -> float | None:
+    """By how much one more point would have to differ from the mean of these to be a change point, about.
+
+        d = t s sqrt(1 + 1/m),   t as p = level asks of m + 1 points, s = SD of the m points
+
+    Args:
+        values: the points since the last change, shape [m].
+        level: as in change_points.
+
+    Returns:
+        the difference, in the unit of the values; None of fewer than two points.
+    """
+    series = np.asarray(values, dtype=np.float64)
+    m = len(series)
+    if m < MIN_POINTS - 1:
+        return None
+    from scipy.special import stdtrit
+
+    # of m + 1 points there are m splits; two sides, two kinds of candidates
+    t = -float(stdtrit(m - 1, level / (4 * m)))
+    return t * float(series.std(ddof=1)) * math.sqrt(1 + 1 / m)
+
+
+def _divide(series: Floats, begin: int, end: int, level: float, found: dict[int, float]) -> None:
+    """Add the change points between begin and end, with their p-values."""
+    pending = [(begin, end)]
+    while pending:
+        low, high = pending.pop()
+        p, places = _best(series[low:high])
+        if p > level:
+            continue
+        cuts = [low, *(low + place for place in places), high]
+        found.update(dict.fromkeys(cuts[1:-1], p))
+        pending += list(zip(cuts[:-1], cuts[1:], strict=True))
+
+
+def _best(series: Floats) -> tuple[float, tuple[int, ...]]:
+    """The smallest p of a stretch, and where it would be cut: at one place, or at two."""
+    count = len(series)
+    if count < MIN_POINTS:
+        return 1.0, ()
+    # in units of the largest distance from the first value: squares neither overflow nor vanish
+    apart = series - series[0]
+    largest = float(np.abs(apart).max())
+    if largest <= _ROUNDING * float(np.abs(series).max()):
+        return 1.0, ()
+    centred = apart / largest - (apart / largest).mean()
+    total = float((centred**2).sum())
+    sums = np.concatenate([[0.0], centred.cumsum()])
+    begins, ends = np.triu_indices(count, k=1)
+    ends, begins = ends[begins > 0], begins[begins > 0]  # a part that begins at 0 is the split behind it
+    splits = np.arange(1, count)
+    by_split = _between(sums[splits], splits, count)
+    candidates: list[tuple[float, int, tuple[int, ...]]] = [
+        (float(by_split.max()), len(splits), (int(splits[by_split.argmax()]),))
+    ]
+    if len(begins):
+        by_part = _between(sums[ends] - sums[begins], ends - begins, count)
+        best = int(by_part.argmax())
+        candidates.append((float(by_part[best]), len(begins), (int(begins[best]), int(ends[best]))))
+    return min((_p_value(between, total, count, ways), places) for between, ways, places in candidates)
+
+
+def _between(sums: Floats, sizes: npt.NDArray[np.int64], count: int) -> Floats:
+    """Sum of squares between a part and the rest, from the part's sum of centred values."""
+    return np.asarray(sums**2 * (count / (sizes * (count - sizes))))
+
+
+def _p_value(between: float, total: float, count: int, ways: int) -> float:
+    from scipy.special import stdtr  # what scipy.stats.t.cdf calls, without a second of imports
+
+    within = max(total - between, 0.0)
+    if within <= 0.0:
+        return 0.0
+    t = math.sqrt((count - 2) * between / within)
+    # twice for the two signs, twice for the two kinds of candidates
+    return min(1.0, 4.0 * ways * float(stdtr(count - 2, -t)))
+
+
+def _change(series: Floats, begin: int, index: int, end: int, p_value: float) -> ChangePoint:
+    sides = series[begin:index], series[index:end]
+    before, after = (_mean(side) for side in sides)
+    freedom = end - begin - 2
+    interval = None
+    if freedom:
+        from scipy.special import stdtrit
+
+        spread = sum(float(((side - mean) ** 2).sum()) for side, mean in zip(sides, (before, after), strict=True))
+        error = math.sqrt(spread / freedom * (1 / len(sides[0]) + 1 / len(sides[1])))
+        reach = float(stdtrit(freedom, 0.5 + CONFIDENCE / 2.0)) * error
+        interval = (after - before - reach, after - before + reach)
+    return ChangePoint(index, begin, end, before, after, interval, p_value)
+
+
+def _mean(side: Floats) -> float:
+    # measured from the first value, so that equal values give exactly that mean
+    return float(side[0] + (side - side[0]).mean())
+
+
+def steps_of(values: Sequence[float]) -> list[int]:
+    """Where a series that has no noise takes another value: every index whose value is not that before it."""
+    return [index for index in range(1, len(values)) if values[index] != values[index - 1]]
