@@ -16,6 +16,7 @@ from gpusimbench.schemas.writing import write_file
 
 if TYPE_CHECKING:
     from gpusimbench.evaluator.compare.finding import Settings
+    from gpusimbench.evaluator.compute.work import Work
 
 _GATES = "throughput,memory,physics,validity,determinism"
 
@@ -45,6 +46,7 @@ exit codes:
   4  a gate failed, whatever else is true of other files
   5  no gate failed and one could not be decided: too few runs, an interval that holds the threshold, a thing that one
      side has and the other not; or nothing could be compared. What neither side has (GPU memory on a CPU) is left out
+  --history tells what changed at which version, and fails (4) only with --gate, by what changed at the newest
 
 examples:
   gsb-compare base/ head/
@@ -52,6 +54,7 @@ examples:
   gsb-compare --base main-*.mcap --head branch-*.mcap --markdown summary.md --junit report.xml
   gsb-compare first/ again/ --expect-same
   gsb-compare elliptic/ pyramidal/ --across cone
+  gsb-compare --history versions/ --html history.html
 """
 
 
@@ -70,7 +73,14 @@ def parser() -> argparse.ArgumentParser:
         "--across", action="append", default=[], metavar="KEY",
         help="an option that may differ, or simulator, determinism, warmup, timed_steps; repeatable",
     )  # fmt: skip
-    p.add_argument("--gate", default=_GATES, metavar="LIST", help="axes that have to pass (default: %(default)s)")
+    p.add_argument(
+        "--history", type=local_path, metavar="DIR",
+        help="instead of SETs: a folder that has a folder of recordings for each version or commit",
+    )  # fmt: skip
+    p.add_argument(
+        "--gate", metavar="LIST",
+        help=f"axes that have to pass (default: {_GATES}; with --history: none)",
+    )  # fmt: skip
     p.add_argument(
         "--alpha", type=float, default=0.05, help="chance of any false alarm in an invocation (default: %(default)s)"
     )
@@ -96,13 +106,25 @@ def parser() -> argparse.ArgumentParser:
     )
     p.add_argument("--markdown", type=local_path, metavar="FILE", help="write a comment for a pull request")
     p.add_argument("--junit", type=local_path, metavar="FILE", help="write a JUnit report: configurations by axes")
+    p.add_argument("--html", type=local_path, metavar="FILE", help="with --history: write a page of all curves")
+    p.add_argument("--all", action="store_true", help="with --history: print every curve and change")
     p.add_argument("--no-verify", action="store_true", help="skip the digests; CRCs of what is read are still checked")
     p.add_argument(
         "--cache", type=local_path, metavar="DIR", help="where to keep results (default: the user's cache folder)"
     )
     p.add_argument("--no-cache", action="store_true", help="read everything anew and keep nothing")
     p.show_first(
-        "--base", "--head", "--across", "--gate", "--threshold", "--expect-same", "--json", "--markdown", "--junit"
+        "--base",
+        "--head",
+        "--history",
+        "--across",
+        "--gate",
+        "--threshold",
+        "--expect-same",
+        "--json",
+        "--html",
+        "--markdown",
+        "--junit",
     )
     return p
 
@@ -110,22 +132,21 @@ def parser() -> argparse.ArgumentParser:
 def run(arguments: argparse.Namespace, command: str) -> int:
     """Compare and print; returns the exit code."""
     settings = _settings(arguments)
-    for target in (arguments.json, arguments.markdown, arguments.junit):
+    for target in (arguments.json, arguments.markdown, arguments.junit, arguments.html):
         check_target(str(target) if target else None)
+    if arguments.history:
+        return _run_history(arguments, settings, command)
+    if arguments.html or arguments.all:
+        raise UsageError("--html and --all belong to --history")
     base, head = _given(arguments)
 
     from gpusimbench.evaluator.check.protocol import unmet_by_file
     from gpusimbench.evaluator.compare.compare import compare
     from gpusimbench.evaluator.compare.sides import read_sides
-    from gpusimbench.evaluator.compute.cache.store import Store, default_folder
-    from gpusimbench.evaluator.compute.work import Work
     from gpusimbench.evaluator.read.addresses import expand
     from gpusimbench.evaluator.runs.reader import Reader
 
-    if arguments.cache and arguments.cache.exists() and not arguments.cache.is_dir():
-        raise UsageError(f"--cache is a folder, and {arguments.cache} is none")
-    folder = None if arguments.no_cache else arguments.cache or default_folder()
-    work = Work(store=Store(folder) if folder else None)
+    work = _work(arguments)
     reader = Reader(arguments.sample_time, unmet_by_file, verify=not arguments.no_verify)
     sides = read_sides(expand(base), expand(head), reader, work)
     result = compare(*sides, settings, work, arguments.across)
@@ -153,6 +174,59 @@ def run(arguments: argparse.Namespace, command: str) -> int:
     return int(result.exit_code)
 
 
+def _run_history(arguments: argparse.Namespace, settings: Settings, command: str) -> int:
+    """Follow quantities over the points of a history; returns the exit code."""
+    if arguments.sets or arguments.base or arguments.head:
+        raise UsageError("--history takes the place of base and head: give one or the other")
+    if arguments.expect_same or arguments.across or arguments.junit:
+        raise UsageError("--expect-same, --across and --junit belong to two sets, not to --history")
+
+    from gpusimbench.evaluator.check.protocol import unmet_by_file
+    from gpusimbench.evaluator.compare.history.history import trace
+    from gpusimbench.evaluator.compare.history.points import read_points
+    from gpusimbench.evaluator.runs.reader import Reader
+
+    work = _work(arguments)
+    reader = Reader(arguments.sample_time, unmet_by_file, verify=not arguments.no_verify)
+    found = read_points(arguments.history, reader, work)
+    history = trace(found, settings, work, gated=arguments.gate is not None)
+    if work.store:
+        work.store.prune()
+    for _, failure in history.unreadable:
+        complain("gsb-compare", str(failure.error))
+
+    if arguments.json != "-":
+        from gpusimbench.evaluator.compare.history.document import full, short
+        from gpusimbench.evaluator.render.terminal import print_document
+
+        print_document(full(history) if arguments.all else short(history), sys.stdout)
+    if arguments.json:
+        from gpusimbench.evaluator.compare.history.json import dump_json
+
+        write_json(arguments.json, dump_json(history))
+    if arguments.html:
+        from gpusimbench.evaluator.compare.history.document import full
+        from gpusimbench.evaluator.render.html import render_page
+
+        write_file(arguments.html, render_page(full(history, command)))
+    if arguments.markdown:
+        from gpusimbench.evaluator.compare.history.document import full
+        from gpusimbench.evaluator.render.markdown import render_markdown
+
+        write_file(arguments.markdown, render_markdown(full(history, command)))
+    return int(history.exit_code)
+
+
+def _work(arguments: argparse.Namespace) -> Work:
+    from gpusimbench.evaluator.compute.cache.store import Store, default_folder
+    from gpusimbench.evaluator.compute.work import Work
+
+    if arguments.cache and arguments.cache.exists() and not arguments.cache.is_dir():
+        raise UsageError(f"--cache is a folder, and {arguments.cache} is none")
+    folder = None if arguments.no_cache else arguments.cache or default_folder()
+    return Work(store=Store(folder) if folder else None)
+
+
 def _given(arguments: argparse.Namespace) -> tuple[list[Place], list[Place]]:
     sets: list[Place] = list(arguments.sets)
     base = arguments.base or sets[:1]
@@ -173,7 +247,8 @@ def _settings(arguments: argparse.Namespace) -> Settings:
     if not 0 < arguments.sample_time < float("inf"):
         raise UsageError(f"--sample-time is a time in seconds above 0, not {arguments.sample_time}")
     axes = {axis.value: axis for axis in Axis}
-    named = [name.strip() for name in arguments.gate.split(",") if name.strip()]
+    given = _GATES if arguments.gate is None else arguments.gate
+    named = [name.strip() for name in given.split(",") if name.strip()]
     unknown = [name for name in named if name not in axes]
     if unknown or not named:
         hint = did_you_mean(unknown[0], axes) if unknown else ""

@@ -56,13 +56,13 @@ def match(base: Groups, head: Groups, across: Collection[str] = ()) -> Matching:
     """
     left, right = list(base), list(head)
     found: list[tuple[Group[Run], Group[Run]]] = []
-    for rule in (lambda g: g.key, lambda g: _asked(g, across), lambda g: _anywhere(g, across)):
+    for rule in (lambda g: g.key, lambda g: asked_of(g, across), lambda g: anywhere(g, across)):
         found += _unique(left, right, rule)
     found.sort(key=lambda pair: list(base).index(pair[0]))
     given = options_given(r for g in (*base, *head) for r in g.recordings)
     names = labels([one.key for one, _ in found], given)
     pairs = tuple(
-        Pair(name, one, other, _differences(one, other), _machine(one) == _machine(other))
+        Pair(name, one, other, _differences(one, other), machine(one) == machine(other))
         for name, (one, other) in zip(names, found, strict=True)
     )
     alone = [
@@ -98,8 +98,8 @@ def _unique(
     return found
 
 
-def _asked(group: Group[Run], across: Collection[str]) -> GroupKey:
-    # all recordings of a group were asked for the same
+def asked_of(group: Group[Run], across: Collection[str] = ()) -> GroupKey:
+    """What its runs were asked for, all of them the same, and the machine; without what follows from a version."""
     key = asked(group.recordings[0])
     plain: dict[str, Any] = {"conditions": ""}
     options = {name: value for name, value in json.loads(key.options).items() if name not in across}
@@ -110,11 +110,13 @@ def _asked(group: Group[Run], across: Collection[str]) -> GroupKey:
     return replace(key, **plain)
 
 
-def _anywhere(group: Group[Run], across: Collection[str]) -> GroupKey:
-    return replace(_asked(group, across), device="")
+def anywhere(group: Group[Run], across: Collection[str] = ()) -> GroupKey:
+    """The same on whatever machine."""
+    return replace(asked_of(group, across), device="")
 
 
-def _machine(group: Group[Run]) -> str:
+def machine(group: Group[Run]) -> str:
+    """CPU, its usable threads and GPUs by name, as JSON."""
     return asked(group.recordings[0]).device
 
 
@@ -124,7 +126,7 @@ def _one_scene(one: Group[Run], other: Group[Run]) -> bool:
 
 
 def _why(group: Group[Run], others: Groups, across: Collection[str]) -> str:
-    alike = [g for g in others if _anywhere(g, across) == _anywhere(group, across)]
+    alike = [g for g in others if anywhere(g, across) == anywhere(group, across)]
     if not alike:
         return "nothing on the other side was asked for the same"
     if not any(_one_scene(group, g) for g in alike):

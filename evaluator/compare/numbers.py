@@ -67,7 +67,7 @@ def compare_numbers(
             return replace(
                 finding,
                 change=judged(metric.direction, rises=other[0] > one[0])
-                if _matters(metric, one[0], other[0], settings)
+                if matters(metric, one[0], other[0], settings)
                 else Change.SMALL,
                 note=f"every run of a side has this very value; {_by_chance(order)}",
             )
@@ -126,7 +126,7 @@ class _Asked:
         )
 
     def _matters(self, base: float, end: float) -> bool:
-        return _matters(self.metric, base, end, self.settings)
+        return matters(self.metric, base, end, self.settings)
 
     def _judged(self, tested: Finding, *, falls: bool, rises: bool, beyond: bool = False) -> tuple[Finding, Finding]:
         """What is found where p is significant, and where it is not.
@@ -158,7 +158,8 @@ def _values(metric: Metric, side: GroupRuns) -> Sequence[float | Missing]:
     return metric.values(side) if metric.values else ()
 
 
-def _matters(metric: Metric, base: float, head: float, settings: Settings) -> bool:
+def matters(metric: Metric, base: float, head: float, settings: Settings) -> bool:
+    """Whether two values of a metric, in its base unit, are apart by more than what counts."""
     least = {"B": _LEAST_BYTES, "cm": settings.outcome_cm}.get(metric.base_unit, 0.0)
     return settings.matters(base, head) and abs(head - base) >= least
 

@@ -1,0 +1,133 @@
+"""A history as JSON."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from gpusimbench.evaluator.compare.history.curves import Curve, Sample, Shift
+from gpusimbench.evaluator.compare.history.history import Fact, History, Traced
+from gpusimbench.evaluator.compare.history.points import ORDER
+from gpusimbench.evaluator.compare.history.words import headline
+from gpusimbench.evaluator.json_values import dump, values_of
+from gpusimbench.evaluator.missing import Missing
+from gpusimbench.evaluator.results.metric import Axis
+
+SCHEMA_VERSION = 1
+"""Version of the JSON that ``gsb-compare --history DIR --json`` prints."""
+
+
+def dump_json(history: History) -> str:
+    """The document as text."""
+    settings = history.settings
+    return dump(
+        {
+            "schema_version": SCHEMA_VERSION,
+            "verdict": headline(history),
+            "exit_code": int(history.exit_code),
+            "order": ORDER,
+            "settings": {
+                "alpha": settings.alpha,
+                "threshold": settings.threshold,
+                "outcome_cm": settings.outcome_cm,
+                "gates": [axis.value for axis in Axis if axis in settings.gates] if history.gated else [],
+                "curves_tested": history.tests,
+            },
+            "points": [
+                {
+                    "label": point.label,
+                    "begins_utc": point.begins or None,
+                    "recordings": len(point.runs),
+                    "unreadable": [{"path": values_of(u.path), "error": str(u.error)} for u in point.unreadable],
+                }
+                for point in history.points
+            ],
+            "configurations": [_configuration(one, history) for one in history.traced],
+            "undecided": [
+                {
+                    "label": one.series.heading,
+                    "device": one.series.device,
+                    "axis": axis.value,
+                    "title": title,
+                    "why": why,
+                }
+                for one, axis, title, why in history.undecided
+            ],
+            "notes": list(history.notes),
+        }
+    )
+
+
+def _configuration(one: Traced, history: History) -> dict[str, Any]:
+    key = one.series.key
+    return {
+        "label": one.series.label,
+        "simulator": key.simulator,
+        "scene": key.scene,
+        "n_env": key.n_env,
+        "dt": key.dt,
+        "determinism": key.determinism,
+        "device": one.series.device,
+        "points": [
+            {
+                "point": entry.point,
+                "version": entry.group.key.version,
+                "complete": len(entry.group.complete),
+                "outcomes": entry.group.outcomes,
+            }
+            for entry in one.series.entries
+        ],
+        "curves": [_curve(curve, history) for curve in one.curves],
+        "facts": [_fact(fact, history) for fact in one.facts],
+    }
+
+
+def _curve(curve: Curve, history: History) -> dict[str, Any]:
+    metric = curve.metric
+    return {
+        "name": metric.name,
+        "title": metric.title,
+        "unit": metric.unit,
+        "axis": curve.axis.value,
+        "direction": metric.direction.value,
+        "method": metric.method,
+        "scale": "logarithm" if curve.logs else "value",
+        "exact": curve.exact,
+        "smallest_visible": curve.visible,
+        "why_not": curve.why_not or None,
+        "points": [_sample(sample) for sample in curve.samples],
+        "changes": [_shift(shift, history) for shift in curve.shifts],
+    }
+
+
+def _sample(sample: Sample) -> dict[str, Any]:
+    missing = isinstance(sample.value, Missing)
+    return {
+        "point": sample.point,
+        "value": None if isinstance(sample.value, Missing) else sample.value,
+        "why_not": sample.value.reason if isinstance(sample.value, Missing) else None,
+        "ci95": None if missing else values_of(sample.ci95),
+        "n": sample.n,
+    }
+
+
+def _shift(shift: Shift, history: History) -> dict[str, Any]:
+    record: dict[str, Any] = values_of(shift)
+    return {**record, "label": history.points[shift.point].label, "exact": shift.p_value is None}
+
+
+def _fact(fact: Fact, history: History) -> dict[str, Any]:
+    finding = fact.finding
+    return {
+        "point": fact.point,
+        "previous": fact.previous,
+        "label": history.points[fact.point].label,
+        "axis": finding.axis.value,
+        "name": finding.name,
+        "title": finding.title,
+        "change": finding.change.value,
+        "said": {"before": finding.said[0], "after": finding.said[1]},
+        "before": finding.base,
+        "after": finding.head,
+        "unit": finding.unit,
+        "note": finding.note or None,
+    }

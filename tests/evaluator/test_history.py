@@ -1,0 +1,396 @@
+"""gsb-compare --history as a user calls it, on folders whose history is known."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from gpusimbench.evaluator.cli.compare import main
+from gpusimbench.evaluator.render.figures.history import Dot, Level, Mark, history_chart
+from tests.browser import Browser, needs_chromium
+from tests.evaluator.test_compare import NOISE, RECORDINGS, stamped
+from tests.synthetic import Shown, grid, write_recording
+
+AMD = sorted(RECORDINGS.glob("mujoco-amd-r*.mcap"))
+XEON = sorted(RECORDINGS.glob("mujoco-xeon-r*.mcap"))
+WARP = sorted((RECORDINGS / "h200").glob("warp-inclined-collision-n16-r*.mcap"))
+
+
+def write_point(
+    folder: Path, index: int, *, label: str = "", runs: int = 4, factor: float = 1.0, **common: Any
+) -> Path:
+    """A point of so many runs, whose times vary by a per cent or two, a minute behind the point before."""
+    point = folder / (label or f"v{index}")
+    point.mkdir(parents=True, exist_ok=True)
+    shift = float(np.random.default_rng(index).normal(scale=0.004))
+    for run in range(runs):
+        keywords: dict[str, Any] = {"final": None, "version": f"{index}.0", **common}
+        elapsed = factor * float(np.exp(shift + NOISE[run]))
+        write_recording(point, run=run, change=stamped(60 * index + run), elapsed_s=elapsed, **keywords)
+    return point
+
+
+def history(folder: Path, *arguments: object, capsys: pytest.CaptureFixture[str]) -> tuple[int, dict[str, Any]]:
+    """Exit code and JSON of the command."""
+    code = main(["--history", str(folder), *map(str, arguments), "--json", "-", "--no-cache"])
+    found: dict[str, Any] = json.loads(capsys.readouterr().out)
+    assert found["exit_code"] == code
+    return code, found
+
+
+def curve(document: dict[str, Any], name: str, index: int = 0) -> dict[str, Any]:
+    """The curve of that quantity."""
+    (found,) = [c for c in document["configurations"][index]["curves"] if c["name"] == name]
+    return dict(found)
+
+
+def changes(document: dict[str, Any]) -> list[tuple[str, str, str]]:
+    """Label, quantity and verdict of every change that counts, of a configuration's curves and of its facts."""
+    return sorted(
+        (change["label"], what["name"], change["change"])
+        for one in document["configurations"]
+        for what, listed in [*((c, c["changes"]) for c in one["curves"]), *((f, [f]) for f in one["facts"])]
+        for change in listed
+        if change["change"] != "below threshold"
+    )
+
+
+def copied(folder: Path, points: Sequence[Sequence[Path]]) -> Path:
+    """A history of copies of recordings."""
+    for index, files in enumerate(points):
+        point = folder / f"v{index}"
+        point.mkdir(parents=True)
+        for file in files:
+            shutil.copy(file, point)
+    return folder
+
+
+def test_a_version_that_is_slower(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Mark the version, with ratio, interval and p; tell, and decide nothing."""
+    for index in range(10):
+        write_point(tmp_path, index, factor=1.2 if index >= 6 else 1.0)
+    code, document = history(tmp_path, capsys=capsys)
+    assert (code, changes(document)) == (0, [("v6", "fps", "regression")])
+    (change,) = curve(document, "fps")["changes"]
+    assert change["ratio"] == pytest.approx(1 / 1.2, rel=0.02)
+    assert change["ci95"][0] < 1 / 1.2 < change["ci95"][1]
+    assert 0 < change["p_value"] < 0.001
+    assert (change["previous"], change["exact"]) == (5, False)
+    assert [point["value"] > 0 and point["ci95"] is not None for point in curve(document, "fps")["points"]] == [
+        True
+    ] * 10
+    assert document["configurations"][0]["points"][6]["version"] == "6.0"
+    assert document["verdict"] == "1 regression over 10 points; none at the newest, v9"
+
+
+def test_nothing_changes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Mark nothing where runs differ by a per cent or two, and say what the next point would have to be."""
+    for index in range(8):
+        write_point(tmp_path, index)
+    code, document = history(tmp_path, capsys=capsys)
+    assert (code, changes(document)) == (0, [])
+    assert 1.0 < curve(document, "fps")["smallest_visible"] < 1.1
+    assert document["verdict"] == "NO CHANGE found over 8 points"
+
+
+@pytest.mark.parametrize(
+    ("factor", "gate", "code", "verdict"),
+    [
+        (1.2, "throughput", 4, "FAILED at v9: throughput"),
+        (0.8, "throughput", 0, "1 improvement over 10 points; at the newest, v9: throughput"),
+        (1.2, "memory", 0, "1 regression over 10 points; at the newest, v9: throughput"),
+        (1.0, "throughput", 0, "NO CHANGE"),
+    ],
+)
+def test_a_gate_is_about_the_newest_point(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], factor: float, gate: str, code: int, verdict: str
+) -> None:
+    """Fail where a gated quantity became worse at the newest point."""
+    for index in range(10):
+        write_point(tmp_path, index, factor=factor if index == 9 else 1.0)
+    found, document = history(tmp_path, "--gate", gate, capsys=capsys)
+    assert (found, document["verdict"][: len(verdict)]) == (code, verdict)
+
+
+def test_an_older_change_fails_no_gate(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Leave open what follows on a regression that the point before the newest had already."""
+    for index in range(10):
+        write_point(tmp_path, index, factor=1.2 if index >= 8 else 1.0)
+    code, document = history(tmp_path, "--gate", "throughput", capsys=capsys)
+    assert changes(document) == [("v8", "fps", "regression")]
+    # one point with the new level does not tell how much the newest would have had to differ
+    assert (code, [one["axis"] for one in document["undecided"]]) == (5, ["throughput"])
+
+
+def test_a_gate_that_few_points_cannot_decide(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """End with 5 where the newest of three points could have changed without being marked."""
+    for index in range(3):
+        write_point(tmp_path, index, factor=1.0 + 0.01 * index)
+    code, document = history(tmp_path, "--gate", "throughput", capsys=capsys)
+    assert code == 5
+    assert document["undecided"][0]["why"] == "points differ so much that a change that counts could not be seen"
+    assert history(tmp_path, capsys=capsys)[0] == 0
+
+
+def test_memory_and_bits_are_facts(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Mark what is the same in every run of a point exactly where it becomes another, without a p."""
+    for index in range(4):
+        write_point(
+            tmp_path,
+            index,
+            final=grid(2) + (0.02 if index >= 2 else 0.0),
+            host_bytes=(10**8, (2 + (index >= 1)) * 10**8),
+        )
+    code, document = history(tmp_path, capsys=capsys)
+    assert (code, changes(document)) == (
+        0,
+        [
+            ("v1", "host_memory_peak_increment", "regression"),
+            ("v2", "outcome", "changed"),
+            ("v2", "states", "changed"),
+        ],
+    )
+    (change,) = curve(document, "host_memory_peak_increment")["changes"]
+    assert (change["before"], change["after"], change["p_value"], change["ci95"]) == (100.0, 200.0, None, None)
+
+
+def test_runs_that_are_no_longer_alike(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Tell at which version runs stopped being bit-identical, and where they are again."""
+    rng = np.random.default_rng(0)
+    for index in range(3):
+        point = tmp_path / f"v{index}"
+        point.mkdir()
+        for run in range(3):
+            final = grid(2) + (1e-3 * rng.normal(size=(2, 1, 3)) if index == 1 else 0.0)
+            write_recording(point, final, run=run, change=stamped(60 * index + run))
+    _, document = history(tmp_path, "--gate", "determinism", capsys=capsys)
+    found = [one for one in changes(document) if one[1] in ("distinct_runs", "distinct_envs")]
+    assert found == [
+        ("v1", "distinct_envs", "regression"),
+        ("v1", "distinct_runs", "regression"),
+        ("v2", "distinct_envs", "improvement"),
+        ("v2", "distinct_runs", "improvement"),
+    ]
+
+
+def test_a_version_that_fails(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Tell a version whose runs fail before the simulator is built, and the version after it that works again."""
+    for index in range(3):
+        failed = {"status": "FAILED", "reason": "no", "built": False, "end": True} if index == 1 else {}
+        write_point(tmp_path, index, **failed)
+    code, document = history(tmp_path, capsys=capsys)
+    told = [one for one in changes(document) if one[1] == "complete_runs"]
+    assert told == [("v1", "complete_runs", "regression"), ("v2", "complete_runs", "improvement")]
+    assert len(document["configurations"]) == 1
+    assert code == 0
+
+
+def test_points_stand_in_order_of_time(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Order by the earliest start of runs, whatever the folders are called, and read folders within a point."""
+    for index, label in enumerate(("zeta", "alpha", "v10", "v9")):
+        write_point(tmp_path, index, label=f"{label}/nested" if index == 2 else label)
+    _, document = history(tmp_path, capsys=capsys)
+    assert [point["label"] for point in document["points"]] == ["zeta", "alpha", "v10", "v9"]
+    assert "earliest start time" in document["order"]
+
+
+def test_devices_are_not_compared(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Split the curve where the machine changes: real runs of two machines are two curves."""
+    folder = copied(tmp_path, [[AMD[0]], [AMD[1]], [AMD[2]], XEON])
+    code, document = history(folder, capsys=capsys)
+    assert (code, changes(document)) == (0, [])
+    assert [len(one["points"]) for one in document["configurations"]] == [3, 1]
+    assert len({one["device"] for one in document["configurations"]}) == 2
+    (note,) = document["notes"]
+    assert "device changed: curve split" in note
+    assert "at v0 to v2 (3 points)" in note
+
+
+def test_real_runs_on_a_gpu(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """See in ten real runs, two a point, that the first compiled its kernels and the others did not."""
+    folder = copied(tmp_path, [WARP[index : index + 2] for index in range(0, 10, 2)])
+    code, document = history(folder, capsys=capsys)
+    assert code == 0
+    assert ("v1", "compile_time", "improvement") in changes(document)
+    assert curve(document, "fps")["changes"] == []
+
+
+def test_another_scene_is_another_curve(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Take a description of the scene that changed for another scene."""
+    from gpusimbench.schemas.provenance import SIMULATION
+
+    for index in range(4):
+        stamp = stamped(60 * index)
+
+        def change(name: str, record: dict[str, Any], index: int = index, stamp: Any = stamp) -> None:
+            stamp(name, record)
+            if name == SIMULATION and index >= 2:
+                record["scene"] = {**record["scene"], "sha256": "f" * 64}
+
+        point = tmp_path / f"v{index}"
+        point.mkdir()
+        write_recording(point, None, change=change)
+    _, document = history(tmp_path, capsys=capsys)
+    assert [len(one["points"]) for one in document["configurations"]] == [2, 2]
+    assert any("machine or scene changed: curve split" in note for note in document["notes"])
+
+
+def test_all_simulators_at_once_may_be_the_machine(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Say so where every simulator on a device became slower at one point, and not where one did."""
+    for index in range(8):
+        (tmp_path / f"v{index}").mkdir()
+        for simulator in ("one", "other"):
+            point = tmp_path / f"v{index}"
+            slow = 1.5 if index >= 5 else 1.0
+            for run in range(3):
+                elapsed = slow * float(np.exp(NOISE[run] / 5))
+                name = f"{simulator}-{run}.mcap"
+                write_recording(
+                    point,
+                    None,
+                    run=run,
+                    simulator=simulator,
+                    elapsed_s=elapsed,
+                    change=stamped(60 * index + run),
+                    name=name,
+                )
+    _, document = history(tmp_path, capsys=capsys)
+    assert len([one for one in changes(document) if one == ("v5", "fps", "regression")]) == 2
+    assert [note for note in document["notes"] if note.startswith("v5: the throughput of all 2 simulators")]
+
+
+@pytest.mark.parametrize("make", ["missing", "file", "empty", "folders without recordings"])
+def test_what_is_no_history(tmp_path: Path, capsys: pytest.CaptureFixture[str], make: str) -> None:
+    """Refuse what has no folder with recordings, and say what the folder has to be."""
+    folder = tmp_path / "history"
+    if make == "file":
+        folder.write_text("x")
+    elif make != "missing":
+        folder.mkdir()
+    if make.startswith("folders"):
+        (folder / "v1").mkdir()
+        shutil.copy(AMD[0], folder)
+    assert main(["--history", str(folder), "--no-cache"]) == 2
+    assert "for each version or commit" in capsys.readouterr().err
+
+
+def test_one_point(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Compare nothing, and end with 5."""
+    write_point(tmp_path, 0)
+    code, document = history(tmp_path, capsys=capsys)
+    assert (code, document["verdict"][:16]) == (5, "NOTHING COMPARED")
+
+
+def test_files_that_cannot_be_read(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Tell them and leave them out, with exit code 3; so folders without recordings and files beside folders."""
+    for index in range(3):
+        write_point(tmp_path, index)
+    (tmp_path / "v1" / "broken.mcap").write_bytes(b"no recording")
+    (tmp_path / "v2" / "short.mcap").write_bytes(AMD[1].read_bytes()[:-5000])
+    (tmp_path / "v3").mkdir()
+    shutil.copy(AMD[0], tmp_path)
+    code = main(["--history", str(tmp_path), "--no-cache", "--all"])
+    shown = capsys.readouterr()
+    assert code == 3
+    assert "broken.mcap" in shown.err
+    assert "broken.mcap" in shown.out
+    assert "v3 has no recordings" in shown.out
+    assert "is incomplete" in " ".join(shown.out.split())
+    assert "1 recording that lies in" in shown.out
+    code, document = history(tmp_path, capsys=capsys)
+    assert [len(point["unreadable"]) for point in document["points"]] == [0, 1, 0]
+
+
+def test_a_run_belongs_to_one_point(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Refuse a run that lies in two folders."""
+    folder = copied(tmp_path, [[AMD[0]], [AMD[0], AMD[1]]])
+    assert main(["--history", str(folder), "--no-cache"]) == 2
+    assert "are one run" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "more", [["base"], ["--base", "a.mcap"], ["--expect-same"], ["--across", "cone"], ["--junit", "x.xml"]]
+)
+def test_what_does_not_go_with_a_history(tmp_path: Path, capsys: pytest.CaptureFixture[str], more: list[str]) -> None:
+    """Refuse what belongs to two sets; and what belongs to a history, without one."""
+    write_point(tmp_path, 0)
+    assert main(["--history", str(tmp_path), *more]) == 2
+    assert main([str(tmp_path), str(tmp_path), "--all"]) == 2
+    assert "belong to --history" in capsys.readouterr().err
+
+
+def test_the_terminal_says_the_verdict_first(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Print at most fifteen lines, the newest changes first, without what a stranger's names could do."""
+    for index in range(12):
+        count = np.full((1, 4), 7 + index, dtype=np.uint32)
+        shown = Shown({"timed": {"contacts": count}})
+        write_point(
+            tmp_path, index, factor=1.3 if index >= 6 else 1.0, shown=shown, n_env=4, label=f"v{index}\x1b[31m",
+            host_bytes=(10**8, (2 + index) * 10**8),
+        )  # fmt: skip
+    assert main(["--history", str(tmp_path), "--no-cache"]) == 0
+    out = capsys.readouterr().out
+    lines = out.splitlines()
+    assert len(lines) <= 15
+    assert "over 12 points; at the newest" in lines[0]
+    assert lines[1].startswith("v11")
+    assert "more changes" in out
+    assert "\x1b" not in out
+    assert main(["--history", str(tmp_path), "--no-cache", "--all"]) == 0
+    assert len(capsys.readouterr().out.splitlines()) > 30
+
+
+def test_the_page(tmp_path: Path) -> None:
+    """Draw a curve with its change, and nothing of what only a terminal needs."""
+    for index in range(8):
+        write_point(tmp_path / "history", index, factor=1.3 if index >= 4 else 1.0, label=f"v{index}<b>&")
+    page = tmp_path / "page.html"
+    assert main(["--history", str(tmp_path / "history"), "--no-cache", "--html", str(page)]) == 0
+    text = page.read_text(encoding="utf-8")
+    assert "<b>&" not in text
+    assert text.count("<svg") == 1
+    assert "v4&lt;b&gt;&amp;" in text
+    assert "1 regression over 8 points" in text
+
+
+@needs_chromium
+def test_the_page_in_a_browser(tmp_path: Path, browser: Browser) -> None:
+    """Open without a request or an error, and without a line wider than the page, also on a telephone."""
+    for index in range(8):
+        write_point(tmp_path / "history", index, factor=1.3 if index >= 4 else 1.0)
+    page = tmp_path / "page.html"
+    assert main(["--history", str(tmp_path / "history"), "--no-cache", "--html", str(page)]) == 0
+    browser.open(page)
+    assert (browser.errors, browser.requests) == ([], [])
+
+
+def test_the_figure() -> None:
+    """Draw every value, interval and level, and words for each change: none on top of another."""
+    dots = [Dot(i, 100.0 + i, 99.0 + i, 101.0 + i, f"v{i}") for i in range(9)]
+    marks = [Mark(i, f"-{i} % at v{i}", worse=i % 2 == 0) for i in (3, 4, 5)]
+    svg = history_chart(
+        dots,
+        [f"v{i}" for i in range(9)],
+        value="x",
+        tick=str,
+        marks=marks,
+        levels=[Level(0, 2, 101.0), Level(3, 8, 105.0)],
+    )
+    assert svg.count("<circle") == 9
+    assert svg.count("whisker") == 9
+    assert svg.count('class="cross"') == 1
+    assert all(f"<title>-{i} % at v{i}</title>" in svg for i in (3, 4, 5))
+    assert history_chart([], ["v0"], value="x", tick=str) == ""
+
+
+@pytest.mark.parametrize("values", [(0.0, 0.0), (5.0, 5.0), (-1.0, 3.0), (1e-9, 1e9), (0.0, 1e99)])
+def test_the_figure_of_odd_values(values: tuple[float, float]) -> None:
+    """Draw values that are equal, zero, negative or far apart within the frame."""
+    svg = history_chart([Dot(i, v) for i, v in enumerate(values)], ["a", "b"], value="x", tick=lambda v: f"{v:g}")
+    assert svg.count("<circle") == 2
