@@ -250,7 +250,7 @@ def _compare_placed(rng: np.random.Generator, number: int, factor: float, settin
         scale = SPREAD_M * (factor if head else 1.0)
         placed = CUBES + rng.normal(scale=scale, size=(1, 1, 2)) + rng.normal(scale=scale, size=(N_ENV, len(CUBES), 2))
         run = Run("placed", f"2026-01-01T00:00:{index:02}Z", float(np.exp(rng.normal(scale=0.01))), 10**8, 2 * 10**8)
-        sides[head].append(_read(run, f"{number}-{index:04d}", placed))
+        sides[head].append(read_run(run, f"{number}-{index:04d}", placed))
     base, head_side = (Side(tuple(side), (), ()) for side in sides)
     return compare(base, head_side, settings, HERE).exit_code
 
@@ -273,10 +273,10 @@ def _mean(runs: Sequence[Run]) -> float:
 
 
 def _side(runs: Sequence[Run], name: str) -> Side:
-    return Side(tuple(_read(run, f"{name}-{index:04d}") for index, run in enumerate(runs)), (), ())
+    return Side(tuple(read_run(run, f"{name}-{index:04d}") for index, run in enumerate(runs)), (), ())
 
 
-def _read(run: Run, run_id: str, placed: NDArray[np.float64] | None = None) -> ReadRun:
+def read_run(run: Run, run_id: str, placed: NDArray[np.float64] | None = None) -> ReadRun:
     """What the reader would have made of the run's recording."""
     configuration = RunConfiguration(
         "mujoco",
