@@ -85,6 +85,17 @@ def forged(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFact
     return folder
 
 
+def _versions(folder: Path, out: Path) -> Path:
+    """The recordings as a history: each file is a version of its own."""
+    made = out / "versions"
+    for number, path in enumerate(sorted(folder.glob("*.mcap"))):
+        point = made / f"v{number}{_FILE}"
+        point.mkdir(parents=True, exist_ok=True)
+        if not (point / path.name).exists():
+            (point / path.name).symlink_to(path)
+    return made
+
+
 def _commands(folder: Path, out: Path) -> list[tuple[Callable[[list[str]], int], list[str]]]:
     files = [str(path) for path in sorted(folder.glob("*.mcap"))]
     return [
@@ -101,6 +112,9 @@ def _commands(folder: Path, out: Path) -> list[tuple[Callable[[list[str]], int],
         (diff.main, [files[0], files[3]]),
         (compare.main, [*files[:2], "--no-cache", "--markdown", str(out / "c.md"), "--junit", str(out / "c.xml")]),
         (compare.main, [*files[:2], "--no-cache", "--json", "-"]),
+        (compare.main, ["--history", str(_versions(folder, out.parent)), "--no-cache", "--all", "--html",
+                        str(out / "h.html"), "--markdown", str(out / "h.md")]),
+        (compare.main, ["--history", str(_versions(folder, out.parent)), "--no-cache", "--json", "-"]),
         (view.main, [*files[:2], "--no-open", "--with", "page", "--out", str(out / "view.html")]),
         (audit.main, [files[2], files[4], "--out", str(out / "audit")]),
         (share.main, ["pack", *files, "--out", str(out / "packed")]),
@@ -167,6 +181,7 @@ def test_no_warnings_of_numpy(tmp_path: Path, value: float, capsys: pytest.Captu
             (diff.main, [*files, "--plot", str(out / "plot.svg")]),
             (diff.main, files[:1]),
             (compare.main, [*files, "--no-cache"]),
+            (compare.main, ["--history", str(_versions(tmp_path, out)), "--no-cache", "--html", str(out / "h.html")]),
             (view.main, [*files, "--no-open", "--with", "page", "--out", str(out / "view.html")]),
             (share.main, ["viewer", files[0], "--out", str(out / f"{main_name(value)}.mcap")]),
         ):

@@ -366,8 +366,12 @@ def test_the_page_in_a_browser(tmp_path: Path, browser: Browser) -> None:
         write_point(tmp_path / "history", index, factor=1.3 if index >= 4 else 1.0)
     page = tmp_path / "page.html"
     assert main(["--history", str(tmp_path / "history"), "--no-cache", "--html", str(page)]) == 0
-    browser.open(page)
-    assert (browser.errors, browser.requests) == ([], [])
+    for width, dark in ((1280, False), (400, True)):
+        browser.open(page, width=width, dark=dark)
+        assert (browser.errors, browser.requests) == ([], [])
+        assert browser.page.evaluate("document.documentElement.scrollWidth") <= width
+        # a caption takes the room that its table has, also where rows are cards
+        assert browser.page.evaluate("document.querySelector('caption').getBoundingClientRect().width") > 300
 
 
 def test_the_figure() -> None:
