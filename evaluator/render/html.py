@@ -60,7 +60,6 @@ def render_page(document: Document) -> str:
         title=_text(document.title),
         lead=_text(document.lead),
         body=blocks(document.blocks, 2),
-        sections=[(one.key, _text(one.title)) for one in document.blocks if isinstance(one, Section)],
         facets=_facets(document),
         made_by=blocks(document.made_by, 2),
         version=schemas.__version__,

@@ -35,6 +35,9 @@ _SIDEWAYS = 22
 """Columns of characters that a row needs where rows stand side by side."""
 
 _HEAD = 32
+_NAME = 48
+"""Characters of a row's name that stand on one line where the name has as many."""
+
 _MOST_SIDEWAYS = 4
 _LONGEST_NAME = 24
 
@@ -141,6 +144,8 @@ def _rich_table(titles: Sequence[str], rows: Sequence[Sequence[Cell]]) -> Render
     for index, column in enumerate(made.columns):
         numeric = all(row[index].value is not None or row[index].text == NONE for row in rows)
         column.justify = "right" if index and numeric else "left"
+    longest = max((len(row[0].text) for row in rows), default=0)
+    made.columns[0].min_width = min(longest, _NAME)
     for row in rows:
         made.add_row(*map(_rich_cell, row))
     return made

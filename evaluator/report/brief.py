@@ -1,0 +1,137 @@
+"""What gsb-eval prints by default: the verdict first, one group in at most 15 lines, several in a line each."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from gpusimbench.evaluator.check.protocol import RULE_SET
+from gpusimbench.evaluator.missing import Missing, known
+from gpusimbench.evaluator.render.cells import estimate
+from gpusimbench.evaluator.render.document import EMPTY, Block, Cell, Document, Facts, Text, Tone, facts, table
+from gpusimbench.evaluator.render.numbers import plural
+from gpusimbench.evaluator.report import timed
+from gpusimbench.evaluator.report.leaders import fastest
+from gpusimbench.evaluator.report.verdicts import QUESTIONS, TO_REFERENCE, another_run
+from gpusimbench.evaluator.results.cost_metrics import FPS
+from gpusimbench.evaluator.results.evaluation import Evaluation
+from gpusimbench.evaluator.results.group_metrics import W1_PARALLEL, W1_REAL, W1_RUN_TO_RUN
+from gpusimbench.evaluator.results.identity_metrics import DISTINCT_RUNS, identical
+from gpusimbench.evaluator.results.metric import Axis
+from gpusimbench.evaluator.results.metrics import METRICS
+from gpusimbench.evaluator.results.result import GroupResult
+
+MORE = "Everything: gsb-eval --all. A report with figures: gsb-eval --html DIR."
+
+
+def brief(evaluation: Evaluation) -> Document:
+    """The document of a terminal's first page."""
+    results = evaluation.results
+    body: list[Block] = [_one(results[0])] if len(results) == 1 else [*_several(evaluation)]
+    return Document(
+        _verdict(evaluation),
+        (*body, *_troubles(evaluation), Text(MORE, Tone.QUIET)),
+    )
+
+
+def _verdict(evaluation: Evaluation) -> str:
+    results = evaluation.results
+    if len(results) == 1:
+        return f"{results[0].label}: {_says(results[0])}"
+    claims = [identical(r.metrics[DISTINCT_RUNS.name]).holds for r in results]
+    yes, no = claims.count(True), claims.count(False)
+    said = [f"{yes} of {plural(yes + no, 'group')} with several runs repeat bit for bit"] if yes + no else []
+    invalid = sum(any(run.status == "invalid" for run in r.group.recordings) for r in results)
+    if invalid:
+        said.append(f"{plural(invalid, 'group')} with INVALID runs")
+    return f"{plural(len(results), 'group')}: " + "; ".join(said or ["no group has several runs to compare"])
+
+
+def _says(result: GroupResult) -> str:
+    holds = identical(result.metrics[DISTINCT_RUNS.name])
+    n = result.metrics[DISTINCT_RUNS.name].n
+    if holds.holds is None:
+        return f"whether it repeats itself is not known: {holds.why_not}"
+    return f"all {n} runs are bit-identical" if holds.holds else f"{n} runs, and not all are bit-identical"
+
+
+def _one(result: GroupResult) -> Facts:
+    answers = [(q.title, _joined(q.answer([result]))) for q in QUESTIONS]
+    if (known(result.metrics[W1_REAL.name].value)) is not None:
+        answers.append((TO_REFERENCE.title, estimate(result.metrics[W1_REAL.name])))
+    figures = [
+        (metric.titled, _line(estimate(result.metrics[metric.name])))
+        for metric in METRICS.values()
+        if metric.axis in (Axis.THROUGHPUT, Axis.MEMORY, Axis.BUILD)
+        and not isinstance(result.metrics[metric.name].value, Missing)
+    ]
+    apart = [
+        (metric.titled, _line(estimate(result.metrics[metric.name])))
+        for metric in (W1_PARALLEL, W1_RUN_TO_RUN)
+        if known(result.metrics[metric.name].value)
+    ]
+    one_more = another_run(result)
+    key, runs = result.group.key, plural(len(result.group.complete), "complete run")
+    return facts(
+        ("recorded", f"{key.scene}, {key.n_env} envs, {runs}, {key.device or 'no device'}"),
+        *answers,
+        *([("one run more", one_more)] if one_more else []),
+        *apart,
+        *figures[:4],
+    )
+
+
+def _several(evaluation: Evaluation) -> Iterator[Block]:
+    results = evaluation.results
+    scenes = len({r.group.key.scene for r in results}) > 1
+    questions = [*QUESTIONS, *([TO_REFERENCE] if evaluation.reference else [])]
+    titles = ["", *(["scene"] if scenes else []), "envs x runs", *(q.title for q in questions), FPS.titled]
+    yield table(
+        "groups",
+        "",
+        titles,
+        [
+            [
+                r.label,
+                *([r.group.key.scene] if scenes else []),
+                f"{r.group.key.n_env} x {len(r.group.complete)}",
+                *(_text(q.answer([r])) for q in questions),
+                _text(estimate(r.metrics[FPS.name])),
+            ]
+            for r in results
+        ],
+    )
+    for one in fastest(results):
+        if one.first:
+            device = one.device or "an unnamed device"
+            named = f"{one.first.result.label}, {one.first.fps:,.0f} env-steps/s"
+            yield Text(f"Fastest valid simulator in {one.scene} on {device}: {named}")
+
+
+def _troubles(evaluation: Evaluation) -> Iterator[Text]:
+    for failure in evaluation.unreadable[:3]:
+        yield Text(f"left out: {failure.error}", Tone.BAD)
+    if len(evaluation.unreadable) > 3:
+        yield Text(f"left out: {len(evaluation.unreadable) - 3} more files that cannot be read", Tone.BAD)
+    lines = timed.incomparable(evaluation.results)
+    for line in lines[:1]:
+        yield Text(line, Tone.WARNING)
+    if len(lines) > 1:
+        yield Text(f"{len(lines) - 1} more reasons why throughputs cannot be compared: --all", Tone.WARNING)
+    if count := evaluation.unmet.count:
+        rules = plural(len(evaluation.unmet.findings), "rule")
+        yield Text(f"{rules} of {RULE_SET} not met ({plural(count, 'finding')}): gsb-check --protocol", Tone.WARNING)
+    if evaluation.reference is None:
+        yield Text(f"no distance to reality: {evaluation.reference_note}", Tone.QUIET)
+
+
+def _joined(said: Cell) -> Cell:
+    """A verdict and what stands below it on one line."""
+    return Cell(": ".join([said.text, *(["; ".join(said.notes)] if said.notes else [])]), tone=said.tone)
+
+
+def _line(said: Cell) -> Cell:
+    return Cell(f"{said.text} {said.range}".rstrip(), tone=said.tone)
+
+
+def _text(said: Cell) -> Cell:
+    return EMPTY if said.tone is Tone.QUIET else Cell(said.text, said.value, tone=said.tone)

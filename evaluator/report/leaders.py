@@ -1,0 +1,84 @@
+"""Who is fastest in a scene on a device, among those that nothing speaks against."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+from gpusimbench.evaluator.missing import Missing, known
+from gpusimbench.evaluator.report import timed
+from gpusimbench.evaluator.results.faults import faults_anywhere
+from gpusimbench.evaluator.results.result import GroupResult
+from gpusimbench.evaluator.results.timed_work import most_common, window_key
+from gpusimbench.evaluator.runs.groups import is_instrument
+
+
+@dataclass(frozen=True)
+class Speed:
+    """The fastest group of a simulator in one scene on one device, of its complete runs."""
+
+    scene: str
+    device: str
+    result: GroupResult
+
+    @property
+    def fps(self) -> float:
+        """Throughput [env-steps/s]."""
+        return known(self.result.metrics["fps"].value) or 0.0
+
+
+@dataclass(frozen=True)
+class Fastest:
+    """Of the simulators that were timed over the same steps of one scene on one device: the fastest, and the next.
+
+    scene, device  of all of them
+    first, second  of them no run is INVALID and no check of mechanics broken, in any scene; None where nobody is left
+    faster         groups of other simulators with a higher throughput that are not named first, each with the reason
+    otherwise      simulators that were timed over other steps, which cannot be compared
+    remarks        what must be known to compare the two
+    """
+
+    scene: str
+    device: str
+    first: Speed | None
+    second: Speed | None
+    faster: tuple[tuple[Speed, str], ...]
+    otherwise: tuple[tuple[str, str], ...]
+    remarks: tuple[str, ...]
+
+
+def fastest(results: Sequence[GroupResult]) -> Iterator[Fastest]:
+    """For each scene and device, among the groups that were timed over the steps that most of them were timed over."""
+    clocked: dict[tuple[str, str], list[GroupResult]] = {}
+    for result in results:
+        key = result.group.key
+        if not (isinstance(result.metrics["fps"].value, Missing) or is_instrument(key)):
+            clocked.setdefault((key.scene, key.device), []).append(result)
+    for (scene, device), found in sorted(clocked.items()):
+        windows = [window_key(r.group.key, r.timed) for r in found]
+        usual = most_common(windows)
+        alike = [r for r, window in zip(found, windows, strict=True) if window == usual]
+        faults = {r.label: "; ".join(faults_anywhere(r, results)) for r in alike}
+        if len({r.group.key.simulator for r in alike}) < 2:
+            continue
+        sound = _best([r for r in alike if not faults[r.label]], scene, device)
+        wrong = _best([r for r in alike if faults[r.label]], scene, device)
+        first, second = (*sound, None, None)[:2]
+        yield Fastest(
+            scene,
+            device,
+            first,
+            second,
+            tuple((s, faults[s.result.label]) for s in wrong if first is None or s.fps > first.fps),
+            tuple((r.label, r.timed.said) for r, window in zip(found, windows, strict=True) if window != usual),
+            tuple(line for line in timed.remarks(s.result for s in sound[:2]) if line != timed.LEGEND),
+        )
+
+
+def _best(results: Sequence[GroupResult], scene: str, device: str) -> list[Speed]:
+    """The fastest group of each simulator, the fastest first."""
+    ordered = sorted((Speed(scene, device, r) for r in results), key=lambda speed: -speed.fps)
+    best: dict[str, Speed] = {}
+    for speed in ordered:
+        best.setdefault(speed.result.group.key.simulator, speed)
+    return list(best.values())

@@ -1,0 +1,181 @@
+"""The first screen: what was asked of each simulator with the answer, speed against divergence, and who is fastest."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Sequence
+
+from markupsafe import Markup
+
+from gpusimbench.evaluator.check.protocol import RULE_SET
+from gpusimbench.evaluator.missing import Missing, known
+from gpusimbench.evaluator.render.cells import estimate
+from gpusimbench.evaluator.render.document import (
+    Beside,
+    Block,
+    Cell,
+    Figure,
+    Item,
+    Items,
+    Numbers,
+    Row,
+    Table,
+    Tone,
+    key_of,
+    table,
+)
+from gpusimbench.evaluator.render.figures.scatter import Point, scatter
+from gpusimbench.evaluator.render.numbers import distance, plural
+from gpusimbench.evaluator.report.leaders import Fastest, Speed, fastest
+from gpusimbench.evaluator.report.source import Source
+from gpusimbench.evaluator.report.verdicts import QUESTIONS, TO_REFERENCE
+from gpusimbench.evaluator.results.cost_metrics import FPS
+from gpusimbench.evaluator.results.evaluation import Evaluation
+from gpusimbench.evaluator.results.faults import faults_anywhere
+from gpusimbench.evaluator.results.group_metrics import W1_REAL, W1_RUN_TO_RUN
+from gpusimbench.evaluator.results.result import GroupResult
+from gpusimbench.evaluator.runs.groups import is_instrument
+
+
+def overview(source: Source) -> tuple[Block, ...]:
+    """The blocks of the first screen."""
+    evaluation = source.evaluation
+    right: list[Block] = [*_scatter(evaluation), *_fastest_table(evaluation.results)]
+    left: list[Block] = [_matrix(evaluation)]
+    return (Items((_state_of_the_set(evaluation),)), Beside((tuple(left), tuple(right))) if right else left[0])
+
+
+def asked_of(evaluation: Evaluation) -> str:
+    """What was evaluated, in a line."""
+    results = evaluation.results
+    n = sum(len(r.group.recordings) for r in results)
+    counts = [
+        plural(n, "recording"),
+        plural(len({r.group.key.simulator for r in results}), "simulator"),
+        plural(len({r.group.key.scene for r in results}), "scene"),
+        plural(len({r.group.key.device for r in results}), "device"),
+    ]
+    reference = evaluation.reference
+    compared = f"; compared with {reference.label}" if reference else ""
+    return f"{', '.join(counts)}; positions at t = {evaluation.sample_time:g} s{compared}."
+
+
+def _matrix(evaluation: Evaluation) -> Table:
+    questions = [*QUESTIONS, *([TO_REFERENCE] if evaluation.reference else [])]
+    names = dict.fromkeys(r.group.key.simulator for r in evaluation.results)
+    rows = [_engine(name, [r for r in evaluation.results if r.group.key.simulator == name]) for name in names]
+    rows.sort(key=lambda row: row[1])
+    return table(
+        "simulators",
+        "What each simulator did",
+        ["simulator", *(one.column for one in questions)],
+        [
+            Row((head, *(one.answer(results) for one in questions)), {"simulator": name})
+            for name, _, head, results in rows
+        ],
+    )
+
+
+def _engine(name: str, results: list[GroupResult]) -> tuple[str, bool, Cell, list[GroupResult]]:
+    versions = dict.fromkeys(r.group.key.version for r in results if r.group.key.version)
+    instrument = all(is_instrument(r.group.key) for r in results)
+    notes = [", ".join(versions) or "no version", *(["an instrument with known answers"] if instrument else [])]
+    return name, instrument, Cell(name, notes=tuple(notes), link=key_of("simulator", name)), results
+
+
+def _state_of_the_set(evaluation: Evaluation) -> Item:
+    """What is wrong with the set, in a line."""
+    parts = []
+    if evaluation.unreadable:
+        parts.append(f"{plural(len(evaluation.unreadable), 'file')} could not be read")
+    runs = [run for r in evaluation.results for run in r.group.recordings]
+    if left_out := sum(not run.usable for run in runs):
+        parts.append(f"{plural(left_out, 'run')} of {len(runs)} failed, {'is' if left_out == 1 else 'are'} INVALID or "
+                     "lost data, and are in no figure")  # fmt: skip
+    if count := evaluation.unmet.count:
+        rules = len(evaluation.unmet.findings)
+        parts.append(f"{plural(rules, 'rule')} of {RULE_SET} not met ({plural(count, 'finding')})")
+    if not parts:
+        return Item("Every file was read, every run is complete, and every rule of the protocol is met.", Tone.GOOD)
+    return Item(f"What is wrong with this set: {'; '.join(parts)}.", Tone.WARNING, link="problems")
+
+
+def _scatter(evaluation: Evaluation) -> Iterator[Figure]:
+    up = W1_REAL if evaluation.reference else W1_RUN_TO_RUN
+    both = [
+        r
+        for r in evaluation.results
+        if not isinstance(r.metrics[FPS.name].value, Missing)
+        and not isinstance(r.metrics[up.name].value, Missing)
+        and not is_instrument(r.group.key)
+    ]
+    places = Counter((r.group.key.scene, r.group.key.device, r.group.key.n_env) for r in both)
+    if not places:
+        return
+    (scene, device, n_env), _ = places.most_common(1)[0]
+    results = [r for r in both if (r.group.key.scene, r.group.key.device, r.group.key.n_env) == (scene, device, n_env)]
+    engines = list(dict.fromkeys(r.group.key.simulator for r in results))
+    points = [_point(r, engines.index(r.group.key.simulator), up.name, evaluation.results) for r in results]
+    drawn = scatter(points, across=FPS.titled, up=up.titled, across_tick=_thousands, up_tick=distance)
+    yield Figure(
+        f"{up.title} against throughput",
+        f"{scene}, {n_env} envs, {device or 'no device'}; bars: 95 % intervals; hollow: INVALID or mechanics broken",
+        Markup(drawn),
+        key_of("speed", up.name, scene),
+        Numbers(
+            ["group", FPS.titled, "95 % low", "95 % high", up.titled, "95 % low", "95 % high", "broken"],
+            [
+                [r.label, p.speed, *(p.speed_ci or (None, None)), p.divergence, *(p.divergence_ci or (None, None)),
+                 str(p.broken)]
+                for r, p in zip(results, points, strict=True)
+            ],
+        ),
+        scene,
+    )  # fmt: skip
+
+
+def _point(result: GroupResult, index: int, up: str, results: Sequence[GroupResult]) -> Point:
+    key, fps, apart = result.group.key, result.metrics[FPS.name], result.metrics[up]
+    speed, divergence = known(fps.value) or 0.0, known(apart.value) or 0.0
+    label = key.simulator if key.determinism == "default" else f"{key.simulator}, {key.determinism}"
+    said = f"{result.label}: {speed:,.0f} env-steps/s, {distance(divergence)} cm"
+    broken = bool(faults_anywhere(result, results))
+    return Point(index, label, speed, divergence, fps.ci95, apart.ci95, broken, said)
+
+
+def _fastest_table(results: Sequence[GroupResult]) -> Iterator[Table]:
+    found = list(fastest(results))
+    if not found:
+        return
+    yield table(
+        "fastest",
+        "The fastest valid simulator of each scene",
+        ["scene, device", f"first, {FPS.titled}", "next", "faster, but not ranked"],
+        [
+            Row((_where(one), _named(one.first), _named(one.second), _barred(one)), {"scene": one.scene})
+            for one in found
+        ],
+    )
+
+
+def _where(found: Fastest) -> Cell:
+    return Cell(found.scene, notes=(found.device or "no device",), link="throughput")
+
+
+def _named(speed: Speed | None) -> Cell:
+    if speed is None:
+        return Cell("none", tone=Tone.QUIET)
+    fps = estimate(speed.result.metrics[FPS.name])
+    key = speed.result.group.key
+    return Cell(f"{key.simulator}: {fps.text}", notes=(f"{key.n_env:,} envs",))
+
+
+def _barred(found: Fastest) -> Cell:
+    names = list(dict.fromkeys(speed.result.group.key.simulator for speed, _ in found.faster))
+    if not names:
+        return Cell("-")
+    return Cell(", ".join(names), notes=("INVALID or mechanics broken",), tone=Tone.BAD)
+
+
+def _thousands(value: float) -> str:
+    return f"{value / 1e6:g}M" if value >= 1e6 else f"{value / 1e3:g}k" if value >= 1e3 else f"{value:g}"

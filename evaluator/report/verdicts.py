@@ -1,0 +1,142 @@
+"""What users ask of a simulator first, and the answers as cells: does it repeat itself, is it valid, is it sound?"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from gpusimbench.evaluator.missing import known
+from gpusimbench.evaluator.render.document import Cell, Column, Tone
+from gpusimbench.evaluator.render.numbers import distance, plural
+from gpusimbench.evaluator.report import words
+from gpusimbench.evaluator.results.fidelity import Verdict
+from gpusimbench.evaluator.results.group_metrics import REGIME, W1_PARALLEL, W1_REAL, W1_RUN_TO_RUN
+from gpusimbench.evaluator.results.identity_metrics import DISTINCT_ENVS, DISTINCT_RUNS, identical
+from gpusimbench.evaluator.results.metric import Metric
+from gpusimbench.evaluator.results.result import GroupResult
+
+Results = Sequence[GroupResult]
+
+_DEFAULT = "default"
+
+
+@dataclass(frozen=True)
+class Question:
+    """A question to some groups of one simulator, and how it is answered.
+
+    title    as a column's heading
+    meaning  when the answer is yes
+    answer   for one group, or for several at once
+    """
+
+    title: str
+    meaning: str
+    answer: Callable[[Results], Cell]
+
+    @property
+    def column(self) -> Column:
+        """A column of answers."""
+        return Column(self.title, self.meaning)
+
+
+def repeats(results: Results) -> Cell:
+    """Whether all runs of a group have the same bits."""
+    return _identity(results, DISTINCT_RUNS, W1_RUN_TO_RUN, "runs")
+
+
+def alike(results: Results) -> Cell:
+    """Whether all environments of a run have the same bits."""
+    return _identity(results, DISTINCT_ENVS, W1_PARALLEL, "envs")
+
+
+def valid(results: Results) -> Cell:
+    """Whether the steps did all of their work, as far as the engine tells."""
+    runs = [run for r in results for run in r.group.recordings]
+    invalid = sum(run.status == "invalid" for run in runs)
+    if invalid:
+        return Cell("no", notes=(f"{invalid} of {plural(len(runs), 'run')} INVALID",), tone=Tone.BAD)
+    other = sum(not run.usable for run in runs)
+    told = [r.validity.overflow is not None for r in results]
+    failed = (f"{other} of {plural(len(runs), 'run')} not complete",) if other else ()
+    if other == len(runs):
+        return Cell("not known", notes=failed, tone=Tone.QUIET)
+    if not any(told):
+        return Cell("not known", notes=("overflow is not reported", *failed), tone=Tone.QUIET)
+    return Cell("yes", notes=failed, tone=Tone.WARNING if failed else Tone.GOOD)
+
+
+def sound(results: Results) -> Cell:
+    """Whether states keep to mechanics."""
+    checked = [r for r in results if r.fidelity.of(Verdict.BROKEN) or r.fidelity.of(Verdict.HELD)]
+    broken = [r for r in checked if r.fidelity.of(Verdict.BROKEN)]
+    if not checked:
+        return Cell("not checked", tone=Tone.QUIET)
+    checks = sum(len(r.fidelity.of(Verdict.HELD)) + len(r.fidelity.of(Verdict.BROKEN)) for r in checked)
+    if not broken:
+        return Cell("yes", notes=(f"{plural(checks, 'check')} held",), tone=Tone.GOOD)
+    names = dict.fromkeys(row.check.title for r in broken for row in r.fidelity.of(Verdict.BROKEN))
+    if len(results) == 1:
+        return Cell("no", notes=(f"broken: {', '.join(names)}",), tone=Tone.BAD)
+    where = f" in {len(broken)} of {plural(len(checked), 'group')}"
+    return Cell("no", notes=(f"{plural(len(names), 'check')} broken{where}",), tone=Tone.BAD)
+
+
+def real(results: Results) -> Cell:
+    """How far positions are from the reference: the smallest and the largest distance of the groups [cm]."""
+    found = [r.metrics[W1_REAL.name] for r in results]
+    values = sorted(value for one in found if (value := known(one.value)) is not None)
+    if not values:
+        return Cell("not compared", tone=Tone.QUIET)
+    span = distance(values[0]) if values[0] == values[-1] else f"{distance(values[0])} to {distance(values[-1])}"
+    return Cell(f"{span} cm", values[0])
+
+
+QUESTIONS = (
+    Question("repeats itself", "yes: all runs of the same configuration have the same bits at every step", repeats),
+    Question("envs alike", "yes: all environments of a run have the same bits at every step", alike),
+    Question("valid", "yes: no run dropped contacts or constraints, as far as the engine reports it", valid),
+    Question("mechanics", "yes: every check of mechanics that could be made holds", sound),
+)
+"""Asked of every simulator."""
+
+TO_REFERENCE = Question("distance to the reference", "W1 to the reference at the sample time, best to worst", real)
+
+
+def _identity(results: Results, counted: Metric, apart: Metric, what: str) -> Cell:
+    """Yes or no by bits at the default level, with how many and how far apart; then the levels at which it is yes."""
+    usual = [r for r in results if r.group.key.determinism == _DEFAULT] or list(results)
+    claims = [(r, identical(r.metrics[counted.name])) for r in usual]
+    compared = [(r, claim.holds) for r, claim in claims if claim.holds is not None]
+    notes = _levels([r for r in results if r not in usual], counted)
+    if not compared:
+        why = claims[0][1].why_not if len(claims) == 1 else ""
+        return Cell("not compared", notes=(*([words.shortened(why, 80)] if why else []), *notes), tone=Tone.QUIET)
+    differ = [r for r, holds in compared if not holds]
+    n = compared[0][0].metrics[counted.name].n
+    if not differ:
+        how = f"{n} {what} bit-identical" if len(compared) == 1 else f"{len(compared)} of {len(compared)} groups"
+        return Cell("yes", notes=(how, *notes), tone=Tone.GOOD)
+    far = [found for r in differ if (found := known(r.metrics[apart.name].value)) is not None]
+    furthest = f", {distance(max(far))} cm" if far else ""
+    if len(compared) > 1:
+        return Cell("no", notes=(f"{len(differ)} of {len(compared)} groups not{furthest}", *notes), tone=Tone.BAD)
+    value = known(differ[0].metrics[counted.name].value) or 0.0
+    return Cell("no", notes=(f"{value:.0f} distinct of {n} {what}{furthest}", *notes), tone=Tone.BAD)
+
+
+def _levels(results: Results, counted: Metric) -> list[str]:
+    """At which levels of determinism beside the default all groups are bit-identical, in a line."""
+    held = [
+        level
+        for level in dict.fromkeys(r.group.key.determinism for r in results)
+        if all(identical(r.metrics[counted.name]).yes for r in results if r.group.key.determinism == level)
+    ]
+    if not held:
+        return []
+    return [f"yes at {held[0]}" if len(held) == 1 else f"yes at {len(held)} levels of determinism"]
+
+
+def another_run(result: GroupResult) -> str:
+    """Where all runs agree: what is not excluded of one more; empty where they do not."""
+    again = words.resampled(result.metrics[REGIME.name])
+    return words.another(again) if again and again.agreement else ""
