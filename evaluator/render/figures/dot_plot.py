@@ -9,10 +9,10 @@ from dataclasses import dataclass
 from gpusimbench.evaluator.render.figures import axis, lines
 from gpusimbench.evaluator.render.figures.svg import element, figure, number, text, title
 
-_WIDTH = 600.0
-_LEFT, _RIGHT, _TOP, _ROW, _BOTTOM = 290.0, 22.0, 8.0, 19.0, 42.0
+_WIDTH = 640.0
+_LEFT, _RIGHT, _TOP, _ROW, _BOTTOM = 330.0, 22.0, 8.0, 19.0, 42.0
 _ZERO = 30.0  # width of the strip of exact zeros beside a logarithmic axis
-_LABEL = 46  # characters of a label that have room
+_LABEL = 52  # characters of a label that have room
 _DECADES = 30.0  # from this ratio of the values on, the axis is logarithmic
 _ROOM = 0.06
 
@@ -97,13 +97,18 @@ def _linear(dots: Sequence[Dot]) -> _Scale:
     high = max(max(d.value, d.high or 0.0) for d in dots) or 1.0
     high *= 1 + _ROOM
     begin, side = _LEFT, _WIDTH - _RIGHT - _LEFT
-    return _Scale(lambda v: begin + side * v / high, axis.ticks(0.0, high, at_most=5), begin, strip=False)
+    ticks = axis.ticks(0.0, high, at_most=5)
+    if all(d.value == round(d.value) and d.low is None for d in dots):
+        ticks = [t for t in ticks if t == round(t)]  # of what is counted there is no half
+    return _Scale(lambda v: begin + side * v / high, ticks, begin, strip=False)
 
 
 def _logarithmic(dots: Sequence[Dot]) -> _Scale:
     values = [v for d in dots for v in (d.value, d.low, d.high) if v is not None and v > 0]
     room = (max(values) / min(values)) ** _ROOM
     low, high = min(values) / room, max(values) * room
+    if any(d.open for d in dots):
+        high *= room  # for its arrow
     strip = any(d.value == 0 for d in dots)
     begin = _LEFT + (_ZERO if strip else 0.0)
     side = _WIDTH - _RIGHT - begin
