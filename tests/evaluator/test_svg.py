@@ -310,12 +310,20 @@ def test_scaling_curves() -> None:
     assert any("no memory" in text and "alert" in text for text in said)
 
 
+def test_dots_have_whole_names_and_whole_counts() -> None:
+    """Write long names above their rows, and no half between counts; ring exact zeros."""
+    name = "mjx [determinism=exclude-nondeterministic, impl=jax]"
+    dots = [dot_plot.Dot(0, name, 0.0), dot_plot.Dot(1, "b", 2.0)]
+    root = ET.fromstring(dot_plot.dot_plot(dots, value="checks", tick=axis.tick_label, best_first=False))
+    assert [t.text for t in root.iter("text")] == ["0", "1", "2", "checks", name, "b"]
+    assert classes(root).count("g0 nothing") == 1
+
+
 def test_no_line_through_three_points() -> None:
     """Draw marks alone of a sweep or a run with so few points, whatever model or fit there is."""
     three = ((1.0, 10.0), (2.0, 20.0), (4.0, 30.0))
     few = draw_scaling([scaling.Curve(0, "a", three, model=lambda n: 10 * n, ideal=True, n_max=4)])
-    assert not {"g0 model", "ideal"} & set(classes(few))
-    assert classes(few).count("g0 line") == 1  # in the legend
+    assert not {"g0 line", "g0 model", "ideal"} & set(classes(few))
     times = np.array([0.0, 2.5, 5.0])
     curve = divergence.Curve(0, "run 0", times, times * 0.1, times * 0.05, None)
     root = ET.fromstring(divergence.divergence_chart([curve], onset=None, name="a"))

@@ -165,5 +165,5 @@ def _onset(at: float) -> list[str]:
     side = "end" if at > _LEFT + _SIDE * 0.7 else ""
     return [
         element("line", x1=at, x2=at, y1=_TOP, y2=_LOW, class_="lead-out"),
-        text("first bit differs", at + (-5 if side else 5), _TOP + 13, class_=f"small {side}".strip()),
+        text("first bit differs", at + (-5 if side else 5), _TOP + 13, class_=f"small over {side}".strip()),
     ]

@@ -79,7 +79,8 @@ def scaling_chart(
     columns = [(n, place(n, up[0])[0]) for n in axis.power_ticks(*across)]
     rows = [(v, place(across[0], v)[1]) for v in axis.log_ticks(*up)]
     named = [(curve.index, f"{curve.label}{_largest(curve)}") for curve in curves if curve.points]
-    legend, below = lines.legend(named, _LEFT, _HEIGHT + 2, _SIDE)
+    few = {curve.index for curve in curves if len(curve.points) < LINE_FROM}
+    legend, below = lines.legend(named, _LEFT, _HEIGHT + 2, _SIDE, marks_alone=few)
     said = f"{value} against the number of environments: {len(curves)} sweeps; the values stand in the table below"
     return figure(
         _WIDTH,
