@@ -58,8 +58,8 @@ def _lines(growth: Growth) -> list[str]:
     for size, when in (("1 mm", growth.to_1mm), ("1 cm", growth.to_1cm)):
         lines.append(f"{size}: {'never' if when is None else f'first recorded at {when:g} s'}")
     fit = growth.fit
-    if isinstance(fit, Missing):
-        lines.append(f"growth rate: none; {fit.reason}")
+    if isinstance(fit, Missing) or fit.why_no_rate:
+        lines.append(f"growth rate: none; {fit.reason if isinstance(fit, Missing) else fit.why_no_rate}")
     else:
         doubling = "" if fit.doubling_time is None else f", doubling every {fit.doubling_time * 1000:.3g} ms"
         lines.append(

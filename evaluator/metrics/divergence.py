@@ -89,6 +89,10 @@ def by_first_appearance(keys: npt.NDArray[np.uint64]) -> npt.NDArray[np.int64]:
     return np.asarray(rank[inverse.reshape(-1)])
 
 
+MIN_R_SQUARED = 0.8
+"""Below it the distance does not grow as an exponential does, and the line's slope is no rate of anything."""
+
+
 @dataclass(frozen=True)
 class GrowthFit:
     """An exponential, log(distance) = rate * t + constant, by least squares.
@@ -104,6 +108,13 @@ class GrowthFit:
     points: int
     begin: float
     end: float
+
+    @property
+    def why_no_rate(self) -> str:
+        """Why the slope is not told to people as a rate of growth; empty where it is."""
+        if self.r_squared >= MIN_R_SQUARED:
+            return ""
+        return f"no rate: R2 {math.floor(self.r_squared * 100) / 100:.2f} of the exponential is below {MIN_R_SQUARED:g}"
 
     @property
     def doubling_time(self) -> float | None:

@@ -117,6 +117,7 @@ def _curve(index: int, sweep: Sweep, name: str) -> Curve:
         sweep.label,
         points,
         model=model.at if model else None,
+        ideal=name == FPS.name,
         n_max=sweep.n_max,
         failed=next((p.n_env for p in sweep.points if p.n_env > (sweep.n_max or 0) and not p.complete), None),
         ends=f"N_env^max {sweep.n_max}: {words.shortened(sweep.ends)}",

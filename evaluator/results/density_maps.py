@@ -9,41 +9,68 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gpusimbench.evaluator.metrics.density import HexGrid, marginal
+from gpusimbench.evaluator.metrics.lost_cubes import Board
 from gpusimbench.evaluator.results.reference import Reference
 from gpusimbench.evaluator.results.result import Cloud, GroupResult, Map
 
 _BIN_M = 0.01  # half a cube's edge
 _MARGIN_M = 0.1
-_HALF_EXTENT_M = 1.0  # what lies further from a group's middle is off the map: one outlier must not shrink all maps
+_AROUND = 0.25  # of the board's longer edge: how much of its surroundings a map shows
+_HALF_EXTENT_M = 1.0  # without a board: what lies further from a group's middle is off the map
+_TAIL = 0.01  # likewise: share of a group's positions at each end of an axis that the map need not hold
+
+Extent = tuple[NDArray[np.float64], NDArray[np.float64]]
 
 
-def shared_map(clouds: Sequence[NDArray[np.float64] | None], reference: Reference | None, scene: str) -> Map | None:
-    """The map of a scene.
+def shared_map(
+    clouds: Sequence[NDArray[np.float64] | None], reference: Reference | None, scene: str, board: Board | None = None
+) -> Map | None:
+    """The map of a scene: its board and the surroundings, whatever flew off; without a board, where most positions lie.
 
     clouds     planar positions [m], each [run, env, item, 2]; None where a group has none
     reference  joins the map where it is of the same scene
+    board      of the scene; not looked at where no group has half of its positions around it
 
-    Returns None where there are no positions, or groups lie too far apart for one map.
+    Returns None where there are no positions, or, without a board, where groups lie too far apart for one map.
     """
     everything = [c.reshape(-1, 2) for c in clouds if c is not None]
     if reference is not None and reference.scene == scene:
         everything.append(reference.positions.reshape(-1, 2))
     if not everything:
         return None
-    near = np.concatenate([_near_its_middle(points) for points in everything])
-    low = np.floor((near.min(axis=0) - _MARGIN_M) * 10) / 10
-    high = np.ceil((near.max(axis=0) + _MARGIN_M) * 10) / 10
-    if ((high - low) > 4 * _HALF_EXTENT_M).any():
+    extent = _around(board, everything) if board else None
+    extent = extent or _around_middles(everything)
+    if extent is None:
         return None
+    low, high = np.floor(extent[0] * 10 + 1e-9) / 10, np.ceil(extent[1] * 10 - 1e-9) / 10
     grid = HexGrid((float(low[0]), float(high[0]), float(low[1]), float(high[1])), _BIN_M)
     x, y = (np.linspace(a, b, round((b - a) / _BIN_M) + 1) for a, b in zip(low, high, strict=True))
     counts = [grid.bin(points).counts for points in everything]
     return Map(grid, (x, y), max((int(c.max()) for c in counts if len(c)), default=1))
 
 
+def _around(board: Board, everything: Sequence[NDArray[np.float64]]) -> Extent | None:
+    centre, size = np.array(board.centre[:2]), np.array(board.size[:2])
+    reach = size / 2 + _AROUND * size.max()
+    inside = [float((np.abs(points - centre) <= reach).all(axis=1).mean()) for points in everything if len(points)]
+    return (centre - reach, centre + reach) if max(inside, default=0.0) >= 0.5 else None
+
+
+def _around_middles(everything: Sequence[NDArray[np.float64]]) -> Extent | None:
+    near = [found for points in everything if len(found := _near_its_middle(points))]
+    if not near:
+        return None
+    low = np.min([np.quantile(points, _TAIL, axis=0, method="lower") for points in near], axis=0) - _MARGIN_M
+    high = np.max([np.quantile(points, 1 - _TAIL, axis=0, method="higher") for points in near], axis=0) + _MARGIN_M
+    return None if ((high - low) > 4 * _HALF_EXTENT_M).any() else (low, high)
+
+
 def _near_its_middle(points: NDArray[np.float64]) -> NDArray[np.float64]:
-    middle = points[np.argmin(np.abs(points - np.median(points, axis=0)).max(axis=1))]
-    near: NDArray[np.float64] = points[(np.abs(points - middle) <= _HALF_EXTENT_M).all(axis=1)]
+    finite: NDArray[np.float64] = points[np.isfinite(points).all(axis=1)]
+    if not len(finite):
+        return finite
+    middle = finite[np.argmin(np.abs(finite - np.median(finite, axis=0)).max(axis=1))]
+    near: NDArray[np.float64] = finite[(np.abs(finite - middle) <= _HALF_EXTENT_M).all(axis=1)]
     return near
 
 

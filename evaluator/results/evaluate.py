@@ -23,7 +23,7 @@ from gpusimbench.evaluator.results.identity_metrics import identical_steps
 from gpusimbench.evaluator.results.metrics import METRICS
 from gpusimbench.evaluator.results.ranking import compare
 from gpusimbench.evaluator.results.reference import Reference
-from gpusimbench.evaluator.results.result import GroupResult, RunSpread
+from gpusimbench.evaluator.results.result import GroupResult, Map, RunSpread
 from gpusimbench.evaluator.results.sampled import ends_early, left_out
 from gpusimbench.evaluator.results.sweeps import find_sweeps
 from gpusimbench.evaluator.results.timed_work import timed_work
@@ -95,11 +95,7 @@ def evaluate(
         for g, label in zip(groups, names, strict=True)
     ]
     notes += _identical_groups(found)
-    maps = {
-        scene: shared
-        for scene in dict.fromkeys(g.key.scene for g in groups)
-        if (shared := shared_map([f.planar for f in found if f.result.group.key.scene == scene], target, scene))
-    }
+    maps = _maps(found, target)
     results = tuple(
         replace(with_cloud(f.result, f.planar, maps.get(f.result.group.key.scene)), footnotes=notes_of)
         for f, notes_of in zip(found, footnotes([g.key for g in groups]), strict=True)
@@ -120,6 +116,19 @@ def evaluate(
         price_list=price_list(results),
         unmet=protocol.whole,
     )
+
+
+def _maps(found: Sequence[_Found], target: Reference | None) -> dict[str, Map]:
+    """The map of each scene that has one."""
+    by_scene: dict[str, list[_Found]] = {}
+    for one in found:
+        by_scene.setdefault(one.result.group.key.scene, []).append(one)
+    maps = {}
+    for scene, ours in by_scene.items():
+        board = next((run.board for one in ours for run in one.runs if run.board), None)
+        if shared := shared_map([one.planar for one in ours], target, scene, board):
+            maps[scene] = shared
+    return maps
 
 
 def _times(count: int) -> str:

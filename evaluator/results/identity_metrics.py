@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gpusimbench.evaluator.metrics.divergence import FIT_LIMIT_M
+from gpusimbench.evaluator.metrics.divergence import FIT_LIMIT_M, MIN_R_SQUARED
 from gpusimbench.evaluator.metrics.identity import changes, distinct_over_time
 from gpusimbench.evaluator.metrics.levels import Verdict, verdict
 from gpusimbench.evaluator.metrics.split_tree import split_tree
@@ -202,11 +202,14 @@ def _equality_of_runs(metric: Metric, group: GroupRuns) -> Estimate:
 def _rate(run: Run) -> float | Missing:
     if isinstance(run.spread, Missing):
         return run.spread
-    return run.spread.fit if isinstance(run.spread.fit, Missing) else run.spread.fit.rate
+    fit = run.spread.fit
+    if isinstance(fit, Missing):
+        return fit
+    return Missing(fit.why_no_rate) if fit.why_no_rate else fit.rate
 
 
 def _growth(group: GroupRuns) -> Growth:
-    shown = [r.spread for r in group.runs if r.spread and r.spread.fit]
+    shown = [r.spread for r in group.runs if r.spread and r.spread.fit and not r.spread.fit.why_no_rate]
     fitted = [spread.fit for spread in shown if spread.fit]
     first = shown[0]
     return Growth(
@@ -291,7 +294,8 @@ EQUALITY_RUNS = Metric(
 DIVERGENCE_RATE = Metric(
     "divergence_rate", "divergence rate of envs", "1/s", Direction.LOWER,
     "rate of an exponential through the largest distance of a body from where it is in environment 0, from the first "
-    "that is not zero up to 1 mm; mean over runs, with the curve of one of them",
+    "that is not zero up to 1 mm; mean over runs, with the curve of one of them; a run has no rate where R squared "
+    f"of its fit is below {MIN_R_SQUARED:g}: `divergence` has the fit",
     method="rate of an exponential through the largest distance of a body from environment 0, from the first that is "
     f"not zero up to {FIT_LIMIT_M * _MM_PER_M:g} mm",
     table=Table.VARIABILITY, values=each(_rate), details=_growth, optional=True,

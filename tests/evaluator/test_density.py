@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -9,6 +11,8 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import array_shapes, arrays
 
 from gpusimbench.evaluator.metrics.density import HexGrid, log_density, marginal
+from gpusimbench.evaluator.metrics.lost_cubes import Board
+from gpusimbench.evaluator.results.density_maps import shared_map
 
 GRID = HexGrid((-0.2, 0.6, -0.3, 0.3), 0.05)
 POINTS = arrays(
@@ -125,3 +129,36 @@ def test_marginal_refuses(edges: list[float]) -> None:
     """Refuse edges that bound no bins."""
     with pytest.raises(ValueError, match="edges"):
         marginal([0.0], edges)
+
+
+BOARD = Board((0.6, 0.6, 0.02), (0.3, 0.0, 0.0))
+
+
+def cloud(n_off: int, *, away: float = 100.0, centre: tuple[float, float] = (0.3, 0.0)) -> Any:
+    """Positions around a centre [m], shape [1, 1, 300, 2], the first of which flew off."""
+    found = np.random.default_rng(n_off).normal(centre, 0.05, (1, 1, 300, 2))
+    found[..., :n_off, :] = away
+    return found
+
+
+@pytest.mark.parametrize("off", [[0], [3], [299, 10], [300, 0], [120, 120]])
+def test_what_flew_off_does_not_change_the_map_of_a_board(off: list[int]) -> None:
+    """Show the board and its surroundings, whatever some recordings lost, and count what is beside them."""
+    shared = shared_map([cloud(n) for n in off], None, "s", BOARD)
+    assert shared is not None
+    assert shared.grid.extent_m == pytest.approx((-0.2, 0.8, -0.5, 0.5))
+    assert [shared.grid.bin(cloud(n)).off_map for n in off] == off
+
+
+@pytest.mark.parametrize("away", [100.0, np.nan, np.inf])
+def test_a_map_without_a_board_holds_most_positions(away: float) -> None:
+    """Find where positions are, without a board or far from it, in spite of those that flew off or are not finite."""
+    for board in (None, BOARD):
+        shared = shared_map([cloud(30, away=away, centre=(7.0, 7.0))], None, "s", board)
+        assert shared is not None
+        x_min, x_max, y_min, y_max = shared.grid.extent_m
+        assert 6.6 <= x_min < 6.95 < 7.05 < x_max <= 7.4
+        assert 6.6 <= y_min < 6.95 < 7.05 < y_max <= 7.4
+        assert shared.grid.bin(cloud(30, away=away, centre=(7.0, 7.0))).off_map == 30
+    assert shared_map([cloud(0), cloud(0, centre=(50.0, 0.0))], None, "s") is None
+    assert shared_map([None, np.full((1, 1, 4, 2), np.nan)], None, "s") is None

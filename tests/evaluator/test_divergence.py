@@ -173,3 +173,10 @@ def test_five_points_make_a_rate() -> None:
     none = fit_growth(times, distances, limit=float(distances[4]))
     assert isinstance(none, Missing)
     assert none.reason.startswith("4 recorded steps with a distance above zero before it passes ")
+
+
+def test_no_rate_of_what_does_not_grow_exponentially() -> None:
+    """Refuse the slope of a poor fit as a rate, and never round its R2 up to the limit."""
+    poor, good = (GrowthFit(1.0, r_squared, 9, 0.0, 1.0) for r_squared in (0.7999, 0.8))
+    assert poor.why_no_rate == "no rate: R2 0.79 of the exponential is below 0.8"
+    assert not good.why_no_rate

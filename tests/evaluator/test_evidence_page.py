@@ -12,6 +12,7 @@ import pytest
 from numpy.typing import NDArray
 
 from gpusimbench.evaluator.metrics.radar import Axis
+from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.report.html import render_html
 from gpusimbench.evaluator.report.json import to_json
 from gpusimbench.evaluator.report.page import consistency, deviations, divergence, dot_plot, remade
@@ -187,6 +188,31 @@ def test_growth_is_drawn_with_its_fit(apart: Evaluation) -> None:
     assert "3 histories, which split between steps 10 and 30 of 60." in envs.caption
     assert [row[6] for row in envs.numbers.rows] == ["2 envs: 0, 3", "env 2", "env 1"]
     assert [row[6] for row in runs.numbers.rows] == ["2 runs: 0, 2", "run 1"]
+
+
+def test_no_rate_of_a_poor_fit(tmp_path: Path) -> None:
+    """Draw no fit and tell no rate where distances do not grow exponentially, and leave the fit to programs."""
+
+    def restless(start: NDArray[Any], step: int) -> NDArray[Any]:
+        now = start.copy()
+        now[1, 0, 0] += (1e-6, 5e-4, 2e-5)[step % 3] if step > 2 else 0.0
+        return now
+
+    for run in range(2):
+        write_recording(tmp_path, restless(grid(2), 21), run=run, steps=21, dt=DT, path_of=restless,
+                        field=cubes_field("float64"))  # fmt: skip
+    found = evaluate_files(sorted(tmp_path.glob("*.mcap")), sample_time=21 * DT)
+    metric = found.results[0].metrics["divergence_rate"]
+    assert isinstance(metric.value, Missing)
+    section = divergence.section(source(found))
+    assert section is not None
+    ((_, (growth, *_)),) = section.context["apart"]
+    assert 'class="fit"' not in growth.svg
+    assert "No growth rate: R2 0.0" in growth.caption
+    (row,) = section.context["onsets"]
+    assert (row.doubling, row.no_doubling) == ("-", metric.value.reason)
+    (group,) = to_json(found)["groups"]
+    assert group["divergence"][0]["fit"]["r_squared"] < 0.8
 
 
 def test_onsets_are_tabulated(apart: Evaluation) -> None:

@@ -511,3 +511,14 @@ def test_too_many_environments_for_a_matrix(tmp_path: Path, monkeypatch: pytest.
     assert without.metrics["w1_parallel"].of(BetweenEnvs).matrix_cm is None
     assert without.metrics["w1_parallel"].value == pytest.approx(with_matrix.metrics["w1_parallel"].value, rel=1e-12)
     assert "No matrix: 4 environments are too many for one (limit: 3)." in Page(render(evaluation)).text
+
+
+@pytest.mark.parametrize("number", [8, 9])
+def test_a_radar_of_eight_groups_at_most(several: Evaluation, number: int) -> None:
+    """Draw a radar of up to eight groups; of more, say why there is none and keep the values."""
+    figures = [SimulatorResult(f"engine {i}", fps=100.0 + i, parallel=float(i)) for i in range(number)]
+    contenders = tuple(Contender(several.results[0], None, None, f, {}) for f in figures)
+    text = render(replace(several, comparison=Comparison(contenders, radar(figures), ())))
+    assert ('data-file="radar"' in text) == (number == 8)
+    assert ("No radar: 9 groups are compared" in text) == (number == 9)
+    assert "Values behind the radar" in text

@@ -13,6 +13,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from gpusimbench.evaluator.render.csv import to_csv
 from gpusimbench.evaluator.render.figures.axis import tick_label
 from gpusimbench.evaluator.render.figures.placement import Box, place
 from gpusimbench.evaluator.render.figures.scatter import Point, scatter
@@ -98,7 +99,7 @@ def shipped() -> Iterator[Picture]:
 
 def test_shipped_recordings(shipped: Picture) -> None:
     """Show MuJoCo at exactly zero and Brax hollow, with the numbers and what speaks against it."""
-    rows = list(csv.DictReader(io.StringIO(shipped.numbers.csv(), newline="")))
+    rows = list(csv.DictReader(io.StringIO(to_csv(shipped.numbers.titles, shipped.numbers.rows), newline="")))
     assert [float(r["W1 between runs [cm]"]) for r in rows if r["group"].startswith("mujoco")] == [0.0, 0.0, 0.0]
     [brax] = [r for r in rows if r["group"] == "brax"]
     assert "cubes per env sank" in brax["what speaks against it"]

@@ -290,26 +290,63 @@ def draw_scaling(curves: list[scaling.Curve], **keywords: object) -> ET.Element:
 
 def test_scaling_curves() -> None:
     """Draw a mark a point, ring N_env^max, cross the next N, and say why the curve ends."""
-    curve = scaling.Curve(
-        0, HOSTILE, ((1.0, 10.0), (2.0, 20.0), (4.0, 40.0)), model=lambda n: 10 * n, n_max=4, failed=8, ends="no memory"
-    )
+    points = ((1.0, 10.0), (2.0, 20.0), (4.0, 40.0), (8.0, 50.0))
+    curve = scaling.Curve(0, HOSTILE, points, model=lambda n: 10 * n, ideal=True, n_max=8, failed=16, ends="no memory")
     root = draw_scaling([curve, scaling.Curve(1, "other", ((1.0, 5.0),)), scaling.Curve(2, "empty", ())])
     marks = [e for e in root.iter("circle") if e.get("class") == "g0"]
-    assert len(marks) == 3 + 1  # and one in the legend
+    assert len(marks) == 4 + 1  # and one in the legend
     across = [float(e.get("cx", "")) for e in marks[:3]]
     assert across[1] - across[0] == pytest.approx(across[2] - across[1], abs=0.05)
     assert classes(root).count("g0 end-ring") == 1
     assert classes(root).count("cross") == 1
     assert classes(root).count("g0 model") == 1
+    assert any((e.text or "").endswith(", max 8 envs") for e in root.iter("text"))
+    (ideal,) = (e.get("d", "") for e in root.iter("path") if e.get("class") == "ideal")
+    (x1, y1), (x2, y2) = ([float(v) for v in part.split()] for part in ideal[1:].split("L"))
+    middle = [float(e.get("cy", "")) for e in marks[:3]]
+    assert (y1 - middle[1]) / (across[1] - across[0]) == pytest.approx((y1 - y2) / (x2 - x1), abs=0.01)
+    assert y2 >= 14  # not above the frame
     said = [e.text or "" for e in root.iter("title")]
     assert any("no memory" in text and "alert" in text for text in said)
+
+
+def test_dots_have_whole_names_and_whole_counts() -> None:
+    """Write long names above their rows, and no half between counts; ring exact zeros."""
+    name = "mjx [determinism=exclude-nondeterministic, impl=jax]"
+    dots = [dot_plot.Dot(0, name, 0.0), dot_plot.Dot(1, "b", 2.0)]
+    root = ET.fromstring(dot_plot.dot_plot(dots, value="checks", tick=axis.tick_label, best_first=False))
+    assert [t.text for t in root.iter("text")] == ["0", "1", "2", "checks", name, "b"]
+    assert classes(root).count("g0 nothing") == 1
+
+
+def test_no_line_through_three_points() -> None:
+    """Draw marks alone of a sweep or a run with so few points, whatever model or fit there is."""
+    three = ((1.0, 10.0), (2.0, 20.0), (4.0, 30.0))
+    few = draw_scaling([scaling.Curve(0, "a", three, model=lambda n: 10 * n, ideal=True, n_max=4)])
+    assert not {"g0 line", "g0 model", "ideal"} & set(classes(few))
+    times = np.array([0.0, 2.5, 5.0])
+    curve = divergence.Curve(0, "run 0", times, times * 0.1, times * 0.05, None)
+    root = ET.fromstring(divergence.divergence_chart([curve], onset=None, name="a"))
+    assert not [e for e in root.iter("path") if {"line", "model"} & set(e.get("class", "").split())]
+    assert classes(root).count("g0") == classes(root).count("g0 nothing") == 3
+
+
+def test_zeros_keep_the_room_of_their_label() -> None:
+    """Leave out a tick whose label would meet that of the strip of zeros."""
+    times = np.arange(4.0)
+    curve = divergence.Curve(0, "a", times, np.array([0.0, 0.0199, 0.1, 0.2]), times * 0.0, None)
+    root = ET.fromstring(divergence.divergence_chart([curve], onset=None, name="a"))
+    heights = sorted(float(e.get("y", "")) for e in root.iter("text") if e.get("class") == "end")
+    assert min(b - a for a, b in zip(heights, heights[1:], strict=False)) >= 12
 
 
 def test_scaling_of_strange_values() -> None:
     """Draw one point, equal values and models below zero; draw nothing where there is nothing."""
     alone = draw_scaling([scaling.Curve(0, "a", ((1.0, 3.0),), model=lambda n: -1.0, n_max=1)])
     assert "g0 model" not in classes(alone)
-    flat = draw_scaling([scaling.Curve(0, "a", ((1.0, 3.0), (1024.0, 3.0)), model=lambda n: n - 500)])
+    flat = draw_scaling(
+        [scaling.Curve(0, "a", ((1.0, 3.0), (4.0, 3.0), (64.0, 3.0), (1024.0, 3.0)), model=lambda n: n - 500)]
+    )
     assert "g0 model" in classes(flat)
     assert scaling.scaling_chart([], value="v", tick=str) == ""
     assert scaling.scaling_chart([scaling.Curve(0, "a", ())], value="v", tick=str) == ""

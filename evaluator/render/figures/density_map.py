@@ -90,6 +90,9 @@ def density_map(
         *(axis.bottom(plane.x(t), bottom, axis.tick_label(t)) for t in axis.ticks(x_min, x_max)),
         *(axis.left(_LEFT, plane.y(t), axis.tick_label(t)) for t in axis.ticks(y_min, y_max)),
         text("x [m]", _LEFT + width / 2, bottom + 32, class_="mid"),
+        text(f"off the map: {density.off_map:,} of {n_point:,}", right + _GAP + _SIDE, bottom + 32, class_="small end")
+        if density.off_map
+        else "",
         text("y [m]", 11, plane.top + height / 2, class_="mid", rotate=-90),
         element("line", x1=_LEFT, x2=right, y1=plane.top - _GAP, y2=plane.top - _GAP, class_="axis"),
         element("line", x1=right + _GAP, x2=right + _GAP, y1=plane.top, y2=bottom, class_="axis"),
@@ -105,7 +108,7 @@ def caption(density: Density) -> str:
     shown, off = int(density.counts.sum()), density.off_map
     largest = int(density.counts.max()) if len(density.counts) else 0
     bins = len(density.counts)
-    where = "all are on the map" if not off else f"{off:,} are off the map"
+    where = "all are on the map" if not off else f"{off:,} are off the map ({_percent(off / (shown + off))})"
     return (
         f"{shown + off:,} positions; {where}. {bins:,} {'hexagon is' if bins == 1 else 'hexagons are'} occupied, "
         f"the fullest holds {largest:,}."

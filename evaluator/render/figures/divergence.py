@@ -16,11 +16,15 @@ from gpusimbench.evaluator.render.figures.svg import element, figure, number, te
 MAX_POINTS = 160
 """Points of a curve that are drawn; of more, evenly spread ones and the first that is not zero."""
 
+LINE_FROM = 4
+"""Points of a curve from which on a line joins them: fewer do not show what lies between."""
+
 _WIDTH, _HEIGHT = 480.0, 300.0
 _LEFT, _RIGHT, _TOP, _BOTTOM = 66.0, 14.0, 12.0, 42.0
 _ZERO = 22.0  # height of the strip of exact zeros
 _SIDE, _LOW = _WIDTH - _LEFT - _RIGHT, _HEIGHT - _BOTTOM
 _FLOOR = _LOW - _ZERO  # of the logarithmic axis
+_INSET = 8.0  # of the time axis within the frame, for the marks at its ends
 _UNITS = ((1.0, "m"), (1e-3, "mm"), (1e-6, "µm"), (1e-9, "nm"), (1e-12, "pm"), (1e-15, "fm"))
 _FEW = 20  # points that are marked one by one
 
@@ -70,14 +74,15 @@ def divergence_chart(curves: Sequence[Curve], *, onset: float | None, name: str)
     last = max(float(c.times[-1]) for c in curves)
 
     def x(time: float) -> float:
-        return _LEFT + _SIDE * (time / last if last else 0.0)
+        return _LEFT + _INSET + (_SIDE - 2 * _INSET) * (time / last if last else 0.0)
 
     def y(value: float) -> float:
         if value <= 0:
             return _LOW - _ZERO / 2
         return _TOP + (_FLOOR - _TOP) * (high - math.log10(value)) / (high - low)
 
-    rows = [(v, y(v)) for v in axis.log_ticks(10**low, 10**high)]
+    ticks = [(v, y(v)) for v in axis.log_ticks(10**low, 10**high)]
+    rows = [(v, at) for v, at in ticks if at <= _FLOOR - 3]  # below, its label would meet that of the zeros
     columns = [(t, x(t)) for t in axis.ticks(0.0, last)] if last else []
     fitted = next((c for c in curves if c.fit), None)
     return figure(
@@ -109,6 +114,11 @@ def _curve(curve: Curve, x: Scale, y: Scale) -> str:
     rows = shown_rows(curve)
     times = curve.times[rows]
     parts = [title(curve.label)]
+    if len(curve.times) < LINE_FROM:
+        for values, hollow in ((curve.rms, True), (curve.largest, False)):
+            found = [(x(t), y(v)) for t, v in zip(curve.times, values, strict=True) if np.isfinite(v)]
+            parts += [lines.mark(curve.index, *at, hollow=hollow) for at in found]
+        return element("g", *parts)
     for values, thin in ((curve.rms[rows], True), (curve.largest[rows], False)):
         data = _broken([(x(t), y(v)) if np.isfinite(v) else None for t, v in zip(times, values, strict=True)])
         if thin:
@@ -155,5 +165,5 @@ def _onset(at: float) -> list[str]:
     side = "end" if at > _LEFT + _SIDE * 0.7 else ""
     return [
         element("line", x1=at, x2=at, y1=_TOP, y2=_LOW, class_="lead-out"),
-        text("first bit differs", at + (-5 if side else 5), _TOP + 13, class_=f"small {side}".strip()),
+        text("first bit differs", at + (-5 if side else 5), _TOP + 13, class_=f"small over {side}".strip()),
     ]

@@ -1,4 +1,7 @@
-"""Dot plot: a value of each of several groups with its interval, sorted, exact zeros apart."""
+"""Dot plot: a value of each of several groups with its interval, sorted, exact zeros apart.
+
+A group's name stands above its row: beside it, long names would leave no room for the values on a narrow screen.
+"""
 
 from __future__ import annotations
 
@@ -9,10 +12,11 @@ from dataclasses import dataclass
 from gpusimbench.evaluator.render.figures import axis, lines
 from gpusimbench.evaluator.render.figures.svg import element, figure, number, text, title
 
-_WIDTH = 600.0
-_LEFT, _RIGHT, _TOP, _ROW, _BOTTOM = 290.0, 22.0, 8.0, 19.0, 42.0
+_WIDTH = 400.0
+_LEFT, _RIGHT, _TOP, _ROW, _BOTTOM = 14.0, 22.0, 4.0, 29.0, 42.0
+_NAME = 13.0  # height of a row's name; the values have the rest of the row
 _ZERO = 30.0  # width of the strip of exact zeros beside a logarithmic axis
-_LABEL = 46  # characters of a label that have room
+_LABEL = 60  # characters of a label that have room
 _DECADES = 30.0  # from this ratio of the values on, the axis is logarithmic
 _ROOM = 0.06
 
@@ -58,28 +62,25 @@ def dot_plot(dots: Sequence[Dot], *, value: str, tick: Callable[[float], str], b
     bottom = _TOP + _ROW * len(rows)
     right = _WIDTH - _RIGHT
     ticks = [(v, scale.place(v)) for v in scale.ticks]
-    strip = (
-        [
-            element("rect", x=_LEFT, y=_TOP, width=_ZERO, height=bottom - _TOP, class_="ground"),
-            axis.bottom(_LEFT + _ZERO / 2, bottom, "0"),
-        ]
+    bands = [(_TOP + _ROW * i + _NAME + 2, _TOP + _ROW * (i + 1)) for i in range(len(rows))]
+    strips = [
+        element("rect", x=_LEFT, y=top, width=_ZERO, height=end - top, class_="ground")
+        for top, end in bands
         if scale.strip
-        else []
-    )
+    ]
+    grid = "".join(f"M{number(x)} {number(top)}V{number(end)}" for _, x in ticks for top, end in bands)
+    grid += "".join(f"M{number(_LEFT)} {number((top + end) / 2)}H{number(right)}" for top, end in bands)
     return figure(
         _WIDTH,
         bottom + _BOTTOM,
         f"{value} of {len(rows)} groups, sorted; best on top",
-        *strip,
-        *(element("line", x1=x, x2=x, y1=_TOP, y2=bottom, class_="faint") for _, x in ticks),
-        *(
-            element("line", x1=_LEFT, x2=right, y1=_TOP + _ROW * (i + 0.5), y2=_TOP + _ROW * (i + 0.5), class_="faint")
-            for i in range(len(rows))
-        ),
-        axis.frame(_LEFT, _TOP, right - _LEFT, bottom - _TOP),
+        *strips,
+        element("path", d=grid, class_="faint"),
+        element("line", x1=_LEFT, x2=right, y1=bottom, y2=bottom, class_="axis"),
+        axis.bottom(_LEFT + _ZERO / 2, bottom, "0") if scale.strip else "",
         *(axis.bottom(x, bottom, tick(v)) for v, x in ticks),
         text(value, (_LEFT + right) / 2, bottom + 33, class_="mid"),
-        *(_row(dot, _TOP + _ROW * (i + 0.5), scale) for i, dot in enumerate(rows)),
+        *(_row(dot, sum(band) / 2, scale) for dot, band in zip(rows, bands, strict=True)),
     )
 
 
@@ -97,13 +98,18 @@ def _linear(dots: Sequence[Dot]) -> _Scale:
     high = max(max(d.value, d.high or 0.0) for d in dots) or 1.0
     high *= 1 + _ROOM
     begin, side = _LEFT, _WIDTH - _RIGHT - _LEFT
-    return _Scale(lambda v: begin + side * v / high, axis.ticks(0.0, high, at_most=5), begin, strip=False)
+    ticks = axis.ticks(0.0, high, at_most=5)
+    if all(d.value == round(d.value) and d.low is None for d in dots):
+        ticks = [t for t in ticks if t == round(t)]  # of what is counted there is no half
+    return _Scale(lambda v: begin + side * v / high, ticks, begin, strip=False)
 
 
 def _logarithmic(dots: Sequence[Dot]) -> _Scale:
     values = [v for d in dots for v in (d.value, d.low, d.high) if v is not None and v > 0]
     room = (max(values) / min(values)) ** _ROOM
     low, high = min(values) / room, max(values) * room
+    if any(d.open for d in dots):
+        high *= room  # for its arrow
     strip = any(d.value == 0 for d in dots)
     begin = _LEFT + (_ZERO if strip else 0.0)
     side = _WIDTH - _RIGHT - begin
@@ -132,5 +138,5 @@ def _row(dot: Dot, y: float, scale: _Scale) -> str:
     else:
         parts.append(lines.mark(dot.index, x, y))
     label = dot.label if len(dot.label) <= _LABEL else f"{dot.label[: _LABEL - 1]}…"
-    parts.append(text(label, _LEFT - 8, y + 4, class_="end name"))
+    parts.append(text(label, _LEFT, y - (_ROW - _NAME) / 2 - 2, class_="name"))
     return element("g", *parts)

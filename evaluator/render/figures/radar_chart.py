@@ -8,6 +8,9 @@ from gpusimbench.evaluator.metrics.radar import Axis, Radar
 from gpusimbench.evaluator.render.figures import lines
 from gpusimbench.evaluator.render.figures.svg import closed_path, element, figure, number, text
 
+AT_MOST = 8
+"""Groups on one radar: as many as there are colours; more outlines cannot be told apart."""
+
 _WIDTH, _HEIGHT, _RADIUS = 370.0, 310.0, 100.0
 _RINGS = (0.25, 0.5, 0.75, 1.0)
 

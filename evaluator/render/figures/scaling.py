@@ -9,6 +9,9 @@ from dataclasses import dataclass
 from gpusimbench.evaluator.render.figures import axis, lines
 from gpusimbench.evaluator.render.figures.svg import closed_path, element, figure, number, text, title
 
+LINE_FROM = 4
+"""Points of a sweep from which on a line joins them: fewer do not show what lies between."""
+
 _WIDTH, _HEIGHT = 480.0, 330.0
 _LEFT, _RIGHT, _TOP, _BOTTOM = 76.0, 16.0, 14.0, 44.0
 _SIDE, _FLOOR = _WIDTH - _LEFT - _RIGHT, _HEIGHT - _TOP - _BOTTOM
@@ -27,6 +30,7 @@ class Curve:
     label   for those who point at it
     points  (environments, value), in order of environments, all positive
     model   value at a number of environments, drawn as a thin line where it is positive; None: no such line
+    ideal   whether N environments should have N times the value of one: the line through the first point is drawn
     n_max   N_env^max, ringed; None where no point is
     failed  the number of environments beyond it at which no run was complete, crossed; None where none was tried
     ends    why the curve ends, in words
@@ -36,6 +40,7 @@ class Curve:
     label: str
     points: tuple[Point, ...]
     model: Callable[[float], float] | None = None
+    ideal: bool = False
     n_max: int | None = None
     failed: int | None = None
     ends: str = ""
@@ -73,8 +78,9 @@ def scaling_chart(
     bottom, right = _TOP + _FLOOR, _LEFT + _SIDE
     columns = [(n, place(n, up[0])[0]) for n in axis.power_ticks(*across)]
     rows = [(v, place(across[0], v)[1]) for v in axis.log_ticks(*up)]
-    named = [(curve.index, curve.label) for curve in curves if curve.points]
-    legend, below = lines.legend(named, _LEFT, _HEIGHT + 2, _SIDE)
+    named = [(curve.index, f"{curve.label}{_largest(curve)}") for curve in curves if curve.points]
+    few = {curve.index for curve in curves if len(curve.points) < LINE_FROM}
+    legend, below = lines.legend(named, _LEFT, _HEIGHT + 2, _SIDE, marks_alone=few)
     said = f"{value} against the number of environments: {len(curves)} sweeps; the values stand in the table below"
     return figure(
         _WIDTH,
@@ -87,7 +93,7 @@ def scaling_chart(
         *(axis.left(_LEFT, y, tick(v)) for v, y in rows),
         text("environments", _LEFT + _SIDE / 2, bottom + 34, class_="mid"),
         text(value, 12, _TOP + _FLOOR / 2, class_="mid", rotate=-90),
-        *(_curve(curve, place) for curve in curves),
+        *(_curve(curve, place, up[1]) for curve in sorted(curves, key=lambda c: len(c.points) < LINE_FROM)),
         *_foreign(foreign, place),
         legend,
     )
@@ -104,13 +110,16 @@ def _share(value: float, span: Point) -> float:
     return math.log(value / span[0]) / math.log(span[1] / span[0])
 
 
-def _curve(curve: Curve, place: Callable[[float, float], Point]) -> str:
+def _curve(curve: Curve, place: Callable[[float, float], Point], top: float) -> str:
     if not curve.points:
         return ""
     parts = [title(f"{curve.label}: {curve.ends}" if curve.ends else curve.label)]
-    if curve.model:
-        parts.append(_model(curve.index, curve.points, curve.model, place))
-    parts.append(lines.path(curve.index, _path(place(*p) for p in curve.points)))
+    if len(curve.points) >= LINE_FROM:
+        if curve.ideal:
+            parts.append(_ideal(curve.points, place, top))
+        if curve.model:
+            parts.append(_model(curve.index, curve.points, curve.model, place))
+        parts.append(lines.path(curve.index, _path(place(*p) for p in curve.points)))
     parts += [lines.mark(curve.index, *place(*p)) for p in curve.points]
     last = next((p for p in curve.points if p[0] == curve.n_max), None)
     if last:
@@ -122,6 +131,20 @@ def _curve(curve: Curve, place: Callable[[float, float], Point]) -> str:
             parts.append(element("path", d=f"M{number(x + 8)} {number(y)}H{number(end - 5)}", class_="lead-out"))
             parts.append(element("path", d=cross, class_="cross"))
     return element("g", *parts)
+
+
+def _largest(curve: Curve) -> str:
+    """What the legend says of N_env^max."""
+    if curve.n_max is None:
+        return ""
+    return f", {'max' if curve.failed else 'no failure up to'} {curve.n_max:,} envs"
+
+
+def _ideal(points: Sequence[Point], place: Callable[[float, float], Point], top: float) -> str:
+    """Proportional scaling from the first point to the last, or to the upper end of the axis."""
+    (first, value), (last, _) = points[0], points[-1]
+    last = min(last, first * top / value)
+    return element("path", d=_path([place(first, value), place(last, value * last / first)]), class_="ideal")
 
 
 def _model(

@@ -68,7 +68,7 @@ def scatter(
     frame = Box(_LEFT + 2, _TOP + 1, _LEFT + _SIDE - 2, _LOW - 1)
     placed = place(places, [p.label for p in points], marks=marks, whiskers=whiskers, frame=frame)
     without = [(p.index, p.label) for p, label in zip(points, placed, strict=True) if p.label and not label]
-    legend, below = lines.legend(without, _LEFT, _HEIGHT + 2, _SIDE)
+    legend, below = lines.legend(without, _LEFT, _HEIGHT + 2, _SIDE, marks_alone={index for index, _ in without})
     drawn = []
     for point, at, label in zip(points, places, placed, strict=True):
         drawn.append(_mark(point, at, x_of, y_of))

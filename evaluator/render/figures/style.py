@@ -37,6 +37,7 @@ PALETTE
 .lost { fill: var(--page); stroke: var(--alert); }
 .line { fill: none; stroke-width: 2; }
 .model { fill: none; stroke-width: 1; stroke-opacity: 0.75; }
+.ideal { fill: none; stroke: var(--quiet); stroke-width: 1; stroke-dasharray: 1 4; }
 .end-ring { fill: none; stroke-width: 1.6; }
 .lead-out { fill: none; stroke: var(--quiet); stroke-width: 1; stroke-dasharray: 2 3; }
 .cross { fill: none; stroke: var(--alert); stroke-width: 2; }

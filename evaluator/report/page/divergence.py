@@ -122,7 +122,7 @@ def _growth(result: GroupResult, key: str) -> Picture:
         for c in curves
         for i in chart.shown_rows(c)
     ]
-    return Picture(label, _said(curves), Markup(svg), key, Numbers(_CURVES, rows), _about(result))
+    return Picture(label, _said(result, curves), Markup(svg), key, Numbers(_CURVES, rows), _about(result))
 
 
 def _about(result: GroupResult) -> str:
@@ -138,15 +138,18 @@ def _curves(result: GroupResult) -> Iterator[chart.Curve]:
     for index, found in enumerate(alike.values()):
         spread = found[0].spread
         assert spread
+        fit = spread.fit if spread.fit and not spread.fit.why_no_rate else None
         runs = f"run{'s' if len(found) > 1 else ''} {', '.join(str(one.run) for one in found)}"
         times = np.array(spread.times)
-        yield chart.Curve(index, runs, times, _values(spread.largest), _values(spread.rms), spread.fit or None)
+        yield chart.Curve(index, runs, times, _values(spread.largest), _values(spread.rms), fit)
 
 
-def _said(curves: Sequence[chart.Curve]) -> str:
+def _said(result: GroupResult, curves: Sequence[chart.Curve]) -> str:
     points, ends = len(curves[0].times), [float(c.largest[-1]) for c in curves if np.isfinite(c.largest[-1])]
+    thick, thin = ("Filled", "Open") if points < chart.LINE_FROM else ("Thick", "Thin")
     said = [
-        "Thick: the largest distance of a body from where it is in environment 0. Thin: root mean square, all pairs."
+        f"{thick}: the largest distance of a body from where it is in environment 0. {thin}: root mean square, all "
+        "pairs."
     ]
     fits = [c for c in curves if c.fit]
     if fits and fits[0].fit:
@@ -156,8 +159,10 @@ def _said(curves: Sequence[chart.Curve]) -> str:
             f"Dashed: the exponential through {fits[0].label}, {one.rate:.3g} per s{doubling}, fitted in the shaded "
             f"window from {one.begin:g} to {one.end:g} s (R² {one.r_squared:.2f}, {one.points} points)."
         )
-    elif points < 20:
-        said.append(f"Positions were recorded at {points} steps, too few for a growth rate.")
+    elif points < chart.LINE_FROM:
+        said.append(f"Positions were recorded at {points} steps: too few for a line, and for a growth rate.")
+    elif why_not := why_missing(result.metrics["divergence_rate"].value):
+        said.append(f"No growth rate: {why_not.removeprefix('no rate: ')}.")
     if ends and max(ends) > 1:
         said.append("A body that left the board falls on, which makes distances of metres.")
     return " ".join(said)

@@ -1,4 +1,4 @@
-"""Raw values of what is compared, each with its interval: a panel for every axis of the radar, and for mechanics."""
+"""Raw values of what is compared, each with its interval: a panel for every axis of a radar, and for mechanics."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ _MECHANICS = "broken checks of mechanics"
 
 
 def section(source: Source) -> Section | None:
-    """None where there is no radar."""
+    """None where nothing can be compared."""
     compared = source.evaluation.comparison
     if compared.radar is None:
         return None
     panels = [*_panels(compared.contenders), _mechanics(compared.contenders)]
     barred = [f"{c.figures.name}: {why}" for c in compared.contenders if (why := _bars(c))]
     context = {"barred": barred, "panels": [p for p in panels if p.svg], "empty": [p for p in panels if not p.svg]}
-    return Section("dots", "What the radar compares, with intervals", context, link="Values with intervals")
+    return Section("dots", "Simulators compared, with intervals", context, link="Values with intervals")
 
 
 def _bars(contender: Contender) -> str:

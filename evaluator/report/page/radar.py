@@ -51,5 +51,12 @@ def _picture(contenders: Sequence[Contender], radar: Radar) -> Picture:
         for c in contenders for axis, value in c.figures.axis_values().items()
     ]  # fmt: skip
     titles = ("group", "axis", "value", "unit", "scaled: 1 is the best of these, 0 the worst", "why there is no value")
+    title = "Six axes, scaled over these groups"
+    if len(radar.values) > radar_chart.AT_MOST:
+        why_not = (
+            f"No radar: {len(radar.values)} groups are compared, and more than {radar_chart.AT_MOST} outlines cannot "
+            "be told apart. The dot plots show the same values with intervals."
+        )
+        return Picture(title, why_not, None)
     svg = Markup(radar_chart.radar_chart(radar))
-    return Picture("Six axes, scaled over these groups", _CAPTION, svg, "radar", Numbers(titles, rows))
+    return Picture(title, _CAPTION, svg, "radar", Numbers(titles, rows))

@@ -42,8 +42,8 @@ def write_figures(evaluation: Evaluation, folder: Path, *, published: bool) -> l
         svg = standalone(str(picture.svg), hatch())
         files[folder / f"{name}.svg"] = svg
         files[folder / f"{name}.pdf"] = to_pdf(svg, printable(picture.title))
-        if numbers := to_csv(picture.numbers.titles, picture.numbers.rows):
-            files[folder / f"{name}.csv"] = numbers
+        if picture.numbers.titles:
+            files[folder / f"{name}.csv"] = to_csv(picture.numbers.titles, picture.numbers.rows)
         environments.append(latex.figure(name, ". ".join(filter(None, (picture.title, picture.caption)))))
     files[folder / INDEX] = "\n".join(environments)
     write_files(files)
