@@ -13,6 +13,7 @@ from gpusimbench.evaluator.cli.entry import complain, enter, new_parser
 from gpusimbench.evaluator.cli.json_target import check_target
 from gpusimbench.schemas.errors import ExitCode, NothingComparable, UsageError
 from gpusimbench.schemas.location import Place, place
+from gpusimbench.schemas.progress import stage
 from gpusimbench.schemas.suggestion import did_you_mean
 from gpusimbench.schemas.text import line, show, show_document
 from gpusimbench.schemas.writing import write_file, write_files
@@ -203,14 +204,16 @@ def _present(evaluation: Evaluation, arguments: argparse.Namespace, command: str
     if arguments.figures:
         from gpusimbench.evaluator.report.paper.figures import write_figures
 
-        written = write_figures(evaluation, arguments.figures, published=arguments.published)
+        with stage("drawing figures"):
+            written = write_figures(evaluation, arguments.figures, published=arguments.published)
         count = sum(path.suffix == ".pdf" for path in written)
         said = f"figures: {count} in {arguments.figures}, listed in {written[-1]}"
         show(line(said), error=arguments.json == "-")
     if arguments.html:
         from gpusimbench.evaluator.report.html import write_html
 
-        page = write_html(evaluation, arguments.html, published=arguments.published, command=command)
+        with stage("writing the report"):
+            page = write_html(evaluation, arguments.html, published=arguments.published, command=command)
         show(line(f"report: {page}"), error=arguments.json == "-")
 
 

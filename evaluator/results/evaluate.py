@@ -35,6 +35,7 @@ from gpusimbench.evaluator.runs.run import Run
 from gpusimbench.evaluator.runs.sample_time import DEFAULT_S, notes_on
 from gpusimbench.schemas.errors import DamagedRecording
 from gpusimbench.schemas.location import Place
+from gpusimbench.schemas.progress import each
 from gpusimbench.schemas.provenance import REAL
 
 
@@ -96,7 +97,7 @@ def evaluate(
         )
     found = [
         _evaluate_group(g, label, protocol.of(g.recordings), target or Missing(why_not), times[g.key.scene], work)
-        for g, label in zip(groups, names, strict=True)
+        for g, label in each(list(zip(groups, names, strict=True)), "computing metrics of groups")
     ]
     notes += _identical_groups(found)
     maps = {
