@@ -13,6 +13,7 @@ from gpusimbench.recorder.interruption import shielded
 from gpusimbench.recorder.output import flush, show, show_document
 from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.errors import ExitCode, UsageError
+from gpusimbench.schemas.progress import Progress, stage
 from gpusimbench.schemas.provenance import REAL
 from gpusimbench.schemas.suggestion import did_you_mean
 from gpusimbench.schemas.text import block, line
@@ -208,7 +209,8 @@ def _set_up(arguments: argparse.Namespace) -> int:
     with shielded():
         from gpusimbench.recorder.environments.setup import set_up
         from gpusimbench.recorder.listing import about_environment, environment_line
-    made = about_environment(set_up(arguments.setup, arguments.python))
+    with Progress("gsb-record"), stage("making the environment"):
+        made = about_environment(set_up(arguments.setup, arguments.python))
     if arguments.json:
         _print_json({"environment": made})
     else:

@@ -20,6 +20,7 @@ from typing import Any
 from gpusimbench.recorder.cage import Cage, Guard
 from gpusimbench.recorder.environments.interpreter import Interpreter
 from gpusimbench.recorder.interruption import ENDING, MARK, SIGNALS, blocked
+from gpusimbench.recorder.pace import BETWEEN
 from gpusimbench.recorder.plan import partial_of, release
 from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.errors import ExitCode, GsbError
@@ -278,7 +279,8 @@ def _hear(record: dict[str, Any], end: _End, timeout: float, deadline: _Deadline
         if timeout:
             deadline.set(GRACE_S)  # an engine can hang in what it does at the process's exit, too
         return
-    end.phase = record["phase"]
+    if record["phase"] not in BETWEEN:
+        end.phase = record["phase"]
     if end.phase == ENDING:
         deadline.clear()  # what is left to do is writing, and a slow disk is no reason to lose it
     progress(record["phase"], record["done"], record["of"])

@@ -5,12 +5,15 @@ from __future__ import annotations
 import os
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Protocol
 
 from gpusimbench.recorder.launch import Result
 from gpusimbench.recorder.output import show_path
+from gpusimbench.recorder.pace import Pace
+from gpusimbench.schemas.progress import Ticker, duration, is_terminal
 from gpusimbench.schemas.text import line, show
 
 
@@ -35,7 +38,7 @@ class Progress(Protocol):
 
 def make_progress(title: str, runs: int, done: int = 0) -> Progress:
     """A bar where stderr is a terminal, lines otherwise; `done` of the runs are there already."""
-    return BarProgress(title, runs, done) if sys.stderr.isatty() else LineProgress(title, runs)
+    return BarProgress(title, runs, done) if is_terminal(sys.stderr) else LineProgress(title, runs, done)
 
 
 def say(text: str) -> None:
@@ -50,28 +53,35 @@ def describe(result: Result, runs: int, elapsed: float) -> str:
 
 
 class LineProgress:
-    """One line for the set, one for each run's end."""
+    """A line for the set, one for each run's end, and between them, seldom, how far the present run is."""
 
-    def __init__(self, title: str, runs: int) -> None:
+    def __init__(self, title: str, runs: int, done: int = 0, clock: Callable[[], float] = time.monotonic) -> None:
         self._title = title
         self._runs = runs
-        self._began = time.monotonic()
+        self._clock = clock
+        self._pace = Pace(runs, done, clock())
+        self._ticker = Ticker(self._pace.words, live=False, clock=clock)
 
     def __enter__(self) -> LineProgress:
         say(self._title)
+        self._ticker.__enter__()
         return self
 
-    def __exit__(self, *details: object) -> None:
-        return None
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._ticker.__exit__(kind, error, trace)
 
     def update(self, run: int, phase: str, done: int, of: int) -> None:
-        """Nothing: a log is not a place for bars."""
+        """See Progress.update."""
+        with self._ticker.paused():
+            self._pace.update(run, phase, done, of, self._clock())
 
     def finish(self, result: Result, elapsed: float | None = None) -> None:
         """See Progress.finish."""
-        now = time.monotonic()
-        say(describe(result, self._runs, now - self._began if elapsed is None else elapsed))
-        self._began = now
+        with self._ticker.paused():
+            took = self._pace.finish(result.run_index, self._clock(), elapsed)
+            say(describe(result, self._runs, took))
 
     def path(self, path: Path) -> None:
         """See Progress.path."""
@@ -83,14 +93,20 @@ class BarProgress:
 
     def __init__(self, title: str, runs: int, done: int) -> None:
         from rich.console import Console
-        from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn
+        from rich.progress import BarColumn, MofNCompleteColumn, ProgressColumn, Task, TextColumn, TimeElapsedColumn
         from rich.progress import Progress as RichProgress
+        from rich.text import Text
+
+        class Left(ProgressColumn):  # type: ignore[misc]
+            def render(self, task: Task) -> Text:
+                return Text(task.fields["left"](time.monotonic()))
 
         self._bars: Any = RichProgress(
             TextColumn("{task.description:<24}"),
             BarColumn(),
             MofNCompleteColumn(),
             TimeElapsedColumn(),
+            Left(),
             console=Console(stderr=True),
             transient=True,
             redirect_stdout=False,  # what is printed there is for a program, wherever it goes
@@ -99,13 +115,13 @@ class BarProgress:
         self._title = title
         self._runs = runs
         self._done = done
-        self._began = time.monotonic()
+        self._pace = Pace(runs, done, time.monotonic())
 
     def __enter__(self) -> BarProgress:
         self._bars.start()
         self._bars.console.print(line(self._title), highlight=False, markup=False)
-        self._run_bar = self._bars.add_task("runs", total=self._runs, completed=self._done)
-        self._phase_bar = self._bars.add_task("starting", total=None)
+        self._run_bar = self._bars.add_task("runs", total=self._runs, completed=self._done, left=self._left)
+        self._phase_bar = self._bars.add_task("starting", total=None, left=self._pace.phase_left)
         return self
 
     def __exit__(self, *details: object) -> None:
@@ -113,18 +129,18 @@ class BarProgress:
 
     def update(self, run: int, phase: str, done: int, of: int) -> None:
         """See Progress.update."""
+        self._pace.update(run, phase, done, of, time.monotonic())
         self._bars.update(self._phase_bar, description=f"run {run + 1}: {phase}", completed=done, total=of)
 
     def finish(self, result: Result, elapsed: float | None = None) -> None:
         """See Progress.finish."""
-        now = time.monotonic()
-        self._bars.console.print(
-            line(describe(result, self._runs, now - self._began if elapsed is None else elapsed)),
-            highlight=False,
-            markup=False,
-        )
-        self._began = now
+        took = self._pace.finish(result.run_index, time.monotonic(), elapsed)
+        self._bars.console.print(line(describe(result, self._runs, took)), highlight=False, markup=False)
         self._bars.advance(self._run_bar)
+
+    def _left(self, now: float) -> str:
+        left = self._pace.left(now)
+        return "" if left is None else f"about {duration(left)} left"
 
     def path(self, path: Path) -> None:
         """See Progress.path; where the bars share the terminal with standard output, printed above them, unbroken."""

@@ -30,6 +30,7 @@ from gpusimbench.recorder.environment import apply_environment
 from gpusimbench.recorder.failure import Interrupted, TimedOut, cause_of
 from gpusimbench.recorder.journal import Journal, Phase
 from gpusimbench.recorder.options import parse_options
+from gpusimbench.recorder.pace import COMPILE, REBUILD
 from gpusimbench.recorder.probes.gpu import Gpus
 from gpusimbench.recorder.probes.host import describe_host, numeric_environment, peak_rss_bytes
 from gpusimbench.recorder.probes.memory import MemorySampler
@@ -213,6 +214,7 @@ class Run:
                     description = journal.clocked("build", engine.start)
                     self._write_description(sink, built, description)
                     memory.use_allocator(engine.simulator.allocator_bytes)
+                    self._progress(COMPILE, 0, 1)
                     journal.compile(
                         engine.simulator, configuration.phases[0] if len(configuration.phases) == 1 else "timed"
                     )
@@ -223,7 +225,9 @@ class Run:
                 if "capture" in configuration.phases and not journal.problems:
                     if "timed" in configuration.phases:
                         memory.use_allocator(None)
+                        self._progress(REBUILD, 0, 1)
                         engine.start()
+                        self._progress(COMPILE, 0, 1)
                         journal.compile(engine.simulator, "capture")
                     with Phase(journal, memory, "capture"):
                         captured.run(engine.simulator, description)

@@ -16,18 +16,22 @@ _VARIABLES = {
     "GSB_ENVIRONMENTS": "where --setup makes environments (default: gpusimbench/environments in $XDG_DATA_HOME or "
     "~/.local/share)",
     "GSB_MADRONA_MODULE": "the simulator module of --sim madrona, where --option module=NAME does not say",
+    "GSB_PROGRESS": "off: no lines on standard error that say how far the command is and how much time is left",
     "OMP_NUM_THREADS": "threads that distances are computed with (default: as many as the process may use)",
     "TMPDIR": "where a recording from elsewhere lies while it is verified; it needs room for all of it (default: /tmp)",
 }
 """Variables of the environment that commands read."""
 
 _READS = {
-    "gsb-record": ("CUDA_VISIBLE_DEVICES", "GSB_ENVIRONMENTS", "GSB_MADRONA_MODULE"),
-    "gsb-audit": ("CUDA_VISIBLE_DEVICES", "GSB_ENVIRONMENTS", "GSB_MADRONA_MODULE"),
-    "gsb-eval": ("GSB_CACHE", "OMP_NUM_THREADS"),
-    "gsb-compare": ("GSB_CACHE", "OMP_NUM_THREADS"),
-    "gsb-info": ("TMPDIR",),
-    "gsb-check": ("TMPDIR",),
+    "gsb-record": ("CUDA_VISIBLE_DEVICES", "GSB_ENVIRONMENTS", "GSB_MADRONA_MODULE", "GSB_PROGRESS"),
+    "gsb-audit": ("CUDA_VISIBLE_DEVICES", "GSB_ENVIRONMENTS", "GSB_MADRONA_MODULE", "GSB_PROGRESS"),
+    "gsb-eval": ("GSB_CACHE", "GSB_PROGRESS", "OMP_NUM_THREADS"),
+    "gsb-compare": ("GSB_CACHE", "GSB_PROGRESS", "OMP_NUM_THREADS"),
+    "gsb-info": ("GSB_PROGRESS", "TMPDIR"),
+    "gsb-check": ("GSB_PROGRESS", "TMPDIR"),
+    "gsb-diff": ("GSB_PROGRESS",),
+    "gsb-view": ("GSB_PROGRESS",),
+    "gsb-share": ("GSB_CACHE", "GSB_PROGRESS"),
 }
 """Which of them each command reads."""
 

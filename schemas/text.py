@@ -9,7 +9,11 @@ import re
 import sys
 import unicodedata
 from collections.abc import Iterable
+from contextlib import AbstractContextManager, nullcontext
 from functools import cache
+
+live: AbstractContextManager[None] = nullcontext()
+"""Entered whenever something is printed: it takes a line of schemas.progress off the terminal."""
 
 
 class Line(str):
@@ -53,8 +57,9 @@ def printable(text: str) -> str:
 def show(text: Line | Block, *, error: bool = False) -> None:
     """Print a line, or lines, on standard output, or on standard error; whoever reads them gets them at once."""
     stream = sys.stderr if error else sys.stdout
-    stream.write(text if isinstance(text, Block) else f"{text}\n")
-    stream.flush()
+    with live:
+        stream.write(text if isinstance(text, Block) else f"{text}\n")
+        stream.flush()
 
 
 def show_document(text: str) -> None:

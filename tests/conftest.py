@@ -45,6 +45,7 @@ if "GSB_TESTS_SHARE" not in os.environ:
     atexit.register(shutil.rmtree, os.environ["GSB_TESTS_SHARE"], ignore_errors=True)
 SHARE = Path(os.environ["GSB_TESTS_SHARE"])
 os.environ["GSB_CACHE"] = str(SHARE / "results")
+os.environ["GSB_PROGRESS"] = "off"  # what is printed does not depend on how fast this machine is
 os.environ.update(  # what XLA compiles
     JAX_COMPILATION_CACHE_DIR=str(SHARE / "jax"),
     JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS="0.1",

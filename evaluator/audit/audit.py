@@ -24,6 +24,7 @@ from gpusimbench.evaluator.runs.positions import sample_positions
 from gpusimbench.evaluator.runs.validation import verify
 from gpusimbench.schemas.errors import DamagedRecording, NothingComparable, UsageError
 from gpusimbench.schemas.location import Location
+from gpusimbench.schemas.progress import each
 from gpusimbench.schemas.provenance import REAL
 
 
@@ -124,7 +125,7 @@ def audit(group: Group[Recording], plan: ReplayPlan, *, max_ulps: int, say: Call
         return Audit(originals, replays, why_not="; ".join(reasons) or "no replay was made")
     try:
         pairs = [(closest(replay, originals), replay) for replay in found]
-        differences = [compare(original, replay) for original, replay in pairs]
+        differences = [compare(original, replay) for original, replay in each(pairs, "comparing with replays")]
     except NothingComparable as error:
         return Audit(originals, replays, found, why_not=str(error))
     matches = [match_of(d, *pair) for d, pair in zip(differences, pairs, strict=True)]

@@ -10,6 +10,7 @@ from gpusimbench.evaluator.check.rules.findings import Unchecked, check
 from gpusimbench.evaluator.check.rules.rule import Level, load_rules
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.schemas.location import Place
+from gpusimbench.schemas.progress import each, sizes
 
 RULES = "integrity-1"
 
@@ -32,7 +33,8 @@ class Check:
 
 def check_files(paths: Sequence[Place]) -> Check:
     """Hold files against the rules of RULES; those that are damaged or have lost data are set aside, and copies."""
-    files = [examine(path) for path in dict.fromkeys(paths)]
+    wanted = list(dict.fromkeys(paths))
+    files = [examine(path) for path in each(wanted, "checking recordings", sizes(wanted))]
     report = check(files, [load_rules(RULES)])
     errors = [finding for finding in report.findings if finding.rule.level is Level.error]
     found = [(path, f"{f.rule.id}: {f.found}") for f in errors if f.rule.damage for path in f.files]

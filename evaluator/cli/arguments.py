@@ -1,10 +1,11 @@
-"""Arguments that name a file of this machine, and nothing else."""
+"""Arguments that several commands have: files of this machine, and nothing else; the sample time."""
 
 from __future__ import annotations
 
 import argparse
 from pathlib import Path
 
+from gpusimbench.schemas.errors import UsageError
 from gpusimbench.schemas.location import is_address, shown
 
 
@@ -18,3 +19,20 @@ def local_name(text: str) -> str:
 def local_path(text: str) -> Path:
     """The same, as a path."""
     return Path(local_name(text))
+
+
+def add_sample_time(parser: argparse.ArgumentParser) -> None:
+    """Add --sample-time, which is None where it is not given."""
+    parser.add_argument(
+        "--sample-time",
+        type=float,
+        metavar="S",
+        help="simulated time at which positions are compared [s] (default: 5.0; for a scene whose recordings all end "
+        "before, the last time that all of them have)",
+    )
+
+
+def check_sample_time(seconds: float | None) -> None:
+    """UsageError where no positions can be compared at a time; None, for the default, is right."""
+    if seconds is not None and not 0 < seconds < float("inf"):
+        raise UsageError(f"--sample-time is a time in seconds above 0, not {seconds}")

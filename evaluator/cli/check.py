@@ -10,6 +10,7 @@ from gpusimbench.evaluator.cli.entry import enter, new_parser
 from gpusimbench.evaluator.cli.json_target import check_target, write_json
 from gpusimbench.schemas.errors import ExitCode, UsageError
 from gpusimbench.schemas.location import place
+from gpusimbench.schemas.progress import each, sizes
 from gpusimbench.schemas.text import show
 
 _EPILOG = """\
@@ -80,7 +81,9 @@ def run(arguments: argparse.Namespace, command: str) -> int:
     from gpusimbench.evaluator.check.integrity import examine
     from gpusimbench.evaluator.read.addresses import expand
 
-    report = check([examine(path) for path in expand(arguments.files)], rule_sets)
+    files = expand(arguments.files)
+    examined = [examine(path) for path in each(files, "checking recordings", sizes(files))]
+    report = check(examined, rule_sets)
     if arguments.json:
         write_json(arguments.json, dump_check(report))
     if arguments.json != "-":

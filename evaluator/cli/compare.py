@@ -6,7 +6,7 @@ import argparse
 import sys
 from typing import TYPE_CHECKING
 
-from gpusimbench.evaluator.cli.arguments import local_name, local_path
+from gpusimbench.evaluator.cli.arguments import add_sample_time, check_sample_time, local_name, local_path
 from gpusimbench.evaluator.cli.entry import complain, enter, new_parser
 from gpusimbench.evaluator.cli.json_target import check_target, write_json
 from gpusimbench.schemas.errors import UsageError
@@ -100,7 +100,7 @@ def parser() -> argparse.ArgumentParser:
         action="store_true",
         help="base and head are one thing: any difference on any axis fails; axes of --gate have to be decided",
     )
-    p.add_argument("--sample-time", type=float, default=5.0, metavar="S", help="simulated time (default: 5.0)")
+    add_sample_time(p)
     p.add_argument(
         "--json", type=local_name, metavar="FILE", help="write the results as JSON; - for standard output, alone"
     )
@@ -145,10 +145,12 @@ def run(arguments: argparse.Namespace, command: str) -> int:
     from gpusimbench.evaluator.compare.sides import read_sides
     from gpusimbench.evaluator.read.addresses import expand
     from gpusimbench.evaluator.runs.reader import Reader
+    from gpusimbench.evaluator.runs.sample_time import DEFAULT_S
 
     work = _work(arguments)
-    reader = Reader(arguments.sample_time, unmet_by_file, verify=not arguments.no_verify)
-    sides = read_sides(expand(base), expand(head), reader, work)
+    reader = Reader(arguments.sample_time or DEFAULT_S, unmet_by_file, verify=not arguments.no_verify)
+    chosen = arguments.sample_time is not None
+    sides = read_sides(expand(base), expand(head), reader, work, chosen=chosen)
     result = compare(*sides, settings, work, arguments.across)
     if work.store:
         work.store.prune()
@@ -185,9 +187,10 @@ def _run_history(arguments: argparse.Namespace, settings: Settings, command: str
     from gpusimbench.evaluator.compare.history.history import trace
     from gpusimbench.evaluator.compare.history.points import read_points
     from gpusimbench.evaluator.runs.reader import Reader
+    from gpusimbench.evaluator.runs.sample_time import DEFAULT_S
 
     work = _work(arguments)
-    reader = Reader(arguments.sample_time, unmet_by_file, verify=not arguments.no_verify)
+    reader = Reader(arguments.sample_time or DEFAULT_S, unmet_by_file, verify=not arguments.no_verify)
     found = read_points(arguments.history, reader, work)
     history = trace(found, settings, work, gated=arguments.gate is not None)
     if work.store:
@@ -244,8 +247,7 @@ def _settings(arguments: argparse.Namespace) -> Settings:
         raise UsageError(f"--alpha is a probability between 0 and 1, not {arguments.alpha:g}")
     if not 0 <= arguments.outcome < float("inf"):
         raise UsageError(f"--outcome is a distance in cm, at least 0, not {arguments.outcome:g}")
-    if not 0 < arguments.sample_time < float("inf"):
-        raise UsageError(f"--sample-time is a time in seconds above 0, not {arguments.sample_time}")
+    check_sample_time(arguments.sample_time)
     axes = {axis.value: axis for axis in Axis}
     given = _GATES if arguments.gate is None else arguments.gate
     named = [name.strip() for name in given.split(",") if name.strip()]

@@ -12,11 +12,13 @@ from gpusimbench.evaluator.cli.entry import complain, enter, new_parser
 from gpusimbench.evaluator.cli.json_target import check_target
 from gpusimbench.schemas.errors import ExitCode, UsageError
 from gpusimbench.schemas.location import place
+from gpusimbench.schemas.progress import each, sizes, stage
 from gpusimbench.schemas.text import show_document
 from gpusimbench.schemas.writing import write_file
 
 if TYPE_CHECKING:
     from gpusimbench.evaluator.diff.result import Difference
+    from gpusimbench.evaluator.read.recording import Recording
 
 _EPILOG = """\
 exit codes:
@@ -65,7 +67,9 @@ def run(arguments: argparse.Namespace, command: str) -> int:
 
     arguments.files = expand(arguments.files, copies=True)
     _check(arguments)
-    found = _compare(arguments)
+    recordings = _verified(arguments)
+    with stage("comparing states"):
+        found = _compare(recordings, arguments.env)
     if arguments.plot:
         from gpusimbench.evaluator.diff.figure import figure_of
 
@@ -100,16 +104,20 @@ def _check(arguments: argparse.Namespace) -> None:
     check_target(arguments.json)
 
 
-def _compare(arguments: argparse.Namespace) -> Difference:
-    from gpusimbench.evaluator.diff.compare import compare, compare_all_envs, compare_envs
+def _verified(arguments: argparse.Namespace) -> list[Recording]:
     from gpusimbench.evaluator.read.recording import Recording
     from gpusimbench.evaluator.runs.validation import verify
 
     recordings = [Recording(path) for path in arguments.files]
     if not arguments.no_verify:
-        for recording in recordings:
+        for recording in each(recordings, "verifying recordings", sizes(arguments.files)):
             verify(recording)
-    envs = arguments.env
+    return recordings
+
+
+def _compare(recordings: list[Recording], envs: list[int]) -> Difference:
+    from gpusimbench.evaluator.diff.compare import compare, compare_all_envs, compare_envs
+
     if len(recordings) == 1:
         return compare_envs(recordings[0], *envs) if envs else compare_all_envs(recordings[0])
     return compare(*recordings, envs=(envs[0], envs[-1]) if envs else None)

@@ -14,6 +14,7 @@ from gpusimbench.schemas.command_line import add_common
 from gpusimbench.schemas.errors import ExitCode, GsbError
 from gpusimbench.schemas.location import redacted, shown_argument
 from gpusimbench.schemas.parser import Parser
+from gpusimbench.schemas.progress import Progress
 from gpusimbench.schemas.text import line, show
 
 _NO_THREAD = "can't start new thread"
@@ -45,7 +46,8 @@ def enter(
         with warnings.catch_warnings():
             # states may be of any size, or not finite: the results say so, and no library beside them
             warnings.simplefilter("ignore", RuntimeWarning)
-            code = run(arguments, shlex.join([parser.prog, *map(shown_argument, given)]))
+            with Progress(parser.prog):
+                code = run(arguments, shlex.join([parser.prog, *map(shown_argument, given)]))
         sys.stdout.flush()
     except GsbError as error:
         complain(parser.prog, str(error))

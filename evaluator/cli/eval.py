@@ -8,11 +8,12 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from gpusimbench.evaluator.cli.arguments import local_name, local_path
+from gpusimbench.evaluator.cli.arguments import add_sample_time, check_sample_time, local_name, local_path
 from gpusimbench.evaluator.cli.entry import complain, enter, new_parser
 from gpusimbench.evaluator.cli.json_target import check_target
 from gpusimbench.schemas.errors import ExitCode, NothingComparable, UsageError
 from gpusimbench.schemas.location import Place, place
+from gpusimbench.schemas.progress import stage
 from gpusimbench.schemas.suggestion import did_you_mean
 from gpusimbench.schemas.text import line, show, show_document
 from gpusimbench.schemas.writing import write_file, write_files
@@ -55,13 +56,7 @@ def parser() -> argparse.ArgumentParser:
         "files", nargs="+", type=place, metavar="FILE", help="recordings (.mcap), folders of them, or addresses"
     )
     p.add_argument("--reference", type=place, metavar="FILE", help="recording to compare positions with")
-    p.add_argument(
-        "--sample-time",
-        type=float,
-        default=5.0,
-        metavar="S",
-        help="simulated time at which positions are read [s] (default: 5.0)",
-    )
+    add_sample_time(p)
     p.add_argument(
         "--json", type=local_name, metavar="FILE", help="write the results as JSON; - for standard output, alone"
     )
@@ -104,12 +99,11 @@ def run(arguments: argparse.Namespace, command: str) -> int:
     from gpusimbench.evaluator.check.protocol import unmet_by_file
     from gpusimbench.evaluator.read.addresses import expand
     from gpusimbench.evaluator.results.evaluate import evaluate
-    from gpusimbench.evaluator.runs.known_files import read_all
     from gpusimbench.evaluator.runs.reader import Reader
     from gpusimbench.evaluator.runs.run import Run
+    from gpusimbench.evaluator.runs.sample_time import DEFAULT_S, read_sampled
 
-    if not 0 < arguments.sample_time < float("inf"):
-        raise UsageError(f"--sample-time is a time in seconds above 0, not {arguments.sample_time}")
+    check_sample_time(arguments.sample_time)
     check_target(arguments.json)
     if arguments.format != ("parquet",) and not arguments.tables:
         raise UsageError("--format says what --tables DIR writes; give both")
@@ -123,13 +117,14 @@ def run(arguments: argparse.Namespace, command: str) -> int:
         reportlab()
     with ExitStack() as stack:
         work = _work(arguments, stack)
-        reader = Reader(arguments.sample_time, unmet_by_file, verify=not arguments.no_verify)
+        reader = Reader(arguments.sample_time or DEFAULT_S, unmet_by_file, verify=not arguments.no_verify)
         places, reference_place = expand(arguments.files), _one(arguments.reference)
         wanted = list(dict.fromkeys([*places, *([reference_place] if reference_place else [])]))
-        read = dict(zip(wanted, read_all(wanted, reader, work), strict=True))
+        sampled = read_sampled(wanted, reader, work, chosen=arguments.sample_time is not None)
+        read = dict(zip(wanted, sampled.files, strict=True))
         files = [read[place] for place in places]
         reference = _readable(read[reference_place]) if reference_place else None
-        evaluation = evaluate(files, reference=reference, sample_time=arguments.sample_time, work=work)
+        evaluation = evaluate(files, reference=reference, sample_time=sampled.time, shorter=sampled.shorter, work=work)
     if work.store:
         work.store.prune()
     recordings = [f for f in files if isinstance(f, Run)]
@@ -209,14 +204,16 @@ def _present(evaluation: Evaluation, arguments: argparse.Namespace, command: str
     if arguments.figures:
         from gpusimbench.evaluator.report.paper.figures import write_figures
 
-        written = write_figures(evaluation, arguments.figures, published=arguments.published)
+        with stage("drawing figures"):
+            written = write_figures(evaluation, arguments.figures, published=arguments.published)
         count = sum(path.suffix == ".pdf" for path in written)
         said = f"figures: {count} in {arguments.figures}, listed in {written[-1]}"
         show(line(said), error=arguments.json == "-")
     if arguments.html:
         from gpusimbench.evaluator.report.html import write_html
 
-        page = write_html(evaluation, arguments.html, published=arguments.published, command=command)
+        with stage("writing the report"):
+            page = write_html(evaluation, arguments.html, published=arguments.published, command=command)
         show(line(f"report: {page}"), error=arguments.json == "-")
 
 

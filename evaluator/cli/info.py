@@ -10,6 +10,7 @@ from gpusimbench.evaluator.cli.entry import complain, enter, new_parser
 from gpusimbench.evaluator.cli.json_target import check_target, write_json
 from gpusimbench.schemas.errors import ExitCode, GsbError
 from gpusimbench.schemas.location import Place, place
+from gpusimbench.schemas.progress import each, sizes
 from gpusimbench.schemas.text import block, show
 
 _EPILOG = """\
@@ -53,7 +54,8 @@ def run(arguments: argparse.Namespace, command: str) -> int:
     found: list[Inspection] = []
     unreadable: list[tuple[Place, GsbError]] = []
     damaged = False
-    for path in expand(arguments.files):
+    files = expand(arguments.files)
+    for path in each(files, "reading recordings", sizes(files)):
         examined = examine(path, verify=not arguments.no_verify)
         damaged |= examined.recording is None or bool(DAMAGE.intersection(examined.problems.kinds()))
         try:

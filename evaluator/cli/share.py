@@ -13,6 +13,7 @@ from gpusimbench.evaluator.cli.arguments import local_path
 from gpusimbench.evaluator.cli.entry import complain, enter, new_parser
 from gpusimbench.schemas import PARTIAL
 from gpusimbench.schemas.errors import ExitCode, GsbError, UsageError
+from gpusimbench.schemas.progress import each, sizes, stage
 from gpusimbench.schemas.text import block, line, show
 
 if TYPE_CHECKING:
@@ -120,7 +121,8 @@ def _pack(arguments: argparse.Namespace) -> int:
     if packing and arguments.level not in LEVELS:
         raise UsageError(f"--level is a whole number from {LEVELS[0]} to {LEVELS[-1]}, not {arguments.level}")
     code = ExitCode.OK
-    for file in expand_paths(arguments.files):
+    files = expand_paths(arguments.files)
+    for file in each(files, f"{arguments.verb}ing recordings", sizes(files)):
         path = arguments.out / file.name
         try:
             copied = pack(file, path, level=arguments.level) if packing else unpack(file, path)
@@ -145,7 +147,8 @@ def _recover(arguments: argparse.Namespace) -> int:
 
     source: Path = arguments.file
     name = source.name.removesuffix(PARTIAL).removesuffix(".mcap")
-    done = recover(source, arguments.out or source.with_name(f"{name}.recovered.mcap"))
+    with stage("recovering"):
+        done = recover(source, arguments.out or source.with_name(f"{name}.recovered.mcap"))
     show(block(_told(done)))
     return int(ExitCode.DATA_LOST if done.damage else ExitCode.OK)
 
@@ -172,9 +175,9 @@ def _viewer(arguments: argparse.Namespace) -> int:
         if arguments.layout.resolve() == arguments.out.resolve():
             raise UsageError("--out and --layout are two files; they have the same name")
         check_free(arguments.layout)
-    done = write_view(
-        arguments.file, arguments.out, envs=tuple(arguments.env or (0,)), rate=arguments.rate, spread=arguments.spread
-    )
+    envs = tuple(arguments.env or (0,))
+    with stage("writing the view"):
+        done = write_view(arguments.file, arguments.out, envs=envs, rate=arguments.rate, spread=arguments.spread)
     if arguments.layout:
         write_new(arguments.layout, done.layout.encode())
     for note in done.notes:

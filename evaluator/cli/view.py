@@ -11,6 +11,7 @@ from gpusimbench.evaluator.cli.arguments import local_path
 from gpusimbench.evaluator.cli.entry import complain, enter, new_parser
 from gpusimbench.schemas.errors import ExitCode, UsageError
 from gpusimbench.schemas.location import place
+from gpusimbench.schemas.progress import stage
 from gpusimbench.schemas.text import line, show
 from gpusimbench.schemas.writing import write_file
 
@@ -77,7 +78,8 @@ def run(arguments: argparse.Namespace, command: str) -> int:
         raise UsageError(f"--out keeps the page; with --with {arguments.program} there is none")
     program = Program.PAGE if out is not None else found(arguments.program)
     recordings = [Recording(path) for path in expand(arguments.files)]
-    clip = make_clip(recordings, envs=arguments.env)
+    with stage("reading states"):
+        clip = make_clip(recordings, envs=arguments.env)
     for sentence in sentences(clip):
         complain("gsb-view", sentence)
     if program is Program.PAGE:

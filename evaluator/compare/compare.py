@@ -30,6 +30,7 @@ from gpusimbench.evaluator.runs.groups import group, status_notes
 from gpusimbench.evaluator.runs.reader import Unreadable
 from gpusimbench.evaluator.statistics.families import able_to_reject, holm
 from gpusimbench.schemas.errors import ExitCode
+from gpusimbench.schemas.progress import each
 
 FEW_RUNS = 6
 """With fewer runs a side, a warning: five can give p = 2/252 at best, which few comparisons at once exhaust."""
@@ -138,7 +139,7 @@ def compare(base: Side, head: Side, settings: Settings, work: Work, across: Coll
     check_across(across, [*groups[0], *groups[1]])
     matching = match(groups[0], groups[1], across)
     protocols = [Protocol(side) for side in read]
-    drafts = [_draft(pair, protocols, settings, work) for pair in matching.pairs]
+    drafts = [_draft(pair, protocols, settings, work) for pair in each(matching.pairs, "comparing configurations")]
     findings, tests = _answered([draft.items for draft in drafts], settings)
     notes = [*base.notes, *head.notes]
     if measured:

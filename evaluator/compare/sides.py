@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from gpusimbench.evaluator.compute.work import Work
 from gpusimbench.evaluator.results.evaluate import without_copies
-from gpusimbench.evaluator.runs.known_files import read_all
 from gpusimbench.evaluator.runs.reader import Reader, Unreadable
 from gpusimbench.evaluator.runs.run import Run
+from gpusimbench.evaluator.runs.sample_time import notes_on, read_sampled
 from gpusimbench.schemas.errors import UsageError
 from gpusimbench.schemas.location import Place
 
@@ -28,11 +28,18 @@ class Side:
     notes: tuple[str, ...]
 
 
-def read_sides(base: Sequence[Place], head: Sequence[Place], reader: Reader, work: Work) -> tuple[Side, Side]:
-    """Read both sets; UsageError where a run is in both."""
+def read_sides(
+    base: Sequence[Place], head: Sequence[Place], reader: Reader, work: Work, *, chosen: bool = True
+) -> tuple[Side, Side]:
+    """Read both sets; UsageError where a run is in both.
+
+    chosen  the reader's sample time is the user's, and not one that shorter recordings may replace
+    """
     wanted = list(dict.fromkeys([*base, *head]))
-    read = dict(zip(wanted, read_all(wanted, reader, work), strict=True))
+    sampled = read_sampled(wanted, reader, work, chosen=chosen)
+    read = dict(zip(wanted, sampled.files, strict=True))
     one, other = (_side([read[place] for place in places]) for places in (base, head))
+    one = replace(one, notes=(*one.notes, *notes_on(sampled.shorter, sampled.time)))
     ours = {file.provenance.run_id: file for file in one.files}
     for file in other.files:
         if same := ours.get(file.provenance.run_id):

@@ -16,6 +16,7 @@ from gpusimbench.evaluator.diff.selection import Selection
 from gpusimbench.evaluator.diff.splits import Agreement, Classes
 from gpusimbench.evaluator.diff.states import CommonStates
 from gpusimbench.schemas.fingerprint import fingerprint
+from gpusimbench.schemas.progress import each
 from gpusimbench.schemas.splitmix import GOLDEN, mix
 
 _HASH_ROWS = 512
@@ -50,7 +51,7 @@ def walk_states(
     distances = Distances(positions) if positions else None
     agreement = Agreement(max(len(a.envs), len(b.envs)))
     found = Classes(len(a.envs), len(b.envs)) if classes else None
-    for rows in states.ranges():
+    for rows in each(list(states.ranges()), "comparing states"):
         steps = states.steps_a[rows]
         differ = np.zeros((len(steps), agreement.pairs), dtype=bool)
         whole, all_placed = np.ones(len(steps), dtype=bool), np.ones(len(steps), dtype=bool)

@@ -13,6 +13,7 @@ from gpusimbench.evaluator.results.result import GroupResult
 from gpusimbench.evaluator.runs.groups import Group
 from gpusimbench.evaluator.runs.run import Run
 from gpusimbench.schemas.errors import NUMBERS_OF_A_STRANGER, GsbError
+from gpusimbench.schemas.progress import each
 
 BUDGET_BYTES = 6_000_000
 """Of all clips of a page, as text."""
@@ -47,7 +48,7 @@ def playback_of(results: Sequence[GroupResult], *, budget: int = BUDGET_BYTES) -
     scenes = {result.group.key.scene for result in moving}
     made: list[Clip] = []
     missing: dict[str, list[str]] = {}
-    for result in moving:
+    for result in each(moving, "reading states that the report plays"):
         title = result.label if len(scenes) == 1 else f"{result.label}, {result.group.key.scene}"
         found = _clip(result.group, title)
         if isinstance(found, Clip):

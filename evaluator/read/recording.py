@@ -44,9 +44,11 @@ from gpusimbench.schemas.location import Place, place
 from gpusimbench.schemas.mcap.declarations import Channel
 from gpusimbench.schemas.mcap.reader import Container
 from gpusimbench.schemas.messages import enum_values
+from gpusimbench.schemas.progress import moved
 from gpusimbench.schemas.provenance import PROVENANCE, SCENE, SIMULATION, Provenance, Simulation
 from gpusimbench.schemas.source import Source
 
+_DIGEST_SHARE = 0.5  # of the time that a file takes to be read and verified
 _HASHING = 4  # threads that compute digests of different fields
 _VERIFY_BYTES = 64 << 20
 _VERIFY_ROWS = 50  # a block's rows, so that none is decoded twice
@@ -234,6 +236,7 @@ class Recording:
                     self._check_hashes(hashes, arrays[0].steps[rows], fingerprint(blocks))
                 for done in fed:
                     done.result()
+                moved(_DIGEST_SHARE * sum(block.nbytes for block in blocks))
         for topic in self._container.channels:
             if topics.has_digest(topic):
                 for content in self._container.in_sequence(topic):

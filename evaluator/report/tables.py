@@ -60,7 +60,7 @@ def print_tables(evaluation: Evaluation, stream: IO[str]) -> None:
 def _print_scene(
     console: Console, evaluation: Evaluation, scene: str, results: list[GroupResult], of_scene: list[GroupResult]
 ) -> None:
-    console.print(printable(f"{scene}, positions at t = {evaluation.sample_time:g} s"), style="bold")
+    console.print(printable(f"{scene}, positions at t = {evaluation.sampled_at(scene):g} s"), style="bold")
     table = plain_table("", *(printable(result.label) for result in results))
 
     def row(title: str, cells: list[str]) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -33,8 +33,10 @@ from gpusimbench.evaluator.runs.groups import Group, group, status_notes
 from gpusimbench.evaluator.runs.labels import footnotes, labels, options_given
 from gpusimbench.evaluator.runs.reader import Reader, Unreadable
 from gpusimbench.evaluator.runs.run import Run
+from gpusimbench.evaluator.runs.sample_time import DEFAULT_S, notes_on
 from gpusimbench.schemas.errors import DamagedRecording
 from gpusimbench.schemas.location import Place
+from gpusimbench.schemas.progress import each
 from gpusimbench.schemas.provenance import REAL
 
 
@@ -47,7 +49,7 @@ class _Found:
     planar: NDArray[np.float64] | None
 
 
-def evaluate_files(paths: Iterable[Place], *, sample_time: float = 5.0) -> Evaluation:
+def evaluate_files(paths: Iterable[Place], *, sample_time: float = DEFAULT_S) -> Evaluation:
     """Every metric of every group of some recordings, whose digests are taken on trust; see `evaluate`."""
     return evaluate(map(Reader(sample_time, unmet_by_file, verify=False), paths), sample_time=sample_time)
 
@@ -56,7 +58,8 @@ def evaluate(
     files: Iterable[Run | Unreadable],
     *,
     reference: Run | None = None,
-    sample_time: float = 5.0,
+    sample_time: float = DEFAULT_S,
+    shorter: Mapping[str, float] | None = None,
     work: Work = HERE,
 ) -> Evaluation:
     """Every metric of every group.
@@ -66,6 +69,7 @@ def evaluate(
     files        in any order; copies of one run count once
     reference    real trials, or a simulation to compare with; where None, the real trials among the files
     sample_time  simulated time that the files were read for [s]
+    shorter      by scene, the time that those of this scene were read for instead: see runs.sample_time
     work         where distances are computed
     """
     files = list(files)
@@ -82,6 +86,8 @@ def evaluate(
         reference_note = reference_note or f"compared with {target.label} in {target.path.name}"
 
     groups = [g for g in group(distinct) if not g.measured]
+    times = {g.key.scene: (shorter or {}).get(g.key.scene, sample_time) for g in groups}
+    notes += notes_on({scene: time for scene, time in times.items() if time != sample_time}, sample_time)
     if len({g.key.dt for g in groups}) > 1:
         notes.append("the recordings differ in dt, which changes the outcome: each dt is a group of its own")
     names = labels([g.key for g in groups], options_given(distinct))
@@ -91,8 +97,8 @@ def evaluate(
             f"the recordings break rules of {RULE_SET} {_times(protocol.whole.count)}: gsb-check --protocol names them"
         )
     found = [
-        _evaluate_group(g, label, protocol.of(g.recordings), target or Missing(why_not), sample_time, work)
-        for g, label in zip(groups, names, strict=True)
+        _evaluate_group(g, label, protocol.of(g.recordings), target or Missing(why_not), times[g.key.scene], work)
+        for g, label in each(list(zip(groups, names, strict=True)), "computing metrics of groups")
     ]
     notes += _identical_groups(found)
     maps = _maps(found, target)
@@ -103,7 +109,7 @@ def evaluate(
     sweeps = find_sweeps(results)
     comparison = compare(results, sweeps, target)
     return Evaluation(
-        sample_time=sample_time,
+        sample_time=next(iter(times.values())) if len(set(times.values())) == 1 else sample_time,
         results=results,
         unreadable=tuple(failures),
         reference=reference_density(target, maps.get(target.scene)) if target else None,
@@ -115,6 +121,7 @@ def evaluate(
         notes=(*notes, *comparison.notes),
         price_list=price_list(results),
         unmet=protocol.whole,
+        shorter={scene: time for scene, time in times.items() if time != sample_time},
     )
 
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 from gpusimbench.evaluator.check.protocol import Unmet
 from gpusimbench.evaluator.results.accumulation import Accumulation
@@ -21,7 +22,7 @@ SCHEMA_VERSION = 1
 class Evaluation:
     """The result of evaluating a set of recordings.
 
-    sample_time  simulated time at which positions are compared [s]
+    sample_time  simulated time at which positions are compared [s]; of most scenes, where it differs
     results      one per group
     unreadable   files that could not be read, with their errors
     reference    None where there is none; `reference_note` says why, or where it came from
@@ -32,6 +33,8 @@ class Evaluation:
     price_list   what levels of determinism cost
     unmet        rules of the benchmark's protocol that the recordings do not meet
     notes        about the set as a whole
+    shorter      by scene, the time at which positions are compared instead of `sample_time` [s]: no recording of the
+                 scene is as long
     """
 
     sample_time: float
@@ -46,3 +49,8 @@ class Evaluation:
     notes: tuple[str, ...] = ()
     price_list: tuple[Family, ...] = ()
     unmet: Unmet = Unmet()
+    shorter: Mapping[str, float] = field(default_factory=dict)
+
+    def sampled_at(self, scene: str) -> float:
+        """Simulated time at which positions of a scene are compared [s]."""
+        return self.shorter.get(scene, self.sample_time)

@@ -11,6 +11,7 @@ from gpusimbench.evaluator.read.stamp import Stamp, stamp_of
 from gpusimbench.evaluator.runs.reader import Reader, Unreadable
 from gpusimbench.evaluator.runs.run import Run
 from gpusimbench.schemas.location import Place
+from gpusimbench.schemas.progress import received, sizes
 
 
 @dataclass(frozen=True)
@@ -49,7 +50,8 @@ def read_all(paths: Sequence[Place], reader: Reader, work: Work) -> Iterator[Run
     known = KnownFiles(work.store, reader) if work.store else None
     stamps = {path: stamp_of(path) for path in paths} if known else {}
     found: dict[Place, Run | Unreadable] = {path: old for path in paths if known and (old := known.find(path))}
-    fresh = iter(work.mapper(reader, [path for path in paths if path not in found]))
+    missing = [path for path in paths if path not in found]
+    fresh = received(work.mapper(reader, missing), "reading recordings", len(missing), sizes(missing))
     for path in paths:
         if path in found:
             yield found[path]

@@ -7,7 +7,9 @@ from gpusimbench.schemas.mcap.crc import combine
 from gpusimbench.schemas.mcap.declarations import Declarations
 from gpusimbench.schemas.mcap.records import INDEX_ENTRY, RECORD_HEAD, Attachment, Cursor, Op
 from gpusimbench.schemas.mcap.walk import Head, Walk, data_crc
+from gpusimbench.schemas.progress import moved
 
+_SHARE = 0.2  # of the time that a file takes to be read and verified
 _EXPECTED = (
     Op.HEADER,
     Op.SCHEMA,
@@ -91,6 +93,7 @@ class _Verification:
         else:
             self._crc, self._position = combine(self._crc, known, len(data)), chunk.end
         self._chunks += 1
+        moved(_SHARE * (chunk.end - chunk.begin))
 
     def _add_crc(self, end: int) -> None:
         if self._contents.data_crc:

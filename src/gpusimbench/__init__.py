@@ -100,13 +100,14 @@ def verify(recording: Recording) -> None:
 
 
 def evaluate(
-    files: Sequence[Where], *, reference: Where | None = None, sample_time: float = 5.0, verified: bool = True
+    files: Sequence[Where], *, reference: Where | None = None, sample_time: float | None = None, verified: bool = True
 ) -> Evaluation:
     """Compute every metric of every group of runs, as ``gsb-eval`` does.
 
     files        paths, folders, addresses, or patterns of them, in any order; copies of one run count once
     reference    recording that simulations are compared with; None: the real trials among the files, if any
-    sample_time  simulated time at which positions are compared [s]
+    sample_time  simulated time at which positions are compared [s]; None: 5 s, and for a scene whose recordings all end
+                 before, the last time that all of them have
     verified     check every byte of the files first; without it, digests are taken on trust
 
     Returns an Evaluation: a result for each group, with its estimates by the names of docs/metrics.md, sweeps, ranking,
@@ -114,27 +115,32 @@ def evaluate(
     cannot be read, and Unreachable where a pattern's file system cannot be reached.
     """
     from gpusimbench.evaluator.check.protocol import unmet_by_file
+    from gpusimbench.evaluator.compute.work import HERE
     from gpusimbench.evaluator.read.addresses import expand
     from gpusimbench.evaluator.results import evaluate as computing
     from gpusimbench.evaluator.runs.reader import Reader, Unreadable
+    from gpusimbench.evaluator.runs.sample_time import DEFAULT_S, read_sampled
 
-    read = Reader(sample_time, unmet_by_file, verify=verified)
+    reader = Reader(DEFAULT_S if sample_time is None else sample_time, unmet_by_file, verify=verified)
     places = expand([place(file) for file in files])
-    other = read(place(reference)) if reference is not None else None
+    compared = [place(reference)] if reference is not None else []
+    sampled = read_sampled([*places, *compared], reader, HERE, chosen=sample_time is not None)
+    other = sampled.files[-1] if compared else None
     if isinstance(other, Unreadable):
         raise other.error
-    return computing.evaluate(map(read, places), reference=other, sample_time=sample_time)
+    read = sampled.files[: len(places)]
+    return computing.evaluate(read, reference=other, sample_time=sampled.time, shorter=sampled.shorter)
 
 
 def compare(
-    base: Sequence[Where], head: Sequence[Where], *, across: Collection[str] = (), sample_time: float = 5.0,
+    base: Sequence[Where], head: Sequence[Where], *, across: Collection[str] = (), sample_time: float | None = None,
     alpha: float = 0.05, threshold: float = 0.05,
 ) -> Result:  # fmt: skip
     """Compare two sets of recordings, as ``gsb-compare`` does: speed, memory, physics, validity, determinism.
 
     base, head   paths, addresses, or folders of recordings
     across       options that may differ between them, or "simulator", "determinism", "warmup", "timed_steps"
-    sample_time  simulated time at which positions are compared [s]
+    sample_time  simulated time at which positions are compared [s]; None: as of evaluate
     alpha        chance of any false alarm in this comparison
     threshold    smallest relative change of an amount that counts
 
@@ -148,9 +154,11 @@ def compare(
     from gpusimbench.evaluator.compute.work import HERE
     from gpusimbench.evaluator.read.addresses import expand
     from gpusimbench.evaluator.runs.reader import Reader
+    from gpusimbench.evaluator.runs.sample_time import DEFAULT_S
 
     ours, theirs = expand(list(map(place, base))), expand(list(map(place, head)))
-    sides = read_sides(ours, theirs, Reader(sample_time, unmet_by_file), HERE)
+    reader = Reader(DEFAULT_S if sample_time is None else sample_time, unmet_by_file)
+    sides = read_sides(ours, theirs, reader, HERE, chosen=sample_time is not None)
     return comparing.compare(*sides, Settings(alpha=alpha, threshold=threshold), HERE, across)
 
 

@@ -37,6 +37,7 @@ from gpusimbench.evaluator.share.dataset.manifest import (
 from gpusimbench.evaluator.share.dataset.names import collisions, why_not
 from gpusimbench.evaluator.share.dataset.personal import Personal, personal
 from gpusimbench.schemas.errors import GsbError, NothingComparable, UsageError
+from gpusimbench.schemas.progress import each, sizes
 from gpusimbench.schemas.writing import write_files
 
 DESCRIBING = (CARD, CITATION, METRICS, RUNS)
@@ -89,7 +90,8 @@ def publish(folder: Path, publication: Publication, *, sample_time: float, updat
     if not names:
         raise NothingComparable(f"{folder} has no recordings (*.mcap): nothing to describe")
     sums = {path: sum_of(folder / path) for path in theirs}
-    looked_at = tuple(look_at(folder / name, name, sample_time) for name in names)
+    weights = sizes(folder / name for name in names)
+    looked_at = tuple(look_at(folder / name, name, sample_time) for name in each(names, "checking recordings", weights))
     evaluation = evaluate_set(looked_at, sample_time)
     told = {name: some for name in names if (some := personal(folder / name))}
     manifest, texts = _texts(publication, looked_at, evaluation, sums)

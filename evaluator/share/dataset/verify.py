@@ -36,6 +36,7 @@ from gpusimbench.evaluator.share.dataset.tables import compare_table
 from gpusimbench.evaluator.share.dataset.verification import Finding, Kind, Verification
 from gpusimbench.schemas.errors import DamagedRecording, GsbError, Unreachable, UsageError
 from gpusimbench.schemas.location import Location, Place
+from gpusimbench.schemas.progress import each
 
 _SUMS_BYTES = 16 << 20
 _LONGEST = 80
@@ -86,7 +87,8 @@ class _Verifier:
         self._unchecked.append(
             f"whether what {CARD} and {CITATION} say follows from the recordings: look at the tables"
         )
-        looked_at = [one for file in self._manifest.files if (one := self._look_at(file)) is not None]
+        files = each(self._manifest.files, "verifying files", [float(file.sum.bytes) for file in self._manifest.files])
+        looked_at = [one for file in files if (one := self._look_at(file)) is not None]
         asked = [file for file in self._manifest.files if is_recording(file.path)]
         if len(looked_at) == len(asked):
             self._follows(looked_at)
