@@ -86,7 +86,7 @@ def _prints(tree: ast.AST) -> Iterator[ast.AST]:
     for node in ast.walk(tree):
         if isinstance(node, ast.Call):
             said = ast.unparse(node.func)
-            if said in ("print", "Console", "Table", "rich.print") or said.endswith(
+            if said in ("print", "Console", "rich.table.Table", "rich.print") or said.endswith(
                 ("stdout.write", "stderr.write", "stdout.buffer.write", "stderr.buffer.write", "stdout.writelines")
             ):
                 yield node

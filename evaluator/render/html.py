@@ -46,9 +46,9 @@ _EMPTY = Markup("")
 def render_page(document: Document) -> str:
     """The page's text; the same document gives the same page."""
     embeds = [one for one in walk(document.blocks) if isinstance(one, Embed)]
-    has_figures = any(isinstance(one, Figure) and one.svg for one in walk(document.blocks))
+    has_figures = bool(embeds) or any(isinstance(one, Figure) and one.svg for one in walk(document.blocks))
     names = ["page.js", *(["download.js"] if has_figures else [])]
-    scripts = [*map(script, names), *(Markup(one.script) for one in embeds if one.script)]
+    scripts = [*map(script, names), *dict.fromkeys(one.script for one in embeds if one.script)]
     templates = jinja2.Environment(
         loader=jinja2.PackageLoader("gpusimbench.evaluator.render"),
         autoescape=True,
@@ -63,7 +63,7 @@ def render_page(document: Document) -> str:
         facets=_facets(document),
         made_by=blocks(document.made_by, 2),
         version=schemas.__version__,
-        styles=[Markup(one.style) for one in embeds if one.style],
+        styles=list(dict.fromkeys(one.style for one in embeds if one.style)),
         colours={
             "light": Markup(palette.variables(dark=False)),
             "dark": Markup(palette.variables(dark=True)),

@@ -1,21 +1,18 @@
-"""An evaluation as one HTML page that needs nothing but itself: no network, no other file.
-
-What recordings say is a stranger's text: the templates escape every value, figures escape their own. The page's policy
-allows its own scripts by their digests and nothing else, and without them it lacks only its buttons.
-"""
+"""The report as one HTML page that needs nothing but itself: no network, no other file."""
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
+from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 from markupsafe import Markup
 
-from gpusimbench import schemas
 from gpusimbench.evaluator.player.playback import Playback, playback_of
-from gpusimbench.evaluator.render.figures import palette, style
-from gpusimbench.evaluator.render.scripts import policy, script
+from gpusimbench.evaluator.render import document
+from gpusimbench.evaluator.render.html import render_page
+from gpusimbench.evaluator.report.document import report
 from gpusimbench.evaluator.report.page import (
     accumulation,
     consistency,
@@ -33,19 +30,17 @@ from gpusimbench.evaluator.report.page import (
     recordings,
     remade,
     scaling,
-    summary,
     throughput,
     validity,
     variability,
 )
 from gpusimbench.evaluator.report.page.environment import environment
-from gpusimbench.evaluator.report.page.header import header
-from gpusimbench.evaluator.report.page.section import Section, Source
+from gpusimbench.evaluator.report.page.section import Section
+from gpusimbench.evaluator.report.source import Source
 from gpusimbench.evaluator.results.evaluation import Evaluation
 from gpusimbench.schemas.writing import write_files
 
 SECTIONS: tuple[Callable[[Source], Section | None], ...] = (
-    summary.section,
     remade.section,
     variability.section,
     playback.section,
@@ -94,30 +89,23 @@ def render_html(evaluation: Evaluation, *, published: bool, command: str, playba
     playback   environments in motion; None where the page is to have none
     """
     source = Source(evaluation, published, command, playback)
-    sections = sections_of(source)
-    scripts = [script("download.js"), *(Markup(s.script) for s in sections if s.script)]
-    templates = environment()
-    common = {"evaluation": evaluation, "shown": source.shown, "hidden": source.hidden}
-    bodies = [Markup(templates.get_template(f"{s.key}.html.j2").render(**common, **s.context)) for s in sections]
-    page = templates.get_template("page.html.j2").render(
-        **common,
-        **header(source),
-        sections=list(zip(sections, bodies, strict=True)),
-        styles=[Markup(s.style) for s in sections if s.style],
-        command=command,
-        version=schemas.__version__,
-        colours={
-            "light": Markup(palette.variables(dark=False)),
-            "dark": Markup(palette.variables(dark=True)),
-            "figures": Markup(style.css()),
-        },
-        figure_rules=json.dumps(style.resolved()),
-        scripts=scripts,
-        policy=policy(scripts),
-    )
-    return page.lstrip()
+    whole = report(source)
+    drawn = [_folded(made, source) for made in sections_of(source)]
+    return render_page(replace(whole, blocks=(*whole.blocks, *drawn)))
 
 
 def sections_of(source: Source) -> list[Section]:
-    """The sections that have something to say."""
+    """The sections with templates of their own that have something to say."""
     return [made for section in SECTIONS if (made := section(source)) is not None]
+
+
+def _folded(made: Section, source: Source) -> document.Section:
+    common = {"evaluation": source.evaluation, "shown": source.shown, "hidden": source.hidden}
+    body = environment().get_template(f"{made.key}.html.j2").render(**common, **made.context)
+    embed = document.Embed(Markup(body), Markup(_style() + made.style), Markup(made.script))
+    return document.Section(made.key, made.title, (embed,), folded=True)
+
+
+@cache
+def _style() -> str:
+    return (Path(__file__).parent / "page" / "templates" / "sections.css").read_text(encoding="utf-8")

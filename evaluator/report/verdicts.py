@@ -54,14 +54,14 @@ def valid(results: Results) -> Cell:
     runs = [run for r in results for run in r.group.recordings]
     invalid = sum(run.status == "invalid" for run in runs)
     if invalid:
-        return Cell("no", notes=(f"{invalid} of {plural(len(runs), 'run')} INVALID",), tone=Tone.BAD)
+        return Cell("no", notes=(f"{invalid} of {len(runs)} INVALID",), tone=Tone.BAD)
     other = sum(not run.usable for run in runs)
     told = [r.validity.overflow is not None for r in results]
-    failed = (f"{other} of {plural(len(runs), 'run')} not complete",) if other else ()
+    failed = (f"{other} of {plural(len(runs), 'run')} failed",) if other else ()
     if other == len(runs):
         return Cell("not known", notes=failed, tone=Tone.QUIET)
     if not any(told):
-        return Cell("not known", notes=("overflow is not reported", *failed), tone=Tone.QUIET)
+        return Cell("not known", notes=("not reported", *failed), tone=Tone.QUIET)
     return Cell("yes", notes=failed, tone=Tone.WARNING if failed else Tone.GOOD)
 
 
@@ -77,8 +77,7 @@ def sound(results: Results) -> Cell:
     names = dict.fromkeys(row.check.title for r in broken for row in r.fidelity.of(Verdict.BROKEN))
     if len(results) == 1:
         return Cell("no", notes=(f"broken: {', '.join(names)}",), tone=Tone.BAD)
-    where = f" in {len(broken)} of {plural(len(checked), 'group')}"
-    return Cell("no", notes=(f"{plural(len(names), 'check')} broken{where}",), tone=Tone.BAD)
+    return Cell("no", notes=(f"{len(broken)} of {plural(len(checked), 'group')}",), tone=Tone.BAD)
 
 
 def real(results: Results) -> Cell:
@@ -92,8 +91,16 @@ def real(results: Results) -> Cell:
 
 
 QUESTIONS = (
-    Question("repeats itself", "yes: all runs of the same configuration have the same bits at every step", repeats),
-    Question("envs alike", "yes: all environments of a run have the same bits at every step", alike),
+    Question(
+        "repeats itself",
+        "yes: all runs of a configuration have the same bits at every step; no: largest W1 between runs",
+        repeats,
+    ),
+    Question(
+        "envs alike",
+        "yes: all environments of a run have the same bits at every step; no: largest W1 between envs",
+        alike,
+    ),
     Question("valid", "yes: no run dropped contacts or constraints, as far as the engine reports it", valid),
     Question("mechanics", "yes: every check of mechanics that could be made holds", sound),
 )
@@ -114,14 +121,14 @@ def _identity(results: Results, counted: Metric, apart: Metric, what: str) -> Ce
     differ = [r for r, holds in compared if not holds]
     n = compared[0][0].metrics[counted.name].n
     if not differ:
-        how = f"{n} {what} bit-identical" if len(compared) == 1 else f"{len(compared)} of {len(compared)} groups"
+        how = f"all {n} {what}" if len(compared) == 1 else f"all {len(compared)} groups"
         return Cell("yes", notes=(how, *notes), tone=Tone.GOOD)
     far = [found for r in differ if (found := known(r.metrics[apart.name].value)) is not None]
-    furthest = f", {distance(max(far))} cm" if far else ""
+    said = f"no, {max(far):.3g} cm" if far else "no"
     if len(compared) > 1:
-        return Cell("no", notes=(f"{len(differ)} of {len(compared)} groups not{furthest}", *notes), tone=Tone.BAD)
+        return Cell(said, notes=(f"{len(differ)} of {len(compared)} groups", *notes), tone=Tone.BAD)
     value = known(differ[0].metrics[counted.name].value) or 0.0
-    return Cell("no", notes=(f"{value:.0f} distinct of {n} {what}{furthest}", *notes), tone=Tone.BAD)
+    return Cell(said, notes=(f"{value:.0f} distinct of {n}", *notes), tone=Tone.BAD)
 
 
 def _levels(results: Results, counted: Metric) -> list[str]:
@@ -133,7 +140,7 @@ def _levels(results: Results, counted: Metric) -> list[str]:
     ]
     if not held:
         return []
-    return [f"yes at {held[0]}" if len(held) == 1 else f"yes at {len(held)} levels of determinism"]
+    return [f"yes at {held[0]}" if len(held) == 1 else f"yes at {len(held)} levels"]
 
 
 def another_run(result: GroupResult) -> str:

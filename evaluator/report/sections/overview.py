@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Iterator, Sequence
-
-from markupsafe import Markup
+from dataclasses import replace
 
 from gpusimbench.evaluator.check.protocol import RULE_SET
-from gpusimbench.evaluator.missing import Missing, known
 from gpusimbench.evaluator.render.cells import estimate
 from gpusimbench.evaluator.render.document import (
     Beside,
@@ -17,22 +14,19 @@ from gpusimbench.evaluator.render.document import (
     Figure,
     Item,
     Items,
-    Numbers,
     Row,
     Table,
     Tone,
     key_of,
     table,
 )
-from gpusimbench.evaluator.render.figures.scatter import Point, scatter
-from gpusimbench.evaluator.render.numbers import distance, plural
+from gpusimbench.evaluator.render.numbers import plural
 from gpusimbench.evaluator.report.leaders import Fastest, Speed, fastest
+from gpusimbench.evaluator.report.page import scatter
 from gpusimbench.evaluator.report.source import Source
 from gpusimbench.evaluator.report.verdicts import QUESTIONS, TO_REFERENCE
 from gpusimbench.evaluator.results.cost_metrics import FPS
 from gpusimbench.evaluator.results.evaluation import Evaluation
-from gpusimbench.evaluator.results.faults import faults_anywhere
-from gpusimbench.evaluator.results.group_metrics import W1_REAL, W1_RUN_TO_RUN
 from gpusimbench.evaluator.results.result import GroupResult
 from gpusimbench.evaluator.runs.groups import is_instrument
 
@@ -101,46 +95,11 @@ def _state_of_the_set(evaluation: Evaluation) -> Item:
 
 
 def _scatter(evaluation: Evaluation) -> Iterator[Figure]:
-    up = W1_REAL if evaluation.reference else W1_RUN_TO_RUN
-    both = [
-        r
-        for r in evaluation.results
-        if not isinstance(r.metrics[FPS.name].value, Missing)
-        and not isinstance(r.metrics[up.name].value, Missing)
-        and not is_instrument(r.group.key)
-    ]
-    places = Counter((r.group.key.scene, r.group.key.device, r.group.key.n_env) for r in both)
-    if not places:
-        return
-    (scene, device, n_env), _ = places.most_common(1)[0]
-    results = [r for r in both if (r.group.key.scene, r.group.key.device, r.group.key.n_env) == (scene, device, n_env)]
-    engines = list(dict.fromkeys(r.group.key.simulator for r in results))
-    points = [_point(r, engines.index(r.group.key.simulator), up.name, evaluation.results) for r in results]
-    drawn = scatter(points, across=FPS.titled, up=up.titled, across_tick=_thousands, up_tick=distance)
-    yield Figure(
-        f"{up.title} against throughput",
-        f"{scene}, {n_env} envs, {device or 'no device'}; bars: 95 % intervals; hollow: INVALID or mechanics broken",
-        Markup(drawn),
-        key_of("speed", up.name, scene),
-        Numbers(
-            ["group", FPS.titled, "95 % low", "95 % high", up.titled, "95 % low", "95 % high", "broken"],
-            [
-                [r.label, p.speed, *(p.speed_ci or (None, None)), p.divergence, *(p.divergence_ci or (None, None)),
-                 str(p.broken)]
-                for r, p in zip(results, points, strict=True)
-            ],
-        ),
-        scene,
-    )  # fmt: skip
-
-
-def _point(result: GroupResult, index: int, up: str, results: Sequence[GroupResult]) -> Point:
-    key, fps, apart = result.group.key, result.metrics[FPS.name], result.metrics[up]
-    speed, divergence = known(fps.value) or 0.0, known(apart.value) or 0.0
-    label = key.simulator if key.determinism == "default" else f"{key.simulator}, {key.determinism}"
-    said = f"{result.label}: {speed:,.0f} env-steps/s, {distance(divergence)} cm"
-    broken = bool(faults_anywhere(result, results))
-    return Point(index, label, speed, divergence, fps.ci95, apart.ci95, broken, said)
+    """The figure of the scene in which most groups have both a speed and a distance, in fewer words."""
+    drawn = [one for one in scatter.pictures(evaluation) if one.svg]
+    if drawn:
+        most = max(drawn, key=lambda one: len(one.numbers.rows))
+        yield replace(most, caption="Lines: 95 % intervals. Hollow: INVALID, or mechanics broken. Strip: exactly 0.")
 
 
 def _fastest_table(results: Sequence[GroupResult]) -> Iterator[Table]:
@@ -150,7 +109,7 @@ def _fastest_table(results: Sequence[GroupResult]) -> Iterator[Table]:
     yield table(
         "fastest",
         "The fastest valid simulator of each scene",
-        ["scene, device", f"first, {FPS.titled}", "next", "faster, but not ranked"],
+        ["scene, device", f"fastest [{FPS.unit}]", "next", "faster, not ranked"],
         [
             Row((_where(one), _named(one.first), _named(one.second), _barred(one)), {"scene": one.scene})
             for one in found
@@ -174,8 +133,4 @@ def _barred(found: Fastest) -> Cell:
     names = list(dict.fromkeys(speed.result.group.key.simulator for speed, _ in found.faster))
     if not names:
         return Cell("-")
-    return Cell(", ".join(names), notes=("INVALID or mechanics broken",), tone=Tone.BAD)
-
-
-def _thousands(value: float) -> str:
-    return f"{value / 1e6:g}M" if value >= 1e6 else f"{value / 1e3:g}k" if value >= 1e3 else f"{value:g}"
+    return Cell(", ".join(names), notes=("a verdict is no",), tone=Tone.BAD)

@@ -1,0 +1,60 @@
+"""What is wrong with the set: files that are in no figure, rules of the protocol, notes on groups."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+from gpusimbench.evaluator.check.protocol import RULE_SET
+from gpusimbench.evaluator.render.document import Block, Cell, Item, Items, Row, Section, Text, Tone, table
+from gpusimbench.evaluator.render.numbers import plural
+from gpusimbench.evaluator.report.source import Source
+from gpusimbench.evaluator.results.evaluation import Evaluation
+from gpusimbench.evaluator.runs.groups import shown_status, status_notes
+from gpusimbench.schemas.location import Location
+
+
+def section(source: Source) -> Section | None:
+    """None where nothing is wrong and nothing is to be noted."""
+    evaluation = source.evaluation
+    rows = list(_rows(evaluation))
+    blocks: list[Block] = []
+    if rows:
+        blocks.append(
+            table("problems", "Files that are in no figure, or that lost data", ["file", "what is wrong", "why"], rows)
+        )
+    if evaluation.unmet.count:
+        blocks.append(Text(f"Rules of {RULE_SET} that are not met; gsb-check --protocol says by which files:"))
+        found = sorted(evaluation.unmet.findings.items(), key=lambda one: (-one[1], one[0]))
+        blocks.append(Items(tuple(Item(f"{rule}: {plural(count, 'finding')}") for rule, count in found)))
+    notes = [*evaluation.notes, *(f"{label}: {note}" for label, note in _notes(evaluation))]
+    if notes:
+        blocks += [Text("Notes:"), Items(tuple(map(Item, notes)))]
+    if not blocks:
+        return None
+    files = plural(len({row.cells[0].text for row in rows}), "file")
+    found_by_rules = f"{plural(evaluation.unmet.count, 'finding')} of {RULE_SET}"
+    said = f"{files} with problems, {found_by_rules}, {plural(len(notes), 'note')}"
+    return Section("problems", "What is wrong with this set", tuple(blocks), said, folded=True)
+
+
+def _rows(evaluation: Evaluation) -> Iterator[Row]:
+    for failure in evaluation.unreadable:
+        yield _row(failure.path, "could not be read", str(failure.error))
+    for result in evaluation.results:
+        for recording in result.group.recordings:
+            if recording.status != "complete":
+                yield _row(recording.path, shown_status(recording), recording.reason or "no reason given")
+            for lost in recording.dropouts:
+                yield _row(recording.path, "lost data", lost)
+
+
+def _row(path: Path | Location, what: str, why: str) -> Row:
+    return Row((Cell(path.name, code=True), Cell(what, tone=Tone.BAD), Cell(why)))
+
+
+def _notes(evaluation: Evaluation) -> Iterator[tuple[str, str]]:
+    for result in evaluation.results:
+        own = status_notes(result.group)
+        yield from ((result.label, note) for note in result.notes if note not in own)
+        yield from ((result.label, note) for note in result.footnotes)
