@@ -11,8 +11,9 @@ from pathlib import Path
 
 from gpusimbench.evaluator.render.figures import palette, style
 from gpusimbench.evaluator.render.figures.svg import text
+from gpusimbench.evaluator.render.terminal import print_document
+from gpusimbench.evaluator.report.brief import brief
 from gpusimbench.evaluator.report.html import render_html
-from gpusimbench.evaluator.report.tables import print_tables
 from gpusimbench.evaluator.results.evaluate import evaluate_files
 from gpusimbench.evaluator.results.evaluation import Evaluation
 
@@ -29,7 +30,7 @@ def shipped() -> Evaluation:
 def table(evaluation: Evaluation) -> str:
     """What gsb-eval prints."""
     stream = io.StringIO()
-    print_tables(evaluation, stream)
+    print_document(brief(evaluation), stream)
     return "\n".join(line.rstrip() for line in stream.getvalue().splitlines()).strip()
 
 

@@ -99,7 +99,7 @@ def _versions(folder: Path, out: Path) -> Path:
 def _commands(folder: Path, out: Path) -> list[tuple[Callable[[list[str]], int], list[str]]]:
     files = [str(path) for path in sorted(folder.glob("*.mcap"))]
     return [
-        (evaluate.main, [*files, "--no-cache", "--physics", "--published", "--html", str(out / "html"), "--tables",
+        (evaluate.main, [*files, "--no-cache", "--all", "--published", "--html", str(out / "html"), "--tables",
                          str(out / "tables"), "--format", "csv,md,tex", "--figures", str(out / "figures")]),
         (evaluate.main, [*files, "--no-cache", "--json", "-"]),
         (evaluate.main, [f"--{EVIL}"]),
@@ -175,7 +175,7 @@ def test_no_warnings_of_numpy(tmp_path: Path, value: float, capsys: pytest.Captu
     with warnings.catch_warnings():
         warnings.simplefilter("error")  # what numpy says of them by default
         for main, arguments in (
-            (evaluate.main, ["--no-cache", "--html", str(out), "--physics", *files]),
+            (evaluate.main, ["--no-cache", "--html", str(out), "--all", *files]),
             (info.main, files),
             (check.main, files),
             (diff.main, [*files, "--plot", str(out / "plot.svg")]),

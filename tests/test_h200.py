@@ -10,8 +10,7 @@ import pytest
 
 from gpusimbench import open_recording
 from gpusimbench.evaluator.read.recording import Recording
-from gpusimbench.evaluator.report.page import summary
-from gpusimbench.evaluator.report.page.section import Source
+from gpusimbench.evaluator.report.leaders import fastest
 from gpusimbench.evaluator.runs.validation import verify
 from tests.conftest import call
 
@@ -74,10 +73,9 @@ def test_nobody_is_named_whose_runs_are_wrong(evaluation: Any) -> None:
     (reproducible,) = [g for g in compared.guidelines if g.need.startswith("reproducible")]
     for level in ("exclude-nondeterministic", "no-autotune", "run-to-run"):
         assert any(level in one for one in reproducible.unranked)
-    section = summary.section(Source(evaluation, False, ""))
-    assert section is not None
-    for one in section.context["fastest"]:
+    for one in fastest(evaluation.results):
         for speed in (one.first, one.second):
+            assert speed is not None
             assert speed.result.group.key.simulator not in ("brax", "calibration")
             assert "xpbd" not in speed.result.label
 

@@ -55,6 +55,7 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument(
         "files", nargs="+", type=place, metavar="FILE", help="recordings (.mcap), folders of them, or addresses"
     )
+    p.add_argument("--all", action="store_true", help="print every metric, remark and check of mechanics")
     p.add_argument("--reference", type=place, metavar="FILE", help="recording to compare positions with")
     add_sample_time(p)
     p.add_argument(
@@ -71,8 +72,7 @@ def parser() -> argparse.ArgumentParser:
         "tables, a file each (default: parquet)",
     )
     p.add_argument("--figures", type=local_path, metavar="DIR", help="write each figure as SVG, PDF and CSV")
-    p.add_argument("--physics", action="store_true", help="show each check of mechanics, with what it allows")
-    p.add_argument("--published", action="store_true", help="show the paper's figures beside, marked as such")
+    p.add_argument("--published", action="store_true", help="show the paper's figures too, marked as such")
     p.add_argument("--no-verify", action="store_true", help="skip the digests; CRCs of what is read are still checked")
     p.add_argument("--ray", metavar="ADDRESS", help="spread the work over a Ray cluster: an address, auto, or local")
     p.add_argument(
@@ -80,7 +80,7 @@ def parser() -> argparse.ArgumentParser:
     )
     p.add_argument("--no-cache", action="store_true", help="compute everything anew and keep nothing")
     p.show_first(
-        "--reference", "--sample-time", "--json", "--html", "--tables", "--format", "--figures", "--physics", "--ray"
+        "--all", "--reference", "--sample-time", "--json", "--html", "--tables", "--format", "--figures", "--ray"
     )
     return p
 
@@ -178,15 +178,7 @@ def _present(evaluation: Evaluation, arguments: argparse.Namespace, command: str
     if arguments.json == "-":
         show_document(dump_json(evaluation))
     else:
-        from gpusimbench.evaluator.report.tables import print_published, print_tables
-
-        print_tables(evaluation, sys.stdout)
-        if arguments.physics:
-            from gpusimbench.evaluator.report.fidelity import print_fidelity
-
-            print_fidelity([result.fidelity for result in evaluation.results], sys.stdout)
-        if arguments.published:
-            print_published(sys.stdout)
+        _print(evaluation, arguments)
         if arguments.json:
             write_file(Path(arguments.json), dump_json(evaluation))
     if arguments.tables:
@@ -215,6 +207,22 @@ def _present(evaluation: Evaluation, arguments: argparse.Namespace, command: str
         with stage("writing the report"):
             page = write_html(evaluation, arguments.html, published=arguments.published, command=command)
         show(line(f"report: {page}"), error=arguments.json == "-")
+
+
+def _print(evaluation: Evaluation, arguments: argparse.Namespace) -> None:
+    if not arguments.all:
+        from gpusimbench.evaluator.render.terminal import print_document
+        from gpusimbench.evaluator.report.brief import brief
+
+        print_document(brief(evaluation), sys.stdout)
+        return
+    from gpusimbench.evaluator.report.fidelity import print_fidelity
+    from gpusimbench.evaluator.report.tables import print_published, print_tables
+
+    print_tables(evaluation, sys.stdout)
+    print_fidelity([result.fidelity for result in evaluation.results], sys.stdout)
+    if arguments.published:
+        print_published(sys.stdout)
 
 
 def _exit_code(evaluation: Evaluation, recordings: list[Run]) -> int:

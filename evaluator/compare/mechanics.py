@@ -42,7 +42,7 @@ def _unchanged(one: Fidelity, other: Fidelity, n: tuple[int, int]) -> Finding:
     held = [
         f"{len(f.of(Verdict.HELD))} of {len(f.of(Verdict.HELD)) + len(f.of(Verdict.BROKEN))} held" for f in (one, other)
     ]
-    method = "verdicts of gsb-eval --physics; those that apply to both sides are the same"
+    method = "verdicts of gsb-eval --all; those that apply to both sides are the same"
     return Finding(
         Axis.PHYSICS, _NAME, _TITLE, Change.SAME, Direction.HIGHER, said=(held[0], held[1]), n=n, method=method
     )  # fmt: skip
@@ -60,7 +60,7 @@ def _found(one: FidelityRow, other: FidelityRow, base: Runs, head: Runs, *, cert
     finding = Finding(
         Axis.PHYSICS, f"mechanics.{one.check.key}", one.check.title,
         Change.REGRESSION if worse * n1 > bad * n2 else Change.IMPROVEMENT, Direction.HIGHER,
-        said=(_said(one), _said(other)), n=(n1, n2), method="verdict of gsb-eval --physics over all runs",
+        said=(_said(one), _said(other)), n=(n1, n2), method="verdict of gsb-eval --all over all runs",
         note=f"broken in {bad} of {n1} runs of base, {worse} of {n2} of head",
     )  # fmt: skip
     return finding if certain else Counted(finding, *counts, of="in which it is broken")

@@ -4,7 +4,7 @@
   const tools = document.querySelector(".tools");
   const said = tools.querySelector("output");
   const selects = [...tools.querySelectorAll("select")];
-  const words = tools.elements.words;
+  const words = tools.querySelector("input");
 
   // What an element says, in lower case; computed once, when it is first asked for.
   const texts = new WeakMap();
@@ -84,10 +84,9 @@
     waiting = setTimeout(apply, 150);
   });
   for (const select of selects) select.addEventListener("change", apply);
-  tools.addEventListener("submit", (event) => event.preventDefault());
   const all = (open) => () => sections.forEach((section) => { section.open = open; });
-  tools.elements.open.addEventListener("click", all(true));
-  tools.elements.close.addEventListener("click", all(false));
+  tools.querySelector("[name=open]").addEventListener("click", all(true));
+  tools.querySelector("[name=close]").addEventListener("click", all(false));
   tools.hidden = sections.length === 0 && selects.length === 0;
 
   function reveal() {

@@ -39,7 +39,7 @@ _NAME = 48
 """Characters of a row's name that stand on one line where the name has as many."""
 
 _MOST_SIDEWAYS = 4
-_LONGEST_NAME = 24
+_LONGEST_NAME = 32
 
 
 def print_document(document: Document, stream: IO[str]) -> None:

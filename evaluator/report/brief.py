@@ -20,6 +20,7 @@ from gpusimbench.evaluator.results.metric import Axis
 from gpusimbench.evaluator.results.metrics import METRICS
 from gpusimbench.evaluator.results.result import GroupResult
 
+_NOTES = 2
 MORE = "Everything: gsb-eval --all. A report with figures: gsb-eval --html DIR."
 
 
@@ -112,6 +113,14 @@ def _troubles(evaluation: Evaluation) -> Iterator[Text]:
         yield Text(f"left out: {failure.error}", Tone.BAD)
     if len(evaluation.unreadable) > 3:
         yield Text(f"left out: {len(evaluation.unreadable) - 3} more files that cannot be read", Tone.BAD)
+    notes = [
+        *evaluation.notes,
+        *(note for r in evaluation.results[:1] if len(evaluation.results) == 1 for note in r.notes),
+    ]
+    for note in notes[:_NOTES]:
+        yield Text(f"note: {note}", Tone.WARNING)
+    if len(notes) > _NOTES:
+        yield Text(f"{len(notes) - _NOTES} more notes: --all", Tone.WARNING)
     lines = timed.incomparable(evaluation.results)
     for line in lines[:1]:
         yield Text(line, Tone.WARNING)

@@ -120,9 +120,9 @@ def _legend(results: list[GroupResult]) -> list[str]:
     if any(known(r.metrics[name].value) for r in results for name in ("equality_runs", "equality_envs")):
         lines.append("what is less than bit-identical is said of the sample step alone")
     if any(r.fidelity.of(Verdict.BROKEN) for r in results):
-        lines.append("which checks of mechanics are broken, and by how much: --physics")
+        lines.append("which checks of mechanics are broken, and by how much: --all")
     if any(r.fidelity.of(Verdict.MOVING) for r in results):
-        lines.append("cubes still move or spin at the sample time, which is no check of mechanics: --physics")
+        lines.append("cubes still move or spin at the sample time, which is no check of mechanics: --all")
     if any(not isinstance(r.metrics["capture_slowdown"].value, Missing) for r in results):
         lines.append("captured and timed steps are other steps of the scene: a difference in contacts counts as well")
     return lines

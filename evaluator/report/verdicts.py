@@ -61,7 +61,8 @@ def valid(results: Results) -> Cell:
     if other == len(runs):
         return Cell("not known", notes=failed, tone=Tone.QUIET)
     if not any(told):
-        return Cell("not known", notes=("not reported", *failed), tone=Tone.QUIET)
+        why = "overflow is not reported" if len(results) == 1 else "not reported"
+        return Cell("not known", notes=(why, *failed), tone=Tone.QUIET)
     return Cell("yes", notes=failed, tone=Tone.WARNING if failed else Tone.GOOD)
 
 

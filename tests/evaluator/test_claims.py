@@ -19,9 +19,8 @@ from gpusimbench.evaluator.compare.sameness import all_alike, compare_bits, comp
 from gpusimbench.evaluator.metrics.levels import verdict
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.read.streams import Fingerprints
-from gpusimbench.evaluator.report import words
+from gpusimbench.evaluator.report import verdicts, words
 from gpusimbench.evaluator.report.fidelity import cells
-from gpusimbench.evaluator.report.page import summary
 from gpusimbench.evaluator.results import identity_metrics as identity
 from gpusimbench.evaluator.results.claims import Claim, Tally, every, tally
 from gpusimbench.evaluator.results.details import DistinctEnvs, DistinctRuns
@@ -102,22 +101,25 @@ def test_identical(value: float | None, n: int, without: int) -> None:
     assert (claim.holds is None) == bool(claim.why_not)
 
 
-@given(st.lists(st.tuples(st.sampled_from([None, 1.0, 2.0]), st.integers(1, 3)), max_size=4))
-def test_the_summary_of_a_report(groups: list[tuple[float | None, int]]) -> None:
-    """Count a group as bit-identical only where it was compared, and say of how many that is."""
+@given(st.lists(st.tuples(st.sampled_from([None, 1.0, 2.0]), st.integers(1, 3)), min_size=1, max_size=4))
+def test_the_verdicts_of_a_report(groups: list[tuple[float | None, int]]) -> None:
+    """Say that a simulator repeats itself only of groups that were compared, and no where any of them differs."""
     results: list[Any] = [
         SimpleNamespace(
             metrics={name: _estimate(name, value, n) for name in ("distinct_envs", "distinct_runs")} | {
-                "fps": _estimate("fps", None, 0)
+                name: _estimate(name, None, 0) for name in ("w1_parallel", "w1_run_to_run")
             },
-            group=SimpleNamespace(recordings=(), key=SimpleNamespace(version="1", switches="", scene="s", device="d")),
-            fidelity=fidelity("", []),
+            group=SimpleNamespace(key=SimpleNamespace(determinism="default")),
         )
         for value, n in groups
     ]  # fmt: skip
-    found = summary._of("engine", results)
     compared = [value for value, n in groups if value is not None and n > 1]
-    assert found.same_envs == found.same_runs == Tally(compared.count(1.0), len(compared), len(groups))
+    for answer in (verdicts.repeats(results), verdicts.alike(results)):
+        assert answer.text == ("not compared" if not compared else "yes" if set(compared) == {1.0} else "no")
+        if len(compared) > 1:
+            of = compared.count(2.0)
+            said = f"{of} of {len(compared)} groups" if of else f"all {len(compared)} groups"
+            assert answer.notes == (said,)
 
 
 @given(STATES, STATES, st.integers(1, 2))

@@ -14,6 +14,7 @@ import pytest
 
 from gpusimbench.evaluator.render.csv import to_csv
 from gpusimbench.evaluator.render.figures import matrix, palette, style
+from gpusimbench.evaluator.report.document import TITLE, report
 from gpusimbench.evaluator.report.html import sections_of, write_html
 from gpusimbench.evaluator.report.page.picture import Picture
 from gpusimbench.evaluator.report.page.section import Source
@@ -31,7 +32,7 @@ PAPER = 739
 FOCUSABLE = """[...document.querySelectorAll('a[href], button:not(:disabled), select, input, summary, [tabindex="0"]')]
     .filter(e => e.checkVisibility({contentVisibilityAuto: true}) && !e.closest('[hidden]'))"""
 
-FOLDED = "document.querySelector('section[aria-labelledby=provenance] details')"
+FOLDED = "document.querySelector('#provenance').closest('details')"
 
 
 @pytest.fixture(scope="module")
@@ -66,7 +67,7 @@ def test_the_page_fits(browser: Browser, page: Path, width: int, dark: bool) -> 
         && e.getBoundingClientRect().right > {width} + 0.5).map(e => e.outerHTML.slice(0, 80))"""
     assert browser.evaluate(beyond) == []
     assert (browser.errors, browser.requests) == ([], [])
-    assert browser.evaluate("document.title") == "Simulator evaluation"
+    assert browser.evaluate("document.title") == TITLE
 
 
 def test_the_page_can_be_read_at_four_hundred_per_cent(browser: Browser, page: Path) -> None:
@@ -83,8 +84,8 @@ def test_every_link_has_its_target(browser: Browser, page: Path) -> None:
     """Lead from every link to a place in the page, the first to the results."""
     browser.open(page)
     links = browser.evaluate("[...document.querySelectorAll('a')].map(a => a.getAttribute('href'))")
-    assert links[0] == "#results"
-    assert len(links) > 12
+    assert links[0] == "#content"
+    assert len(links) > 4
     assert browser.evaluate(f"{links!r}.filter(l => !document.querySelector('[id=\"' + l.slice(1) + '\"]'))") == []
 
 
@@ -124,7 +125,7 @@ def test_keys_work(browser: Browser, page: Path) -> None:
     browser.key("Tab")
     assert browser.evaluate("document.activeElement.getBoundingClientRect().left >= 0")
     browser.key("Enter")
-    assert browser.evaluate("document.activeElement.id") == "results"
+    assert browser.evaluate("document.activeElement.id") == "content"
     browser.evaluate(f"{FOLDED}.querySelector('summary').focus()")
     browser.key("Enter")
     assert browser.evaluate(f"{FOLDED}.open")
@@ -132,7 +133,9 @@ def test_keys_work(browser: Browser, page: Path) -> None:
 
 def offered(evaluation: Evaluation) -> list[Picture]:
     """Figures that the page can save."""
-    return [p for s in sections_of(Source(evaluation, True, "")) for p in s.pictures() if p.svg and p.key]
+    source = Source(evaluation, True, "")
+    drawn = [*report(source).figures(), *(p for s in sections_of(source) for p in s.pictures())]
+    return [p for p in drawn if p.svg and p.key]
 
 
 @pytest.mark.parametrize("dark", [False, True], ids=["light", "dark"])
@@ -180,7 +183,7 @@ def test_other_scripts_are_refused(browser: Browser, page: Path, tmp_path: Path)
     bad = '<script>document.title = "taken"</script><img src="https://x.example/a" onerror="document.title = 1">'
     spoilt.write_text(text.replace("</body>", bad + "</body>").replace("// Saves", "// saves"), encoding="utf-8")
     browser.open(spoilt)
-    assert browser.evaluate("document.title") == "Simulator evaluation"
+    assert browser.evaluate("document.title") == TITLE
     assert browser.evaluate("document.querySelector('.files').hidden")
     assert len(browser.errors) >= 3
 

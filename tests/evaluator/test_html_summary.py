@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import io
 import re
 from pathlib import Path
 
 import numpy as np
+import pytest
 
+from gpusimbench.evaluator.render.document import Cell, Tone
+from gpusimbench.evaluator.render.terminal import print_document
+from gpusimbench.evaluator.report.brief import brief
+from gpusimbench.evaluator.report.document import report
 from gpusimbench.evaluator.report.html import render_html
-from gpusimbench.evaluator.report.page import summary
-from gpusimbench.evaluator.report.page.section import Source
-from gpusimbench.evaluator.results.claims import Tally
+from gpusimbench.evaluator.report.leaders import fastest
+from gpusimbench.evaluator.report.source import Source
 from gpusimbench.evaluator.results.evaluate import evaluate_files
 from gpusimbench.evaluator.results.evaluation import Evaluation
 from tests.synthetic import grid, write_recording, write_sweep
@@ -34,34 +39,42 @@ def evaluate(folder: Path) -> Evaluation:
     return evaluate_files(sorted(folder.glob("*.mcap")))
 
 
+def matrix(evaluation: Evaluation) -> dict[str, dict[str, Cell]]:
+    """The verdicts on the first screen: by simulator, by question."""
+    (found,) = [t for t in report(Source(evaluation, False, "")).tables() if t.key == "simulators"]
+    titles = [column.title for column in found.columns]
+    return {row.cells[0].text: dict(zip(titles, row.cells, strict=True)) for row in found.rows}
+
+
 def test_verdicts_are_computed(tmp_path: Path) -> None:
     """Rank complete runs alone and no instrument; count bits, invalid runs and what was not compared."""
     evaluation = evaluate(tmp_path)
-    section = summary.section(Source(evaluation, False, ""))
-    assert section is not None
-    (fastest,) = section.context["fastest"]
-    assert fastest.first.result.group.key.simulator == "fast"
-    assert fastest.second.result.group.key.simulator == "slow"
-    found = {one.name: one for one in section.context["simulators"]}
-    assert (found["slow"].same_envs, found["slow"].same_runs) == (Tally(1, 1, 1), Tally(1, 1, 1))
-    assert (found["fast"].same_envs, found["fast"].same_runs) == (Tally(0, 1, 1), Tally(0, 1, 1))
-    assert found["wrong"].troubled == {"INVALID (buffer)": 2}
-    assert (found["wrong"].speeds, found["wrong"].same_runs) == ((), Tally(0, 0, 1))
-    assert found["control"].instrument
-    assert section.context["no_reference"] == evaluation.reference_note
+    (found,) = fastest(evaluation.results)
+    assert found.first is not None and found.second is not None  # noqa: PT018
+    assert found.first.result.group.key.simulator == "fast"
+    assert found.second.result.group.key.simulator == "slow"
+    shown = matrix(evaluation)
+    assert list(shown)[-1] == "control"  # an instrument stands last
+    assert (shown["slow"]["repeats itself"].tone, shown["slow"]["envs alike"].tone) == (Tone.GOOD, Tone.GOOD)
+    assert (shown["fast"]["repeats itself"].tone, shown["fast"]["envs alike"].tone) == (Tone.BAD, Tone.BAD)
+    assert shown["fast"]["repeats itself"].text.startswith("no, 0.0")
+    assert shown["fast"]["repeats itself"].notes == ("2 distinct of 2",)
+    assert shown["wrong"]["valid"] == Cell("no", notes=("2 of 2 INVALID",), tone=Tone.BAD)
+    assert shown["wrong"]["repeats itself"].text == "not compared"
 
 
 def test_the_page_begins_with_them(tmp_path: Path) -> None:
-    """Show the summary before any other section, with the verdicts in words."""
-    text = render_html(evaluate(tmp_path), published=False, command="")
-    first = re.search(r'<h2 id="(\w+)">', text)
-    assert first is not None
-    assert first[1] == "summary"
-    plain = re.sub(r"\s+", " ", re.sub(r"<[^>]*>", " ", text))
-    assert re.search(r"Fastest in inclined-collision on [^:]+: fast", plain)
-    assert "an instrument, not ranked" in plain
-    assert "2 INVALID (buffer)" in plain
-    assert "No distance to reality: no reference" in plain
+    """Show the question, what is wrong with the set, the verdicts and the fastest before any section."""
+    evaluation = evaluate(tmp_path)
+    text = render_html(evaluation, published=False, command="")
+    plain = re.sub(r"\s+", " ", re.sub(r"<[^>]*>", " ", text[text.index("<h1>") : text.index("<details")]))
+    assert "What is wrong with this set: 2 runs of 8 failed, are INVALID or lost data" in plain
+    assert "an instrument with known answers" in plain
+    assert "The fastest valid simulator of each scene" in plain
+    terminal = io.StringIO()
+    print_document(brief(evaluation), terminal)
+    assert "Fastest valid simulator in inclined-collision on" in terminal.getvalue()
+    assert "no distance to reality: no reference" in terminal.getvalue()
 
 
 def test_faults_in_any_scene_bar_a_first_place(tmp_path: Path) -> None:
@@ -71,13 +84,15 @@ def test_faults_in_any_scene_bar_a_first_place(tmp_path: Path) -> None:
         final = grid(2)
         final[:, :9, 2] = -1.0 if simulator == "fast" else 0.03
         write_recording(tmp_path, final, simulator=simulator, gpu_bytes=(0, 10**9), elapsed_s=1.0 + (speed > 2e5))
-    text = render_html(evaluate_files(sorted(tmp_path.glob("*.mcap"))), published=False, command="")
-    said = [re.sub(r"<[^>]*>", "", part) for part in re.findall(r"<li>Fastest in.*?</li>", text, re.DOTALL)]
-    swept, collided = sorted(said)
-    assert re.match(r"Fastest in free-fall on Test GPU: slow .*\. No other simulator qualifies\.", swept)
-    assert re.search(r"Not named first: fast .*: 9 of 27 cubes per env sank \(inclined-collision\)", swept)
-    assert re.match(r"Fastest in inclined-collision on Test GPU: slow \[inclined-collision\], ", collided)
-    assert "Not named first" not in collided  # it is slower there
+    found = {one.scene: one for one in fastest(evaluate_files(sorted(tmp_path.glob("*.mcap"))).results)}
+    swept, collided = found["free-fall"], found["inclined-collision"]
+    assert swept.first is not None and collided.first is not None  # noqa: PT018
+    assert (swept.first.result.group.key.simulator, swept.second) == ("slow", None)
+    ((speed_of, why),) = swept.faster
+    assert speed_of.result.group.key.simulator == "fast"
+    assert "9 of 27 cubes per env sank (inclined-collision)" in why
+    assert collided.first.result.group.key.simulator == "slow"
+    assert collided.faster == ()  # it is slower there
 
 
 def test_nobody_is_named_where_all_are_wrong(tmp_path: Path) -> None:
@@ -87,18 +102,29 @@ def test_nobody_is_named_where_all_are_wrong(tmp_path: Path) -> None:
         write_recording(
             tmp_path, None, simulator=simulator, scene="free-fall", status="INVALID", cause="BUFFER", reason="dropped"
         )
-    text = render_html(evaluate_files(sorted(tmp_path.glob("*.mcap"))), published=False, command="")
-    (said,) = re.findall(r"<li>Fastest in.*?</li>", text, re.DOTALL)
-    assert "nobody is named" in said
-    assert said.count("1 of 1 run is INVALID (buffer) (free-fall)") == 2
+    (found,) = fastest(evaluate_files(sorted(tmp_path.glob("*.mcap"))).results)
+    assert (found.first, found.second) == (None, None)
+    assert [why for _, why in found.faster] == 2 * ["1 of 1 run is INVALID (buffer) (free-fall)"]
 
 
 def test_other_timed_steps_are_not_ranked(tmp_path: Path) -> None:
     """Rank among the steps that most were timed over, and name the others beside it."""
     for simulator, warmup, seconds in (("a", 100, 2.0), ("b", 100, 3.0), ("quick", 20, 0.1)):
         write_recording(tmp_path, grid(2), simulator=simulator, warmup=warmup, elapsed_s=seconds)
-    section = summary.section(Source(evaluate_files(sorted(tmp_path.glob("*.mcap"))), False, ""))
-    assert section is not None
-    (fastest,) = section.context["fastest"]
-    assert (fastest.first.result.label, fastest.second.result.label) == ("a", "b")
-    assert fastest.otherwise == (("quick", "steps 20 to 1,020"),)
+    (found,) = fastest(evaluate_files(sorted(tmp_path.glob("*.mcap"))).results)
+    assert found.first is not None and found.second is not None  # noqa: PT018
+    assert (found.first.result.label, found.second.result.label) == ("a", "b")
+    assert found.otherwise == (("quick", "steps 20 to 1,020"),)
+
+
+@pytest.mark.parametrize("runs", [1, 3])
+def test_a_group_alone_takes_fifteen_lines_at_most(tmp_path: Path, runs: int) -> None:
+    """Say first whether it repeats itself, then the rest, on a terminal's first half."""
+    for run in range(runs):
+        write_recording(tmp_path, grid(2), run=run, name=f"{run}.mcap", gpu_bytes=(0, 10**9))
+    stream = io.StringIO()
+    print_document(brief(evaluate_files(sorted(tmp_path.glob("*.mcap")))), stream)
+    lines = stream.getvalue().splitlines()
+    assert len(lines) <= 15
+    first = "all 3 runs are bit-identical" if runs > 1 else "whether it repeats itself is not known"
+    assert first in lines[0]

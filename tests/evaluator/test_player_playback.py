@@ -78,14 +78,14 @@ def test_the_page_has_two_scripts_and_no_other_file(evaluation: Evaluation, tmp_
     """Hold nothing that runs but our own scripts, which the policy names by their hashes."""
     text = write_html(evaluation, tmp_path, published=False, command="gsb-eval").read_text(encoding="utf-8")
     scripts = re.findall(r"<script([^>]*)>(.*?)</script>", text, re.DOTALL)
-    assert [s for kind, s in scripts if not kind] == [download("download.js"), script()]
+    assert [s for kind, s in scripts if not kind] == [download("page.js"), download("download.js"), script()]
     assert {kind for kind, _ in scripts if kind} == {' type="application/json" class="clip"'}
     for tag, attributes in Page(text).tags:
         assert tag not in {"link", "iframe", "object", "embed", "img", "base", "form"}
         assert not any(name.startswith("on") or name == "src" for name in attributes)
     (policy,) = re.findall(r'Content-Security-Policy" content="([^"]*)"', text.replace("&#39;", "'"))
     assert re.fullmatch(
-        r"default-src 'none'; script-src( 'sha256-[A-Za-z0-9+/]{43}='){2}; style-src 'unsafe-inline'; "
+        r"default-src 'none'; script-src( 'sha256-[A-Za-z0-9+/]{43}='){3}; style-src 'unsafe-inline'; "
         r"base-uri 'none'; form-action 'none'",
         policy,
     )
@@ -97,6 +97,7 @@ def test_the_report_plays_its_groups(evaluation: Evaluation, tmp_path: Path) -> 
     page = write_html(evaluation, tmp_path, published=False, command="gsb-eval")
     with Browser() as browser:
         browser.open(page)
+        browser.evaluate("document.querySelector('#playback').closest('details').open = true")
         titles = browser.evaluate("[...document.querySelectorAll('.clips option')].map(option => option.textContent)")
         assert titles[0] == "parting: 3 of 8 environments of 2 runs"
         browser.click("button.first")

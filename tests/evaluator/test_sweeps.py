@@ -17,6 +17,7 @@ from gpusimbench.evaluator.results.evaluate import evaluate_files
 from gpusimbench.evaluator.results.evaluation import Evaluation
 from gpusimbench.evaluator.results.sweeps import Sweep
 from tests.conftest import Command
+from tests.pages import part
 from tests.synthetic import grid, write_recording, write_sweep
 
 SIZES = (1, 4, 16, 64, 256)
@@ -162,10 +163,10 @@ def test_a_long_sweep_is_one_table(tmp_path: Path) -> None:
     assert "synthetic [n_env=64]" not in columns
     assert "synthetic [n_env=16" in columns  # it captured states
     page = render_html(evaluation, published=True, command="")
-    throughput = page.partition('<h2 id="throughput">')[2].partition("</section>")[0]
+    throughput = part(page, "throughput")
     assert "synthetic [n_env=64]" not in throughput
     assert "points of a sweep" in throughput
-    scaling = page.partition('<h2 id="scaling">')[2].partition("</section>")[0]
+    scaling = part(page, "scaling")
     assert "failed at 256: device memory: no memory for the contacts" in scaling
     assert scaling.count("<svg") > 2
 

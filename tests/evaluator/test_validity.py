@@ -24,6 +24,7 @@ from gpusimbench.evaluator.runs.validation import verify
 from gpusimbench.schemas.messages import message_class
 from gpusimbench.schemas.provenance import Buffer, OverflowBit
 from tests.conftest import Command, call
+from tests.pages import part as part_of
 from tests.synthetic import Shown, grid, write_recording
 
 BITS = (OverflowBit(0, "NEFC", fatal=True), OverflowBit(9, "ITERATIONS", fatal=False))
@@ -188,7 +189,7 @@ def test_an_invalid_run_enters_no_mean_and_is_seen_everywhere(tmp_path: Path) ->
     assert [r["cause"] for r in document["recordings"]] == ["", "", "buffer"]
     page = render_html(evaluation, published=False, command="")
     for section in ("variability", "throughput", "validity"):
-        part = page.partition(f'<h2 id="{section}">')[2].partition("</section>")[0]
+        part = part_of(page, section)
         assert "1 INVALID (buffer) of 3 runs" in part, section
     assert "NEFC overflowed: contacts were dropped" in page.partition("<main>")[0]
 
