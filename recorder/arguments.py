@@ -45,8 +45,9 @@ environments:
   --python PATH takes one of your own. What builds on torch gets the torch that pip is configured for on this machine.
 
 examples:
+  gsb-record --list mujoco
   gsb-record --sim mujoco
-  gsb-record --sim mujoco --scene free-fall --n-env 64 --runs 3 --out recordings/
+  gsb-record --sim mujoco --scene free-fall --n-env 64 --runs 3 --out falling/
   gsb-record --sim mujoco --option cone=pyramidal --option integrator=Euler
   gsb-record --sim mujoco --scene free-fall --sweep 1..131072:4 --runs 3 --phases timed --timeout 600
   gsb-record --setup genesis && gsb-record --sim genesis
@@ -60,7 +61,7 @@ _USAGE = """\
        %(prog)s --sim real --trials CSV --unit {m,cm} [options]
        %(prog)s --replay FILE [options]
        %(prog)s --setup NAME [--python PATH]
-       %(prog)s --list [--json]"""
+       %(prog)s --list [NAME] [--json]"""
 
 
 _SIMULATED: dict[str, Any] = {
@@ -99,7 +100,7 @@ _REPLAYED: dict[str, Any] = {
 }  # fmt: skip
 """The same for replays; and so are the options that are short for --option."""
 
-OUT, OUT_OF_REPLAYS = Path("recordings"), Path("replays")  # replays are no further runs of a set
+OUT, OUT_OF_REPLAYS = Path("runs"), Path("replays")  # replays are no further runs of a set
 
 SHORTHANDS = {
     "impl": "implementation, of simulators that have several",
@@ -121,7 +122,14 @@ def parser() -> Parser:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     add_common(p, names)
-    p.add_argument("--list", action="store_true", help="show simulators, where they are installed, and scenes")
+    p.add_argument(
+        "--list",
+        nargs="?",
+        const="",
+        metavar="NAME",
+        help="show simulators, where they are installed, and scenes; of one that is named all: options, levels of "
+        "determinism, and whether they have an effect here",
+    )
     p.add_argument("--setup", metavar="NAME", help="make the environment of a simulator that needs one of its own")
     p.add_argument(
         "--python",
@@ -235,7 +243,8 @@ def names() -> dict[str, tuple[str, ...]]:
     from gpusimbench.recorder.scenes.registry import scene_names
     from gpusimbench.recorder.simulators.registry import simulators
 
-    return {"sim": (*simulators(), REAL), "scene": scene_names(), "setup": tuple(SPECIFICATIONS)}
+    sims, scenes = tuple(simulators()), scene_names()
+    return {"sim": (*sims, REAL), "scene": scenes, "setup": tuple(SPECIFICATIONS), "list": (*sims, *scenes)}
 
 
 def fill(arguments: argparse.Namespace) -> None:

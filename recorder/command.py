@@ -194,14 +194,15 @@ def _print_json(record: dict[str, Any]) -> None:
     show_document(json.dumps({"schema_version": 1, **record}, indent=1))
 
 
-def _list(as_json: bool) -> int:
+def _list(name: str, as_json: bool) -> int:
     with shielded():
         from gpusimbench.recorder.listing import list_all, text_of
-    known = list_all()
+        from gpusimbench.recorder.listing_one import lines_of, list_one
+    known = list_one(name) if name else list_all()
     if as_json:
         _print_json(known)
     else:
-        show(block(text_of(known).split("\n")))
+        show(block(lines_of(known) if name else text_of(known).split("\n")))
     return ExitCode.OK
 
 
@@ -225,13 +226,18 @@ def run(given: list[str]) -> int:
     except SystemExit:
         flush()  # --help and --version only write to a buffer, and an error there would come too late
         raise
-    commands = (arguments.list, arguments.setup is not None, arguments.sim is not None, arguments.replay is not None)
+    commands = (
+        arguments.list is not None,
+        arguments.setup is not None,
+        arguments.sim is not None,
+        arguments.replay is not None,
+    )
     if sum(commands) > 1:
         raise UsageError("--list, --setup, --sim and --replay are four commands; give one of them")
-    if arguments.python is not None and (arguments.list or arguments.sim == REAL):
+    if arguments.python is not None and (arguments.list is not None or arguments.sim == REAL):
         raise UsageError("--python is for the runs of a simulator, and for --setup")
-    if arguments.list:
-        return _list(arguments.json)
+    if arguments.list is not None:
+        return _list(arguments.list, arguments.json)
     if arguments.setup is not None:
         return _set_up(arguments)
     if not arguments.sim and arguments.replay is None:

@@ -31,7 +31,7 @@ def text_of(known: Json) -> str:
     lines = ["simulators"]
     for about in known["simulators"]:
         lines.append(f"  {about['name']:<20} {about['summary']}")
-        lines += [f"{'':<23}{line}" for line in _details(about)]
+        lines += [f"{'':<23}{line}" for line in details(about)]
     lines.append("scenes")
     lines += [f"  {scene['name']:<20} {scene['summary'] or scene['problem']}" for scene in known["scenes"]]
     return "\n".join(lines)
@@ -121,7 +121,8 @@ def _adapter(entry: Entry) -> tuple[type[Simulator] | None, str]:
         return None, str(error)
 
 
-def _details(about: Json) -> list[str]:
+def details(about: Json) -> list[str]:
+    """Where a simulator is installed, its devices, precision, scenes and levels, a line each."""
     lines = []
     if about["installed"]:
         lines.append(f"needs {about['needs']}" if about["needs"] else "installed")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import inspect
+import re
 from collections.abc import Iterable, Mapping
 from dataclasses import fields
 from typing import Any, get_type_hints
@@ -45,3 +47,21 @@ def parse_options(simulator: str, kind: type, given: Mapping[str, str]) -> Any:
         return kind(**values)
     except ValueError as error:
         raise UsageError(f"simulator '{simulator}': {error}") from None
+
+
+def meanings(kind: type) -> dict[str, str]:
+    """What each option of a dataclass means, from the tables in its docstring and those of its bases.
+
+    A row is a name, or several with commas between, two blanks, and the meaning, which may go on in lines below. A name
+    that ends in "..." stands for all options that begin so.
+    """
+    names = [field.name for field in fields(kind)]
+    found: dict[str, str] = {}
+    for base in reversed(kind.__mro__):
+        text = inspect.cleandoc(base.__dict__.get("__doc__") or "")
+        for row in re.finditer(r"^(\w+(?:\.\.\.)?(?:, \w+)*) {2,}(\S.*(?:\n {2,}\S.*)*)", text, re.MULTILINE):
+            meaning = " ".join(row[2].split())
+            for name in row[1].split(", "):
+                stem = name.removesuffix("...")
+                found.update((n, meaning) for n in names if n == name or (stem != name and n.startswith(stem)))
+    return found

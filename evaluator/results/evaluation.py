@@ -54,3 +54,8 @@ class Evaluation:
     def sampled_at(self, scene: str) -> float:
         """Simulated time at which positions of a scene are compared [s]."""
         return self.shorter.get(scene, self.sample_time)
+
+    def sampled(self) -> str:
+        """When positions are compared, in words: each time of any scene, such as "t = 1 and 5 s"."""
+        times = sorted({self.sampled_at(result.group.key.scene) for result in self.results} or {self.sample_time})
+        return f"t = {' and '.join(f'{time:g}' for time in times)} s"

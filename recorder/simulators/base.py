@@ -66,7 +66,9 @@ class Simulator(ABC):
     Options          frozen dataclass of the engine's own options; every field has a default
     abilities        what the engine can do, with some of its options at least; none where a class does not say
     timing_interval  steps between two clock readings of the timed phase; 1 unless reading the clock would cost
-    determinism      levels that can be asked for, and what each sets, in words; "default" is the engine as it ships
+    determinism_levels    levels that can be asked for, and what each sets, in words; "default" is the engine as it
+                          ships
+    levels_without_effect  by kind of device ("cpu", "cuda"), levels that are known to change nothing there, and why
     draws_actions    True where the adapter makes the scene's actions on its device, step by step, instead of taking
                      them from ``prepare``
     blocks_ahead     blocks of captured steps that may be begun before the first of them is waited for
@@ -76,6 +78,7 @@ class Simulator(ABC):
     abilities: ClassVar[frozenset[Ability]] = frozenset()
     timing_interval: ClassVar[int] = 1
     determinism_levels: ClassVar[dict[str, str]] = {"default": "the engine as it ships"}
+    levels_without_effect: ClassVar[dict[str, dict[str, str]]] = {}
     draws_actions: ClassVar[bool] = False
     blocks_ahead: ClassVar[int] = 1
 

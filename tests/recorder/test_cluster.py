@@ -515,7 +515,7 @@ def test_the_commands_of_the_guide(tmp_path: Path) -> None:
         assert not [process for process in _processes() if short in process]
     assert done.returncode == 0, done.stderr
     assert sorted(done.stdout.split()) == sorted(
-        str(path.relative_to(tmp_path)) for path in (tmp_path / "recordings").iterdir()
+        str(path.relative_to(tmp_path)) for path in (tmp_path / "runs").iterdir()
     )
     said = done.stderr.splitlines()
     assert said[0] == "1 runs at a time on 1 nodes of the cluster"

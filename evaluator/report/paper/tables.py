@@ -72,8 +72,7 @@ def text_tables(evaluation: Evaluation, formats: Iterable[Format], *, published:
 def tables(evaluation: Evaluation, *, published: bool) -> Iterator[TextTable]:
     """All tables that have a row."""
     shown = Source(evaluation, published, "").shown
-    times = sorted({evaluation.sampled_at(result.group.key.scene) for result in evaluation.results})
-    when = f"positions at t = {' and '.join(f'{time:g}' for time in times)} s"
+    when = f"positions at {evaluation.sampled()}"
     swept = evaluation.sweeps
     found = [
         _of_metrics(Table.VARIABILITY, f"Variability, {when}; mean ± SD", shown),

@@ -51,7 +51,7 @@ def asked_of(evaluation: Evaluation) -> str:
     ]
     reference = evaluation.reference
     compared = f"; compared with {reference.label}" if reference else ""
-    return f"{', '.join(counts)}; positions at t = {evaluation.sample_time:g} s{compared}."
+    return f"{', '.join(counts)}; positions at {evaluation.sampled()}{compared}."
 
 
 def _matrix(evaluation: Evaluation) -> Table:

@@ -43,6 +43,9 @@ class Genesis(Simulator):
     Options = GenesisOptions
     abilities = BODIES - {Ability.CAPSULES} | ROBOTS
     timing_interval = 10  # Genesis itself waits for the device at every tenth substep, to look at its error codes
+    levels_without_effect = {
+        "cpu": dict.fromkeys(("off", "run-to-run"), "on a CPU there is one implementation, and nothing to choose")
+    }
     determinism_levels = {
         "default": "as it ships: use_deterministic_algorithms is left to the engine, which sets it unless "
         "performance_mode is on",

@@ -34,6 +34,9 @@ LEVELS = {
 }
 """Determinism levels of adapters on JAX; between them they tell whether timing or operations make runs differ."""
 
+LEVELS_OF_GPUS = tuple(level for level in LEVELS if level != "default")
+"""Those that set flags of XLA's compiler for GPUs."""
+
 
 @dataclass(frozen=True)
 class JaxOptions:

@@ -56,6 +56,9 @@ class JaxSimulator(Simulator):
     # One reading of the clock for so many steps: inside, nothing but the engine's own loop runs.
     timing_interval = 100
     determinism_levels = jax_runtime.LEVELS
+    levels_without_effect = {
+        "cpu": dict.fromkeys(jax_runtime.LEVELS_OF_GPUS, "its flags are those of XLA's compiler for GPUs")
+    }
     draws_actions = True
     blocks_ahead = 2
 

@@ -14,6 +14,7 @@ SOLVERS = ("mujoco", "xpbd", "steel", "semi-implicit", "featherstone", "vbd", "k
 class NewtonOptions:
     """Options of Newton; one that a solver does not have is without effect, and recorded as null.
 
+    solver               mujoco, xpbd, steel, semi-implicit, featherstone, vbd or kamino
     substeps             solver steps per step, each with its own collision detection
     iterations           of the solver; 0: its own default
     device               auto, cpu or cuda (the first GPU that CUDA shows)

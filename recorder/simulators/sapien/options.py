@@ -36,6 +36,7 @@ class SapienOptions:
     enable_tgs                  the solver TGS, or else PGS
     enable_pcm                  contact points are kept from step to step; a GPU always does
     enable_ccd                  continuous collision detection
+    enable_friction_every_iteration  friction is solved at each iteration of the solver, not at the last ones alone
     cpu_workers                 further threads of each PhysxCpuSystem; 0: the one that calls it
     spacing                     distance between the origins of environments on a GPU [m]
     max_rigid_contact_count     contact points of all environments for which a GPU has room; 0: as many as were
