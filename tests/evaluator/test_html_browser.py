@@ -63,7 +63,7 @@ def test_the_page_fits(browser: Browser, page: Path, width: int, dark: bool) -> 
     """Scroll sideways in regions for tables alone, ask for nothing, and give the console no reason to complain."""
     browser.open(page, width=width, dark=dark)
     assert browser.evaluate("document.documentElement.scrollWidth") <= width
-    beyond = f"""[...document.querySelectorAll('body *')].filter(e => !e.closest('.scroll, svg, .skip')
+    beyond = f"""[...document.querySelectorAll('body *')].filter(e => !e.closest('.scroll, .table, svg, .skip')
         && e.getBoundingClientRect().right > {width} + 0.5).map(e => e.outerHTML.slice(0, 80))"""
     assert browser.evaluate(beyond) == []
     assert (browser.errors, browser.requests) == ([], [])
@@ -75,7 +75,7 @@ def test_the_page_can_be_read_at_four_hundred_per_cent(browser: Browser, page: P
     browser.open(page, width=1280, zoom=4)
     assert browser.evaluate("document.documentElement.scrollWidth") <= 320
     cut = """[...document.querySelectorAll('p, li, h1, h2, h3, h4, dd, dt, summary, a, button, pre')]
-        .filter(e => e.checkVisibility() && !e.closest('.scroll, .loud') && e.scrollWidth > e.clientWidth + 1
+        .filter(e => e.checkVisibility() && !e.closest('.scroll, .table, .loud') && e.scrollWidth > e.clientWidth + 1
                      && getComputedStyle(e).display !== 'inline').map(e => e.outerHTML.slice(0, 80))"""
     assert browser.evaluate(cut) == []
 

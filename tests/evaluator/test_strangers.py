@@ -321,7 +321,7 @@ def test_groups_far_apart_and_exploded(gsb_eval: Command, tmp_path: Path) -> Non
     groups = {g["simulator"]: g["metrics"] for g in json.loads((tmp_path / "r.json").read_text())["groups"]}
     assert groups["here"]["w1_parallel"]["value"] == groups["there"]["w1_parallel"]["value"] == 0
     assert "blew up" in groups["wild"]["w1_parallel"]["why_not"]
-    assert "too far apart" in (tmp_path / "report" / "index.html").read_text()
+    assert "off the map" in (tmp_path / "report" / "index.html").read_text()
 
 
 def test_trials_measured_at_another_time(gsb_record: Command, gsb_eval: Command, tmp_path: Path) -> None:

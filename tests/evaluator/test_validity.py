@@ -304,7 +304,7 @@ def test_every_value_has_a_row_in_the_documents() -> None:
 
 def test_the_command_prints_it(small_set: list[Path]) -> None:
     """Show contacts and preparation times in the table of the command."""
-    shown = call("gsb-eval", *small_set, "--sample-time", "1").stdout
+    shown = call("gsb-eval", *small_set, "--sample-time", "1", "--all").stdout
     assert "contacts per env: mean / max" in shown
     assert "time to build [s]" in shown
     assert "INVALID" not in shown
