@@ -17,9 +17,7 @@ from gpusimbench.schemas.blocks import (
     decode_action,
     decode_fingerprints,
     decode_state,
-    encode_action,
     encode_fingerprints,
-    encode_state,
     pack_state,
     state_bytes,
     state_header,
@@ -28,6 +26,7 @@ from gpusimbench.schemas.blocks import (
 )
 from gpusimbench.schemas.errors import DamagedRecording
 from gpusimbench.schemas.messages import message_class
+from tests.encoded import encode_action, encode_state
 
 _DTYPES = st.sampled_from(["<f4", "<f8", ">f4", ">f8"])
 
