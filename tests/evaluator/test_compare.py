@@ -302,9 +302,9 @@ def test_head_that_never_starts(tmp_path: Path, capsys: pytest.CaptureFixture[st
     assert finding(document, "fps")["why_not"] == "no run of this group is complete"
 
 
-def spread(seed: int, by: float = 0.0) -> Any:
-    """Final positions of four environments, each its own draw, cubes moved along x."""
-    final = grid(4) + 0.003 * np.random.default_rng(seed).normal(size=(4, 27, 3))
+def spread(seed: int, by: float = 0.0, size: float = 0.003) -> Any:
+    """Final positions of four environments, each its own draw of a size [m], cubes moved along x."""
+    final = grid(4) + size * np.random.default_rng(seed).normal(size=(4, 27, 3))
     final[..., 0] += by
     return final
 
@@ -320,6 +320,15 @@ def test_outcomes_of_runs_that_differ(tmp_path: Path, capsys: pytest.CaptureFixt
         assert finding(document, "fps")["why_not"] == "the timed phase was left out"
         assert "differ among themselves" in finding(document, "states")["why_not"]
     assert outcome["least_p"] == 2 / 924
+
+
+def test_variability_that_falls(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Call a tenth of the spread, between environments and between runs, an improvement."""
+    sides = [
+        [{"final": spread(i, size=size)} for i in runs] for size, runs in ((0.03, range(6)), (0.003, range(6, 12)))
+    ]
+    _, document = compared(*write_sides(tmp_path, *sides, elapsed_s=None), capsys=capsys)
+    assert {finding(document, name)["change"] for name in ("w1_parallel", "w1_run_to_run")} == {"improvement"}
 
 
 def test_outcomes_to_the_bit(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -65,11 +65,12 @@ def _lines(function: Callable[[], object]) -> int:
         counted += 1
         return count
 
+    before = sys.gettrace()
     sys.settrace(count)
     try:
         function()
     finally:
-        sys.settrace(None)
+        sys.settrace(before)
     return counted
 
 
