@@ -46,8 +46,9 @@ MOST_SECONDS = 60
 MOST_FILES = 6
 """Files of tests that a mutant meets after these."""
 
-LIMIT_S = 300
-"""A mutant whose tests take longer is killed: it loops where the code does not."""
+LIMIT_S = 60
+SLOWER = 4
+"""A mutant is killed whose tests take a minute, and so many times what they took when they were measured: it loops."""
 
 Place = tuple[int, int]
 
@@ -216,14 +217,16 @@ def _run(mutant: Mutant, measured: Reached, trees: SimpleQueue[Path]) -> Result:
     try:
         for given in (tests, near(mutant.path)):
             left_out: list[str] = []
+            limit = LIMIT_S + SLOWER * sum(map(measured.time_of, given))
             while given and not killed_by:
                 _write(tree / mutant.path, mutant.code)
                 compiled = "transport.compiled import" in mutant.code
-                killed_by = _first_failure(tree, [*given, *(f"--deselect={t}" for t in left_out)], compiled=compiled)
+                run = [*given, *(f"--deselect={test}" for test in left_out)]
+                killed_by = _first_failure(tree, run, limit, compiled=compiled)
                 _write(tree / mutant.path, original)
-                if killed_by is None or "::" not in killed_by:
+                if killed_by is None or not killed_by.startswith("tests/"):
                     break
-                if _first_failure(tree, [killed_by], compiled=False):
+                if _first_failure(tree, [killed_by], limit, compiled=False):
                     print(f"left out, because it fails without a mutant: {killed_by}", flush=True)
                     left_out.append(killed_by)
                     killed_by = None
@@ -239,7 +242,7 @@ def _write(path: Path, code: str) -> None:
     Path(importlib.util.cache_from_source(str(path))).unlink(missing_ok=True)
 
 
-def _first_failure(tree: Path, tests: Sequence[str], *, compiled: bool) -> str | None:
+def _first_failure(tree: Path, tests: Sequence[str], limit: float, *, compiled: bool) -> str | None:
     # compiled: machine code of callers has that of the mutated function in it, so nothing kept may be used
     with tempfile.TemporaryDirectory(dir=tree.parent) as folder:
         env = {
@@ -255,11 +258,11 @@ def _first_failure(tree: Path, tests: Sequence[str], *, compiled: bool) -> str |
             start_new_session=True,
         )  # fmt: skip
         try:
-            said, _ = child.communicate(timeout=LIMIT_S)
+            said, _ = child.communicate(timeout=limit)
         except subprocess.TimeoutExpired:
             os.killpg(child.pid, signal.SIGKILL)
             child.communicate()
-            return f"the limit of {LIMIT_S} s"
+            return f"the limit of {limit:.0f} s"
     if child.returncode == 0:
         return None
     failed = re.search(r"^(?:FAILED|ERROR) (.+?)(?: - .*)?$", said, re.MULTILINE)

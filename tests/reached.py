@@ -68,6 +68,10 @@ class Reached:
         sets = {found[str(at)] for at in range(first, last + 1) if str(at) in found}
         return dict(names[number] for one in sets for number in self.sets[one])
 
+    def time_of(self, tests: str) -> float:
+        """Seconds that a test, or all tests of a file, took."""
+        return sum(seconds for name, seconds in self.seconds.items() if name == tests or name.startswith(f"{tests}::"))
+
 
 def _statement(source: str, line: int) -> tuple[int, int]:
     # the lines of the innermost statement at a line, without its block

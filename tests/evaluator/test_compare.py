@@ -403,6 +403,22 @@ def test_versions_are_what_is_compared(tmp_path: Path, capsys: pytest.CaptureFix
     assert set(document["compared"][0]["differs"]) == {"XLA_FLAGS: unset -> --new", "precision: unset -> high"}
 
 
+def test_commits_of_the_recorder(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Name at most three commits of a side, twelve digits of each, and mark those with changes of their own."""
+    for side, letters in (("base", "aa"), ("head", "edcb")):
+        (tmp_path / side).mkdir()
+        for run, letter in enumerate(letters):
+
+            def change(name: str, record: dict[str, Any], commit: str = 40 * letter) -> None:
+                if name == PROVENANCE:
+                    record["software"] = {"recorder": {"commit": commit, "modified": commit[0] == "b"}}
+
+            write_recording(tmp_path / side, None, run=run, change=change)
+    _, document = compared(tmp_path / "base", tmp_path / "head", capsys=capsys)
+    commits = f"{12 * 'b'}+, {12 * 'c'}, {12 * 'd'}"
+    assert document["compared"][0]["differs"] == [f"commit of the recorder: {12 * 'a'} -> {commits}"]
+
+
 def test_the_exit_codes_of_files(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Exit 3 for a damaged file or a run that was cut short, 4 where a gate fails beside it."""
     base, head = write_sides(tmp_path / "good", timed(), timed())
