@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 
 from gpusimbench.evaluator.check.protocol import unmet_by_file
 from gpusimbench.evaluator.cli.compare import main
+from gpusimbench.evaluator.statistics import exchange
 from gpusimbench.schemas.provenance import PROVENANCE
 from tests.synthetic import Shown, grid, write_recording
 
@@ -329,6 +330,17 @@ def test_variability_that_falls(tmp_path: Path, capsys: pytest.CaptureFixture[st
     ]
     _, document = compared(*write_sides(tmp_path, *sides, elapsed_s=None), capsys=capsys)
     assert {finding(document, name)["change"] for name in ("w1_parallel", "w1_run_to_run")} == {"improvement"}
+
+
+def test_exchanges_that_are_drawn(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Say how many ways to exchange the runs were drawn, where they are too many to go through."""
+    monkeypatch.setattr(exchange, "MOST_DEALINGS", 100)
+    sides = [[{"final": spread(i)} for i in runs] for runs in (range(6), range(6, 12))]
+    _, document = compared(*write_sides(tmp_path, *sides, elapsed_s=None), capsys=capsys)
+    for name in ("outcome", "w1_run_to_run"):
+        assert f"({exchange.DRAWN} ways drawn with seed " in finding(document, name)["test"]
 
 
 def test_outcomes_to_the_bit(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -168,3 +168,15 @@ def test_messages_out_of_their_order(tmp_path: Path) -> None:
     assert [found.chunk_bytes(message) for message in found.messages("/one")] == [31 + 5, 31 + (64 << 20) - 100]
     with pytest.raises(DamagedRecording, match="message 0 of /one is missing, or far behind"):
         list(_out_of_order(tmp_path / "b.mcap", 64 << 20).in_sequence("/one"))
+
+
+def test_a_file_without_messages(tmp_path: Path) -> None:
+    """Say of no messages what MCAP asks for: times of zero."""
+    path = tmp_path / "empty.mcap"
+    write(path, (), "none")
+    with path.open("rb") as stream:
+        summary = make_reader(stream).get_summary()
+    assert summary is not None
+    assert summary.statistics is not None
+    found = summary.statistics
+    assert (found.message_count, found.message_start_time, found.message_end_time) == (0, 0, 0)
