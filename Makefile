@@ -11,13 +11,14 @@ ENGINES     ?= calibration physx sapien
 ALL_ENGINES := calibration genesis isaaclab maniskill physx sapien
 export GSB_ENVIRONMENTS ?= $(abspath $(VENV))/environments
 
-.PHONY: help install demo test test-all engines environments test-engines mutants lint proto locks figures site man bench clean
+.PHONY: help install demo test test-all engines environments test-engines coverage mutants lint proto locks figures site man bench clean
 
 help:
 	@echo "make demo   install, record 16 envs x 10 runs of inclined-collision with MuJoCo C, evaluate, write a report"
 	@echo "make test   install what is missing, run style, types, import contracts and the quick tests"
 	@echo "make test-all  every check and test: engines, clusters, kills, limits, every command of the documents"
 	@echo "make engines  the same with every simulator that has an environment of its own: gigabytes, and minutes of builds"
+	@echo "make coverage  how much of the code the quick tests execute, and what of it they do not"
 	@echo "make mutants  SAMPLE=100 SEED=1: how many random mutants of the code the quick tests notice, and which not"
 	@echo "make lint   style, types and the import contract"
 	@echo "make proto  rebuild the descriptor set after a change of schemas/proto"
@@ -73,9 +74,13 @@ test-engines: environments
 	  PYTHONPATH="$(CURDIR)/src:$(CURDIR):$$tools" "$$python" -P -m pytest tests/recorder/test_$$engine.py || exit; \
 	done
 
-# cosmic-ray makes the mutants; nothing else needs it.
+coverage: $(VENV)/.installed-test
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt coverage
+	$(BIN)/python -m tests.reached
+
+# cosmic-ray makes the mutants, coverage finds the tests that execute them; nothing else needs the two.
 mutants: $(VENV)/.installed-test
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt cosmic-ray
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt cosmic-ray coverage
 	$(BIN)/python -m tests.mutants --sample $(SAMPLE) --seed $(SEED) --jobs $(JOBS)
 
 proto: $(VENV)/.installed-test

@@ -51,7 +51,6 @@ from gpusimbench.schemas.provenance import (
     SIMULATION,
     Provenance,
     ReplayOf,
-    Simulation,
 )
 
 Progress = Callable[[str, int, int], None]
@@ -243,21 +242,8 @@ class Run:
         _end_memory(journal, memory)
 
     def _write_description(self, sink: Sink, scene: Scene, description: Description) -> None:
-        simulation = Simulation(
-            version=description.version,
-            device=description.device,
-            options=description.options,
-            switches=description.switches,
-            deviations=description.deviations,
-            fields=description.fields,
-            scene={"name": scene.name, "sha256": scene.sha256(), "parameters": scene.parameters},
-            env_origins=description.env_origins,
-            timing_covers=description.timing_covers,
-            fresh_start="rebuilt after the timed phase" if "timed" in self._configuration.phases else "first build",
-            buffers=description.buffers,
-            counters=description.counters,
-            overflow_bits=description.overflow_bits,
-        )
+        timed = "timed" in self._configuration.phases
+        simulation = description.recorded(scene, "rebuilt after the timed phase" if timed else "first build")
         sink.attach(SIMULATION, "application/json", simulation.to_json().encode())
         for name, (media_type, data) in description.attachments.items():
             sink.attach(name, media_type, data)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, fields
 from typing import Any
@@ -48,15 +48,6 @@ def raw_bytes(array: NDArray[Any]) -> memoryview:
     return array.reshape(-1).view(np.uint8).data
 
 
-def _before_array(header: Any, field: str, payload: memoryview) -> bytes:
-    number = header.DESCRIPTOR.fields_by_name[field].number
-    return bytes(header.SerializeToString()) + wire.delimited_head(number, len(payload))
-
-
-def _with_array(header: Any, field: str, payload: memoryview) -> bytes:
-    return _before_array(header, field, payload) + payload
-
-
 def _data_field(array: NDArray[Any]) -> str:
     fields = {np.dtype("<f4"): "data", np.dtype("<f8"): "data64"}
     try:
@@ -65,49 +56,39 @@ def _data_field(array: NDArray[Any]) -> str:
         raise ValueError(f"states and actions are float32 or float64, not {array.dtype}") from None
 
 
+def _number(name: str, field: str) -> int:
+    number: int = message_class(name).DESCRIPTOR.fields_by_name[field].number
+    return number
+
+
 def state_parts(
     array: NDArray[Any], *, first_step: int, stride: int, env_start: int, sim_time_ns: int
-) -> tuple[Part, ...]:
+) -> tuple[Part, Part]:
     """A StateBlock from an array [step, env, item, width]: its small fields, and the array's own bytes with their CRC.
 
     The array is not copied where it is contiguous and little-endian, and is not to change before it is written.
     """
-    array = little_endian(array)
-    payload = raw_bytes(array)
-    steps, envs, items, width = array.shape
-    crc = zlib.crc32(payload)
-    header = message_class(_STATE)(
-        first_step=first_step, steps=steps, stride=stride, env_start=env_start, envs=envs, items=items,
-        width=width, sim_time_ns=sim_time_ns, crc32=crc,
-    )  # fmt: skip
-    return Part(_before_array(header, _data_field(array), payload)), Part(payload, crc)
-
-
-def encode_state(array: NDArray[Any], *, first_step: int, stride: int, env_start: int, sim_time_ns: int) -> bytes:
-    """A serialised StateBlock from an array [step, env, item, width]."""
-    parts = state_parts(array, first_step=first_step, stride=stride, env_start=env_start, sim_time_ns=sim_time_ns)
-    return b"".join(part.data for part in parts)
+    sides = ("steps", "envs", "items", "width")
+    return _parts(_STATE, array, sides, first_step=first_step, stride=stride, env_start=env_start,
+                  sim_time_ns=sim_time_ns)  # fmt: skip
 
 
 def action_parts(
     array: NDArray[Any], *, first_step: int, stride: int, env_start: int, sim_time_ns: int
-) -> tuple[Part, ...]:
+) -> tuple[Part, Part]:
     """An ActionBlock from an array [step, env, width], as of `state_parts`."""
+    sides = ("steps", "envs", "width")
+    return _parts(_ACTION, array, sides, first_step=first_step, stride=stride, env_start=env_start,
+                  sim_time_ns=sim_time_ns)  # fmt: skip
+
+
+def _parts(name: str, array: NDArray[Any], sides: Sequence[str], **small: int) -> tuple[Part, Part]:
     array = little_endian(array)
     payload = raw_bytes(array)
-    steps, envs, width = array.shape
     crc = zlib.crc32(payload)
-    header = message_class(_ACTION)(
-        first_step=first_step, steps=steps, stride=stride, env_start=env_start, envs=envs,
-        width=width, sim_time_ns=sim_time_ns, crc32=crc,
-    )  # fmt: skip
-    return Part(_before_array(header, _data_field(array), payload)), Part(payload, crc)
-
-
-def encode_action(array: NDArray[Any], *, first_step: int, stride: int, env_start: int, sim_time_ns: int) -> bytes:
-    """A serialised ActionBlock from an array [step, env, width]."""
-    parts = action_parts(array, first_step=first_step, stride=stride, env_start=env_start, sim_time_ns=sim_time_ns)
-    return b"".join(part.data for part in parts)
+    header = message_class(name)(**dict(zip(sides, array.shape, strict=True)), **small, crc32=crc)
+    head = wire.delimited_head(_number(name, _data_field(array)), len(payload))
+    return Part(header.SerializeToString() + head), Part(payload, crc)
 
 
 def encode_fingerprints(hashes: NDArray[np.uint64], *, first_step: int, stride: int, env_start: int = 0) -> bytes:
@@ -117,7 +98,9 @@ def encode_fingerprints(hashes: NDArray[np.uint64], *, first_step: int, stride: 
     header = message_class(_FINGERPRINT)(
         first_step=first_step, steps=steps, stride=stride, env_start=env_start, envs=envs
     )
-    return _with_array(header, "hashes", raw_bytes(hashes))
+    payload = raw_bytes(hashes)
+    head = wire.delimited_head(_number(_FINGERPRINT, "hashes"), len(payload))
+    return b"".join((header.SerializeToString(), head, payload))
 
 
 @dataclass(frozen=True)
@@ -135,6 +118,13 @@ class BlockHeader:
     encoding: int = 0
     word_bytes: int = 0
     crc32: int | None = None
+
+
+_SMALL = frozenset(field.name for field in fields(BlockHeader))
+
+
+def _header(values: dict[str, int]) -> BlockHeader:
+    return BlockHeader(**{name: value for name, value in values.items() if name in _SMALL})
 
 
 @dataclass(frozen=True)
@@ -179,8 +169,7 @@ def _scan(name: str, data: memoryview, *, again: bool = False) -> _Scanned:
                 packed = found.payload
     except ValueError:
         raise DamagedRecording(f"a {name} message is cut short or no protobuf") from None
-    known = {f.name for f in fields(BlockHeader)}
-    header = BlockHeader(**{k: v for k, v in values.items() if k in known})
+    header = _header(values)
     before = len(data) - len(payload) if end == len(data) and not again else None
     return _Scanned(header, array, payload, packed, before)
 
@@ -284,8 +273,7 @@ def state_header_in(head: memoryview, size: int) -> BlockHeader | None:
     array = wire.delimited_size(head[position:])
     if array is None or position + array != size:
         return None
-    known = {f.name for f in fields(BlockHeader)}
-    return BlockHeader(**{k: v for k, v in values.items() if k in known})
+    return _header(values)
 
 
 def state_bytes(data: bytes | memoryview) -> int:
@@ -310,13 +298,12 @@ def unpack_state(data: bytes | memoryview) -> bytes:
     """The same StateBlock with its array as it is; the inverse of pack_state."""
     _, array = decode_state(data)
     payload = raw_bytes(array)
-    number = message_class(_STATE).DESCRIPTOR.fields_by_name[_data_field(array)].number
-    return b"".join((_without_array(data), wire.delimited_head(number, len(payload)), payload))
+    head = wire.delimited_head(_number(_STATE, _data_field(array)), len(payload))
+    return b"".join((_without_array(data), head, payload))
 
 
 def _without_array(data: bytes | memoryview) -> bytes:
-    by_name = message_class(_STATE).DESCRIPTOR.fields_by_name
-    storage = {by_name[name].number for name in _STORAGE}
+    storage = {_number(_STATE, name) for name in _STORAGE}
     return b"".join(field.whole for field in wire.fields(memoryview(data)) if field.number not in storage)
 
 

@@ -170,23 +170,21 @@ class OverflowBit:
     fatal: bool
 
 
-@dataclass(frozen=True)
-class Simulation:
-    """What is known once the simulator is built.
+@dataclass(frozen=True, kw_only=True)
+class EngineFacts:
+    """What a built simulator says of itself.
 
-    version          of the engine
-    device           "cpu", or the name of the GPU that steps
-    options          every option in force, defaults included
-    switches         determinism switches and whatever else decides which numbers come out
-    deviations       parameters of the scene that were not honoured
-    fields           layout of the state, in recording order
-    env_origins      origin of each environment in the engine's world frame [m]; empty when all are at zero
-    scene            the scene's name and parameters, and the SHA-256 of its description
-    timing_covers    what lies between the clocks of the phase "timed"
-    fresh_start      how the capture phase came to its initial state
-    buffers          capacities that the engine was given
-    counters         what is counted at each step
-    overflow_bits    what the bits of the topics /overflow/<phase> mean
+    version        of the engine
+    device         "cpu", or the name of the GPU that steps
+    options        every option in force, defaults included
+    switches       whatever decides which numbers come out: determinism modes, implementations, precision
+    deviations     parameters of the scene that the engine could not honour
+    fields         layout of the state, in recording order
+    env_origins    origin of each environment in the engine's world frame [m]; empty when all are at zero
+    timing_covers  what lies between two clock readings of the phase "timed"
+    buffers        capacities beyond which the engine drops contacts or constraints; measured, never left at a default
+    counters       what is counted at each step
+    overflow_bits  what the bits of the topics /overflow/<phase> mean
     """
 
     version: str
@@ -195,13 +193,23 @@ class Simulation:
     switches: dict[str, Any]
     deviations: tuple[Deviation, ...]
     fields: tuple[StateField, ...]
-    scene: dict[str, Any]
     env_origins: tuple[tuple[float, float, float], ...] = ()
     timing_covers: str = ""
-    fresh_start: str = "rebuilt"
     buffers: tuple[Buffer, ...] = ()
     counters: tuple[Counter, ...] = ()
     overflow_bits: tuple[OverflowBit, ...] = ()
+
+
+@dataclass(frozen=True, kw_only=True)
+class Simulation(EngineFacts):
+    """What a recording says of the simulator that was built.
+
+    scene        the scene's name and parameters, and the SHA-256 of its description
+    fresh_start  how the capture phase came to its initial state
+    """
+
+    scene: dict[str, Any]
+    fresh_start: str = "rebuilt"
 
     def to_json(self) -> str:
         """As the text of the attachment."""

@@ -2,8 +2,9 @@
 
 A mutant is the code with one operator, number, keyword or decorator replaced, by cosmic-ray's operators. cosmic-ray's
 own runner changes files of the checkout in place, knows one command for all modules and draws no sample; so only its
-operators are used. Each mutant is written into a copy of the checkout in a temporary folder, and the quick tests that
-concern its module run there: those of the files that import the module by the fewest steps, until one fails.
+operators are used. Each mutant is written into a copy of the checkout in a temporary folder. There run the quick tests
+that execute its line (tests.reached), the shortest first, until one fails. Where all pass, so do those of the files
+that import the module by the fewest steps: what a test asks for may have been made once, for an earlier test.
 
 Annotations are not mutated, because nothing evaluates them, and neither are decorators of data classes: mypy holds that
 nothing assigns to a frozen instance.
@@ -30,20 +31,24 @@ from functools import cache
 from pathlib import Path
 from queue import SimpleQueue
 
-ROOT = Path(__file__).resolve().parents[1]
+from tests.reached import PACKAGES, QUICK, ROOT, Reached, reached
+
 FOLDERS = (
     *("evaluator/metrics", "evaluator/transport", "evaluator/statistics", "evaluator/compare", "evaluator/audit"),
     "schemas",
 )
-PACKAGES = ("schemas", "recorder", "evaluator")
 LINKED = ("recordings", "docs", ".git")
 """Read by tests and never written, so that no copy is made."""
 
-MOST_FILES = 12
-"""Files of tests that a mutant meets at most."""
+MOST_SECONDS = 60
+"""That the tests take which execute a mutant's line, at most, so far as they are run."""
 
-LIMIT_S = 300
-"""A mutant whose tests take longer is killed: it loops where the code does not."""
+MOST_FILES = 6
+"""Files of tests that a mutant meets after these."""
+
+LIMIT_S = 60
+SLOWER = 4
+"""A mutant is killed whose tests take a minute, and so many times what they took when they were measured: it loops."""
 
 Place = tuple[int, int]
 
@@ -71,7 +76,7 @@ class Result:
     """What became of a mutant.
 
     killed_by  the first test that failed, or that the time ran out; None where all passed
-    tests      the files of tests that it was to pass
+    tests      that it was to pass, and files of tests
     """
 
     mutant: Mutant
@@ -88,12 +93,13 @@ def main() -> int:
     parser.add_argument("--jobs", type=int, default=2, help="how many run at once (default: 2)")
     given = parser.parse_args()
     mutants = sample(given.folders, given.sample, given.seed)
+    measured = reached()
     with tempfile.TemporaryDirectory(prefix="gsb-mutants-") as folder, ThreadPoolExecutor(given.jobs) as pool:
         trees: SimpleQueue[Path] = SimpleQueue()
         for number in range(given.jobs):
             trees.put(_copy(Path(folder) / str(number)))
         results = []
-        for result in pool.map(lambda mutant: _run(mutant, trees), mutants):
+        for result in pool.map(lambda mutant: _run(mutant, measured, trees), mutants):
             results.append(result)
             print(f"{len(results):4d}/{len(mutants)}  {_told(result)}", flush=True)
     survivors = [result for result in results if result.killed_by is None]
@@ -101,7 +107,7 @@ def main() -> int:
     print(f"\n{killed} of {len(results)} mutants killed, seed {given.seed}; survivors: {len(survivors)}")
     for result in survivors:
         m = result.mutant
-        print(f"\n{m.path}:{m.line}\n- {m.before}\n+ {m.after}\n  tests: {' '.join(result.tests)}")
+        print(f"\n{m.path}:{m.line}\n- {m.before}\n+ {m.after}\n  tests: {' '.join(result.tests[-9:])}")
     return 0
 
 
@@ -203,25 +209,31 @@ def _copy(tree: Path) -> Path:
     return tree
 
 
-def _run(mutant: Mutant, trees: SimpleQueue[Path]) -> Result:
-    tests = tests_of(mutant.path)
+def _run(mutant: Mutant, measured: Reached, trees: SimpleQueue[Path]) -> Result:
+    tests = tests_of(mutant.path, mutant.line, measured)
     original = (ROOT / mutant.path).read_text(encoding="utf-8")
-    left_out: list[str] = []
     tree = trees.get()
+    killed_by = None
     try:
-        while True:
-            _write(tree / mutant.path, mutant.code)
-            given = [*tests, *(f"--deselect={test}" for test in left_out)]
-            killed_by = _first_failure(tree, given, compiled="transport.compiled import" in mutant.code)
-            _write(tree / mutant.path, original)
-            if killed_by is None or "::" not in killed_by or not _first_failure(tree, [killed_by], compiled=False):
-                break
-            print(f"left out, because it fails without a mutant: {killed_by}", flush=True)
-            left_out.append(killed_by)
+        for given in (tests, near(mutant.path)):
+            left_out: list[str] = []
+            limit = LIMIT_S + SLOWER * sum(map(measured.time_of, given))
+            while given and not killed_by:
+                _write(tree / mutant.path, mutant.code)
+                compiled = "transport.compiled import" in mutant.code
+                run = [*given, *(f"--deselect={test}" for test in left_out)]
+                killed_by = _first_failure(tree, run, limit, compiled=compiled)
+                _write(tree / mutant.path, original)
+                if killed_by is None or not killed_by.startswith("tests/"):
+                    break
+                if _first_failure(tree, [killed_by], limit, compiled=False):
+                    print(f"left out, because it fails without a mutant: {killed_by}", flush=True)
+                    left_out.append(killed_by)
+                    killed_by = None
     finally:
         _write(tree / mutant.path, original)
         trees.put(tree)
-    return Result(mutant, killed_by, tests)
+    return Result(mutant, killed_by, (*tests, *near(mutant.path)))
 
 
 def _write(path: Path, code: str) -> None:
@@ -230,7 +242,7 @@ def _write(path: Path, code: str) -> None:
     Path(importlib.util.cache_from_source(str(path))).unlink(missing_ok=True)
 
 
-def _first_failure(tree: Path, tests: Sequence[str], *, compiled: bool) -> str | None:
+def _first_failure(tree: Path, tests: Sequence[str], limit: float, *, compiled: bool) -> str | None:
     # compiled: machine code of callers has that of the mutated function in it, so nothing kept may be used
     with tempfile.TemporaryDirectory(dir=tree.parent) as folder:
         env = {
@@ -240,25 +252,43 @@ def _first_failure(tree: Path, tests: Sequence[str], *, compiled: bool) -> str |
             "NUMBA_CACHE_DIR": folder if compiled else str(tree.parent / "numba"),
         }
         child = subprocess.Popen(
-            [sys.executable, "-P", "-m", "pytest", "-x", "-q", "-m", "not slow and not alone", "--tb=no",
+            [sys.executable, "-P", "-m", "pytest", "-x", "-q", "-m", QUICK, "--tb=no",
              "--hypothesis-profile=mutants", "-p", "no:cacheprovider", "-p", "no:xdist", *tests],
             cwd=tree, env=env, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
             start_new_session=True,
         )  # fmt: skip
         try:
-            said, _ = child.communicate(timeout=LIMIT_S)
+            said, _ = child.communicate(timeout=limit)
         except subprocess.TimeoutExpired:
             os.killpg(child.pid, signal.SIGKILL)
             child.communicate()
-            return f"the limit of {LIMIT_S} s"
+            return f"the limit of {limit:.0f} s"
     if child.returncode == 0:
         return None
     failed = re.search(r"^(?:FAILED|ERROR) (.+?)(?: - .*)?$", said, re.MULTILINE)
     return failed[1] if failed else f"exit code {child.returncode}"
 
 
+def tests_of(path: str, line: int, measured: Reached) -> list[str]:
+    """The tests that execute a line of the code, those of the nearest files first, and of these the shortest."""
+    order = {test: turn for turn, test in enumerate(near(path))}
+    found: list[str] = []
+    left = float(MOST_SECONDS)
+    executing = measured.tests(path, line)
+
+    def turn(test: str) -> tuple[bool, int, float]:
+        return (executing[test] > 2, order.get(test.partition("::")[0], len(order)), executing[test])
+
+    for test in sorted(executing, key=turn):
+        seconds = executing[test]
+        if seconds < left:
+            found.append(test)
+            left -= seconds
+    return found
+
+
 @cache
-def tests_of(path: str) -> list[str]:
+def near(path: str) -> list[str]:
     """Files of tests that concern a file of the code, nearest first.
 
     Near are those that import the module by few steps; among them first those named like the module or its folder. A

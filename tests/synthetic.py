@@ -32,7 +32,6 @@ from gpusimbench.schemas.provenance import (
     OverflowBit,
     Provenance,
     ReplayOf,
-    Simulation,
 )
 
 
@@ -174,11 +173,7 @@ def write_recording(
         deviations=(), fields=(field,), timing_covers="", env_origins=origins, buffers=shown.buffers,
         counters=shown.counters(), overflow_bits=shown.bits,
     )  # fmt: skip
-    simulation = Simulation(
-        version=about.version, device=about.device, options=about.options, switches=about.switches, deviations=(),
-        fields=about.fields, scene={"name": scene, "sha256": described.sha256(), "parameters": {}},
-        env_origins=origins, buffers=about.buffers, counters=about.counters, overflow_bits=about.overflow_bits,
-    )  # fmt: skip
+    simulation = about.recorded(described, "rebuilt")
     path = folder / (name or f"{simulator}-{run}-{uuid.uuid4().hex[:8]}.mcap")
     sink = Sink(path, compression=compression)
     texts = {PROVENANCE: provenance.to_json(), SCENE: described.to_json()}

@@ -15,6 +15,7 @@ import pytest
 
 from gpusimbench.evaluator.runs.validation import verify
 from tests.conftest import command
+from tests.scripts import script
 
 ROOT = Path(__file__).resolve().parent.parent
 DOCUMENTS = sorted(
@@ -149,18 +150,9 @@ def test_the_adapter_of_the_guide(tmp_path: Path) -> None:
     assert "ballistic" in shell("gsb-record --list", tmp_path, environment).stdout
 
 
-def _figures():  # type: ignore[no-untyped-def]
-    spec = importlib.util.spec_from_file_location("make_figures", ROOT / "docs" / "make_figures.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
 def test_readme_table_is_what_the_recordings_give() -> None:
     """Hold the README's table and picture to the recordings that they are of."""
-    figures = _figures()
+    figures = script("make_figures")
     evaluation = figures.shipped()
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
     assert figures.with_table(readme, figures.table(evaluation)) == readme, "run make figures"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +12,7 @@ from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.report.leaders import fastest
 from gpusimbench.evaluator.runs.validation import verify
 from tests.conftest import call
+from tests.scripts import script
 
 ROOT = Path(__file__).resolve().parent.parent
 FILES = sorted((ROOT / "recordings" / "h200").glob("*.mcap"))
@@ -21,12 +21,7 @@ FILES = sorted((ROOT / "recordings" / "h200").glob("*.mcap"))
 @pytest.fixture(scope="module")
 def tables() -> Any:
     """docs/make_h200.py."""
-    spec = importlib.util.spec_from_file_location("make_h200", ROOT / "docs" / "make_h200.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    return script("make_h200")
 
 
 @pytest.fixture(scope="module")

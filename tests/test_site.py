@@ -7,32 +7,20 @@ import re
 import shutil
 import subprocess
 import sys
-from functools import cache
 from html.parser import HTMLParser
 from pathlib import Path
-from types import ModuleType
 from urllib.parse import unquote, urlsplit
 
 import pytest
 
+from tests.scripts import DOCUMENTS, script
+
 ROOT = Path(__file__).resolve().parent.parent
-DOCUMENTS = ROOT / "docs"
 
 needs_mkdocs = pytest.mark.skipif(
     importlib.util.find_spec("material") is None, reason="mkdocs-material is not installed"
 )
 CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
-
-
-@cache
-def script(name: str) -> ModuleType:
-    """A script that lies beside the documents."""
-    spec = importlib.util.spec_from_file_location(name, DOCUMENTS / f"{name}.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
 
 
 @pytest.fixture(scope="module")

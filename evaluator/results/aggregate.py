@@ -56,7 +56,7 @@ def mean_of(values: Sequence[float]) -> Aggregate:
     """The mean of nonnegative values, one a run, with SD and a jackknife interval."""
     found = np.array(values)
     spread = differ(found)
-    interval = jackknife_mean(found, nonnegative=True) if len(found) >= _MIN_RUNS else None
+    interval = jackknife_mean(found) if len(found) >= _MIN_RUNS else None
     bounds, why_not = ends_of(interval, len(found), spread=spread)
     # equal values have their very value for a mean, and no deviation: sums of them round
     return Aggregate(

@@ -29,16 +29,15 @@ class Interval:
     reason: str | None = None
 
 
-def jackknife_mean(values: npt.ArrayLike, *, nonnegative: bool = False) -> Interval:
-    """Mean over runs with a delete-one-run interval (Quenouille 1956, Tukey 1958).
+def jackknife_mean(values: npt.ArrayLike) -> Interval:
+    """Mean of nonnegative values over runs with a delete-one-run interval (Quenouille 1956, Tukey 1958).
 
         se^2 = (R - 1)/R * sum_r (mean without r - their mean)^2,   interval: mean -+ t(R - 1) * se
 
-    which for a mean is the classical Student interval.
+    which for a mean is the classical Student interval; its lower end is clipped at 0.
 
     Args:
         values: one value per run [any unit], shape [n_run].
-        nonnegative: the values are distances; clips the lower end at zero.
 
     Returns:
         estimate and interval [same unit]; without interval for a single run.
@@ -55,11 +54,11 @@ def jackknife_mean(values: npt.ArrayLike, *, nonnegative: bool = False) -> Inter
     # Measured from the first value, so that equal values give exactly that mean and error zero.
     offset = values - values[0]
     estimate = float(values[0] + offset.mean())
-    method = _method("runs", clipped=nonnegative)
+    method = _method("runs")
     if n_run < 2:
         return Interval(estimate, None, None, None, method, "needs at least two runs, got 1")
     without = (offset.sum() - offset) / (n_run - 1)
-    return _interval(estimate, without, method, clipped=nonnegative)
+    return _interval(estimate, without, method)
 
 
 def jackknife_pair_mean(matrix: npt.ArrayLike) -> Interval:
@@ -96,19 +95,18 @@ def jackknife_pair_mean(matrix: npt.ArrayLike) -> Interval:
     by_run = offset.sum(axis=1)
     total = by_run.sum() / 2.0
     estimate = float(matrix[0, 1] + total / (n_run * (n_run - 1) / 2))
-    method = _method("run pairs", clipped=True)
+    method = _method("run pairs")
     if n_run < 3:
         return Interval(estimate, None, None, None, method, "needs at least three runs, got 2")
     without = (total - by_run) / ((n_run - 1) * (n_run - 2) / 2)
-    return _interval(estimate, without, method, clipped=True)
+    return _interval(estimate, without, method)
 
 
-def _method(unit: str, *, clipped: bool) -> str:
-    text = f"delete-one-run jackknife over {unit}, 95 % by Student t(R-1)"
-    return text + ", lower end clipped at 0" if clipped else text
+def _method(unit: str) -> str:
+    return f"delete-one-run jackknife over {unit}, 95 % by Student t(R-1), lower end clipped at 0"
 
 
-def _interval(estimate: float, without: npt.NDArray[np.float64], method: str, *, clipped: bool) -> Interval:
+def _interval(estimate: float, without: npt.NDArray[np.float64], method: str) -> Interval:
     """Interval from the delete-one estimates (up to a common offset), shape [n_run]."""
     from scipy.special import stdtrit  # what scipy.stats.t.ppf calls, without a second of imports
 
@@ -116,5 +114,4 @@ def _interval(estimate: float, without: npt.NDArray[np.float64], method: str, *,
     deviation = without - without.mean()
     error = float(np.sqrt((n_run - 1) / n_run * (deviation**2).sum()))
     reach = float(stdtrit(n_run - 1, 0.5 + CONFIDENCE / 2.0)) * error
-    low = max(estimate - reach, 0.0) if clipped else estimate - reach
-    return Interval(estimate, low, estimate + reach, error, method)
+    return Interval(estimate, max(estimate - reach, 0.0), estimate + reach, error, method)

@@ -209,7 +209,7 @@ def _variability(each: list[_Found]) -> Variability:
     floors = [f for _, _, f in each if f is not None]
     return Variability(
         _with_spread(jackknife_pair_mean(np.mean(matrices, axis=0))) if matrices else None,
-        _with_spread(jackknife_mean(np.mean(within, axis=0), nonnegative=True)) if within else None,
+        _with_spread(jackknife_mean(np.mean(within, axis=0))) if within else None,
         float(np.mean(floors)) if floors else None,
     )
 

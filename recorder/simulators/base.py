@@ -11,7 +11,7 @@ environment variables that ``environment`` asks for are set.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from typing import Any, ClassVar
 
 import numpy as np
@@ -22,42 +22,25 @@ from gpusimbench.recorder.scenes.base import Scene
 from gpusimbench.recorder.simulators.captured import Captured, Held, States
 from gpusimbench.recorder.simulators.evidence import Evidence
 from gpusimbench.schemas.errors import UsageError
-from gpusimbench.schemas.fields import StateField
-from gpusimbench.schemas.provenance import Buffer, Counter, Deviation, OverflowBit
+from gpusimbench.schemas.provenance import EngineFacts, Simulation
 
 __all__ = ["Ability", "Captured", "Description", "Evidence", "Held", "Simulator", "States"]
 
 
-@dataclass(frozen=True)
-class Description:
-    """What a built simulator says of itself; all of it goes into the recording.
+@dataclass(frozen=True, kw_only=True)
+class Description(EngineFacts):
+    """What a built simulator says of itself, field by field as of EngineFacts; all of it goes into the recording.
 
-    version        of the engine
-    device         "cpu", or the name of the GPU that steps
-    options        every option in force, defaults included
-    switches       whatever decides which numbers come out: determinism modes, implementations, precision
-    deviations     parameters of the scene that the engine could not honour
-    fields         layout of the state
-    timing_covers  what lies between two clock readings around ``step``
-    attachments    files worth keeping, such as the model that was loaded: name -> (media type, bytes)
-    env_origins    origin of each environment in the engine's world frame [m]; empty when all are at zero
-    buffers        capacities beyond which the engine drops contacts or constraints; measured, never left at a default
-    counters       what ``evidence`` counts
-    overflow_bits  what the bits of ``evidence`` mean
+    attachments  files worth keeping, such as the model that was loaded: name -> (media type, bytes)
     """
 
-    version: str
-    device: str
-    options: dict[str, Any]
-    switches: dict[str, Any]
-    deviations: tuple[Deviation, ...]
-    fields: tuple[StateField, ...]
-    timing_covers: str
     attachments: dict[str, tuple[str, bytes]] = field(default_factory=dict)
-    env_origins: tuple[tuple[float, float, float], ...] = ()
-    buffers: tuple[Buffer, ...] = ()
-    counters: tuple[Counter, ...] = ()
-    overflow_bits: tuple[OverflowBit, ...] = ()
+
+    def recorded(self, scene: Scene, fresh_start: str) -> Simulation:
+        """As the recording has it. fresh_start: how the capture phase came to its initial state."""
+        facts = {fact.name: getattr(self, fact.name) for fact in fields(EngineFacts)}
+        about = {"name": scene.name, "sha256": scene.sha256(), "parameters": scene.parameters}
+        return Simulation(**facts, scene=about, fresh_start=fresh_start)
 
 
 class Simulator(ABC):

@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 
 from gpusimbench.evaluator.check.protocol import unmet_by_file
 from gpusimbench.evaluator.cli.compare import main
+from gpusimbench.evaluator.statistics import exchange
 from gpusimbench.schemas.provenance import PROVENANCE
 from tests.synthetic import Shown, grid, write_recording
 
@@ -302,9 +303,9 @@ def test_head_that_never_starts(tmp_path: Path, capsys: pytest.CaptureFixture[st
     assert finding(document, "fps")["why_not"] == "no run of this group is complete"
 
 
-def spread(seed: int, by: float = 0.0) -> Any:
-    """Final positions of four environments, each its own draw, cubes moved along x."""
-    final = grid(4) + 0.003 * np.random.default_rng(seed).normal(size=(4, 27, 3))
+def spread(seed: int, by: float = 0.0, size: float = 0.003) -> Any:
+    """Final positions of four environments, each its own draw of a size [m], cubes moved along x."""
+    final = grid(4) + size * np.random.default_rng(seed).normal(size=(4, 27, 3))
     final[..., 0] += by
     return final
 
@@ -320,6 +321,26 @@ def test_outcomes_of_runs_that_differ(tmp_path: Path, capsys: pytest.CaptureFixt
         assert finding(document, "fps")["why_not"] == "the timed phase was left out"
         assert "differ among themselves" in finding(document, "states")["why_not"]
     assert outcome["least_p"] == 2 / 924
+
+
+def test_variability_that_falls(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Call a tenth of the spread, between environments and between runs, an improvement."""
+    sides = [
+        [{"final": spread(i, size=size)} for i in runs] for size, runs in ((0.03, range(6)), (0.003, range(6, 12)))
+    ]
+    _, document = compared(*write_sides(tmp_path, *sides, elapsed_s=None), capsys=capsys)
+    assert {finding(document, name)["change"] for name in ("w1_parallel", "w1_run_to_run")} == {"improvement"}
+
+
+def test_exchanges_that_are_drawn(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Say how many ways to exchange the runs were drawn, where they are too many to go through."""
+    monkeypatch.setattr(exchange, "MOST_DEALINGS", 100)
+    sides = [[{"final": spread(i)} for i in runs] for runs in (range(6), range(6, 12))]
+    _, document = compared(*write_sides(tmp_path, *sides, elapsed_s=None), capsys=capsys)
+    for name in ("outcome", "w1_run_to_run"):
+        assert f"({exchange.DRAWN} ways drawn with seed " in finding(document, name)["test"]
 
 
 def test_outcomes_to_the_bit(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -392,6 +413,22 @@ def test_versions_are_what_is_compared(tmp_path: Path, capsys: pytest.CaptureFix
     code, document = compared(*write_sides(tmp_path, timed(), head), capsys=capsys)
     assert code == 0
     assert set(document["compared"][0]["differs"]) == {"XLA_FLAGS: unset -> --new", "precision: unset -> high"}
+
+
+def test_commits_of_the_recorder(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Name at most three commits of a side, twelve digits of each, and mark those with changes of their own."""
+    for side, letters in (("base", "aa"), ("head", "edcb")):
+        (tmp_path / side).mkdir()
+        for run, letter in enumerate(letters):
+
+            def change(name: str, record: dict[str, Any], commit: str = 40 * letter) -> None:
+                if name == PROVENANCE:
+                    record["software"] = {"recorder": {"commit": commit, "modified": commit[0] == "b"}}
+
+            write_recording(tmp_path / side, None, run=run, change=change)
+    _, document = compared(tmp_path / "base", tmp_path / "head", capsys=capsys)
+    commits = f"{12 * 'b'}+, {12 * 'c'}, {12 * 'd'}"
+    assert document["compared"][0]["differs"] == [f"commit of the recorder: {12 * 'a'} -> {commits}"]
 
 
 def test_the_exit_codes_of_files(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

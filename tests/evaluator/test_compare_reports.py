@@ -193,7 +193,9 @@ def test_junit_of_hostile_text(tmp_path: Path, capsys: pytest.CaptureFixture[str
     assert not re.search("[^\t\n\r\u0020-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]", text)
     suites = ET.fromstring(text)
     cases = {case.get("name"): case for case in suites.iter("testcase")}
-    assert cases["throughput"].find("failure") is not None
+    failure = cases["throughput"].find("failure")
+    assert failure is not None
+    assert failure.text  # the findings, line by line
     assert cases["validity"].find("failure") is not None
     assert cases["memory"].find("skipped") is not None
     assert [case.get("classname") for case in suites.iter("testcase") if case.find("error") is not None] == ["head"]

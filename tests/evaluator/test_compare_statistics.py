@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from itertools import permutations
+from itertools import combinations, permutations
 
 import numpy as np
 import pytest
@@ -16,6 +16,7 @@ from gpusimbench.evaluator.statistics import exchange
 from gpusimbench.evaluator.statistics.exchange import (
     compare_distances,
     compare_means,
+    compare_within,
     count_dealings,
     dealings,
     least_p,
@@ -144,6 +145,24 @@ def test_distances_that_are_known() -> None:
     assert apart.p_value == apart.least_p == 2 / 20
     assert apart.difference == pytest.approx(matrix[:3, 3:].mean() - matrix[:3, :3].sum() / 6)
     assert compare_distances(matrix, [False, True] * 3).p_value > 0.5
+
+
+@pytest.mark.parametrize("spread", [1.0, 3.0, 30.0])
+def test_distances_within_the_sides_by_hand(spread: float) -> None:
+    """Count the ways to deal six runs that are at least as uneven, to either side, as the one that was observed."""
+    places = np.random.default_rng(2).normal(size=6) * np.where(np.arange(6) < 3, 1.0, spread)
+    matrix = abs(places[:, None] - places)
+
+    def further(second: tuple[int, ...]) -> float:
+        first = [run for run in range(6) if run not in second]
+        one, other = (np.mean([matrix[i, j] for i, j in combinations(side, 2)]) for side in (first, second))
+        return float(other - one)
+
+    observed = further((3, 4, 5))
+    ways = [abs(further(second)) >= abs(observed) - 1e-12 for second in combinations(range(6), 3)]
+    found = compare_within(matrix, [False] * 3 + [True] * 3)
+    assert found.difference == pytest.approx(observed)
+    assert found.p_value == pytest.approx(np.mean(ways))
 
 
 def test_what_cannot_be_tested_is_refused() -> None:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import importlib.util
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from gpusimbench.evaluator.runs.physics.facts import Check
+from tests.scripts import script
 
 ROOT = Path(__file__).parents[2]
 PAGE = ROOT / "docs" / "physics.md"
@@ -17,12 +17,7 @@ PAGE = ROOT / "docs" / "physics.md"
 @pytest.fixture(scope="module")
 def making() -> Any:
     """docs/make_physics.py."""
-    spec = importlib.util.spec_from_file_location("make_physics", ROOT / "docs" / "make_physics.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    return script("make_physics")
 
 
 def test_the_page_explains_every_check() -> None:

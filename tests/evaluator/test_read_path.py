@@ -14,10 +14,11 @@ from hypothesis import strategies as st
 from benchmarks import read_path
 from gpusimbench import open_recording
 from gpusimbench.evaluator.read import state_array
-from gpusimbench.schemas.blocks import STATE_HEAD_BYTES, decode_state, encode_state, state_header, state_header_in
+from gpusimbench.schemas.blocks import STATE_HEAD_BYTES, decode_state, state_header, state_header_in
 from gpusimbench.schemas.errors import DamagedRecording
 from gpusimbench.schemas.mcap.crc import second
 from gpusimbench.schemas.source import MappedFile
+from tests.encoded import encode_state
 from tests.synthetic import grid, write_recording
 
 N_ENV, STEPS = 192, 260

@@ -655,6 +655,18 @@ def test_addresses_where_paths_are_meant(
     assert "SECRET" not in shown(address) + redacted(f"cannot read {address}: no") + shown_argument(address)
 
 
+def test_a_list_of_files_that_does_not_end(web: Web, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Read a page that lists files up to its limit, in as many pieces as it comes in, and nothing beyond."""
+    web.files["d/x.mcap"] = b"content"
+    size = len('<a href="x.mcap">x.mcap</a>')
+    monkeypatch.setattr(addresses_of_web, "_AT_ONCE", 10)
+    monkeypatch.setattr(addresses_of_web, "_MOST_LISTED", size)
+    assert expand([Location(f"{web.address}/d/*.mcap")]) == [Location(f"{web.address}/d/x.mcap")]
+    monkeypatch.setattr(addresses_of_web, "_MOST_LISTED", size - 1)
+    with pytest.raises(Unreachable, match="the server lists more than"):
+        expand([Location(f"{web.address}/d/*.mcap")])
+
+
 def test_wildcards_of_the_path_alone(web: Web, tmp_path: Path) -> None:
     """Look for wildcards in the path, after the name itself, and keep the query and the archive of what is found."""
     web.files["d/x.mcap"] = b"content"

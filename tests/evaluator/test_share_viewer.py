@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
-from collections import defaultdict
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +14,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from mcap.reader import make_reader
-from mcap_protobuf.decoder import DecoderFactory
 
 from gpusimbench import open_recording
 from gpusimbench.evaluator.player.viewer import write_view
@@ -23,22 +21,12 @@ from gpusimbench.schemas.errors import DamagedRecording, NotARecording, UsageErr
 from gpusimbench.schemas.view.rotation import about_z, product, rotate
 from gpusimbench.schemas.view.shapes import links_of
 from tests.evaluator.test_share_pack import share
+from tests.evaluator.viewing import placed, read
 from tests.synthetic import grid, write_recording
 from tests.test_docs import ROOT
 
 SHIPPED = ROOT / "recordings" / "mujoco-amd-r0.mcap"
 WITH_ORIGINS = ROOT / "recordings" / "h200" / "isaaclab-ovphysx-inclined-collision-n16-r0.mcap"
-
-
-def read(path: Path) -> tuple[dict[str, list[tuple[int, Any]]], Any]:
-    """Messages with their times by topic, as any MCAP reader with any protobuf library has them, and the summary."""
-    found: dict[str, list[tuple[int, Any]]] = defaultdict(list)
-    with path.open("rb") as stream:
-        reader = make_reader(stream, decoder_factories=[DecoderFactory()], validate_crcs=True)
-        for _, channel, message, decoded in reader.iter_decoded_messages():
-            found[channel.topic].append((message.log_time, decoded))
-        summary = reader.get_summary()
-    return found, summary
 
 
 def layout_of(path: Path) -> Any:
@@ -47,19 +35,6 @@ def layout_of(path: Path) -> Any:
         (attachment,) = make_reader(stream).iter_attachments()
     assert attachment.name == "foxglove-layout.json"
     return json.loads(attachment.data)
-
-
-def placed(transforms: Any) -> dict[str, tuple[Any, Any]]:
-    """Position and quaternion of every frame in the root frame: transforms chained as a viewer does."""
-    known: dict[str, tuple[Any, Any]] = {"world": (np.zeros(3), np.array([1.0, 0, 0, 0]))}
-    for t in transforms.transforms:
-        at, turned = known[t.parent_frame_id]
-        q = np.array([t.rotation.w, t.rotation.x, t.rotation.y, t.rotation.z])
-        known[t.child_frame_id] = (
-            at + rotate(turned, np.array([t.translation.x, t.translation.y, t.translation.z])),
-            product(turned, q),
-        )
-    return known
 
 
 def test_bodies_are_where_they_were(tmp_path: Path) -> None:

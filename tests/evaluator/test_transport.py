@@ -6,6 +6,7 @@ import itertools
 import pickle
 import subprocess
 import sys
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from scipy.optimize import linear_sum_assignment
 from scipy.spatial.distance import cdist
 
 from gpusimbench.evaluator.transport import pair, simplex
+from gpusimbench.evaluator.transport.compiled import compiled
 from gpusimbench.evaluator.transport.pair import UNEQUAL_COUNTS, wasserstein1
 from gpusimbench.evaluator.transport.points import net_mass
 
@@ -286,3 +288,10 @@ def test_only_single_units_are_an_assignment() -> None:
     assert net_mass(twice, twice + 1).single  # all points count twice
     assert not net_mass(single, twice).single
     assert not net_mass(twice, single).single
+
+
+def test_machine_code_without_a_place_to_keep_it() -> None:
+    """Compile a function whose file is in no folder, each time anew."""
+    made: dict[str, Any] = {}
+    exec("def twice(x):\n    return 2 * x", made)
+    assert compiled(made["twice"])(21) == 42

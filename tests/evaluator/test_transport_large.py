@@ -6,6 +6,7 @@ import json
 import os
 import subprocess
 import sys
+from decimal import Decimal, localcontext
 
 import numpy as np
 import pytest
@@ -59,6 +60,19 @@ def test_bounds_hold_the_exact_value(sets: np.ndarray, relative: float) -> None:
     value = exact(*sets)
     assert holds(bounds, value, 1e-12) or abs(bounds.high - value) < 1e-13
     assert bounds.high - bounds.low <= max(relative * bounds.high, 1e-11 * (1.0 + float(np.ptp(sets))))
+
+
+def test_bounds_hold_what_no_float_is() -> None:
+    """Hold the mean of distances to forty digits, though sums of rounded ones lie beside it."""
+    a = np.stack([100.0 * np.arange(64), np.zeros(64)], axis=1)
+    for seed in range(10):
+        b = a + np.random.default_rng(seed).uniform(size=a.shape)  # each point's partner is the nearest by far
+        bounds = certified_wasserstein1(a, b, relative=0.0)
+        with localcontext() as context:
+            context.prec = 40
+            ways = np.vectorize(Decimal)(b) - np.vectorize(Decimal)(a)
+            value = sum((x * x + y * y).sqrt() for x, y in ways) / len(a)
+            assert Decimal(bounds.low) <= value <= Decimal(bounds.high)
 
 
 @SOME

@@ -18,10 +18,11 @@ import pytest
 from gpusimbench import open_recording
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.runs.validation import verify
-from gpusimbench.schemas.blocks import decode_state, encode_state
+from gpusimbench.schemas.blocks import decode_state
 from gpusimbench.schemas.errors import DamagedRecording, NotARecording
 from gpusimbench.schemas.messages import message_class
 from tests.conftest import Command
+from tests.encoded import encode_state
 from tests.hostile import records as mcap
 from tests.hostile.contents import with_right_digests
 from tests.hostile.mutate import BOMBS, bomb
@@ -64,11 +65,12 @@ def _lines(function: Callable[[], object]) -> int:
         counted += 1
         return count
 
+    before = sys.gettrace()
     sys.settrace(count)
     try:
         function()
     finally:
-        sys.settrace(None)
+        sys.settrace(before)
     return counted
 
 

@@ -3,41 +3,21 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
-import numpy as np
 import pytest
 
-from gpusimbench.recorder.options import parse_options
 from gpusimbench.recorder.scenes.base import Scene
 from gpusimbench.recorder.scenes.inclined_collision import inclined_collision
-from gpusimbench.recorder.simulators.base import Description, Simulator
 from gpusimbench.schemas.errors import UsageError
+from tests.recorder import engines
+from tests.recorder.engines import PAIR, bits
 
 pytest.importorskip("brax")
 
-
-def make(scene: Scene, *, n_env: int = 2, **options: Any) -> Simulator:
-    """A simulator on the CPU, not built yet."""
-    from gpusimbench.recorder.simulators.brax.simulator import Brax
-
-    parsed = parse_options("brax", Brax.Options, {"device": "cpu", **{k: str(v) for k, v in options.items()}})
-    return Brax(scene, n_env=n_env, dt=0.01, seed=0, options=parsed)
-
-
-def build(scene: Scene, **options: Any) -> tuple[Simulator, Description]:
-    """A built simulator on the CPU."""
-    simulator = make(scene, **options)
-    return simulator, simulator.build()
-
-
-def cubes(*names: str) -> Scene:
-    """Some cubes of the stack on the board."""
-    scene = inclined_collision()
-    return replace(scene, bodies=tuple(body for body in scene.bodies if body.name in ("board", *names)))
-
-
-PAIR = cubes("cube_0_0_0", "cube_0_0_1")
+make = partial(engines.make, "brax")
+build = partial(engines.build, "brax")
 
 
 def falling_ball(height: float) -> Scene:
@@ -47,14 +27,6 @@ def falling_ball(height: float) -> Scene:
     ball = next(body for body in scene.bodies if body.name == "ball")
     centre = (board.position[0], board.position[1], 0.02 + ball.shape.radius + height)  # type: ignore[union-attr]
     return replace(scene, bodies=(board, replace(ball, position=centre)))
-
-
-def bits(simulator: Simulator) -> int:
-    """All overflow bits of all rows and environments."""
-    evidence = simulator.evidence()
-    assert evidence is not None
-    assert evidence.overflow is not None
-    return int(np.bitwise_or.reduce(evidence.overflow, axis=None))
 
 
 @pytest.mark.parametrize("options", [{"solver": "xpbd"}, {"collide_scale": 0}, {"solver_maxls": 0}])

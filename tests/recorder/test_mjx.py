@@ -18,13 +18,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gpusimbench.recorder.failure import Refused
-from gpusimbench.recorder.options import parse_options
-from gpusimbench.recorder.scenes.base import Scene
 from gpusimbench.recorder.scenes.franka import franka
-from gpusimbench.recorder.scenes.inclined_collision import inclined_collision
-from gpusimbench.recorder.simulators.base import Description, Simulator
 from gpusimbench.recorder.simulators.registry import find_simulator
 from gpusimbench.schemas.errors import UsageError
+from tests.recorder.engines import PAIR, bits, build, counts, cubes, make
 
 pytest.importorskip("jax")
 pytest.importorskip("mujoco.mjx")
@@ -35,48 +32,6 @@ LEVELS = {
     "exclude-nondeterministic": "--xla_gpu_exclude_nondeterministic_ops=true",
     "run-to-run": "--xla_gpu_deterministic_ops=true --xla_gpu_autotune_level=0",
 }
-
-
-def make(name: str, scene: Scene, *, n_env: int = 2, seed: int = 0, **options: Any) -> Simulator:
-    """A simulator on the CPU, not built yet."""
-    entry = find_simulator(name)
-    if entry.missing():
-        pytest.skip(f"{name} is not installed")
-    adapter = entry.load()
-    parsed = parse_options(name, adapter.Options, {"device": "cpu", **{k: str(v) for k, v in options.items()}})
-    return adapter(scene, n_env=n_env, dt=0.01, seed=seed, options=parsed)
-
-
-def build(name: str, scene: Scene, **options: Any) -> tuple[Simulator, Description]:
-    """A built simulator on the CPU."""
-    simulator = make(name, scene, **options)
-    return simulator, simulator.build()
-
-
-def cubes(*names: str) -> Scene:
-    """Some cubes of the stack on the board."""
-    scene = inclined_collision()
-    return replace(scene, bodies=tuple(body for body in scene.bodies if body.name in ("board", *names)))
-
-
-PAIR = cubes("cube_0_0_0", "cube_0_0_1")
-"""Two cubes, one on the other: eight contacts at rest, three pairs of boxes."""
-
-
-def counts(simulator: Simulator, name: str) -> list[list[int]]:
-    """What the simulator counts, [row][env]."""
-    evidence = simulator.evidence()
-    assert evidence is not None
-    rows: list[list[int]] = evidence.counts[name].tolist()
-    return rows
-
-
-def bits(simulator: Simulator) -> int:
-    """All overflow bits of all rows and environments."""
-    evidence = simulator.evidence()
-    assert evidence is not None
-    assert evidence.overflow is not None
-    return int(np.bitwise_or.reduce(evidence.overflow, axis=None))
 
 
 @pytest.mark.parametrize(("level", "flags"), LEVELS.items())

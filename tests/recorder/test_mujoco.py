@@ -3,32 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
-from typing import Any
 
 import mujoco
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
-from gpusimbench.recorder.options import parse_options
-from gpusimbench.recorder.scenes.base import IDENTITY, Scene
+from gpusimbench.recorder.scenes.base import IDENTITY
 from gpusimbench.recorder.scenes.registry import make_scene
-from gpusimbench.recorder.simulators.base import Description
-from gpusimbench.recorder.simulators.mujoco.simulator import MujocoC
 from gpusimbench.schemas.errors import UsageError
+from tests.recorder import engines
+from tests.recorder.engines import field
 
-
-def build(scene: Scene, *, n_env: int = 2, **options: str) -> tuple[MujocoC, Description]:
-    """A built simulator."""
-    given = parse_options("mujoco", MujocoC.Options, options)
-    simulator = MujocoC(scene, n_env=n_env, dt=0.01, seed=0, options=given)
-    return simulator, simulator.build()
-
-
-def field(description: Description, states: tuple[NDArray[Any], ...], name: str) -> NDArray[Any]:
-    """One field of a state by "group/field"."""
-    return states[[f.name for f in description.fields].index(name)]
+build = partial(engines.build, "mujoco")
 
 
 def test_equals_a_plain_loop() -> None:

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 pytest.importorskip("newton")
 
@@ -21,9 +20,10 @@ from gpusimbench.recorder.scenes.registry import make_scene
 from gpusimbench.recorder.simulators.base import Description
 from gpusimbench.recorder.simulators.newton.deviations import deviations
 from gpusimbench.recorder.simulators.newton.options import SOLVERS, NewtonOptions
-from gpusimbench.recorder.simulators.newton.simulator import Newton
 from gpusimbench.schemas.errors import UsageError
 from gpusimbench.schemas.fields import BODY_FIELDS
+from tests.recorder import engines
+from tests.recorder.engines import field
 
 G = 9.81
 
@@ -66,18 +66,9 @@ LANDING = replace(
 """A box that falls 25 mm onto the ground, from further than any gap, and rests on its four corners."""
 
 
-def build(
-    scene: Scene, solver: str, *, n_env: int = 2, determinism: str = "default", **options: str
-) -> tuple[Newton, Description]:
+def build(scene: Scene, solver: str, **options: Any) -> tuple[Any, Description]:
     """A built simulator."""
-    parsed = parse_options("newton", NewtonOptions, {"solver": solver, "device": "cpu", **options})
-    simulator = Newton(scene, n_env=n_env, dt=0.01, seed=0, options=parsed, determinism=determinism)
-    return simulator, simulator.build()
-
-
-def field(description: Description, states: tuple[NDArray[Any], ...], name: str) -> NDArray[Any]:
-    """One field of a state by "group/field"."""
-    return states[[f.name for f in description.fields].index(name)]
+    return engines.build("newton", scene, solver=solver, **options)
 
 
 @all_solvers

@@ -157,7 +157,9 @@ def _finish(sink, fields, stride, last_step):  # type: ignore[no-untyped-def]
 
     configuration = RunConfiguration("s", "free-fall", n_env=3, dt=0.01, steps=840, stride=stride)
     sink.attach(PROVENANCE, "application/json", Provenance("i", "t", (), configuration).to_json().encode())
-    simulation = Simulation("1", "cpu", {}, {}, (), tuple(fields), {})
+    simulation = Simulation(
+        version="1", device="cpu", options={}, switches={}, deviations=(), fields=tuple(fields), scene={}
+    )
     sink.attach(SIMULATION, "application/json", simulation.to_json().encode())
     return sink.finish("COMPLETE", "", last_step=last_step, peak_rss_bytes=0)
 

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -12,32 +11,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gpusimbench import open_recording
-from gpusimbench.recorder.options import parse_options
-from gpusimbench.recorder.scenes.base import Scene
 from gpusimbench.recorder.scenes.franka import franka
 from gpusimbench.recorder.scenes.inclined_collision import inclined_collision
-from gpusimbench.recorder.simulators.base import Description, Simulator
 from gpusimbench.schemas.errors import UsageError
 from tests.conftest import Command
+from tests.recorder import engines
+from tests.recorder.engines import PAIR
 
 pytest.importorskip("mujoco_warp")
 
-
-def build(
-    scene: Scene, *, n_env: int = 2, determinism: str = "default", **options: Any
-) -> tuple[Simulator, Description]:
-    """A built simulator on the CPU."""
-    from gpusimbench.recorder.simulators.warp.simulator import MujocoWarp
-
-    parsed = parse_options("warp", MujocoWarp.Options, {"device": "cpu", **{k: str(v) for k, v in options.items()}})
-    simulator = MujocoWarp(scene, n_env=n_env, dt=0.01, seed=0, options=parsed, determinism=determinism)
-    return simulator, simulator.build()
-
-
-def two_cubes() -> Scene:
-    """Two stacked cubes on the board: eight contacts at rest."""
-    scene = inclined_collision()
-    return replace(scene, bodies=tuple(b for b in scene.bodies if b.name in ("board", "cube_0_0_0", "cube_0_0_1")))
+build = partial(engines.build, "warp")
 
 
 def test_equals_a_plain_loop() -> None:
@@ -45,7 +28,7 @@ def test_equals_a_plain_loop() -> None:
     import mujoco
     import mujoco_warp as mjw
 
-    simulator, description = build(two_cubes())
+    simulator, description = build(PAIR)
     sizes = {buffer.name: buffer.asked for buffer in description.buffers}
     model = mujoco.MjModel.from_xml_string(description.attachments["scene.xml"][1].decode())
     model.opt.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
@@ -60,7 +43,7 @@ def test_equals_a_plain_loop() -> None:
 
 def test_compiling_moves_nothing() -> None:
     """Leave the state where it was while kernels are built for either phase."""
-    simulator, _ = build(two_cubes())
+    simulator, _ = build(PAIR)
     before = [array.tobytes() for array in simulator.state()]
     simulator.compile("timed")
     simulator.compile("capture")
@@ -93,7 +76,7 @@ def test_targets_are_drawn_on_the_device(seed: int, step: int, n_env: int) -> No
 
 def test_counts_of_a_resting_stack() -> None:
     """Count four contacts a face, three rows a contact, in every environment and at every step."""
-    simulator, description = build(two_cubes(), n_env=3)
+    simulator, description = build(PAIR, n_env=3)
     simulator.states(10)  # bodies that merely touch, in float32, are in contact from the second step or so on
     evidence = simulator.evidence()
     assert evidence is not None
@@ -160,11 +143,11 @@ def test_a_level_that_warp_cannot_compile_is_refused(gsb_record: Command, tmp_pa
 
 def test_levels_are_in_force() -> None:
     """Record which of the engine's own switches a level has set."""
-    _, description = build(two_cubes(), determinism="contacts-constraint")
+    _, description = build(PAIR, determinism="contacts-constraint")
     assert description.switches["opt.deterministic"] == "CONTACTS|CONSTRAINT"
 
 
 def test_a_device_that_is_not_there() -> None:
     """Name the devices that can be asked for."""
     with pytest.raises(UsageError, match="device"):
-        build(two_cubes(), device="cuda:7")
+        build(PAIR, device="cuda:7")

@@ -17,9 +17,7 @@ from gpusimbench.schemas.blocks import (
     decode_action,
     decode_fingerprints,
     decode_state,
-    encode_action,
     encode_fingerprints,
-    encode_state,
     pack_state,
     state_bytes,
     state_header,
@@ -28,6 +26,7 @@ from gpusimbench.schemas.blocks import (
 )
 from gpusimbench.schemas.errors import DamagedRecording
 from gpusimbench.schemas.messages import message_class
+from tests.encoded import encode_action, encode_state
 
 _DTYPES = st.sampled_from(["<f4", "<f8", ">f4", ">f8"])
 
@@ -153,6 +152,8 @@ def test_a_head_alone_tells_the_small_fields() -> None:
     assert (head.steps, head.envs, head.items, head.width, head.stride) == (3, 2, 40, 3, 5)
     assert state_header_in(data[:STATE_HEAD_BYTES], len(data) + 1) is None
     assert state_header_in(data[:10], len(data)) is None
+    for unknown in (wire.varint(99 << 3) + b"\x01", wire.delimited_head(1, 2) + b"ab"):  # another field, another type
+        assert state_header_in(memoryview(unknown + data)[:STATE_HEAD_BYTES], len(unknown) + len(data)) is None
     assert state_bytes(data) == array.nbytes
 
 

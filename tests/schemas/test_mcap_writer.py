@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from mcap.reader import NonSeekingReader, make_reader
 
 from gpusimbench.schemas import FORMAT
+from gpusimbench.schemas.errors import DamagedRecording
 from gpusimbench.schemas.mcap.crc import combine
 from gpusimbench.schemas.mcap.reader import Container
 from gpusimbench.schemas.mcap.writer import COMPRESSIONS, McapWriter, Part
@@ -147,3 +148,35 @@ def test_a_chunk_ends_at_its_limit(tmp_path: Path) -> None:
         summary = make_reader(stream).get_summary()
     assert summary is not None
     assert [c.uncompressed_size for c in summary.chunk_indexes] == [limit, head, limit, limit - 1 + head, head + 1]
+
+
+def _out_of_order(path: Path, late: int) -> Container:
+    # a topic whose first message lies behind one of so many bytes
+    with path.open("wb", buffering=0) as stream:
+        writer = McapWriter(stream, profile=FORMAT, library="test")
+        channel = writer.channel("/one", writer.schema("a.B", "protobuf", b"schema"), {})
+        for sequence, data in ((1, bytes(late)), (0, b"first")):
+            writer.message(channel, data, log_time=sequence, publish_time=0, sequence=sequence)
+        writer.finish()
+    return Container(path)
+
+
+def test_messages_out_of_their_order(tmp_path: Path) -> None:
+    """Keep 64 MiB of messages waiting for those before them, and no more."""
+    found = _out_of_order(tmp_path / "a.mcap", (64 << 20) - 100)
+    assert [len(content) for content in found.in_sequence("/one")] == [5, (64 << 20) - 100]
+    assert [found.chunk_bytes(message) for message in found.messages("/one")] == [31 + 5, 31 + (64 << 20) - 100]
+    with pytest.raises(DamagedRecording, match="message 0 of /one is missing, or far behind"):
+        list(_out_of_order(tmp_path / "b.mcap", 64 << 20).in_sequence("/one"))
+
+
+def test_a_file_without_messages(tmp_path: Path) -> None:
+    """Say of no messages what MCAP asks for: times of zero."""
+    path = tmp_path / "empty.mcap"
+    write(path, (), "none")
+    with path.open("rb") as stream:
+        summary = make_reader(stream).get_summary()
+    assert summary is not None
+    assert summary.statistics is not None
+    found = summary.statistics
+    assert (found.message_count, found.message_start_time, found.message_end_time) == (0, 0, 0)

@@ -13,10 +13,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from gpusimbench.schemas.blocks import decode_state, encode_state, pack_state, state_bytes, state_header, unpack_state
+from gpusimbench.schemas.blocks import decode_state, pack_state, state_bytes, state_header, unpack_state
 from gpusimbench.schemas.errors import DamagedRecording
 from gpusimbench.schemas.messages import enum_values, message_class
 from gpusimbench.schemas.packing import LEVELS, pack, unpack
+from tests.encoded import encode_state
 
 _WORDS = {4: np.dtype("<u4"), 8: np.dtype("<u8")}
 

@@ -103,8 +103,9 @@ def test_provenance_round_trip() -> None:
 def test_simulation_round_trip() -> None:
     """Return what was written of the built simulator."""
     simulation = Simulation(
-        "4.0", "cpu", {"iterations": 100}, {"precision": "float64"}, (Deviation("a", "1", "2", "because"),), _FIELDS,
-        {"name": "c"}, env_origins=((0.0, 1.0, 2.0),), timing_covers="all", fresh_start="rebuilt",
+        version="4.0", device="cpu", options={"iterations": 100}, switches={"precision": "float64"},
+        deviations=(Deviation("a", "1", "2", "because"),), fields=_FIELDS, scene={"name": "c"},
+        env_origins=((0.0, 1.0, 2.0),), timing_covers="all", fresh_start="rebuilt",
     )  # fmt: skip
     assert Simulation.from_json(simulation.to_json()) == simulation
 
