@@ -94,6 +94,7 @@ figures: install
 	$(BIN)/python docs/make_h200.py
 	$(BIN)/python docs/make_physics.py
 	$(BIN)/python -m docs.make_metrics
+	$(BIN)/python -m docs.make_loop
 
 site: $(VENV)/.installed-test
 	$(BIN)/python docs/build_site.py site

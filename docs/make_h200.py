@@ -6,12 +6,16 @@ usage: python docs/make_h200.py
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from gpusimbench.evaluator.missing import Missing, known
+from gpusimbench.evaluator.render.markdown import table_markdown
 from gpusimbench.evaluator.render.numbers import distance, figure
 from gpusimbench.evaluator.report import timed
+from gpusimbench.evaluator.report.document import report
 from gpusimbench.evaluator.report.price_table import of_family, ratio
+from gpusimbench.evaluator.report.source import Source
 from gpusimbench.evaluator.report.words import EXCHANGED, exchanged
 from gpusimbench.evaluator.results.details import DistinctEnvs
 from gpusimbench.evaluator.results.determinism_cost import DEFAULT, price_list
@@ -195,6 +199,14 @@ def sweeps(evaluation: Evaluation) -> str:
     return "\n".join([*lines, "", f"* {timed.LEGEND}"])
 
 
+def answers(evaluation: Evaluation) -> str:
+    """What the first screen of a report says of each simulator, as Markdown."""
+    results = [r for r in evaluation.results if r.group.key.scene == _SCENE]
+    source = Source(replace(evaluation, results=tuple(results)), published=False, command="")
+    (table,) = (one for one in report(source).tables() if one.key == "simulators")
+    return table_markdown(replace(table, caption=""))
+
+
 def with_block(page: str, name: str, shown: str) -> str:
     """A page with what is between its markers replaced."""
     begin, end = BEGIN.format(name), END.format(name)
@@ -210,7 +222,7 @@ def pages(evaluation: Evaluation) -> dict[Path, str]:
     page = with_block(page, "sweeps", sweeps(evaluation))
     return {
         card: page,
-        readme: with_block(readme.read_text(encoding="utf-8"), "h200", verdicts(evaluation)),
+        readme: with_block(readme.read_text(encoding="utf-8"), "h200", answers(evaluation)),
         explained: with_block(explained.read_text(encoding="utf-8"), "switches", switches(evaluation)),
     }
 

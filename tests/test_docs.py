@@ -108,18 +108,19 @@ def test_the_how_tos(page: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("cluster", [False, pytest.param(True, marks=pytest.mark.alone)], ids=["here", "cluster"])
-def test_readme_commands(cluster: bool, tmp_path: Path) -> None:
-    """Run every command of the README in a folder that has the sample recordings."""
+@pytest.mark.parametrize(
+    "page", ["README.md", "docs/recording.md", pytest.param("docs/scale.md", marks=pytest.mark.alone)]
+)
+def test_commands_of_a_page(page: str, tmp_path: Path) -> None:
+    """Run every command of a page in a folder that has the sample recordings."""
     few = shutil.ignore_patterns("[a-oq-z]*-n*.mcap")  # of those of GPUs: physx, which the README names
     shutil.copytree(ROOT / "recordings", tmp_path / "recordings", ignore=few)
-    lines = [line for line in commands(ROOT / "README.md") if ("--ray" in line) == cluster]
-    assert len(lines) >= (1 if cluster else 7)
+    lines = commands(ROOT / page)
+    assert lines
     for line in lines:
         done = shell(line, tmp_path)
         assert done.returncode == 0, f"{line}\n{done.stdout}\n{done.stderr}"
         assert done.stdout
-    assert cluster or (tmp_path / "report" / "index.html").exists()
 
 
 def test_readme_python() -> None:
@@ -160,6 +161,12 @@ def test_readme_table_is_what_the_recordings_give() -> None:
     assert figures.picture(evaluation) == kept, "run make figures"
 
 
+def test_the_moving_picture_is_what_the_recordings_give() -> None:
+    """Hold the README's second picture to the recordings that it is of."""
+    kept = (ROOT / "docs" / "figures" / "parting.svg").read_text(encoding="utf-8")
+    assert script("make_loop").loop() == kept, "run make figures"
+
+
 def test_sample_recordings_are_whole() -> None:
     """Ship recordings that are complete, verify, name no machine's paths and stay small."""
     from gpusimbench import open_recording
@@ -194,7 +201,7 @@ def test_make_demo(tmp_path: Path) -> None:
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     assert len(list((tmp_path / "demo").glob("*.mcap"))) == 10
-    assert "16 x 10" in done.stdout
+    assert "16 envs, 10 complete runs" in done.stdout
     assert str(tmp_path / "demo" / "report" / "index.html") in done.stdout
 
 
