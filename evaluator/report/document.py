@@ -5,11 +5,29 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from gpusimbench.evaluator.render.document import Block, Code, Document, Section, Text
-from gpusimbench.evaluator.report.sections import problems
+from gpusimbench.evaluator.report.sections import (
+    accumulation,
+    determinism_cost,
+    mechanics,
+    problems,
+    scaling,
+    throughput,
+    validity,
+    variability,
+)
 from gpusimbench.evaluator.report.sections.overview import asked_of, overview
 from gpusimbench.evaluator.report.source import Source
 
-SECTIONS: tuple[Callable[[Source], Section | None], ...] = (problems.section,)
+SECTIONS: tuple[Callable[[Source], Section | None], ...] = (
+    problems.section,
+    variability.section,
+    mechanics.section,
+    throughput.section,
+    scaling.section,
+    accumulation.section,
+    validity.section,
+    determinism_cost.section,
+)
 """Of a report, in order; a section that has nothing to say is None."""
 
 TITLE = "Which simulator repeats itself, which is right, and how fast is each?"

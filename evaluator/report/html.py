@@ -14,25 +14,18 @@ from gpusimbench.evaluator.render import document
 from gpusimbench.evaluator.render.html import render_page
 from gpusimbench.evaluator.report.document import report
 from gpusimbench.evaluator.report.page import (
-    accumulation,
     consistency,
     density,
     deviations,
     divergence,
     dot_plot,
     guidelines,
-    mechanics,
     playback,
-    price_list,
     provenance,
     published,
     radar,
     recordings,
     remade,
-    scaling,
-    throughput,
-    validity,
-    variability,
 )
 from gpusimbench.evaluator.report.page.environment import environment
 from gpusimbench.evaluator.report.page.section import Section
@@ -42,17 +35,10 @@ from gpusimbench.schemas.writing import write_files
 
 SECTIONS: tuple[Callable[[Source], Section | None], ...] = (
     remade.section,
-    variability.section,
     playback.section,
-    mechanics.section,
-    throughput.section,
-    scaling.section,
-    accumulation.section,
-    validity.section,
     density.section,
     consistency.section,
     divergence.section,
-    price_list.section,
     radar.section,
     dot_plot.section,
     guidelines.section,

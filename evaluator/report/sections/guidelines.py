@@ -1,0 +1,72 @@
+"""Which group for which need, each pick with its rule and the figures that decided."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+from gpusimbench.evaluator.metrics.guidelines import Guideline
+from gpusimbench.evaluator.render.document import Cell, Section, Text, Tone, table
+from gpusimbench.evaluator.render.numbers import plural
+from gpusimbench.evaluator.report.sections.rows import Reasons
+from gpusimbench.evaluator.report.source import Source
+
+_HOW = (
+    "Each pick follows from its rule and from these recordings, and from nothing else. INVALID runs, cubes that went "
+    "through the floor and broken checks of mechanics, in any scene, bar a pick, however good its figures are."
+)
+_NAMED = 6
+
+
+def section(source: Source) -> Section | None:
+    """None where fewer than two simulators ran under the same conditions."""
+    found = source.evaluation.comparison.guidelines
+    if not found:
+        return None
+    reasons = Reasons()
+    shown = table(
+        "guidelines",
+        "Which for which need",
+        ["need, and the rule", "pick, and who comes next", "best first", "not picked"],
+        [(_need(one), _pick(one), _ranking(one), _others(one, reasons)) for one in found],
+        reasons.legend,
+    )
+    picked = sum(bool(one.pick) for one in found)
+    said = f"a pick for {picked} of {plural(len(found), 'need')}"
+    return Section("guidelines", "Which simulator for which need", (Text(_HOW), shown), said, folded=True)
+
+
+def _need(one: Guideline) -> Cell:
+    return Cell(one.need, notes=(one.rule,))
+
+
+def _pick(one: Guideline) -> Cell:
+    if not one.pick:
+        return Cell("no pick", notes=(one.reason or "",), tone=Tone.QUIET)
+    following = f"next: {one.runner_up}" if one.runner_up else f"no other {'is ranked' if one.unranked else 'qualifies'}"
+    return Cell(one.pick, notes=(following,), tone=Tone.GOOD)
+
+
+def _ranking(one: Guideline) -> Cell:
+    if not one.ranking:
+        return Cell("-", tone=Tone.QUIET)
+    first, *others = (f"{place}. {said}" for place, said in enumerate(one.ranking, start=1))
+    return Cell(first, notes=tuple(others))
+
+
+def _others(one: Guideline, reasons: Reasons) -> Cell:
+    first, *others = (*_not_picked(one, reasons), "-")
+    return Cell(first, notes=tuple(others[:-1]), tone=Tone.QUIET)
+
+
+def _not_picked(one: Guideline, reasons: Reasons) -> Iterator[str]:
+    yield from (f"qualifies too, not ranked: {said}" for said in one.unranked)
+    for title, names in (("do not qualify", one.disqualified), ("lack a figure", one.unmeasured)):
+        if names:
+            yield f"{title}: {_few(names)}"
+    for said in one.barred:
+        yield f"barred: {said}"
+
+
+def _few(names: Sequence[str]) -> str:
+    more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
+    return f"{', '.join(names[:_NAMED])}{more}"

@@ -1,0 +1,85 @@
+"""What the rows of the report's tables share: a group's name and facets, and reasons that are written once."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from itertools import groupby
+from typing import Any
+
+from gpusimbench.evaluator.render.document import EMPTY, Cell, Figure, Gallery, Item, Items, Tone, key_of
+from gpusimbench.evaluator.render.figures.matrix import letter
+from gpusimbench.evaluator.render.numbers import plural
+from gpusimbench.evaluator.report import words
+from gpusimbench.evaluator.results.result import GroupResult
+
+
+def facets(result: GroupResult) -> dict[str, str]:
+    """By what readers filter the rows of a group."""
+    key = result.group.key
+    return {"simulator": key.simulator, "scene": key.scene, "device": key.device or "none", "level": key.determinism}
+
+
+def named(result: GroupResult) -> Cell:
+    """The name of a group, linked to its simulator; below it version, scene, size, and runs that are not complete."""
+    key, group = result.group.key, result.group
+    what = (
+        f"{key.version or 'no version'}; {key.n_env} envs x {plural(len(group.complete), 'complete run')}; {key.scene}"
+    )
+    trouble = words.trouble(group)
+    notes = (what, *([f"{trouble} of {plural(len(group.recordings), 'run')}"] if trouble else []))
+    return Cell(result.label, notes=notes, link=key_of("simulator", key.simulator))
+
+
+class Reasons:
+    """Reasons why values are missing: a cell has a letter, the legend of its table has the words."""
+
+    def __init__(self) -> None:
+        self._letters: dict[str, str] = {}
+
+    def cell(self, why: str, text: str = EMPTY.text) -> Cell:
+        """A cell without a value."""
+        if not why:
+            return EMPTY
+        return Cell(text, notes=(self.mark(why),), tone=Tone.QUIET)
+
+    def mark(self, why: str) -> str:
+        """The letter of a reason, in brackets."""
+        return self._letters.setdefault(why, f"({letter(len(self._letters)).lower()})")
+
+    @property
+    def legend(self) -> tuple[str, ...]:
+        """A line for each reason, in the order in which they were given."""
+        return tuple(f"{mark} {why}" for why, mark in self._letters.items())
+
+
+def with_lines(figures: Iterable[Figure], least: float = 24.0) -> tuple[Gallery | Items, ...]:
+    """Figures that have a drawing in a grid, and below it what is said in place of the others, each sentence once."""
+    found = list(figures)
+    drawn = tuple(one for one in found if one.svg)
+    lines = lines_of([(one.caption, one.label) for one in found if not one.svg])
+    return (*([Gallery(drawn, least)] if drawn else []), *([lines] if lines else []))
+
+
+def lines_of(said: Sequence[tuple[str, str]]) -> Items | None:
+    """Sentences with the groups that they hold for, each sentence once; None without any.
+
+    said  sentence and label of a group, the latter empty where it is of the whole set
+    """
+    order = {sentence: nth for nth, sentence in enumerate(dict.fromkeys(sentence for sentence, _ in said))}
+    in_order = sorted(said, key=lambda one: order[one[0]])
+    found = []
+    for sentence, of in groupby(in_order, key=lambda one: one[0]):
+        labels = [label for _, label in of if label]
+        if len(labels) < 2:
+            found.append(Item(": ".join([*labels, sentence])))
+        else:
+            found.append(Item(f"{plural(len(labels), 'group')}: {sentence}", items=tuple(map(Item, labels))))
+    return Items(tuple(found)) if found else None
+
+
+def ordered(results: Iterable[GroupResult], name: str) -> dict[Any, list[GroupResult]]:
+    """Groups by what their key has under a name, in the order in which they come."""
+    found: dict[Any, list[GroupResult]] = {}
+    for result in results:
+        found.setdefault(getattr(result.group.key, name), []).append(result)
+    return found

@@ -1,0 +1,116 @@
+"""Throughput and memory against the number of environments: curves, how far each sweep goes, and every point."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from gpusimbench.evaluator.render.cells import estimate, quantity
+from gpusimbench.evaluator.render.document import Block, Cell, Gallery, Row, Section, Table, Text, Tone, items, table
+from gpusimbench.evaluator.render.numbers import NONE
+from gpusimbench.evaluator.report import timed, words
+from gpusimbench.evaluator.report.scaling import SceneSweeps, scene_sweeps
+from gpusimbench.evaluator.report.source import Source
+from gpusimbench.evaluator.results.cost_metrics import FPS
+from gpusimbench.evaluator.results.sweeps import SOURCES, Sweep, SweepPoint
+
+_HOW = (
+    "Both axes are logarithmic. Ring: N_env^max, the largest number of environments with a complete run. Cross: the "
+    "next number tried, where no run was complete. Dotted: throughput in proportion to the environments, from the "
+    "sweep's first point on. Thin line: the memory model. Sweeps of three points or fewer have no lines."
+)
+
+_MODEL = "memory model: bytes = fixed + per env x N"
+
+
+def section(source: Source) -> Section | None:
+    """None without a sweep."""
+    found = list(scene_sweeps(source.evaluation.sweeps))
+    if not found:
+        return None
+    blocks: list[Block] = []
+    for scene in found:
+        blocks += _of_scene(scene)
+    furthest = max((s for s in source.evaluation.sweeps if s.n_max), key=lambda s: s.n_max or 0, default=None)
+    said = f"furthest: {furthest.label}, {furthest.n_max:,} envs" if furthest else ""
+    return Section("scaling", "Scaling over the number of environments", tuple(blocks), said, folded=True)
+
+
+def _of_scene(found: SceneSweeps) -> Iterator[Block]:
+    sweeps = [sweep for _, sweep in found.sweeps]
+    if found.charts:
+        yield Gallery(tuple(found.charts), 28)
+        yield Text(_HOW, Tone.QUIET)
+    yield table(
+        f"scaling-largest-{found.scene}",
+        f"How far the sweeps of {found.scene} go",
+        [
+            "sweep",
+            "N_env^max",
+            FPS.titled,
+            "memory increment",
+            "why it ends",
+            _MODEL,
+        ],
+        [_sweep(sweep) for sweep in sweeps],
+    )
+    if found.remarks:
+        yield items(*found.remarks)
+    for sweep in sweeps:
+        yield Section(
+            f"sweep-{found.scene}-{sweeps.index(sweep)}",
+            sweep.label,
+            (_points(sweep, found),),
+            f"{len(sweep.points)} points",
+            folded=True,
+            facets=_facets(sweep),
+        )
+
+
+def _facets(sweep: Sweep) -> dict[str, str]:
+    key = sweep.key
+    return {"simulator": key.simulator, "scene": key.scene, "device": key.device or "none", "level": key.determinism}
+
+
+def _sweep(sweep: Sweep) -> Row:
+    where = f"{sweep.key.version or 'no version'}; {sweep.key.device or 'no device'}"
+    best = sweep.at_max
+    models = [f"{words.model(model)} ({SOURCES[name]})" for name, model in sweep.models.items()]
+    models += [f"no model: {why_not} ({SOURCES[name]})" for name, why_not in sweep.no_model.items()]
+    largest = Cell(NONE, notes=("no run is complete",)) if sweep.n_max is None else quantity(float(sweep.n_max))
+    return Row(
+        (
+            Cell(sweep.label, notes=(where,)),
+            largest,
+            estimate(best.metrics[FPS.name]) if best else Cell(NONE),
+            Cell(words.amount(best.metrics[sweep.memory]) if best else NONE),
+            Cell(sweep.ends),
+            Cell("; ".join(models) or NONE),
+        ),
+        _facets(sweep),
+    )
+
+
+def _points(sweep: Sweep, found: SceneSweeps) -> Table:
+    titles = ("envs", FPS.titled, *(c.title for c in found.columns), "memory increment", "allocator's peak",
+              "contacts per env: mean / max", "build; compile [s]", "runs")  # fmt: skip
+    name = f"scaling-points-{found.scene}"
+    return table(name, f"{sweep.label}, {found.scene}", titles, [_point(sweep, point, found) for point in sweep.points])
+
+
+def _point(sweep: Sweep, point: SweepPoint, found: SceneSweeps) -> Row:
+    metrics = point.result.metrics
+    failures = tuple(f"{failure.short}: {failure.reason}" for failure in point.failures)
+    runs = f"{point.complete} of {len(point.recordings)} complete"
+    return Row(
+        (
+            quantity(float(point.n_env)),
+            estimate(metrics[FPS.name]),
+            *map(Cell, timed.cells(found.columns, point.result.timed)),
+            Cell(words.amount(metrics[sweep.memory])),
+            Cell(words.amount(metrics["allocator_peak"])),
+            Cell(words.counted(point.result.validity.of("contacts", "timed", "capture"))),
+            Cell(f"{words.cell(metrics['build_time'])}; {words.cell(metrics['compile_time'])}"),
+            Cell(runs, notes=failures, tone=Tone.BAD if failures else Tone.PLAIN),
+        ),
+        _facets(sweep),
+    )

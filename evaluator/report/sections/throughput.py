@@ -1,0 +1,79 @@
+"""Throughput, what was timed, memory and times of preparation at one number of environments."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+
+from gpusimbench.evaluator.missing import known
+from gpusimbench.evaluator.render.document import Block, Cell, Column, Items, Section, Text, items
+from gpusimbench.evaluator.render.numbers import NONE, plural
+from gpusimbench.evaluator.report import timed, words
+from gpusimbench.evaluator.report.sections.rows import Reasons
+from gpusimbench.evaluator.report.sections.values import Written, column_of, largest, of_groups
+from gpusimbench.evaluator.report.source import Source
+from gpusimbench.evaluator.results.cost_metrics import FPS
+from gpusimbench.evaluator.results.details import Throughput
+from gpusimbench.evaluator.results.metric import Metric, Table
+from gpusimbench.evaluator.results.result import GroupResult
+
+_HOW = (
+    "Mean ± SD over runs, with the 95 % interval; times of building and compiling are medians. Throughput is "
+    "environments x steps divided by the time of the timed phase, in which nothing is recorded. Compare throughputs on "
+    "one device only, and over the same steps of the scene."
+)
+
+
+def section(source: Source) -> Section | None:
+    """None where no group is left."""
+    if not source.shown:
+        return None
+    costs = [metric for metric in source.columns(Table.THROUGHPUT) if metric is not FPS]
+    scenes = dict.fromkeys(r.group.key.scene for r in source.shown)
+    blocks: list[Block] = [Text(_HOW)]
+    if hidden := len(source.hidden):
+        blocks.append(Text(f"{plural(hidden, 'group')} of sweeps that captured no states: see scaling."))
+    for scene in scenes:
+        results = [r for r in source.shown if r.group.key.scene == scene]
+        blocks += _of_scene(scene, results, costs)
+    return Section("throughput", "Throughput and memory", tuple(blocks), _summary(source.shown), folded=True)
+
+
+def _of_scene(scene: str, results: list[GroupResult], costs: list[Metric]) -> Iterator[Block]:
+    speeds, memory = Reasons(), Reasons()
+    beside = timed.columns(r.timed for r in results)
+    speed_columns = [
+        column_of(FPS, speeds, _shared),
+        (Column("runs"), lambda r: Cell(str(r.metrics[FPS.name].n), float(r.metrics[FPS.name].n))),
+        *((Column(one.title), _timed(one)) for one in beside),
+        (Column("what lies between the clocks"), _covers),
+    ]
+    yield of_groups(f"throughput-{scene}", f"Throughput, {scene}", results, speed_columns, speeds)
+    yield from _remarks(results)
+    costly = [column_of(metric, memory) for metric in costs]
+    yield of_groups(f"costs-{scene}", f"Memory and times of preparation, {scene}", results, costly, memory)
+
+
+def _timed(column: timed.Column) -> Written:
+    return lambda result: Cell(column.cell(result.timed))
+
+
+def _shared(result: GroupResult) -> Iterable[str]:
+    told = words.shared(result.metrics[FPS.name])
+    return [f"another process on the GPU: {told}"] if told else []
+
+
+def _covers(result: GroupResult) -> Cell:
+    return Cell(result.metrics[FPS.name].of(Throughput).timing_covers or NONE)
+
+
+def _remarks(results: list[GroupResult]) -> Iterator[Items]:
+    if lines := timed.remarks(results):
+        yield items(*lines)
+
+
+def _summary(results: list[GroupResult]) -> str:
+    first = largest(results, FPS)
+    if first is None:
+        return "no complete run was timed"
+    fps = known(first.metrics[FPS.name].value) or 0.0
+    return f"highest: {first.label}, {fps:,.0f} {FPS.unit} at {first.group.key.n_env:,} envs"

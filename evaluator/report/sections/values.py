@@ -1,0 +1,52 @@
+"""Cells of metrics in the report's tables: the value as its metric is written, its interval, and what must be known."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+
+from gpusimbench.evaluator.missing import Missing, known
+from gpusimbench.evaluator.render import numbers
+from gpusimbench.evaluator.render.document import Cell, Column, Row, Table, Tone
+from gpusimbench.evaluator.report import words
+from gpusimbench.evaluator.report.sections.rows import Reasons, facets, named
+from gpusimbench.evaluator.results.metric import Estimate, Metric
+from gpusimbench.evaluator.results.result import GroupResult
+
+Written = Callable[[GroupResult], Cell]
+
+
+def value(found: Estimate, reasons: Reasons, *notes: str, tone: Tone = Tone.PLAIN) -> Cell:
+    """An estimate as its metric is written; without a value, the letter of the reason."""
+    if isinstance(found.value, Missing):
+        return reasons.cell(found.value.reason)
+    bounds = numbers.interval(found)
+    shown = "" if bounds == numbers.NONE else bounds
+    said = tuple(note for note in notes if note and note != numbers.NONE)
+    return Cell(words.cell(found), float(found.value), found.ci95, shown, said, tone)
+
+
+def of_groups(
+    key: str, caption: str, results: Iterable[GroupResult], columns: Sequence[tuple[Column, Written]],
+    reasons: Reasons, legend: Sequence[str] = (),
+) -> Table:  # fmt: skip
+    """A table with a row for each group, without the columns in which no group has anything."""
+    rows = tuple(Row((named(r), *(write(r) for _, write in columns)), facets(r)) for r in results)
+    titles = (Column("group"), *(column for column, _ in columns))
+    whole = Table(key, caption, titles, rows, (*legend, *reasons.legend))
+    return whole.without_empty_columns()
+
+
+def column_of(
+    metric: Metric, reasons: Reasons, beside: Callable[[GroupResult], Iterable[str]] = lambda _: ()
+) -> tuple[Column, Written]:
+    """The column of a metric; `beside` is what stands below a value."""
+    return (
+        Column(metric.titled, metric.method),
+        lambda result: value(result.metrics[metric.name], reasons, *beside(result)),
+    )
+
+
+def largest(results: Iterable[GroupResult], metric: Metric) -> GroupResult | None:
+    """The group with the largest value of a metric; None where none has a value."""
+    found = [(amount, r) for r in results if (amount := known(r.metrics[metric.name].value)) is not None]
+    return max(found, key=lambda one: one[0])[1] if found else None

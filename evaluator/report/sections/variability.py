@@ -1,0 +1,154 @@
+"""Variability between environments and between runs: classes of equal bits, distances, and the published type."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from gpusimbench.evaluator.metrics.regime import REGIME_MEANING
+from gpusimbench.evaluator.missing import Missing, known
+from gpusimbench.evaluator.render.document import Block, Cell, Column, Section, Text, Tone
+from gpusimbench.evaluator.render.numbers import NONE, mean_sd, plural
+from gpusimbench.evaluator.report import words
+from gpusimbench.evaluator.report.sections.rows import Reasons
+from gpusimbench.evaluator.report.sections.values import Written, column_of, of_groups, value
+from gpusimbench.evaluator.report.source import Source
+from gpusimbench.evaluator.results.clamped_metrics import SUFFIX
+from gpusimbench.evaluator.results.details import BetweenEnvs, DistinctEnvs, DistinctRuns, Equality
+from gpusimbench.evaluator.results.group_metrics import LEFT_BOARD, REGIME, SANK, W1_PARALLEL, W1_REAL, W1_RUN_TO_RUN
+from gpusimbench.evaluator.results.identity_metrics import (
+    DISTINCT_ENVS,
+    DISTINCT_RUNS,
+    EQUALITY_ENVS,
+    EQUALITY_RUNS,
+    identical,
+)
+from gpusimbench.evaluator.results.metric import Metric, Table
+from gpusimbench.evaluator.results.result import GroupResult
+
+_BITS = "Bits: classes of equal states, and the strongest level of equality"
+_OTHERS = "Cubes that were lost, growth of differences, and what capturing changed"
+_DISTANCES = "Distances W1 between planar positions, in cm"
+_LEGEND = (
+    "W1 compares where cubes lie seen from above, whichever cube lies where: cubes that swapped places, or that differ "
+    "in height or angle only, are at distance 0. Only the counts of distinct environments and runs compare all bits.",
+    "clamped: each cube beside the board is put at its nearest edge, so that flight after a fall does not count",
+    f"{words.EXCHANGED}: W1 of the first two runs (or of the first run and the reference), its mean with whole "
+    "environments exchanged between them at random, and the share of exchanges that give as much",
+    "0 alone is an exact zero; published tables round, and their 0.00 can hide up to 0.005 cm",
+)
+
+
+def section(source: Source) -> Section | None:
+    """None where no group is left."""
+    results = source.shown
+    if not results:
+        return None
+    bits, apart, others = Reasons(), Reasons(), Reasons()
+    distances = [W1_PARALLEL, W1_RUN_TO_RUN, *([W1_REAL] if source.evaluation.reference else [])]
+    told = {DISTINCT_ENVS, DISTINCT_RUNS, EQUALITY_ENVS, EQUALITY_RUNS, REGIME, W1_PARALLEL, W1_RUN_TO_RUN, W1_REAL}
+    rest = [m for m in source.columns(Table.VARIABILITY) if m not in told and not m.name.endswith(SUFFIX)]
+    of_bits = [
+        _distinct(DISTINCT_ENVS, EQUALITY_ENVS, bits),
+        _distinct(DISTINCT_RUNS, EQUALITY_RUNS, bits),
+        (Column(REGIME.titled, REGIME.method), _type(bits)),
+    ]
+    of_others = [column_of(m, others) if m not in (LEFT_BOARD, SANK) else _cubes(m, others) for m in rest]
+    blocks: list[Block] = [
+        of_groups("variability-bits", _BITS, results, of_bits, bits),
+        of_groups("variability-distances", _DISTANCES, results, [*_apart(distances, apart)], apart, _LEGEND),
+        of_groups("variability-others", _OTHERS, results, of_others, others),
+    ]
+    if not source.evaluation.reference:
+        blocks.append(Text(f"No distance to real trials: {source.evaluation.reference_note}."))
+    claims = [identical(r.metrics[DISTINCT_RUNS.name]).holds for r in results]
+    compared = [holds for holds in claims if holds is not None]
+    said = f"{compared.count(True)} of {plural(len(compared), 'group')} with several runs repeat bit for bit"
+    return Section("variability", "Variability", tuple(blocks), said, folded=True)
+
+
+def _distinct(counted: Metric, level: Metric, reasons: Reasons) -> tuple[Column, Written]:
+    def cell(result: GroupResult) -> Cell:
+        found, equal = result.metrics[counted.name], result.metrics[level.name]
+        details = found.details
+        first = details.first_difference_step if isinstance(details, DistinctEnvs | DistinctRuns) else None
+        alike = "" if isinstance(found.value, Missing) else words.all_alike(found)
+        said = [f"first differ at step {first}" if first is not None else alike]
+        if first is not None or isinstance(found.value, Missing):
+            note = equal.of(Equality).note
+            said.append(": ".join(filter(None, (words.equality(equal), note))))
+        holds = identical(found).holds
+        tone = Tone.PLAIN if holds is None else Tone.GOOD if holds else Tone.BAD
+        made = value(found, reasons, *said, tone=tone)
+        extra = tuple(one for one in said if one and one != NONE)
+        return (
+            made
+            if not isinstance(found.value, Missing)
+            else Cell(made.text, notes=(*made.notes, *extra), tone=made.tone)
+        )
+
+    return Column(counted.titled, counted.method), cell
+
+
+def _type(reasons: Reasons) -> Written:
+    def cell(result: GroupResult) -> Cell:
+        found = result.metrics[REGIME.name]
+        if isinstance(found.value, Missing):
+            return reasons.cell(found.value.reason)
+        again = words.resampled(found)
+        more = [words.another(again)] if again and again.run_differs_below else []
+        return Cell(words.regime(found), notes=(REGIME_MEANING.get(int(found.value), ""), *more))
+
+    return cell
+
+
+def _apart(distances: list[Metric], reasons: Reasons) -> Iterator[tuple[Column, Written]]:
+    for metric in distances:
+        yield Column(metric.titled, metric.method), _distance(metric, reasons)
+        yield Column(f"clamped {metric.title} [{metric.unit}]"), _clamped(metric)
+        if metric is not W1_PARALLEL:
+            yield Column(words.EXCHANGED), _floor(metric)
+
+
+def _distance(metric: Metric, reasons: Reasons) -> Written:
+    def cell(result: GroupResult) -> Cell:
+        found = result.metrics[metric.name]
+        drawn = found.of(BetweenEnvs).sampled
+        note = f"sampled: {drawn.envs} envs of a run drawn with seed {drawn.seed}" if drawn else ""
+        return value(found, reasons, note)
+
+    return cell
+
+
+def _clamped(metric: Metric) -> Written:
+    def cell(result: GroupResult) -> Cell:
+        found = result.metrics[metric.name + SUFFIX]
+        fell = known(result.metrics[LEFT_BOARD.name].value)  # where no cube left the board, W1 says it all
+        return Cell(mean_sd(found) if fell else NONE, known(found.value) if fell else None)
+
+    return cell
+
+
+def _floor(metric: Metric) -> Written:
+    def cell(result: GroupResult) -> Cell:
+        found = result.metrics[metric.name]
+        why = words.not_exchanged(found)
+        return Cell(words.exchanged(found), notes=(f"no floor: {why}",) if why else ())
+
+    return cell
+
+
+def _cubes(metric: Metric, reasons: Reasons) -> tuple[Column, Written]:
+    def cell(result: GroupResult) -> Cell:
+        found = result.metrics[metric.name]
+        if isinstance(found.value, Missing):
+            return reasons.cell(found.value.reason)
+        details = found.details
+        lines = [f"{getattr(details, 'total', 0):,} of {getattr(details, 'of', 0):,}"]
+        if envs := getattr(details, "envs_with_any", 0):
+            lines.append(f"in {envs:,} of {found.n:,} envs")
+        if found.value and (step := getattr(details, "first_step", None)) is not None:
+            lines.append(f"first at step {step}")
+        bad = metric is SANK and bool(found.value)
+        return value(found, reasons, *lines, tone=Tone.BAD if bad else Tone.PLAIN)
+
+    return Column(metric.titled, metric.method), cell
