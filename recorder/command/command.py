@@ -197,7 +197,7 @@ def _print_json(record: dict[str, Any]) -> None:
 def _list(name: str, as_json: bool) -> int:
     with shielded():
         from gpusimbench.recorder.command.listing import list_all, text_of
-        from gpusimbench.recorder.listing_one import lines_of, list_one
+        from gpusimbench.recorder.command.listing_one import lines_of, list_one
     known = list_one(name) if name else list_all()
     if as_json:
         _print_json(known)
