@@ -76,7 +76,7 @@ def parsers() -> dict[str, argparse.ArgumentParser]:
 
 def modules() -> dict[str, ModuleType]:
     """The module with the parser and the work of every command; that of gsb-record's main imports next to nothing."""
-    elsewhere = {"gpusimbench.recorder.cli": "gpusimbench.recorder.arguments"}
+    elsewhere = {"gpusimbench.recorder.cli": "gpusimbench.recorder.command.arguments"}
     return {name: import_module(elsewhere.get(module, module)) for name, module in entry_points().items()}
 
 

@@ -15,7 +15,7 @@ def main(argv: list[str] | None = None) -> int:
 
         interruption.install()
         with interruption.shielded():
-            from gpusimbench.recorder.command import run
+            from gpusimbench.recorder.command.command import run
             from gpusimbench.schemas.errors import GsbError
             from gpusimbench.schemas.text import line, show
         try:

@@ -11,7 +11,7 @@ Readers ignore keys they do not know.
 from __future__ import annotations
 
 import json
-from dataclasses import asdict, dataclass, field
+from dataclasses import KW_ONLY, asdict, dataclass, field
 from typing import Any
 
 from gpusimbench.schemas import FORMAT, checks
@@ -170,7 +170,7 @@ class OverflowBit:
     fatal: bool
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class EngineFacts:
     """What a built simulator says of itself.
 
@@ -180,8 +180,8 @@ class EngineFacts:
     switches       whatever decides which numbers come out: determinism modes, implementations, precision
     deviations     parameters of the scene that the engine could not honour
     fields         layout of the state, in recording order
-    env_origins    origin of each environment in the engine's world frame [m]; empty when all are at zero
     timing_covers  what lies between two clock readings of the phase "timed"
+    env_origins    origin of each environment in the engine's world frame [m]; empty when all are at zero
     buffers        capacities beyond which the engine drops contacts or constraints; measured, never left at a default
     counters       what is counted at each step
     overflow_bits  what the bits of the topics /overflow/<phase> mean
@@ -193,8 +193,9 @@ class EngineFacts:
     switches: dict[str, Any]
     deviations: tuple[Deviation, ...]
     fields: tuple[StateField, ...]
-    env_origins: tuple[tuple[float, float, float], ...] = ()
     timing_covers: str = ""
+    _: KW_ONLY
+    env_origins: tuple[tuple[float, float, float], ...] = ()
     buffers: tuple[Buffer, ...] = ()
     counters: tuple[Counter, ...] = ()
     overflow_bits: tuple[OverflowBit, ...] = ()

@@ -100,7 +100,7 @@ def test_every_shell(shell: str) -> None:
 
 def test_help_and_work_are_as_they_were() -> None:
     """Let names that only completion knows neither show in the help nor limit what an option takes."""
-    from gpusimbench.recorder.arguments import parser
+    from gpusimbench.recorder.command.arguments import parser
 
     (sim,) = (action for action in parser()._actions if action.dest == "sim")
     assert sim.choices is None

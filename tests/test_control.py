@@ -33,7 +33,7 @@ KNOWN: Json = {"scene": "free-fall", "n_env": 5, "steps": 5, "phases": ["capture
 MANY = """
 import json, sys, uuid
 from pathlib import Path
-from gpusimbench.recorder.run import Run
+from gpusimbench.recorder.run.run import Run
 from gpusimbench.schemas.configuration import RunConfiguration
 for index, task in enumerate(json.load(sys.stdin)):
     configuration = RunConfiguration(simulator="calibration", dt=0.01, run_index=index, **task)

@@ -50,7 +50,7 @@ def test_every_option_is_explained(name: str) -> None:
 
 def test_the_recorder_says_its_defaults() -> None:
     """Name in the help of gsb-record each default that its tables have."""
-    from gpusimbench.recorder import arguments
+    from gpusimbench.recorder.command import arguments
 
     helps = {action.dest: action.help or "" for action in _options(PARSERS["gsb-record"])}
     for table in (arguments._SIMULATED, arguments._MEASURED, arguments._REPLAYED):

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from queue import SimpleQueue
 from typing import NamedTuple
 
-from gpusimbench.recorder.launch import Result
+from gpusimbench.recorder.process.launch import Result
 from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.errors import ExitCode
 

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from gpusimbench.recorder.finished import run_end
 from gpusimbench.recorder.plan import partial_of, publish, reserve
-from gpusimbench.recorder.task import Task
+from gpusimbench.recorder.sets.finished import run_end
+from gpusimbench.recorder.sets.task import Task
 from gpusimbench.schemas import PARTIAL
 from gpusimbench.schemas.errors import GsbError, RecordingError
 from gpusimbench.schemas.mcap.reader import Container

@@ -5,7 +5,7 @@ a line. A further line is how often the user has interrupted by now. The end of 
 any more: a run in progress is killed, the folder with its files is removed, and the process ends.
 
     said                 when
-    {"where": ...}       no run was asked for: machine and software, as of recorder.finished
+    {"where": ...}       no run was asked for: machine and software, as of recorder.sets.finished
     {"phase": ...}       as the run's process reports it
     {"result": ...}      the run has ended; its "files" stay until the end of standard input
     {"error": ...}       nothing can be made here, and why; with an exit code
@@ -26,11 +26,11 @@ from typing import Any
 
 from gpusimbench.recorder.cluster.code import code
 from gpusimbench.recorder.environments.choice import check_known, interpreter_for
-from gpusimbench.recorder.finished import where_am_i
-from gpusimbench.recorder.launch import Interruptions
 from gpusimbench.recorder.probes.gpu import Gpus
+from gpusimbench.recorder.process.launch import Interruptions
+from gpusimbench.recorder.sets.finished import where_am_i
+from gpusimbench.recorder.sets.task import Task, make
 from gpusimbench.recorder.simulators.registry import find_simulator
-from gpusimbench.recorder.task import Task, make
 from gpusimbench.schemas.errors import ExitCode, GsbError, UsageError
 
 Say = Callable[[dict[str, Any]], None]

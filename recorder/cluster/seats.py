@@ -12,9 +12,9 @@ from typing import Any
 from gpusimbench.recorder.cluster.code import code
 from gpusimbench.recorder.cluster.connection import Cluster, Lost, Node
 from gpusimbench.recorder.cluster.gathering import Spoiled, gather
-from gpusimbench.recorder.launch import Interruptions, Result
-from gpusimbench.recorder.launch import Progress as Report
-from gpusimbench.recorder.task import Task
+from gpusimbench.recorder.process.launch import Interruptions, Result
+from gpusimbench.recorder.process.launch import Progress as Report
+from gpusimbench.recorder.sets.task import Task
 from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.errors import ExitCode, UsageError
 
@@ -65,7 +65,7 @@ class Wanted:
 class Seat:
     """One spot, held for as long as the command runs.
 
-    where  machine and software, as of recorder.finished; known once it was asked
+    where  machine and software, as of recorder.sets.finished; known once it was asked
     """
 
     def __init__(self, cluster: Cluster, spot: Spot, wanted: Wanted) -> None:

@@ -1,4 +1,4 @@
-"""The runs of a command on the seats of a cluster: a Maker, as of recorder.series."""
+"""The runs of a command on the seats of a cluster: a Maker, as of recorder.sets.series."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from gpusimbench.recorder.cluster.connection import Cluster, Lost
 from gpusimbench.recorder.cluster.gathering import Stopped
 from gpusimbench.recorder.cluster.node import KILLING
 from gpusimbench.recorder.cluster.seats import Seat, Spot, Wanted, needs_gpu, spots
-from gpusimbench.recorder.launch import Interruptions, Result
 from gpusimbench.recorder.options import parse_options
-from gpusimbench.recorder.progress import Progress, say
-from gpusimbench.recorder.series import Request
+from gpusimbench.recorder.process.launch import Interruptions, Result
+from gpusimbench.recorder.sets.progress import Progress, say
+from gpusimbench.recorder.sets.series import Request
 from gpusimbench.recorder.simulators.registry import find_simulator
 from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.errors import ExitCode, GsbError, UsageError

@@ -8,7 +8,7 @@ from typing import Any
 
 from mcap.reader import make_reader
 
-from gpusimbench.recorder.launch import Result
+from gpusimbench.recorder.process.launch import Result
 from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.messages import message_class
 

@@ -18,8 +18,8 @@ from gpusimbench.recorder.conformance.recording import RecordedRun, read
 from gpusimbench.recorder.conformance.scene import DT, LANDING, N_ENV, N_STEP, conformance_scene
 from gpusimbench.recorder.conformance.trajectory import Trajectory
 from gpusimbench.recorder.conformance.verdict import NotApplicable
-from gpusimbench.recorder.environment import apply_environment
 from gpusimbench.recorder.options import parse_options
+from gpusimbench.recorder.run.environment import apply_environment
 from gpusimbench.recorder.scenes.base import Scene
 from gpusimbench.recorder.scenes.registry import SCENES
 from gpusimbench.recorder.simulators.base import Captured, Description, Simulator, States
@@ -215,8 +215,8 @@ class Subject:
 
     def _record(self) -> RecordedRun:
         from gpusimbench.recorder.environments.interpreter import own
-        from gpusimbench.recorder.launch import Interruptions, launch
         from gpusimbench.recorder.plan import reserve, utc_now
+        from gpusimbench.recorder.process.launch import Interruptions, launch
 
         if not self.scenes:
             raise NotApplicable("the adapter has not the abilities that any built-in scene needs")

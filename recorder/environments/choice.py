@@ -8,8 +8,8 @@ from pathlib import Path
 
 from gpusimbench.recorder.environments.interpreter import RECORDING, Interpreter, at, own
 from gpusimbench.recorder.environments.store import find
-from gpusimbench.recorder.progress import say
 from gpusimbench.recorder.scenes.registry import SCENES
+from gpusimbench.recorder.sets.progress import say
 from gpusimbench.recorder.simulators.registry import BUILT_IN, Entry
 from gpusimbench.schemas.errors import UsageError
 

@@ -18,7 +18,7 @@ from gpusimbench.recorder.environments.specification import Specification, speci
 from gpusimbench.recorder.environments.store import FOLDER_VARIABLE, MANIFEST, Prepared, find, folder_of, store
 from gpusimbench.recorder.plan import utc_now
 from gpusimbench.recorder.probes.software import NUMERIC_PACKAGES
-from gpusimbench.recorder.progress import say
+from gpusimbench.recorder.sets.progress import say
 from gpusimbench.recorder.simulators.registry import find_simulator
 from gpusimbench.schemas.errors import GsbError, UsageError
 from gpusimbench.schemas.writing import open_lock

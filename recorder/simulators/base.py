@@ -27,7 +27,7 @@ from gpusimbench.schemas.provenance import EngineFacts, Simulation
 __all__ = ["Ability", "Captured", "Description", "Evidence", "Held", "Simulator", "States"]
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Description(EngineFacts):
     """What a built simulator says of itself, field by field as of EngineFacts; all of it goes into the recording.
 

@@ -40,7 +40,9 @@ _EVALUATOR = "gpusimbench.evaluator.cli"
 
 COMMANDS = {
     "record": Command(
-        "run a scene on a simulator and write recordings", "gpusimbench.recorder.cli", "gpusimbench.recorder.arguments"
+        "run a scene on a simulator and write recordings",
+        "gpusimbench.recorder.cli",
+        "gpusimbench.recorder.command.arguments",
     ),
     "eval": Command("speed, memory, determinism and physics of recordings", f"{_EVALUATOR}.eval"),
     "compare": Command("whether a second set of recordings is worse than the first", f"{_EVALUATOR}.compare"),
@@ -93,7 +95,7 @@ def parser(*, whole: bool = True) -> Parser:
 
 
 def _names() -> dict[str, tuple[str, ...]]:
-    names: dict[str, tuple[str, ...]] = import_module("gpusimbench.recorder.arguments").names()
+    names: dict[str, tuple[str, ...]] = import_module("gpusimbench.recorder.command.arguments").names()
     return names
 
 

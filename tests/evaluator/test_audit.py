@@ -42,7 +42,7 @@ _PLUGIN = '''
 """MuJoCo C, but for what the environment variable MUJOCO_PLANTED says."""
 import os, threading, time
 import numpy as np
-from gpusimbench.recorder.cage import most_threads
+from gpusimbench.recorder.process.cage import most_threads
 from gpusimbench.recorder.simulators.mujoco.simulator import MujocoC
 
 def planted():

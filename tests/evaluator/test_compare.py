@@ -368,6 +368,7 @@ def test_determinism_that_is_lost(tmp_path: Path, capsys: pytest.CaptureFixture[
     assert code == 4
     for name in ("distinct_envs", "distinct_runs"):
         assert finding(document, name)["change"] == "regression"
+    assert finding(document, "distinct_runs")["note"].startswith("3 bit-identical runs: another one differs")
     code, document = compared(
         *write_sides(tmp_path / "won", apart, alike, "ABBAAB"), "--gate", "determinism", capsys=capsys
     )

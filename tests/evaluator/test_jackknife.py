@@ -106,6 +106,7 @@ def test_coverage() -> None:
     [
         (np.zeros((2, 3)), "shape"),
         (np.zeros((1, 1)), "at least two runs"),
+        (np.zeros((3, 2)), "must have shape"),
         ([[0.0, 1.0], [2.0, 0.0]], "symmetric"),
         ([[0.0, -1.0], [-1.0, 0.0]], "not negative"),
         ([[0.0, np.nan], [np.nan, 0.0]], "finite"),

@@ -182,6 +182,15 @@ def test_an_interval_over_drawn_envs() -> None:
     assert (high + low) / 2 == pytest.approx(summary.mean)
 
 
+def test_an_interval_does_not_reach_below_zero() -> None:
+    """End at zero where one environment of four is so far away that the jackknife would go below."""
+    points = np.zeros((4, 3, 2))
+    points[3] += 1.0
+    low, high = variability._interval(pairwise_summary(points))
+    assert low == 0.0
+    assert high > 1.0
+
+
 def test_a_sample_of_large_runs(env: np.ndarray, monkeypatch: pytest.MonkeyPatch) -> None:
     """Draw pairs of runs where each takes a certified solver, count equal runs among them, and say so."""
     runs = env + np.random.default_rng(1).normal(size=(6, 1, 27, 2)) * 0.01

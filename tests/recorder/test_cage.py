@@ -18,14 +18,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gpusimbench.recorder import cage, replay
-from gpusimbench.recorder.cage import LEAST_MEMORY, Cage, Guard
 from gpusimbench.recorder.cli import main
 from gpusimbench.recorder.probes.host import memory_bytes
-from gpusimbench.recorder.replay import check_room, read_source
+from gpusimbench.recorder.process import cage
+from gpusimbench.recorder.process.cage import LEAST_MEMORY, Cage, Guard
 from gpusimbench.recorder.scenes.registry import make_scene
-from gpusimbench.recorder.task import Task
-from gpusimbench.recorder.traces import content_bytes, peak_bytes
+from gpusimbench.recorder.sets import replay
+from gpusimbench.recorder.sets.replay import check_room, read_source
+from gpusimbench.recorder.sets.task import Task
+from gpusimbench.recorder.sets.traces import content_bytes, peak_bytes
 from gpusimbench.schemas import topics
 from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.errors import UsageError
@@ -283,6 +284,6 @@ def test_content_of_what_is_asked(tmp_path: Path) -> None:
 
 def read_configuration(path: Path) -> RunConfiguration:
     """Of a recording."""
-    from gpusimbench.recorder.finished import read_end
+    from gpusimbench.recorder.sets.finished import read_end
 
     return read_end(path).configuration

@@ -28,8 +28,8 @@ from gpusimbench.recorder.cluster.code import code
 from gpusimbench.recorder.cluster.connection import Node
 from gpusimbench.recorder.cluster.gathering import Spoiled, Stopped, gather
 from gpusimbench.recorder.cluster.seats import needs_gpu, spots
-from gpusimbench.recorder.launch import Result
-from gpusimbench.recorder.task import Task
+from gpusimbench.recorder.process.launch import Result
+from gpusimbench.recorder.sets.task import Task
 from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.errors import ExitCode, UsageError
 from tests.conftest import call, command, wait_for

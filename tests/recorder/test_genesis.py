@@ -127,7 +127,7 @@ def test_what_is_dropped_shows(build: Build, too_small: dict[str, str], bit: str
 
 def test_an_overflow_makes_a_run_invalid(tmp_path: Path) -> None:
     """Record a run whose buffer is too small as INVALID, for the reason BUFFER."""
-    from gpusimbench.recorder.run import Run
+    from gpusimbench.recorder.run.run import Run
     from gpusimbench.schemas.configuration import RunConfiguration
 
     configuration = RunConfiguration(

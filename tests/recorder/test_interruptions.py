@@ -24,7 +24,7 @@ _INTERRUPTED_BETWEEN = '''
 import os, signal, sys
 from pathlib import Path
 from gpusimbench.recorder import interruption
-from gpusimbench.recorder.run import Run
+from gpusimbench.recorder.run.run import Run
 from gpusimbench.schemas import digest
 from gpusimbench.schemas.configuration import RunConfiguration
 

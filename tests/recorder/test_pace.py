@@ -6,9 +6,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gpusimbench.recorder.launch import Result
-from gpusimbench.recorder.pace import Pace
-from gpusimbench.recorder.progress import BarProgress, LineProgress
+from gpusimbench.recorder.process.launch import Result
+from gpusimbench.recorder.run.pace import Pace
+from gpusimbench.recorder.sets.progress import BarProgress, LineProgress
 from gpusimbench.schemas.errors import ExitCode
 from tests.schemas.test_progress import Clock
 

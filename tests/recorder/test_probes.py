@@ -15,10 +15,10 @@ from gpusimbench import open_recording
 from gpusimbench.evaluator.runs.validation import verify
 from gpusimbench.recorder.capture.memory import MemoryWriter
 from gpusimbench.recorder.capture.sink import Sink
-from gpusimbench.recorder.environment import apply_environment
 from gpusimbench.recorder.probes.gpu import Gpus, Processes
 from gpusimbench.recorder.probes.memory import MemorySampler
 from gpusimbench.recorder.probes.software import package_list
+from gpusimbench.recorder.run.environment import apply_environment
 from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.errors import UsageError
 from gpusimbench.schemas.provenance import PROVENANCE, Provenance

@@ -14,7 +14,7 @@ from gpusimbench import open_recording
 from gpusimbench.evaluator.runs.validation import verify
 from gpusimbench.recorder.cli import main
 from gpusimbench.recorder.scenes.registry import make_scene
-from gpusimbench.recorder.trials import parse_trials
+from gpusimbench.recorder.trials.trials import parse_trials
 from gpusimbench.schemas.errors import UsageError
 from gpusimbench.schemas.trial_units import extent_of, unit_doubt
 from tests.conftest import Command
@@ -208,7 +208,7 @@ def test_a_recording_in_the_wrong_unit_is_no_reference(
 ) -> None:
     """Refuse trials that an older recorder took in the wrong unit, with the reason in place of 3,000 cm."""
     (tmp_path / "trials.csv").write_text(csv(grid(2), scale=100.0))
-    monkeypatch.setattr("gpusimbench.recorder.real.unit_doubt", lambda *_: None)
+    monkeypatch.setattr("gpusimbench.recorder.trials.real.unit_doubt", lambda *_: None)
     text = ["--sim", "real", "--trials", str(tmp_path / "trials.csv"), "--unit", "m", "--out", str(tmp_path / "out")]
     assert main(text) == 0
     (path,) = (tmp_path / "out").glob("*.mcap")

@@ -16,8 +16,8 @@ import pytest
 from gpusimbench import open_recording
 from gpusimbench.evaluator.runs.validation import verify
 from gpusimbench.recorder.log import RecordingWriter
-from gpusimbench.recorder.replay import read_source, replayed
 from gpusimbench.recorder.scenes.registry import make_scene
+from gpusimbench.recorder.sets.replay import read_source, replayed
 from gpusimbench.schemas import topics
 from gpusimbench.schemas.errors import DamagedRecording, UsageError
 from gpusimbench.schemas.fields import body_field

@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 
 from gpusimbench import open_recording
-from gpusimbench.recorder.finished import read_end
-from gpusimbench.recorder.launch import _End, _result
+from gpusimbench.recorder.process.launch import _End, _result
+from gpusimbench.recorder.sets.finished import read_end
 from gpusimbench.schemas.configuration import RunConfiguration
 from tests.conftest import command, wait_for
 from tests.synthetic import write_recording

@@ -12,7 +12,7 @@ import pytest
 
 from gpusimbench import open_recording
 from gpusimbench.evaluator.runs.validation import verify
-from gpusimbench.recorder.finished import read_end
+from gpusimbench.recorder.sets.finished import read_end
 from tests.conftest import Command
 
 pytestmark = pytest.mark.alone
@@ -64,7 +64,7 @@ class Endless(Simulator):
 '''
 
 _IMPATIENT = (
-    "import sys; from gpusimbench.recorder import launch; launch.GRACE_S = 1.0; "
+    "import sys; from gpusimbench.recorder.process import launch; launch.GRACE_S = 1.0; "
     "from gpusimbench.recorder.cli import main; sys.exit(main())"
 )
 """gsb-record with less time between the timeout and the end of patience."""
@@ -189,7 +189,7 @@ _EXPIRES_IN_A_WRITE = '''
 """Let the time of a capture end between the digest of a state and its writing; print how it ended."""
 import sys, time
 from pathlib import Path
-from gpusimbench.recorder.run import Run
+from gpusimbench.recorder.run.run import Run
 from gpusimbench.schemas import digest
 from gpusimbench.schemas.configuration import RunConfiguration
 

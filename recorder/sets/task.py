@@ -7,10 +7,10 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from gpusimbench.recorder.cage import Cage
 from gpusimbench.recorder.environments.interpreter import Interpreter
-from gpusimbench.recorder.launch import Interruptions, Progress, Result, launch
 from gpusimbench.recorder.plan import reserve, utc_now
+from gpusimbench.recorder.process.cage import Cage
+from gpusimbench.recorder.process.launch import Interruptions, Progress, Result, launch
 from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.errors import ExitCode
 from gpusimbench.schemas.provenance import ReplayOf
@@ -89,7 +89,7 @@ def make(
     if not (task.end_killed and result.died and result.cause == "TIMEOUT") or interruptions.count:
         return result
 
-    from gpusimbench.recorder.killed import record_killed
+    from gpusimbench.recorder.process.killed import record_killed
 
     path = record_killed(
         folder, run, result.path, run_id=task.run_id, created=task.created, argv=task.argv,

@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from gpusimbench.recorder.capture.evidence import EvidenceWriter
 from gpusimbench.recorder.capture.memory import MemoryWriter
 from gpusimbench.recorder.capture.states import declare_fingerprints, write_fingerprints
-from gpusimbench.recorder.given_actions import given, write_applied
-from gpusimbench.recorder.journal import Journal, Phase
+from gpusimbench.recorder.run.given_actions import given, write_applied
+from gpusimbench.recorder.run.journal import Journal, Phase
 from gpusimbench.recorder.simulators.base import Description, Simulator
 from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.fingerprint import fingerprint

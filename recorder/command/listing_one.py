@@ -7,7 +7,7 @@ from dataclasses import fields
 from typing import Any
 
 from gpusimbench.recorder.abilities import Ability
-from gpusimbench.recorder.listing import details, list_all
+from gpusimbench.recorder.command.listing import details, list_all
 from gpusimbench.recorder.options import meanings
 from gpusimbench.recorder.probes.gpu import Gpus
 from gpusimbench.recorder.scenes.registry import make_scene, scene_names

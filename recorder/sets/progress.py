@@ -10,9 +10,9 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Protocol
 
-from gpusimbench.recorder.launch import Result
 from gpusimbench.recorder.output import show_path
-from gpusimbench.recorder.pace import Pace
+from gpusimbench.recorder.process.launch import Result
+from gpusimbench.recorder.run.pace import Pace
 from gpusimbench.schemas.progress import Ticker, duration, is_terminal
 from gpusimbench.schemas.text import line, show
 

@@ -8,7 +8,7 @@ from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
-from gpusimbench.recorder.arguments import OUT, OUT_OF_REPLAYS, SHORTHANDS, fill, parser
+from gpusimbench.recorder.command.arguments import OUT, OUT_OF_REPLAYS, SHORTHANDS, fill, parser
 from gpusimbench.recorder.interruption import shielded
 from gpusimbench.recorder.output import flush, show, show_document
 from gpusimbench.schemas.configuration import RunConfiguration
@@ -20,7 +20,7 @@ from gpusimbench.schemas.text import block, line
 
 if TYPE_CHECKING:
     from gpusimbench.recorder.environments.interpreter import Interpreter
-    from gpusimbench.recorder.series import Maker
+    from gpusimbench.recorder.sets.series import Maker
 
 
 def configure(arguments: argparse.Namespace) -> RunConfiguration:
@@ -93,8 +93,8 @@ def record(arguments: argparse.Namespace, argv: tuple[str, ...]) -> int:
     """Make all runs; returns the exit code."""
     with shielded():
         from gpusimbench.recorder.plan import check_runs
-        from gpusimbench.recorder.series import Request, record_set, record_sweep
-        from gpusimbench.recorder.sweep import Sweep, parse_points
+        from gpusimbench.recorder.sets.series import Request, record_set, record_sweep
+        from gpusimbench.recorder.sets.sweep import Sweep, parse_points
 
     check_runs(arguments.runs)
     points = () if arguments.sweep is None else parse_points(arguments.sweep)
@@ -128,7 +128,7 @@ def _maker(
 ) -> AbstractContextManager[Maker]:
     with shielded():
         from gpusimbench.recorder.environments.choice import check_known
-        from gpusimbench.recorder.series import Here
+        from gpusimbench.recorder.sets.series import Here
     if interpreter is not None:
         check_known(interpreter, configuration.simulator, configuration.scene)
         return nullcontext(Here(interpreter))
@@ -142,8 +142,9 @@ def replay(arguments: argparse.Namespace, argv: tuple[str, ...]) -> int:
     with shielded():
         from gpusimbench.recorder.environments.choice import check_known
         from gpusimbench.recorder.plan import check_runs, view_of
-        from gpusimbench.recorder.progress import say
-        from gpusimbench.recorder.replay import (
+        from gpusimbench.recorder.scenes.registry import make_scene
+        from gpusimbench.recorder.sets.progress import say
+        from gpusimbench.recorder.sets.replay import (
             announcement,
             check_room,
             check_scene,
@@ -152,8 +153,7 @@ def replay(arguments: argparse.Namespace, argv: tuple[str, ...]) -> int:
             replayed,
             shown,
         )
-        from gpusimbench.recorder.scenes.registry import make_scene
-        from gpusimbench.recorder.series import Request, record_set
+        from gpusimbench.recorder.sets.series import Request, record_set
 
     check_runs(arguments.runs)
     source = read_source(arguments.replay)
@@ -196,8 +196,8 @@ def _print_json(record: dict[str, Any]) -> None:
 
 def _list(name: str, as_json: bool) -> int:
     with shielded():
-        from gpusimbench.recorder.listing import list_all, text_of
-        from gpusimbench.recorder.listing_one import lines_of, list_one
+        from gpusimbench.recorder.command.listing import list_all, text_of
+        from gpusimbench.recorder.command.listing_one import lines_of, list_one
     known = list_one(name) if name else list_all()
     if as_json:
         _print_json(known)
@@ -208,8 +208,8 @@ def _list(name: str, as_json: bool) -> int:
 
 def _set_up(arguments: argparse.Namespace) -> int:
     with shielded():
+        from gpusimbench.recorder.command.listing import about_environment, environment_line
         from gpusimbench.recorder.environments.setup import set_up
-        from gpusimbench.recorder.listing import about_environment, environment_line
     with Progress("gsb-record"), stage("making the environment"):
         made = about_environment(set_up(arguments.setup, arguments.python))
     if arguments.json:
@@ -245,7 +245,7 @@ def run(given: list[str]) -> int:
     fill(arguments)
     with shielded():
         from gpusimbench.recorder import clock
-        from gpusimbench.recorder.progress import say
+        from gpusimbench.recorder.sets.progress import say
     if wrong := clock.problem():
         say(wrong)
     # Text that is no Unicode (a path in another encoding) cannot be stored as it is.
@@ -254,7 +254,7 @@ def run(given: list[str]) -> int:
         return replay(arguments, command)
     if arguments.sim == REAL:
         with shielded():
-            from gpusimbench.recorder.real import record_trials
+            from gpusimbench.recorder.trials.real import record_trials
 
         arguments.out = arguments.out or OUT
         return record_trials(arguments, command)

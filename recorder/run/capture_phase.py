@@ -15,8 +15,8 @@ from gpusimbench.recorder.capture.states import StateWriter, row_bytes
 from gpusimbench.recorder.capture.stepping import CaptureClock, step_and_capture
 from gpusimbench.recorder.capture.view import ViewWriter
 from gpusimbench.recorder.capture.writing import Block, Writing
-from gpusimbench.recorder.given_actions import prepare, write_applied
-from gpusimbench.recorder.journal import Journal
+from gpusimbench.recorder.run.given_actions import prepare, write_applied
+from gpusimbench.recorder.run.journal import Journal
 from gpusimbench.recorder.scenes.base import Scene
 from gpusimbench.recorder.simulators.base import Description, Simulator
 from gpusimbench.recorder.simulators.captured import RING_BLOCKS

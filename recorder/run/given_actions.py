@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gpusimbench.recorder.capture.actions import Actions, write_action_stream
-from gpusimbench.recorder.journal import Journal
+from gpusimbench.recorder.run.journal import Journal
 from gpusimbench.recorder.simulators.base import Simulator
 from gpusimbench.schemas.configuration import RunConfiguration
 

@@ -1,4 +1,4 @@
-"""The process of one run: ``python -m gpusimbench.recorder.child FD``, started by ``recorder.launch``.
+"""The process of one run: ``python -m gpusimbench.recorder.process.child FD``, started by ``recorder.process.launch``.
 
 Standard input holds the task as JSON; the file descriptor FD takes progress and then how the run ended, one JSON object
 a line. The run works in a scratch folder, which holds what the engine prints as well. Whatever is there at the end
@@ -48,7 +48,7 @@ def main() -> int:
 
 def _record(task: dict[str, Any], report: Callable[[dict[str, Any]], None], scratch: Path) -> dict[str, Any]:
     from gpusimbench.recorder.interruption import MARK
-    from gpusimbench.recorder.run import Run
+    from gpusimbench.recorder.run.run import Run
     from gpusimbench.schemas.provenance import ReplayOf
 
     of = task["replay_of"]

@@ -8,14 +8,14 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Protocol
 
-from gpusimbench.recorder.cage import Cage
 from gpusimbench.recorder.environments.interpreter import Interpreter
 from gpusimbench.recorder.interruption import shielded
-from gpusimbench.recorder.launch import Interruptions, Result
 from gpusimbench.recorder.plan import prepare_folder, runs
-from gpusimbench.recorder.progress import Progress, make_progress, say
-from gpusimbench.recorder.sweep import Outcome, Outcomes, Place, Sweep
-from gpusimbench.recorder.task import Task, make
+from gpusimbench.recorder.process.cage import Cage
+from gpusimbench.recorder.process.launch import Interruptions, Result
+from gpusimbench.recorder.sets.progress import Progress, make_progress, say
+from gpusimbench.recorder.sets.sweep import Outcome, Outcomes, Place, Sweep
+from gpusimbench.recorder.sets.task import Task, make
 from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.errors import ExitCode
 from gpusimbench.schemas.provenance import ReplayOf
@@ -55,7 +55,7 @@ class Maker(Protocol):
     """Makes runs, here or elsewhere."""
 
     def where(self) -> str:
-        """Machine and software that runs are made with, as of recorder.finished."""
+        """Machine and software that runs are made with, as of recorder.sets.finished."""
 
     def make(
         self, request: Request, planned: Sequence[RunConfiguration], progress: Progress, interruptions: Interruptions
@@ -77,7 +77,7 @@ class Here:
     def where(self) -> str:
         """See Maker.where."""
         with shielded():
-            from gpusimbench.recorder.finished import where_am_i
+            from gpusimbench.recorder.sets.finished import where_am_i
 
         return where_am_i(self._interpreter)
 
@@ -128,7 +128,7 @@ def record_sweep(request: Request, sweep: Sweep, maker: Maker) -> tuple[int, Jso
     GsbError where another command makes the same sweep in that folder.
     """
     with shielded():  # nothing that a set of runs needs
-        from gpusimbench.recorder.sweep_lock import locked
+        from gpusimbench.recorder.sets.sweep_lock import locked
 
     prepare_folder(request.out)
     where = maker.where()
@@ -138,7 +138,7 @@ def record_sweep(request: Request, sweep: Sweep, maker: Maker) -> tuple[int, Jso
 
 def _record_sweep(request: Request, sweep: Sweep, maker: Maker, where: str) -> tuple[int, Json]:
     with shielded():
-        from gpusimbench.recorder.finished import matching, read_folder
+        from gpusimbench.recorder.sets.finished import matching, read_folder
     found, others = read_folder(request.out)
     there = {p: f for p, f in matching(found, request.configuration, where).items() if p in sweep}
     known = {place: f.outcome for place, f in there.items()}

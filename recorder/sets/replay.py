@@ -2,8 +2,8 @@
 
 Of a recording its configuration is taken and nothing else: names and numbers, which pass the same checks as a user's
 arguments. No code, model or path of it is used. The steps and environments that it asks for must be those that it shows
-to have been done (recorder.traces). Options leave no traces, and may ask for any amount of work, memory and threads in
-a step: a time limit and a cage (recorder.cage) bound that.
+to have been done (recorder.sets.traces). Options leave no traces, and may ask for any amount of work, memory and
+threads in a step: a time limit and a cage (recorder.process.cage) bound that.
 """
 
 from __future__ import annotations
@@ -13,12 +13,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from gpusimbench.recorder.cage import Cage, gib
-from gpusimbench.recorder.finished import outcome_of, run_end
 from gpusimbench.recorder.plan import free_bytes
 from gpusimbench.recorder.probes.host import memory_bytes
+from gpusimbench.recorder.process.cage import Cage, gib
 from gpusimbench.recorder.scenes.base import Scene
-from gpusimbench.recorder.traces import check_traces, content_bytes, least_memory, peak_bytes, ran_s
+from gpusimbench.recorder.sets.finished import outcome_of, run_end
+from gpusimbench.recorder.sets.traces import check_traces, content_bytes, least_memory, peak_bytes, ran_s
 from gpusimbench.schemas.checks import Budget
 from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.digest import attachment_name, content_hash

@@ -17,11 +17,11 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-from gpusimbench.recorder.cage import Cage, Guard
 from gpusimbench.recorder.environments.interpreter import Interpreter
 from gpusimbench.recorder.interruption import ENDING, MARK, SIGNALS, blocked
-from gpusimbench.recorder.pace import BETWEEN
 from gpusimbench.recorder.plan import partial_of, release
+from gpusimbench.recorder.process.cage import Cage, Guard
+from gpusimbench.recorder.run.pace import BETWEEN
 from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.errors import ExitCode, GsbError
 from gpusimbench.schemas.provenance import ReplayOf
@@ -238,7 +238,7 @@ def _follow(
         try:
             with blocked():  # until the run can end its recording, an interruption waits
                 child = subprocess.Popen(
-                    interpreter.command("-m", "gpusimbench.recorder.child", str(writer)),
+                    interpreter.command("-m", "gpusimbench.recorder.process.child", str(writer)),
                     stdin=given,
                     stdout=printed,
                     stderr=printed,

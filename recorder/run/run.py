@@ -24,22 +24,22 @@ from gpusimbench.recorder import clock, interruption
 from gpusimbench.recorder.capture.memory import MemoryWriter
 from gpusimbench.recorder.capture.sink import Sink
 from gpusimbench.recorder.capture.view import LogWriter
-from gpusimbench.recorder.capture_phase import CapturePhase
-from gpusimbench.recorder.engine import Engine
-from gpusimbench.recorder.environment import apply_environment
 from gpusimbench.recorder.failure import Interrupted, TimedOut, cause_of
-from gpusimbench.recorder.journal import Journal, Phase
 from gpusimbench.recorder.options import parse_options
-from gpusimbench.recorder.pace import COMPILE, REBUILD
 from gpusimbench.recorder.probes.gpu import Gpus
 from gpusimbench.recorder.probes.host import describe_host, numeric_environment, peak_rss_bytes
 from gpusimbench.recorder.probes.memory import MemorySampler
 from gpusimbench.recorder.probes.software import describe_software, package_list
+from gpusimbench.recorder.run.capture_phase import CapturePhase
+from gpusimbench.recorder.run.engine import Engine
+from gpusimbench.recorder.run.environment import apply_environment
+from gpusimbench.recorder.run.journal import Journal, Phase
+from gpusimbench.recorder.run.pace import COMPILE, REBUILD
+from gpusimbench.recorder.run.timed_phase import warm_up_and_time
 from gpusimbench.recorder.scenes.base import Scene
 from gpusimbench.recorder.scenes.registry import make_scene
 from gpusimbench.recorder.simulators.base import Description, Simulator
 from gpusimbench.recorder.simulators.registry import find_simulator
-from gpusimbench.recorder.timed_phase import warm_up_and_time
 from gpusimbench.schemas import FORMAT, topics
 from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.errors import DataLost, GsbError

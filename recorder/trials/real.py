@@ -16,9 +16,9 @@ from gpusimbench.recorder.capture.sink import Sink
 from gpusimbench.recorder.output import show_path
 from gpusimbench.recorder.plan import MIN_DT, prepare_folder, release, reserve, utc_now
 from gpusimbench.recorder.probes.software import describe_software
-from gpusimbench.recorder.progress import say
 from gpusimbench.recorder.scenes.registry import make_scene
-from gpusimbench.recorder.trials import UNITS, Trials, parse_trials
+from gpusimbench.recorder.sets.progress import say
+from gpusimbench.recorder.trials.trials import UNITS, Trials, parse_trials
 from gpusimbench.schemas import topics
 from gpusimbench.schemas.blocks import state_parts
 from gpusimbench.schemas.configuration import RunConfiguration, sim_time_ns

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from gpusimbench.recorder.environments.interpreter import Interpreter
-from gpusimbench.recorder.sweep import Outcome, Place
+from gpusimbench.recorder.sets.sweep import Outcome, Place
 from gpusimbench.schemas import PARTIAL, topics
 from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.errors import DamagedRecording, RecordingError

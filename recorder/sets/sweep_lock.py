@@ -2,7 +2,7 @@
 
 The lock is one of the operating system (flock), so that it ends with the process that holds it, however that ends. Its
 file has the holder's process id and host, and is removed with the lock. Two sweeps have one lock where recordings of
-one would count for the other (recorder.finished.matching); other sweeps, and sets of runs, may share the folder.
+one would count for the other (recorder.sets.finished.matching); other sweeps, and sets of runs, may share the folder.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-from gpusimbench.recorder.finished import in_common
-from gpusimbench.recorder.progress import say
+from gpusimbench.recorder.sets.finished import in_common
+from gpusimbench.recorder.sets.progress import say
 from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.errors import GsbError
 from gpusimbench.schemas.writing import open_lock
@@ -32,7 +32,7 @@ _MOST_BYTES = 4096  # of the holder's word
 
 @contextmanager
 def locked(folder: Path, wanted: RunConfiguration, where: str) -> Iterator[None]:
-    """Hold the lock of a sweep of `wanted`, made `where` (recorder.finished.where_am_i), while the block runs.
+    """Hold the lock of a sweep of `wanted`, made `where` (recorder.sets.finished.where_am_i), while the block runs.
 
     GsbError where another process holds it, which the message names.
     """

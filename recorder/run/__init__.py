@@ -1,0 +1,1 @@
+"""One run: its phases, in order, into one recording."""

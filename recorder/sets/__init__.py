@@ -1,0 +1,1 @@
+"""Sets of runs: equal ones, sweeps, replays, and what of them is there already."""

@@ -1,0 +1,1 @@
+"""Measured trials of the real world as recordings."""
