@@ -8,6 +8,7 @@ from gpusimbench.evaluator.render.document import Block, Code, Document, Section
 from gpusimbench.evaluator.report.sections import (
     accumulation,
     determinism_cost,
+    guidelines,
     mechanics,
     problems,
     scaling,
@@ -27,6 +28,7 @@ SECTIONS: tuple[Callable[[Source], Section | None], ...] = (
     accumulation.section,
     validity.section,
     determinism_cost.section,
+    guidelines.section,
 )
 """Of a report, in order; a section that has nothing to say is None."""
 

@@ -42,7 +42,9 @@ def _need(one: Guideline) -> Cell:
 def _pick(one: Guideline) -> Cell:
     if not one.pick:
         return Cell("no pick", notes=(one.reason or "",), tone=Tone.QUIET)
-    following = f"next: {one.runner_up}" if one.runner_up else f"no other {'is ranked' if one.unranked else 'qualifies'}"
+    following = (
+        f"next: {one.runner_up}" if one.runner_up else f"no other {'is ranked' if one.unranked else 'qualifies'}"
+    )
     return Cell(one.pick, notes=(following,), tone=Tone.GOOD)
 
 
