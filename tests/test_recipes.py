@@ -132,26 +132,24 @@ class Twin(MujocoC):
 def test_add_a_section_of_the_report(copy: Copy) -> None:
     """Show a new section in the page."""
     copy.write(
-        "evaluator/report/page/greeting.py",
+        "evaluator/report/sections/greeting.py",
         '''"""A greeting."""
 
 from __future__ import annotations
 
-from gpusimbench.evaluator.report.page.section import Section, Source
+from gpusimbench.evaluator.render.document import Section, Text
+from gpusimbench.evaluator.report.source import Source
 
 
 def section(source: Source) -> Section:
     """How many groups there are."""
-    return Section("greeting", "A greeting", {"count": len(source.evaluation.results)})
+    return Section("greeting", "A greeting", (Text(f"There are {len(source.evaluation.results)} groups."),))
 ''',
     )
-    copy.write("evaluator/report/page/templates/greeting.html.j2", "<p>There are {{ count }} groups.</p>\n")
     copy.edit(
-        "evaluator/report/html.py", "    recordings.section,\n)", "    recordings.section,\n    greeting.section,\n)"
+        "evaluator/report/document.py", "    guidelines.section,\n", "    guidelines.section,\n    greeting.section,\n"
     )
-    copy.edit(
-        "evaluator/report/html.py", "    guidelines,\n    mechanics", "    greeting,\n    guidelines,\n    mechanics"
-    )
+    copy.edit("evaluator/report/document.py", "    guidelines,\n", "    greeting,\n    guidelines,\n")
     copy.run("gpusimbench.evaluator.cli.eval", str(SHIPPED), "--html", "report", "--no-cache")
     page = (copy.folder / "report" / "index.html").read_text(encoding="utf-8")
     assert "<p>There are 1 groups.</p>" in page

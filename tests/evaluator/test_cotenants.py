@@ -24,6 +24,7 @@ from gpusimbench.evaluator.results.evaluate import evaluate_files
 from gpusimbench.evaluator.results.metric import Estimate, missing
 from gpusimbench.evaluator.results.metrics import METRICS
 from gpusimbench.evaluator.results.result import GroupResult
+from tests.pages import part
 from tests.synthetic import write_recording
 
 H200 = Path(__file__).resolve().parents[2] / "recordings" / "h200"
@@ -177,7 +178,7 @@ def test_tables_and_page(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> 
         for run, gpu in enumerate((CLEAN, RELEASED, CLEAN))
     ]
     page = tmp_path / "page"
-    assert gsb_eval([*map(str, files), "--html", str(page), "--no-cache"]) == 0
+    assert gsb_eval([*map(str, files), "--all", "--html", str(page), "--no-cache"]) == 0
     text = capsys.readouterr().out
     printed = " ".join(text.split())
     cells = [re.split(r"\s{2,}", line.strip()) for line in text.splitlines()]
@@ -188,8 +189,9 @@ def test_tables_and_page(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> 
     assert "lower for it: synthetic (1 of 3 runs: 1)" in printed
     html = (page / "index.html").read_text()
     assert "another process on the GPU: 1 of 3 runs: 1" in html
-    assert "device, 2 runs" in html
-    assert "process: 0.99 ± 0.00, 3 runs" in html
+    costs = part(html, "throughput")
+    assert re.search(r'1\.00 ± 0\.00<small>of 2 runs</small>', costs)
+    assert re.search(r'0\.99 ± 0\.00(?!<small>of)', costs)
 
 
 def test_a_sweep_has_one_source(tmp_path: Path) -> None:

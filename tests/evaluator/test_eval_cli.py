@@ -16,9 +16,15 @@ def test_table(gsb_eval: Command, small_set: list[Path]) -> None:
     done = gsb_eval(*small_set, "--sample-time", 1)
     assert done.returncode == 0
     assert not done.stderr
-    for text in ("inclined-collision", "mujoco", "throughput", "distinct envs", "1 of 4", "95 % interval"):
+    lines = done.stdout.splitlines()
+    assert "all 3 runs are bit-identical" in lines[0]  # the verdict comes first
+    assert len(lines) <= 15
+    for text in ("inclined-collision", "mujoco", "throughput", "all 4 envs"):
         assert text in done.stdout
-    assert "\x1b" not in done.stdout
+    everything = gsb_eval(*small_set, "--sample-time", 1, "--all").stdout
+    for text in ("inclined-collision", "mujoco", "throughput", "distinct envs", "1 of 4", "95 % interval"):
+        assert text in everything
+    assert "\x1b" not in done.stdout + everything
 
 
 def test_json_and_html_files(gsb_eval: Command, small_set: list[Path], tmp_path: Path) -> None:
@@ -42,8 +48,8 @@ def test_json_never_replaces_a_recording(gsb_eval: Command, tmp_path: Path) -> N
 
 def test_published_figures_are_marked(gsb_eval: Command, small: Path) -> None:
     """Show the paper's figures only when asked, and as the paper's."""
-    assert "Madrona" not in gsb_eval(small, "--sample-time", 1).stdout
-    shown = gsb_eval(small, "--sample-time", 1, "--published").stdout
+    assert "Madrona" not in gsb_eval(small, "--sample-time", 1, "--all").stdout
+    shown = gsb_eval(small, "--sample-time", 1, "--all", "--published").stdout
     assert "Madrona" in shown
     assert "published" in shown
     assert "RTX 5070" in shown
@@ -80,7 +86,8 @@ def test_a_bad_file_among_good_ones(gsb_eval: Command, tmp_path: Path) -> None:
     worse.write_bytes(changed)
     done = gsb_eval(good, bad, worse)
     assert done.returncode == 3
-    assert "W1 between envs" in done.stdout
+    assert "repeats itself" in done.stdout
+    assert done.stdout.count("left out:") == 2
     assert "worse.mcap" in done.stderr
 
 

@@ -171,7 +171,7 @@ def test_what_cannot_be_computed_says_why(
     assert found["value"] is None
     assert found["exactness"] == "none"
     assert why in found["why_not"]
-    assert why in " ".join(gsb_eval(path, "--sample-time", 5).stdout.split())
+    assert why in " ".join(gsb_eval(path, "--sample-time", 5, "--all").stdout.split())
 
 
 def test_one_env(gsb_eval: Command, tmp_path: Path) -> None:

@@ -88,13 +88,13 @@ def test_shipped_recordings_against_scipy(name: str) -> None:
 
 
 def test_five_runs_of_mjx_end_in_three_places() -> None:
-    """Hold the README's figures: 2.4, 12.4 and 13.9 cm apart, and 1.7 to 2.9 without the cube that fell."""
+    """Hold the figures of docs/determinism.md: 2.4, 12.4 and 13.9 cm apart, and 1.7 to 2.9 without the cube that fell."""
     (result,) = evaluate_files(sorted(H200.glob("mjx-jax-inclined*.mcap"))).results
     matrix = result.metrics["w1_run_to_run"].of(BetweenRuns).matrix_cm
     assert matrix is not None
     assert sorted(set(np.round(matrix, 1).ravel())) == [0.0, 2.4, 12.4, 13.9]
     assert result.metrics["left_board"].of(OffTheBoard).per_run == (0, 0, 0, 0, 16)
-    shown = (Path(__file__).resolve().parents[2] / "README.md").read_text(encoding="utf-8")
+    shown = (Path(__file__).resolve().parents[2] / "docs" / "determinism.md").read_text(encoding="utf-8")
     assert "2.4, 12.4 and 13.9 cm" in " ".join(shown.split())
 
 

@@ -65,7 +65,9 @@ def test_every_scene_has_its_own(small_set: list[Path]) -> None:
     assert sorted(evaluate([*small_set, *falling]).shorter.items()) == [("free-fall", 0.2), ("inclined-collision", 1.0)]
     for result in evaluation.results:
         assert not isinstance(result.metrics["w1_parallel"].value, Missing)
-    printed = call("gsb-eval", LONG, *falling).stdout
+    brief = call("gsb-eval", LONG, *falling).stdout
+    assert "free-fall: positions are compared at 0.2 s" in brief
+    printed = call("gsb-eval", LONG, *falling, "--all").stdout
     assert "free-fall, positions at t = 0.2 s" in printed
     assert "inclined-collision, positions at t = 5 s" in printed
 

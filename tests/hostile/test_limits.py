@@ -339,7 +339,7 @@ def test_more_recordings_than_a_shell_lets_open(gsb_eval: Command, tmp_path: Pat
     def few() -> None:
         resource.setrlimit(resource.RLIMIT_NOFILE, (64, resource.getrlimit(resource.RLIMIT_NOFILE)[1]))
 
-    done = gsb_eval(*sorted(tmp_path.glob("*.mcap")), preexec_fn=few)
+    done = gsb_eval("--all", *sorted(tmp_path.glob("*.mcap")), preexec_fn=few)
     assert done.returncode == 0, done.stderr
     assert done.stdout.count("is a copy of") == 100
 
