@@ -290,7 +290,9 @@ def read_run(run: Run, run_id: str, placed: NDArray[np.float64] | None = None) -
     )
     # runs of one second are in the order of their ids
     provenance = Provenance(run_id, run.created_utc, (), configuration, host={"cpu": "one", "usable_threads": 2})
-    simulation = Simulation("4.0.0", "cpu", {}, {}, (), (), {"sha256": "one"})
+    simulation = Simulation(
+        version="4.0.0", device="cpu", options={}, switches={}, deviations=(), fields=(), scene={"sha256": "one"}
+    )
     none = Missing("no states were captured")
     return ReadRun(
         Path(f"{run_id}.mcap"), "complete", "", "", run_id, provenance, simulation, elapsed_s=run.elapsed_s,

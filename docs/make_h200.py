@@ -14,7 +14,7 @@ from gpusimbench.evaluator.render.markdown import table_markdown
 from gpusimbench.evaluator.render.numbers import distance, figure
 from gpusimbench.evaluator.report import timed
 from gpusimbench.evaluator.report.document import report
-from gpusimbench.evaluator.report.price_table import of_family, ratio
+from gpusimbench.evaluator.report.sections.determinism_cost import of_family, ratio
 from gpusimbench.evaluator.report.source import Source
 from gpusimbench.evaluator.report.words import EXCHANGED, exchanged
 from gpusimbench.evaluator.results.details import DistinctEnvs

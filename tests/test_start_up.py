@@ -56,7 +56,7 @@ def test_help_imports_nothing_heavy(module: str) -> None:
     [
         "gpusimbench.evaluator.results.evaluate",
         "gpusimbench.evaluator.report.html",
-        "gpusimbench.evaluator.report.tables",
+        "gpusimbench.evaluator.report.document",
         "gpusimbench.evaluator.compare.compare",
     ],
 )

@@ -178,17 +178,18 @@ def _present(evaluation: Evaluation, arguments: argparse.Namespace, command: str
     if arguments.json == "-":
         show_document(dump_json(evaluation))
     else:
-        _print(evaluation, arguments)
+        _print(evaluation, arguments, command)
         if arguments.json:
             write_file(Path(arguments.json), dump_json(evaluation))
     if arguments.tables:
-        from gpusimbench.evaluator.report.paper.tables import text_tables
-        from gpusimbench.evaluator.report.paper.text_table import Format
+        from gpusimbench.evaluator.render.table_files import Format, table_files
+        from gpusimbench.evaluator.report.document import in_short
         from gpusimbench.evaluator.report.parquet import parquet_tables
+        from gpusimbench.evaluator.report.source import Source
 
         formats = [Format(name) for name in arguments.format]
         tables = parquet_tables(evaluation) if Format.PARQUET in formats else {}
-        tables |= text_tables(evaluation, formats, published=arguments.published)
+        tables |= table_files(in_short(Source(evaluation, arguments.published, command)), formats)
         paths = {arguments.tables / name: content for name, content in tables.items()}
         write_files(paths)
         for table in paths:
@@ -209,20 +210,18 @@ def _present(evaluation: Evaluation, arguments: argparse.Namespace, command: str
         show(line(f"report: {page}"), error=arguments.json == "-")
 
 
-def _print(evaluation: Evaluation, arguments: argparse.Namespace) -> None:
-    if not arguments.all:
-        from gpusimbench.evaluator.render.terminal import print_document
+def _print(evaluation: Evaluation, arguments: argparse.Namespace, command: str) -> None:
+    from gpusimbench.evaluator.render.terminal import print_document
+
+    if arguments.all:
+        from gpusimbench.evaluator.report.document import in_short
+        from gpusimbench.evaluator.report.source import Source
+
+        print_document(in_short(Source(evaluation, arguments.published, command)), sys.stdout)
+    else:
         from gpusimbench.evaluator.report.brief import brief
 
         print_document(brief(evaluation), sys.stdout)
-        return
-    from gpusimbench.evaluator.report.fidelity import print_fidelity
-    from gpusimbench.evaluator.report.tables import print_published, print_tables
-
-    print_tables(evaluation, sys.stdout)
-    print_fidelity([result.fidelity for result in evaluation.results], sys.stdout)
-    if arguments.published:
-        print_published(sys.stdout)
 
 
 def _exit_code(evaluation: Evaluation, recordings: list[Run]) -> int:

@@ -154,10 +154,17 @@ def _table(block: Table) -> Markup:
     if block.legend:
         lines = _EMPTY.join(Markup("<li>{}</li>").format(_text(one)) for one in block.legend)
         legend = Markup('\n<ul class="legend">{}</ul>').format(lines)
+    name = block.caption or block.key.replace("-", " ")
     return Markup(
         '<div class="table" role="region" tabindex="0" aria-label="{}"><table>\n{}<thead><tr>{}</tr></thead>\n'
         "<tbody>\n{}\n</tbody></table></div>{}"
-    ).format(_text(block.caption), caption, _EMPTY.join(heads), Markup("\n").join(rows), legend)
+    ).format(
+        _text(name),
+        caption,
+        _EMPTY.join(heads),
+        Markup("\n").join(rows),
+        legend,
+    )
 
 
 def _cell(said: Cell, index: int, numeric: bool) -> Markup:

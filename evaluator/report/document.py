@@ -2,16 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 
 from gpusimbench.evaluator.render.document import Block, Code, Document, Section, Text
 from gpusimbench.evaluator.report.sections import (
     accumulation,
+    comparison,
+    consistency,
+    density,
     determinism_cost,
+    deviations,
+    divergence,
     guidelines,
     mechanics,
+    playback,
     problems,
+    provenance,
+    published,
+    recordings,
+    remade,
     scaling,
+    simulators,
     throughput,
     validity,
     variability,
@@ -21,14 +32,25 @@ from gpusimbench.evaluator.report.source import Source
 
 SECTIONS: tuple[Callable[[Source], Section | None], ...] = (
     problems.section,
+    simulators.section,
     variability.section,
     mechanics.section,
     throughput.section,
     scaling.section,
     accumulation.section,
     validity.section,
+    playback.section,
+    density.section,
+    consistency.section,
+    divergence.section,
     determinism_cost.section,
+    comparison.section,
     guidelines.section,
+    deviations.section,
+    remade.section,
+    published.section,
+    provenance.section,
+    recordings.section,
 )
 """Of a report, in order; a section that has nothing to say is None."""
 
@@ -42,9 +64,15 @@ def report(source: Source) -> Document:
         Code((source.command,)),
         Text("All figures as SVG, PDF and CSV: gsb-eval --figures DIR. All tables as files: gsb-eval --tables DIR."),
     )
-    return Document(TITLE, (*overview(source), *sections_of(source)), asked_of(source.evaluation), made_by)
+    return Document(TITLE, (*overview(source), *_made(source, SECTIONS)), asked_of(source.evaluation), made_by)
 
 
-def sections_of(source: Source) -> list[Section]:
+def in_short(source: Source) -> Document:
+    """The same without where each recording comes from, which would take pages of a terminal: see gsb-info."""
+    sections = [one for one in SECTIONS if one not in (provenance.section, recordings.section)]
+    return Document("", (*overview(source), *_made(source, sections)), asked_of(source.evaluation))
+
+
+def _made(source: Source, sections: Iterable[Callable[[Source], Section | None]]) -> list[Section]:
     """The sections that have something to say."""
-    return [made for section in SECTIONS if (made := section(source)) is not None]
+    return [made for section in sections if (made := section(source)) is not None]

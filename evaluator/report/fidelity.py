@@ -2,58 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import IO, Any
+from typing import Any
 
-from markupsafe import Markup
-from rich.text import Text
-
-from gpusimbench.evaluator.render.console import make_console, plain_table
 from gpusimbench.evaluator.render.numbers import NONE
 from gpusimbench.evaluator.results.fidelity import Fidelity, FidelityRow, Verdict
-from gpusimbench.schemas.text import printable
 
 TITLES = ("check", "measured", "range", "allowed", "tolerance", "verdict")
 _AT_REST = "at rest at the sample time (mechanics does not demand it)"
 _NUMBERS = ("measured", "range", "allowed", "tolerance")
-
-
-def print_fidelity(found: Sequence[Fidelity], stream: IO[str]) -> None:
-    """Print a table for each group; checks that do not apply stand beneath it with their reasons."""
-    console = make_console(stream)
-    for one in found:
-        console.print(printable(f"physics of {heading(one)}"), style="bold")
-        if one.why_not:
-            console.print(printable(f"  not applicable: {one.why_not}"))
-        for title, rows in _parts(one):
-            if title:
-                console.print(title)
-            table = plain_table(*TITLES)
-            for row in rows:
-                style = "bold" if row.broken else ""
-                table.add_row(*(Text(printable(cell), style=style) for cell in cells(row)))
-            console.print(table)
-        for line in remarks(one):
-            console.print(printable(f"  {line}"), style="dim")
-        console.print()
-
-
-def fidelity_html(found: Sequence[Fidelity]) -> Markup:
-    """The same as a fragment of a page: a heading and a table for each group, every text escaped."""
-    parts = []
-    for one in found:
-        parts.append(Markup("<h3><bdi>{}</bdi></h3>\n").format(printable(heading(one))))
-        if one.why_not:
-            parts.append(Markup("<p>Not applicable: {}.</p>\n").format(printable(one.why_not)))
-            continue
-        for title, rows in _parts(one):
-            if title:
-                parts.append(Markup("<p>{}</p>\n").format(title.capitalize()))
-            parts.append(_table(f"Physics of {one.label}{f', {title}' if title else ''}", rows))
-        lines = [Markup("<li>{}</li>").format(printable(line)) for line in remarks(one)]
-        if lines:
-            parts.append(Markup("<ul>{}</ul>\n").format(Markup("").join(lines)))
-    return Markup("").join(parts)
 
 
 def fidelity_record(one: Fidelity) -> dict[str, Any]:
@@ -124,31 +80,3 @@ def remarks(one: Fidelity) -> list[str]:
     for row in one.of(Verdict.NOT_APPLICABLE):
         reasons.setdefault(row.reason, []).append(row.check.title)
     return [*lines, *(f"not applicable: {', '.join(names)}: {why}" for why, names in reasons.items())]
-
-
-def _parts(one: Fidelity) -> list[tuple[str, list[FidelityRow]]]:
-    """The checks that were made, with a title: those of mechanics, then those of rest; neither where it is empty."""
-    told = [row for row in one.rows if row.verdict is not Verdict.NOT_APPLICABLE]
-    parts = [
-        ("", [row for row in told if row.check.demanded]),
-        (_AT_REST, [row for row in told if not row.check.demanded]),
-    ]
-    return [(title, rows) for title, rows in parts if rows]
-
-
-def _table(name: str, told: Sequence[FidelityRow]) -> Markup:
-    aligned = [Markup(' class="num"') if title in _NUMBERS else Markup("") for title in TITLES]
-    columns = zip(aligned, TITLES, strict=True)
-    head = Markup("").join(Markup('<th scope="col"{}>{}</th>').format(how, title) for how, title in columns)
-    rows = []
-    for row in told:
-        title, *numbers, verdict = (printable(cell) for cell in cells(row))
-        bad = Markup(' class="bad"') if row.verdict is Verdict.BROKEN else Markup("")
-        shown = Markup("").join(Markup('<td class="num">{}</td>').format(text) for text in numbers)
-        rows.append(
-            Markup('<tr><th scope="row">{}</th>{}<td{}>{}</td></tr>\n').format(title, shown, bad, verdict)
-        )  # fmt: skip
-    return Markup(
-        '<div class="scroll" role="region" tabindex="0" aria-label="{}"><table>\n<thead><tr>{}</tr></thead>\n'
-        "<tbody>\n{}</tbody></table></div>\n"
-    ).format(printable(name), head, Markup("").join(rows))

@@ -9,10 +9,10 @@ from markupsafe import Markup
 
 from gpusimbench.evaluator.missing import Missing, known
 from gpusimbench.evaluator.render.csv import Cell
+from gpusimbench.evaluator.render.document import Figure, Numbers, key_of
 from gpusimbench.evaluator.render.figures import lines
 from gpusimbench.evaluator.render.figures.scaling import Curve, Foreign, scaling_chart
 from gpusimbench.evaluator.report import timed, words
-from gpusimbench.evaluator.report.page.picture import Numbers, Picture, file_name
 from gpusimbench.evaluator.results.cost_metrics import DEVICE_MEMORY, FPS, HOST_MEMORY, PROCESS_MEMORY
 from gpusimbench.evaluator.results.metric import Metric
 from gpusimbench.evaluator.results.published import SCALING, AtLargest
@@ -31,7 +31,7 @@ class SceneSweeps:
 
     scene: str
     sweeps: list[tuple[Markup, Sweep]]
-    charts: list[Picture]
+    charts: list[Figure]
     columns: tuple[timed.Column, ...]
     remarks: list[str]
 
@@ -41,7 +41,7 @@ def scene_sweeps(sweeps: Sequence[Sweep]) -> Iterator[SceneSweeps]:
     for nth, scene in enumerate(dict.fromkeys(s.key.scene for s in sweeps)):
         of_scene = [s for s in sweeps if s.key.scene == scene]
         marked = [(Markup(lines.swatch(i)), s) for i, s in enumerate(of_scene)]
-        charts = [c for c in _charts(scene, of_scene, {}, file_name("scaling", nth, scene)) if c.svg]
+        charts = [c for c in _charts(scene, of_scene, {}, key_of("scaling", nth, scene)) if c.svg]
         yield _of_scene(scene, marked, charts)
 
 
@@ -55,21 +55,21 @@ def beside_published(sweeps: Sequence[Sweep]) -> Iterator[SceneSweeps]:
         yield _of_scene(scene, marked, [c for c in charts if c.svg])
 
 
-def _of_scene(scene: str, marked: list[tuple[Markup, Sweep]], charts: list[Picture]) -> SceneSweeps:
+def _of_scene(scene: str, marked: list[tuple[Markup, Sweep]], charts: list[Figure]) -> SceneSweeps:
     label_of = {point.result.label: sweep.label for _, sweep in marked for point in sweep.points}
     points = [point.result for _, sweep in marked for point in sweep.points]
     lines = timed.remarks(points, named=lambda result: label_of[result.label])
     return SceneSweeps(scene, marked, charts, timed.columns(result.timed for result in points), lines)
 
 
-def _charts(scene: str, sweeps: Sequence[Sweep], paper: dict[str, AtLargest], key: str) -> Iterator[Picture]:
+def _charts(scene: str, sweeps: Sequence[Sweep], paper: dict[str, AtLargest], key: str) -> Iterator[Figure]:
     about = f"{scene}, sweeps over the number of environments" + (", with the paper's points" if paper else "")
     speed = [Foreign(name, at.n_env_max, at.fps) for name, at in paper.items()]
     yield _chart(steps_label, sweeps, FPS, speed, f"{key}-throughput", about)
     for metric in _MEMORY:
         memory = [Foreign(name, at.n_env_max, at.memory_gb * 1e9) for name, at in paper.items()]
         if metric is DEVICE_MEMORY or not paper:
-            yield _chart(words.size, sweeps, metric, memory, f"{key}-{file_name(metric.title)}", about)
+            yield _chart(words.size, sweeps, metric, memory, f"{key}-{key_of(metric.title)}", about)
 
 
 def _chart(
@@ -79,7 +79,7 @@ def _chart(
     foreign: list[Foreign],
     key: str,
     about: str,
-) -> Picture:
+) -> Figure:
     """A metric of the sweeps that have it, and the published points; without a picture where nothing is measured."""
     of_metric = [(i, s) for i, s in enumerate(sweeps) if metric not in _MEMORY or s.memory == metric.name]
     curves = [_curve(i, s, metric.name) for i, s in of_metric]
@@ -91,7 +91,7 @@ def _chart(
         [*(row for _, sweep in of_metric for row in _rows(sweep, metric.name)),
          *((one.label, one.n_env, one.value, *[None] * (4 + len(timed.ALL)), "published") for one in foreign)],
     )  # fmt: skip
-    return Picture(value, "", Markup(svg) if svg else None, key, numbers, about)
+    return Figure(value, "", Markup(svg) if svg else None, key, numbers, about)
 
 
 def _rows(sweep: Sweep, name: str) -> Iterator[tuple[Cell, ...]]:

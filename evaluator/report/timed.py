@@ -98,11 +98,6 @@ def beside(work: TimedWork) -> list[str]:
     return lines
 
 
-def columns_within(parts: Sequence[Sequence[TimedWork]]) -> tuple[Column, ...]:
-    """The seconds, and what differs within any part of a table; what a part has in common is a remark on it."""
-    return tuple(c for c in ALL if any(c in columns(part) for part in parts))
-
-
 def shared(works: Iterable[TimedWork]) -> list[str]:
     """What all rows have in common, in one line; none where no row was timed."""
     found = [work for work in works if work.windows]

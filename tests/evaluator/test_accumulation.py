@@ -13,9 +13,9 @@ from gpusimbench.evaluator.compute.cache.store import Store
 from gpusimbench.evaluator.compute.work import Work
 from gpusimbench.evaluator.report.html import render_html
 from gpusimbench.evaluator.report.json import to_json
-from gpusimbench.evaluator.report.tables import print_tables
 from gpusimbench.evaluator.results.evaluate import evaluate, evaluate_files
 from gpusimbench.evaluator.runs.reader import Reader
+from tests.pages import print_all
 from tests.synthetic import grid, write_recording
 
 
@@ -51,7 +51,7 @@ def test_it_is_shown(tmp_path: Path) -> None:
     """Show a row for each N in the terminal and the page, and everything in the document."""
     evaluation = evaluate_files(sweep(tmp_path, {4: 0.01, 40: 0.01}, runs=2))
     stream = io.StringIO()
-    print_tables(evaluation, stream)
+    print_all(evaluation, stream)
     page = render_html(evaluation, published=False, command="")
     (document,) = to_json(evaluation)["accumulation"]
     for text in (stream.getvalue(), page):

@@ -301,12 +301,12 @@ def test_the_workflow_works(tmp_path: Path, path: str) -> None:
     for name, code_ in (("Record base and head in turn", 0), ("Compare", 5), ("Show the comparison", 0)):
         done = run(steps[name]["run"], tmp_path, path, **environment)
         assert done.returncode == code_, done.stdout + done.stderr
-    assert [len(list((tmp_path / "recordings" / side).glob("*.mcap"))) for side in ("base", "head")] == [2, 2]
+    assert [len(list((tmp_path / "runs" / side).glob("*.mcap"))) for side in ("base", "head")] == [2, 2]
     assert (tmp_path / "shown.md").read_text(encoding="utf-8").startswith(":grey_question: **gsb-compare: NOT DECIDED")
     assert ET.parse(tmp_path / "report.xml").getroot().get("failures") == "0"
     assert steps["Show the comparison"]["if"] == steps["Keep recordings and reports"]["if"] == "always()"
     kept = [name.rstrip("/") for name in job["steps"][-1]["with"]["path"].split()]
-    assert kept == ["recordings", "report.xml", "result.json"]
+    assert kept == ["runs", "report.xml", "result.json"]
     assert all((tmp_path / name).exists() for name in kept)
 
 

@@ -24,7 +24,7 @@ from gpusimbench.evaluator.results.evaluate import evaluate_files
 from gpusimbench.evaluator.results.metric import Estimate, missing
 from gpusimbench.evaluator.results.metrics import METRICS
 from gpusimbench.evaluator.results.result import GroupResult
-from tests.pages import part
+from tests.pages import part, rows_of, tables_of
 from tests.synthetic import write_recording
 
 H200 = Path(__file__).resolve().parents[2] / "recordings" / "h200"
@@ -181,17 +181,18 @@ def test_tables_and_page(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> 
     assert gsb_eval([*map(str, files), "--all", "--html", str(page), "--no-cache"]) == 0
     text = capsys.readouterr().out
     printed = " ".join(text.split())
-    cells = [re.split(r"\s{2,}", line.strip()) for line in text.splitlines()]
-    rows = {row[0]: row[1] for row in cells if len(row) == 2}
-    assert rows["another process on the GPU"] == "1 of 3 runs: 1"
-    assert rows["GPU memory increment [GB]"] == "1.00 ± 0.00"
-    assert rows["GPU memory of the process [GB]"] == "0.99 ± 0.00"
+    found = tables_of(evaluate_files(files))
+    (speed,) = rows_of(found["throughput-inclined-collision"]).values()
+    assert speed["throughput [env-steps/s]"].notes == ("another process on the GPU: 1 of 3 runs: 1",)
+    (costs,) = rows_of(found["costs-inclined-collision"]).values()
+    assert costs["GPU memory increment [GB]"].text == "1.00 ± 0.00"
+    assert costs["GPU memory of the process [GB]"].text == "0.99 ± 0.00"
     assert "lower for it: synthetic (1 of 3 runs: 1)" in printed
     html = (page / "index.html").read_text()
     assert "another process on the GPU: 1 of 3 runs: 1" in html
     costs = part(html, "throughput")
-    assert re.search(r'1\.00 ± 0\.00<small>of 2 runs</small>', costs)
-    assert re.search(r'0\.99 ± 0\.00(?!<small>of)', costs)
+    assert re.search(r"1\.00 ± 0\.00<small>of 2 runs</small>", costs)
+    assert re.search(r"0\.99 ± 0\.00(?!<small>of)", costs)
 
 
 def test_a_sweep_has_one_source(tmp_path: Path) -> None:

@@ -13,15 +13,18 @@ from numpy.typing import NDArray
 
 from gpusimbench.evaluator.metrics.radar import Axis
 from gpusimbench.evaluator.missing import Missing
+from gpusimbench.evaluator.render.document import Table, Text
+from gpusimbench.evaluator.report.document import report
 from gpusimbench.evaluator.report.html import render_html
 from gpusimbench.evaluator.report.json import to_json
-from gpusimbench.evaluator.report.page import consistency, deviations, divergence, dot_plot, remade
-from gpusimbench.evaluator.report.page.section import Source
+from gpusimbench.evaluator.report.sections import comparison, consistency, deviations, divergence, dot_plot, remade
+from gpusimbench.evaluator.report.source import Source
 from gpusimbench.evaluator.results.evaluate import evaluate_files
 from gpusimbench.evaluator.results.evaluation import Evaluation
 from gpusimbench.evaluator.results.metrics import METRICS
 from gpusimbench.evaluator.results.paper_tables import Limit, capability, variability
 from gpusimbench.schemas.provenance import Deviation
+from tests.pages import rows_of, tables_of
 from tests.synthetic import cubes_field, grid, write_recording, write_sweep
 
 DT = 0.01
@@ -81,6 +84,11 @@ def swept(tmp_path_factory: pytest.TempPathFactory) -> Evaluation:
     return evaluate_files(sorted(folder.glob("*.mcap")))
 
 
+def papers(table: Table) -> list[str]:
+    """The rows of a table that are the paper's."""
+    return [row.cells[0].text for row in table.rows if "the paper's" in row.cells[0].text]
+
+
 def source(evaluation: Evaluation, *, published: bool = False) -> Source:
     """What a page is made from."""
     return Source(evaluation, published, "gsb-eval")
@@ -101,15 +109,13 @@ def test_limits_are_told_apart(swept: Evaluation) -> None:
 
 def test_capability_table(swept: Evaluation) -> None:
     """Print throughput and memory at N_env^max in the paper's units, and a dash with a reason for what is missing."""
-    section = remade.section(source(swept))
-    assert section is not None
-    cells = {row.label: found for row, _, found in section.context["capability"]}
-    fall, robot = cells["warp"]
-    assert (fall.fps.value, fall.memory.value) == ("30.000", "0.8")
-    assert robot.why_not == "no sweep of franka among these recordings"
-    text = render_html(swept, published=False, command="c")
-    assert "validity, not memory" in text
-    assert 'class="paper"' not in text
+    found = tables_of(swept)
+    rows = rows_of(found["capability-free-fall"])
+    said = rows["warp"]
+    assert (said["throughput [10^4 env-steps/s]"].text, said["memory [GB]"].text) == ("30.000", "0.8")
+    assert rows["mjx"]["what limits N; contacts; timed steps"].text == "validity, not memory"
+    assert "capability-franka" not in found
+    assert "the paper's" not in rows
 
 
 def test_faults_of_other_scenes_stand_beside_speed(tmp_path: Path) -> None:
@@ -130,24 +136,23 @@ def test_faults_of_other_scenes_stand_beside_speed(tmp_path: Path) -> None:
 def test_variability_table(swept: Evaluation) -> None:
     """Order groups by type, print the paper's digits, and say what a printed zero hides."""
     assert [r.group.key.simulator for r in variability(swept.results)] == ["genesis", "warp"]
-    section = remade.section(source(swept))
-    assert section is not None
-    same, other = section.context["variability"]
-    assert (same.parallel.value, same.parallel.note) == ("0.00 ± 0.00", "exactly 0")
-    assert other.parallel.value == "0.00 ± 0.00"
-    assert other.parallel.note.startswith("not 0: 3.7e-05")
-    assert other.run_to_run.note.startswith("not 0: ")
-    assert same.paper is None
+    same, other = rows_of(tables_of(swept)["remade-variability"]).values()
+    assert (same["parallel [cm]"].text, same["parallel [cm]"].notes) == ("0.00 ± 0.00", ("exactly 0",))
+    assert other["parallel [cm]"].text == "0.00 ± 0.00"
+    assert other["parallel [cm]"].notes[0].startswith("not 0: 3.7e-05")
+    assert other["run-to-run [cm]"].notes[0].startswith("not 0: ")
 
 
 def test_paper_rows_only_when_asked(swept: Evaluation) -> None:
     """Put the paper's row beside its simulator's, once, when asked."""
+    found = tables_of(swept, published=True)
+    assert papers(found["remade-variability"]) == ["Genesis, the paper's", "MuJoCo Warp, the paper's"]
+    assert len(papers(found["capability-free-fall"])) == 3
     section = remade.section(source(swept, published=True))
     assert section is not None
-    papers = [row.paper.simulator for row in section.context["variability"] if row.paper]
-    assert papers == ["Genesis", "MuJoCo Warp"]
-    assert set(section.context["missing"]) >= {"Isaac Lab", "Madrona"}
-    assert render_html(swept, published=True, command="c").count('<tr class="paper">') == 5
+    (missing,) = [b.text for b in section.blocks if isinstance(b, Text) and "no complete run is here of" in b.text]
+    assert "Isaac Lab" in missing
+    assert "Madrona" in missing
 
 
 def test_paper_row_stands_beside_the_default(tmp_path: Path) -> None:
@@ -157,10 +162,11 @@ def test_paper_row_stands_beside_the_default(tmp_path: Path) -> None:
         apart[1, 0, 0] += 0.01 * (1 + run)
         for level, final in (("default", apart), ("all", grid(2))):
             write_recording(tmp_path, final, run=run, simulator="warp", determinism=level)
-    section = remade.section(source(evaluate_files(sorted(tmp_path.glob("*.mcap"))), published=True))
-    assert section is not None
-    assert [row.paper.simulator for row in section.context["variability"] if row.paper] == ["MuJoCo Warp"]
-    assert not any(row.paper for row in section.context["levels"])
+    found = tables_of(evaluate_files(sorted(tmp_path.glob("*.mcap"))), published=True)["remade-variability"]
+    default, paper, other = (row.cells[0].text for row in found.rows)
+    assert "default" in default
+    assert paper == "MuJoCo Warp, the paper's"
+    assert "all" in other
 
 
 def test_nothing_of_the_published_scenes_is_no_section(apart: Evaluation) -> None:
@@ -173,9 +179,7 @@ def test_nothing_of_the_published_scenes_is_no_section(apart: Evaluation) -> Non
 
 def test_growth_is_drawn_with_its_fit(apart: Evaluation) -> None:
     """Draw identical runs once, with zeros apart, the fitted window, and the rate that was put in."""
-    section = divergence.section(source(apart))
-    assert section is not None
-    ((_, (growth, envs, runs)),) = section.context["apart"]
+    growth, envs, runs = divergence.pictures(source(apart), apart.results[0])
     assert growth.svg.count('class="fit"') == 1
     assert "exactly 0" in growth.svg
     assert "first bit differs" in growth.svg
@@ -204,12 +208,10 @@ def test_no_rate_of_a_poor_fit(tmp_path: Path) -> None:
     found = evaluate_files(sorted(tmp_path.glob("*.mcap")), sample_time=21 * DT)
     metric = found.results[0].metrics["divergence_rate"]
     assert isinstance(metric.value, Missing)
-    section = divergence.section(source(found))
-    assert section is not None
-    ((_, (growth, *_)),) = section.context["apart"]
+    growth, *_ = divergence.pictures(source(found), found.results[0])
     assert 'class="fit"' not in growth.svg
     assert "No growth rate: R2 0.0" in growth.caption
-    (row,) = section.context["onsets"]
+    row = divergence.onset(found.results[0])
     assert (row.doubling, row.no_doubling) == ("-", metric.value.reason)
     (group,) = to_json(found)["groups"]
     assert group["divergence"][0]["fit"]["r_squared"] < 0.8
@@ -217,9 +219,7 @@ def test_no_rate_of_a_poor_fit(tmp_path: Path) -> None:
 
 def test_onsets_are_tabulated(apart: Evaluation) -> None:
     """Name the step and the time of the first difference, and when a millimetre is reached."""
-    section = divergence.section(source(apart))
-    assert section is not None
-    (row,) = section.context["onsets"]
+    row = divergence.onset(apart.results[0])
     assert row.envs == row.runs == "step 10, 0.1 s"
     assert float(row.to_1mm) == pytest.approx(0.1 + np.log(500) / RATE, abs=DT)
     assert float(row.doubling) == pytest.approx(np.log(2) / RATE, rel=0.05)
@@ -238,8 +238,7 @@ def test_divergence_in_json(apart: Evaluation) -> None:
 
 def test_matrices_stand_in_order_of_classes(apart: Evaluation) -> None:
     """Put bit-identical envs and runs together, name the classes, and keep the original numbers at the axes."""
-    section = consistency.section(source(apart))
-    ((envs,), (runs,)) = section.context["parallel_matrices"], section.context["run_matrices"]
+    (envs,), (runs,) = consistency.matrices(source(apart), apart.results)
     assert "class A: envs 0, 3; class B: env 1; class C: env 2." in envs.caption
     assert [row[0] for row in envs.numbers.rows] == ["env 0", "env 3", "env 1", "env 2"]
     assert "class A: runs 0, 2; class B: run 1." in runs.caption
@@ -253,9 +252,9 @@ def test_matrices_stand_in_order_of_classes(apart: Evaluation) -> None:
 
 def test_dots_show_what_the_radar_compares(swept: Evaluation) -> None:
     """Draw the radar's own values with the intervals of their metrics, sorted, exact zeros open."""
-    section = dot_plot.section(source(swept))
+    section = comparison.section(source(swept))
     assert section is not None
-    panels = {p.label: p for p in section.context["panels"]}
+    panels = {p.label: p for p in dot_plot.panels(swept.comparison.contenders)}
     titles = {axis: axis.value for axis in Axis} | {m.radar: m.title for m in METRICS.values() if m.radar}
     for contender in swept.comparison.contenders:
         values = contender.figures.axis_values()
@@ -266,7 +265,7 @@ def test_dots_show_what_the_radar_compares(swept: Evaluation) -> None:
     parallel = panels[titles[Axis.PARALLEL]]
     assert parallel.svg.count("nothing") == 1
     assert "Open circle: exactly 0 (1)." in parallel.caption
-    assert "Nothing to show" in next(p.caption for p in section.context["empty"] if p.label == titles[Axis.EMD_TO_REAL])
+    assert "Nothing to show" in panels[titles[Axis.EMD_TO_REAL]].caption
     ranges = {row[0]: row[2:4] for row in panels[titles[Axis.PARALLELISM]].numbers.rows}
     assert ranges["genesis"] == (128.0, 256.0)
     assert ranges["warp"] == (None, None)
@@ -288,7 +287,7 @@ def test_prices_are_shown(tmp_path: Path) -> None:
     assert slow["throughput_of_default"]["ratio"] == pytest.approx(0.252, abs=0.001)
     assert slow["in_force"] == ["mode=slow"]
     text = render_html(evaluation, published=False, command="c")
-    assert "× 0.252" in text
+    assert "x 0.252" in text
     assert "3 of 3 runs are INVALID, so it has no price" in text
 
 
@@ -307,13 +306,14 @@ def test_deviations_are_a_matrix(apart: Evaluation) -> None:
 
     results = [with_deviations("a", stated), with_deviations("b", stated), with_deviations("c", stated[:1])]
     section = deviations.section(source(replace(apart, results=tuple(results))))
-    (matrix,) = section.context["matrices"]
-    assert [names for names, _ in matrix.columns] == [["a", "b"], ["c"]]
-    assert matrix.rows == [
-        ("ball.restitution", "0.55", ["0", "0"]),
-        ("contact.friction", "(a)", ["(b)", ""]),
+    assert section is not None
+    matrix = next(b for b in section.blocks if isinstance(b, Table))
+    assert [column.title for column in matrix.columns] == ["parameter", "wanted", "a, b", "c"]
+    assert [[one.text for one in row.cells] for row in matrix.rows] == [
+        ["ball.restitution", "0.55", "0", "0"],
+        ["contact.friction", "(a)", "(b)", "-"],
     ]
-    assert matrix.legend == [("(a)", "at each point"), ("(b)", "at two points of a patch")]
+    assert matrix.legend == ("(a) at each point", "(b) at two points of a patch")
 
 
 def test_hostile_names_stay_text(apart: Evaluation) -> None:
@@ -326,19 +326,9 @@ def test_hostile_names_stay_text(apart: Evaluation) -> None:
 def test_figures_have_names_of_their_own(apart: Evaluation, swept: Evaluation) -> None:
     """Name no two figures of a page alike."""
     for evaluation in (apart, swept):
-        page = source(evaluation)
-        sections = [module.section(page) for module in (consistency, divergence, dot_plot)]
-        contexts = [s.context for s in sections if s is not None]
-        figures = [
-            picture
-            for c in contexts
-            for picture in (
-                *c.get("parallel_matrices", ()), *c.get("run_matrices", ()), *c.get("panels", ()),
-                *(one for _, found in c.get("apart", ()) for one in found),
-            )
-        ]  # fmt: skip
-        keys = [p.key for p in figures if p.svg]
+        figures = [one for one in report(source(evaluation)).figures() if one.svg]
+        keys = [one.key for one in figures]
         assert keys
         assert all(keys)
         assert len(set(keys)) == len(keys)
-        assert all(len(row) == len(p.numbers.titles) for p in figures for row in p.numbers.rows)
+        assert all(len(row) == len(one.numbers.titles) for one in figures for row in one.numbers.rows)

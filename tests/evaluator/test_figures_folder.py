@@ -19,12 +19,12 @@ from markupsafe import Markup
 from gpusimbench.evaluator.cli.eval import main
 from gpusimbench.evaluator.metrics.density import HexGrid
 from gpusimbench.evaluator.render import latex
+from gpusimbench.evaluator.render.document import Figure, key_of
 from gpusimbench.evaluator.render.figures import matrix, style, svg
-from gpusimbench.evaluator.report.html import sections_of
-from gpusimbench.evaluator.report.page.picture import Numbers, Picture, file_name
-from gpusimbench.evaluator.report.page.section import Section, Source
+from gpusimbench.evaluator.report.document import report
 from gpusimbench.evaluator.report.paper.figures import HEAD, INDEX, named, write_figures
 from gpusimbench.evaluator.report.paper.pdf import to_pdf
+from gpusimbench.evaluator.report.source import Source
 from gpusimbench.evaluator.results.evaluate import evaluate_files
 from gpusimbench.evaluator.results.evaluation import Evaluation
 from tests.synthetic import grid, write_recording, write_sweep
@@ -88,7 +88,7 @@ def words(pdf: bytes, folder: Path) -> str:
 
 def test_every_figure_of_the_page_is_written(evaluation: Evaluation, written: Path) -> None:
     """Write each figure that the page offers to save as SVG, PDF and CSV."""
-    shown = [p for s in sections_of(Source(evaluation, True, "")) for p in s.pictures() if p.svg and p.key]
+    shown = [p for p in report(Source(evaluation, True, "")).figures() if p.svg and p.key]
     assert len(shown) >= 8
     assert len(list(written.glob("*.svg"))) == len(list(written.glob("*.pdf"))) == len(shown)
     assert len(list(written.glob("*.csv"))) == sum(bool(p.numbers.titles) for p in shown)
@@ -268,18 +268,11 @@ def test_the_same_figure_gives_the_same_bytes() -> None:
 
 def test_names_of_files() -> None:
     """Make a file's name of any words, and no name twice."""
-    assert file_name("density", 3, "../../etc/passwd") == "density-3-etc-passwd"
-    assert file_name("\u4e2d\u6587") == "figure"
-    assert len(file_name("x" * 1000)) == 80
-    alike = [Picture("a", "", Markup("<svg/>"), key) for key in ("a b", "A/B", "a-b-2")]
+    assert key_of("density", 3, "../../etc/passwd") == "density-3-etc-passwd"
+    assert key_of("\u4e2d\u6587") == "figure"
+    assert len(key_of("x" * 1000)) == 80
+    alike = [Figure("a", "", Markup("<svg/>"), key) for key in ("a b", "A/B", "a-b-2")]
     assert [name for name, _ in named(alike)] == ["a-b", "a-b-2", "a-b-2-2"]
-
-
-def test_pictures_are_found_in_what_sections_show() -> None:
-    """Find figures in lists, mappings and records of the report, in order."""
-    one, two = Picture("a", "", None, "a", Numbers()), Picture("b", "", None, "b")
-    section = Section("k", "t", {"x": [(1, one)], "y": {"z": two}, "w": "text"})
-    assert list(section.pictures()) == [one, two]
 
 
 def test_without_the_package(

@@ -13,11 +13,11 @@ import numpy as np
 import pytest
 
 from gpusimbench.evaluator.render.csv import to_csv
+from gpusimbench.evaluator.render.document import Figure
 from gpusimbench.evaluator.render.figures import matrix, palette, style
 from gpusimbench.evaluator.report.document import TITLE, report
-from gpusimbench.evaluator.report.html import sections_of, write_html
-from gpusimbench.evaluator.report.page.picture import Picture
-from gpusimbench.evaluator.report.page.section import Source
+from gpusimbench.evaluator.report.html import write_html
+from gpusimbench.evaluator.report.source import Source
 from gpusimbench.evaluator.results.evaluate import evaluate_files
 from gpusimbench.evaluator.results.evaluation import Evaluation
 from tests.browser import Browser, needs_chromium
@@ -134,11 +134,9 @@ def test_keys_work(browser: Browser, page: Path) -> None:
     assert browser.evaluate(f"{FOLDED}.open")
 
 
-def offered(evaluation: Evaluation) -> list[Picture]:
+def offered(evaluation: Evaluation) -> list[Figure]:
     """Figures that the page can save."""
-    source = Source(evaluation, True, "")
-    drawn = [*report(source).figures(), *(p for s in sections_of(source) for p in s.pictures())]
-    return [p for p in drawn if p.svg and p.key]
+    return [p for p in report(Source(evaluation, True, "")).figures() if p.svg and p.key]
 
 
 @pytest.mark.parametrize("dark", [False, True], ids=["light", "dark"])

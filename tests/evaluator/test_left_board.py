@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import json
-import re
 from itertools import combinations
 from pathlib import Path
 
@@ -24,14 +23,13 @@ from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.render.numbers import figure
 from gpusimbench.evaluator.report.html import render_html
 from gpusimbench.evaluator.report.json import to_json
-from gpusimbench.evaluator.report.paper.tables import tables
 from gpusimbench.evaluator.report.parquet import frames
-from gpusimbench.evaluator.report.tables import print_tables
 from gpusimbench.evaluator.results.details import BetweenRuns, OffTheBoard
 from gpusimbench.evaluator.results.evaluate import evaluate, evaluate_files
 from gpusimbench.evaluator.results.evaluation import Evaluation
 from gpusimbench.evaluator.runs.reader import Reader
 from gpusimbench.evaluator.runs.run import Run
+from tests.pages import print_all, rows_of, tables_of, text_of
 from tests.synthetic import grid, write_recording
 
 H200 = Path(__file__).resolve().parents[2] / "recordings" / "h200"
@@ -88,7 +86,7 @@ def test_shipped_recordings_against_scipy(name: str) -> None:
 
 
 def test_five_runs_of_mjx_end_in_three_places() -> None:
-    """Hold the figures of docs/determinism.md: 2.4, 12.4 and 13.9 cm apart, and 1.7 to 2.9 without the cube that fell."""
+    """Hold docs/determinism.md to 2.4, 12.4 and 13.9 cm apart, and 1.7 to 2.9 without the cube that fell."""
     (result,) = evaluate_files(sorted(H200.glob("mjx-jax-inclined*.mcap"))).results
     matrix = result.metrics["w1_run_to_run"].of(BetweenRuns).matrix_cm
     assert matrix is not None
@@ -123,17 +121,18 @@ def test_one_cube_of_many_is_shown(few: Evaluation) -> None:
     assert found["w1_real_clamped"]["value"] < found["w1_real"]["value"]
 
     stream = io.StringIO()
-    print_tables(few, stream)
-    lines = [" ".join(line.split()) for line in stream.getvalue().splitlines()]
-    assert "cubes off the board [cubes per env] 0.04" in lines
-    assert sum(bool(re.match(r"clamped W1 .* \[cm\] 0\.", line)) for line in lines) == 3
-
-    page = render_html(few, published=False, command="")
-    assert page.count("<small>clamped to the board: 0.") == 5, "in two tables"
-    assert "<small>in 1 of 24 envs</small>" in page
-
-    (row,) = next(t for t in tables(few, published=False) if t.key == "variability").rows
-    assert "0.04" in row
+    print_all(few, stream)
+    assert "cubes off the board [cubes per env]" in " ".join(stream.getvalue().split())
+    assert "<small>in 1 of 24 envs</small>" in render_html(few, published=False, command="")
+    made = tables_of(few)
+    (row,) = rows_of(made["variability-others"]).values()
+    assert row["cubes off the board [cubes per env]"].text == "0.04"
+    (row,) = rows_of(made["variability-distances"]).values()
+    clamped = [cell.text for title, cell in row.items() if title.startswith("clamped W1")]
+    assert len(clamped) == 3
+    assert all(text.startswith("0.") for text in clamped)
+    (row,) = rows_of(made["remade-variability"]).values()
+    assert any("clamped to the board: 0." in note for note in row["parallel [cm]"].notes)
 
     table = frames(few)["metrics.parquet"]
     by_name = {record["metric"]: record for record in table.iter_rows(named=True)}
@@ -148,11 +147,11 @@ def test_floor_and_p_stand_beside_runs(tmp_path: Path) -> None:
     floor = to_json(found)["groups"][0]["metrics"]["w1_run_to_run"]["extra"]["floor"]
     shown = f"{floor['observed_cm']:.3f}; {floor['floor_mean_cm']:.3f}; {floor['p_value']:.2g}"
     stream = io.StringIO()
-    print_tables(found, stream)
+    print_all(found, stream)
     assert shown in stream.getvalue()
     assert shown in render_html(found, published=False, command="")
-    (row,) = next(t for t in tables(found, published=False) if t.key == "variability").rows
-    assert shown in row
+    (row,) = tables_of(found)["variability-distances"].rows
+    assert shown in [one.text for one in row.cells]
     rows = {record["metric"]: record for record in frames(found)["metrics.parquet"].iter_rows(named=True)}
     assert rows["w1_run_to_run"]["floor"] == floor["floor_mean_cm"]
     assert rows["w1_run_to_run"]["p_value"] == floor["p_value"]
@@ -163,10 +162,8 @@ def test_why_there_is_no_floor(tmp_path: Path) -> None:
     """Say in text and HTML why environments were not exchanged between runs that differ."""
     files = [write_recording(tmp_path, grid(2) + [0.0, y, 0.0], run=run) for run, y in enumerate((0.0, 0.03))]
     found = evaluate_files(files)
-    stream = io.StringIO()
-    print_tables(found, stream)
     why = "the environments of a side are identical: there is nothing to exchange"
-    assert f"column 1: no floor of W1 between runs: {why}" in " ".join(stream.getvalue().split())
+    assert f"no floor: {why}" in text_of(found)
     assert f"no floor: {why}" in render_html(found, published=False, command="")
 
 

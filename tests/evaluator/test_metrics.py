@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import json
+import re
 from pathlib import Path
 
 import pytest
@@ -12,17 +13,18 @@ import pytest
 from docs.make_metrics import PAGE, drawn, table
 from gpusimbench.evaluator.cli.compare import main as gsb_compare
 from gpusimbench.evaluator.missing import Missing, known
+from gpusimbench.evaluator.render.table_files import Format, table_files
+from gpusimbench.evaluator.report.document import report
 from gpusimbench.evaluator.report.html import render_html
 from gpusimbench.evaluator.report.json import to_json
-from gpusimbench.evaluator.report.paper.tables import text_tables
-from gpusimbench.evaluator.report.paper.text_table import Format
 from gpusimbench.evaluator.report.parquet import METRICS as METRICS_TABLE
 from gpusimbench.evaluator.report.parquet import frames
-from gpusimbench.evaluator.report.tables import print_tables
+from gpusimbench.evaluator.report.source import Source
 from gpusimbench.evaluator.results.evaluate import evaluate_files
 from gpusimbench.evaluator.results.metric import BYTES, Axis, Direction, Metric, each
 from gpusimbench.evaluator.results.metrics import METRICS
 from gpusimbench.evaluator.results.result import GroupResult
+from tests.pages import print_all
 from tests.synthetic import write_recording
 
 STEPS = Metric(
@@ -53,18 +55,19 @@ def test_one_declaration_is_in_all_outputs(with_steps: Metric, recordings: list[
     expected = known(result.metrics[with_steps.name].value)
     assert expected
     shown = io.StringIO()
-    print_tables(evaluation, shown)
-    assert f"{with_steps.titled} " in shown.getvalue()
+    print_all(evaluation, shown)
+    assert with_steps.titled in shown.getvalue()
     record = to_json(evaluation)["groups"][0]["metrics"][with_steps.name]
     assert (record["value"], record["unit"], record["direction"], record["n"]) == (expected, "steps", "higher", 3)
     assert record["method"] == "steps that were asked for, mean over runs"
     page = render_html(evaluation, published=False, command="gsb-eval")
-    assert f'<th scope="col" class="num">{with_steps.titled}</th>' in page
+    assert re.search(rf'<th class=num scope=col title="[^"]*">{re.escape(with_steps.titled)}</th>', page)
     assert f"<code>{with_steps.name}</code>" in page
     assert f"| `{with_steps.name}` | {with_steps.title} | steps | higher | {with_steps.docs}" in table()
-    text = text_tables(evaluation, [Format.CSV], published=False)["throughput.csv"].decode()
+    files = table_files(report(Source(evaluation, False, "")), [Format.CSV])
+    text = next(file.decode() for name, file in files.items() if name.startswith("costs-"))
     titles, row = list(csv.reader(text.splitlines()))[:2]
-    assert float(row[titles.index(with_steps.titled)].partition(" ")[0]) == expected
+    assert float(row[titles.index(with_steps.titled)]) == expected
     pytest.importorskip("polars")
     rows = frames(evaluation)[METRICS_TABLE].to_dicts()
     assert [one["value"] for one in rows if one["metric"] == with_steps.name] == [expected]

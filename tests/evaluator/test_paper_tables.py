@@ -4,25 +4,25 @@ from __future__ import annotations
 
 import csv
 import io
-import re
 from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from gpusimbench.evaluator.cli.eval import main
+from gpusimbench.evaluator.render.document import table
+from gpusimbench.evaluator.render.markdown import table_markdown
 from gpusimbench.evaluator.render.numbers import mean_sd
-from gpusimbench.evaluator.report.paper.tables import tables, text_tables
-from gpusimbench.evaluator.report.paper.text_table import Format, TextTable, as_csv, as_latex, as_markdown
+from gpusimbench.evaluator.render.table_files import Format, as_csv, as_latex, table_files
+from gpusimbench.evaluator.report.document import report
+from gpusimbench.evaluator.report.source import Source
 from gpusimbench.evaluator.results.evaluate import evaluate_files
 from gpusimbench.evaluator.results.evaluation import Evaluation
 from tests.conftest import Command
+from tests.pages import rows_of, tables_of
 from tests.synthetic import grid, write_recording, write_sweep
 
 HOSTILE = "=cmd|'/C calc'!A0 | [x](http://x) & \\input{a} % <b>"
-TEXTS = st.lists(st.tuples(st.text(), st.text()), min_size=1, max_size=4)
 
 
 @pytest.fixture(scope="module")
@@ -40,18 +40,17 @@ def evaluation(tmp_path_factory: pytest.TempPathFactory) -> Evaluation:
 
 def test_tables_say_what_was_evaluated(evaluation: Evaluation) -> None:
     """Give a row to each group, point, check and need, with the values that the page shows."""
-    found = {table.key: table for table in tables(evaluation, published=True)}
-    assert {"variability", "throughput", "scaling-largest", "scaling-points", "physics"} <= set(found)
-    assert {"published-variability", "published-free-fall", "published-franka"} <= set(found)
-    assert all(len(row) == len(table.titles) for table in found.values() for row in table.rows)
-    assert all(len(set(table.titles)) == len(table.titles) for table in found.values())
+    found = tables_of(evaluation, published=True)
+    assert {"simulators", "variability-bits", "variability-distances", "validity", "recordings"} <= set(found)
+    assert {"published-variability", "published-scaling"} <= set(found)
+    assert all(len({c.title for c in table.columns}) == len(table.columns) for table in found.values())
     groups = {r.label: r for r in evaluation.results}
-    for row in found["throughput"].rows:
-        said = dict(zip(found["throughput"].titles, row, strict=True))
-        assert said["throughput [env-steps/s]"] == mean_sd(groups[said["group"]].metrics["fps"])
-    assert [row[2] for row in found["scaling-points"].rows] == ["1", "4", "16"]
-    assert "failed" in found["scaling-points"].rows[2][-1]
-    assert not any(table.key.startswith("published") for table in tables(evaluation, published=False))
+    for label, said in rows_of(found["throughput-inclined-collision"]).items():
+        assert said["throughput [env-steps/s]"].text == mean_sd(groups[label].metrics["fps"])
+    points = found["scaling-points-free-fall"]
+    assert [row.cells[0].text for row in points.rows] == ["1", "4", "16"]
+    assert any("failed" in note for note in points.rows[2].cells[-1].notes)
+    assert not any(key.startswith("published") for key in tables_of(evaluation))
 
 
 def test_what_the_page_alone_had(tmp_path: Path) -> None:
@@ -63,65 +62,41 @@ def test_what_the_page_alone_had(tmp_path: Path) -> None:
                 tmp_path, grid(2), run=run, determinism=level, elapsed_s=slower + run / 100, gpu_bytes=(0, 10**9),
                 switches={"mode": level}, reason="because", **more,
             )  # fmt: skip
-    evaluation = evaluate_files(sorted(tmp_path.glob("*.mcap")))
-    found = {table.key: table for table in tables(evaluation, published=False)}
-    ((simulator, scene, n_max, *_, limit, _, _),) = found["capability"].rows
-    assert (simulator, scene, n_max) == ("warp", "free-fall", "128")
-    assert limit.startswith("memory: failed at 256")
-    rows = [dict(zip(found["prices"].titles, row, strict=True)) for row in found["prices"].rows]
-    said = {row["level"]: (row["throughput of the default's"][:5], row["why no price"]) for row in rows}
-    assert said["default"] == ("1", "-")
-    assert said["slow"] == ("0.252", "-")
-    assert said["bad"][0] == "-"
-    assert "INVALID" in said["bad"][1]
-    assert rows[-1]["in force beside the default"] == "mode=slow"
+    found = tables_of(evaluate_files(sorted(tmp_path.glob("*.mcap"))))
+    ((simulator, said),) = rows_of(found["capability-free-fall"]).items()
+    assert (simulator, said["N_env^max"].text) == ("warp", "128")
+    limit = said["what limits N; contacts; timed steps"]
+    assert limit.text == "memory"
+    assert any("failed at 256" in note for note in limit.notes)
+    (prices,) = (table for key, table in found.items() if key.startswith("prices"))
+    rows = rows_of(prices)
+    speeds = {level: row["throughput of the default's"] for level, row in rows.items()}
+    assert (speeds["default"].text, speeds["slow"].text, speeds["bad"].text) == ("1", "x 0.252", "-")
+    (mark,) = speeds["bad"].notes
+    assert any(line.startswith(mark) and "INVALID" in line for line in prices.legend)
+    assert prices.rows[-1].cells[0].notes == ("mode=slow",)
 
 
 def test_formats_are_files(evaluation: Evaluation) -> None:
     """Write each table in each format, and nothing for Parquet, which has tables of its own."""
-    files = text_tables(evaluation, [Format.CSV, Format.MARKDOWN, Format.PARQUET], published=False)
+    document = report(Source(evaluation, False, ""))
+    files = table_files(document, [Format.CSV, Format.MARKDOWN, Format.PARQUET])
     assert {Path(name).suffix for name in files} == {".csv", ".md"}
-    rows = list(csv.DictReader(io.StringIO(files["throughput.csv"].decode(), newline="")))
+    rows = list(csv.DictReader(io.StringIO(files["throughput-inclined-collision.csv"].decode(), newline="")))
     assert {r["group"].split(" [")[0][:5] for r in rows} == {"one", "'=cmd"}
-
-
-@given(TEXTS)
-def test_markdown_has_as_many_cells(rows: list[tuple[str, str]]) -> None:
-    """Let no text end a cell or a row, or become markup."""
-    text = as_markdown(TextTable("k", "caption", ("a", "b"), rows))
-    lines = text.split("\n\nTable: ")[0].splitlines()
-    assert len(lines) == 2 + len(rows)
-    assert all(len(re.findall(r"(?<!\\)\|", re.sub(r"\\\\", "", line))) == 3 for line in lines)
-    assert not re.search(r"(?<!\\)[<`\[]", re.sub(r"\\\\", "", text))
-
-
-@given(TEXTS)
-def test_latex_has_as_many_cells(rows: list[tuple[str, str]]) -> None:
-    """Let no text end a cell or a row, open a group, or belong to the end of the line before."""
-    text = as_latex(TextTable("k", "caption", ("a", "b"), rows))
-    body = text.split("\\midrule\n")[1].split("    \\bottomrule")[0]
-    lines = body.splitlines()
-    assert len(lines) == len(rows)
-    for line in lines:
-        assert line.startswith("    {}")
-        assert line.endswith(r" \\")
-        assert len(re.findall(r"(?<!\\)&", line)) == 1
-    assert text.count(r"\begin{") == text.count(r"\end{") == 2
-    plain = re.sub(r"\\[{}]", "", text)
-    assert plain.count("{") == plain.count("}")
 
 
 def test_hostile_names(evaluation: Evaluation) -> None:
     """Escape what a simulator calls itself in every format."""
-    table = next(t for t in tables(evaluation, published=False) if t.key == "throughput")
+    table = tables_of(evaluation)["throughput-inclined-collision"]
     assert "\n'=cmd" in as_csv(table)
-    assert r"\[x\](http://x)" in as_markdown(table)
+    assert "&#91;x&#93;" in table_markdown(table)
     assert r"\textbackslash{}input\{a\} \% \textless{}b" in as_latex(table)
 
 
 def test_long_texts_are_paragraphs() -> None:
-    """Break columns of sentences in LaTeX, and align numbers to the right."""
-    text = as_latex(TextTable("k", "c", ("a", "b", "c"), [("x", "1", "word " * 20)]))
+    """Break columns of sentences in LaTeX, and align the others to the right."""
+    text = as_latex(table("k", "c", ["a", "b", "c"], [["x", "1", "word " * 20]]))
     assert r"\begin{tabular}{lrp{5cm}}" in text
 
 
@@ -131,7 +106,12 @@ def test_the_command(small: Path, tmp_path: Path, gsb_eval: Command) -> None:
     assert done.returncode == 0, done.stderr
     names = {line.rpartition("/")[2] for line in done.stdout.splitlines() if line.startswith("table: ")}
     assert names == {p.name for p in (tmp_path / "out").iterdir()}
-    assert {"throughput.md", "throughput.tex", "variability.tex", "physics.md"} <= names
+    assert {
+        "throughput-inclined-collision.md",
+        "throughput-inclined-collision.tex",
+        "variability-bits.tex",
+        "validity.md",
+    } <= names
     assert not any(name.endswith(".parquet") for name in names)
 
 

@@ -2,23 +2,22 @@
 
 from __future__ import annotations
 
-import io
-import re
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from gpusimbench.evaluator.render.table_files import Format, table_files
+from gpusimbench.evaluator.report.document import report
 from gpusimbench.evaluator.report.html import render_html
 from gpusimbench.evaluator.report.json import to_json
-from gpusimbench.evaluator.report.paper.tables import text_tables
-from gpusimbench.evaluator.report.paper.text_table import Format
-from gpusimbench.evaluator.report.price_table import SAME, ratio
-from gpusimbench.evaluator.report.tables import print_tables
+from gpusimbench.evaluator.report.sections.determinism_cost import SAME, ratio
+from gpusimbench.evaluator.report.source import Source
 from gpusimbench.evaluator.results.determinism_cost import NO_EFFECT, Family, Price
 from gpusimbench.evaluator.results.evaluate import evaluate_files
 from gpusimbench.evaluator.results.evaluation import Evaluation
 from gpusimbench.evaluator.results.faults import faults
+from tests.pages import rows_of, tables_of, text_of
 from tests.synthetic import cubes_field, grid, write_recording
 
 SWITCH = {"exact": True}
@@ -37,9 +36,7 @@ def family(tmp_path: Path, **asked: Any) -> Family:
 
 def shown(evaluation: Evaluation) -> str:
     """What a terminal shows."""
-    stream = io.StringIO()
-    print_tables(evaluation, stream)
-    return stream.getvalue()
+    return text_of(evaluation)
 
 
 def price(found: Family) -> Price:
@@ -140,7 +137,11 @@ def test_a_level_that_sets_nothing_has_no_price(asked: dict[str, Any], tmp_path:
     (found,) = evaluation.price_list
     assert (price(found).speed.ratio, price(found).speed.why_not) == (None, NO_EFFECT)
     assert ratio(price(found).speed) == "no effect here"
-    assert re.search(r"full +1 of 2 +1 of 3 +no effect here +no effect here", shown(evaluation))
+    (table,) = (one for key, one in tables_of(evaluation).items() if key.startswith("prices"))
+    row = rows_of(table)["full"]
+    assert (row["distinct envs"].text, row["distinct runs"].text) == ("1 of 2", "1 of 3")
+    assert row["throughput of the default's"].text == row["memory of the default's"].text == "-"
+    assert any(line.endswith(NO_EFFECT) for line in table.legend)
     assert NO_EFFECT in render_html(evaluation, published=False, command="")
 
 
@@ -156,11 +157,11 @@ def test_an_interval_around_1_is_no_price(slower: float, same: bool, tmp_path: P
     evaluation = evaluate_files(sorted(tmp_path.glob("*.mcap")))
     cost = price(evaluation.price_list[0]).speed
     assert cost.undecided is same
-    written = [file.decode() for file in text_tables(evaluation, [Format.CSV], published=False).values()]
+    written = [file.decode() for file in table_files(report(Source(evaluation, False, "")), [Format.CSV]).values()]
     page = render_html(evaluation, published=False, command="")
     (record,) = to_json(evaluation)["price_list"][0]["levels"]
     assert record["throughput_of_default"]["cannot_be_told_apart_from_1"] is same
-    for told in (ratio(cost), shown(evaluation), re.sub(r"<p class=.lead.>.*", "", page), "".join(written)):
+    for told in (ratio(cost), shown(evaluation), page, "".join(written)):
         assert (SAME in told) is same
 
 
@@ -199,7 +200,11 @@ def test_prices_in_a_terminal(tmp_path: Path) -> None:
     for run in range(3):
         write_recording(tmp_path, grid(2), run=run, determinism="bad", status="INVALID", reason="lost contacts",
                         gpu_bytes=(0, 10**9))  # fmt: skip
-    told = shown(evaluate_files(sorted(tmp_path.glob("*.mcap"))))
-    assert "what determinism costs" in told
-    assert re.search(r"full +1 of 2 +1 of 3 +0\.5 \[0\.\d+, 0\.\d+\] +2 \[2, 2\]", told)
-    assert "synthetic, bad: no price: 3 of 3 runs are INVALID, so it has no price" in told
+    evaluation = evaluate_files(sorted(tmp_path.glob("*.mcap")))
+    (table,) = (one for key, one in tables_of(evaluation).items() if key.startswith("prices"))
+    row = rows_of(table)["full"]
+    speed, memory = row["throughput of the default's"], row["memory of the default's"]
+    assert (speed.text, memory.text, memory.range) == ("x 0.5", "x 2", "[2, 2]")
+    assert speed.ci95 is not None
+    assert any("3 of 3 runs are INVALID, so it has no price" in line for line in table.legend)
+    assert "What determinism costs" in shown(evaluation)

@@ -14,11 +14,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gpusimbench.evaluator.render.csv import to_csv
+from gpusimbench.evaluator.render.document import Figure
 from gpusimbench.evaluator.render.figures.axis import tick_label
 from gpusimbench.evaluator.render.figures.placement import Box, place
 from gpusimbench.evaluator.render.figures.scatter import Point, scatter
-from gpusimbench.evaluator.report.page.picture import Picture
-from gpusimbench.evaluator.report.page.scatter import pictures
+from gpusimbench.evaluator.report.sections.scatter import pictures
 from gpusimbench.evaluator.results.evaluate import evaluate_files
 
 ROOT = Path(__file__).resolve().parent.parent.parent
@@ -90,14 +90,14 @@ def test_a_strangers_label_stays_text() -> None:
 
 
 @pytest.fixture(scope="module")
-def shipped() -> Iterator[Picture]:
+def shipped() -> Iterator[Figure]:
     """The scatter of the recordings of MuJoCo and of Brax, whose environments fall through the board."""
     files = [*(ROOT / "recordings").glob("mujoco-*.mcap"), *(ROOT / "recordings/h200").glob("brax-positional-*.mcap")]
     [found] = pictures(evaluate_files(sorted(files)))
     yield found
 
 
-def test_shipped_recordings(shipped: Picture) -> None:
+def test_shipped_recordings(shipped: Figure) -> None:
     """Show MuJoCo at exactly zero and Brax hollow, with the numbers and what speaks against it."""
     rows = list(csv.DictReader(io.StringIO(to_csv(shipped.numbers.titles, shipped.numbers.rows), newline="")))
     assert [float(r["W1 between runs [cm]"]) for r in rows if r["group"].startswith("mujoco")] == [0.0, 0.0, 0.0]

@@ -12,12 +12,11 @@ import pytest
 
 from gpusimbench.evaluator.metrics.radar import Axis
 from gpusimbench.evaluator.report.html import render_html
-from gpusimbench.evaluator.report.tables import print_tables
 from gpusimbench.evaluator.results.evaluate import evaluate_files
 from gpusimbench.evaluator.results.evaluation import Evaluation
 from gpusimbench.evaluator.results.sweeps import Sweep
 from tests.conftest import Command
-from tests.pages import part
+from tests.pages import part, print_all, rows_of, tables_of
 from tests.synthetic import grid, write_recording, write_sweep
 
 SIZES = (1, 4, 16, 64, 256)
@@ -37,7 +36,7 @@ def only(folder: Path) -> Sweep:
 def printed(evaluation: Evaluation) -> str:
     """What a terminal shows, in one line."""
     stream = io.StringIO()
-    print_tables(evaluation, stream)
+    print_all(evaluation, stream)
     return " ".join(stream.getvalue().split())
 
 
@@ -93,7 +92,9 @@ def test_a_partly_failed_point_counts(tmp_path: Path) -> None:
     assert sweep.n_max == 16
     assert sweep.ends == ("failed at 64: timeout: took longer than 60 s; INVALID at 64: buffer: contacts were dropped")
     assert sweep.points[2].complete == 1
-    assert "1 of 3 complete, failed (timeout), INVALID (buffer)" in printed(evaluated(tmp_path))
+    runs = tables_of(evaluated(tmp_path))["scaling-points-inclined-collision"].rows[2].cells[-1]
+    assert runs.text == "1 of 3 complete"
+    assert [note.split(":")[0] for note in runs.notes] == ["failed (timeout)", "INVALID (buffer)"]
 
 
 def test_no_run_is_complete(tmp_path: Path) -> None:
@@ -104,7 +105,8 @@ def test_no_run_is_complete(tmp_path: Path) -> None:
     assert sweep.n_max is None
     assert sweep.ends == "failed at 1: no device"
     assert sweep.at_max is None
-    assert "N_env^max -" in printed(evaluated(tmp_path))
+    (row,) = rows_of(tables_of(evaluated(tmp_path))["scaling-largest-inclined-collision"]).values()
+    assert (row["N_env^max"].text, row["N_env^max"].notes) == ("-", ("no run is complete",))
 
 
 def test_memory_model_of_a_device(tmp_path: Path) -> None:
@@ -155,20 +157,20 @@ def test_a_long_sweep_is_one_table(tmp_path: Path) -> None:
     write_recording(tmp_path, grid(16), gpu_bytes=(10**9, 2 * 10**9))
     write_sweep(tmp_path, (1, 4), simulator="short")
     evaluation = evaluated(tmp_path)
-    text = printed(evaluation)
-    assert "sweeps over the number of environments" in text
-    assert "N_env^max 64: failed at 256: device memory" in text
-    columns = text.partition("version")[0]
-    assert "short [n_env=1]" in columns
-    assert "synthetic [n_env=64]" not in columns
-    assert "synthetic [n_env=16" in columns  # it captured states
+    found = tables_of(evaluation)
+    furthest = rows_of(found["scaling-largest-inclined-collision"])["synthetic"]
+    assert (furthest["N_env^max"].text, furthest["why it ends"].text[:30]) == ("64", "failed at 256: device memory: ")
+    shown = " ".join(rows_of(found["throughput-inclined-collision"]))
+    assert "short [n_env=1]" in shown
+    assert "synthetic [n_env=64]" not in shown
+    assert "synthetic [n_env=16" in shown  # it captured states
     page = render_html(evaluation, published=True, command="")
     throughput = part(page, "throughput")
     assert "synthetic [n_env=64]" not in throughput
-    assert "points of a sweep" in throughput
+    assert "of sweeps that captured no states" in throughput
     scaling = part(page, "scaling")
     assert "failed at 256: device memory: no memory for the contacts" in scaling
-    assert scaling.count("<svg") > 2
+    assert scaling.count("<svg") == 2
 
 
 def test_json_of_a_sweep(tmp_path: Path, gsb_eval: Command) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import io
+import html
 import json
 import re
 from collections import Counter
@@ -18,17 +18,18 @@ from gpusimbench.evaluator.check.rules.rule import Level, Scope, load_rules
 from gpusimbench.evaluator.cli.compare import main as compare
 from gpusimbench.evaluator.cli.eval import main as evaluate
 from gpusimbench.evaluator.cli.share import main as share
+from gpusimbench.evaluator.render.table_files import Format, table_files
 from gpusimbench.evaluator.report import timed
+from gpusimbench.evaluator.report.document import report
 from gpusimbench.evaluator.report.html import render_html
 from gpusimbench.evaluator.report.json import to_json
-from gpusimbench.evaluator.report.paper.tables import text_tables
-from gpusimbench.evaluator.report.paper.text_table import Format
 from gpusimbench.evaluator.report.parquet import METRICS, frames
-from gpusimbench.evaluator.report.tables import print_tables
+from gpusimbench.evaluator.report.source import Source
 from gpusimbench.evaluator.results.evaluate import evaluate_files
 from gpusimbench.evaluator.results.evaluation import Evaluation
 from gpusimbench.evaluator.results.timed_work import SHORT_S, TimedWork, Window
 from tests.evaluator.sets import WORDS
+from tests.pages import text_of
 from tests.synthetic import grid, write_recording, write_sweep
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -55,17 +56,17 @@ def evaluated(folder: Path) -> Evaluation:
 
 
 def text(found: Evaluation) -> str:
-    """What a terminal shows, in one line."""
-    stream = io.StringIO()
-    print_tables(found, stream)
-    return " ".join(stream.getvalue().split())
+    """All that the command shows, in one line."""
+    return " ".join(text_of(found).split())
 
 
 def files(found: Evaluation, kind: Format) -> dict[str, str]:
     """The tables as files, by name."""
-    return {Path(name).stem: file.decode() for name, file in text_tables(found, [kind], published=False).items()}
+    made = table_files(report(Source(found, False, "")), [kind])
+    return {Path(name).stem: file.decode() for name, file in made.items()}
 
 
+SPEEDS = "throughput-inclined-collision"
 SAID = ("100 to 1,100", "20 to 120", "elliptic", "pyramidal", "1e-08", "1e-06", "(< 1 s)")
 """What two such groups have beside their throughputs, wherever these are shown."""
 
@@ -75,16 +76,16 @@ SAID = ("100 to 1,100", "20 to 120", "elliptic", "pyramidal", "1e-08", "1e-06", 
     [
         text,
         lambda e: render_html(e, published=False, command=""),
-        lambda e: files(e, Format.CSV)["throughput"],
-        lambda e: files(e, Format.MARKDOWN)["throughput"].replace("\\", ""),
-        lambda e: files(e, Format.LATEX)["throughput"].replace("$<$", "<").replace("\\textless{}", "<"),
+        lambda e: files(e, Format.CSV)[SPEEDS],
+        lambda e: html.unescape(files(e, Format.MARKDOWN)[SPEEDS]),
+        lambda e: files(e, Format.LATEX)[SPEEDS].replace("$<$", "<").replace("\\textless{}", "<"),
     ],
     ids=["text", "html", "csv", "markdown", "latex"],
 )
 def test_tables_say_what_was_timed(shown: Callable[[Evaluation], str], tmp_path: Path) -> None:
     """Show window, seconds, settings of the solver and rules not met beside every throughput."""
     recorded(tmp_path)
-    told = shown(evaluated(tmp_path)).replace("&lt;", "<")
+    told = " ".join(shown(evaluated(tmp_path)).replace("&lt;", "<").split())
     assert [one for one in SAID if one not in told] == []
     assert "protocol-1" in told
 
@@ -131,9 +132,9 @@ def test_sweeps_and_their_charts_say_it(tmp_path: Path) -> None:
     told = text(found)
     assert "0.16 (< 1 s)" in told
     assert "all rows: timed steps: 100 to 1,100 (1,000)" in told
-    points = files(found, Format.CSV)
-    for name in ("scaling-points", "scaling-largest", "capability"):
-        assert "100 to 1,100 (1,000)" in points[name], name
+    made = files(found, Format.CSV)
+    assert "0.16 (< 1 s)" in made["scaling-points-free-fall"]
+    assert "steps 100 to 1,100 (1,000)" in made["capability-free-fall"]
     point = to_json(found)["sweeps"][0]["points"][0]
     assert point["timed"]["under_1_s"] is True
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import itertools
 from pathlib import Path
 from typing import Any
@@ -17,22 +16,14 @@ from gpusimbench.evaluator.metrics.split_tree import Branch, SplitTree
 from gpusimbench.evaluator.missing import Missing, why_missing
 from gpusimbench.evaluator.report.html import render_html
 from gpusimbench.evaluator.report.json import to_json
-from gpusimbench.evaluator.report.tables import print_tables
 from gpusimbench.evaluator.results.details import BetweenEnvs, BetweenRuns, Changed, Equality
 from gpusimbench.evaluator.results.evaluate import evaluate_files
-from gpusimbench.evaluator.results.evaluation import Evaluation
 from gpusimbench.evaluator.results.result import GroupResult
 from gpusimbench.evaluator.runs.state_hashes import Histories, side_by_side
 from gpusimbench.schemas import topics
 from gpusimbench.schemas.messages import message_class
+from tests.pages import rows_of, tables_of, text_of
 from tests.synthetic import Shown, grid, write_recording
-
-
-def text_of(found: Evaluation) -> str:
-    """The terminal's tables on one line."""
-    stream = io.StringIO()
-    print_tables(found, stream)
-    return " ".join(stream.getvalue().split())
 
 
 def moved(by: float, n_env: int = 2) -> np.ndarray:
@@ -124,7 +115,8 @@ def test_a_capture_that_changes_what_repeats_itself(tmp_path: Path) -> None:
     result, text = _changes(tmp_path, [grid(2)] * 3)
     metric = result.metrics["capture_changes_states"]
     assert (metric.value, metric.n) == (3, 3)
-    assert "runs changed by capturing 3 of 3" in text
+    assert "runs changed by capturing" in text
+    assert "| 3 of 3 |" in text
 
 
 @pytest.mark.parametrize(
@@ -142,7 +134,7 @@ def test_noise_of_an_engine_is_not_blamed_on_the_capture(tmp_path: Path, finals:
     assert why in metric.value.reason
     assert why in text
     assert metric.details == Changed(differ=len(finals), of=len(finals))
-    assert "runs changed by capturing" not in text
+    assert "| runs changed by capturing" not in text
 
 
 def test_rounding_and_bits_have_words_of_their_own(tmp_path: Path) -> None:
@@ -151,7 +143,8 @@ def test_rounding_and_bits_have_words_of_their_own(tmp_path: Path) -> None:
     other[0, 0, 0] += 1e-9
     found = evaluate_files([write_recording(tmp_path, one, run=r) for r, one in enumerate((grid(2), grid(2), other))])
     text, page = text_of(found), render_html(found, published=False, command="")
-    assert "distinct runs 2 of 3" in text
+    (bits,) = rows_of(tables_of(found)["variability-bits"]).values()
+    assert bits["distinct runs"].text == "2 of 3"
     for said in (text, page):
         assert "(all 3 runs within 0.01 cm, 2 distinct)" in said
         assert "another run differs by 0.01 cm with a probability below 78% (95 %)" in said

@@ -7,12 +7,12 @@ from pathlib import Path
 
 from gpusimbench.evaluator.render import latex
 from gpusimbench.evaluator.render.csv import to_csv
+from gpusimbench.evaluator.render.document import Figure
 from gpusimbench.evaluator.render.figures.matrix import hatch
 from gpusimbench.evaluator.render.figures.style import standalone
-from gpusimbench.evaluator.report.html import sections_of
-from gpusimbench.evaluator.report.page.picture import Picture
-from gpusimbench.evaluator.report.page.section import Source
+from gpusimbench.evaluator.report.document import report
 from gpusimbench.evaluator.report.paper.pdf import to_pdf
+from gpusimbench.evaluator.report.source import Source
 from gpusimbench.evaluator.results.evaluation import Evaluation
 from gpusimbench.schemas.text import printable
 from gpusimbench.schemas.writing import write_files
@@ -50,7 +50,7 @@ def write_figures(evaluation: Evaluation, folder: Path, *, published: bool) -> l
     return list(files)
 
 
-def named(pictures: Iterable[Picture]) -> Iterator[tuple[str, Picture]]:
+def named(pictures: Iterable[Figure]) -> Iterator[tuple[str, Figure]]:
     """Pictures with the names of their files, no name twice."""
     taken: set[str] = set()
     for picture in pictures:
@@ -62,6 +62,5 @@ def named(pictures: Iterable[Picture]) -> Iterator[tuple[str, Picture]]:
         yield name, picture
 
 
-def _pictures(source: Source) -> Iterator[Picture]:
-    for section in sections_of(source):
-        yield from (picture for picture in section.pictures() if picture.svg and picture.key)
+def _pictures(source: Source) -> Iterator[Figure]:
+    yield from (one for one in report(source).figures() if one.svg and one.key)

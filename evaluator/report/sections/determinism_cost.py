@@ -19,14 +19,15 @@ from gpusimbench.evaluator.render.document import (
 )
 from gpusimbench.evaluator.render.numbers import NONE, plural
 from gpusimbench.evaluator.report import timed, words
-from gpusimbench.evaluator.report.price_table import SAME, family_name, of_family
 from gpusimbench.evaluator.report.sections.rows import Reasons, facets
 from gpusimbench.evaluator.report.source import Source
-from gpusimbench.evaluator.results.determinism_cost import Cost, Family, Price
+from gpusimbench.evaluator.results.determinism_cost import NO_EFFECT, Cost, Family, Price
 from gpusimbench.evaluator.results.faults import faults
 from gpusimbench.evaluator.results.identity_metrics import DISTINCT_ENVS, DISTINCT_RUNS, identical
 from gpusimbench.evaluator.results.metric import Metric
 from gpusimbench.evaluator.results.result import GroupResult
+
+SAME = "cannot be told apart from 1"
 
 _HOW = (
     "Groups that are equal but for the level of determinism: what each level repeats bit by bit, whether its steps did "
@@ -99,3 +100,30 @@ def _cost(found: Cost, reasons: Reasons) -> Cell:
     bounds = f"[{found.ci95[0]:.3g}, {found.ci95[1]:.3g}]" if found.ci95 else ""
     notes = (SAME,) if found.undecided else (found.no_interval,) if not found.ci95 and found.no_interval else ()
     return Cell(f"x {found.ratio:.3g}", found.ratio, found.ci95, bounds, notes)
+
+
+def of_family(family: Family) -> list[GroupResult]:
+    """Its groups, the default first."""
+    return [*([family.base] if family.base else []), *(price.result for price in family.prices)]
+
+
+def family_name(family: Family) -> str:
+    """The simulator, with the options that were given."""
+    first = (family.base or family.prices[0].result).group
+    given = ", ".join(f"{name}={value}" for name, value in first.recordings[0].configuration.options.items())
+    return f"{first.key.simulator} [{given}]" if given else first.key.simulator
+
+
+def ratio(cost: Cost) -> str:
+    """A cost with its interval, and whether it can be told apart from 1; a dash where there is none."""
+    if cost.ratio is None:
+        return "no effect here" if cost.why_not == NO_EFFECT else NONE
+    if cost.ci95 is None:
+        return f"{cost.ratio:.3g}"
+    return f"{_brief(cost)}, {SAME}" if cost.undecided else _brief(cost)
+
+
+def _brief(cost: Cost) -> str:
+    if cost.ratio is None or cost.ci95 is None:
+        return ratio(cost)
+    return f"{cost.ratio:.3g} [{cost.ci95[0]:.3g}, {cost.ci95[1]:.3g}]"

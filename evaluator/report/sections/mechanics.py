@@ -23,10 +23,11 @@ def section(source: Source) -> Section | None:
         return None
     ordered = sorted(source.shown, key=lambda r: r not in broken)
     said = f"{len(broken)} of {plural(len(checked), 'group')} break a check" if checked else "no group could be checked"
-    return Section("mechanics", "Mechanics", tuple(map(_of_group, ordered)), said, folded=True)
+    return Section("mechanics", "Mechanics", tuple(map(of_group, ordered)), said, folded=True)
 
 
-def _of_group(result: GroupResult) -> Section:
+def of_group(result: GroupResult) -> Section:
+    """What was checked of one group."""
     found = result.fidelity
     held, broken = len(found.of(Verdict.HELD)), len(found.of(Verdict.BROKEN))
     said = f"not applicable: {found.why_not}" if found.why_not else f"{held} of {held + broken} checks held"

@@ -17,11 +17,12 @@ from gpusimbench.evaluator.render.document import (
     Row,
     Table,
     Tone,
+    key_of,
     table,
 )
 from gpusimbench.evaluator.render.numbers import plural
 from gpusimbench.evaluator.report.leaders import Fastest, Speed, fastest
-from gpusimbench.evaluator.report.page import scatter
+from gpusimbench.evaluator.report.sections import scatter
 from gpusimbench.evaluator.report.source import Source
 from gpusimbench.evaluator.report.verdicts import QUESTIONS, TO_REFERENCE
 from gpusimbench.evaluator.results.cost_metrics import FPS
@@ -73,7 +74,7 @@ def _engine(name: str, results: list[GroupResult]) -> tuple[str, bool, Cell, lis
     versions = dict.fromkeys(r.group.key.version for r in results if r.group.key.version)
     instrument = all(is_instrument(r.group.key) for r in results)
     notes = [", ".join(versions) or "no version", *(["an instrument with known answers"] if instrument else [])]
-    return name, instrument, Cell(name, notes=tuple(notes)), results
+    return name, instrument, Cell(name, notes=tuple(notes), link=key_of("simulator", name)), results
 
 
 def _state_of_the_set(evaluation: Evaluation) -> Item:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 
 from gpusimbench.evaluator.missing import known
 from gpusimbench.evaluator.render.document import Block, Cell, Column, Items, Section, Text, items
@@ -11,7 +11,7 @@ from gpusimbench.evaluator.report import timed, words
 from gpusimbench.evaluator.report.sections.rows import Reasons
 from gpusimbench.evaluator.report.sections.values import Written, column_of, largest, of_groups
 from gpusimbench.evaluator.report.source import Source
-from gpusimbench.evaluator.results.cost_metrics import FPS
+from gpusimbench.evaluator.results.cost_metrics import CAPTURE_OVERHEAD, FPS
 from gpusimbench.evaluator.results.details import Throughput
 from gpusimbench.evaluator.results.metric import Metric, Table
 from gpusimbench.evaluator.results.result import GroupResult
@@ -21,6 +21,8 @@ _HOW = (
     "environments x steps divided by the time of the timed phase, in which nothing is recorded. Compare throughputs on "
     "one device only, and over the same steps of the scene."
 )
+
+_OTHER_STEPS = "captured and timed steps are other steps of the scene: a difference in contacts counts as well"
 
 
 def section(source: Source) -> Section | None:
@@ -49,8 +51,10 @@ def _of_scene(scene: str, results: list[GroupResult], costs: list[Metric]) -> It
     ]
     yield of_groups(f"throughput-{scene}", f"Throughput, {scene}", results, speed_columns, speeds)
     yield from _remarks(results)
-    costly = [column_of(metric, memory) for metric in costs]
-    yield of_groups(f"costs-{scene}", f"Memory and times of preparation, {scene}", results, costly, memory)
+    costly = [column_of(metric, memory, _fewer(metric)) for metric in costs]
+    slowed = any(known(r.metrics[CAPTURE_OVERHEAD.name].value) is not None for r in results)
+    legend = [_OTHER_STEPS] if slowed else []
+    yield of_groups(f"costs-{scene}", f"Memory and times of preparation, {scene}", results, costly, memory, legend)
 
 
 def _timed(column: timed.Column) -> Written:
@@ -60,6 +64,16 @@ def _timed(column: timed.Column) -> Written:
 def _shared(result: GroupResult) -> Iterable[str]:
     told = words.shared(result.metrics[FPS.name])
     return [f"another process on the GPU: {told}"] if told else []
+
+
+def _fewer(metric: Metric) -> Callable[[GroupResult], Iterable[str]]:
+    """Of how many runs a value is, where these are not all complete ones."""
+
+    def said(result: GroupResult) -> list[str]:
+        n, runs = result.metrics[metric.name].n, len(result.group.complete)
+        return [f"of {plural(n, 'run')}"] if 0 < n < runs else []
+
+    return said
 
 
 def _covers(result: GroupResult) -> Cell:

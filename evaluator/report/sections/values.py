@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
 
 from gpusimbench.evaluator.missing import Missing, known
 from gpusimbench.evaluator.render import numbers
@@ -32,8 +33,19 @@ def of_groups(
     """A table with a row for each group, without the columns in which no group has anything."""
     rows = tuple(Row((named(r), *(write(r) for _, write in columns)), facets(r)) for r in results)
     titles = (Column("group"), *(column for column, _ in columns))
-    whole = Table(key, caption, titles, rows, (*legend, *reasons.legend))
-    return whole.without_empty_columns()
+    whole = Table(key, caption, titles, rows, tuple(legend)).without_empty_columns()
+    left_out = [_left_out(rows, i, title, reasons) for i, title in enumerate(titles) if title not in whole.columns]
+    marks = {note for row in whole.rows for one in row.cells for note in one.notes}
+    used = [line for line in reasons.legend if line.split(" ")[0] in marks]
+    return replace(whole, legend=(*whole.legend, *used, *filter(None, left_out)))
+
+
+def _left_out(rows: Sequence[Row], index: int, title: Column, reasons: Reasons) -> str:
+    """Why a column is not in a table: no group has a value, for these reasons."""
+    notes = dict.fromkeys(note for row in rows for note in row.cells[index].notes)
+    words_of = {line.split(" ")[0]: line.partition(" ")[2] for line in reasons.legend}
+    said = "; ".join(dict.fromkeys(words_of.get(note, note) for note in notes))
+    return f"no {title.title}: {said}" if said else ""
 
 
 def column_of(

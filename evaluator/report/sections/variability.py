@@ -7,13 +7,20 @@ from collections.abc import Iterator
 from gpusimbench.evaluator.metrics.regime import REGIME_MEANING
 from gpusimbench.evaluator.missing import Missing, known
 from gpusimbench.evaluator.render.document import Block, Cell, Column, Section, Text, Tone
-from gpusimbench.evaluator.render.numbers import NONE, mean_sd, plural
+from gpusimbench.evaluator.render.numbers import NONE, distance, mean_sd, plural
 from gpusimbench.evaluator.report import words
 from gpusimbench.evaluator.report.sections.rows import Reasons
 from gpusimbench.evaluator.report.sections.values import Written, column_of, of_groups, value
 from gpusimbench.evaluator.report.source import Source
 from gpusimbench.evaluator.results.clamped_metrics import SUFFIX
-from gpusimbench.evaluator.results.details import BetweenEnvs, DistinctEnvs, DistinctRuns, Equality
+from gpusimbench.evaluator.results.details import (
+    BetweenEnvs,
+    BetweenRuns,
+    DistinctEnvs,
+    DistinctRuns,
+    Equality,
+    ToReference,
+)
 from gpusimbench.evaluator.results.group_metrics import LEFT_BOARD, REGIME, SANK, W1_PARALLEL, W1_REAL, W1_RUN_TO_RUN
 from gpusimbench.evaluator.results.identity_metrics import (
     DISTINCT_ENVS,
@@ -22,7 +29,7 @@ from gpusimbench.evaluator.results.identity_metrics import (
     EQUALITY_RUNS,
     identical,
 )
-from gpusimbench.evaluator.results.metric import Metric, Table
+from gpusimbench.evaluator.results.metric import Estimate, Metric, Table
 from gpusimbench.evaluator.results.result import GroupResult
 
 _BITS = "Bits: classes of equal states, and the strongest level of equality"
@@ -114,9 +121,19 @@ def _distance(metric: Metric, reasons: Reasons) -> Written:
         found = result.metrics[metric.name]
         drawn = found.of(BetweenEnvs).sampled
         note = f"sampled: {drawn.envs} envs of a run drawn with seed {drawn.seed}" if drawn else ""
-        return value(found, reasons, note)
+        return value(found, reasons, note, _bounds(found))
 
     return cell
+
+
+def _bounds(found: Estimate) -> str:
+    """Between which bounds a value lies that is not exact."""
+    details = found.details
+    bounds = details.bounds_cm if isinstance(details, BetweenRuns | ToReference) else None
+    if not bounds:
+        return ""
+    pairs = f", of {found.n} pairs drawn with seed 0" if found.exactness == "sampled" else ""
+    return f"{found.exactness}: between {distance(bounds[0])} and {distance(bounds[1])}{pairs}"
 
 
 def _clamped(metric: Metric) -> Written:

@@ -21,12 +21,8 @@ from gpusimbench.evaluator.share.leaderboard.board import Board
 
 def render(board: Board) -> str:
     """The page's text; the same recordings give the same page."""
-    environment = page_templates(
-        jinja2.ChoiceLoader([
-            jinja2.PackageLoader("gpusimbench.evaluator.share", "templates"),
-            jinja2.PackageLoader("gpusimbench.evaluator.report.page", "templates"),  # the style of the report
-        ])
-    ).overlay(keep_trailing_newline=True)  # fmt: skip
+    templates = page_templates(jinja2.PackageLoader("gpusimbench.evaluator.share", "templates"))
+    environment = templates.overlay(keep_trailing_newline=True)
     environment.filters |= {
         "short": words.short,
         "mean_sd": numbers.mean_sd,

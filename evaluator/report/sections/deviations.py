@@ -6,12 +6,19 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from gpusimbench.evaluator.render.document import Section, Table, Text, key_of, table
 from gpusimbench.evaluator.render.figures.matrix import letter
-from gpusimbench.evaluator.report.page.section import Section, Source
+from gpusimbench.evaluator.render.numbers import plural
+from gpusimbench.evaluator.report.source import Source
 from gpusimbench.evaluator.results.evaluation import Evaluation
 from gpusimbench.evaluator.results.result import GroupResult
 from gpusimbench.schemas.provenance import Deviation
 
+_HOW = (
+    "Parameters of the scene that an engine could not honour, by its adapter's own statement: what the scene wants, "
+    "and what each engine has instead. A dash states no deviation."
+)
+_LABELS = 3
 _SHORT = 12
 """Characters of a cell; what is longer stands below the matrix, under a letter."""
 
@@ -32,12 +39,37 @@ class Matrix:
     legend: list[tuple[str, str]]
 
 
-def section(source: Source) -> Section:
-    """A matrix for each scene, and below it every statement in the adapter's own words."""
+def section(source: Source) -> Section | None:
+    """A matrix for each scene, and below it every statement in the adapter's own words; None where none is stated."""
     found = _deviations(source.evaluation)
+    if not found:
+        return None
     matrices = [_matrix(scene, results) for scene, results in _scenes(source.evaluation).items()]
-    context = {"deviations": found, "matrices": [m for m in matrices if m.rows]}
-    return Section("deviations", "Deviations from the scene", context, link="Deviations")
+    groups = len(source.evaluation.results)
+    statements = table(
+        "deviations",
+        "Every statement, with its reason",
+        ["parameter", "wanted", "used", "reason", "groups"],
+        [
+            (d.parameter, d.wanted, d.used, d.reason, "all" if 1 < len(labels) == groups else ", ".join(labels))
+            for d, labels in found
+        ],
+    )
+    shown = [_table(one) for one in matrices if one.rows]
+    said = plural(len(found), "parameter") + " that an engine could not honour"
+    return Section("deviations", "Deviations from the scene", (Text(_HOW), *shown, statements), said, folded=True)
+
+
+def _table(found: Matrix) -> Table:
+    titles, notes = [], []
+    for number, (names, labels) in enumerate(found.columns, start=1):
+        titles.append(", ".join(names) + (f" (note {number})" if labels else ""))
+        if labels:
+            more = f" and {len(labels) - _LABELS} more" if len(labels) > _LABELS else ""
+            notes.append(f"note {number}: {'; '.join(labels[:_LABELS])}{more}")
+    legend = [*(f"{letter} {said}" for letter, said in found.legend), *notes]
+    rows = [(parameter, wanted, *cells) for parameter, wanted, cells in found.rows]
+    return table(key_of("deviations", found.scene), found.scene, ["parameter", "wanted", *titles], rows, legend)
 
 
 def _stated(result: GroupResult) -> tuple[Deviation, ...] | None:

@@ -7,10 +7,8 @@ from collections.abc import Sequence
 from markupsafe import Markup
 
 from gpusimbench.evaluator.metrics.radar import Axis, Radar
-from gpusimbench.evaluator.render.figures import lines, radar_chart
-from gpusimbench.evaluator.report import timed
-from gpusimbench.evaluator.report.page.picture import Numbers, Picture
-from gpusimbench.evaluator.report.page.section import Section, Source
+from gpusimbench.evaluator.render.document import Figure, Numbers
+from gpusimbench.evaluator.render.figures import radar_chart
 from gpusimbench.evaluator.results.metrics import on_radar
 from gpusimbench.evaluator.results.ranking import Contender
 
@@ -18,20 +16,6 @@ _CAPTION = (
     "Rim: the best of these groups. Middle: the worst of them. The scale is relative: another set of groups gives "
     "another picture. An outline is open at an axis without a value. Where all groups are equal they stand at the rim."
 )
-
-
-def section(source: Source) -> Section:
-    """The figure, and the values that it scales."""
-    compared = source.evaluation.comparison
-    names = {c.speed.label: c.figures.name for c in compared.contenders if c.speed}
-    context = {
-        "radar": _picture(compared.contenders, compared.radar) if compared.radar else None,
-        "contenders": compared.contenders,
-        "axes": [(axis, on_radar(axis)) for axis in Axis],
-        "notes": timed.remarks((c.speed for c in compared.contenders if c.speed), named=lambda r: names[r.label]),
-        "swatches": [Markup(lines.swatch(i)) for i in range(len(compared.contenders))],
-    }
-    return Section("radar", "Radar", context)
 
 
 def _title(axis: Axis) -> str:
@@ -44,7 +28,8 @@ def _unit(axis: Axis) -> str:
     return shown.unit if shown else "log2 of environments"
 
 
-def _picture(contenders: Sequence[Contender], radar: Radar) -> Picture:
+def picture(contenders: Sequence[Contender], radar: Radar) -> Figure:
+    """The radar with the values that it scales; without a drawing where outlines could not be told apart."""
     rows = [
         (c.figures.name, _title(axis), value, _unit(axis), radar.values[c.figures.name][axis],
          c.why_not.get(axis, "") if value is None else "")
@@ -57,6 +42,6 @@ def _picture(contenders: Sequence[Contender], radar: Radar) -> Picture:
             f"No radar: {len(radar.values)} groups are compared, and more than {radar_chart.AT_MOST} outlines cannot "
             "be told apart. The dot plots show the same values with intervals."
         )
-        return Picture(title, why_not, None)
+        return Figure(title, why_not, None)
     svg = Markup(radar_chart.radar_chart(radar))
-    return Picture(title, _CAPTION, svg, "radar", Numbers(titles, rows))
+    return Figure(title, _CAPTION, svg, "radar", Numbers(titles, rows))

@@ -12,16 +12,32 @@ from numpy.typing import NDArray
 from gpusimbench.evaluator.metrics.divergence import FIT_LIMIT_M, first_reaching
 from gpusimbench.evaluator.metrics.split_tree import SplitTree
 from gpusimbench.evaluator.missing import Missing, why_missing
+from gpusimbench.evaluator.render.document import (
+    EMPTY,
+    Block,
+    Cell,
+    Column,
+    Figure,
+    Numbers,
+    Row,
+    Section,
+    Table,
+    Text,
+    Tone,
+    key_of,
+    table,
+)
 from gpusimbench.evaluator.render.figures import divergence as chart
 from gpusimbench.evaluator.render.figures.tree import members, tree_chart, window
-from gpusimbench.evaluator.render.numbers import NONE
+from gpusimbench.evaluator.render.numbers import NONE, plural
 from gpusimbench.evaluator.report import words
-from gpusimbench.evaluator.report.page.picture import Numbers, Picture
-from gpusimbench.evaluator.report.page.section import Section, Source
+from gpusimbench.evaluator.report.sections.rows import Reasons, facets, named, with_lines
+from gpusimbench.evaluator.report.source import Source
 from gpusimbench.evaluator.results.details import DistinctEnvs, DistinctRuns
 from gpusimbench.evaluator.results.result import GroupResult, RunSpread
 
 _MM = 1e3
+_UNKNOWN = "not known: "
 _CURVES = ("run", "simulated time [s]", "largest distance [m]", "rms distance [m]")
 _BRANCHES = ("lowest", "left", "at step", "simulated time [s]", "left together", "stayed together", "that stayed")
 
@@ -48,20 +64,74 @@ def section(source: Source) -> Section | None:
     told = [r for r in source.shown if not isinstance(r.metrics["distinct_envs"].value, Missing) or _spreads(r)]
     if not told:
         return None
-    apart = [(r, found) for r in told if (found := list(_pictures(source, r)))]
-    context = {
-        "onsets": [_onset(r) for r in told],
-        "apart": apart,
-        "limit": f"{FIT_LIMIT_M * _MM:g} mm",
-    }
-    return Section("divergence", "How environments and runs come apart", context, link="Divergence")
+    onsets = [onset(r) for r in told]
+    of_groups = [_of_group(r, found) for r in told if (found := pictures(source, r))]
+    drawn = Section(
+        "divergence-figures", "Figures of each group", tuple(of_groups), _figures_said(of_groups), folded=True
+    )
+    how = Text(
+        "How far two runs lie apart at each step cannot be told from one file at a time: gsb-diff A B reads both files "
+        "and gives it."
+    )
+    blocks: tuple[Block, ...] = (_table(onsets), how, *([drawn] if of_groups else []))
+    return Section("divergence", "How environments and runs come apart", blocks, _summary(onsets), folded=True)
+
+
+def _summary(onsets: Sequence[Onset]) -> str:
+    envs, runs = (sum(getattr(one, of).startswith("step") for one in onsets) for of in ("envs", "runs"))
+    return f"of {plural(len(onsets), 'group')}, environments come apart in {envs} and runs in {runs}"
+
+
+def _figures_said(found: Sequence[Section]) -> str:
+    return f"{plural(len(found), 'group')} in which anything came apart"
+
+
+def _of_group(result: GroupResult, found: Sequence[Figure]) -> Section:
+    key = key_of("divergence", result.group.key.scene, result.label)
+    return Section(key, result.label, with_lines(found), result.group.key.scene, folded=True, facets=facets(result))
+
+
+def _table(onsets: Sequence[Onset]) -> Table:
+    limit, reasons = f"{FIT_LIMIT_M * _MM:g} mm", Reasons()
+    columns = (
+        Column("group"),
+        Column("envs: first bit differs", "by hashes of the whole state at every captured step; the first of all runs"),
+        Column("runs: first bit differs", "by hashes of the whole state at every captured step"),
+        Column("distance doubles in [s]", f"median over runs, of the largest distance while it is below {limit}"),
+        Column(f"envs {limit} apart at [s]", "the first run to be so, of recorded steps"),
+    )
+    rows = [
+        Row(
+            (
+                named(one.result),
+                _first_cell(one.envs, reasons),
+                _first_cell(one.runs, reasons),
+                _number(one.doubling) if one.doubling != NONE else reasons.cell(one.no_doubling),
+                _number(one.to_1mm),
+            ),
+            facets(one.result),
+        )
+        for one in onsets
+    ]
+    return table("divergence", "When environments and runs come apart", columns, rows, reasons.legend)
+
+
+def _first_cell(said: str, reasons: Reasons) -> Cell:
+    if said.startswith(_UNKNOWN):
+        return reasons.cell(said.removeprefix(_UNKNOWN), "not known")
+    return Cell(said, tone=Tone.GOOD if said == "never" else Tone.BAD)
+
+
+def _number(said: str) -> Cell:
+    return EMPTY if said == NONE else Cell(said, float(said))
 
 
 def _spreads(result: GroupResult) -> list[RunSpread]:
     return [s for s in result.spreads if s.spread]
 
 
-def _onset(result: GroupResult) -> Onset:
+def onset(result: GroupResult) -> Onset:
+    """When anything differs in a group."""
     rate = result.metrics["divergence_rate"]
     reached = [t for s in _spreads(result) if (t := _reaches(s)) is not None]
     return Onset(
@@ -77,7 +147,7 @@ def _onset(result: GroupResult) -> Onset:
 def _first(result: GroupResult, name: str) -> str:
     metric = result.metrics[name]
     if isinstance(metric.value, Missing):
-        return f"not known: {metric.value.reason}"
+        return f"{_UNKNOWN}{metric.value.reason}"
     step = _distinct(result, name).first_difference_step
     return "never" if step is None else f"step {step}, {step * result.group.key.dt:g} s"
 
@@ -97,32 +167,33 @@ def _values(found: Sequence[float | None]) -> NDArray[np.float64]:
     return np.array([np.nan if v is None else v for v in found])
 
 
-def _pictures(source: Source, result: GroupResult) -> Iterator[Picture]:
+def pictures(source: Source, result: GroupResult) -> list[Figure]:
+    """Growth and trees of a group; none where nothing came apart."""
     number = source.evaluation.results.index(result)
     growth = _growth(result, f"divergence-{number}")
     trees = [_tree(result, of, f"tree-{of}s-{number}") for of in ("env", "run")]
     if growth.svg or any(tree is not None and tree.svg for tree in trees):
-        yield growth
-        yield from (tree for tree in trees if tree is not None)
+        return [growth, *(tree for tree in trees if tree is not None)]
+    return []
 
 
-def _growth(result: GroupResult, key: str) -> Picture:
+def _growth(result: GroupResult, key: str) -> Figure:
     label = "distance between environments"
     curves = list(_curves(result))
     if not curves:
         why_not = why_missing(result.spreads[0].spread) if result.spreads else "no run is complete"
-        return Picture(label, f"No curve: {why_not}.", None)
+        return Figure(label, f"No curve: {why_not}.", None)
     step = _distinct(result, "distinct_envs").first_difference_step
     onset = None if step is None else step * result.group.key.dt
     svg = chart.divergence_chart(curves, onset=onset, name=result.label)
     if not svg:
-        return Picture(label, "No curve: no recorded position differs between environments.", None)
+        return Figure(label, "No curve: no recorded position differs between environments.", None)
     rows = [
         (c.label, *(round(float(v), 12) if np.isfinite(v) else None for v in (c.times[i], c.largest[i], c.rms[i])))
         for c in curves
         for i in chart.shown_rows(c)
     ]
-    return Picture(label, _said(result, curves), Markup(svg), key, Numbers(_CURVES, rows), _about(result))
+    return Figure(label, _said(result, curves), Markup(svg), key, Numbers(_CURVES, rows), _about(result))
 
 
 def _about(result: GroupResult) -> str:
@@ -168,7 +239,7 @@ def _said(result: GroupResult, curves: Sequence[chart.Curve]) -> str:
     return " ".join(said)
 
 
-def _tree(result: GroupResult, of: str, key: str) -> Picture | None:
+def _tree(result: GroupResult, of: str, key: str) -> Figure | None:
     metric = result.metrics[f"distinct_{of}s"]
     details = _distinct(result, f"distinct_{of}s")
     tree = details.tree
@@ -176,12 +247,12 @@ def _tree(result: GroupResult, of: str, key: str) -> Picture | None:
     label = "environments" + (f" of run {runs[0]}" if of == "env" and runs else "") if of == "env" else "runs"
     if tree is None:
         why_not = why_missing(metric.value)
-        return Picture(label, f"No tree: {why_not}.", None) if why_not else None
+        return Figure(label, f"No tree: {why_not}.", None) if why_not else None
     names = details.runs if isinstance(details, DistinctRuns) else range(len(details.classes[0]))
     dt = result.group.key.dt
     svg = tree_chart(tree, dt=dt, of=of, names=names, label=result.label)
     if not svg:
-        return Picture(label, f"No tree: no two {of}s differ in any bit.", None)
+        return Figure(label, f"No tree: no two {of}s differ in any bit.", None)
     rows = [
         (
             names[b.sample], "" if b.parent is None else names[tree.branches[b.parent].sample], b.step, b.step * dt,
@@ -190,7 +261,7 @@ def _tree(result: GroupResult, of: str, key: str) -> Picture | None:
         for b in tree.branches
     ]  # fmt: skip
     about = f"{_about(result)}, which left which"
-    return Picture(label, _tree_said(tree, of, dt), Markup(svg), key, Numbers(_BRANCHES, rows), about)
+    return Figure(label, _tree_said(tree, of, dt), Markup(svg), key, Numbers(_BRANCHES, rows), about)
 
 
 def _tree_said(tree: SplitTree, of: str, dt: float) -> str:

@@ -12,13 +12,21 @@ from numpy.typing import NDArray
 from gpusimbench.evaluator.metrics.density import Density, marginal
 from gpusimbench.evaluator.missing import Missing, why_missing
 from gpusimbench.evaluator.render.csv import Cell
+from gpusimbench.evaluator.render.document import Block, Figure, Numbers, Section, Text, key_of
 from gpusimbench.evaluator.render.figures import density_map
-from gpusimbench.evaluator.report.page.picture import Numbers, Picture, file_name
-from gpusimbench.evaluator.report.page.section import Section, Source
+from gpusimbench.evaluator.render.numbers import plural
+from gpusimbench.evaluator.report.sections.rows import with_lines
+from gpusimbench.evaluator.report.source import Source
 from gpusimbench.evaluator.results.evaluation import Evaluation
 from gpusimbench.evaluator.results.reference import Reference
 from gpusimbench.evaluator.results.result import GroupResult, Map
 
+_HOW = (
+    "Where cubes lie at t = {time:g} s, all environments and runs of a group together, each environment in its own "
+    "frame. Colour: the number of positions in a hexagon {width} cm wide; all maps of this scene share scale and "
+    "extent. Empty hexagons are not drawn. Bars at the top and the right: share of a group's positions in strips along "
+    "x and y, on one scale for all maps. Shaded with a dashed edge: the board."
+)
 _DIGITS = 9  # nanometres: the grid's own rounding is not told
 
 Marginals = tuple[NDArray[np.int64], NDArray[np.int64]]
@@ -34,34 +42,50 @@ class SceneMaps:
     """
 
     scene: str
-    scale: Picture | None
+    scale: Figure | None
     bin_cm: str
-    pictures: list[Picture]
+    pictures: list[Figure]
 
 
-def section(source: Source) -> Section:
-    """The maps of every scene."""
-    return Section("density", "Density maps", {"maps": list(_maps(source.evaluation, source.shown))})
+def section(source: Source) -> Section | None:
+    """A section for each scene; None without a group."""
+    found = list(scene_maps(source.evaluation, source.shown))
+    if not found:
+        return None
+    n_drawn = sum(bool(one.svg) for maps in found for one in maps.pictures)
+    n_scene = sum(maps.scale is not None for maps in found)
+    said = f"{plural(n_drawn, 'map')} of {plural(n_scene, 'scene')}" if n_drawn else "no positions were recorded"
+    return Section("density", "Density maps", tuple(_of_scene(source, one) for one in found), said, folded=True)
 
 
-def _maps(evaluation: Evaluation, shown: list[GroupResult]) -> Iterator[SceneMaps]:
+def _of_scene(source: Source, maps: SceneMaps) -> Section:
+    blocks: list[Block] = []
+    if maps.scale:
+        blocks += [Text(_HOW.format(time=source.evaluation.sampled_at(maps.scene), width=maps.bin_cm)), maps.scale]
+    n_drawn = sum(bool(one.svg) for one in maps.pictures)
+    said = plural(n_drawn, "map") if n_drawn else "no map"
+    key, facets = key_of("density", maps.scene), {"scene": maps.scene}
+    return Section(key, maps.scene, (*blocks, *with_lines(maps.pictures)), said, folded=True, facets=facets)
+
+
+def scene_maps(evaluation: Evaluation, shown: list[GroupResult]) -> Iterator[SceneMaps]:
     for index, scene in enumerate(dict.fromkeys(r.group.key.scene for r in shown)):
         results = [r for r in shown if r.group.key.scene == scene]
         missing = [
-            Picture(r.label, f"No map: {_why_no_cloud(r, evaluation)}.", None) for r in results if r.cloud is None
+            Figure(r.label, f"No map: {_why_no_cloud(r, evaluation)}.", None) for r in results if r.cloud is None
         ]
         shared = evaluation.maps.get(scene)
         if shared is None:
             yield SceneMaps(scene, None, "", missing)
             continue
         drawn = Markup(density_map.count_scale(shared.max_count))
-        key = file_name("density-scale", index, scene)
-        scale = Picture(f"Colours of {scene}", "positions in a hexagon, logarithmic", drawn, key)
+        key = key_of("density-scale", index, scene)
+        scale = Figure(f"Colours of {scene}", "positions in a hexagon, logarithmic", drawn, key)
         bin_cm = f"{shared.grid.bin_m * 100:g}"
         yield SceneMaps(scene, scale, bin_cm, [*_scene_maps(index, results, evaluation.reference, shared), *missing])
 
 
-def _scene_maps(nth: int, results: list[GroupResult], reference: Reference | None, shared: Map) -> Iterator[Picture]:
+def _scene_maps(nth: int, results: list[GroupResult], reference: Reference | None, shared: Map) -> Iterator[Figure]:
     scene = results[0].group.key.scene
     shown: list[tuple[str, Density, Marginals]] = []
     if reference is not None and reference.density is not None and reference.scene == scene:
@@ -71,9 +95,9 @@ def _scene_maps(nth: int, results: list[GroupResult], reference: Reference | Non
     board = _board(results[0])
     for index, (label, density, sides) in enumerate(shown):
         svg = density_map.density_map(density, sides, shared, name=label, share_max=share_max, board=board)
-        key = file_name("density", nth, index, scene, label)
+        key = key_of("density", nth, index, scene, label)
         numbers = _numbers(density, sides, shared)
-        yield Picture(label, density_map.caption(density), Markup(svg), key, numbers, f"Density map, {scene}")
+        yield Figure(label, density_map.caption(density), Markup(svg), key, numbers, f"Density map, {scene}")
 
 
 def _numbers(density: Density, sides: Marginals, shared: Map) -> Numbers:

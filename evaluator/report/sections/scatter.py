@@ -7,10 +7,10 @@ from collections.abc import Iterator, Sequence
 from markupsafe import Markup
 
 from gpusimbench.evaluator.missing import Missing, why_missing
+from gpusimbench.evaluator.render.document import Figure, Numbers, key_of
 from gpusimbench.evaluator.render.figures.axis import tick_label
 from gpusimbench.evaluator.render.figures.scatter import Point, scatter
 from gpusimbench.evaluator.render.numbers import figure, interval
-from gpusimbench.evaluator.report.page.picture import Numbers, Picture, file_name
 from gpusimbench.evaluator.report.scaling import steps_label
 from gpusimbench.evaluator.results.evaluation import Evaluation
 from gpusimbench.evaluator.results.faults import faults_anywhere
@@ -23,7 +23,7 @@ _SPEED = "fps"
 _NAMED = 3  # groups whose absence a caption explains by name
 
 
-def pictures(evaluation: Evaluation) -> Iterator[Picture]:
+def pictures(evaluation: Evaluation) -> Iterator[Figure]:
     """A figure for each scene in which a group has both a throughput and a distance."""
     for nth, scene in enumerate(dict.fromkeys(r.group.key.scene for r in evaluation.results)):
         results = [r for r in evaluation.results if r.group.key.scene == scene and not is_instrument(r.group.key)]
@@ -44,7 +44,7 @@ def _known(found: Estimate) -> bool:
 
 def _picture(
     scene: str, told: Sequence[GroupResult], absent: str, distance: str, evaluation: Evaluation, nth: int
-) -> Picture:
+) -> Figure:
     speed, far = told[0].metrics[_SPEED].metric, told[0].metrics[distance].metric
     faults = {r.label: "; ".join(faults_anywhere(r, evaluation.results)) for r in told}
     simulators = list(dict.fromkeys(r.group.key.simulator for r in told))
@@ -64,7 +64,7 @@ def _picture(
         for r, p in zip(told, points, strict=True)
     ]  # fmt: skip
     said = _said(points, told, far.title, absent)
-    return Picture(f"Speed and divergence, {scene}", said, Markup(svg), file_name("speed-divergence", nth, scene),
+    return Figure(f"Speed and divergence, {scene}", said, Markup(svg), key_of("speed-divergence", nth, scene),
                    Numbers(titles, rows))  # fmt: skip
 
 

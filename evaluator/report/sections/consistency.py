@@ -9,29 +9,56 @@ from markupsafe import Markup
 from numpy.typing import NDArray
 
 from gpusimbench.evaluator.missing import Missing, why_missing
+from gpusimbench.evaluator.render.document import Document, Embed, Figure, Numbers, Section, Text, key_of
 from gpusimbench.evaluator.render.figures import matrix
 from gpusimbench.evaluator.render.figures.tree import in_ranges
-from gpusimbench.evaluator.report.page.picture import Numbers, Picture
-from gpusimbench.evaluator.report.page.section import Section, Source
+from gpusimbench.evaluator.report.sections.rows import ordered, with_lines
+from gpusimbench.evaluator.report.source import Source
 from gpusimbench.evaluator.results.details import BetweenEnvs, BetweenRuns, DistinctEnvs
 from gpusimbench.evaluator.results.result import GroupResult
 
+_HOW = (
+    "Each cell is the distance [cm] between two environments of one run, or between two runs. All matrices of a scene "
+    "share one logarithmic scale of colours. Exact zeros are grey and hatched, outside the scale; the diagonal, an "
+    "environment or run with itself, is blank. Where some are bit-identical and some are not, rows and columns are "
+    "put together by class of bits, with a line between classes; the numbers at the axes are the original ones. Where "
+    "every distance is exactly 0, a line of text says so."
+)
 _CLASSES = 12  # that a caption names
 _PARTS = 8  # ranges of members that it names of each
 
 
-def section(source: Source) -> Section:
-    """The matrices of every group."""
+def section(source: Source) -> Section | None:
+    """The matrices of every scene; None without a group."""
+    of_scene = ordered(source.shown, "scene")
+    if not of_scene:
+        return None
+    parts = [_of_scene(source, scene, results) for scene, results in of_scene.items()]
+    n_drawn = sum(bool(one.svg) for one in Document("", tuple(parts)).figures())
+    n_all = 2 * len(source.shown)
+    said = f"{n_drawn} of {n_all} are drawn; of the others a line says why not"
+    hatch = Embed(Markup(matrix.hatch()), Markup(), Markup())
+    return Section("consistency", "Consistency matrices", (hatch, Text(_HOW), *parts), said, folded=True)
+
+
+def _of_scene(source: Source, scene: str, results: Sequence[GroupResult]) -> Section:
+    envs, runs = matrices(source, results)
+    blocks = (
+        Section(key_of("consistency", scene, "envs"), "Environments of the first complete run", with_lines(envs)),
+        Section(key_of("consistency", scene, "runs"), "Runs", with_lines(runs)),
+    )
+    n_drawn = sum(bool(one.svg) for one in (*envs, *runs))
+    said = ("1 matrix" if n_drawn == 1 else f"{n_drawn} matrices") if n_drawn else "no matrix is drawn"
+    return Section(key_of("consistency", scene), scene, blocks, said, folded=True, facets={"scene": scene})
+
+
+def matrices(source: Source, results: Sequence[GroupResult]) -> tuple[list[Figure], list[Figure]]:
+    """Of the environments of each group's first complete run, and of its runs; all matrices of a scene on one scale."""
     numbers = {id(r): number for number, r in enumerate(source.evaluation.results)}
-    scales = {scene: _scale(source.shown, scene) for scene in {r.group.key.scene for r in source.shown}}
-    context = {
-        "parallel_matrices": [
-            _envs(r, f"matrix-envs-{numbers[id(r)]}", scales[r.group.key.scene]) for r in source.shown
-        ],
-        "run_matrices": [_runs(r, f"matrix-runs-{numbers[id(r)]}", scales[r.group.key.scene]) for r in source.shown],
-        "hatch": Markup(matrix.hatch()),
-    }
-    return Section("consistency", "Consistency matrices", context)
+    scales = {scene: _scale(found, scene) for scene, found in ordered(results, "scene").items()}
+    envs = [_envs(r, f"matrix-envs-{numbers[id(r)]}", scales[r.group.key.scene]) for r in results]
+    runs = [_runs(r, f"matrix-runs-{numbers[id(r)]}", scales[r.group.key.scene]) for r in results]
+    return envs, runs
 
 
 def _scale(shown: Sequence[GroupResult], scene: str) -> matrix.Scale | None:
@@ -42,7 +69,7 @@ def _scale(shown: Sequence[GroupResult], scene: str) -> matrix.Scale | None:
     return matrix.scale_of(values for values in found if values is not None)
 
 
-def _envs(result: GroupResult, key: str, scale: matrix.Scale | None) -> Picture:
+def _envs(result: GroupResult, key: str, scale: matrix.Scale | None) -> Figure:
     distinct, distances = result.metrics["distinct_envs"], result.metrics["w1_parallel"].of(BetweenEnvs)
     values, drawn = distances.matrix_cm, distances.matrix_of
     of_runs = distinct.of(DistinctEnvs).classes
@@ -51,7 +78,7 @@ def _envs(result: GroupResult, key: str, scale: matrix.Scale | None) -> Picture:
     return _matrix(result, values, "env", "w1_parallel", classes, why_missing(distinct.value), names, key, scale)
 
 
-def _runs(result: GroupResult, key: str, scale: matrix.Scale | None) -> Picture:
+def _runs(result: GroupResult, key: str, scale: matrix.Scale | None) -> Figure:
     distinct, between = result.metrics["distinct_runs"].value, result.metrics["w1_run_to_run"].of(BetweenRuns)
     classes = () if isinstance(distinct, Missing) else between.classes or ()
     why_not, names = why_missing(distinct), between.runs or ()
@@ -68,19 +95,19 @@ def _matrix(
     names: Sequence[int],
     key: str,
     scale: matrix.Scale | None,
-) -> Picture:
+) -> Figure:
     if values is None:
         metric = result.metrics[name]
         why_not = why_missing(metric.value) or metric.of(BetweenEnvs).no_matrix or "it was not computed"
-        return Picture(result.label, f"No matrix: {why_not}.", None)
+        return Figure(result.label, f"No matrix: {why_not}.", None)
     if len(values) > 1 and not values.any():
-        return Picture(result.label, _all_zero(len(values), of, classes), None)
+        return Figure(result.label, _all_zero(len(values), of, classes), None)
     if len(names) != len(values):
         names = range(len(values))
     svg = Markup(matrix.matrix_map(values, of=of, name=result.label, classes=classes, names=names, scale=scale))
     said = f"{matrix.caption(values, of=of)} {_order(len(values), of, classes, no_classes, names)}"
     about = f"Distances between {of}s, {result.group.key.scene}"
-    return Picture(result.label, said, svg, key, _numbers(values, of, classes, names), about)
+    return Figure(result.label, said, svg, key, _numbers(values, of, classes, names), about)
 
 
 def _all_zero(n: int, of: str, classes: Sequence[int]) -> str:

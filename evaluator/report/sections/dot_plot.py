@@ -8,12 +8,11 @@ from markupsafe import Markup
 
 from gpusimbench.evaluator.metrics.radar import LOWER_IS_BETTER, Axis
 from gpusimbench.evaluator.missing import Missing
+from gpusimbench.evaluator.render.document import Figure, Numbers
 from gpusimbench.evaluator.render.figures.axis import tick_label
 from gpusimbench.evaluator.render.figures.dot_plot import Dot, dot_plot, is_logarithmic
 from gpusimbench.evaluator.render.numbers import figure, interval
 from gpusimbench.evaluator.report import words
-from gpusimbench.evaluator.report.page.picture import Numbers, Picture
-from gpusimbench.evaluator.report.page.section import Section, Source
 from gpusimbench.evaluator.report.scaling import steps_label
 from gpusimbench.evaluator.results.fidelity import Verdict
 from gpusimbench.evaluator.results.metrics import on_radar
@@ -23,26 +22,21 @@ _TITLES = ("group", "value", "low", "high", "note")
 _MECHANICS = "broken checks of mechanics"
 
 
-def section(source: Source) -> Section | None:
-    """None where nothing can be compared."""
-    compared = source.evaluation.comparison
-    if compared.radar is None:
-        return None
-    panels = [*_panels(compared.contenders), _mechanics(compared.contenders)]
-    barred = [f"{c.figures.name}: {why}" for c in compared.contenders if (why := _bars(c))]
-    context = {"barred": barred, "panels": [p for p in panels if p.svg], "empty": [p for p in panels if not p.svg]}
-    return Section("dots", "Simulators compared, with intervals", context, link="Values with intervals")
+def panels(contenders: tuple[Contender, ...]) -> list[Figure]:
+    """A panel for every axis of a radar, and the last for mechanics; those without a value say why."""
+    return [*_panels(contenders), _mechanics(contenders)]
 
 
-def _bars(contender: Contender) -> str:
+def bars(contender: Contender) -> str:
+    """Why a contender earns no pick; empty where nothing speaks against it."""
     return contender.figures.barred or contender.figures.barred_articulated
 
 
 def _label(contender: Contender) -> str:
-    return f"{contender.figures.name} †" if _bars(contender) else contender.figures.name
+    return f"{contender.figures.name} †" if bars(contender) else contender.figures.name
 
 
-def _panels(contenders: tuple[Contender, ...]) -> Iterator[Picture]:
+def _panels(contenders: tuple[Contender, ...]) -> Iterator[Figure]:
     for axis in Axis:
         dots, missing = [], dict[str, list[str]]()
         for index, contender in enumerate(contenders):
@@ -84,7 +78,7 @@ def _dot(index: int, contender: Contender, axis: Axis) -> Dot | None:
     return Dot(index, name, metric.value, low, high, said=said)
 
 
-def _mechanics(contenders: tuple[Contender, ...]) -> Picture:
+def _mechanics(contenders: tuple[Contender, ...]) -> Figure:
     dots, missing = [], dict[str, list[str]]()
     for index, contender in enumerate(contenders):
         name = _label(contender)
@@ -99,15 +93,15 @@ def _mechanics(contenders: tuple[Contender, ...]) -> Picture:
     return _picture(_MECHANICS, "checks", dots, missing, larger=False)
 
 
-def _picture(what: str, unit: str, dots: list[Dot], missing: dict[str, list[str]], *, larger: bool) -> Picture:
+def _picture(what: str, unit: str, dots: list[Dot], missing: dict[str, list[str]], *, larger: bool) -> Figure:
     key = f"dots-{what.lower().replace(' ', '-')}"
     absent = _absent(missing)
     if not dots:
-        return Picture(what, f"Nothing to show: {absent}.", None)
+        return Figure(what, f"Nothing to show: {absent}.", None)
     tick = steps_label if unit in ("env-steps/s", "envs") else tick_label
     svg = dot_plot(dots, value=f"{what} [{unit}]", tick=tick, best_first=larger)
     rows = [(d.label, d.value, d.low, d.high, d.said) for d in dots]
-    return Picture(what, _said(what, dots, absent, larger=larger), Markup(svg), key, Numbers(_TITLES, rows))
+    return Figure(what, _said(what, dots, absent, larger=larger), Markup(svg), key, Numbers(_TITLES, rows))
 
 
 def _said(what: str, dots: list[Dot], absent: str, *, larger: bool) -> str:

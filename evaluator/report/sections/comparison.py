@@ -1,0 +1,109 @@
+"""Simulators compared under the same conditions: dot plots of the raw values, and behind them the radar."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from gpusimbench.evaluator.metrics.radar import Axis, Radar
+from gpusimbench.evaluator.render import numbers
+from gpusimbench.evaluator.render.document import (
+    Block,
+    Cell,
+    Column,
+    Gallery,
+    Item,
+    Items,
+    Row,
+    Section,
+    Table,
+    Text,
+    Tone,
+    table,
+)
+from gpusimbench.evaluator.report import timed
+from gpusimbench.evaluator.report.sections import radar
+from gpusimbench.evaluator.report.sections.dot_plot import bars, panels
+from gpusimbench.evaluator.report.sections.rows import Reasons, facets, lines_of
+from gpusimbench.evaluator.report.source import Source
+from gpusimbench.evaluator.results.metrics import on_radar
+from gpusimbench.evaluator.results.ranking import Contender
+
+_HOW = (
+    "Raw values, a dot for each group that can be compared, with 95 % intervals over runs. A radar scales its axes "
+    "from the worst to the best of its groups; these axes are not scaled."
+)
+
+
+def section(source: Source) -> Section | None:
+    """None where fewer than two simulators ran under the same conditions."""
+    compared = source.evaluation.comparison
+    if compared.radar is None:
+        return None
+    contenders = compared.contenders
+    drawn = panels(contenders)
+    barred = lines_of([(f"† earns no pick: {why}", c.figures.name) for c in contenders if (why := bars(c))])
+    empty = [Item(f"{one.label}: {one.caption}") for one in drawn if not one.svg]
+    blocks: list[Block] = [Text(_HOW), Gallery(tuple(one for one in drawn if one.svg), 28)]
+    blocks += [barred] if barred else []
+    blocks += [Items(tuple(empty))] if empty else []
+    blocks += [
+        Section(
+            "radar",
+            "Radar",
+            (radar.picture(contenders, compared.radar), _values(contenders, compared.radar)),
+            "the same values on six axes, scaled over these groups",
+            folded=True,
+        )
+    ]
+    names = {c.speed.label: c.figures.name for c in contenders if c.speed}
+    notes = timed.remarks((c.speed for c in contenders if c.speed), named=lambda r: names[r.label])
+    blocks += [Items(tuple(map(Item, notes)))] if notes else []
+    return Section(
+        "comparison", "Simulators compared, with intervals", tuple(blocks), _summary(contenders), folded=True
+    )
+
+
+def _summary(contenders: Sequence[Contender]) -> str:
+    barred = sum(bool(bars(c)) for c in contenders)
+    said = f"{len(contenders)} groups that ran under the same conditions"
+    return f"{said}; {barred} of them {'earns' if barred == 1 else 'earn'} no pick" if barred else said
+
+
+def _values(contenders: Sequence[Contender], of: Radar) -> Table:
+    reasons = Reasons()
+    axes = [(axis, on_radar(axis)) for axis in Axis]
+    columns = [
+        Column("group"),
+        *(
+            Column(
+                shown.titled if shown else axis.value, "below the value: scaled, 1 is the best of these, 0 the worst"
+            )
+            for axis, shown in axes
+        ),
+    ]
+    rows = []
+    for contender in contenders:
+        values = contender.figures.axis_values()
+        cells = [_named(contender)]
+        for axis, shown in axes:
+            value = values[axis]
+            if value is None:
+                cells.append(reasons.cell(contender.why_not.get(axis, "it was not measured")))
+                continue
+            text = numbers.figure(value, shown.unit) if shown else f"{contender.figures.n_max:,}"
+            cells.append(Cell(text, float(value), notes=(f"({of.values[contender.figures.name][axis]:.2f})",)))
+        group = contender.group or contender.speed
+        rows.append(Row(tuple(cells), facets(group) if group else {}))
+    return table("radar", "Values behind the radar, and in brackets as it scales them", columns, rows, reasons.legend)
+
+
+def _named(contender: Contender) -> Cell:
+    notes = []
+    if contender.sweep and contender.sweep.n_max is not None:
+        notes.append(f"throughput and memory at {contender.sweep.n_max:,} envs of {contender.sweep.key.scene}")
+    if contender.group:
+        key = contender.group.group.key
+        notes.append(f"distances at {key.n_env} envs of {key.scene}")
+    if contender.speed:
+        notes += timed.beside(contender.speed.timed)
+    return Cell(contender.figures.name, notes=tuple(notes), tone=Tone.BAD if bars(contender) else Tone.PLAIN)

@@ -1,0 +1,147 @@
+"""Where everything comes from, and how every metric was computed: a folded part for each group."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from itertools import islice
+from typing import Any
+
+from gpusimbench.evaluator.missing import Missing
+from gpusimbench.evaluator.render.document import (
+    EMPTY,
+    Block,
+    Cell,
+    Code,
+    Facts,
+    Row,
+    Section,
+    Table,
+    Text,
+    key_of,
+    table,
+)
+from gpusimbench.evaluator.render.numbers import figure, interval, mean_sd, plural
+from gpusimbench.evaluator.report import words
+from gpusimbench.evaluator.report.sections.rows import facets
+from gpusimbench.evaluator.report.source import Source
+from gpusimbench.evaluator.results.metric import Estimate
+from gpusimbench.evaluator.results.result import GroupResult
+from gpusimbench.evaluator.runs.run import Run
+
+_DEPTH = 3
+_ROWS = 1000  # of a record of a stranger, and items of a list in it
+_CHARACTERS = 10_000  # of a text in it
+_TITLES = ("metric", "value", "unit", "95 % interval", "n", "better", "exactness", "method")
+
+
+def section(source: Source) -> Section | None:
+    """None where no group is left."""
+    found = tuple(_of_group(number, result) for number, result in enumerate(source.evaluation.results))
+    return Section("provenance", "Provenance", found, plural(len(found), "group"), folded=True) if found else None
+
+
+def _of_group(number: int, result: GroupResult) -> Section:
+    return Section(
+        f"provenance-{number}", result.label, tuple(_blocks(number, result)), folded=True, facets=facets(result)
+    )
+
+
+def _blocks(number: int, result: GroupResult) -> Iterator[Block]:
+    key, recordings = result.group.key, result.group.recordings
+    asked = {
+        "simulator": key.simulator, "scene": key.scene, "envs": key.n_env, "dt [s]": key.dt, "seed": key.seed,
+        "warm-up steps": key.warmup, "timed steps": key.timed_steps, "determinism": key.determinism,
+        "options": recordings[0].configuration.options if recordings else {},
+    }  # fmt: skip
+    yield _records(number, "What was asked", asked)
+    simulation = next((r.simulation for r in recordings if r.simulation), None)
+    if simulation is None:
+        yield Text("The runs ended before the engine said what it is.")
+    else:
+        told = {
+            "version": simulation.version, "device": simulation.device, "between the clocks": simulation.timing_covers,
+            "start of the capture phase": simulation.fresh_start, "scene": simulation.scene,
+        }  # fmt: skip
+        yield _records(number, "What the engine said", told)
+        yield _records(number, "Options in force", simulation.options)
+        yield _records(number, "Switches in force", simulation.switches)
+    for runs, recording in _origins(result):
+        yield from _origin(number, runs, recording)
+    yield Section(f"methods-{number}", "Every metric, and how it was computed", (_methods(number, result),))
+
+
+def _origin(number: int, runs: str, recording: Run) -> Iterator[Block]:
+    found = recording.provenance
+    parts: list[Block] = [_records(number, "Host", found.host)]
+    parts += [_records(number, f"GPU {index}", gpu) for index, gpu in enumerate(found.gpus)]
+    if not found.gpus:
+        parts.append(Text("No GPU."))
+    parts += [
+        _records(number, "Software", found.software),
+        _records(number, "Environment variables", found.environment),
+        Text("Recorded by:"),
+        Code((_shortened(" ".join(found.argv)),)),
+    ]
+    title = f"Machine and software of {'runs' if ',' in runs else 'run'} {runs}"
+    yield Section(key_of("machine", number, runs), title, tuple(parts))
+
+
+def _records(number: int, caption: str, record: Mapping[str, Any]) -> Section:
+    rows = [(_shortened(name), _shortened(value)) for name, value in islice(_pairs(record), _ROWS + 1)]
+    if len(rows) > _ROWS:
+        rows = [*rows[:_ROWS], ("...", "the recording has more of them: gsb-info --json")]
+    said: Block = Facts(tuple((name, Cell(value)) for name, value in rows)) if rows else Text("None.")
+    return Section(key_of(caption, number), caption, (said,))
+
+
+def _pairs(record: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, str]]:
+    """Names and values of a record; nested ones with dotted names down to a depth that can be read, lists as text."""
+    for key in record:
+        value, name = record[key], f"{prefix}{key}"
+        if isinstance(value, dict) and value and prefix.count(".") < _DEPTH:
+            yield from _pairs(value, f"{name}.")
+        elif isinstance(value, (list, tuple)):
+            more = [f"and {len(value) - _ROWS} more"] if len(value) > _ROWS else []
+            yield name, ", ".join([*map(str, value[:_ROWS]), *more]) or "none"
+        else:
+            yield name, "none" if value is None or value in ("", {}) else str(value)
+
+
+def _shortened(text: str) -> str:
+    return text if len(text) <= _CHARACTERS else f"{text[:_CHARACTERS]}... ({len(text)} characters)"
+
+
+def _origins(result: GroupResult) -> list[tuple[str, Run]]:
+    """One recording for each machine and software that the group's runs come from, with those runs' indices."""
+    alike: dict[str, list[Run]] = {}
+    for recording in result.group.recordings:
+        p = recording.provenance
+        alike.setdefault(repr((p.host, p.gpus, p.software, p.environment)), []).append(recording)
+    return [(", ".join(str(r.configuration.run_index) for r in runs), runs[0]) for runs in alike.values()]
+
+
+def _methods(number: int, result: GroupResult) -> Table:
+    return table(f"metrics-{number}", "", _TITLES, [_method(found) for found in result.metrics.values()])
+
+
+def _method(found: Estimate) -> Row:
+    name, unit, better = Cell(found.name, code=True), Cell(found.unit or EMPTY.text), Cell(found.metric.direction.value)
+    if isinstance(found.value, Missing):
+        why = f"not computed: {found.value.reason}"
+        return Row((name, EMPTY, unit, EMPTY, EMPTY, better, Cell(found.exactness), Cell(why)))
+    bounds = Cell(interval(found)) if found.ci95 else EMPTY
+    how = "; ".join([found.method, *_more(found)])
+    n = Cell(str(found.n), float(found.n))
+    return Row((name, Cell(mean_sd(found), found.value), unit, bounds, n, better, Cell(found.exactness), Cell(how)))
+
+
+def _more(found: Estimate) -> Iterator[str]:
+    if extension := getattr(found.details, "extension", ""):
+        yield extension
+    floor = words.floor_of(found).w1
+    if not isinstance(floor, Missing):
+        yield (
+            f"the first two sides, {figure(floor.observed, 'cm')} cm apart, are {figure(floor.floor_mean, 'cm')} cm "
+            "apart on average with their environments exchanged at random, 95 % of the time below "
+            f"{figure(floor.floor_q95, 'cm')} cm (p = {floor.p_value:.2g})"
+        )

@@ -1,0 +1,256 @@
+"""The published tables, made again from these recordings, in the paper's layout."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from gpusimbench.evaluator.missing import Missing, known
+from gpusimbench.evaluator.render import numbers
+from gpusimbench.evaluator.render.cells import missing
+from gpusimbench.evaluator.render.document import (
+    EMPTY,
+    NONE,
+    Block,
+    Cell,
+    Row,
+    Section,
+    Table,
+    Text,
+    Tone,
+    items,
+    key_of,
+    table,
+)
+from gpusimbench.evaluator.render.numbers import plural
+from gpusimbench.evaluator.report import timed, words
+from gpusimbench.evaluator.report.sections.rows import facets, named
+from gpusimbench.evaluator.report.source import Source
+from gpusimbench.evaluator.results import paper_tables as remade
+from gpusimbench.evaluator.results import published
+from gpusimbench.evaluator.results.clamped_metrics import SUFFIX
+from gpusimbench.evaluator.results.cost_metrics import GPU_MEMORY
+from gpusimbench.evaluator.results.determinism_cost import DEFAULT
+from gpusimbench.evaluator.results.faults import Faults, faults
+from gpusimbench.evaluator.results.metric import Estimate
+from gpusimbench.evaluator.results.published import AtLargest, Variability
+from gpusimbench.evaluator.results.result import GroupResult
+from gpusimbench.evaluator.runs.groups import GroupKey
+
+_SPEED = {"free-fall": 1e4, "franka": 1e6}
+_EXPONENT = {"free-fall": 4, "franka": 6}
+_GB = 1e9
+_HOW = (
+    "The two tables of the GPUSimBench paper in its layout and digits, computed from these recordings alone. A largest "
+    "N that ended by INVALID runs is a limit of the engine's buffers or solver, not of memory; a largest N that "
+    "nothing ended is the end of the sweep, and no limit."
+)
+_ZERO = (
+    "A printed 0.00 is a rounded distance; below it stands what it hides, and beside it the counts of bitwise distinct "
+    "environments and runs. The paper ran 16 envs x 10 runs."
+)
+_LEAST = 5e-3  # of a printed distance [cm]: two decimals round it to 0.00
+
+
+@dataclass(frozen=True)
+class Printed:
+    """A value as the paper prints it, its interval, and what the printed digits hide; or why there is none."""
+
+    value: str = ""
+    interval: str = ""
+    note: str = ""
+    why_not: str = ""
+
+
+@dataclass(frozen=True)
+class VariabilityRow:
+    """One group of the second table, with the paper's row of its simulator."""
+
+    result: GroupResult
+    real: Printed
+    parallel: Printed
+    run_to_run: Printed
+    faults: Faults
+    paper: Variability | None
+
+
+def section(source: Source) -> Section | None:
+    """None where nothing here is of the published scenes."""
+    capability = remade.capability(source.evaluation.sweeps, source.evaluation.results)
+    shown = [r for r in remade.variability(source.evaluation.results) if r in source.shown]
+    # beside the default, if there is one: the paper tells of no other level
+    shown.sort(key=lambda r: r.group.key.determinism != DEFAULT)
+    rows = [_row(r, source, first=_is_first(r, shown)) for r in shown]
+    if not capability and not rows:
+        return None
+    blocks: list[Block] = [Text(_HOW)]
+    if capability:
+        paper = {r.simulator: r for r in published.SCALING} if source.published else {}
+        blocks += [_capability(scene, capability, paper) for scene in remade.CAPABILITY_SCENES]
+        if notes := [line for scene in remade.CAPABILITY_SCENES for line in _timed_remarks(capability, scene)]:
+            blocks.append(items(*notes))
+    if rows:
+        blocks.append(_variability(rows, _no_real(source)))
+    if missing := _missing(source):
+        blocks.append(Text(f"Of the paper's simulators, no complete run is here of {', '.join(missing)}."))
+    said = f"{plural(len(capability), 'row')} of capability, {plural(len(rows), 'row')} of variability"
+    return Section("remade", "The paper's tables, made again", tuple(blocks), said, folded=True)
+
+
+def _capability(scene: str, rows: Sequence[remade.Capability], paper: dict[str, published.Scaling]) -> Table:
+    shown: list[Row] = []
+    for row in rows:
+        at = row.at.get(scene)
+        if at is not None:
+            shown.append(_at_max(row, at, scene))
+        told = paper.get(published.NAMES.get(row.key.simulator, ""))
+        foreign = None if told is None else told.free_fall if scene == "free-fall" else told.franka
+        if foreign is not None and at is not None:
+            shown.append(_of_paper(foreign, scene))
+    speed = f"throughput [10^{_EXPONENT[scene]} env-steps/s]"
+    titles = ("simulator", "N_env^max", speed, "memory [GB]", "what limits N; contacts; timed steps")
+    return table(key_of("capability", scene), f"Parallel capability at N_env^max, {scene}", titles, shown)
+
+
+def _at_max(row: remade.Capability, at: remade.AtMax, scene: str) -> Row:
+    name = Cell(row.label, notes=(_settings(row.key), *row.elsewhere), tone=Tone.BAD if row.elsewhere else Tone.PLAIN)
+    key = row.key
+    held = {"simulator": key.simulator, "scene": scene, "device": key.device or "none", "level": key.determinism}
+    if at.n_max is None:
+        return Row((name, EMPTY, EMPTY, EMPTY, Cell(at.limit.value, notes=(words.shortened(at.ends, 110),))), held)
+    counted = "contacts were not counted" if at.contacts is None else f"{words.count(at.contacts)} contacts per env"
+    notes = [*([words.shortened(at.ends, 110)] if at.sweep.limited else []), *([str(at.faults)] if at.faults else [])]
+    notes += [counted, *(timed.beside(at.timed) if at.timed else [])]
+    limit = Cell(at.limit.value, notes=tuple(notes), tone=Tone.BAD if at.faults else Tone.PLAIN)
+    fps = _scaled(at.fps, 1 / _SPEED[scene], 3)
+    return Row((name, Cell(f"{at.n_max:,}", float(at.n_max)), _cell(fps), _cell(_memory(at.memory)), limit), held)
+
+
+def _of_paper(found: AtLargest, scene: str) -> Row:
+    cells = (f"{found.n_env_max:,}", f"{found.fps / _SPEED[scene]:.3f}", f"{found.memory_gb:.1f}", "published")
+    return Row((Cell("the paper's", tone=Tone.QUIET), *(Cell(text, tone=Tone.QUIET) for text in cells)))
+
+
+def _variability(rows: Sequence[VariabilityRow], no_real: str) -> Table:
+    shown: list[Row] = []
+    for row in rows:
+        result = row.result
+        regime = known(result.metrics["regime_published"].value)
+        fault = Cell(str(row.faults), tone=Tone.BAD) if row.faults else Cell("no fault found")
+        distances = map(_cell, (row.real, row.parallel, row.run_to_run))
+        distinct = (Cell(words.count_of(result.metrics[f"distinct_{of}"])) for of in ("envs", "runs"))
+        kind = EMPTY if regime is None else Cell(f"{regime:.0f}", regime)
+        against = fault if result.group.complete else EMPTY
+        shown.append(Row((named(result), kind, *distances, *distinct, against), facets(result)))
+        if row.paper:
+            told = (str(one) for one in (row.paper.regime, row.paper.w1_real, row.paper.parallel, row.paper.run_to_run))
+            cells = (f"{row.paper.simulator}, the paper's", *told, NONE, NONE, "published")
+            shown.append(Row(tuple(Cell(text, tone=Tone.QUIET) for text in cells)))
+    titles = ("simulator", "type", "EMD to real [cm]", "parallel [cm]", "run-to-run [cm]", "distinct envs",
+              "distinct runs", "what speaks against it")  # fmt: skip
+    legend = [_ZERO, *([f"EMD to real: {no_real}"] if no_real else [])]
+    caption = "Variability and types: mean ± SD in the paper's digits, 95 % interval below"
+    return table("remade-variability", caption, titles, shown, legend)
+
+
+def _cell(found: Printed) -> Cell:
+    if found.why_not:
+        return missing(found.why_not)
+    return Cell(found.value, range=found.interval, notes=(found.note,) if found.note else ())
+
+
+def _timed_remarks(rows: Sequence[remade.Capability], scene: str) -> list[str]:
+    # one point of each row stands for it
+    found = {r.label: row.label for row in rows if scene in row.at and (r := row.at[scene].sweep.at_max)}
+    results = [r for row in rows if scene in row.at and (r := row.at[scene].sweep.at_max)]
+    lines = timed.remarks(results, named=lambda result: found[result.label])
+    return [f"{scene}: {line}" for line in lines if line != timed.LEGEND]
+
+
+def _settings(key: GroupKey) -> str:
+    given = ", ".join(f"{name}={value}" for name, value in json.loads(key.options).items())
+    level = "" if key.determinism == DEFAULT else f"determinism {key.determinism}"
+    return "; ".join(part for part in (key.version or "no version", given, level, key.device) if part)
+
+
+def _memory(metric: Estimate | None) -> Printed:
+    if metric is None:
+        return _scaled(None, 1.0, 1)
+    scale = metric.metric.per_unit / _GB
+    found = _scaled(metric, scale, 1)
+    if isinstance(metric.value, Missing) or metric.name == GPU_MEMORY[0]:
+        return found
+    if metric.name in GPU_MEMORY:
+        return Printed(found.value, found.interval, "of the process: others were on the GPU")
+    return Printed(found.value, found.interval, "of the host: it ran on the CPU")
+
+
+def _scaled(metric: Estimate | None, scale: float, decimals: int) -> Printed:
+    if metric is None:
+        return Printed(why_not="no run is complete")
+    if isinstance(metric.value, Missing):
+        return Printed(why_not=metric.value.reason)
+    value = f"{metric.value * scale:.{decimals}f}"
+    note = f"{metric.value * scale:.2g}" if float(value) == 0 else ""
+    if metric.ci95 is None:
+        return Printed(value, _no_interval(metric), note)
+    low, high = (f"{end * scale:.{decimals}f}" for end in metric.ci95)
+    return Printed(value, f"[{low}, {high}]", note)
+
+
+def _no_interval(metric: Estimate) -> str:
+    if metric.n == 1:
+        return "one run"
+    return words.why_no_interval(metric, "no interval")
+
+
+def _is_first(result: GroupResult, shown: list[GroupResult]) -> bool:
+    return next(r for r in shown if r.group.key.simulator == result.group.key.simulator) is result
+
+
+def _no_real(source: Source) -> str:
+    """Why no group has a distance to real trials; empty where some has."""
+    reference = source.evaluation.reference
+    if reference is None:
+        return source.evaluation.reference_note
+    return "" if reference.measured else "the reference is another simulation, not measured"
+
+
+def _row(result: GroupResult, source: Source, *, first: bool) -> VariabilityRow:
+    name = published.NAMES.get(result.group.key.simulator)
+    beside = source.published and first
+    told = next((r for r in published.VARIABILITY if r.simulator == name), None) if beside else None
+    real, parallel, between = (result.metrics[n] for n in ("w1_real", "w1_parallel", "w1_run_to_run"))
+    distance = Printed("–") if _no_real(source) else _printed(real, 3)
+    printed = [_beside(_printed(metric, 2), result, metric) for metric in (parallel, between)]
+    return VariabilityRow(result, distance, printed[0], printed[1], faults(result), told)
+
+
+def _beside(figure: Printed, result: GroupResult, metric: Estimate) -> Printed:
+    """With what the value is without the flight of cubes that left the board."""
+    fell, clamped = (known(result.metrics[name].value) for name in ("left_board", metric.name + SUFFIX))
+    if not fell or clamped is None:
+        return figure
+    said = f"clamped to the board: {numbers.distance(clamped)}; {numbers.figure(fell, '')} cubes off it per env"
+    return replace(figure, note="; ".join(part for part in (figure.note, said) if part))
+
+
+def _printed(metric: Estimate, decimals: int) -> Printed:
+    """Mean and SD [cm] with the paper's decimals, and what those hide of a small value."""
+    if isinstance(metric.value, Missing):
+        return Printed(why_not=metric.value.reason)
+    value = f"{metric.value:.{decimals}f}"
+    if metric.sd is not None:
+        value += f" ± {metric.sd:.{decimals}f}"
+    note = ""
+    if metric.value < _LEAST:
+        note = "exactly 0" if metric.value == 0 else f"not 0: {numbers.distance(metric.value)}"
+    interval = numbers.interval(metric) if metric.ci95 else "" if metric.value == 0 else _no_interval(metric)
+    return Printed(value, interval, note)
+
+
+def _missing(source: Source) -> list[str]:
+    """The paper's simulators of which nothing is here."""
+    there = {r.group.key.simulator for r in source.evaluation.results if r.group.complete}
+    return [name for simulator, name in published.NAMES.items() if simulator not in there]

@@ -1,0 +1,74 @@
+"""Each simulator by itself: what it is, what each of its groups did, and what speaks against it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+from gpusimbench.evaluator.missing import known
+from gpusimbench.evaluator.render.cells import estimate
+from gpusimbench.evaluator.render.document import Block, Cell, Column, Facts, Section, facts, items, key_of
+from gpusimbench.evaluator.render.numbers import plural
+from gpusimbench.evaluator.report.sections.rows import Reasons
+from gpusimbench.evaluator.report.sections.values import column_of, of_groups
+from gpusimbench.evaluator.report.source import Source
+from gpusimbench.evaluator.report.verdicts import QUESTIONS, TO_REFERENCE
+from gpusimbench.evaluator.results.cost_metrics import FPS
+from gpusimbench.evaluator.results.faults import faults
+from gpusimbench.evaluator.results.group_metrics import W1_PARALLEL, W1_RUN_TO_RUN
+from gpusimbench.evaluator.results.result import GroupResult
+
+
+def section(source: Source) -> Section | None:
+    """A folded part for each simulator."""
+    results = source.evaluation.results
+    names = list(dict.fromkeys(r.group.key.simulator for r in results))
+    if not names:
+        return None
+    parts = tuple(_of(source, name, [r for r in results if r.group.key.simulator == name]) for name in names)
+    return Section("each", "Each simulator", parts, plural(len(parts), "simulator"), folded=True)
+
+
+def _of(source: Source, name: str, results: list[GroupResult]) -> Section:
+    questions = [*QUESTIONS, *([TO_REFERENCE] if source.evaluation.reference else [])]
+    said = "; ".join(f"{one.title}: {one.answer(results).text}" for one in questions)
+    return Section(
+        key_of("simulator", name), name, tuple(_blocks(source, results)), said, folded=True, facets={"simulator": name}
+    )
+
+
+def _blocks(source: Source, results: list[GroupResult]) -> Iterator[Block]:
+    yield _facts(results)
+    shown = [r for r in results if r in source.shown]
+    reasons = Reasons()
+    questions = [*QUESTIONS, *([TO_REFERENCE] if source.evaluation.reference else [])]
+    answers = [(Column(q.title, q.meaning), lambda r, q=q: q.answer([r])) for q in questions]
+    metrics = [column_of(metric, reasons) for metric in (FPS, W1_RUN_TO_RUN, W1_PARALLEL)]
+    if shown:
+        key = key_of("groups", shown[0].group.key.simulator)
+        yield of_groups(key, "Groups", shown, [*answers, *metrics], reasons)
+    if hidden := [r for r in results if r not in shown]:
+        sizes = sorted({r.group.key.n_env for r in hidden})
+        fastest = max(hidden, key=lambda r: known(r.metrics[FPS.name].value) or 0.0)
+        speed = estimate(fastest.metrics[FPS.name]).text
+        said = f"{plural(len(hidden), 'group')} of sweeps, {sizes[0]:,} to {sizes[-1]:,} envs"
+        yield items(f"{said}; fastest: {speed} {FPS.unit} at {fastest.group.key.n_env:,} envs: see scaling")
+    wrong = [f"{r.label}: {found}" for r in results if (found := faults(r))]
+    notes = [f"{r.label}: {note}" for r in results for note in r.footnotes]
+    if wrong or notes:
+        yield items(*dict.fromkeys([*wrong, *notes]))
+
+
+def _facts(results: Sequence[GroupResult]) -> Facts:
+    keys = [r.group.key for r in results]
+    runs = sum(len(r.group.recordings) for r in results)
+    return facts(
+        ("versions", _listed(key.version for key in keys)),
+        ("devices", _listed(key.device for key in keys)),
+        ("scenes", _listed(key.scene for key in keys)),
+        ("levels of determinism", _listed(key.determinism for key in keys)),
+        ("recordings", Cell(str(runs), float(runs), link="recordings")),
+    )
+
+
+def _listed(values: Iterator[str] | Sequence[str]) -> str:
+    return ", ".join(dict.fromkeys(value or "not stated" for value in values))
