@@ -1,0 +1,107 @@
+"""What holds for the tables of every topic of the report, as data: width, facets, reasons, and values."""
+
+from __future__ import annotations
+
+from collections import Counter
+from pathlib import Path
+
+import pytest
+
+from gpusimbench.evaluator.missing import Missing
+from gpusimbench.evaluator.render.document import Section, Table, Tone
+from gpusimbench.evaluator.report.sections import (
+    accumulation,
+    determinism_cost,
+    mechanics,
+    scaling,
+    throughput,
+    validity,
+    variability,
+)
+from gpusimbench.evaluator.report.source import Source
+from gpusimbench.evaluator.results.cost_metrics import FPS
+from gpusimbench.evaluator.results.evaluate import evaluate_files
+from gpusimbench.evaluator.results.identity_metrics import DISTINCT_RUNS, identical
+
+TOPICS = (accumulation, determinism_cost, mechanics, scaling, throughput, validity, variability)
+FACETS = {"simulator", "scene", "device", "level"}
+WIDEST = 9
+RECORDINGS = Path(__file__).parents[2] / "recordings"
+
+
+@pytest.fixture(scope="module")
+def source() -> Source:
+    """MuJoCo on two hosts with two cones: recordings that ship."""
+    return Source(evaluate_files(sorted(RECORDINGS.glob("*.mcap"))), False, "gsb-eval")
+
+
+@pytest.fixture(scope="module")
+def made(source: Source) -> dict[str, Section]:
+    """The sections of the topics, by module."""
+    found = {topic.__name__.rpartition(".")[2]: topic.section(source) for topic in TOPICS}
+    return {name: section for name, section in found.items() if section is not None}
+
+
+def tables(section: Section) -> list[Table]:
+    """Tables that stand in a section itself."""
+    return [block for block in section.blocks if isinstance(block, Table)]
+
+
+def test_topics_of_these_recordings_are_folded_and_have_a_summary(made: dict[str, Section]) -> None:
+    assert {"throughput", "validity", "variability"} <= set(made)
+    for name, section in made.items():
+        assert section.folded, name
+        assert section.summary, name
+
+
+def test_no_table_is_wider_than_the_page_and_rows_can_be_filtered(made: dict[str, Section]) -> None:
+    found = [table for section in made.values() for table in tables(section)]
+    assert found
+    for table in found:
+        assert len(table.columns) <= WIDEST, table.caption
+        assert all(set(row.facets) == FACETS for row in table.rows), table.caption
+
+
+def test_a_reason_stands_once_in_a_legend_and_each_letter_in_a_cell_is_explained(made: dict[str, Section]) -> None:
+    for table in (table for section in made.values() for table in tables(section)):
+        assert not [line for line, times in Counter(table.legend).items() if times > 1], table.caption
+        explained = {line.partition(" ")[0] for line in table.legend}
+        quiet = [cell for row in table.rows for cell in row.cells if cell.tone is Tone.QUIET and cell.notes]
+        assert all(set(cell.notes) <= explained for cell in quiet), table.caption
+
+
+def test_throughput_has_each_group_with_the_value_and_interval_of_its_estimate(
+    source: Source, made: dict[str, Section]
+) -> None:
+    rows = {row.cells[0].text: row for table in tables(made["throughput"]) for row in table.rows
+            if table.columns[1].title == FPS.titled}  # fmt: skip
+    assert set(rows) == {result.label for result in source.shown}
+    for result in source.shown:
+        estimate = result.metrics[FPS.name]
+        assert not isinstance(estimate.value, Missing)
+        cell = rows[result.label].cells[1]
+        assert (cell.value, cell.ci95) == (estimate.value, estimate.ci95)
+
+
+def test_the_summary_of_throughput_names_the_group_with_the_highest_value(
+    source: Source, made: dict[str, Section]
+) -> None:
+    values = {result.label: result.metrics[FPS.name].value for result in source.shown}
+    highest = max(values, key=lambda label: float(str(values[label])))
+    assert highest in made["throughput"].summary
+
+
+def test_counts_of_distinct_runs_are_good_only_where_all_runs_are_identical(
+    source: Source, made: dict[str, Section]
+) -> None:
+    holds = {result.label: identical(result.metrics[DISTINCT_RUNS.name]).holds for result in source.shown}
+    seen = {}
+    for table in tables(made["variability"]):
+        titles = [column.title for column in table.columns]
+        if DISTINCT_RUNS.title in titles:
+            at = titles.index(DISTINCT_RUNS.title)
+            seen.update({row.cells[0].text: row.cells[at].tone for row in table.rows})
+    assert set(seen) == set(holds)
+    expected = {True: Tone.GOOD, False: Tone.BAD, None: Tone.PLAIN}
+    for label, tone in seen.items():
+        assert tone in {expected[holds[label]], Tone.QUIET}, label
