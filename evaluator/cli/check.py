@@ -11,7 +11,6 @@ from gpusimbench.evaluator.cli.json_target import check_target, write_json
 from gpusimbench.schemas.errors import ExitCode, UsageError
 from gpusimbench.schemas.location import place
 from gpusimbench.schemas.progress import each, sizes
-from gpusimbench.schemas.text import show
 
 _EPILOG = """\
 exit codes:
@@ -51,6 +50,7 @@ def parser() -> argparse.ArgumentParser:
         metavar="NAME|FILE",
         help="rule set instead of integrity-1; repeatable",
     )
+    p.add_argument("--all", action="store_true", help="list files without findings, too")
     p.add_argument("--list-rules", action="store_true", help="show the rules, and what a file of rules can use")
     p.add_argument(
         "--json", type=local_name, metavar="FILE", help="write the findings as JSON; - for standard output, alone"
@@ -62,8 +62,9 @@ def run(arguments: argparse.Namespace, command: str) -> int:
     """Check and print; returns the exit code."""
     from gpusimbench.evaluator.check.rules.findings import check
     from gpusimbench.evaluator.check.rules.rule import SHIPPED, load_rules
+    from gpusimbench.evaluator.render.terminal import print_document
+    from gpusimbench.evaluator.report.check_document import check_document, rules_document
     from gpusimbench.evaluator.report.check_json import dump_check, dump_rules
-    from gpusimbench.evaluator.report.check_text import check_text, rules_text, vocabulary_text
 
     check_target(arguments.json)
     names = arguments.rules or (SHIPPED if arguments.list_rules else ["integrity-1"])
@@ -73,8 +74,7 @@ def run(arguments: argparse.Namespace, command: str) -> int:
         if arguments.json:
             write_json(arguments.json, dump_rules(rule_sets))
         if arguments.json != "-":
-            show(rules_text(rule_sets))
-            show(vocabulary_text())
+            print_document(rules_document(rule_sets), sys.stdout)
         return int(ExitCode.OK)
     if not arguments.files:
         raise UsageError("name the recordings to check, or --list-rules")
@@ -87,7 +87,7 @@ def run(arguments: argparse.Namespace, command: str) -> int:
     if arguments.json:
         write_json(arguments.json, dump_check(report))
     if arguments.json != "-":
-        show(check_text(report))
+        print_document(check_document(report, every=arguments.all), sys.stdout)
     return int(report.exit_code)
 
 
