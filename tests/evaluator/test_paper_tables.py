@@ -47,7 +47,7 @@ def test_tables_say_what_was_evaluated(evaluation: Evaluation) -> None:
     groups = {r.label: r for r in evaluation.results}
     for label, said in rows_of(found["throughput-inclined-collision"]).items():
         assert said["throughput [env-steps/s]"].text == mean_sd(groups[label].metrics["fps"])
-    points = found["scaling-points-free-fall"]
+    points = found["scaling-points-free-fall-one"]
     assert [row.cells[0].text for row in points.rows] == ["1", "4", "16"]
     assert any("failed" in note for note in points.rows[2].cells[-1].notes)
     assert not any(key.startswith("published") for key in tables_of(evaluation))

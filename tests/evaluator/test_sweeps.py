@@ -92,7 +92,7 @@ def test_a_partly_failed_point_counts(tmp_path: Path) -> None:
     assert sweep.n_max == 16
     assert sweep.ends == ("failed at 64: timeout: took longer than 60 s; INVALID at 64: buffer: contacts were dropped")
     assert sweep.points[2].complete == 1
-    runs = tables_of(evaluated(tmp_path))["scaling-points-inclined-collision"].rows[2].cells[-1]
+    runs = tables_of(evaluated(tmp_path))["scaling-points-inclined-collision-synthetic"].rows[2].cells[-1]
     assert runs.text == "1 of 3 complete"
     assert [note.split(":")[0] for note in runs.notes] == ["failed (timeout)", "INVALID (buffer)"]
 

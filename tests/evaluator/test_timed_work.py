@@ -133,7 +133,7 @@ def test_sweeps_and_their_charts_say_it(tmp_path: Path) -> None:
     assert "0.16 (< 1 s)" in told
     assert "all rows: timed steps: 100 to 1,100 (1,000)" in told
     made = files(found, Format.CSV)
-    assert "0.16 (< 1 s)" in made["scaling-points-free-fall"]
+    assert "0.16 (< 1 s)" in made["scaling-points-free-fall-synthetic"]
     assert "steps 100 to 1,100 (1,000)" in made["capability-free-fall"]
     point = to_json(found)["sweeps"][0]["points"][0]
     assert point["timed"]["under_1_s"] is True

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 
 from gpusimbench.evaluator.render.document import Section, Table, Text, key_of, table
 from gpusimbench.evaluator.render.figures.matrix import letter
@@ -19,6 +19,7 @@ _HOW = (
     "and what each engine has instead. A dash states no deviation."
 )
 _LABELS = 3
+_COLUMNS = 6
 _SHORT = 12
 """Characters of a cell; what is longer stands below the matrix, under a letter."""
 
@@ -55,21 +56,31 @@ def section(source: Source) -> Section | None:
             for d, labels in found
         ],
     )
-    shown = [_table(one) for one in matrices if one.rows]
+    shown = [part for one in matrices if one.rows for part in _tables(one)]
     said = plural(len(found), "parameter") + " that an engine could not honour"
     return Section("deviations", "Deviations from the scene", (Text(_HOW), *shown, statements), said, folded=True)
 
 
-def _table(found: Matrix) -> Table:
+def _tables(found: Matrix) -> Iterator[Table]:
+    """The matrix in parts of as many columns as a page has room for."""
+    for begin in range(0, len(found.columns), _COLUMNS):
+        part = slice(begin, begin + _COLUMNS)
+        rows = [(parameter, wanted, cells[part]) for parameter, wanted, cells in found.rows]
+        yield _table(replace(found, columns=found.columns[part], rows=[row for row in rows if any(row[2])]), begin)
+
+
+def _table(found: Matrix, begin: int) -> Table:
     titles, notes = [], []
-    for number, (names, labels) in enumerate(found.columns, start=1):
+    for number, (names, labels) in enumerate(found.columns, start=begin + 1):
         titles.append(", ".join(names) + (f" (note {number})" if labels else ""))
         if labels:
             more = f" and {len(labels) - _LABELS} more" if len(labels) > _LABELS else ""
             notes.append(f"note {number}: {'; '.join(labels[:_LABELS])}{more}")
-    legend = [*(f"{letter} {said}" for letter, said in found.legend), *notes]
+    cells = {text for row in found.rows for text in (row[1], *row[2])}
+    used = [f"{letter} {said}" for letter, said in found.legend if any(letter in text for text in cells)]
+    legend = [*used, *notes]
     rows = [(parameter, wanted, *cells) for parameter, wanted, cells in found.rows]
-    return table(key_of("deviations", found.scene), found.scene, ["parameter", "wanted", *titles], rows, legend)
+    return table(key_of("deviations", found.scene, begin), found.scene, ["parameter", "wanted", *titles], rows, legend)
 
 
 def _stated(result: GroupResult) -> tuple[Deviation, ...] | None:

@@ -24,7 +24,6 @@ from gpusimbench.evaluator.render.document import (
     Table,
     Text,
     Tone,
-    key_of,
     table,
 )
 from gpusimbench.evaluator.render.figures import divergence as chart
@@ -65,7 +64,7 @@ def section(source: Source) -> Section | None:
     if not told:
         return None
     onsets = [onset(r) for r in told]
-    of_groups = [_of_group(r, found) for r in told if (found := pictures(source, r))]
+    of_groups = [_of_group(n, r, found) for n, r in enumerate(told) if (found := pictures(source, r))]
     drawn = Section(
         "divergence-figures", "Figures of each group", tuple(of_groups), _figures_said(of_groups), folded=True
     )
@@ -86,8 +85,8 @@ def _figures_said(found: Sequence[Section]) -> str:
     return f"{plural(len(found), 'group')} in which anything came apart"
 
 
-def _of_group(result: GroupResult, found: Sequence[Figure]) -> Section:
-    key = key_of("divergence", result.group.key.scene, result.label)
+def _of_group(number: int, result: GroupResult, found: Sequence[Figure]) -> Section:
+    key = f"divergence-{number}"
     return Section(key, result.label, with_lines(found), result.group.key.scene, folded=True, facets=facets(result))
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 from gpusimbench.evaluator.check.protocol import RULE_SET
 from gpusimbench.evaluator.render.document import Block, Cell, Item, Items, Row, Section, Text, Tone, table
 from gpusimbench.evaluator.render.numbers import plural
+from gpusimbench.evaluator.report.sections.rows import lines_of
 from gpusimbench.evaluator.report.source import Source
 from gpusimbench.evaluator.results.evaluation import Evaluation
 from gpusimbench.evaluator.runs.groups import shown_status, status_notes
@@ -27,9 +28,9 @@ def section(source: Source) -> Section | None:
         blocks.append(Text(f"Rules of {RULE_SET} that are not met; gsb-check --protocol says by which files:"))
         found = sorted(evaluation.unmet.findings.items(), key=lambda one: (-one[1], one[0]))
         blocks.append(Items(tuple(Item(f"{rule}: {plural(count, 'finding')}") for rule, count in found)))
-    notes = [*evaluation.notes, *(f"{label}: {note}" for label, note in _notes(evaluation))]
-    if notes:
-        blocks += [Text("Notes:"), Items(tuple(map(Item, notes)))]
+    notes = [(note, "") for note in evaluation.notes] + [(note, label) for label, note in _notes(evaluation)]
+    if listed := lines_of(notes):
+        blocks += [Text("Notes:"), listed]
     if not blocks:
         return None
     files = plural(len({row.cells[0].text for row in rows}), "file")

@@ -65,12 +65,12 @@ def _blocks(number: int, result: GroupResult) -> Iterator[Block]:
         yield _records(number, "What the engine said", told)
         yield _records(number, "Options in force", simulation.options)
         yield _records(number, "Switches in force", simulation.switches)
-    for runs, recording in _origins(result):
-        yield from _origin(number, runs, recording)
+    for index, (runs, recording) in enumerate(_origins(result)):
+        yield from _origin(f"{number}-{index}", runs, recording)
     yield Section(f"methods-{number}", "Every metric, and how it was computed", (_methods(number, result),))
 
 
-def _origin(number: int, runs: str, recording: Run) -> Iterator[Block]:
+def _origin(number: str, runs: str, recording: Run) -> Iterator[Block]:
     found = recording.provenance
     parts: list[Block] = [_records(number, "Host", found.host)]
     parts += [_records(number, f"GPU {index}", gpu) for index, gpu in enumerate(found.gpus)]
@@ -86,7 +86,7 @@ def _origin(number: int, runs: str, recording: Run) -> Iterator[Block]:
     yield Section(key_of("machine", number, runs), title, tuple(parts))
 
 
-def _records(number: int, caption: str, record: Mapping[str, Any]) -> Section:
+def _records(number: int | str, caption: str, record: Mapping[str, Any]) -> Section:
     rows = [(_shortened(name), _shortened(value)) for name, value in islice(_pairs(record), _ROWS + 1)]
     if len(rows) > _ROWS:
         rows = [*rows[:_ROWS], ("...", "the recording has more of them: gsb-info --json")]

@@ -5,7 +5,19 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from gpusimbench.evaluator.render.cells import estimate, quantity
-from gpusimbench.evaluator.render.document import Block, Cell, Gallery, Row, Section, Table, Text, Tone, items, table
+from gpusimbench.evaluator.render.document import (
+    Block,
+    Cell,
+    Gallery,
+    Row,
+    Section,
+    Table,
+    Text,
+    Tone,
+    items,
+    key_of,
+    table,
+)
 from gpusimbench.evaluator.render.numbers import NONE
 from gpusimbench.evaluator.report import timed, words
 from gpusimbench.evaluator.report.scaling import SceneSweeps, scene_sweeps
@@ -93,7 +105,7 @@ def _sweep(sweep: Sweep) -> Row:
 def _points(sweep: Sweep, found: SceneSweeps) -> Table:
     titles = ("envs", FPS.titled, *(c.title for c in found.columns), "memory increment", "allocator's peak",
               "contacts per env: mean / max", "build; compile [s]", "runs")  # fmt: skip
-    name = f"scaling-points-{found.scene}"
+    name = key_of("scaling-points", found.scene, sweep.label)
     return table(name, f"{sweep.label}, {found.scene}", titles, [_point(sweep, point, found) for point in sweep.points])
 
 

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
-from gpusimbench.evaluator.missing import known
+from gpusimbench.evaluator.missing import Missing, known
 from gpusimbench.evaluator.render.cells import estimate
 from gpusimbench.evaluator.render.document import Block, Cell, Column, Facts, Section, facts, items, key_of
 from gpusimbench.evaluator.render.numbers import plural
+from gpusimbench.evaluator.report.sections.divergence import onset
 from gpusimbench.evaluator.report.sections.rows import Reasons
 from gpusimbench.evaluator.report.sections.values import column_of, of_groups
 from gpusimbench.evaluator.report.source import Source
@@ -15,6 +16,7 @@ from gpusimbench.evaluator.report.verdicts import QUESTIONS, TO_REFERENCE
 from gpusimbench.evaluator.results.cost_metrics import FPS
 from gpusimbench.evaluator.results.faults import faults
 from gpusimbench.evaluator.results.group_metrics import W1_PARALLEL, W1_RUN_TO_RUN
+from gpusimbench.evaluator.results.identity_metrics import DISTINCT_ENVS
 from gpusimbench.evaluator.results.result import GroupResult
 
 
@@ -52,6 +54,11 @@ def _blocks(source: Source, results: list[GroupResult]) -> Iterator[Block]:
         speed = estimate(fastest.metrics[FPS.name]).text
         said = f"{plural(len(hidden), 'group')} of sweeps, {sizes[0]:,} to {sizes[-1]:,} envs"
         yield items(f"{said}; fastest: {speed} {FPS.unit} at {fastest.group.key.n_env:,} envs: see scaling")
+    apart = [f"{r.label}: envs differ from {one.envs}; runs differ from {one.runs}"
+             for r in shown if not isinstance(r.metrics[DISTINCT_ENVS.name].value, Missing)
+             if (one := onset(r)) and not {one.envs, one.runs} <= {"never"}]  # fmt: skip
+    if apart:
+        yield items(*apart)
     wrong = [f"{r.label}: {found}" for r in results if (found := faults(r))]
     notes = [f"{r.label}: {note}" for r in results for note in r.footnotes]
     if wrong or notes:

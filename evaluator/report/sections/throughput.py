@@ -8,8 +8,9 @@ from gpusimbench.evaluator.missing import known
 from gpusimbench.evaluator.render.document import Block, Cell, Column, Items, Section, Text, items
 from gpusimbench.evaluator.render.numbers import NONE, plural
 from gpusimbench.evaluator.report import timed, words
+from gpusimbench.evaluator.report.leaders import fastest
 from gpusimbench.evaluator.report.sections.rows import Reasons
-from gpusimbench.evaluator.report.sections.values import Written, column_of, largest, of_groups
+from gpusimbench.evaluator.report.sections.values import Written, column_of, of_groups
 from gpusimbench.evaluator.report.source import Source
 from gpusimbench.evaluator.results.cost_metrics import CAPTURE_OVERHEAD, FPS
 from gpusimbench.evaluator.results.details import Throughput
@@ -86,8 +87,8 @@ def _remarks(results: list[GroupResult]) -> Iterator[Items]:
 
 
 def _summary(results: list[GroupResult]) -> str:
-    first = largest(results, FPS)
-    if first is None:
-        return "no complete run was timed"
-    fps = known(first.metrics[FPS.name].value) or 0.0
-    return f"highest: {first.label}, {fps:,.0f} {FPS.unit} at {first.group.key.n_env:,} envs"
+    """The fastest valid simulator of each scene; see `leaders`."""
+    found = [one.first for one in fastest(results) if one.first]
+    if not found:
+        return "mean ± SD of each group"
+    return "; ".join(f"{one.scene}: {one.result.label}, {one.fps:,.0f} {FPS.unit}" for one in found)

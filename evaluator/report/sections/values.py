@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 
-from gpusimbench.evaluator.missing import Missing, known
+from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.render import numbers
 from gpusimbench.evaluator.render.document import Cell, Column, Row, Table, Tone
 from gpusimbench.evaluator.report import words
@@ -56,9 +56,3 @@ def column_of(
         Column(metric.titled, metric.method),
         lambda result: value(result.metrics[metric.name], reasons, *beside(result)),
     )
-
-
-def largest(results: Iterable[GroupResult], metric: Metric) -> GroupResult | None:
-    """The group with the largest value of a metric; None where none has a value."""
-    found = [(amount, r) for r in results if (amount := known(r.metrics[metric.name].value)) is not None]
-    return max(found, key=lambda one: one[0])[1] if found else None
