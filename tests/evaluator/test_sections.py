@@ -83,12 +83,8 @@ def test_throughput_has_each_group_with_the_value_and_interval_of_its_estimate(
         assert (cell.value, cell.ci95) == (estimate.value, estimate.ci95)
 
 
-def test_the_summary_of_throughput_names_the_group_with_the_highest_value(
-    source: Source, made: dict[str, Section]
-) -> None:
-    values = {result.label: result.metrics[FPS.name].value for result in source.shown}
-    highest = max(values, key=lambda label: float(str(values[label])))
-    assert highest in made["throughput"].summary
+def test_the_summary_of_throughput_names_nobody_where_one_simulator_is_alone(made: dict[str, Section]) -> None:
+    assert "mujoco" not in made["throughput"].summary
 
 
 def test_counts_of_distinct_runs_are_good_only_where_all_runs_are_identical(

@@ -54,15 +54,22 @@ def _blocks(source: Source, results: list[GroupResult]) -> Iterator[Block]:
         speed = estimate(fastest.metrics[FPS.name]).text
         said = f"{plural(len(hidden), 'group')} of sweeps, {sizes[0]:,} to {sizes[-1]:,} envs"
         yield items(f"{said}; fastest: {speed} {FPS.unit} at {fastest.group.key.n_env:,} envs: see scaling")
-    apart = [f"{r.label}: envs differ from {one.envs}; runs differ from {one.runs}"
-             for r in shown if not isinstance(r.metrics[DISTINCT_ENVS.name].value, Missing)
-             if (one := onset(r)) and not {one.envs, one.runs} <= {"never"}]  # fmt: skip
+    apart = [f"{r.label}: {said}" for r in shown if (said := _apart(r))]
     if apart:
         yield items(*apart)
     wrong = [f"{r.label}: {found}" for r in results if (found := faults(r))]
     notes = [f"{r.label}: {note}" for r in results for note in r.footnotes]
     if wrong or notes:
         yield items(*dict.fromkeys([*wrong, *notes]))
+
+
+def _apart(result: GroupResult) -> str:
+    """From when on environments and runs differ; empty where neither is known to."""
+    if isinstance(result.metrics[DISTINCT_ENVS.name].value, Missing):
+        return ""
+    found = onset(result)
+    parts = (("environments", found.envs), ("runs", found.runs))
+    return "; ".join(f"{what} differ from {said} on" for what, said in parts if said.startswith("step"))
 
 
 def _facts(results: Sequence[GroupResult]) -> Facts:
