@@ -35,6 +35,8 @@ _SIDEWAYS = 22
 """Columns of characters that a row needs where rows stand side by side."""
 
 _HEAD = 32
+_GAP = 2
+_LEAST = 10
 _NAME = 48
 """Characters of a row's name that stand on one line where the name has as many."""
 
@@ -114,7 +116,7 @@ def _print_table(block: Table, console: Console) -> None:
         return
     if block.caption:
         console.print(line(block.caption), style="bold")
-    upright = _rich_table([c.title for c in block.columns], [row.cells for row in block.rows])
+    upright = _rich_table([c.title for c in block.columns], [row.cells for row in block.rows], console.width)
     measured = console.measure(upright, options=console.options.update(width=100_000))
     if measured.maximum <= 2 * console.width and console.measure(upright).minimum <= console.width:
         console.print(upright)
@@ -136,19 +138,26 @@ def _print_sideways(block: Table, console: Console) -> None:
         ]
         if begin:
             console.print()
-        console.print(_rich_table([block.columns[0].title, *(row.cells[0].text for row in rows)], across))
+        titles = [block.columns[0].title, *(row.cells[0].text for row in rows)]
+        console.print(_rich_table(titles, across, console.width))
 
 
-def _rich_table(titles: Sequence[str], rows: Sequence[Sequence[Cell]]) -> RenderableType:
+def _rich_table(titles: Sequence[str], rows: Sequence[Sequence[Cell]], width: int) -> RenderableType:
     made = plain_table(*titles)
     for index, column in enumerate(made.columns):
         numeric = all(row[index].value is not None or row[index].text == NONE for row in rows)
         column.justify = "right" if index and numeric else "left"
-    longest = max((len(row[0].text) for row in rows), default=0)
-    made.columns[0].min_width = min(longest, _NAME)
+    names = [titles[0], *(text for row in rows for text in row[0].lines)]
+    made.columns[0].width = max(_LEAST, min(max(map(len, names)), _NAME, width - _needed(titles, rows) - _GAP))
     for row in rows:
         made.add_row(*map(_rich_cell, row))
     return made
+
+
+def _needed(titles: Sequence[str], rows: Sequence[Sequence[Cell]]) -> int:
+    """Characters that all columns but the first need at least: their longest words, with the gaps between columns."""
+    columns = [[title, *(said for row in rows for said in row[i].lines)] for i, title in enumerate(titles) if i]
+    return sum(_GAP + max((len(word) for text in texts for word in text.split()), default=0) for texts in columns)
 
 
 def _rich_cell(said: Cell) -> RenderableType:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from gpusimbench.evaluator.check.protocol import RULE_SET
 from gpusimbench.evaluator.missing import Missing, known
 from gpusimbench.evaluator.render.cells import estimate
 from gpusimbench.evaluator.render.document import EMPTY, Block, Cell, Document, Facts, Text, Tone, facts, table
@@ -85,7 +84,7 @@ def _several(evaluation: Evaluation) -> Iterator[Block]:
     results = evaluation.results
     scenes = len({r.group.key.scene for r in results}) > 1
     questions = [*QUESTIONS, *([TO_REFERENCE] if evaluation.reference else [])]
-    titles = ["", *(["scene"] if scenes else []), "envs x runs", *(q.title for q in questions), FPS.titled]
+    titles = ["", *(["scene"] if scenes else []), "envs x runs", *(q.brief or q.title for q in questions), FPS.unit]
     yield table(
         "groups",
         "",
@@ -126,9 +125,6 @@ def _troubles(evaluation: Evaluation) -> Iterator[Text]:
         yield Text(line, Tone.WARNING)
     if len(lines) > 1:
         yield Text(f"{len(lines) - 1} more reasons why throughputs cannot be compared: --all", Tone.WARNING)
-    if count := evaluation.unmet.count:
-        rules = plural(len(evaluation.unmet.findings), "rule")
-        yield Text(f"{rules} of {RULE_SET} not met ({plural(count, 'finding')}): gsb-check --protocol", Tone.WARNING)
     if evaluation.reference is None:
         yield Text(f"no distance to reality: {evaluation.reference_note}", Tone.QUIET)
 

@@ -27,11 +27,13 @@ class Question:
     title    as a column's heading
     meaning  when the answer is yes
     answer   for one group, or for several at once
+    brief    the title where there is little room; empty: the same
     """
 
     title: str
     meaning: str
     answer: Callable[[Results], Cell]
+    brief: str = ""
 
     @property
     def column(self) -> Column:
@@ -96,6 +98,7 @@ QUESTIONS = (
         "repeats itself",
         "yes: all runs of a configuration have the same bits at every step; no: largest W1 between runs",
         repeats,
+        "repeats",
     ),
     Question(
         "envs alike",

@@ -220,4 +220,4 @@ def test_the_command_says_how_often(tmp_path: Path, capsys: pytest.CaptureFixtur
     paths = recorded(tmp_path)
     assert evaluate([*map(str, paths), "--no-cache"]) == 0
     count = evaluate_files(paths).unmet.count
-    assert f"of protocol-1 not met ({count} findings)" in " ".join(capsys.readouterr().out.split())
+    assert f"rules of protocol-1 {count} times" in " ".join(capsys.readouterr().out.split())

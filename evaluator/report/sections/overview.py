@@ -96,7 +96,7 @@ def _state_of_the_set(evaluation: Evaluation) -> Item:
 
 def _scatter(evaluation: Evaluation) -> Iterator[Figure]:
     """The figure of the scene in which most groups have both a speed and a distance, in fewer words."""
-    drawn = [one for one in scatter.pictures(evaluation) if one.svg]
+    drawn = [one for one in scatter.pictures(evaluation) if one.svg and len(one.numbers.rows) > 1]
     if drawn:
         most = max(drawn, key=lambda one: len(one.numbers.rows))
         yield replace(most, caption="Lines: 95 % intervals. Hollow: INVALID, or mechanics broken. Strip: exactly 0.")

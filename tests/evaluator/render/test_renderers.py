@@ -214,6 +214,16 @@ def test_a_wide_table_stands_sideways_in_a_terminal_and_loses_nothing() -> None:
         assert all(f"{r}.{c} of many" in shown for c in range(30))
 
 
+@pytest.mark.parametrize("length", [10, 47, 48, 90])
+def test_a_long_name_takes_no_room_that_others_need(length: int) -> None:
+    rows = [["n" * length, *(f"value-of-column-{c}" for c in range(5))], ["m", "1", "2", "3", "4", "5"]]
+    shown = printed(Document("", (table("t", "", ["", *(f"column [{c}-unit-of-it]" for c in range(5))], rows),)))
+    assert max(map(len, shown.splitlines())) <= 120
+    for c in range(5):
+        assert f"value-of-column-{c}" in shown
+        assert f"[{c}-unit-of-it]" in shown
+
+
 def test_numbers_of_a_figure_are_in_the_page_as_csv() -> None:
     drawn = Markup('<svg viewBox="0 0 1 1"><text>a</text></svg>')
     figure = Figure("a", "b", drawn, "key of it", Numbers(["x", "<y>"], [[1, 2.5], ["<b>", None]]))
