@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import json
 import math
-import re
 from pathlib import Path
 from typing import Any
 
@@ -221,9 +221,11 @@ def test_a_recording_of_the_arm(gsb_record: Command, gsb_eval: Command, tmp_path
     assert again is not None
     assert np.array_equal(found.hashes, again.hashes)
     assert len(set(found.hashes[-1].tolist())) == 3
-    evaluated = gsb_eval(first.path, second.path)
+    evaluated = gsb_eval(first.path, second.path, "--json", "-")
     assert evaluated.returncode == 0, evaluated.stderr
-    changed = re.search(r"runs changed by capturing +0 of 2\n", evaluated.stdout)
-    assert changed, "the timed phase had the same actions"
+    (group,) = json.loads(evaluated.stdout)["groups"]
+    changed = group["metrics"]["capture_changes_states"]
+    assert (changed["value"], changed["n"]) == (0, 2), "the timed phase had the same actions"
     assert "no positions of cubes were recorded" in evaluated.stdout
-    assert "no distinct_envs: the environments were given different actions" in evaluated.stdout
+    why = group["metrics"]["distinct_envs"]["why_not"]
+    assert why.startswith("the environments were given different actions")
