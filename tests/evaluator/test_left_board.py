@@ -146,9 +146,7 @@ def test_floor_and_p_stand_beside_runs(tmp_path: Path) -> None:
     found = evaluate_files(files)
     floor = to_json(found)["groups"][0]["metrics"]["w1_run_to_run"]["extra"]["floor"]
     shown = f"{floor['observed_cm']:.3f}; {floor['floor_mean_cm']:.3f}; {floor['p_value']:.2g}"
-    stream = io.StringIO()
-    print_all(found, stream)
-    assert shown in stream.getvalue()
+    assert shown in text_of(found)
     assert shown in render_html(found, published=False, command="")
     (row,) = tables_of(found)["variability-distances"].rows
     assert shown in [one.text for one in row.cells]

@@ -301,5 +301,6 @@ def test_the_command_prints_it(small_set: list[Path]) -> None:
     """Show contacts and preparation times in the table of the command."""
     shown = call("gsb-eval", *small_set, "--sample-time", "1", "--all").stdout
     assert "contacts: " in shown
-    assert "time to build [s]" in shown
+    assert "time to" in shown
+    assert "build [s]" in shown
     assert "no run is INVALID" in shown
