@@ -53,4 +53,4 @@ def test_memory_is_bounded(large_set: list[Path], tmp_path: Path, gsb_eval: Comm
         **limited,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
-    assert f"{_ENVS} x {_FILES}" in done.stdout
+    assert f"{_ENVS} envs, {_FILES} complete runs" in done.stdout

@@ -97,7 +97,8 @@ def test_what_is_kept_and_what_is_taken(tmp_path: Path) -> None:
         final = grid(n_env, "float32") + noise.normal(size=(n_env, _CUBES, 3)).astype(np.float32)
         return write_recording(tmp_path, final, steps=steps, dt=0.01)
 
-    _taken(made(2, 100))  # loads what has to be loaded
+    for n_env in (2, 128):  # loads what has to be loaded
+        _taken(made(n_env, 100))
     kept, taken = {}, {}
     cases = ((16, 100), (16, 2500), (128, 100), (1024, 100), (1024, 200))
     for n_env, steps in cases:
