@@ -16,7 +16,7 @@ from gpusimbench.schemas.errors import ExitCode, UsageError
 from gpusimbench.schemas.progress import Progress, stage
 from gpusimbench.schemas.provenance import REAL
 from gpusimbench.schemas.suggestion import did_you_mean
-from gpusimbench.schemas.text import block, line
+from gpusimbench.schemas.text import block
 
 if TYPE_CHECKING:
     from gpusimbench.recorder.environments.interpreter import Interpreter
@@ -208,14 +208,14 @@ def _list(name: str, as_json: bool) -> int:
 
 def _set_up(arguments: argparse.Namespace) -> int:
     with shielded():
-        from gpusimbench.recorder.command.listing import about_environment, environment_line
+        from gpusimbench.recorder.command.listing import about_environment, environment_lines
         from gpusimbench.recorder.environments.setup import set_up
     with Progress("gsb-record"), stage("making the environment"):
         made = about_environment(set_up(arguments.setup, arguments.python))
     if arguments.json:
         _print_json({"environment": made})
     else:
-        show(line(environment_line(made)))
+        show(block(environment_lines(made)))
     return ExitCode.OK
 
 

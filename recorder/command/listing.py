@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from typing import Any
 
 from gpusimbench.recorder.abilities import Ability, listed, titles
@@ -50,12 +51,15 @@ def about_environment(prepared: Prepared) -> Json:
     }
 
 
-def environment_line(environment: Json) -> str:
-    """The same for people."""
+def environment_lines(environment: Json) -> list[str]:
+    """The same for people: the folder on a line of its own, since a path may be of any length; then its packages."""
     versions = ", ".join(f"{name} {version}" for name, version in environment["versions"].items())
     stale = "" if environment["current"] else "; of other requirements than this version's: set it up anew"
     size = environment["size"] / 1e9
-    return f"environment: {environment['folder']} ({size:.2f} GB; Python {environment['python']}; {versions}){stale}"
+    return [
+        f"environment: {environment['folder']} ({size:.2f} GB; Python {environment['python']}){stale}",
+        *textwrap.wrap(f"  packages: {versions}", 120, subsequent_indent="    ", break_on_hyphens=False),
+    ]
 
 
 def _about(entry: Entry, scenes: list[Scene]) -> Json:
@@ -131,7 +135,7 @@ def details(about: Json) -> list[str]:
     if about["problem"]:
         lines[-1:] = [f"{''.join(lines[-1:])}, but {about['problem']}".removeprefix(", ")]
     if about["environment"] is not None:
-        lines.append(environment_line(about["environment"]))
+        lines += environment_lines(about["environment"])
     lines += [f"{what}: {', '.join(about[what])}" for what in ("devices", "precision", "scenes") if about[what]]
     lines += [f"not {scene}: it has no {listed(missing)}" for scene, missing in about["missing_for"].items()]
     return lines + [f"--determinism {level}: {meaning}" for level, meaning in about["determinism"].items()]

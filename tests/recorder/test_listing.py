@@ -56,7 +56,8 @@ def test_one_engine(gsb_record: Command, entry: Entry) -> None:
     assert f"steps on: {about['device_here']}" in text
     assert flat.count("NO EFFECT on this machine") == sum(not level["effect_here"] for level in about["levels"])
     assert f"scenes: {', '.join(about['scenes'])}" in text
-    assert max(map(len, text.splitlines()[1:])) <= 200
+    # A path is as long as its owner made it, and stays on one line, so that it can be copied.
+    assert max(len(line) for line in text.splitlines()[1:] if not line.startswith("environment: ")) <= 200
 
 
 def test_flags_of_a_gpu(gsb_record: Command) -> None:
