@@ -22,6 +22,15 @@ Json = dict[str, Any]
 _WIDTH = 118
 
 
+_OPERATIONS = {
+    "snapshot": "save and restore all",
+    "some": "restore some envs",
+    "reset": "reset some envs",
+    "set_state": "set pose and velocity",
+}
+"""Those of StateClaims, in words."""
+
+
 def list_one(name: str) -> Json:
     """A simulator with its options, levels and abilities, or a scene with the simulators that run it; as of --json.
 
@@ -48,9 +57,11 @@ def _simulator(entry: Entry) -> Json:
     adapter = entry.adapter()
     device = _device(entry, adapter)
     none = adapter.levels_without_effect.get(device, {})
+    claims = adapter.state_claims(adapter.Options())
     return {
         "device_here": device,
         "options": _options(adapter),
+        "state": {field.name: str(getattr(claims, field.name)) for field in fields(claims)},
         "levels": [
             {"level": level, "sets": sets, "effect_here": level not in none, "why_none": none.get(level, "")}
             for level, sets in adapter.determinism_levels.items()
@@ -105,6 +116,8 @@ def _lines_of_simulator(about: Json) -> list[str]:
         lines += ["", "abilities:", *_table([(title, means[title]) for title in about["abilities"]])]
     rows = [(f"{o['name']}={_shown(o['default'])}", f"{o['type']}: {o['meaning']}") for o in about["options"]]
     lines += ["", "options, each with its default (--option NAME=VALUE):", *(_table(rows) or ["  none"])]
+    rows = [(_OPERATIONS[name], claim) for name, claim in about["state"].items()]
+    lines += ["", "operations on its state, with these options:", *_table(rows)]
     levels = [(level["level"], _level(level, about["device_here"])) for level in about["levels"]]
     return [*lines, "", "levels of determinism (--determinism LEVEL):", *_table(levels)]
 

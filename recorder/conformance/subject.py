@@ -26,6 +26,7 @@ from gpusimbench.recorder.simulators.base import Captured, Description, Simulato
 from gpusimbench.recorder.simulators.captured import RING_BLOCKS
 from gpusimbench.recorder.simulators.evidence import Evidence
 from gpusimbench.recorder.simulators.registry import Entry, find_simulator
+from gpusimbench.recorder.simulators.snapshot import Claim, Extent, StateClaims
 from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.errors import UsageError
 
@@ -35,6 +36,12 @@ SEED = (3 << 32) + 7
 _BLOCKS = (30, N_STEP - 30)  # of states: of different sizes, as a recording's last block is
 _AHEAD = (8, 8, 8, 8, 8, N_STEP - 40)  # of begin_states: more of them than are held at once
 _STEPS = (*(1 for _ in range(LANDING + 5)), N_STEP - LANDING - 5)  # of step: one by one until the counts have changed
+
+MEDDLED = 12
+"""Steps after each operation on the state; the pebble lands within them, so that warm starts and caches matter."""
+
+RESTORED, CHOSEN = (1,), (0, 2)
+"""Environments that are restored, and those that are reset and set, while the others go on."""
 
 _T = TypeVar("_T")
 
@@ -51,6 +58,28 @@ class Stepped:
     state: States
     evidence: tuple[Evidence | None, ...]
     gates: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Meddled:
+    """A build of the conformance scene, the state of which was changed from outside between steps.
+
+    states  arrays [env, item, width] or [step, env, item, width] by what had been done; only what the adapter offers
+    """
+
+    states: dict[str, States]
+
+
+def differing(description: Description, first: States) -> States:
+    """The first state with a velocity of its own for every body of every environment [m/s]; poses as they were."""
+    given = []
+    for layout, array in zip(description.fields, first, strict=True):
+        changed = array.copy()
+        if layout.field == "linear_velocity":
+            env = np.arange(len(array), dtype=array.dtype)[:, None]
+            changed[..., 0] += (env + 1) / 64  # exact in either precision
+        given.append(changed)
+    return tuple(given)
 
 
 class Subject:
@@ -136,6 +165,16 @@ class Subject:
         return self._once("ahead", self._capture_ahead)
 
     @property
+    def meddled(self) -> Meddled:
+        """The conformance scene in another build, whose state was saved, restored, reset and set."""
+        return self._once("meddled", self._meddle)
+
+    @property
+    def claims(self) -> StateClaims:
+        """What the adapter says of these operations."""
+        return self.adapter.state_claims(self.options)
+
+    @property
     def recording(self) -> RecordedRun:
         """A short run of the first of `scenes`, recorded by a process of its own and read back."""
         return self._once("recording", self._record)
@@ -212,6 +251,52 @@ class Subject:
                 simulator.step(count)
                 evidence.append(_copy_evidence(simulator.evidence()))
             return Stepped(_copy(simulator.state()), tuple(evidence), tuple(simulator.gates()))
+
+    def _meddle(self) -> Meddled:
+        states: dict[str, States] = {}
+        claims, restored, chosen = self.claims, np.array(RESTORED), np.array(CHOSEN)
+
+        def offered(claim: Claim) -> bool:
+            return claim.extent is not Extent.NONE
+
+        with self.built(conformance_scene()) as (simulator, description):
+
+            def steps(count: int) -> States:
+                simulator.prepare(None)
+                return _copy(simulator.states(count))
+
+            if offered(claims.set_state):
+                states["given"] = differing(description, _copy(simulator.state()))
+                simulator.set_state(states["given"])
+                simulator.compile("capture")
+                states["begun"] = _copy(simulator.state())
+                states["after begun"] = steps(MEDDLED)
+            if offered(claims.reset):
+                simulator.reset()
+                states["reset"] = _copy(simulator.state())
+                states["after reset"] = steps(MEDDLED)
+            if offered(claims.snapshot) and offered(claims.reset):
+                snapshot = simulator.snapshot()
+                states["once"] = steps(MEDDLED)
+                simulator.restore(snapshot)
+                states["restored"] = _copy(simulator.state())
+                states["again"] = steps(MEDDLED)
+                if offered(claims.some):
+                    simulator.restore(snapshot, restored)
+                    states["some restored"] = _copy(simulator.state())
+                    states["after some restored"] = steps(MEDDLED)
+            if offered(claims.reset):
+                states["before some reset"] = _copy(simulator.state())
+                simulator.reset(chosen)
+                states["some reset"] = _copy(simulator.state())
+                states["after some reset"] = steps(MEDDLED)
+            if offered(claims.set_state):
+                given = tuple(array[chosen] for array in states["given"])
+                states["before some set"] = _copy(simulator.state())
+                simulator.set_state(given, chosen)
+                states["some set"] = _copy(simulator.state())
+                states["after some set"] = steps(MEDDLED)
+        return Meddled(states)
 
     def _record(self) -> RecordedRun:
         from gpusimbench.recorder.environments.interpreter import own

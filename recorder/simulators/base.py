@@ -2,7 +2,9 @@
 
 An adapter holds N identical environments of one scene. The recorder calls, in this order: the constructor, ``build``
 once, ``compile`` once, then ``prepare``, ``step`` or ``states``, ``evidence`` and ``gates`` any number of times,
-``close``. A capture that needs a fresh start gets a new instance, so nothing has to be reset.
+``close``. A capture that needs a fresh start gets a new instance, so nothing has to be reset for it. ``snapshot``,
+``restore``, ``reset`` and ``set_state`` come between steps, where ``state_claims`` offers them; ``set_state`` may come
+right after ``build`` too, and gives environments initial states of their own.
 
 Importing an adapter's module must be cheap and must not touch a device: engines are imported in ``build``, when the
 environment variables that ``environment`` asks for are set.
@@ -21,10 +23,11 @@ from gpusimbench.recorder.abilities import Ability, listed, titles
 from gpusimbench.recorder.scenes.base import Scene
 from gpusimbench.recorder.simulators.captured import Captured, Held, States
 from gpusimbench.recorder.simulators.evidence import Evidence
+from gpusimbench.recorder.simulators.snapshot import Envs, Snapshot, StateClaims
 from gpusimbench.schemas.errors import UsageError
 from gpusimbench.schemas.provenance import EngineFacts, Simulation
 
-__all__ = ["Ability", "Captured", "Description", "Evidence", "Held", "Simulator", "States"]
+__all__ = ["Ability", "Captured", "Description", "Envs", "Evidence", "Held", "Simulator", "Snapshot", "States"]
 
 
 @dataclass(frozen=True)
@@ -167,6 +170,37 @@ class Simulator(ABC):
         their device override this.
         """
         return Held(self.states(n_step), self.evidence())
+
+    @classmethod
+    def state_claims(cls, options: Any) -> StateClaims:
+        """What the four operations below cover with these options; what is not claimed is not called."""
+        return StateClaims()
+
+    def snapshot(self) -> Snapshot:
+        """The engine's complete state of all environments, as far as ``state_claims`` says; copies, on the host."""
+        raise NotImplementedError
+
+    def restore(self, snapshot: Snapshot, envs: Envs = None) -> None:
+        """Bring environments back to a snapshot that this simulator, or one of the same configuration, has made.
+
+        Where all are restored, the steps that follow continue after ``snapshot.step``. Where some are, the others stay
+        as they are, and actions go on being those of the steps since the build.
+        """
+        raise NotImplementedError
+
+    def reset(self, envs: Envs = None) -> None:
+        """Bring environments back to the scene's first state by whatever the engine has for it.
+
+        Actions go on being those of the steps since the build, unless all environments are reset.
+        """
+        raise NotImplementedError
+
+    def set_state(self, states: States, envs: Envs = None) -> None:
+        """Give environments positions and velocities; all else is as ``reset`` leaves it.
+
+        states  one array [env of envs, item, width] per field of the Description, as ``state`` returns them
+        """
+        raise NotImplementedError
 
     def evidence(self) -> Evidence | None:
         """Counts of the steps of the last call of ``states``, or of the last step, one row, after ``step``.

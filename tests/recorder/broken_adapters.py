@@ -8,10 +8,12 @@ from typing import Any
 import numpy as np
 
 from gpusimbench.recorder.conformance.checks.motion import turn_between
+from gpusimbench.recorder.simulators.base import Simulator
 from gpusimbench.recorder.simulators.captured import Held
 from gpusimbench.recorder.simulators.counters import CONTACTS
 from gpusimbench.recorder.simulators.evidence import Evidence
 from gpusimbench.recorder.simulators.mujoco.simulator import MujocoC
+from gpusimbench.recorder.simulators.snapshot import Claim, Extent
 from gpusimbench.schemas.errors import UsageError
 from gpusimbench.schemas.provenance import Buffer, Counter, OverflowBit
 
@@ -352,3 +354,79 @@ class OneSlot(MujocoC):
         for slot, array in zip(self.slot, arrays, strict=True):
             slot[:n_step] = array[: len(slot)]
         return Held(tuple(slot[:n_step] for slot in self.slot), block.evidence())
+
+
+class ForgetsTheWarmStart(MujocoC):
+    """Saves what mjSTATE_FULLPHYSICS has, and calls that complete."""
+
+    def restore(self, snapshot, envs=None):
+        kept = {**snapshot.arrays, "qacc_warmstart": np.zeros_like(snapshot.arrays["qacc_warmstart"])}
+        super().restore(replace(snapshot, arrays=kept), envs)
+
+
+class RestoresAll(MujocoC):
+    """Restores all environments where some are asked for."""
+
+    def restore(self, snapshot, envs=None):
+        super().restore(snapshot)
+
+
+class ResetKeepsSpeeds(MujocoC):
+    """Lets bodies fly on after a reset."""
+
+    def reset(self, envs=None):
+        speeds = np.array(self._qvel)
+        super().reset(envs)
+        self._qvel[:] = speeds
+
+
+class ResetKeepsTheWarmStart(MujocoC):
+    """Writes the first positions and velocities, and calls that a reset."""
+
+    def reset(self, envs=None):
+        rows = slice(None) if envs is None else envs
+        self._qpos[rows], self._qvel[rows] = self._compiled.qpos0, self._compiled.qvel0
+
+
+class ResetsAll(MujocoC):
+    """Resets all environments where some are asked for."""
+
+    def reset(self, envs=None):
+        super().reset()
+
+
+class SetsPosesOnly(MujocoC):
+    """Forgets the velocities that it is given."""
+
+    def set_state(self, states, envs=None):
+        super().set_state(states, envs)
+        self._qvel[slice(None) if envs is None else envs] = self._compiled.qvel0
+
+
+class LosesItsStart(MujocoC):
+    """Goes back to the scene's first state when it compiles."""
+
+    def compile(self, phase):
+        self.reset()
+
+
+class SetsNothingElse(MujocoC):
+    """Keeps the warm start where it is given another state."""
+
+    def set_state(self, states, envs=None):
+        rows = slice(None) if envs is None else envs
+        self._qpos[rows], self._qvel[rows] = self._compiled.joined(states)
+
+
+class ClaimsTooMuch(Spoiled):
+    """Claims to save the state, and has no method for it."""
+
+    snapshot, restore = Simulator.snapshot, Simulator.restore
+
+
+class SaysNotWhatIsMissing(MujocoC):
+    """Claims a partial reset, and does not say what is missing."""
+
+    @classmethod
+    def state_claims(cls, options):
+        return replace(super().state_claims(options), reset=Claim(Extent.PARTIAL))

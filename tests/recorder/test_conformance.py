@@ -81,6 +81,16 @@ BROKEN = [
     (broken.OneSlot, "blocks_ahead_are_the_same", "blocks begun ahead give other states than one after another"),
     (broken.OtherActions, "actions_are_those_drawn", "applied.. after step 2 differs from the targets drawn"),
     (broken.FirstEnvOnly, "actions_are_those_drawn", "two environments with different targets moved alike"),
+    (broken.ForgetsTheWarmStart, "restored_state_repeats", "12 steps after restore are not those after snapshot"),
+    (broken.RestoresAll, "restoring_some_leaves_others", "restore of some changes others: balls/position"),
+    (broken.ResetKeepsSpeeds, "reset_is_a_fresh_start", "reset does not bring back the first balls/linear_velocity"),
+    (broken.ResetKeepsTheWarmStart, "reset_is_a_fresh_start", "steps after reset are not those of a fresh build"),
+    (broken.ResetsAll, "resetting_some_leaves_others", "reset of some changes others: balls/position"),
+    (broken.SetsPosesOnly, "set_state_is_shown", "linear_velocity after set_state: expected"),
+    (broken.LosesItsStart, "set_state_is_shown", "linear_velocity after set_state: expected"),
+    (broken.SetsNothingElse, "set_state_starts_afresh", "earlier steps leave traces behind set_state"),
+    (broken.ClaimsTooMuch, "claims_are_kept", r"snapshot is claimed to be complete, and there is no snapshot\(\)"),
+    (broken.SaysNotWhatIsMissing, "claims_are_kept", "reset is partial: say why"),
 ]
 
 
@@ -193,7 +203,7 @@ def test_an_engine_that_varies_is_told_apart() -> None:
 
 
 def test_few_builds() -> None:
-    """Build the conformance scene twice for all checks of an engine that repeats itself."""
+    """Build the conformance scene three times for all checks of an engine that repeats itself."""
     built = []
 
     class Counted(MujocoC):
@@ -207,9 +217,9 @@ def test_few_builds() -> None:
             check(subject)
         except NotApplicable:
             continue
-    assert built.count("conformance") == 2
+    assert built.count("conformance") == 3
     assert sorted(set(built)) == ["conformance", "franka", "free-fall", "inclined-collision"]
-    assert len(built) == 2 + 3 + 1
+    assert len(built) == 3 + 3 + 1
 
 
 def test_a_build_that_fails_is_not_tried_again() -> None:

@@ -46,6 +46,15 @@ from gpusimbench.recorder.conformance.checks.start import (
     first_state_is_the_scenes,
     registered_scenes_start_as_described,
 )
+from gpusimbench.recorder.conformance.checks.state import (
+    claims_are_kept,
+    reset_is_a_fresh_start,
+    resetting_some_leaves_others,
+    restored_state_repeats,
+    restoring_some_leaves_others,
+    set_state_is_shown,
+    set_state_starts_afresh,
+)
 from gpusimbench.recorder.conformance.subject import Subject
 
 Check = Callable[[Subject], None]
@@ -79,6 +88,13 @@ CHECKS: tuple[Check, ...] = (
     step_and_states_agree,
     counts_agree_step_by_step,
     actions_are_those_drawn,
+    claims_are_kept,
+    reset_is_a_fresh_start,
+    resetting_some_leaves_others,
+    restored_state_repeats,
+    restoring_some_leaves_others,
+    set_state_is_shown,
+    set_state_starts_afresh,
     run_is_recorded_whole,
     recording_says_what_it_is_of,
     timed_steps_lead_where_captured_ones_do,

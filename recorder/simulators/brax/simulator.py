@@ -6,7 +6,7 @@ import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from importlib import import_module, metadata
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,9 @@ from gpusimbench.recorder.simulators.jax.block import OVERFLOW
 from gpusimbench.recorder.simulators.jax.simulator import JaxSimulator, Physics
 from gpusimbench.recorder.simulators.mujoco.options import MjcfOptions
 from gpusimbench.schemas.fields import BODY_FIELDS, StateField, body_fields
+
+if TYPE_CHECKING:  # it imports MuJoCo
+    from gpusimbench.recorder.simulators.mujoco.model import MjcfModel
 
 
 class Brax(JaxSimulator):
@@ -36,6 +39,7 @@ class Brax(JaxSimulator):
     def _load(self, device: Any) -> tuple[Physics, Description]:
         options: BraxOptions = self.options
         compiled, caps = _compile(self, options)
+        self._made_of = compiled
         with _unheeded():
             from brax.io import mjcf
 
@@ -88,9 +92,7 @@ class Brax(JaxSimulator):
         no_actions = jnp.zeros(0, jnp.float32)
         step = jax.vmap(lambda state: pipeline.step(system, state, no_actions))
 
-        def initial() -> Any:
-            qpos = jnp.tile(jnp.asarray(compiled.qpos0, jnp.float32), (self.n_env, 1))
-            qvel = jnp.tile(jnp.asarray(compiled.qvel0, jnp.float32), (self.n_env, 1))
+        def initial(qpos: Any, qvel: Any) -> Any:
             return jax.jit(jax.vmap(lambda q, qd: pipeline.init(system, q, qd)))(qpos, qvel)
 
         def count(state: Any) -> dict[str, Any]:
@@ -117,7 +119,14 @@ class Brax(JaxSimulator):
                 "angular_velocity": state.xd.ang,
             },
             count=count,
+            kept=_leaves,
+            put=lambda state, arrays: jax.tree.unflatten(jax.tree.structure(state), list(arrays.values())),
         )
+
+    @property
+    def _compiled(self) -> MjcfModel:
+        compiled: MjcfModel = self._made_of
+        return compiled
 
     def _restart(self) -> None:
         with _unheeded():
@@ -132,6 +141,13 @@ class Brax(JaxSimulator):
 
     def _split(self, seen: dict[str, NDArray[Any]]) -> States:
         return tuple(seen[field][..., links, :] for links in self._links for field in BODY_FIELDS)
+
+
+def _leaves(state: Any) -> dict[str, Any]:
+    """Every array of a pipeline's State by its path: each pipeline carries something else from step to step."""
+    import jax
+
+    return {jax.tree_util.keystr(path): leaf for path, leaf in jax.tree_util.tree_leaves_with_path(state)}
 
 
 @contextmanager

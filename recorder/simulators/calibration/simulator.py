@@ -7,6 +7,7 @@ for (`regime`), and so is by how much (`shift`, `ulps`), so that it is known wha
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from functools import cache
 from typing import Any
 
@@ -21,6 +22,7 @@ from gpusimbench.recorder.simulators.calibration.model import deviations
 from gpusimbench.recorder.simulators.calibration.options import BY_RUN, CalibrationOptions
 from gpusimbench.recorder.simulators.counters import CONTACTS
 from gpusimbench.recorder.simulators.evidence import Evidence
+from gpusimbench.recorder.simulators.snapshot import COMPLETE, Envs, Snapshot, StateClaims
 from gpusimbench.schemas.errors import UsageError
 from gpusimbench.schemas.fields import body_field
 
@@ -100,6 +102,39 @@ class Calibration(Simulator):
     def state(self) -> States:
         """See Simulator.state."""
         return self._split(self._world.state())
+
+    @classmethod
+    def state_claims(cls, options: Any) -> StateClaims:
+        """See Simulator.state_claims."""
+        return StateClaims(COMPLETE, COMPLETE, COMPLETE, COMPLETE)
+
+    def snapshot(self) -> Snapshot:
+        """See Simulator.snapshot."""
+        return Snapshot(self._world.done, dict(zip(_FIELDS, self._world.state(), strict=True)))
+
+    def restore(self, snapshot: Snapshot, envs: Envs = None) -> None:
+        """See Simulator.restore."""
+        self._put([snapshot.arrays[name] for name in _FIELDS], envs, snapshot.step)
+
+    def reset(self, envs: Envs = None) -> None:
+        """See Simulator.reset."""
+        self._put(self._world.first, envs, 0)
+
+    def set_state(self, states: States, envs: Envs = None) -> None:
+        """See Simulator.set_state."""
+        rows = slice(None) if envs is None else envs
+        given = [array[rows].copy() for array in self._world.first]
+        left = iter(states)
+        for group in self._groups:
+            for array in given:
+                array[:, group] = next(left)
+        self._world.put(given, envs, self._world.done if envs is not None else 0)
+        self._counted = None
+
+    def _put(self, arrays: Sequence[NDArray[Any]], envs: Envs, step: int) -> None:
+        rows = slice(None) if envs is None else envs
+        self._world.put([array[rows] for array in arrays], envs, self._world.done if envs is not None else step)
+        self._counted = None
 
     def states(self, n_step: int) -> States:
         """See Simulator.states."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -12,13 +13,17 @@ from gpusimbench.recorder.scenes.base import Scene
 from gpusimbench.recorder.simulators.calibration.chance import orders, places, shares
 from gpusimbench.recorder.simulators.calibration.model import LONGEST_STEP, model_of
 from gpusimbench.recorder.simulators.calibration.options import CalibrationOptions
+from gpusimbench.recorder.simulators.snapshot import Envs
 
 _RING_ROWS = 50
 _RING_BYTES = 256 << 20
 
 
 class World:
-    """N environments of a scene, in their initial state; Taichi has been started. UsageError as of model_of."""
+    """N environments of a scene, in their initial state; Taichi has been started. UsageError as of model_of.
+
+    first  positions, velocities and angular velocities that they begin with, [env, body, 3]
+    """
 
     def __init__(self, scene: Scene, *, n_env: int, dt: float, options: CalibrationOptions, entropy: str) -> None:
         import taichi as ti
@@ -33,7 +38,8 @@ class World:
         self._shape = (n_env, n_body)
         self._dt = dt / self.substeps
         self._gravity = ti.Vector(scene.gravity, ti.f32)
-        self._state = [_vectors(np.tile(first, (n_env, 1, 1))) for first in (model.start, model.velocity, model.spin)]
+        self.first = [np.tile(array, (n_env, 1, 1)) for array in (model.start, model.velocity, model.spin)]
+        self._state = [_vectors(array) for array in self.first]
         self._force = _vectors(np.zeros((n_env, n_body, 3), dtype=np.float32))
         self._traits, self._faces = _vectors(model.traits), _vectors(model.faces)
         self._order = _numbers(orders(options, n_env, n_body, entropy))
@@ -95,6 +101,19 @@ class World:
     def state(self) -> list[NDArray[np.float32]]:
         """Copies of positions, velocities and angular velocities, [env, body, 3]."""
         return [array.to_numpy() for array in self._state]
+
+    @property
+    def done(self) -> int:
+        """Steps since the build."""
+        return self._done
+
+    def put(self, arrays: Sequence[NDArray[np.float32]], envs: Envs, done: int) -> None:
+        """Give environments the rows of such arrays, [env of envs, body, 3], and the world a number of steps done."""
+        for target, rows in zip(self._state, arrays, strict=True):
+            whole = target.to_numpy()
+            whole[slice(None) if envs is None else envs] = rows
+            target.from_numpy(whole)
+        self._done = done
 
     def counts(self) -> NDArray[np.int32]:
         """Contacts of the last step, [env]."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,10 @@ from gpusimbench.recorder.simulators.evidence import Evidence
 from gpusimbench.recorder.simulators.jax import runtime as jax_runtime
 from gpusimbench.recorder.simulators.jax.actions import device_draw
 from gpusimbench.recorder.simulators.jax.block import OVERFLOW, JaxBlock, evidence_of
+from gpusimbench.recorder.simulators.snapshot import COMPLETE, Envs, Snapshot, StateClaims
+
+if TYPE_CHECKING:  # it imports MuJoCo
+    from gpusimbench.recorder.simulators.mujoco.model import MjcfModel
 
 _RING_BYTES = 256 << 20
 _RING_STEPS = 50
@@ -28,21 +32,26 @@ _RING_STEPS = 50
 class Physics:
     """An engine's step, as functions that JAX traces; a state is that of all environments, in any form.
 
-    initial      makes the first state; called on the host, again for each fresh start
+    initial      qpos [env, nq] and qvel [env, nv], float32, as MuJoCo has them -> the first state; called on the host,
+                 again for each fresh start
     advance      state, targets [env, action] or None -> state after one step
     observe      state -> what `split` of the adapter needs, arrays [env, ...] by name
     count        state -> counts of the step that led to it, int32 [env] by counter name; and, under OVERFLOW, bits
                  uint32 [env] where the engine has any
+    kept         state -> what decides the next step, arrays [env, ...] by name
+    put          state, arrays as of `kept` -> the state with these
     forget       state -> the same with its overflow bits cleared
     applied      state -> the actions that it holds, [env, action]
     lazy         the step builds kernels when it is first executed, not when it is compiled
     gathers      the engine itself adds up overflow bits over steps
     """
 
-    initial: Callable[[], Any]
+    initial: Callable[[NDArray[np.float32], NDArray[np.float32]], Any]
     advance: Callable[[Any, Any], Any]
     observe: Callable[[Any], dict[str, Any]]
     count: Callable[[Any], dict[str, Any]]
+    kept: Callable[[Any], dict[str, Any]]
+    put: Callable[[Any, dict[str, Any]], Any]
     forget: Callable[[Any], Any] = lambda state: state
     applied: Callable[[Any], Any] | None = None
     lazy: bool = False
@@ -90,10 +99,25 @@ class JaxSimulator(Simulator):
         description.options["ring"] = self._ring
         return description
 
+    @property
+    @abstractmethod
+    def _compiled(self) -> MjcfModel:
+        """The scene as MuJoCo compiles it, from which the engine takes its model."""
+
     def _restart(self) -> None:
-        self._state = self._physics.initial()
+        self._state = self._first_state(None, None)
         self._step = np.uint32(0)
         self._bits = np.zeros(self.n_env, np.uint32)  # overflow bits of the steps since they were asked for
+
+    def _first_state(self, states: States | None, envs: Envs) -> Any:
+        # of all environments; those of `envs` with these positions and velocities
+        compiled, rows = self._compiled, slice(None) if envs is None else envs
+        qpos, qvel = (
+            np.tile(values.astype(np.float32), (self.n_env, 1)) for values in (compiled.qpos0, compiled.qvel0)
+        )
+        if states is not None:
+            qpos[rows], qvel[rows] = compiled.joined(states)
+        return self._physics.initial(qpos, qvel)
 
     def _seen(self) -> dict[str, NDArray[Any]]:
         return {name: np.asarray(array) for name, array in self._physics.observe(self._state).items()}
@@ -163,9 +187,11 @@ class JaxSimulator(Simulator):
         if self._physics.lazy:
             import jax
 
+            begun = self.snapshot()
             bits = (self._bits,) if name == "advance" else ()
             jax.block_until_ready(program(self._state, *bits, self._step, np.int32(1)))
             self._restart()
+            self.restore(begun)
 
     def step(self, n_step: int) -> None:
         """See Simulator.step."""
@@ -180,6 +206,52 @@ class JaxSimulator(Simulator):
     def state(self) -> States:
         """See Simulator.state."""
         return self._split(self._seen())
+
+    @classmethod
+    def state_claims(cls, options: Any) -> StateClaims:
+        """See Simulator.state_claims: a state is a value, which has all that a step reads."""
+        return StateClaims(COMPLETE, COMPLETE, COMPLETE, COMPLETE)
+
+    def snapshot(self) -> Snapshot:
+        """See Simulator.snapshot."""
+        kept = self._physics.kept(self._state).items()
+        return Snapshot(int(self._step), {name: np.array(array) for name, array in kept})
+
+    def restore(self, snapshot: Snapshot, envs: Envs = None) -> None:
+        """See Simulator.restore."""
+        import jax.numpy as jnp
+
+        arrays = {name: jnp.asarray(array) for name, array in snapshot.arrays.items()}
+        if envs is None:
+            self._step = np.uint32(snapshot.step)
+        else:
+            present = self._physics.kept(self._state)
+            arrays = {name: present[name].at[envs].set(array[envs]) for name, array in arrays.items()}
+        self._state = self._physics.put(self._state, arrays)
+        self._counted = None
+
+    def reset(self, envs: Envs = None) -> None:
+        """See Simulator.reset: the first state is made again, and selected for these environments."""
+        self._select(self._first_state(None, None), envs)
+
+    def set_state(self, states: States, envs: Envs = None) -> None:
+        """See Simulator.set_state: a first state is made of them, and selected for these environments."""
+        self._select(self._first_state(states, envs), envs)
+
+    def _select(self, first: Any, envs: Envs) -> None:
+        import jax
+
+        def chosen(new: Any, present: Any) -> Any:
+            # what has no axis of environments is a buffer that all share, filled anew in each step
+            if not present.ndim or present.shape[0] != self.n_env:
+                return present
+            return present.at[envs].set(new[envs])
+
+        if envs is None:
+            self._state, self._step = first, np.uint32(0)
+        else:
+            self._state = jax.tree.map(chosen, first, self._state)
+        self._counted = None
 
     def begin_states(self, n_step: int) -> Captured:
         """See Simulator.begin_states: JAX returns before its device is done."""

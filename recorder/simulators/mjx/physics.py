@@ -15,7 +15,7 @@ from gpusimbench.recorder.scenes.base import Scene
 from gpusimbench.recorder.simulators.counters import CANDIDATE_PAIRS, CONSTRAINT_ROWS, CONTACTS, SOLVER_ITERATIONS
 from gpusimbench.recorder.simulators.jax.block import OVERFLOW
 from gpusimbench.recorder.simulators.jax.runtime import JaxOptions
-from gpusimbench.recorder.simulators.mujoco.options import CONES, MjcfOptions, one_of
+from gpusimbench.recorder.simulators.mujoco.options import CONES, STATE_COMPONENTS, MjcfOptions, one_of
 from gpusimbench.schemas.provenance import Buffer, Counter, OverflowBit
 
 IMPLEMENTATIONS = ("jax", "warp")
@@ -108,17 +108,12 @@ class MjxModel:
             model = model.tree_replace({"opt._impl.warn_overflow": 0})
         return model
 
-    def first_data(self, device: Any) -> Any:
-        """mjx.Data of one environment in the initial state, its buffers large enough for all."""
-        import jax.numpy as jnp
+    def first_data(self, device: Any, qpos: Any, qvel: Any) -> Any:
+        """mjx.Data of one environment with these positions and velocities, its buffers large enough for all."""
         from mujoco import mjx
 
-        compiled = self.compiled
-        data = mjx.make_data(compiled.model, device=device, impl=self.impl, **self.sizes)
-        return data.replace(
-            qpos=jnp.asarray(compiled.qpos0, jnp.float32),
-            qvel=jnp.asarray(compiled.qvel0, jnp.float32),
-        )
+        data = mjx.make_data(self.compiled.model, device=device, impl=self.impl, **self.sizes)
+        return data.replace(qpos=qpos, qvel=qvel)
 
 
 def load(scene: Scene, *, n_env: int, dt: float, seed: int, options: MjxOptions, impl: str) -> MjxModel:
@@ -231,6 +226,11 @@ def _count_warp(data: Any) -> dict[str, Any]:
 def observe(data: Any) -> dict[str, Any]:
     """What a state consists of, arrays [env, ...]."""
     return {"qpos": data.qpos, "qvel": data.qvel}
+
+
+def kept(data: Any) -> dict[str, Any]:
+    """What decides the next step, arrays [env, ...] by MuJoCo's names."""
+    return {name: getattr(data, name) for name in STATE_COMPONENTS if hasattr(data, name)}
 
 
 def forget(data: Any, impl: str) -> Any:

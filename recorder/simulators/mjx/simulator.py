@@ -26,9 +26,9 @@ class Mjx(MjxSimulator):
         model_on_device = model.put(device)
         step = jax.vmap(mjx.step, (None, 0))
 
-        def initial() -> Any:
-            data = model.first_data(device)
-            return jax.vmap(lambda _: data)(jnp.arange(self.n_env))
+        def initial(qpos: Any, qvel: Any) -> Any:
+            one = model.first_data(device, jnp.asarray(qpos[0]), jnp.asarray(qvel[0]))
+            return jax.vmap(lambda q, v: one.replace(qpos=q, qvel=v))(jnp.asarray(qpos), jnp.asarray(qvel))
 
         def advance(data: Any, actions: Any) -> Any:
             return step(model_on_device, data if actions is None else data.replace(ctrl=actions))
@@ -38,6 +38,8 @@ class Mjx(MjxSimulator):
             advance=advance,
             observe=mjx_physics.observe,
             count=model.count,
+            kept=mjx_physics.kept,
+            put=lambda data, arrays: data.replace(**arrays),
             forget=lambda data: mjx_physics.forget(data, model.impl),
             applied=lambda data: data.ctrl,
             lazy=model.impl == "warp",

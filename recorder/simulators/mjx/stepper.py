@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from importlib import metadata
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from numpy.typing import NDArray
 
@@ -15,6 +15,9 @@ from gpusimbench.recorder.simulators.jax import runtime as jax_runtime
 from gpusimbench.recorder.simulators.jax.simulator import JaxSimulator, Physics
 from gpusimbench.recorder.simulators.mjx import physics as mjx_physics
 from gpusimbench.recorder.simulators.mjx.physics import MjxModel
+
+if TYPE_CHECKING:  # it imports MuJoCo
+    from gpusimbench.recorder.simulators.mujoco.model import MjcfModel
 
 
 class MjxSimulator(JaxSimulator):
@@ -72,6 +75,11 @@ class MjxSimulator(JaxSimulator):
     def _program(self, name: str) -> Any:
         with mjx_physics.refusals(self._model.impl):
             return super()._program(name)
+
+    @property
+    def _compiled(self) -> MjcfModel:
+        compiled: MjcfModel = self._model.compiled
+        return compiled
 
     def _split(self, seen: dict[str, NDArray[Any]]) -> States:
         fields: States = self._model.compiled.split(seen["qpos"], seen["qvel"])

@@ -89,6 +89,20 @@ class MjcfModel:
             arrays += [_picked(qpos, self._joints[:, :1]), _picked(qvel, self._joints[:, 1:])]
         return tuple(arrays)
 
+    def joined(self, states: States) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """The arrays of `fields`, [env, item, width], as qpos [env, nq] and qvel [env, nv]: the inverse of `split`, but
+        for the rounding of angular velocities, which are rotated."""
+        n_env = len(states[0])
+        qpos, qvel = np.tile(self.qpos0, (n_env, 1)), np.tile(self.qvel0, (n_env, 1))
+        left = iter(np.asarray(array, dtype=np.float64) for array in states)
+        for at_qpos, at_qvel in self._groups:
+            position, orientation, linear, angular = (next(left) for _ in range(4))
+            qpos[:, at_qpos] = np.concatenate([position, orientation], axis=-1)
+            qvel[:, at_qvel] = np.concatenate([linear, rotate_to_body(orientation, angular)], axis=-1)
+        if self._joints is not None:
+            qpos[:, self._joints[:, 0]], qvel[:, self._joints[:, 1]] = next(left)[..., 0], next(left)[..., 0]
+        return qpos, qvel
+
     def data(self) -> Any:
         """A mujoco.MjData in the initial state, with everything computed from it."""
         data = mujoco.MjData(self.model)

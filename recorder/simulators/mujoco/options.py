@@ -18,6 +18,12 @@ _IMPEDANCE = (0.0001, 0.9999)  # mjMINIMP, mjMAXIMP: MuJoCo clips to these
 OPTION_ATTRIBUTES = ("integrator", "cone", "solver", "iterations", "ls_iterations", "tolerance", "impratio")
 GEOM_ATTRIBUTES = ("solref", "solimp", "condim")
 
+STATE_COMPONENTS = (
+    "time", "qpos", "qvel", "act", "history", "qacc_warmstart", "ctrl", "qfrc_applied", "xfrc_applied", "eq_active",
+    "mocap_pos", "mocap_quat", "userdata", "plugin_state", "plastic",
+)  # fmt: skip
+"""What mjSTATE_INTEGRATION consists of, by the names of MjData's fields. mjSTATE_FULLPHYSICS lacks the warm start."""
+
 
 @dataclass(frozen=True)
 class MjcfOptions:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +18,8 @@ from gpusimbench.recorder.scenes.emit.mjcf import deviations
 from gpusimbench.recorder.simulators.base import Description, Simulator, States
 from gpusimbench.recorder.simulators.counters import CONSTRAINT_ROWS, CONTACTS
 from gpusimbench.recorder.simulators.evidence import Evidence
-from gpusimbench.recorder.simulators.mujoco.options import MjcfOptions
+from gpusimbench.recorder.simulators.mujoco.options import STATE_COMPONENTS, MjcfOptions
+from gpusimbench.recorder.simulators.snapshot import COMPLETE, Envs, Snapshot, StateClaims
 
 
 @dataclass(frozen=True)
@@ -61,8 +63,10 @@ class MujocoC(Simulator):
         self._rows = self._batch.bind("nefc")
         self._counts: NDArray[np.int64] | None = None  # of the last states; None: to be counted when asked
         self._warned = np.zeros((self.n_env, len(self._warnings)), dtype=np.int64)
+        self._risen = np.zeros_like(self._warned)  # since gates were asked
         self._actions: NDArray[np.float32] | None = None
         self._next_action = 0
+        self._made = 0  # steps since the build
         if self.scene.actions is not None:
             self._ctrl = self._batch.bind("ctrl")
         return Description(
@@ -85,6 +89,7 @@ class MujocoC(Simulator):
     def step(self, n_step: int) -> None:
         """See Simulator.step."""
         self._counts = None
+        self._made += n_step
         if self._actions is None:
             self._batch.step(nstep=n_step)
             return
@@ -100,6 +105,42 @@ class MujocoC(Simulator):
     def state(self) -> States:
         """See Simulator.state."""
         return self._compiled.split(self._qpos.copy(), self._qvel.copy())
+
+    @classmethod
+    def state_claims(cls, options: Any) -> StateClaims:
+        """See Simulator.state_claims; the components of mjSTATE_INTEGRATION are all that mj_step reads."""
+        return StateClaims(COMPLETE, COMPLETE, COMPLETE, COMPLETE)
+
+    def snapshot(self) -> Snapshot:
+        """See Simulator.snapshot."""
+        return Snapshot(self._made, {name: np.array(self._batch.bind(name)) for name in STATE_COMPONENTS})
+
+    def restore(self, snapshot: Snapshot, envs: Envs = None) -> None:
+        """See Simulator.restore."""
+        for name in STATE_COMPONENTS:
+            rows = slice(None) if envs is None else envs
+            self._batch.bind(name)[rows] = snapshot.arrays[name][rows]
+        if envs is None:
+            self._made = snapshot.step
+        self._counts = None
+
+    def reset(self, envs: Envs = None) -> None:
+        """See Simulator.reset: Batch.reset, then the scene's initial velocities."""
+        self._begin(self._compiled.qpos0, self._compiled.qvel0, envs)
+
+    def set_state(self, states: States, envs: Envs = None) -> None:
+        """See Simulator.set_state: Batch.reset, then positions and velocities."""
+        self._begin(*self._compiled.joined(states), envs)
+
+    def _begin(self, qpos: NDArray[np.float64], qvel: NDArray[np.float64], envs: Envs) -> None:
+        self._count_warnings()  # a reset clears those of its environments
+        self._batch.reset(ids=envs)
+        self._warned = self._warnings_so_far()
+        rows = slice(None) if envs is None else envs
+        self._qpos[rows], self._qvel[rows] = qpos, qvel
+        if envs is None:
+            self._made = 0
+        self._counts = None
 
     def states(self, n_step: int) -> States:
         """See Simulator.states."""
@@ -127,13 +168,21 @@ class MujocoC(Simulator):
 
     def gates(self) -> list[str]:
         """See Simulator.gates; every MuJoCo warning is a gate."""
-        counts = np.asarray(self._batch.warning)[:, :, 1].astype(np.int64)
-        risen = counts - self._warned
-        self._warned = counts
+        self._count_warnings()
+        risen, self._risen = self._risen, np.zeros_like(self._risen)
         fired = []
-        for kind in range(counts.shape[1]):
+        for kind in range(risen.shape[1]):
             envs = np.flatnonzero(risen[:, kind])
             if envs.size:
                 name = self._warnings[kind]
                 fired.append(f"MuJoCo warning {name}: {int(risen[:, kind].sum())} times, first in env {envs[0]}")
         return fired
+
+    def _warnings_so_far(self) -> NDArray[np.int64]:
+        # [env, kind]
+        return np.asarray(self._batch.warning)[:, :, 1].astype(np.int64)
+
+    def _count_warnings(self) -> None:
+        counts = self._warnings_so_far()
+        self._risen += counts - self._warned
+        self._warned = counts

@@ -8,7 +8,7 @@ the counts of each step in a ring on the device, which is read once it is full.
 from __future__ import annotations
 
 import gc
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any
 
@@ -20,6 +20,7 @@ from gpusimbench.recorder.failure import Refused, cause_of
 from gpusimbench.recorder.simulators.base import Description, Simulator, States
 from gpusimbench.recorder.simulators.evidence import Evidence
 from gpusimbench.recorder.simulators.newton.options import NewtonOptions
+from gpusimbench.recorder.simulators.snapshot import COMPLETE, Envs, Snapshot, StateClaims, partial
 from gpusimbench.recorder.simulators.warp import runtime as warp_runtime
 from gpusimbench.schemas.fields import StateField, body_fields
 
@@ -29,6 +30,13 @@ _RING_BYTES = 512 << 20
 
 # of the solver (warp.DeterministicMode), and whether collision detection sorts its contacts
 _LEVELS = {"default": ("off", False), "run-to-run": ("run-to-run", True), "gpu-to-gpu": ("gpu-to-gpu", True)}
+
+_HIDDEN = {
+    "steel": "warm-start impulses and friction anchors, which SolverSteel keeps to itself",
+    "vbd": "duals and penalties, which SolverVBD keeps to itself",
+    "kamino": "the warm start, which SolverKamino keeps to itself",
+}
+"""By solver, what decides the next step and cannot be saved."""
 
 
 class Newton(Simulator):
@@ -71,6 +79,8 @@ class Newton(Simulator):
         self._counted: Evidence | None = None
         places = {body.name: index for index, body in enumerate(self.scene.moving())}
         self._groups = [np.array([places[name] for name in names]) for names in self.scene.groups().values()]
+        self._made = 0  # steps since the build
+        self._first = self._worlds.kept()
         pipeline = self._worlds.pipeline
         return Description(
             version=newton.__version__,
@@ -183,6 +193,7 @@ class Newton(Simulator):
                 self._ring.store()
 
     def _advance(self, n_step: int, storing: bool) -> None:
+        self._made += n_step
         if not self._device.is_cuda:
             self._enqueue(n_step, storing)
             return
@@ -204,6 +215,46 @@ class Newton(Simulator):
         self._counted = None
         self._advance(n_step, storing=False)
         wp.synchronize_device(self._device)
+
+    @classmethod
+    def state_claims(cls, options: Any) -> StateClaims:
+        """See Simulator.state_claims."""
+        hidden = _HIDDEN.get(options.solver)
+        saved = partial(hidden) if hidden else COMPLETE
+        return StateClaims(saved, saved, COMPLETE, COMPLETE)
+
+    def snapshot(self) -> Snapshot:
+        """See Simulator.snapshot."""
+        return Snapshot(self._made, self._worlds.kept())
+
+    def restore(self, snapshot: Snapshot, envs: Envs = None) -> None:
+        """See Simulator.restore."""
+        self._put(snapshot.arrays, envs)
+        if envs is None:
+            self._made = snapshot.step
+
+    def reset(self, envs: Envs = None) -> None:
+        """See Simulator.reset: the solver's own reset of these worlds, and the first poses and speeds."""
+        self._put(self._first, envs)
+        if envs is None:
+            self._made = 0
+
+    def _put(self, arrays: Mapping[str, NDArray[Any]], envs: Envs) -> None:
+        rows = slice(None) if envs is None else envs
+        self._worlds.put({name: array[rows] for name, array in arrays.items()}, envs)
+        self._counted = None
+
+    def set_state(self, states: States, envs: Envs = None) -> None:
+        """See Simulator.set_state: as reset, then poses and speeds of the bodies."""
+        self.reset(envs)
+        n_env, n_body = len(states[0]), sum(map(len, self._groups))
+        poses, speeds = np.empty((n_env, n_body, 7)), np.empty((n_env, n_body, 6))
+        left = iter(states)
+        for group in self._groups:
+            position, orientation, linear, angular = (next(left) for _ in range(4))
+            poses[:, group] = np.concatenate([position, orientation[..., [1, 2, 3, 0]]], axis=-1)
+            speeds[:, group] = np.concatenate([linear, angular], axis=-1)
+        self._worlds.place(poses, speeds, envs)
 
     def state(self) -> States:
         """See Simulator.state."""

@@ -52,14 +52,21 @@ class Playground(MjxSimulator):
         step = jax.vmap(environment.step)
         no_actions = jnp.zeros((self.n_env, environment.action_size), jnp.float32)
 
-        def initial() -> Any:
-            return jax.vmap(environment.reset)(jax.random.split(jax.random.key(self.seed), self.n_env))
+        def initial(qpos: Any, qvel: Any) -> Any:
+            state = jax.vmap(environment.reset)(jax.random.split(jax.random.key(self.seed), self.n_env))
+            return put(state, {"qpos": jnp.asarray(qpos), "qvel": jnp.asarray(qvel)})
+
+        def put(state: Any, arrays: dict[str, Any]) -> Any:
+            data = state.data.replace(**arrays)
+            return state.replace(data=data, obs=jax.vmap(environment.observation)(data))
 
         return Physics(
             initial=initial,
             advance=lambda state, actions: step(state, no_actions if actions is None else actions),
             observe=lambda state: mjx_physics.observe(state.data),
             count=lambda state: model.count(state.data),
+            kept=lambda state: mjx_physics.kept(state.data),
+            put=put,
             forget=lambda state: state.replace(data=mjx_physics.forget(state.data, model.impl)),
             applied=lambda state: state.data.ctrl,
             lazy=model.impl == "warp",
@@ -91,16 +98,18 @@ def _environment(model: MjxModel, dt: float, device: Any) -> Any:
 
         def reset(self, rng: Any) -> Any:
             """The scene's initial state; nothing is drawn."""
-            data = model.first_data(device)
+            first = (jnp.asarray(numbers, jnp.float32) for numbers in (compiled.qpos0, compiled.qvel0))
+            data = model.first_data(device, *first)
             zero = jnp.float32(0)
-            return mujoco_playground.State(data, self._observation(data), zero, zero, {}, {"rng": rng})
+            return mujoco_playground.State(data, self.observation(data), zero, zero, {}, {"rng": rng})
 
         def step(self, state: Any, action: Any) -> Any:
             """One step of control."""
             data = mujoco_playground.step(self._mjx_model, state.data, action, self.n_substeps)
-            return state.replace(data=data, obs=self._observation(data))
+            return state.replace(data=data, obs=self.observation(data))
 
-        def _observation(self, data: Any) -> Any:
+        def observation(self, data: Any) -> Any:
+            """All positions and velocities."""
             return jnp.concatenate([data.qpos, data.qvel])
 
         xml_path = property(lambda self: "")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -13,6 +13,7 @@ from gpusimbench.recorder.simulators.base import States
 from gpusimbench.recorder.simulators.counters import AWAKE_BODIES, CONTACTS
 from gpusimbench.recorder.simulators.evidence import Evidence
 from gpusimbench.recorder.simulators.sapien.worlds import fields_of
+from gpusimbench.recorder.simulators.snapshot import Envs
 from gpusimbench.schemas.provenance import Buffer, Counter, OverflowBit
 
 # of a body in PhysxCpuSystem.pack(): quaternion wxyz, position, velocities, 13 float32 in all
@@ -69,6 +70,7 @@ class CpuWorlds:
         self._actions: NDArray[np.float32] | None = None
         self._next_action = 0
         self._counted: list[NDArray[np.int64]] | None = None  # of the last `record`; None: to be counted when asked
+        self._first = self._packed().copy()
 
     def prepare(self, actions: NDArray[np.float32] | None) -> None:
         """See Worlds.prepare."""
@@ -124,6 +126,39 @@ class CpuWorlds:
             for start in (first, first + self._dof):
                 arrays.append(packed[:, :, start : start + self._dof, None].copy())
         return tuple(arrays)
+
+    def kept(self) -> dict[str, NDArray[Any]]:
+        """All that PhysxCpuSystem.pack shows, copies [env, number]."""
+        return {"packed": self._packed().copy()}
+
+    def put(self, arrays: Mapping[str, NDArray[Any]], envs: Envs) -> None:
+        """Write such rows, [env of envs, number], by PhysxCpuSystem.unpack."""
+        for system, row in zip(self._chosen(self._systems, envs), arrays["packed"], strict=True):
+            system.unpack(np.ascontiguousarray(row).tobytes())
+        self._counted = None
+
+    def place(self, states: States, envs: Envs) -> None:
+        """See Simulator.set_state."""
+        packed = self._first[slice(None) if envs is None else envs].copy()
+        n_env, first = len(packed), len(self._bodies[0]) * _BODY
+        left = iter(states)
+        bodies = packed[:, :first].reshape(n_env, -1, _BODY)
+        every = np.arange(n_env)[:, None]
+        for group in self._groups:
+            for columns in _COLUMNS.values():
+                bodies[every, group[slice(None) if envs is None else envs], columns] = next(left)
+        packed[:, :first] = bodies.reshape(n_env, -1)
+        for quantity in range(2 if self._dof else 0):
+            start = first + _BODY + quantity * self._dof
+            packed[:, start : start + self._dof] = next(left)[..., 0]
+        self.put({"packed": packed}, envs)
+
+    def begin(self, envs: Envs) -> None:
+        """See Simulator.reset."""
+        self.put({"packed": self._first[slice(None) if envs is None else envs]}, envs)
+
+    def _chosen(self, items: list[Any], envs: Envs) -> list[Any]:
+        return items if envs is None else [items[env] for env in envs]
 
     def evidence(self) -> Evidence:
         """See Worlds.evidence."""

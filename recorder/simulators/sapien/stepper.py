@@ -12,9 +12,11 @@ from numpy.typing import NDArray
 from gpusimbench.recorder.simulators.base import Description, Simulator, States
 from gpusimbench.recorder.simulators.evidence import Evidence
 from gpusimbench.recorder.simulators.sapien.complaints import Complaints
+from gpusimbench.recorder.simulators.sapien.cpu import CpuWorlds
 from gpusimbench.recorder.simulators.sapien.deviations import deviations
 from gpusimbench.recorder.simulators.sapien.options import SapienOptions
 from gpusimbench.recorder.simulators.sapien.worlds import Worlds
+from gpusimbench.recorder.simulators.snapshot import Envs, Snapshot, StateClaims, absent, partial
 
 LEVELS = {
     "default": "PhysX as it ships, without enhanced determinism",
@@ -56,6 +58,7 @@ class SapienStepper(Simulator):
         complaints = self._complaints = Complaints()
         made = self._made = self.make(complaints)
         worlds = self._worlds = made.worlds
+        self._done = 0  # steps since the build
         options: SapienOptions = self.options
         buffers = {buffer.name: buffer.asked for buffer in worlds.buffers} if worlds.device != "cpu" else None
         return Description(
@@ -90,6 +93,7 @@ class SapienStepper(Simulator):
     def step(self, n_step: int) -> None:
         """See Simulator.step."""
         self._worlds.advance(n_step)
+        self._done += n_step
 
     def applied(self) -> NDArray[np.float32] | None:
         """See Simulator.applied."""
@@ -101,7 +105,43 @@ class SapienStepper(Simulator):
 
     def states(self, n_step: int) -> States:
         """See Simulator.states."""
+        self._done += n_step
         return self._worlds.record(n_step)
+
+    @classmethod
+    def state_claims(cls, options: Any) -> StateClaims:
+        """See Simulator.state_claims."""
+        if options.device != "cpu":
+            return StateClaims(*(absent("written for SAPIEN's environments on the CPU alone") for _ in range(4)))
+        return StateClaims(*(partial("contacts and friction anchors that PhysX keeps to itself") for _ in range(4)))
+
+    @property
+    def _on_cpu(self) -> CpuWorlds:
+        assert isinstance(self._worlds, CpuWorlds)  # nothing is claimed elsewhere
+        return self._worlds
+
+    def snapshot(self) -> Snapshot:
+        """See Simulator.snapshot."""
+        return Snapshot(self._done, self._on_cpu.kept())
+
+    def restore(self, snapshot: Snapshot, envs: Envs = None) -> None:
+        """See Simulator.restore."""
+        rows = slice(None) if envs is None else envs
+        self._on_cpu.put({name: array[rows] for name, array in snapshot.arrays.items()}, envs)
+        if envs is None:
+            self._done = snapshot.step
+
+    def reset(self, envs: Envs = None) -> None:
+        """See Simulator.reset: PhysxCpuSystem.unpack of the first state."""
+        self._on_cpu.begin(envs)
+        if envs is None:
+            self._done = 0
+
+    def set_state(self, states: States, envs: Envs = None) -> None:
+        """See Simulator.set_state: PhysxCpuSystem.unpack of the first state with these poses and velocities."""
+        self._on_cpu.place(states, envs)
+        if envs is None:
+            self._done = 0
 
     def evidence(self) -> Evidence:
         """See Simulator.evidence."""

@@ -24,7 +24,9 @@ from gpusimbench.recorder.simulators.base import Description, Simulator, States
 from gpusimbench.recorder.simulators.counters import CONSTRAINT_ROWS, CONTACTS, SOLVER_ITERATIONS
 from gpusimbench.recorder.simulators.evidence import Evidence
 from gpusimbench.recorder.simulators.mujoco.options import MjcfOptions
+from gpusimbench.recorder.simulators.snapshot import COMPLETE, Envs, Snapshot, StateClaims
 from gpusimbench.recorder.simulators.warp import runtime as warp_runtime
+from gpusimbench.recorder.simulators.warp import worlds
 from gpusimbench.recorder.simulators.warp.block import WarpBlock, evidence_of
 from gpusimbench.recorder.simulators.warp.transfer import Slot, Slots
 from gpusimbench.schemas.errors import GsbError
@@ -305,6 +307,38 @@ class MujocoWarp(Simulator):
     def state(self) -> States:
         """See Simulator.state."""
         return self._compiled.split(self._data.qpos.numpy().copy(), self._data.qvel.numpy().copy())
+
+    @classmethod
+    def state_claims(cls, options: Any) -> StateClaims:
+        """See Simulator.state_claims."""
+        return StateClaims(COMPLETE, COMPLETE, COMPLETE, COMPLETE)
+
+    def snapshot(self) -> Snapshot:
+        """See Simulator.snapshot."""
+        return Snapshot(int(self._step_number.numpy()[0]), worlds.kept(self._data))
+
+    def restore(self, snapshot: Snapshot, envs: Envs = None) -> None:
+        """See Simulator.restore."""
+        rows = slice(None) if envs is None else envs
+        worlds.assign(self._data, {name: array[rows] for name, array in snapshot.arrays.items()}, envs)
+        if envs is None:
+            self._step_number.fill_(snapshot.step)
+        self._counted = None
+
+    def reset(self, envs: Envs = None) -> None:
+        """See Simulator.reset: mujoco_warp.reset_data, then the scene's initial positions and velocities."""
+        self._begin(self._compiled.qpos0, self._compiled.qvel0, envs)
+
+    def set_state(self, states: States, envs: Envs = None) -> None:
+        """See Simulator.set_state: mujoco_warp.reset_data, then positions and velocities."""
+        self._begin(*self._compiled.joined(states), envs)
+
+    def _begin(self, qpos: NDArray[np.float64], qvel: NDArray[np.float64], envs: Envs) -> None:
+        worlds.reset(self._model, self._data, envs)
+        worlds.assign(self._data, {"qpos": qpos, "qvel": qvel}, envs)
+        if envs is None:
+            self._step_number.zero_()
+        self._counted = None
 
     def begin_states(self, n_step: int) -> WarpBlock:
         """See Simulator.begin_states."""
