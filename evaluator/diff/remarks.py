@@ -76,8 +76,10 @@ def notes(a: Selection, b: Selection, fields: Fields, hashes: CommonHashes | Non
     for side in dict.fromkeys((a.recording, b.recording)):
         if side.status in ("failed", "invalid"):
             found.append(f"{side.path} is {side.status}: {side.reason}")
-    if a.recording is b.recording and (a.recording.action_streams or a.recording.action_names):
+    if a.recording is b.recording and a.recording.action_streams and not a.recording.action_names:
         found.append("actions were applied; environments that are given other actions differ by design")
+    elif a.recording is b.recording and a.recording.apart_by_design:
+        found.append(a.recording.apart_by_design)
     if hashes is not None and hashes.phase != "capture":
         found.append(f"the hashes are those of the {hashes.phase} phase: of the steps that it began and ended with")
     if any(field.basis is Basis.LOCAL for field in fields):

@@ -228,8 +228,7 @@ def _notes(
             f"{len(tracks)} environments are shown, of {seen.so_far[-1]} bitwise classes in the end; those that split "
             "off first come first"
         )
-    if any(recording.action_names for recording in recordings):
-        notes.append("environments of one run were given different actions, so they part by design")
+    notes += dict.fromkeys(filter(None, (recording.apart_by_design for recording in recordings)))
     if isinstance(among, Compared) and among.left_out:
         notes.append(among.left_out)
     if seen is not None and not seen.complete:

@@ -10,6 +10,17 @@ from gpusimbench.schemas import topics
 from gpusimbench.schemas.blocks import decode_action
 
 
+def apart_by_design(actions: tuple[str, ...], initial: str) -> str:
+    """Why the environments of a run differ whatever its engine does; empty where they should be alike.
+
+    actions  names of the recorded action streams
+    initial  as a RunConfiguration has it
+    """
+    if actions:
+        return "the environments were given different actions, so they differ by design"
+    return "the environments began in different states, so they differ by design" if initial else ""
+
+
 def action_names(messages: Messages) -> tuple[str, ...]:
     """Names of the recorded action streams, in order of appearance."""
     parsed = (topics.parse_action(topic) for topic in messages.topics("/action/"))

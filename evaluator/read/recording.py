@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gpusimbench.evaluator.read.actions import action_names, read_actions
+from gpusimbench.evaluator.read.actions import action_names, apart_by_design, read_actions
 from gpusimbench.evaluator.read.messages import MAX_END_BYTES, Messages
 from gpusimbench.evaluator.read.state_array import StateArray
 from gpusimbench.evaluator.read.step_evidence import (
@@ -126,6 +126,11 @@ class Recording:
     def action_names(self) -> tuple[str, ...]:
         """Names of the recorded action streams."""
         return action_names(self._messages)
+
+    @property
+    def apart_by_design(self) -> str:
+        """Why the environments differ whatever the engine does; empty where they should be alike."""
+        return apart_by_design(self.action_names, self.configuration.initial)
 
     def actions(self, name: str) -> NDArray[np.floating]:
         """An action stream, shape [step, env, action]; row i leads from the state of step i to the next.

@@ -48,6 +48,8 @@ def _solved(group: GroupRuns) -> list[ParallelVariability] | Missing:
     planar = group.planar
     if isinstance(planar, Missing):
         return planar
+    if group.at_sample[0].apart_by_design:
+        return Missing(group.at_sample[0].apart_by_design)
     if planar.shape[1] < 2:
         return Missing("needs at least two environments")
     distinct = {run.tobytes(): run for run in planar}

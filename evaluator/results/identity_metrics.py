@@ -44,8 +44,8 @@ def _distinct_envs(metric: Metric, group: GroupRuns) -> Estimate:
     runs = group.runs
     if why_not := _no_hashes(runs):
         return missing(metric, why_not)
-    if runs[0].action_names:
-        return missing(metric, "the environments were given different actions, so they differ by design")
+    if runs[0].apart_by_design:
+        return missing(metric, runs[0].apart_by_design)
     simulation = runs[0].simulation
     if simulation and len(set(simulation.env_origins)) > 1:
         return missing(metric, "environments at different origins cannot be compared by bits")
@@ -139,7 +139,7 @@ def comparable(run: Run) -> tuple[Any, ...]:
     """What two runs must have in common for their states to be compared by bits."""
     c, simulation = run.configuration, run.simulation
     scene = simulation.scene.get("sha256") if simulation else None
-    return (str(scene), c.n_env, c.dt, c.seed if run.action_names else 0, run.fields)
+    return (str(scene), c.n_env, c.dt, c.seed if run.apart_by_design else 0, c.initial, run.fields)
 
 
 def _capture_effect(metric: Metric, group: GroupRuns) -> Estimate:
@@ -174,8 +174,8 @@ def _equality_of_envs(metric: Metric, group: GroupRuns) -> Estimate:
     runs = group.at_sample
     if why_not := no_positions(runs):
         return missing(metric, why_not)
-    if runs[0].action_names:
-        return missing(metric, "the environments were given different actions, so they differ by design")
+    if runs[0].apart_by_design:
+        return missing(metric, runs[0].apart_by_design)
     found = [r.equality for r in runs if r.equality]
     if not found:
         return missing(metric, "needs at least two environments")

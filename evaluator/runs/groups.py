@@ -56,6 +56,7 @@ class GroupKey:
     n_env, dt, seed     as asked; dt in seconds
     warmup, timed_steps protocol of the throughput phase, 0 where it was left out
     determinism         level that was asked for
+    initial             how environments begin, empty for all alike
     options             of the engine in force, JSON; as asked where the run ended before the engine said them
     switches            determinism switches and precision in force, JSON
     conditions          environment variables, versions and driver that can change numbers, JSON
@@ -79,6 +80,7 @@ class GroupKey:
     conditions: str
     layout: str
     origins: str
+    initial: str = ""
 
 
 @dataclass(frozen=True)
@@ -158,6 +160,7 @@ def key_of(recording: Described) -> GroupKey:
         conditions=_canonical(conditions),
         layout=_canonical({f.name: [f.dtype, f.frame, len(f.items), f.width] for f in recording.fields}),
         origins=json.dumps(simulation.env_origins if simulation else []),
+        initial=c.initial,
     )
 
 
@@ -232,7 +235,7 @@ def precisions(key: GroupKey) -> list[str]:
 
 
 def _order(key: GroupKey) -> tuple[Any, ...]:
-    settings = (key.determinism, key.n_env, key.dt, key.switches, key.options)
+    settings = (key.determinism, key.initial, key.n_env, key.dt, key.switches, key.options)
     return (key.scene, key.simulator == REAL, key.simulator, key.version, *settings)
 
 

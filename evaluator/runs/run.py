@@ -9,6 +9,7 @@ from gpusimbench.evaluator.metrics.levels import Verdict
 from gpusimbench.evaluator.metrics.lost_cubes import Board
 from gpusimbench.evaluator.metrics.memory import Checkpoints, GpuMemory
 from gpusimbench.evaluator.missing import Missing
+from gpusimbench.evaluator.read.actions import apart_by_design
 from gpusimbench.evaluator.read.stamp import Stamp
 from gpusimbench.evaluator.read.step_evidence import ActionStream
 from gpusimbench.evaluator.runs.physics.facts import PhysicsFacts
@@ -143,6 +144,11 @@ class Run:
     def configuration(self) -> RunConfiguration:
         """What was asked."""
         return self.provenance.configuration
+
+    @property
+    def apart_by_design(self) -> str:
+        """Why the environments differ whatever the engine does; empty where they should be alike."""
+        return apart_by_design(self.action_names, self.configuration.initial)
 
     @property
     def fields(self) -> tuple[StateField, ...]:

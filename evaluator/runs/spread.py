@@ -67,8 +67,8 @@ def spread(recording: Recording) -> Spread | Missing:
     what the growth is fitted to, as in gsb-diff: the root mean square of many equal environments and one that left them
     is small however far that one is.
     """
-    if recording.action_names:
-        return Missing("the environments were given different actions, so they differ by design")
+    if recording.apart_by_design:
+        return Missing(recording.apart_by_design)
     fields = [f for f in recording.fields if f.field == "position" and f.items]
     if not fields:
         return Missing("no positions were recorded")

@@ -76,6 +76,7 @@ _SIMULATED: dict[str, Any] = {
     "backend": (),
     "solver": (),
     "device": (),
+    "initial": "",
     "determinism": "default",
     "timeout": 0.0,
     "phases": ",".join(OPTIONAL_PHASES),
@@ -162,6 +163,12 @@ def parser() -> Parser:
     what.add_argument("--option", action="append", metavar="NAME=VALUE", help="an option of the simulator; repeatable")
     for name, meaning in SHORTHANDS.items():
         what.add_argument(f"--{name}", action="append", metavar="X", help=f"{meaning}: short for --option {name}=X")
+    what.add_argument(
+        "--initial",
+        metavar="random:SPREAD",
+        help="begin each environment in a state of its own: velocities of bodies [m/s] and angles of joints [rad] are "
+        "drawn within +-SPREAD of the scene's, from the seed (default: all begin alike)",
+    )
     what.add_argument(
         "--determinism",
         metavar="LEVEL",

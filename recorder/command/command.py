@@ -27,6 +27,7 @@ def configure(arguments: argparse.Namespace) -> RunConfiguration:
     """The configuration that the arguments ask for; UsageError where it cannot be."""
     with shielded():  # an import that is interrupted shows as one that is broken
         from gpusimbench.recorder.plan import check_dt, view_of
+        from gpusimbench.recorder.run.initial import parse
         from gpusimbench.recorder.scenes.registry import make_scene
 
     scene = make_scene(arguments.scene)
@@ -50,6 +51,7 @@ def configure(arguments: argparse.Namespace) -> RunConfiguration:
         timeout=arguments.timeout,
         capture=arguments.capture,
         view=view_of(arguments.view_env, off=arguments.no_view, phases=phases),
+        initial=parse(arguments.initial) if arguments.initial else "",
     )
     check_configuration(configuration)
     return configuration
@@ -60,6 +62,7 @@ def check_configuration(configuration: RunConfiguration) -> None:
     with shielded():
         from gpusimbench.recorder.options import parse_options
         from gpusimbench.recorder.plan import check
+        from gpusimbench.recorder.run import initial
         from gpusimbench.recorder.scenes.registry import make_scene
         from gpusimbench.recorder.simulators.registry import find_simulator
 
@@ -75,6 +78,8 @@ def check_configuration(configuration: RunConfiguration) -> None:
             f"simulator '{simulator}' has no determinism level '{configuration.determinism}'; it has: {has}{hint}"
         )
     if refusal := adapter.refusal(simulator, make_scene(configuration.scene), options):
+        raise UsageError(refusal)
+    if refusal := initial.refusal(simulator, adapter, options, configuration.initial):
         raise UsageError(refusal)
 
 

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from gpusimbench.recorder.run.initial import begin
 from gpusimbench.recorder.simulators.base import Description, Simulator
 
 
 class Engine:
     """The present simulator; each one is closed once, before the next or at the end. A context manager."""
 
-    def __init__(self, make: Callable[[], Simulator]) -> None:
+    def __init__(self, make: Callable[[], Simulator], initial: str) -> None:
+        """initial  as a RunConfiguration has it"""
         self._make = make
+        self._initial = initial
         self._present: Simulator | None = None
 
     @property
@@ -21,10 +24,12 @@ class Engine:
         return self._present
 
     def start(self) -> Description:
-        """Close the present simulator, if any, and build a fresh one."""
+        """Close the present simulator, if any, and build a fresh one, in its initial states."""
         self._close()
         self._present = self._make()
-        return self._present.build()
+        description = self._present.build()
+        begin(self._present, description, self._initial)
+        return description
 
     def __enter__(self) -> Engine:
         return self

@@ -207,7 +207,7 @@ class Run:
                     determinism=configuration.determinism,
                 )
 
-            with Engine(new_simulator) as engine:
+            with Engine(new_simulator, configuration.initial) as engine:
                 with Phase(journal, memory, "init"):
                     self._progress("init", 0, 1)
                     description = journal.clocked("build", engine.start)

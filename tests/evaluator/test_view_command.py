@@ -169,7 +169,7 @@ def test_environments_that_part_by_design(arms: Path, tmp_path: Path) -> None:
     done = view(arms, "--out", tmp_path / "view.html", "--no-open")
     assert done.returncode == 0, done.stderr
     assert "the first part at step 1" in done.stderr
-    assert "Environments of one run were given different actions, so they part by design." in done.stderr
+    assert "The environments were given different actions, so they differ by design." in done.stderr
 
 
 @pytest.mark.slow

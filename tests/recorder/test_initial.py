@@ -1,0 +1,164 @@
+"""gsb-record --initial: environments that do not all begin alike."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from gpusimbench import open_recording
+from gpusimbench.recorder.run.initial import GRID, Spread, parse
+from gpusimbench.recorder.scenes.registry import make_scene
+from gpusimbench.schemas.configuration import MOST_SPREAD, RunConfiguration, spread_of
+from gpusimbench.schemas.errors import DamagedRecording, UsageError
+from tests.conftest import Command, call
+
+_SHORT = ("--n-env", "4", "--steps", "3", "--phases", "capture", "--initial", "random:0.1", "--seed", "7")
+_WORD = 0xFFFFFFFF
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    """Two runs of four environments of MuJoCo C."""
+    done = call("gsb-record", "--sim", "mujoco", "--runs", "2", *_SHORT, "--out", tmp_path_factory.mktemp("initial"))
+    assert done.returncode == 0, done.stderr
+    one, other = map(Path, done.stdout.split())
+    return one, other
+
+
+def _mix(word: int) -> int:
+    word ^= word >> 16
+    word = word * 0x85EBCA6B & _WORD
+    word ^= word >> 13
+    word = word * 0xC2B2AE35 & _WORD
+    return word ^ word >> 16
+
+
+def _as_documented(seed: int, spread: float, *counters: int) -> float:
+    golden = 0x9E3779B9
+    word = _mix((seed & _WORD) + golden & _WORD)
+    word = _mix(word + (seed >> 32 & _WORD) + golden & _WORD)
+    word = _mix(word + 0x494E4954 & _WORD)
+    for counter in counters:
+        word = _mix(word + (counter + 1) * golden & _WORD)
+    k = int(spread / GRID)
+    return (((word >> 16) * (2 * k + 1) >> 16) - k) * GRID
+
+
+@given(seed=st.integers(0, 2**64 - 1), spread=st.floats(GRID, MOST_SPREAD), field=st.integers(0, 7))
+def test_the_generator(seed: int, spread: float, field: int) -> None:
+    """Draw what the documented formula says, in whole parts of the grid, never beyond the spread."""
+    found = Spread(spread).draw(seed, field, (3, 2, 3))
+    for at in np.ndindex(found.shape):
+        assert found[at] == _as_documented(seed, spread, field, *at)
+    assert np.abs(found).max() <= spread
+
+
+def test_the_first_state(recorded: tuple[Path, Path]) -> None:
+    """Add velocities to the scene's first state, other ones in each environment, and move nothing."""
+    recording, scene = open_recording(recorded[0]), make_scene("inclined-collision")
+    assert recording.configuration.initial == "random:0.1"
+    for place, layout in enumerate(recording.fields):
+        first = np.asarray(recording.state(layout.group, layout.field))[0]
+        if layout.field == "linear_velocity":
+            assert np.array_equal(first, Spread(0.1).draw(7, place, first.shape))
+            assert len({env.tobytes() for env in first}) == 4
+        elif layout.field == "position":
+            bodies = {body.name: body for body in scene.moving()}
+            assert np.array_equal(first, np.broadcast_to([bodies[item].position for item in layout.items], first.shape))
+        else:
+            assert all(np.array_equal(env, first[0]) for env in first)
+
+
+def test_runs_begin_alike(recorded: tuple[Path, Path]) -> None:
+    """Begin environment by environment in the same state in each run: what differs is then the engine's doing."""
+    one, other = (open_recording(path) for path in recorded)
+    for layout in one.fields:
+        states = [np.asarray(recording.state(layout.group, layout.field)) for recording in (one, other)]
+        assert states[0].tobytes() == states[1].tobytes()
+
+
+def test_engines_begin_alike(recorded: tuple[Path, Path], gsb_record: Command, tmp_path: Path) -> None:
+    """Begin on another engine in the same state, to its precision."""
+    done = gsb_record("--sim", "warp", "--option", "device=cpu", "--runs", "1", *_SHORT, "--out", tmp_path)
+    assert done.returncode == 0, done.stderr
+    double, single = open_recording(recorded[0]), open_recording(Path(done.stdout.strip()))
+    for layout in double.fields:
+        there, here = (np.asarray(r.state(layout.group, layout.field))[0] for r in (double, single))
+        assert here.dtype == np.float32
+        assert np.array_equal(there.astype(np.float32), here), layout.name
+
+
+def test_robots(gsb_record: Command, tmp_path: Path) -> None:
+    """Begin a robot's joints at angles of their own, within their limits, at rest."""
+    done = gsb_record(
+        "--sim", "mujoco", "--scene", "franka", "--runs", "1", "--n-env", "8", "--steps", "2", "--phases", "capture",
+        "--initial", "random:3", "--out", tmp_path,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    recording = open_recording(Path(done.stdout.strip()))
+    angles = np.asarray(recording.state("robot", "qpos"))[0, ..., 0]
+    robot = make_scene("franka").robot
+    assert robot is not None
+    lower, upper = np.array([(joint.lower, joint.upper) for joint in robot.joints()]).T
+    assert (lower <= angles).all()
+    assert (angles <= upper).all()
+    assert (np.ptp(angles, axis=0) > 1).all()
+    assert not np.asarray(recording.state("robot", "qvel"))[0].any()
+
+
+def test_a_replay(recorded: tuple[Path, Path], gsb_record: Command, tmp_path: Path) -> None:
+    """Begin a replay as its recording began."""
+    done = gsb_record("--replay", recorded[0], "--out", tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "seed 7, initial random:0.1, 3 captured steps" in done.stderr
+    assert call("gsb-diff", recorded[0], done.stdout.strip()).returncode == 0
+
+
+def test_what_is_evaluated(recorded: tuple[Path, Path], gsb_eval: Command, tmp_path: Path) -> None:
+    """Compare runs, and not environments, which differ by design; keep such runs apart from others."""
+    plain = call("gsb-record", "--sim", "mujoco", "--runs", "1", *_SHORT[:6], "--seed", "7", "--out", tmp_path)
+    done = gsb_eval(*recorded, plain.stdout.strip(), "--json", tmp_path / "results.json")
+    assert done.returncode == 0, done.stderr
+    alike, apart = sorted(json.loads((tmp_path / "results.json").read_text())["groups"], key=lambda g: g["initial"])
+    assert [alike["initial"], apart["initial"]] == ["", "random:0.1"]
+    assert alike["label"] != apart["label"]
+    assert apart["metrics"]["distinct_runs"]["value"] == 1
+    assert alike["metrics"]["distinct_envs"]["value"] == 1
+    for name in ("distinct_envs", "w1_parallel", "equality_envs", "divergence_rate"):
+        assert "began in different states" in apart["metrics"][name]["why_not"]
+
+
+@pytest.mark.parametrize("text", ["random", "random:", "random:0", "random:nan", "random:4", "random:-1", "file:x"])
+def test_nothing_that_can_be_drawn(text: str, gsb_record: Command, tmp_path: Path) -> None:
+    """Refuse what is no spread, on the command line and in a file."""
+    done = gsb_record("--sim", "mujoco", "--initial", text, "--out", tmp_path)
+    assert done.returncode == 2
+    assert "--initial is random:SPREAD, with a spread from 0.00012 to 3" in done.stderr
+    with pytest.raises(UsageError):
+        parse(text)
+    known = RunConfiguration("mujoco", "free-fall", 1, 0.01, 10, initial="random:0.1").to_json()
+    with pytest.raises(DamagedRecording, match="initial is not random:SPREAD"):
+        RunConfiguration.from_json({**known, "initial": text})
+
+
+def test_what_is_kept() -> None:
+    """Keep a spread to the last digit, and say nothing of what begins as its scene does."""
+    assert spread_of(parse("random:1e-1")) == 0.1
+    plain = RunConfiguration("mujoco", "free-fall", 1, 0.01, 10)
+    assert "initial" not in plain.to_json()
+    drawn = RunConfiguration.from_json({**plain.to_json(), "initial": "random:0.30000000000000004"})
+    assert RunConfiguration.from_json(drawn.to_json()) == drawn
+    assert spread_of(drawn.initial) == 0.30000000000000004
+
+
+def test_an_engine_without(gsb_record: Command, tmp_path: Path) -> None:
+    """Refuse an engine whose adapter cannot set states, before anything is begun."""
+    done = gsb_record("--sim", "genesis", "--initial", "random:0.1", "--out", tmp_path)
+    assert done.returncode == 2
+    assert "'genesis' has no initial states per environment (--initial): the adapter does not offer it" in done.stderr
+    assert not any(tmp_path.iterdir())
