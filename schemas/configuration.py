@@ -7,6 +7,7 @@ from typing import Any
 
 from gpusimbench.schemas import checks
 from gpusimbench.schemas.errors import DamagedRecording
+from gpusimbench.schemas.treatment import Initial, Intervention
 
 OPTIONAL_PHASES = ("timed", "capture")
 """Phases that a run can leave out; "warmup" belongs to "timed"."""
@@ -18,9 +19,6 @@ MAX_ENVS = 1 << 24
 
 MAX_VIEW = 4
 """Environments that a recording has a view of, at most."""
-
-MOST_SPREAD = 3.0
-"""Of initial states that are drawn [m/s or rad]."""
 
 EPOCH_NS = 1_000_000_000
 """log_time of simulated time zero: zero itself reads as "no time" in some tools."""
@@ -46,8 +44,8 @@ class RunConfiguration:
     determinism  level that the simulator was asked for; "default" leaves the engine as it ships
     timeout      the run is ended after so many seconds; 0: never
     capture      one of CAPTURE_MODES
-    initial      how environments begin: empty for the scene's own first state, "random:SPREAD" for one drawn for each
-                 (recorder.run.initial)
+    initial      how environments begin, as of treatment.Initial; empty: in the scene's first state
+    intervention what is done to their state on the way, as of treatment.Intervention; empty: nothing
     view         environments whose captured states are written as what viewers draw, too
     """
 
@@ -69,12 +67,14 @@ class RunConfiguration:
     capture: str = CAPTURE_MODES[0]
     view: tuple[int, ...] = ()
     initial: str = ""
+    intervention: str = ""
 
     def to_json(self) -> dict[str, Any]:
-        """As plain JSON values; `initial` only where it is not the scene's."""
+        """As plain JSON values; of the last two, what is empty is left out."""
         record = {**asdict(self), "phases": list(self.phases), "view": list(self.view)}
-        if not self.initial:
-            del record["initial"]
+        for name in ("initial", "intervention"):
+            if not record[name]:
+                del record[name]
         return record
 
     @classmethod
@@ -106,24 +106,17 @@ class RunConfiguration:
             timeout=checks.number(record, "timeout", 0, 1e9) if "timeout" in record else 0.0,
             capture=checks.text(record, "capture", default=CAPTURE_MODES[0]),
             view=tuple(checks.whole({"view": env}, "view", 0, n_env - 1) for env in checks.items(record, "view")),
-            initial=_initial(checks.text(record, "initial", default="")),
+            initial=_treatment(record, "initial", Initial),
+            intervention=_treatment(record, "intervention", Intervention),
         )
 
 
-def spread_of(initial: str) -> float:
-    """SPREAD of "random:SPREAD"; ValueError where the text is nothing of the kind."""
-    kind, _, number = initial.partition(":")
-    spread = float(number)
-    if kind != "random" or not 0 < spread <= MOST_SPREAD:
-        raise ValueError(initial)
-    return spread
-
-
-def _initial(text: str) -> str:
+def _treatment(record: dict[str, Any], name: str, kind: type[Initial] | type[Intervention]) -> str:
+    text = checks.text(record, name, default="")
     try:
-        return text and f"random:{spread_of(text)!r}"
+        return text and str(kind.parse(text))
     except ValueError:
-        raise DamagedRecording(f"initial is not random:SPREAD: {text[:40]!r}") from None
+        raise DamagedRecording(f"{name} is none that is known: {text[:40]!r}") from None
 
 
 def sim_time_ns(step: int, dt: float) -> int:

@@ -8,17 +8,21 @@ from numpy.typing import NDArray
 from gpusimbench.evaluator.read.messages import Messages
 from gpusimbench.schemas import topics
 from gpusimbench.schemas.blocks import decode_action
+from gpusimbench.schemas.configuration import RunConfiguration
 
 
-def apart_by_design(actions: tuple[str, ...], initial: str) -> str:
+def apart_by_design(actions: tuple[str, ...], configuration: RunConfiguration) -> str:
     """Why the environments of a run differ whatever its engine does; empty where they should be alike.
 
     actions  names of the recorded action streams
-    initial  as a RunConfiguration has it
     """
     if actions:
         return "the environments were given different actions, so they differ by design"
-    return "the environments began in different states, so they differ by design" if initial else ""
+    if configuration.initial:
+        return "the environments began in different states, so they differ by design"
+    if configuration.intervention.startswith("reset@"):
+        return "some environments were reset on the way, so they differ by design"
+    return ""
 
 
 def action_names(messages: Messages) -> tuple[str, ...]:

@@ -57,6 +57,7 @@ class GroupKey:
     warmup, timed_steps protocol of the throughput phase, 0 where it was left out
     determinism         level that was asked for
     initial             how environments begin, empty for all alike
+    intervention        what is done to their state on the way, empty for nothing
     options             of the engine in force, JSON; as asked where the run ended before the engine said them
     switches            determinism switches and precision in force, JSON
     conditions          environment variables, versions and driver that can change numbers, JSON
@@ -81,6 +82,7 @@ class GroupKey:
     layout: str
     origins: str
     initial: str = ""
+    intervention: str = ""
 
 
 @dataclass(frozen=True)
@@ -161,6 +163,7 @@ def key_of(recording: Described) -> GroupKey:
         layout=_canonical({f.name: [f.dtype, f.frame, len(f.items), f.width] for f in recording.fields}),
         origins=json.dumps(simulation.env_origins if simulation else []),
         initial=c.initial,
+        intervention=c.intervention,
     )
 
 
@@ -235,7 +238,7 @@ def precisions(key: GroupKey) -> list[str]:
 
 
 def _order(key: GroupKey) -> tuple[Any, ...]:
-    settings = (key.determinism, key.initial, key.n_env, key.dt, key.switches, key.options)
+    settings = (key.determinism, key.initial, key.intervention, key.n_env, key.dt, key.switches, key.options)
     return (key.scene, key.simulator == REAL, key.simulator, key.version, *settings)
 
 

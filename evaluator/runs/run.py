@@ -148,7 +148,7 @@ class Run:
     @property
     def apart_by_design(self) -> str:
         """Why the environments differ whatever the engine does; empty where they should be alike."""
-        return apart_by_design(self.action_names, self.configuration.initial)
+        return apart_by_design(self.action_names, self.configuration)
 
     @property
     def fields(self) -> tuple[StateField, ...]:

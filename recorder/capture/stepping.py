@@ -75,23 +75,34 @@ def step_and_capture(
     prepare: Callable[[int, int], Actions | None],
     progress: Callable[[int], None],
     stopped: Callable[[], bool],
+    intervene: Callable[[], None] | None = None,
+    intervene_after: int = 0,
 ) -> None:
     """Put the initial state and the states of `steps` steps, `block_steps` of them a block.
 
     prepare   hands the engine the actions of the next steps, by the first of them and their number, and returns them
     progress  called with the steps begun so far
     stopped   True once a state was not finite: nothing of use follows
+    intervene  called once, after so many steps, with nothing begun ahead of it
     """
     writing.put(Block(0, Held(tuple(array[np.newaxis].copy() for array in simulator.state())), None))
     ahead: deque[Block] = deque()
     begun = 0
     while (begun < steps and not stopped()) or ahead:
+        due = intervene is not None and begun == intervene_after
+        if due and not ahead:
+            assert intervene is not None
+            intervene()
+            intervene = None
+            continue
         room = len(ahead) < simulator.blocks_ahead and len(ahead) + writing.unwritten < RING_BLOCKS
-        if begun < steps and not stopped() and (room or not ahead):
+        if begun < steps and not stopped() and not due and (room or not ahead):
             if not room:
                 clock.stall(lambda: writing.wait(RING_BLOCKS - 1))
             progress(begun)
             count = min(block_steps, steps - begun)
+            if intervene is not None and begun < intervene_after:
+                count = min(count, intervene_after - begun)
             actions = prepare(begun, count)
             ahead.append(Block(begun + 1, simulator.begin_states(count), actions))
             begun += count

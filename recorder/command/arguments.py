@@ -77,6 +77,7 @@ _SIMULATED: dict[str, Any] = {
     "solver": (),
     "device": (),
     "initial": "",
+    "intervene": "",
     "determinism": "default",
     "timeout": 0.0,
     "phases": ",".join(OPTIONAL_PHASES),
@@ -168,6 +169,13 @@ def parser() -> Parser:
         metavar="random:SPREAD",
         help="begin each environment in a state of its own: velocities of bodies [m/s] and angles of joints [rad] are "
         "drawn within +-SPREAD of the scene's, from the seed (default: all begin alike)",
+    )
+    what.add_argument(
+        "--intervene",
+        metavar="KIND@STEP",
+        help="change the state after a captured step: reset@STEP resets every second environment; set@STEP gives all "
+        "environments the positions and velocities that they have; excursion@STEP+MORE saves all, makes MORE steps "
+        "that are not recorded, and restores all. gsb-probe asks for these",
     )
     what.add_argument(
         "--determinism",

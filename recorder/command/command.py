@@ -27,19 +27,20 @@ def configure(arguments: argparse.Namespace) -> RunConfiguration:
     """The configuration that the arguments ask for; UsageError where it cannot be."""
     with shielded():  # an import that is interrupted shows as one that is broken
         from gpusimbench.recorder.plan import check_dt, view_of
-        from gpusimbench.recorder.run.initial import parse
+        from gpusimbench.recorder.run import initial, intervention
         from gpusimbench.recorder.scenes.registry import make_scene
 
     scene = make_scene(arguments.scene)
     dt = scene.dt if arguments.dt is None else arguments.dt
     check_dt(dt)
     phases = _phases(arguments.phases)
+    steps = round(scene.sample_time / dt) if arguments.steps is None else arguments.steps
     configuration = RunConfiguration(
         simulator=arguments.sim,
         scene=arguments.scene,
         n_env=arguments.n_env,
         dt=dt,
-        steps=round(scene.sample_time / dt) if arguments.steps is None else arguments.steps,
+        steps=steps,
         stride=arguments.stride,
         warmup=arguments.warmup,
         timed_steps=arguments.timed_steps,
@@ -51,7 +52,8 @@ def configure(arguments: argparse.Namespace) -> RunConfiguration:
         timeout=arguments.timeout,
         capture=arguments.capture,
         view=view_of(arguments.view_env, off=arguments.no_view, phases=phases),
-        initial=parse(arguments.initial) if arguments.initial else "",
+        initial=arguments.initial and initial.parse(arguments.initial, arguments.n_env),
+        intervention=arguments.intervene and intervention.parse(arguments.intervene, steps),
     )
     check_configuration(configuration)
     return configuration
@@ -62,7 +64,7 @@ def check_configuration(configuration: RunConfiguration) -> None:
     with shielded():
         from gpusimbench.recorder.options import parse_options
         from gpusimbench.recorder.plan import check
-        from gpusimbench.recorder.run import initial
+        from gpusimbench.recorder.run import initial, intervention
         from gpusimbench.recorder.scenes.registry import make_scene
         from gpusimbench.recorder.simulators.registry import find_simulator
 
@@ -80,6 +82,8 @@ def check_configuration(configuration: RunConfiguration) -> None:
     if refusal := adapter.refusal(simulator, make_scene(configuration.scene), options):
         raise UsageError(refusal)
     if refusal := initial.refusal(simulator, adapter, options, configuration.initial):
+        raise UsageError(refusal)
+    if refusal := intervention.refusal(simulator, adapter, options, configuration.intervention):
         raise UsageError(refusal)
 
 

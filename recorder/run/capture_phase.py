@@ -16,12 +16,14 @@ from gpusimbench.recorder.capture.stepping import CaptureClock, step_and_capture
 from gpusimbench.recorder.capture.view import ViewWriter
 from gpusimbench.recorder.capture.writing import Block, Writing
 from gpusimbench.recorder.run.given_actions import prepare, write_applied
+from gpusimbench.recorder.run.intervention import intervene
 from gpusimbench.recorder.run.journal import Journal
 from gpusimbench.recorder.scenes.base import Scene
 from gpusimbench.recorder.simulators.base import Description, Simulator
 from gpusimbench.recorder.simulators.captured import RING_BLOCKS
 from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.errors import DamagedRecording, DataLost
+from gpusimbench.schemas.treatment import Intervention
 
 
 class CapturePhase:
@@ -58,6 +60,7 @@ class CapturePhase:
             else None
         )
         problems: list[str] = []
+        intervention = Intervention.parse(c.intervention) if c.intervention else None
 
         def write(block: Block) -> None:
             if problems:
@@ -101,6 +104,8 @@ class CapturePhase:
                     prepare=lambda first, count: prepare(simulator, c, first, count),
                     progress=captured,
                     stopped=lambda: bool(problems),
+                    intervene=None if intervention is None else lambda: intervene(simulator, intervention, c),
+                    intervene_after=intervention.step if intervention else 0,
                 )
             finally:
                 try:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,10 +10,10 @@ from numpy.typing import NDArray
 from gpusimbench.recorder.scenes.base import Scene
 from gpusimbench.recorder.simulators.base import Description, Simulator, States
 from gpusimbench.recorder.simulators.snapshot import Extent
-from gpusimbench.schemas.configuration import MOST_SPREAD, spread_of
 from gpusimbench.schemas.errors import UsageError
 from gpusimbench.schemas.fields import StateField
 from gpusimbench.schemas.mix32 import GOLDEN32, mix32
+from gpusimbench.schemas.treatment import MOST_SPREAD, Initial
 
 GRID = 2.0**-13
 """What is added is a whole multiple of this [m/s or rad], so that the sum with zero is exact in either precision."""
@@ -22,62 +21,65 @@ GRID = 2.0**-13
 _STREAM = 0x494E4954  # tells these words from those of actions, which the same seed draws
 
 
-@dataclass(frozen=True)
-class Spread:
-    """Adds to the scene's first state, uniformly within +- spread and independently for each environment:
+def states(
+    initial: Initial, scene: Scene, fields: tuple[StateField, ...], first: States, seed: int
+) -> tuple[NDArray[np.floating], ...]:
+    """The first state [env, item, width] of each field, in its precision, with what is drawn for it added.
+
+    Added is, uniformly within +- spread and independently for each environment:
 
         to the linear velocity of every free body, along each axis [m/s]
         to the angle of every joint [rad], kept within its limits
 
-    No body is moved, so that none penetrates another. The generator is counter-based, in 32-bit wrapping integers:
-
-        w = mix(mix(mix(seed_low + G) + seed_high + G) + stream)
-        w = mix(w + (field + 1) * G), and the same with env, item and component
-        added = ((w >> 16) * (2 k + 1) >> 16) - k, times GRID, with k = floor(spread / GRID)
-
-    with mix the finaliser of MurmurHash3, G = 0x9E3779B9 (``schemas.mix32``), stream 0x494E4954, and `field` the place
-    of the field in the layout of the state.
+    No body is moved, so that none penetrates another.
     """
-
-    spread: float
-
-    def states(self, scene: Scene, fields: tuple[StateField, ...], first: States, seed: int) -> States:
-        """The first state [env, item, width] of each field with what is added, in the field's precision."""
-        return tuple(
-            self._added(scene, place, layout, array, seed)
-            for place, (layout, array) in enumerate(zip(fields, first, strict=True))
-        )
-
-    def _added(
-        self, scene: Scene, place: int, layout: StateField, array: NDArray[np.floating], seed: int
-    ) -> NDArray[np.floating]:
+    found = []
+    for place, (layout, array) in enumerate(zip(fields, first, strict=True)):
         if layout.field not in ("linear_velocity", "qpos"):
-            return array.copy()
-        found = np.asarray(array + self.draw(seed, place, array.shape).astype(array.dtype))
+            found.append(array.copy())
+            continue
+        given = array + draw(initial, seed, place, array.shape).astype(array.dtype)
         if layout.field == "qpos" and scene.robot is not None:
             limits = np.array([(joint.lower, joint.upper) for joint in scene.robot.joints()], dtype=array.dtype)
-            found = np.clip(found, limits[:, :1], limits[:, 1:])
-        return found.astype(array.dtype)
+            given = np.clip(given, limits[:, :1], limits[:, 1:])
+        found.append(given.astype(array.dtype))
+    return tuple(found)
 
-    def draw(self, seed: int, field: int, shape: tuple[int, ...]) -> NDArray[np.float64]:
-        """What is added to a field of this shape [env, item, width]."""
-        golden, most = np.uint32(GOLDEN32), math.floor(self.spread / GRID)
-        word = np.array([seed & 0xFFFFFFFF], dtype=np.uint32)
-        word = mix32(mix32(mix32(word + golden) + np.uint32((seed >> 32) & 0xFFFFFFFF) + golden) + np.uint32(_STREAM))
-        word = mix32(word + np.array([field + 1], dtype=np.uint32) * golden).reshape((1,) * len(shape))
-        for axis, count in enumerate(shape):
-            others = [other for other in range(len(shape)) if other != axis]
-            word = mix32(word + np.expand_dims(np.arange(1, count + 1, dtype=np.uint32), others) * golden)
-        index = (word >> np.uint32(16)) * np.uint32(2 * most + 1) >> np.uint32(16)
-        return np.asarray((index.astype(np.int64) - most) * GRID, dtype=np.float64)
+
+def draw(initial: Initial, seed: int, field: int, shape: tuple[int, ...]) -> NDArray[np.float64]:
+    """What is added to a field of this shape [env, item, width], the `field`-th of the layout.
+
+    The generator is counter-based, in 32-bit wrapping integers:
+
+        w = mix(mix(mix(seed_low + G) + seed_high + G) + stream)
+        w = mix(w + (field + 1) * G), and the same with the environment, the item and the component
+        added = ((w >> 16) * (2 k + 1) >> 16) - k, times GRID, with k = floor(spread / GRID)
+
+    with mix the finaliser of MurmurHash3, G = 0x9E3779B9 (``schemas.mix32``) and stream 0x494E4954. Environment e
+    counts as (e + shift) modulo their number; with `but`, all others than that one have the stream plus 1.
+    """
+    n_env, *inner = shape
+    envs = (np.arange(n_env) + initial.shift) % n_env
+    stream = np.full(n_env, _STREAM, dtype=np.uint32)
+    if initial.but is not None:
+        stream[np.arange(n_env) != initial.but] += np.uint32(1)
+    golden, most = np.uint32(GOLDEN32), math.floor(initial.spread / GRID)
+    word = np.array([seed & 0xFFFFFFFF], dtype=np.uint32)
+    word = mix32(mix32(word + golden) + np.uint32((seed >> 32) & 0xFFFFFFFF) + golden)
+    word = mix32(mix32(word + stream) + np.array([field + 1], dtype=np.uint32) * golden)
+    word = mix32(word + (envs + 1).astype(np.uint32) * golden)
+    for count in inner:
+        word = mix32(word[..., None] + np.arange(1, count + 1, dtype=np.uint32) * golden)
+    index = (word >> np.uint32(16)) * np.uint32(2 * most + 1) >> np.uint32(16)
+    return np.asarray((index.astype(np.int64) - most) * GRID, dtype=np.float64)
 
 
 def begin(simulator: Simulator, description: Description, initial: str) -> None:
     """Give a simulator that was just built the initial states that a run was asked to have."""
     if initial:
         first = tuple(np.array(array) for array in simulator.state())
-        given = Spread(spread_of(initial)).states(simulator.scene, description.fields, first, simulator.seed)
-        simulator.set_state(given)
+        drawn = Initial.parse(initial)
+        simulator.set_state(states(drawn, simulator.scene, description.fields, first, simulator.seed))
 
 
 def refusal(name: str, adapter: type[Simulator], options: object, initial: str) -> str:
@@ -88,16 +90,16 @@ def refusal(name: str, adapter: type[Simulator], options: object, initial: str) 
     return f"simulator '{name}' has no initial states per environment (--initial): {claim.why}"
 
 
-def parse(text: str) -> str:
+def parse(text: str, n_env: int) -> str:
     """What --initial was given, as the recording keeps it. UsageError where it is nothing that can be drawn."""
-    kind, _, number = text.partition(":")
     try:
-        spread = float(number)
+        drawn = Initial.parse(text)
+        if drawn.spread < GRID or (drawn.but or 0) >= n_env:
+            raise ValueError(text)
     except ValueError:
-        spread = math.nan
-    if kind != "random" or not GRID <= spread <= MOST_SPREAD:
         raise UsageError(
             f"--initial is random:SPREAD, with a spread from {GRID:.2g} to {MOST_SPREAD:g} (of velocities in m/s, of "
-            f"joint angles in rad), not '{text}'"
-        )
-    return f"random:{spread!r}"
+            "joint angles in rad), and may end with ,shift:K or with ,but:E, an environment, "
+            f"not '{text}'"
+        ) from None
+    return str(drawn)

@@ -52,13 +52,15 @@ class _Run:
 
     state: int | None
     n_env: int = 2
-    action_names: tuple[str, ...] = ()
+    apart_by_design: str = ""
     simulation: None = None
     fields: tuple[str, ...] = ()
 
     @property
     def configuration(self) -> Any:
-        return SimpleNamespace(n_env=self.n_env, dt=0.1, seed=0, phases=("capture",), run_index=0)
+        return SimpleNamespace(
+            n_env=self.n_env, dt=0.1, seed=0, initial="", intervention="", phases=("capture",), run_index=0
+        )
 
     @property
     def histories(self) -> Any:

@@ -11,10 +11,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gpusimbench import open_recording
-from gpusimbench.recorder.run.initial import GRID, Spread, parse
+from gpusimbench.recorder.run.initial import GRID, draw, parse
 from gpusimbench.recorder.scenes.registry import make_scene
-from gpusimbench.schemas.configuration import MOST_SPREAD, RunConfiguration, spread_of
+from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.errors import DamagedRecording, UsageError
+from gpusimbench.schemas.treatment import KINDS, MOST_SPREAD, Initial, Intervention
 from tests.conftest import Command, call
 
 _SHORT = ("--n-env", "4", "--steps", "3", "--phases", "capture", "--initial", "random:0.1", "--seed", "7")
@@ -52,10 +53,41 @@ def _as_documented(seed: int, spread: float, *counters: int) -> float:
 @given(seed=st.integers(0, 2**64 - 1), spread=st.floats(GRID, MOST_SPREAD), field=st.integers(0, 7))
 def test_the_generator(seed: int, spread: float, field: int) -> None:
     """Draw what the documented formula says, in whole parts of the grid, never beyond the spread."""
-    found = Spread(spread).draw(seed, field, (3, 2, 3))
+    found = draw(Initial(spread), seed, field, (3, 2, 3))
     for at in np.ndindex(found.shape):
         assert found[at] == _as_documented(seed, spread, field, *at)
     assert np.abs(found).max() <= spread
+
+
+def test_shifted() -> None:
+    """Begin each environment as the one K places further, and the last ones as the first."""
+    plain = draw(Initial(0.1), 3, 0, (5, 2, 3))
+    assert np.array_equal(draw(Initial(0.1, shift=2), 3, 0, (5, 2, 3)), np.roll(plain, -2, axis=0))
+
+
+def test_all_but_one() -> None:
+    """Begin one environment as it does, and every other one otherwise."""
+    plain, other = (draw(initial, 3, 0, (5, 2, 3)) for initial in (Initial(0.1), Initial(0.1, but=1)))
+    assert np.flatnonzero((plain == other).all(axis=(1, 2))).tolist() == [1]
+
+
+def test_of_more_environments() -> None:
+    """Begin an environment alike whatever their number."""
+    assert np.array_equal(draw(Initial(0.1), 3, 0, (5, 2, 3)), draw(Initial(0.1), 3, 0, (64, 2, 3))[:5])
+
+
+@given(st.sampled_from(sorted(KINDS)), st.integers(0, 10**9 - 1), st.integers(1, 10**9 - 1))
+def test_interventions(kind: str, step: int, more: int) -> None:
+    """Read an intervention back as it is written."""
+    made = Intervention(kind, step, more if kind == "excursion" else 0)
+    assert Intervention.parse(str(made)) == made
+
+
+@pytest.mark.parametrize("text", ["", "reset", "reset@", "reset@-1", "set@1+2", "excursion@5", "jump@3", "reset@01"])
+def test_no_interventions(text: str) -> None:
+    """Refuse what is none."""
+    with pytest.raises(ValueError):
+        Intervention.parse(text)
 
 
 def test_the_first_state(recorded: tuple[Path, Path]) -> None:
@@ -65,7 +97,7 @@ def test_the_first_state(recorded: tuple[Path, Path]) -> None:
     for place, layout in enumerate(recording.fields):
         first = np.asarray(recording.state(layout.group, layout.field))[0]
         if layout.field == "linear_velocity":
-            assert np.array_equal(first, Spread(0.1).draw(7, place, first.shape))
+            assert np.array_equal(first, draw(Initial(0.1), 7, place, first.shape))
             assert len({env.tobytes() for env in first}) == 4
         elif layout.field == "position":
             bodies = {body.name: body for body in scene.moving()}
@@ -133,27 +165,40 @@ def test_what_is_evaluated(recorded: tuple[Path, Path], gsb_eval: Command, tmp_p
         assert "began in different states" in apart["metrics"][name]["why_not"]
 
 
-@pytest.mark.parametrize("text", ["random", "random:", "random:0", "random:nan", "random:4", "random:-1", "file:x"])
+@pytest.mark.parametrize(
+    "text",
+    [
+        "random",
+        "random:",
+        "random:0",
+        "random:nan",
+        "random:4",
+        "random:-1",
+        "file:x",
+        "random:1,shift:",
+        "random:1,shift:1,but:0",
+    ],
+)
 def test_nothing_that_can_be_drawn(text: str, gsb_record: Command, tmp_path: Path) -> None:
     """Refuse what is no spread, on the command line and in a file."""
     done = gsb_record("--sim", "mujoco", "--initial", text, "--out", tmp_path)
     assert done.returncode == 2
     assert "--initial is random:SPREAD, with a spread from 0.00012 to 3" in done.stderr
     with pytest.raises(UsageError):
-        parse(text)
+        parse(text, 16)
     known = RunConfiguration("mujoco", "free-fall", 1, 0.01, 10, initial="random:0.1").to_json()
-    with pytest.raises(DamagedRecording, match="initial is not random:SPREAD"):
+    with pytest.raises(DamagedRecording, match="initial is none that is known"):
         RunConfiguration.from_json({**known, "initial": text})
 
 
 def test_what_is_kept() -> None:
     """Keep a spread to the last digit, and say nothing of what begins as its scene does."""
-    assert spread_of(parse("random:1e-1")) == 0.1
+    assert Initial.parse(parse("random:1e-1", 1)).spread == 0.1
     plain = RunConfiguration("mujoco", "free-fall", 1, 0.01, 10)
     assert "initial" not in plain.to_json()
     drawn = RunConfiguration.from_json({**plain.to_json(), "initial": "random:0.30000000000000004"})
     assert RunConfiguration.from_json(drawn.to_json()) == drawn
-    assert spread_of(drawn.initial) == 0.30000000000000004
+    assert Initial.parse(drawn.initial).spread == 0.30000000000000004
 
 
 def test_an_engine_without(gsb_record: Command, tmp_path: Path) -> None:

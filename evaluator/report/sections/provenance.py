@@ -52,6 +52,7 @@ def _blocks(number: int, result: GroupResult) -> Iterator[Block]:
         "simulator": key.simulator, "scene": key.scene, "envs": key.n_env, "dt [s]": key.dt, "seed": key.seed,
         "warm-up steps": key.warmup, "timed steps": key.timed_steps, "determinism": key.determinism,
         **({"initial states": key.initial} if key.initial else {}),
+        **({"intervention": key.intervention} if key.intervention else {}),
         "options": recordings[0].configuration.options if recordings else {},
     }  # fmt: skip
     yield _records(number, "What was asked", asked)

@@ -1,0 +1,54 @@
+"""What is done to the state of environments on the way, where a run was asked for it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from gpusimbench.recorder.run.given_actions import prepare
+from gpusimbench.recorder.simulators.base import Simulator
+from gpusimbench.recorder.simulators.snapshot import Claim, Extent
+from gpusimbench.schemas.configuration import RunConfiguration
+from gpusimbench.schemas.errors import UsageError
+from gpusimbench.schemas.treatment import KINDS, Intervention
+
+_CLAIMS = {"reset": "reset", "set": "set_state", "excursion": "snapshot"}
+"""The operation of StateClaims that each kind needs."""
+
+
+def intervene(simulator: Simulator, intervention: Intervention, configuration: RunConfiguration) -> None:
+    """Do it, between two steps of a capture."""
+    every = range(simulator.n_env)
+    match intervention.kind:
+        case "reset":
+            simulator.reset(np.array([env for env in every if intervention.treated(env)]))
+        case "set":
+            simulator.set_state(tuple(np.array(array) for array in simulator.state()), np.array(every))
+        case "excursion":
+            snapshot = simulator.snapshot()
+            prepare(simulator, configuration, intervention.step, intervention.more)
+            block = simulator.begin_states(intervention.more)
+            block.wait()
+            block.release()
+            simulator.restore(snapshot)
+
+
+def refusal(name: str, adapter: type[Simulator], options: object, text: str) -> str:
+    """Why a simulator cannot do what a run is asked to; empty where it can."""
+    if not text:
+        return ""
+    kind = Intervention.parse(text).kind
+    claim: Claim = getattr(adapter.state_claims(options), _CLAIMS[kind])
+    if claim.extent is not Extent.NONE:
+        return ""
+    return f"simulator '{name}' cannot do --intervene {text} ({KINDS[kind]}): {claim.why}"
+
+
+def parse(text: str, steps: int) -> str:
+    """What --intervene was given, as the recording keeps it. UsageError where it is none, or never comes."""
+    try:
+        made = Intervention.parse(text)
+    except ValueError:
+        raise UsageError(f"--intervene is reset@STEP, set@STEP or excursion@STEP+MORE, not '{text}'") from None
+    if made.step >= steps:
+        raise UsageError(f"--intervene {text} comes after a step below --steps, {steps}")
+    return str(made)

@@ -1,0 +1,86 @@
+"""How a run differs from a plain one: how its environments begin, and what is done to them on the way.
+
+Both are short texts in a RunConfiguration. A probe asks whether something matters that should not, by runs that differ
+in one of them.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+
+MOST_SPREAD = 3.0
+"""Of initial states [m/s or rad]."""
+
+_NUMBER = r"[0-9.eE+-]+"
+_INITIAL = re.compile(rf"random:(?P<spread>{_NUMBER})(?:,(?:shift:(?P<shift>\d{{1,8}})|but:(?P<but>\d{{1,8}})))?")
+_INTERVENTION = re.compile(r"(?P<kind>[a-z]+)@(?P<step>\d{1,9})(?:\+(?P<more>\d{1,9}))?")
+
+
+@dataclass(frozen=True)
+class Initial:
+    """Initial states that are drawn for each environment (recorder.run.initial): "random:SPREAD".
+
+    spread  around the scene's first state [m/s or rad]
+    shift   environment e begins as environment e + shift does without it, modulo their number: ",shift:K"
+    but     all environments but this one begin otherwise than without it: ",but:E"; None: all as without it
+    """
+
+    spread: float
+    shift: int = 0
+    but: int | None = None
+
+    @classmethod
+    def parse(cls, text: str) -> Initial:
+        """From the text; ValueError where it is none."""
+        found = _INITIAL.fullmatch(text)
+        if not found:
+            raise ValueError(text)
+        spread, but = float(found["spread"]), found["but"]
+        if not 0 < spread <= MOST_SPREAD:
+            raise ValueError(text)
+        return cls(spread, int(found["shift"] or 0), None if but is None else int(but))
+
+    def __str__(self) -> str:
+        tail = f",shift:{self.shift}" if self.shift else "" if self.but is None else f",but:{self.but}"
+        return f"random:{self.spread!r}{tail}"
+
+
+KINDS = {
+    "reset": "every second environment, from 0 on, is reset",
+    "set": "all environments are given the positions and velocities that they have",
+    "excursion": "all environments are saved, make so many further steps, which are not recorded, and are restored",
+}
+"""Interventions after a step, and what each does."""
+
+
+@dataclass(frozen=True)
+class Intervention:
+    """What is done to the state of some environments after a step of the capture: "KIND@STEP", "excursion@STEP+MORE".
+
+    kind  one of KINDS
+    step  after which it is done
+    more  steps of an excursion
+    """
+
+    kind: str
+    step: int
+    more: int = 0
+
+    @classmethod
+    def parse(cls, text: str) -> Intervention:
+        """From the text; ValueError where it is none."""
+        found = _INTERVENTION.fullmatch(text)
+        if not found or found["kind"] not in KINDS or (found["kind"] == "excursion") != bool(int(found["more"] or 0)):
+            raise ValueError(text)
+        made = cls(found["kind"], int(found["step"]), int(found["more"] or 0))
+        if str(made) != text:
+            raise ValueError(text)
+        return made
+
+    def __str__(self) -> str:
+        return f"{self.kind}@{self.step}" + (f"+{self.more}" if self.more else "")
+
+    def treated(self, env: int) -> bool:
+        """Whether something is done to that environment."""
+        return self.kind != "reset" or env % 2 == 0
