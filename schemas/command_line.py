@@ -30,6 +30,7 @@ _READS = {
     "gsb-info": ("GSB_PROGRESS", "TMPDIR"),
     "gsb-check": ("GSB_PROGRESS", "TMPDIR"),
     "gsb-diff": ("GSB_PROGRESS",),
+    "gsb-probe": ("CUDA_VISIBLE_DEVICES", "GSB_ENVIRONMENTS", "GSB_MADRONA_MODULE", "GSB_PROGRESS"),
     "gsb-view": ("GSB_PROGRESS",),
     "gsb-share": ("GSB_CACHE", "GSB_PROGRESS"),
 }
@@ -41,6 +42,7 @@ _FILES = {
         "OUT/NAME.mcap.partial  a run that is being made, or what a crash left of it, for gsb-share recover",
     ),
     "gsb-audit": ("OUT/NAME.mcap  a replay, a recording like any other",),
+    "gsb-probe": ("OUT/NAME.mcap  a run, a recording like any other",),
     "gsb-eval": ("CACHE/  what was read and computed, by content and version; it may be deleted at any time",),
 }
 """What commands leave on the disk without being told its name."""
@@ -57,6 +59,7 @@ _SEE_ALSO = {
     "gsb-diff": "gsb-audit, which replays first; gsb-eval, for sets of runs; docs/diff.md",
     "gsb-audit": "gsb-record --replay, which only replays; gsb-diff, which shows where two part; docs/audit.md",
     "gsb-compare": "gsb-eval, for one set; gsb-diff, for two files; docs/compare.md; docs/how-to/ci.md",
+    "gsb-probe": "gsb-record, which makes its runs; gsb-diff, which shows where two part; docs/probe.md",
     "gsb-view": "gsb-diff, which says in numbers where two part; gsb-share viewer; docs/view.md; docs/viewers.md",
     "gsb-share": "gsb-check, for what recover made; docs/share.md; docs/dataset.md; docs/strangers.md",
 }

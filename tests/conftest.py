@@ -93,6 +93,12 @@ def gsb_record() -> Command:
 
 
 @pytest.fixture(scope="session")
+def gsb_probe() -> Command:
+    """Call gsb-probe with the given arguments."""
+    return lambda *arguments, **keywords: call("gsb-probe", *arguments, **keywords)
+
+
+@pytest.fixture(scope="session")
 def gsb_eval() -> Command:
     """Call gsb-eval with the given arguments."""
     return lambda *arguments, **keywords: call("gsb-eval", *arguments, **keywords)

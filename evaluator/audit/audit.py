@@ -11,9 +11,10 @@ import numpy.typing as npt
 
 from gpusimbench.evaluator.audit.distribution import LawTest, same_law
 from gpusimbench.evaluator.audit.matching import closest, compared, distinct, match_of, unreproduced
-from gpusimbench.evaluator.audit.replaying import Replay, ReplayPlan, Replays, make_replays
+from gpusimbench.evaluator.audit.replaying import ReplayPlan, Replays, make_replays
 from gpusimbench.evaluator.audit.settings import Settings, sorted_out
 from gpusimbench.evaluator.audit.verdict import Level, Verdict, ladder
+from gpusimbench.evaluator.compute.recorder import Made
 from gpusimbench.evaluator.diff.compare import compare
 from gpusimbench.evaluator.diff.result import Difference
 from gpusimbench.evaluator.metrics.variability import sampling_step
@@ -62,7 +63,7 @@ class Audit:
     why_not: str = ""
 
     @property
-    def failed(self) -> tuple[Replay, ...]:
+    def failed(self) -> tuple[Made, ...]:
         """Replays that ended otherwise than complete."""
         return tuple(r for r in self.replays.made if r.status != "complete") if self.replays else ()
 
@@ -157,7 +158,7 @@ def _ran(recording: Recording) -> float:
     return (max(clocks) - min(clocks)) / 1e9 if clocks else 0.0
 
 
-def _open(replay: Replay) -> Recording:
+def _open(replay: Made) -> Recording:
     if replay.path is None:
         raise DamagedRecording("a replay that is complete has left no file")
     recording = Recording(replay.path)

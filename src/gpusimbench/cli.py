@@ -50,6 +50,7 @@ COMMANDS = {
     "check": Command("whether recordings are whole and follow the rules", f"{_EVALUATOR}.check"),
     "audit": Command("check recordings and run them again on this machine", f"{_EVALUATOR}.audit"),
     "info": Command("what a recording is", f"{_EVALUATOR}.info"),
+    "probe": Command("whether results depend on what should not matter", f"{_EVALUATOR}.probe"),
     "view": Command("recordings in motion", f"{_EVALUATOR}.view"),
     "share": Command("pack, recover, describe, verify and rank recordings", f"{_EVALUATOR}.share"),
 }

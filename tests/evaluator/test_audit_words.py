@@ -12,10 +12,11 @@ from gpusimbench import open_recording
 from gpusimbench.evaluator.audit.audit import Audit, Outcome
 from gpusimbench.evaluator.audit.checking import Check
 from gpusimbench.evaluator.audit.distribution import LawTest, Unit
-from gpusimbench.evaluator.audit.replaying import Replay, Replays
+from gpusimbench.evaluator.audit.replaying import Replays
 from gpusimbench.evaluator.audit.settings import Settings
 from gpusimbench.evaluator.audit.text import text_of
 from gpusimbench.evaluator.audit.verdict import Level, Match, ladder
+from gpusimbench.evaluator.compute.recorder import Made
 from gpusimbench.evaluator.diff.compare import compare
 from gpusimbench.evaluator.diff.result import Setting
 from gpusimbench.evaluator.read.recording import Recording
@@ -43,7 +44,7 @@ def lines(audit: Audit, checked: Check = NO_FINDINGS) -> list[str]:
 
 def made(recordings: list[Recording]) -> Replays:
     """Replays that all came to their end."""
-    return Replays("gsb-record --replay x", tuple(Replay("complete", "", Path(str(r.path))) for r in recordings), "")
+    return Replays("gsb-record --replay x", tuple(Made("complete", "", Path(str(r.path))) for r in recordings), "")
 
 
 def test_the_set_and_its_files_are_counted(five: list[Recording]) -> None:
@@ -115,10 +116,10 @@ def test_settings_are_cut_and_counted(five: list[Recording]) -> None:
 
 def test_what_has_no_verdict_says_why(five: list[Recording]) -> None:
     """Say for each outcome why there is no verdict, and what ended the replays."""
-    stopped = Replays("gsb-record", (Replay("stopped", "memory", None),), "")
-    failed = Replays("gsb-record", (Replay("failed", "it broke", None), Replay("complete", "", None)), "")
+    stopped = Replays("gsb-record", (Made("stopped", "memory", None),), "")
+    failed = Replays("gsb-record", (Made("failed", "it broke", None), Made("complete", "", None)), "")
     refused = Replays("gsb-record", (), "no such engine")
-    nothing, invalid = Audit(tuple(five)), Replays("gsb-record", (Replay("invalid", "it slid", None),), "")
+    nothing, invalid = Audit(tuple(five)), Replays("gsb-record", (Made("invalid", "it slid", None),), "")
     outcomes = {
         Outcome.NOT_TRIED: nothing,
         Outcome.STOPPED: replace(nothing, replays=stopped),

@@ -6,6 +6,8 @@ import math
 import string
 from dataclasses import dataclass
 
+from gpusimbench.recorder.simulators.calibration.faults import FAULTS
+
 REGIMES = ("identical", "offset", "order", "run-order", "atomics")
 
 BY_ENV = ("offset", "order")
@@ -34,6 +36,8 @@ class CalibrationOptions:
     env       the one environment that differs from the others; -1: all differ from each other
     entropy   what a run that differs from others draws: run (anew in each process), build (anew in each build), or
               hexadecimal digits after the point of a number from 0 to 1
+    fault     planted for gsb-probe, in regime identical, of the size `ulps`: none, number, slot, neighbours,
+              bystanders, fresh, restored, set or capture (calibration/faults.py says what each does)
     device    auto, cpu or cuda (the first GPU that CUDA shows)
 
     Without a shift in metres or ulps, the cause of differences is rounding.
@@ -46,6 +50,7 @@ class CalibrationOptions:
     at: int = 1
     env: int = -1
     entropy: str = "run"
+    fault: str = "none"
     device: str = "auto"
 
     def __post_init__(self) -> None:
@@ -61,7 +66,11 @@ class CalibrationOptions:
             raise ValueError("shift and ulps are two ways to say how far: give one of them")
         if self.at < 1:
             raise ValueError(f"at is at least 1, since all environments begin alike, not {self.at}")
-        if self.moves and self.regime not in (*BY_ENV, *BY_RUN):
+        if self.fault not in FAULTS:
+            raise ValueError(f"fault is one of {', '.join(FAULTS)}, not '{self.fault}'")
+        if self.fault != "none" and (self.regime != "identical" or not self.ulps):
+            raise ValueError("a fault is planted in regime identical, with its size in ulps")
+        if self.moves and self.fault == "none" and self.regime not in (*BY_ENV, *BY_RUN):
             raise ValueError(f"shift and ulps move nothing in regime {self.regime}")
         if not self.moves and not self.contacts and self.regime in ("order", "run-order", "atomics"):
             raise ValueError(f"regime {self.regime} needs contacts, or shift or ulps: nothing would differ")
@@ -72,8 +81,8 @@ class CalibrationOptions:
 
     @property
     def moves(self) -> bool:
-        """Whether bodies are moved by a known distance, rather than left to rounding."""
-        return bool(self.shift or self.ulps)
+        """Whether bodies are moved by a known distance at step `at`, rather than left to rounding."""
+        return bool(self.shift or self.ulps) and self.fault == "none"
 
 
 def _is_fraction(text: str) -> bool:

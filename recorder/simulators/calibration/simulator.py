@@ -97,6 +97,7 @@ class Calibration(Simulator):
         self._counted = None
         for _ in range(n_step):
             self._world.step()
+        self._world.fault.after_uncaptured(self._world)
         ti.sync()
 
     def state(self) -> States:
@@ -115,10 +116,12 @@ class Calibration(Simulator):
     def restore(self, snapshot: Snapshot, envs: Envs = None) -> None:
         """See Simulator.restore."""
         self._put([snapshot.arrays[name] for name in _FIELDS], envs, snapshot.step)
+        self._world.fault.after("restored", self._world, envs)
 
     def reset(self, envs: Envs = None) -> None:
         """See Simulator.reset."""
         self._put(self._world.first, envs, 0)
+        self._world.fault.after("fresh", self._world, envs)
 
     def set_state(self, states: States, envs: Envs = None) -> None:
         """See Simulator.set_state."""
@@ -129,6 +132,7 @@ class Calibration(Simulator):
             for array in given:
                 array[:, group] = next(left)
         self._world.put(given, envs, self._world.done if envs is not None else 0)
+        self._world.fault.after("set", self._world, envs)
         self._counted = None
 
     def _put(self, arrays: Sequence[NDArray[Any]], envs: Envs, step: int) -> None:

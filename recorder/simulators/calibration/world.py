@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from gpusimbench.recorder.scenes.base import Scene
 from gpusimbench.recorder.simulators.calibration.chance import orders, places, shares
+from gpusimbench.recorder.simulators.calibration.faults import Fault
 from gpusimbench.recorder.simulators.calibration.model import LONGEST_STEP, model_of
 from gpusimbench.recorder.simulators.calibration.options import CalibrationOptions
 from gpusimbench.recorder.simulators.snapshot import Envs
@@ -22,6 +23,8 @@ _RING_BYTES = 256 << 20
 class World:
     """N environments of a scene, in their initial state; Taichi has been started. UsageError as of model_of.
 
+    fault  what is planted
+    done   steps since the build
     first  positions, velocities and angular velocities that they begin with, [env, body, 3]
     """
 
@@ -49,7 +52,9 @@ class World:
         self._ulps = _numbers(np.rint(options.ulps * share).astype(np.int32))
         self._touching = _numbers(np.zeros(n_env, dtype=np.int32))
         self._ring: list[Any] = []
-        self._done = 0
+        self._still = _numbers(np.zeros(n_env, dtype=np.float32))
+        self.fault = Fault(options.fault, options.ulps, options.at, n_env)
+        self.done = 0
 
     def rehearse(self, *, storing: bool) -> None:
         """Compile the kernels of a step, and of storing it, by running them, and put the state back."""
@@ -64,9 +69,10 @@ class World:
     def step(self) -> None:
         """Enqueue a step."""
         self._advance()
-        self._done += 1
-        if self._options.moves and self._done == self._options.at:
+        self.done += 1
+        if self._options.moves and self.done == self._options.at:
             self._shift()
+        self.fault.after_step(self)
 
     def _advance(self) -> None:
         k, x_v = self._kernels, self._state[:2]
@@ -102,10 +108,9 @@ class World:
         """Copies of positions, velocities and angular velocities, [env, body, 3]."""
         return [array.to_numpy() for array in self._state]
 
-    @property
-    def done(self) -> int:
-        """Steps since the build."""
-        return self._done
+    def nudge(self, ulps: NDArray[np.int32]) -> None:
+        """Move the last body of each environment by units in the last place of its x, [env]."""
+        self._kernels.shift(self._state[0], self._still, _numbers(ulps))
 
     def put(self, arrays: Sequence[NDArray[np.float32]], envs: Envs, done: int) -> None:
         """Give environments the rows of such arrays, [env of envs, body, 3], and the world a number of steps done."""
@@ -113,7 +118,7 @@ class World:
             whole = target.to_numpy()
             whole[slice(None) if envs is None else envs] = rows
             target.from_numpy(whole)
-        self._done = done
+        self.done = done
 
     def counts(self) -> NDArray[np.int32]:
         """Contacts of the last step, [env]."""

@@ -1,0 +1,208 @@
+"""Whether gsb-probe finds faults that are there, and none that are not.
+
+The calibration simulator gets one fault for each question, of one unit in the last place up; and as many probes have
+none. Seeds, numbers of environments, spreads and steps differ from probe to probe. What each probe answers comes from
+its recordings, which a second process makes, in the calibration simulator's own environment (gsb-record --setup
+calibration); it records all of them, since a process of its own for each of a few thousand runs would take hours.
+
+    python -m benchmarks.probe_control [--probes 100]         the table of docs/probe.md
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import random
+import subprocess
+import sys
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).resolve().parents[1]
+
+SIZES = (1, 4, 64, 4096)
+"""Of faults, in units in the last place."""
+
+FOUND_BY = {
+    "runs": {"regime": "run-order", "entropy": "build"},
+    "envs": {"regime": "offset"},
+    **{
+        key: {"fault": key}
+        for key in ("capture", "number", "slot", "neighbours", "bystanders", "fresh", "restored", "set")
+    },
+}
+"""By question, the options that plant its fault; and `ulps`, its size."""
+
+
+@dataclass(frozen=True)
+class Probe:
+    """One probe.
+
+    planted  key of the question; empty for none
+    ulps     size of the fault
+    """
+
+    number: int
+    planted: str
+    ulps: int
+    scene: str
+    seed: int
+    n_env: int
+    steps: int
+    spread: float
+    at: int
+
+    @property
+    def options(self) -> dict[str, str]:
+        """Of the calibration simulator."""
+        given = FOUND_BY[self.planted] if self.planted else {}
+        size = {"ulps": str(self.ulps), "at": str(self.at)} if self.planted else {}
+        return {**given, **size, "device": "cpu"}
+
+
+def probes(count: int, seed: int = 0) -> Iterator[Probe]:
+    """As many with a fault as without; faults take turns."""
+    drawn = random.Random(seed)
+    for number in range(2 * count):
+        planted = list(FOUND_BY)[number % len(FOUND_BY)] if number < count else ""
+        ulps = SIZES[number // len(FOUND_BY) % len(SIZES)] if planted else 0
+        steps = drawn.randrange(30, 61)
+        yield Probe(
+            number, planted, ulps, drawn.choice(("inclined-collision", "free-fall")), drawn.randrange(2**32),
+            drawn.randrange(3, 9), steps, drawn.choice((0.03125, 0.25, 1.0)), drawn.randrange(1, steps // 3),
+        )  # fmt: skip
+
+
+def plan_of(probe: Probe) -> Any:
+    """Its plan, as gsb-probe makes it."""
+    from gpusimbench.evaluator.probe.plan import Plan
+
+    options = tuple(f"{name}={value}" for name, value in probe.options.items())
+    numbers = (1, 2 * probe.n_env)
+    return Plan(
+        "calibration", probe.scene, "default", options, probe.seed, probe.steps, probe.n_env, numbers, probe.spread
+    )
+
+
+def configurations(probe: Probe, folder: Path) -> list[dict[str, Any]]:
+    """Of the runs that it lacks, as a recording keeps them; of arms that differ, more are recorded."""
+    from gpusimbench.evaluator.cli.probe import differing
+    from gpusimbench.evaluator.read.recording import Recording
+    from gpusimbench.recorder.command.arguments import fill, parser
+    from gpusimbench.recorder.command.command import configure
+    from gpusimbench.schemas.location import place
+
+    found = []
+    plan = plan_of(probe)
+    there = [Recording(place(str(path))) for path in sorted(folder.glob("*.mcap"))]
+    for arm in plan.missing([recording.configuration for recording in there], differing(there)):
+        arguments = parser().parse_args(plan.arguments(arm, "."))
+        fill(arguments)
+        found.append(configure(arguments).to_json())
+    return found
+
+
+def record(jobs: Path) -> None:
+    """Make the runs of a file of jobs, in this process, which has Taichi."""
+    from gpusimbench.recorder.run.run import Run
+    from gpusimbench.schemas.configuration import RunConfiguration
+
+    for number, job in enumerate(json.loads(jobs.read_text())):
+        path = Path(job["path"])
+        path.parent.mkdir(parents=True, exist_ok=True)
+        run = Run(
+            RunConfiguration.from_json(job["configuration"]), path, run_id=f"{number:032x}", argv=(),
+            created="2026-01-01T00:00:00Z", progress=lambda phase, done, of: None, log=lambda: b"",
+        )  # fmt: skip
+        outcome = run.record()
+        if outcome.status != "COMPLETE":
+            raise SystemExit(f"{path}: {outcome.status}: {outcome.reason}")
+
+
+def judged(folder: Path) -> dict[str, str]:
+    """What a probe answers: question to answer."""
+    from gpusimbench.evaluator.probe.arms import arms_of
+    from gpusimbench.evaluator.probe.questions import answers
+    from gpusimbench.evaluator.read.recording import Recording
+    from gpusimbench.schemas.location import place
+
+    (arms,) = arms_of([Recording(place(str(path))) for path in sorted(folder.glob("*.mcap"))])
+    return {finding.key: finding.answer.value for finding in answers(arms)}
+
+
+def python_of_calibration() -> str:
+    """The interpreter of the calibration simulator's environment."""
+    from gpusimbench.recorder.environments.store import find
+
+    prepared = find("calibration")
+    if prepared is None:
+        raise SystemExit("needs the calibration simulator: gsb-record --setup calibration")
+    return str(prepared.folder / "bin" / "python")
+
+
+def table(results: Sequence[tuple[Probe, dict[str, str]]]) -> str:
+    """How many of each fault and size were found, and what was said where there was none."""
+    lines = ["| planted | " + " | ".join(f"{size} ULP" for size in SIZES) + " |", "|---|" + "---|" * len(SIZES)]
+    for planted in FOUND_BY:
+        cells = []
+        for size in SIZES:
+            of = [answers for probe, answers in results if (probe.planted, probe.ulps) == (planted, size)]
+            cells.append(f"{sum(answers[planted] == 'no' for answers in of)} of {len(of)}")
+        lines.append(f"| {planted} | " + " | ".join(cells) + " |")
+    clean = [answers for probe, answers in results if not probe.planted]
+    found = [answers[probe.planted] == "no" for probe, answers in results if probe.planted]
+    said = Counter(answer for answers in clean for answer in answers.values())
+    lines.append(f"\nfound: {sum(found)} of {len(found)} planted faults")
+    false = sum(any(answer != "yes" for answer in answers.values()) for answers in clean)
+    lines.append(f"false: {false} of {len(clean)} probes without a fault ({dict(said)} over all questions)")
+    return "\n".join(lines)
+
+
+def recorded_elsewhere(jobs: list[dict[str, Any]], file: Path) -> None:
+    """Make runs in the calibration simulator's own environment."""
+    file.write_text(json.dumps(jobs))
+    command = [python_of_calibration(), "-P", "-m", "benchmarks.probe_control", "--record", str(file)]
+    environment = {**os.environ, "PYTHONPATH": f"{ROOT / 'src'}:{ROOT}", "TI_SKIP_VERSION_CHECK": "ON"}
+    subprocess.run(command, check=True, cwd=ROOT, env=environment, stdout=subprocess.DEVNULL)
+
+
+def main() -> None:
+    """Plant, record, judge, count."""
+    p = argparse.ArgumentParser(description=(__doc__ or "").split("\n\n", maxsplit=1)[0])
+    p.add_argument("--probes", type=int, default=100, help="with a fault, and as many without")
+    p.add_argument("--record", type=Path, help=argparse.SUPPRESS)
+    arguments = p.parse_args()
+    if arguments.record:
+        record(arguments.record)
+        return
+    began = time.monotonic()
+    with tempfile.TemporaryDirectory() as scratch:
+        folder = Path(scratch)
+        drawn = list(probes(arguments.probes))
+        made = 0
+        for attempt in range(2):
+            jobs = [
+                {"path": str(folder / str(probe.number) / f"{attempt}-{index:02}.mcap"), "configuration": configuration}
+                for probe in drawn
+                for index, configuration in enumerate(configurations(probe, folder / str(probe.number)))
+            ]
+            recorded_elsewhere(jobs, folder / "jobs.json")
+            made += len(jobs)
+        results = [(probe, judged(folder / str(probe.number))) for probe in drawn]
+        print(table(results))
+        print(f"{made} runs, {time.monotonic() - began:.0f} s")
+        for probe, answers in results:
+            missed = probe.planted and answers[probe.planted] != "no"
+            false = not probe.planted and set(answers.values()) != {"yes"}
+            if missed or false:
+                print(json.dumps({**asdict(probe), "answers": answers}), file=sys.stderr)
+
+
+if __name__ == "__main__":
+    main()

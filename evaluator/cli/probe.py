@@ -1,0 +1,257 @@
+"""gsb-probe: whether results depend on what should not matter, such as the number of environments or a reset."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from gpusimbench.evaluator.cli.arguments import local_name
+from gpusimbench.evaluator.cli.entry import complain, enter, new_parser
+from gpusimbench.evaluator.cli.json_target import check_target, write_json
+from gpusimbench.schemas.errors import DataLost, ExitCode, NothingComparable, UsageError
+from gpusimbench.schemas.location import place
+from gpusimbench.schemas.progress import each, sizes
+from gpusimbench.schemas.text import line, show
+
+if TYPE_CHECKING:
+    from gpusimbench.evaluator.probe.plan import Arm, Plan
+    from gpusimbench.evaluator.probe.sections import Probed
+    from gpusimbench.evaluator.read.recording import Recording
+    from gpusimbench.schemas.configuration import RunConfiguration
+    from gpusimbench.schemas.location import Place
+
+_OUT = Path("probe")
+_SPREAD = 0.1
+_STEPS, _QUICK_STEPS = 300, 150
+_NUMBERS = {"cpu": (1, 2, 64), "cuda": (1, 2, 64, 256, 1024, 4096)}
+_QUICK_NUMBERS = (1, 2, 64)
+
+_EPILOG = """\
+Each question is about something that should not matter: whether the same run comes out again, how many environments
+there are, in which slot an environment stands, what its neighbours do, whether others were reset, whether a state was
+saved and restored on the way. gsb-probe records a dozen short runs that differ in one of these alone, and compares them
+bit by bit. Where two differ, both are recorded again, to tell that from differences between runs. "no" names the first
+step, environment, body and number that differs, and how far apart bodies get. "open" means that runs of the same
+configuration differ, too, so that nothing can be said of the cause.
+
+The recordings lie in --out; a probe that was interrupted goes on where it stopped. With files or folders instead of
+--sim nothing is recorded: the answers are those of the recordings.
+
+exit codes:
+  0  answered; with --gate, every answer is yes but the last, which is no defect
+  1  a run could not be recorded
+  2  the command asks for something that cannot be
+  3  a recording is damaged
+  4  with --gate: an answer is no
+  5  with --gate: an answer is open; without: nothing could be asked
+
+examples:
+  gsb-probe --sim mujoco --quick
+  gsb-probe --sim mjx,warp --determinism default,run-to-run --out invariance
+  gsb-probe invariance --all
+"""
+
+
+def parser() -> argparse.ArgumentParser:
+    """The command's arguments."""
+    p = new_parser(
+        "gsb-probe",
+        "Ask a simulator whether its results depend on what should not matter: record short runs that differ in one "
+        "thing alone, and compare them bit by bit.",
+        _EPILOG,
+    )
+    p.add_argument("files", nargs="*", type=place, metavar="FILE", help="recordings of a probe, or folders of them")
+    p.add_argument("--sim", metavar="NAME[,NAME]", help="simulators to probe; see gsb-record --list")
+    p.add_argument("--scene", default="inclined-collision", metavar="NAME", help="(default: %(default)s)")
+    p.add_argument(
+        "--determinism", default="default", metavar="LEVEL[,LEVEL]",
+        help="levels to probe, or all that have an effect on this machine's device (default: %(default)s)",
+    )  # fmt: skip
+    p.add_argument("--option", action="append", default=[], metavar="NAME=VALUE", help="of the simulator; repeatable")
+    p.add_argument("--n-env", type=int, default=16, metavar="N", help="environments (default: %(default)s)")
+    p.add_argument(
+        "--numbers", metavar="N,N", help="other numbers of environments (default: 1,2,64; on a GPU up to 4096)"
+    )
+    p.add_argument("--steps", type=int, metavar="N", help=f"of each run (default: {_STEPS}; --quick: {_QUICK_STEPS})")
+    p.add_argument(
+        "--stride", type=int, default=1, metavar="K",
+        help="record every K-th state; differences are found at every step all the same (default: %(default)s)",
+    )  # fmt: skip
+    p.add_argument(
+        "--spread", type=float, default=_SPREAD, metavar="S",
+        help="of initial states that differ [m/s or rad] (default: %(default)s)",
+    )  # fmt: skip
+    p.add_argument("--seed", type=int, default=0, metavar="N", help="of what is drawn (default: %(default)s)")
+    p.add_argument("--quick", action="store_true", help="fewer steps and numbers of environments")
+    p.add_argument("--out", type=Path, default=_OUT, metavar="DIR", help="of the recordings (default: %(default)s/)")
+    p.add_argument("--all", action="store_true", help="say also what was compared, by which files")
+    p.add_argument("--gate", action="store_true", help="end with 4 where an answer is no, and with 5 where one is open")
+    p.add_argument("--json", type=local_name, metavar="FILE", help="write the answers as JSON; - for standard output")
+    return p
+
+
+def run(arguments: argparse.Namespace, command: str) -> int:
+    """Record what is missing, compare and print; returns the exit code."""
+    from gpusimbench.evaluator.probe.arms import arms_of
+    from gpusimbench.evaluator.probe.json import dump_probe
+    from gpusimbench.evaluator.probe.questions import QUESTIONS, Answer, answers
+    from gpusimbench.evaluator.probe.sections import probe_document
+    from gpusimbench.evaluator.render.terminal import print_document
+
+    _check(arguments)
+    problems: list[str] = []
+    files = _recorded(arguments, problems) if arguments.sim else _given(arguments)
+    recordings = _verified(files)
+    probed: list[Probed] = [(arms, answers(arms)) for arms in arms_of(recordings)]
+    findings = [finding for _, found in probed for finding in found]
+    if all(finding.answer is Answer.NOT_ASKED for finding in findings):
+        raise NothingComparable("; ".join(problems) or "these recordings are no arms of a probe: nothing can be asked")
+    if arguments.json:
+        write_json(arguments.json, dump_probe(probed))
+    if arguments.json != "-":
+        print_document(probe_document(probed, every=arguments.all), sys.stdout)
+    if problems:
+        return int(ExitCode.FAILURE)
+    gated = {question.key for question in QUESTIONS if question.gate} if arguments.gate else set()
+    found = {finding.answer for finding in findings if finding.key in gated}
+    if Answer.NO in found:
+        return int(ExitCode.GATE_FAILED)
+    return int(ExitCode.NOTHING_COMPARABLE if Answer.OPEN in found else ExitCode.OK)
+
+
+def _check(arguments: argparse.Namespace) -> None:
+    if bool(arguments.sim) == bool(arguments.files):
+        raise UsageError("name simulators to probe with --sim, or recordings of a probe, not both and not neither")
+    for name in ("n_env", "steps"):
+        value = getattr(arguments, name)
+        if value is not None and value < (1 if name == "n_env" else 30):
+            raise UsageError(f"--{name.replace('_', '-')} is at least {1 if name == 'n_env' else 30}, not {value}")
+    check_target(arguments.json)
+
+
+def _given(arguments: argparse.Namespace) -> list[Place]:
+    from gpusimbench.evaluator.read.addresses import expand
+
+    return list(expand(arguments.files))
+
+
+def _verified(files: list[Place]) -> list[Recording]:
+    from gpusimbench.evaluator.read.recording import Recording
+    from gpusimbench.evaluator.runs.validation import verify
+
+    found = []
+    for path in each(files, "verifying recordings", sizes(files)):
+        recording = Recording(path)
+        verify(recording)
+        found.append(recording)
+    if lost := [recording for recording in found if recording.status == "incomplete"]:
+        raise DataLost(f"{lost[0].path} is incomplete: {lost[0].reason}")
+    return found
+
+
+def _recorded(arguments: argparse.Namespace, problems: list[str]) -> list[Place]:
+    """The recordings of all plans, those that were missing made; `problems` gets what could not be recorded."""
+    files: list[Place] = []
+    for plan in _plans(arguments):
+        _record(plan, plan.missing(_configurations(arguments.out, plan)), arguments.out, problems)
+        again = differing(_there(arguments.out, plan))
+        _record(plan, plan.missing(_configurations(arguments.out, plan), again), arguments.out, problems, "once more")
+        files += [recording.path for recording in _there(arguments.out, plan)]
+    return files
+
+
+def _record(plan: Plan, left: list[Arm], out: Path, problems: list[str], what: str = "") -> None:
+    from gpusimbench.evaluator.compute.recorder import record
+
+    title = " ".join(filter(None, (f"recording {plan.simulator}, {plan.determinism}", what)))
+    for arm in each(left, title, [plan.n_env + arm.n_env for arm in left]):
+        made, refused = record(plan.arguments(arm, str(out)), lambda text: None)
+        for one in made:
+            if one.path is None or one.status == "stopped":
+                problems.append(f"{plan.command(arm, str(out))}: {one.status}: {one.reason}")
+                complain("gsb-probe", problems[-1])
+        if refused and not arm.intervention and not arm.initial:
+            raise UsageError(refused)
+        if refused:  # an ability that is missing is an answer
+            show(line(f"gsb-probe: {arm.words}: {refused}"), error=True)
+
+
+def differing(recordings: list[Recording]) -> list[Arm]:
+    """Arms of which something differs: more runs of them tell whether that is more than runs do anyway."""
+    from gpusimbench.evaluator.probe.arms import arms_of
+    from gpusimbench.evaluator.probe.plan import arm_of
+    from gpusimbench.evaluator.probe.questions import Answer, answers
+
+    at = {recording.path: arm_of(recording.configuration) for recording in recordings}
+    no = (f for arms in arms_of(recordings) for f in answers(arms) if f.answer is Answer.NO and f.found is not None)
+    return list(dict.fromkeys(at[path] for finding in no if finding.found for path in finding.found.files))
+
+
+def _configurations(out: Path, plan: Plan) -> list[RunConfiguration]:
+    return [recording.configuration for recording in _there(out, plan)]
+
+
+def _there(out: Path, plan: Plan) -> list[Recording]:
+    from gpusimbench.evaluator.read.recording import Recording
+
+    found = [Recording(place(str(path))) for path in (sorted(out.glob("*.mcap")) if out.is_dir() else [])]
+    return [r for r in found if r.status != "incomplete" and plan.has(r.configuration)]
+
+
+def _plans(arguments: argparse.Namespace) -> list[Plan]:
+    from gpusimbench.evaluator.compute.recorder import about
+    from gpusimbench.evaluator.probe.plan import Plan
+
+    plans = []
+    for name in filter(None, (part.strip() for part in arguments.sim.split(","))):
+        known = about(name)
+        chosen = dict(option.partition("=")[::2] for option in arguments.option)
+        device = chosen.get("device") if chosen.get("device") in _NUMBERS else known["device_here"]
+        levels = known["levels"]
+        if arguments.determinism == "all":
+            wanted = [level["level"] for level in levels if level["effect_here"]]
+            for level in levels:
+                if not level["effect_here"]:
+                    why = f"{level['level']} has no effect on this device: {level['why_none']}"
+                    show(line(f"gsb-probe: {name}: {why}"), error=True)
+        else:
+            wanted = [part.strip() for part in arguments.determinism.split(",")]
+        plans += [
+            Plan(
+                name,
+                arguments.scene,
+                level,
+                tuple(arguments.option),
+                arguments.seed,
+                arguments.steps or (_QUICK_STEPS if arguments.quick else _STEPS),
+                arguments.n_env,
+                _numbers(arguments, device or "cpu"),
+                arguments.spread,
+                arguments.stride,
+            )
+            for level in wanted
+        ]
+    return plans
+
+
+def _numbers(arguments: argparse.Namespace, device: str) -> tuple[int, ...]:
+    if arguments.numbers is None:
+        return _QUICK_NUMBERS if arguments.quick else _NUMBERS[device]
+    try:
+        found = tuple(int(part) for part in arguments.numbers.split(","))
+    except ValueError:
+        found = ()
+    if not found or min(found) < 1:
+        raise UsageError(f"--numbers is a list of numbers of environments, such as 1,2,64, not '{arguments.numbers}'")
+    return found
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Entry point of gsb-probe."""
+    return enter(parser(), run, argv)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

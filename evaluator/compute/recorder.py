@@ -1,0 +1,111 @@
+"""gsb-record in a process of its own: reading recordings needs no simulator, running them does."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+import tempfile
+from collections import deque
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO, Any
+
+from gpusimbench.schemas.errors import ExitCode, GsbError, UsageError
+
+COMMAND = "gsb-record"
+_KEPT_LINES = 50
+_MOST_BYTES = 16 << 20  # of what it prints on standard output
+
+
+@dataclass(frozen=True)
+class Made:
+    """One run: how it ended, and its recording; None where nothing was written."""
+
+    status: str
+    reason: str
+    path: Path | None
+
+
+def record(arguments: Sequence[str], say: Callable[[str], None]) -> tuple[tuple[Made, ...], str]:
+    """Run gsb-record and wait for its end: the runs that were begun, and why none was.
+
+    say  gets what it says on the way, line by line
+
+    GsbError where it cannot be started or does not say what it did. An interruption is passed on to it, and raised
+    again once it has ended.
+    """
+    with tempfile.TemporaryFile() as printed:
+        command = [sys.executable, "-P", "-m", "gpusimbench.recorder.cli", *arguments, "--json"]
+        returncode, said = _run(command, printed, say)
+        printed.seek(0)
+        output = printed.read(_MOST_BYTES)
+    if returncode == ExitCode.USAGE and not output:
+        return (), _refusal(said)
+    return _made(output, returncode, said), ""
+
+
+def about(simulator: str) -> dict[str, Any]:
+    """What ``gsb-record --list NAME --json`` says of a simulator; UsageError where there is none of that name."""
+    with tempfile.TemporaryFile() as printed:
+        command = [sys.executable, "-P", "-m", "gpusimbench.recorder.cli", "--list", simulator, "--json"]
+        returncode, said = _run(command, printed, lambda text: None)
+        printed.seek(0)
+        output = printed.read(_MOST_BYTES)
+    try:
+        found: dict[str, Any] = json.loads(output)["simulator"]
+        return found
+    except (ValueError, LookupError):
+        raise UsageError(_refusal(said) if returncode else f"'{simulator}' is no simulator") from None
+
+
+def _run(command: Sequence[str], printed: IO[bytes], say: Callable[[str], None]) -> tuple[int, list[str]]:
+    said: deque[str] = deque(maxlen=_KEPT_LINES)
+    try:
+        # in a session of its own, so that an interruption reaches it once, through this process
+        child = subprocess.Popen(
+            command, stdin=subprocess.DEVNULL, stdout=printed, stderr=subprocess.PIPE, text=True, errors="replace",
+            start_new_session=True,
+        )  # fmt: skip
+    except OSError as error:
+        raise GsbError(f"cannot start {COMMAND}: {error.strerror}") from None
+    interrupted = False
+    with child:
+        assert child.stderr is not None
+        while True:
+            try:
+                for line in child.stderr:
+                    said.append(line.rstrip("\n"))
+                    say(said[-1])
+                child.wait()
+                break
+            except KeyboardInterrupt:
+                interrupted = True
+                with suppress(ProcessLookupError):
+                    child.send_signal(signal.SIGINT)
+    if interrupted:
+        raise KeyboardInterrupt
+    return child.returncode, list(said)
+
+
+def as_path(path: Path) -> str:
+    """A path that no command takes for an option."""
+    text = str(path)
+    return f"./{text}" if text.startswith("-") else text  # which is no option
+
+
+def _refusal(said: Sequence[str]) -> str:
+    mark = f"{COMMAND}: "
+    refusals = [line.removeprefix(mark) for line in said if line.startswith(mark)]
+    return refusals[-1] if refusals else (said[-1] if said else "it did not say why")
+
+
+def _made(output: bytes, returncode: int, said: Sequence[str]) -> tuple[Made, ...]:
+    try:
+        runs: list[dict[str, Any]] = json.loads(output)["runs"]
+        return tuple(Made(r["status"], r["reason"], Path(r["file"]) if r["file"] else None) for r in runs)
+    except (ValueError, LookupError, TypeError):
+        raise GsbError(f"{COMMAND} ended with exit code {returncode} and no result: {_refusal(said)}") from None

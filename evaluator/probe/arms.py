@@ -1,0 +1,97 @@
+"""Recordings of one configuration that differ in how they were treated: the arms of a probe."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from gpusimbench.evaluator.read.recording import Recording
+from gpusimbench.evaluator.runs.groups import GroupKey, key_of
+from gpusimbench.schemas.treatment import Initial, Intervention
+
+
+@dataclass(frozen=True)
+class Arms:
+    """What was recorded of one configuration.
+
+    key       what all arms have in common; of others than these its number of environments, treatment and what follows
+              from them are empty
+    n_env     of the arms that are compared with each other
+    plain     environments that begin alike, and are left alone
+    varied    environments that begin differently, and are left alone; `spread` as in their configurations
+    by_number the same with other numbers of environments
+    shifted   the same with states in other slots
+    but       the same, where all environments but one begin otherwise
+    treated   as `varied`, by kind of intervention
+    repeated  runs of one treatment, of each that has several
+    failed    why arms are missing, by how they were to be treated
+    """
+
+    key: GroupKey
+    n_env: int
+    plain: tuple[Recording, ...]
+    varied: tuple[Recording, ...]
+    by_number: dict[int, Recording]
+    shifted: Recording | None
+    but: Recording | None
+    treated: dict[str, Recording]
+    repeated: tuple[tuple[Recording, ...], ...]
+    failed: dict[str, str]
+
+    @property
+    def version(self) -> str:
+        """Of the engine."""
+        return self.key.version
+
+
+def arms_of(recordings: Sequence[Recording]) -> list[Arms]:
+    """The arms of each configuration among some recordings that were captured, in order of first appearance."""
+    found: dict[GroupKey, list[Recording]] = {}
+    for recording in recordings:
+        if "capture" in recording.configuration.phases:
+            found.setdefault(_common(recording), []).append(recording)
+    return [_arms(key, alike) for key, alike in found.items()]
+
+
+def _common(recording: Recording) -> GroupKey:
+    options = json.dumps(recording.configuration.options, sort_keys=True)
+    return replace(
+        key_of(recording), n_env=0, initial="", intervention="", warmup=0, timed_steps=0, layout="", origins="",
+        options=options,
+    )  # fmt: skip
+
+
+def _arms(key: GroupKey, recordings: Sequence[Recording]) -> Arms:
+    usual = Counter(r.configuration.n_env for r in recordings)
+    n_env = max(usual, key=lambda n: (usual[n], n))
+    good = [r for r in recordings if r.status == "complete" and not r.dropouts]
+    failed = {_treatment(r): f"{r.status}: {r.reason}" for r in recordings if r not in good}
+    alone = [r for r in good if not r.configuration.intervention]
+    varied = {r: Initial.parse(r.configuration.initial) for r in good if r.configuration.initial}
+    same = [r for r, initial in varied.items() if not initial.shift and initial.but is None]
+    by_treatment: dict[str, list[Recording]] = {}
+    for recording in good:
+        by_treatment.setdefault(_treatment(recording), []).append(recording)
+    return Arms(
+        key,
+        n_env,
+        tuple(r for r in alone if not r.configuration.initial and r.configuration.n_env == n_env),
+        tuple(r for r in same if r in alone and r.configuration.n_env == n_env),
+        {r.configuration.n_env: r for r in reversed(same) if r in alone and r.configuration.n_env != n_env},
+        next((r for r, initial in varied.items() if initial.shift), None),
+        next((r for r, initial in varied.items() if initial.but is not None), None),
+        {
+            Intervention.parse(r.configuration.intervention).kind: r
+            for r in reversed(same)
+            if r.configuration.intervention
+        },
+        tuple(tuple(runs) for runs in by_treatment.values() if len(runs) > 1),
+        {how: why for how, why in failed.items() if how not in map(_treatment, good)},
+    )
+
+
+def _treatment(recording: Recording) -> str:
+    c = recording.configuration
+    return " ".join(filter(None, (f"{c.n_env} envs", c.initial, c.intervention)))

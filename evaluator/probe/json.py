@@ -1,0 +1,41 @@
+"""The answers of a probe as JSON."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from gpusimbench.evaluator.json_values import dump, values_of
+from gpusimbench.evaluator.probe.questions import Finding
+from gpusimbench.evaluator.probe.sections import Probed, verdict_of
+
+SCHEMA_VERSION = 1
+
+
+def dump_probe(probed: Sequence[Probed]) -> str:
+    """The document that ``gsb-probe --json`` writes."""
+    return dump({"schema_version": SCHEMA_VERSION, "probes": [_probe(one) for one in probed]})
+
+
+def _probe(probed: Probed) -> dict[str, Any]:
+    arms, findings = probed
+    key = arms.key
+    return {
+        "simulator": key.simulator,
+        "version": key.version,
+        "device": key.device,
+        "scene": key.scene,
+        "determinism": key.determinism,
+        "options": key.options,
+        "seed": key.seed,
+        "n_env": arms.n_env,
+        "numbers": sorted(arms.by_number),
+        "verdict": verdict_of(findings),
+        "failed": dict(arms.failed),
+        "answers": [_finding(finding) for finding in findings],
+    }
+
+
+def _finding(finding: Finding) -> dict[str, Any]:
+    found = None if finding.found is None else {**values_of(finding.found), "level": finding.found.level.name.lower()}
+    return {**values_of(finding), "found": found}

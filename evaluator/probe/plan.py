@@ -1,0 +1,123 @@
+"""Which runs a probe needs, in which order, and which of them are there already."""
+
+from __future__ import annotations
+
+import shlex
+from collections import Counter
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+
+from gpusimbench.schemas.configuration import RunConfiguration
+from gpusimbench.schemas.treatment import Initial, Intervention
+
+CONFIRMED = 2
+"""Further runs of arms that differ."""
+
+MANY = 8
+"""States of so many times more environments are not worth their room: hashes tell what differs, and since when."""
+
+
+@dataclass(frozen=True)
+class Arm:
+    """One run: how it is treated.
+
+    timed  whether it has a timed phase beside the capture, so that both can be compared
+    """
+
+    n_env: int
+    initial: str = ""
+    intervention: str = ""
+    timed: bool = False
+
+    @property
+    def words(self) -> str:
+        """What is special about it, for who waits for it."""
+        return ", ".join(filter(None, (f"{self.n_env} envs", self.initial, self.intervention)))
+
+
+def arm_of(c: RunConfiguration) -> Arm:
+    """How a run was treated."""
+    return Arm(c.n_env, c.initial, c.intervention, "timed" in c.phases)
+
+
+@dataclass(frozen=True)
+class Plan:
+    """The probe of one simulator at one level of determinism.
+
+    simulator, scene, determinism, options, seed  as of gsb-record
+    steps    captured in each run
+    n_env    environments of the usual runs
+    numbers  other numbers of environments
+    spread   of initial states that differ [m/s or rad]
+    stride   of the recorded states, which divides `steps`; hashes are recorded at every step. Of runs with more than
+             MANY times as many environments as the usual ones, only the first and the last state are recorded
+    """
+
+    simulator: str
+    scene: str
+    determinism: str
+    options: tuple[str, ...]
+    seed: int
+    steps: int
+    n_env: int
+    numbers: tuple[int, ...]
+    spread: float
+    stride: int = 1
+
+    def arms(self) -> Iterator[Arm]:
+        """All runs, in order: those that are alike come first and last, so that a drift of the machine shows."""
+        varied = Initial(self.spread)
+        at, more = self.steps // 3, max(1, self.steps // 10)
+        plain, usual = Arm(self.n_env, timed=True), Arm(self.n_env, str(varied))
+        yield from (plain, usual)
+        yield from (Arm(n, str(varied)) for n in self.numbers if n != self.n_env)
+        if self.n_env > 1:
+            yield Arm(self.n_env, str(Initial(self.spread, shift=max(1, self.n_env // 3))))
+            yield Arm(self.n_env, str(Initial(self.spread, but=0)))
+        for intervention in (Intervention("reset", at), Intervention("excursion", at, more), Intervention("set", at)):
+            yield Arm(self.n_env, str(varied), str(intervention))
+        yield from (usual, plain)
+
+    def missing(self, recorded: Iterable[RunConfiguration], again: Iterable[Arm] = ()) -> list[Arm]:
+        """Arms that are not among the runs of a folder that have ended.
+
+        again  arms that differ from others: CONFIRMED more runs of each tell that from differences between runs
+        """
+        there = Counter(arm_of(c) for c in recorded if self.has(c))
+        left = []
+        for arm in (*self.arms(), *(arm for _ in range(CONFIRMED) for arm in again)):
+            there[arm] -= 1
+            if there[arm] < 0:
+                left.append(arm)
+        return left
+
+    def has(self, c: RunConfiguration) -> bool:
+        """Whether a run is an arm of this plan."""
+        options = sorted(f"{name}={value}" for name, value in c.options.items())
+        found = (c.simulator, c.scene, c.determinism, c.seed, c.steps, c.stride, options)
+        asked = (
+            self.simulator, self.scene, self.determinism, self.seed, self.steps, self._stride(c.n_env),
+            sorted(self.options),
+        )  # fmt: skip
+        return found == asked and arm_of(c) in set(self.arms())
+
+    def _stride(self, n_env: int) -> int:
+        return self.steps if n_env > MANY * self.n_env else self.stride
+
+    def arguments(self, arm: Arm, out: str) -> list[str]:
+        """Of gsb-record, for one arm."""
+        given = ["--sim", self.simulator, "--scene", self.scene, "--determinism", self.determinism]
+        given += [f"--option={option}" for option in self.options]
+        given += ["--n-env", str(arm.n_env), "--runs", "1", "--steps", str(self.steps), "--seed", str(self.seed)]
+        given += ["--stride", str(self._stride(arm.n_env))]
+        given += ["--initial", arm.initial] if arm.initial else []
+        given += ["--intervene", arm.intervention] if arm.intervention else []
+        # the timed phase passes the step at which the capture ends, so that both have a hash of it
+        first = self.steps // 2
+        timed = ["--warmup", str(first), "--timed-steps", str(self.steps - first)]
+        given += timed if arm.timed else ["--phases", "capture"]
+        return [*given, "--no-view", "--compression", "zstd", "--out", out]
+
+    def command(self, arm: Arm, out: str) -> str:
+        """The same as a user would type it."""
+        return shlex.join(["gsb-record", *self.arguments(arm, out)])

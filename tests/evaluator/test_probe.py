@@ -1,0 +1,326 @@
+"""gsb-probe: questions about what should not matter, asked of recordings that differ in it alone."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from gpusimbench.evaluator.metrics.levels import Level
+from gpusimbench.evaluator.missing import Missing
+from gpusimbench.evaluator.probe.arms import arms_of
+from gpusimbench.evaluator.probe.pairs import Pairs, held
+from gpusimbench.evaluator.probe.plan import Arm, Plan
+from gpusimbench.evaluator.probe.questions import QUESTIONS, Answer, Finding, answers
+from gpusimbench.evaluator.probe.sections import evidence, verdict_of
+from gpusimbench.evaluator.read.recording import Recording
+from gpusimbench.schemas.configuration import RunConfiguration
+from gpusimbench.schemas.location import place
+from gpusimbench.schemas.provenance import PROVENANCE
+from gpusimbench.schemas.treatment import Initial, Intervention
+from tests.conftest import Command, call
+from tests.synthetic import grid, write_recording
+
+Planted = Callable[[NDArray[Any], int], None]
+"""Changes the positions [env, 27, 3] after a step."""
+
+PLAN = Plan("synthetic", "inclined-collision", "default", (), 0, 30, 4, (1, 2, 8), 0.25)
+AT = PLAN.steps // 3
+
+
+def _who(env: int, n_env: int, initial: str) -> int:
+    # a number for each initial state that can be drawn
+    if not initial:
+        return 0
+    drawn = Initial.parse(initial)
+    other = 100 if drawn.but not in (None, env) else 0
+    return other + (env + drawn.shift) % n_env + 1
+
+
+def _world(arm: Arm, planted: Planted | None) -> Callable[[NDArray[Any], int], NDArray[Any]]:
+    """Positions of a simulator on which nothing depends that should not: each body moves by who it is, and by steps."""
+    done = Intervention.parse(arm.intervention) if arm.intervention else None
+
+    def positions(start: NDArray[Any], step: int) -> NDArray[Any]:
+        found = start.copy()
+        for env in range(arm.n_env):
+            who, age = _who(env, arm.n_env, arm.initial), step
+            if done is not None and done.kind == "reset" and done.treated(env) and step > done.step:
+                who, age = 0, step - done.step
+            found[env] += np.float32(0.001) * age * np.sin(np.arange(27, dtype=np.float32) + who)[:, None]
+        if planted is not None:
+            planted(found, step)
+        return found
+
+    return positions
+
+
+def _write(folder: Path, arm: Arm, planted: Planted | None = None, **keywords: Any) -> Recording:
+    def treated(name: str, record: dict[str, Any]) -> None:
+        if name == PROVENANCE:
+            record["configuration"] |= {"initial": arm.initial, "intervention": arm.intervention}
+
+    folder.mkdir(exist_ok=True)
+    start = grid(arm.n_env, "float32")
+    moved = _world(arm, planted)
+    path = write_recording(
+        folder, moved(start, PLAN.steps), steps=PLAN.steps, dt=0.01, elapsed_s=None, change=treated,
+        path_of=lambda _, step: moved(start, step), **keywords,
+    )  # fmt: skip
+    return Recording(place(str(path)))
+
+
+def _probe(folder: Path, planted: dict[int, Planted] | None = None) -> dict[str, Finding]:
+    """Answers to recordings of the plan; `planted` by place in it."""
+    recordings = [_write(folder, arm, (planted or {}).get(index)) for index, arm in enumerate(PLAN.arms())]
+    (arms,) = arms_of(recordings)
+    return {finding.key: finding for finding in answers(arms)}
+
+
+def _moved(env: int, body: int, step: int, ulps: int = 1) -> Planted:
+    def plant(positions: NDArray[Any], now: int) -> None:
+        if now >= step:
+            word = positions[env, body, 1].view(np.int32) + np.int32(ulps)
+            positions[env, body, 1] = word.view(np.float32)
+
+    return plant
+
+
+ARMS = list(PLAN.arms())
+"""plain, usual, 1, 2 and 8 environments, shifted, all but one, reset, excursion, set, usual, plain."""
+
+
+def test_nothing_planted(tmp_path: Path) -> None:
+    """Answer yes to everything that was recorded, where nothing depends on anything."""
+    found = _probe(tmp_path)
+    assert [q.key for q in QUESTIONS] == list(found)
+    assert {key for key, finding in found.items() if finding.answer is Answer.YES} == found.keys() - {"capture"}
+    assert found["capture"].answer is Answer.NOT_ASKED
+    assert verdict_of(list(found.values())) == "9 of 9 answers are yes"
+    assert evidence(found["number"]) == "bit-identical: 7 pairs, 31 steps"
+    assert evidence(found["fresh"]) == f"bit-identical: 2 pairs, {PLAN.steps - AT} steps"
+
+
+@pytest.mark.parametrize(
+    ("index", "env", "step", "also", "env_a"),
+    [
+        (10, 2, 7, "runs", 2),
+        (0, 3, 9, "envs", 0),
+        (3, 1, 5, "number", 1),
+        (5, 1, 4, "slot", 2),
+        (6, 0, 6, "neighbours", 0),
+        (7, 1, AT + 2, "bystanders", 1),
+        (7, 2, AT + 3, "fresh", 2),
+        (8, 3, AT + 1, "restored", 3),
+        (9, 0, AT + 1, "set", 0),
+    ],
+)
+def test_one_thing_planted(tmp_path: Path, index: int, env: int, step: int, also: str, env_a: int) -> None:
+    """Say no to the question that the planted unit in the last place is about: where, and by how much."""
+    # of runs that are alike, both are alike, unless that is what the question is about
+    found = _probe(tmp_path, {at: _moved(env, 5, step) for at in ((0, 11) if index == 0 else (index,))})
+    asked = found[also]
+    # where runs differ anyway, a difference has no known cause
+    others = {Answer.YES, Answer.NOT_ASKED} | ({Answer.OPEN} if also == "runs" else set())
+    assert asked.answer is Answer.NO
+    assert {finding.answer for key, finding in found.items() if key != also} <= others
+    assert asked.found is not None
+    assert asked.found.level is Level.WITHIN_ULP
+    assert asked.found.first_step == step
+    first = asked.found.first
+    assert first is not None
+    assert (first.step, first.env_a, first.field, first.component, first.ulp) == (step, env_a, "cubes/position", "y", 1)
+    assert first.item.startswith("cube")
+    assert "first by 1 ULP" in evidence(asked)
+    assert "never beyond 8 ULP" in evidence(asked)
+
+
+def test_far_apart(tmp_path: Path) -> None:
+    """Tell small differences from large ones, and say where they are largest."""
+
+    def fly(positions: NDArray[Any], step: int) -> None:
+        if step >= 12:
+            positions[3, 4, 2] += np.float32(0.01) * (15 - abs(step - 20))
+
+    asked = _probe(tmp_path, {8: fly})["restored"]
+    assert asked.answer is Answer.NO
+    assert asked.found is not None
+    assert asked.found.level is Level.DIFFERENT
+    assert (asked.found.first_step, asked.found.at_step, asked.found.unit) == (12, 20, "m")
+    assert asked.found.max_distance == pytest.approx(0.15)
+    assert "15 cm apart at step 20" in evidence(asked)
+
+
+def test_not_finite(tmp_path: Path) -> None:
+    """Call numbers that are not finite different, at no known distance."""
+
+    def blow(positions: NDArray[Any], step: int) -> None:
+        if step >= 12:
+            positions[3, 4, 2] = np.nan
+
+    (one,) = arms_of([_write(tmp_path, ARMS[0], blow), _write(tmp_path, ARMS[0])])
+    found = {finding.key: finding for finding in answers(one)}["runs"]
+    assert found.answer is Answer.NO
+    assert found.found is not None
+    assert found.found.level is Level.DIFFERENT
+
+
+def test_noise_leaves_causes_open(tmp_path: Path) -> None:
+    """Blame nothing for a difference where runs of the same configuration differ, too; what is equal is still yes."""
+    found = _probe(tmp_path, {10: _moved(2, 5, 7), 8: _moved(1, 5, 12)})
+    assert found["runs"].answer is Answer.NO
+    assert found["restored"].answer is Answer.OPEN
+    assert found["restored"].why == "runs that were asked for the same differ too, from step 7 on"
+    assert found["slot"].answer is Answer.YES
+    (arms,) = arms_of([_write(tmp_path / "few", ARMS[1]), _write(tmp_path / "few", ARMS[8], _moved(1, 5, 12))])
+    alone = {finding.key: finding for finding in answers(arms)}
+    assert alone["restored"].answer is Answer.OPEN
+    assert "runs were not compared" in alone["restored"].why
+
+
+def test_what_is_not_there_is_not_asked(tmp_path: Path) -> None:
+    """Name what a question needs, and the reason where the run for it failed."""
+    failed = _write(tmp_path, ARMS[9], status="FAILED", reason="no room", cause="ENGINE")
+    (arms,) = arms_of([_write(tmp_path, ARMS[1]), failed])
+    found = {finding.key: finding for finding in answers(arms)}
+    assert {finding.answer for finding in found.values()} == {Answer.NOT_ASKED}
+    assert found["set"].why == "its run is failed: no room"
+    assert found["restored"].why == "needs a run with --intervene excursion@STEP"
+    assert found["number"].why == "needs runs of other numbers of environments"
+    assert verdict_of(list(found.values())) == "nothing was asked"
+
+
+def test_at_different_origins(tmp_path: Path) -> None:
+    """Compare no positions by bits that were rounded at different places, and say so."""
+    origins = tuple((float(env), 0.0, 0.0) for env in range(PLAN.n_env))
+    (arms,) = arms_of([_write(tmp_path, arm, origins=origins) for arm in (ARMS[1], ARMS[5], ARMS[6])])
+    found = {finding.key: finding for finding in answers(arms)}
+    assert found["slot"].answer is Answer.NOT_ASKED
+    assert "they stand at different origins" in found["slot"].why
+    assert found["neighbours"].answer is Answer.YES
+
+
+def test_what_cannot_be_compared(tmp_path: Path) -> None:
+    """Say why two recordings have nothing to compare."""
+    one = _write(tmp_path, ARMS[1])
+    other = Recording(place(str(write_recording(tmp_path, grid(4, "float64"), steps=30, dt=0.01))))
+    coarse = Recording(place(str(write_recording(tmp_path, grid(4, "float32"), steps=30, dt=0.02))))
+    for there, why in ((other, "other state fields"), (coarse, "other time steps")):
+        found = held(Pairs(one, there, ((0, 0),)))
+        assert isinstance(found, Missing)
+        assert why in found.reason
+    apart = held(Pairs(one, one, ((0, 0),), ahead=1000))
+    assert isinstance(apart, Missing)
+
+
+def test_arms_are_kept_apart(tmp_path: Path) -> None:
+    """Hold no run against one of another simulator, level or seed."""
+    recordings = [_write(tmp_path, ARMS[1]), _write(tmp_path, ARMS[1], determinism="strict"),
+                  _write(tmp_path, ARMS[1], version="2.0")]  # fmt: skip
+    assert [len(arms.varied) for arms in arms_of(recordings)] == [1, 1, 1]
+
+
+def test_a_plan_goes_on_where_it_stopped() -> None:
+    """Make each arm as often as it is asked for, and no run of other plans instead."""
+    done = [
+        RunConfiguration(
+            "synthetic", "inclined-collision", arm.n_env, 0.01, PLAN.steps, initial=arm.initial,
+            intervention=arm.intervention, phases=("timed", "capture") if arm.timed else ("capture",),
+        )
+        for arm in ARMS
+    ]  # fmt: skip
+    assert PLAN.missing([]) == ARMS
+    assert PLAN.missing(done) == []
+    assert PLAN.missing(done[:1]) == [*ARMS[1:]]
+    assert PLAN.missing(done, again=[ARMS[8]]) == [ARMS[8]] * 2
+    foreign = RunConfiguration("synthetic", "free-fall", 4, 0.01, PLAN.steps, initial=ARMS[1].initial)
+    assert len(PLAN.missing([foreign])) == len(ARMS)
+
+
+@pytest.fixture(scope="module")
+def probed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A probe of MuJoCo C, small."""
+    out = tmp_path_factory.mktemp("probe") / "out"
+    done = call(
+        "gsb-probe", "--sim", "mujoco", "--n-env", "3", "--numbers", "1", "--steps", "30", "--out", out, "--json",
+        out.parent / "answers.json",
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert len(done.stdout.splitlines()) <= 17
+    assert "9 of 10 answers are yes; no: positions and velocities are the whole state" in " ".join(done.stdout.split())
+    return out
+
+
+def test_mujoco(probed: Path) -> None:
+    """Find that MuJoCo C depends on nothing, and that it has more of a state than positions and velocities."""
+    (probe,) = json.loads((probed.parent / "answers.json").read_text())["probes"]
+    assert probe["simulator"] == "mujoco"
+    said = {answer["key"]: answer for answer in probe["answers"]}
+    assert {key for key, answer in said.items() if answer["answer"] == "no"} == {"set"}
+    assert said["set"]["found"]["first_step"] == 11
+    assert said["runs"]["found"]["level"] == "bit_identical"
+
+
+def test_recordings_are_enough(probed: Path, gsb_probe: Command) -> None:
+    """Answer the same from the recordings alone; with --gate, the last question decides nothing."""
+    again = gsb_probe(probed, "--json", "-")
+    assert again.returncode == 0
+    assert json.loads(again.stdout) == json.loads((probed.parent / "answers.json").read_text())
+    assert gsb_probe(probed, "--gate").returncode == 0
+    every = gsb_probe(probed, "--all").stdout
+    assert "saved at step 10, 3 further steps, restored" in " ".join(every.split())
+
+
+def test_nothing_is_recorded_twice(probed: Path, gsb_probe: Command) -> None:
+    """Go on where a probe was interrupted: what lies in the folder is not made again."""
+    before = sorted(probed.iterdir())
+    before[3].unlink()
+    done = gsb_probe("--sim", "mujoco", "--n-env", "3", "--numbers", "1", "--steps", "30", "--out", probed)
+    assert done.returncode == 0
+    after = sorted(probed.iterdir())
+    assert len(after) == len(before)
+    assert len(set(after) - set(before)) == 1
+
+
+@pytest.mark.parametrize(
+    ("arguments", "why"),
+    [
+        ((), "name simulators to probe with --sim, or recordings"),
+        (("--sim", "mujoco", "x.mcap"), "not both"),
+        (("--sim", "mujocoo"), "did you mean 'mujoco'"),
+        (("--sim", "mujoco", "--numbers", "a"), "--numbers is a list"),
+        (("--sim", "mujoco", "--steps", "5"), "--steps is at least 30"),
+        (("--sim", "mujoco", "--determinism", "stict"), "has no determinism level 'stict'"),
+    ],
+)
+def test_wrong_usage(arguments: tuple[str, ...], why: str, gsb_probe: Command, tmp_path: Path) -> None:
+    """Say what is wrong before anything is recorded."""
+    done = gsb_probe(*arguments, *(("--out", tmp_path / "out") if "--sim" in arguments else ()))
+    assert done.returncode == 2
+    assert why in done.stderr
+    assert not (tmp_path / "out").exists() or not list((tmp_path / "out").glob("*.mcap"))
+
+
+def test_recordings_that_are_no_arms(gsb_probe: Command, tmp_path: Path) -> None:
+    """Say that nothing can be asked of one recording, and refuse one that is damaged."""
+    path = write_recording(tmp_path, grid(1))
+    assert gsb_probe(path).returncode == 5
+    path.write_bytes(path.read_bytes()[:-40])
+    assert gsb_probe(path).returncode == 3
+
+
+def test_gates(tmp_path: Path, gsb_probe: Command) -> None:
+    """End with 4 where an answer is no, with 5 where one is open."""
+    for index, arm in enumerate(ARMS):
+        _write(tmp_path, arm, _moved(1, 5, 12) if index == 8 else None)
+    assert gsb_probe(tmp_path, "--gate").returncode == 4
+    few = tmp_path / "few"
+    _write(few, ARMS[1])
+    _write(few, ARMS[8], _moved(1, 5, 12))
+    assert gsb_probe(few, "--gate").returncode == 5
+    assert gsb_probe(few).returncode == 0
