@@ -160,6 +160,9 @@ def table(results: Sequence[tuple[Probe, dict[str, str]]]) -> str:
     said = Counter(answer for answers in clean for answer in answers.values())
     lines.append(f"\nfound: {sum(found)} of {len(found)} planted faults")
     false = sum(any(answer != "yes" for answer in answers.values()) for answers in clean)
+    drawn = [answers for probe, answers in results if probe.planted == "runs"]
+    blamed = sum(any(answers[key] == "no" for key in FOUND_BY if key not in ("runs", "envs")) for answers in drawn)
+    lines.append(f"blamed: {blamed} of {len(drawn)} probes whose runs differ say that something else matters")
     lines.append(f"false: {false} of {len(clean)} probes without a fault ({dict(said)} over all questions)")
     return "\n".join(lines)
 

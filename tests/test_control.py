@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,8 @@ try:
     PYTHON = interpreter_for(find_simulator("calibration"))
 except UsageError as _nowhere:
     pytest.skip(str(_nowhere), allow_module_level=True)
+
+ROOT = Path(__file__).resolve().parents[1]
 
 Json = dict[str, Any]
 
@@ -194,3 +197,14 @@ def test_a_run_tells_what_it_drew(tmp_path: Path) -> None:
         drawn.append(fraction(digits.decode().strip()))
     found = evaluate(tmp_path, 0.05)
     assert found["w1_run_to_run"]["value"] == pytest.approx(10 * abs(drawn[0] - drawn[1]), abs=1e-5)
+
+
+@pytest.mark.slow
+def test_probes_find_what_is_planted() -> None:
+    """Answer no to the question whose fault is planted, and yes to all where there is none."""
+    command = [sys.executable, "-m", "benchmarks.probe_control", "--probes", "10"]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=600)
+    assert done.returncode == 0, done.stderr
+    assert "found: 10 of 10 planted faults" in done.stdout, done.stdout + done.stderr
+    assert "blamed: 0 of 1 " in done.stdout
+    assert "false: 0 of 10 probes" in done.stdout

@@ -22,6 +22,7 @@ exit codes:
 
 examples:
   gsb-info recordings/mujoco-amd-r0.mcap
+  gsb-info recordings/mujoco-amd-r0.mcap --all
   gsb-info --no-verify big.mcap
   gsb-info recordings/*.mcap --json -
 """
@@ -37,6 +38,7 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument(
         "files", nargs="+", type=place, metavar="FILE", help="recordings (.mcap), folders of them, or addresses"
     )
+    p.add_argument("--all", action="store_true", help="say all that a file says of itself, and list its arrays")
     p.add_argument("--json", type=local_name, metavar="FILE", help="write it as JSON; - for standard output, alone")
     p.add_argument("--no-verify", action="store_true", help="skip digests and comparisons; CRCs are still checked")
     return p
@@ -48,7 +50,8 @@ def run(arguments: argparse.Namespace, command: str) -> int:
     from gpusimbench.evaluator.check.integrity import examine
     from gpusimbench.evaluator.check.integrity.problem import DAMAGE
     from gpusimbench.evaluator.read.addresses import expand
-    from gpusimbench.evaluator.report.info import dump_info, info_text
+    from gpusimbench.evaluator.render.terminal import print_document
+    from gpusimbench.evaluator.report.info import dump_info, info_document
 
     check_target(arguments.json)
     found: list[Inspection] = []
@@ -67,7 +70,7 @@ def run(arguments: argparse.Namespace, command: str) -> int:
         if arguments.json != "-":
             if len(found) > 1:
                 show(block([""]))
-            show(info_text(found[-1]))
+            print_document(info_document(found[-1], every=arguments.all), sys.stdout)
     if arguments.json:
         write_json(arguments.json, dump_info(found, unreadable))
     return int(ExitCode.DATA_LOST if damaged else ExitCode.OK)

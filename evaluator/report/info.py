@@ -1,8 +1,7 @@
-"""What gsb-info says of recordings: one screen a file, readable in 80 columns, or a JSON document."""
+"""What gsb-info says of recordings: a document for each file, or JSON of all."""
 
 from __future__ import annotations
 
-import textwrap
 from collections.abc import Iterator, Sequence
 from dataclasses import fields, is_dataclass
 from typing import Any
@@ -11,6 +10,7 @@ from gpusimbench.evaluator.check.inspection import Array, CoTenancy, Inspection,
 from gpusimbench.evaluator.check.integrity.problem import REMARKS, Kind
 from gpusimbench.evaluator.json_values import brief, dump, plain
 from gpusimbench.evaluator.metrics.cotenants import Presence
+from gpusimbench.evaluator.render.document import Block, Cell, Document, Facts, Table, Text, Tone, table
 from gpusimbench.evaluator.render.numbers import plural
 from gpusimbench.evaluator.results.timed_work import SHORT_S
 from gpusimbench.evaluator.runs.cotenancy import described
@@ -19,12 +19,9 @@ from gpusimbench.schemas.configuration import MAX_VIEW, RunConfiguration
 from gpusimbench.schemas.errors import GsbError
 from gpusimbench.schemas.location import Place
 from gpusimbench.schemas.provenance import REAL, Provenance, Simulation
-from gpusimbench.schemas.text import Block, block, line
 
 SCHEMA_VERSION = 1
 
-_WIDTH = 80
-_LABEL = 12
 _SOURCES = {
     "device": "NVML, whole device",
     "process": "NVML, this process",
@@ -34,18 +31,38 @@ _LONGEST = 600
 """Characters of one entry; a stranger's file may have more to say."""
 
 
-def info_text(found: Inspection) -> Block:
-    """The block of one file, with a line break at its end."""
-    lines = [_clean(found.path)]
+_FIRST = (
+    "status", "integrity", "CAUTION", "sha256", "recorded", "simulator", "scene", "size", "protocol", "determinism",
+    "machine", "gpu 0", "throughput", "states", "not read", "gate", "LOST",
+)  # fmt: skip
+"""What is said without --all."""
+
+
+def info_document(found: Inspection, *, every: bool = False) -> Document:
+    """What a file is: who made it, of what, where, and what is in it; with `every`, all that it says of itself."""
+    said: dict[str, list[str]] = {}
     for label, text in _entries(found):
-        if isinstance(text, tuple):  # a row of a table, which keeps its blanks
-            lines.append(label.ljust(_LABEL) + "  ".join(map(_clean_cell, text)).rstrip())
-            continue
-        lines += textwrap.wrap(
-            _clean(text), _WIDTH, initial_indent=label.ljust(_LABEL), subsequent_indent=" " * _LABEL,
-            break_on_hyphens=False,
-        )  # fmt: skip
-    return block(lines)
+        said.setdefault(label, []).append(_short(text))
+    shown = [name for name in said if every or name in _FIRST or (name == "overflow" and found.overflowed)]
+    pairs = tuple((name, Cell(said[name][0], notes=tuple(said[name][1:]), tone=_tone(name, found))) for name in shown)
+    blocks: list[Block] = [Facts(pairs)]
+    if every:
+        blocks.append(_arrays(found))
+    else:
+        blocks.append(Text(f"{len(said) - len(shown)} more lines, and every array: --all", Tone.QUIET))
+    return Document(str(found.path), tuple(blocks))
+
+
+def _tone(name: str, found: Inspection) -> Tone:
+    if name in ("CAUTION", "LOST") or (name == "status" and found.status != "complete"):
+        return Tone.BAD
+    return Tone.WARNING if name in ("gate", "not read") else Tone.PLAIN
+
+
+def _arrays(found: Inspection) -> Table:
+    recorded = [array for array in found.arrays if array.shape[0]]
+    columns = ("array", "step x env x item x component", "unit", "frame", "size")
+    return table("arrays", "Recorded states", columns, [_columns(array) for array in recorded])
 
 
 def dump_info(found: Sequence[Inspection], unreadable: Sequence[tuple[Place, GsbError]]) -> str:
@@ -67,24 +84,21 @@ def _file(value: Any) -> Any:
     return plain(value)
 
 
-def _clean_cell(text: str) -> str:
-    return line(text)[:_WIDTH]
-
-
-def _clean(text: str) -> str:
-    one_line = line(" ".join(text.split()))
+def _short(text: str) -> str:
+    one_line = " ".join(text.split())
     return one_line if len(one_line) <= _LONGEST else f"{one_line[: _LONGEST - 3]}..."
 
 
-def _entries(found: Inspection) -> Iterator[tuple[str, str | tuple[str, ...]]]:
+def _entries(found: Inspection) -> Iterator[tuple[str, str]]:
+    # a label that comes again adds a line to the first
     cause = f" ({found.cause})" if found.cause else ""
     yield "status", f"{found.status}{cause}{': ' if found.reason else ''}{found.reason}"
     yield "integrity", _integrity(found)
     for problems in found.integrity.values():
         for problem in problems[:2]:
-            yield "", f"! {problem}"
+            yield "integrity", f"! {problem}"
         if len(problems) > 2:
-            yield "", f"! and {len(problems) - 2} more like it"
+            yield "integrity", f"! and {len(problems) - 2} more like it"
     if found.doubtful:
         yield "CAUTION", f"{', '.join(found.doubtful)} is not what was recorded; what follows from it may be wrong"
     yield "sha256", found.content_hash or "of the content: none, there is no end record"
@@ -187,10 +201,8 @@ def _how_long(found: Inspection) -> Iterator[tuple[str, str]]:
             "clocks",
             "intervals x steps: " + ", ".join(f"{name} {n}x{steps}" for name, (n, steps) in found.clocks.items()),
         )
-    label = "memory"
     for source, memory in found.memory.items():
-        yield label, _memory(source, memory)
-        label = ""
+        yield "memory", _memory(source, memory)
     if found.co_tenants:
         yield "co-tenants", _co_tenants(found.co_tenants)
 
@@ -216,18 +228,15 @@ def _memory(source: str, memory: Memory) -> str:
     return f"{source}{f' ({what})' if what else ''}: {baseline}, peak {_bytes(memory.peak)}{total}"
 
 
-def _inside(found: Inspection) -> Iterator[tuple[str, str | tuple[str, ...]]]:
+def _inside(found: Inspection) -> Iterator[tuple[str, str]]:
     recorded = [array for array in found.arrays if array.shape[0]]
     if recorded:
-        yield (
-            "states",
-            f"{' and '.join(dict.fromkeys(array.dtype for array in recorded))}, step x env x item x component:",
-        )
+        size = _bytes(sum(array.bytes for array in recorded))
+        kinds = " and ".join(dict.fromkeys(array.dtype for array in recorded))
+        groups = ", ".join(dict.fromkeys(array.name.partition("/")[0] for array in recorded))
+        yield "states", f"of {groups}, in {kinds}, at {plural(recorded[0].shape[0], 'step')}: {size}"
     elif found.arrays:
         yield "states", f"none; {', '.join(array.name for array in found.arrays)} could be captured"
-    widths = [max(map(len, columns)) for columns in zip(*map(_columns, recorded), strict=True)]
-    for array in recorded:
-        yield "", tuple(column.ljust(width) for column, width in zip(_columns(array), widths, strict=True))
     for array in found.actions:
         yield "actions", f"{array.name}: {_bytes(array.stored_bytes)}"
     for phase, names in found.counters.items():

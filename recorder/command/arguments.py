@@ -175,7 +175,7 @@ def parser() -> Parser:
         metavar="KIND@STEP",
         help="change the state after a captured step: reset@STEP resets every second environment; set@STEP gives all "
         "environments the positions and velocities that they have; excursion@STEP+MORE saves all, makes MORE steps "
-        "that are not recorded, and restores all. gsb-probe asks for these",
+        "that are not recorded, and restores all; gsb-probe uses these (default: none)",
     )
     what.add_argument(
         "--determinism",

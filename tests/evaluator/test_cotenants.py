@@ -139,9 +139,10 @@ def test_what_one_file_tells(
     assert gsb_info([str(path), "--json", "-"]) == 0
     (shown,) = json.loads(capsys.readouterr().out)["files"]
     assert (shown["co_tenants"]["presence"], len(shown["co_tenants"]["signs"])) == (presence, len(moments))
-    gsb_info([str(path)])
-    (line,) = (line for line in capsys.readouterr().out.splitlines() if line.startswith("co-tenants"))
-    assert line[12:].startswith({"none": "none", "some": "another process", "unknown": "unknown"}[presence])
+    gsb_info([str(path), "--all"])
+    (line,) = (line for line in capsys.readouterr().out.splitlines() if line.startswith("  co-tenants"))
+    said = line.removeprefix("  co-tenants").lstrip()
+    assert said.startswith({"none": "none", "some": "another process", "unknown": "unknown"}[presence])
 
 
 def test_who_stayed_is_told_by_other_runs(tmp_path: Path) -> None:

@@ -141,7 +141,7 @@ def test_a_copy_by_another_tool(small: Path, tmp_path: Path) -> None:
 
 def test_what_is_shown_of_a_file(small: Path) -> None:
     """Say on one screen which environment viewers show, and in JSON."""
-    assert "view        environment 0; for Foxglove" in call("gsb-info", small).stdout
+    assert "environment 0; for Foxglove" in call("gsb-info", small, "--all").stdout
     (told,) = json.loads(call("gsb-info", small, "--json", "-").stdout)["files"]
     assert told["view"] == [0]
 

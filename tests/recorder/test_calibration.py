@@ -118,3 +118,28 @@ def test_what_cannot_be_built() -> None:
     ball = make_scene("inclined-collision").moving()[0]
     with pytest.raises(UsageError, match="no fixed bodies but boxes and planes, and ball is none"):
         model_of(Scene("held", "", (replace(ball, mass=None),)))
+
+
+@pytest.mark.parametrize(
+    "options",
+    [{"fault": "gremlins", "ulps": 1}, {"fault": "slot"}, {"fault": "slot", "ulps": 1, "regime": "offset"},
+     {"ulps": 1}],
+)  # fmt: skip
+def test_no_such_fault(options: Json) -> None:
+    """Refuse a fault that is none, that has no size, or that stands in another regime."""
+    with pytest.raises(UsageError):
+        parse_options("calibration", CalibrationOptions, {name: str(value) for name, value in options.items()})
+
+
+@pytest.mark.parametrize(("fault", "moved"), [("bystanders", [0, 2]), ("fresh", [1]), ("none", [])])
+def test_what_a_reset_moves(fault: str, moved: list[int]) -> None:
+    """Move the last body alone, by units in the last place, of the environments that the fault is about."""
+    simulator, description = build(n_env=3, fault=fault, ulps=0 if fault == "none" else 5)
+    at = [field.name for field in description.fields].index("cubes/position")
+    before = simulator.state()[at]
+    simulator.reset(np.array([1]))
+    after = simulator.state()[at]
+    simulator.close()
+    apart = after.view(np.int32) - before.view(np.int32)
+    assert np.argwhere(apart).tolist() == [[env, 26, 0] for env in moved]
+    assert set(apart[moved, 26, 0].tolist()) == ({5} if moved else set())
