@@ -98,9 +98,10 @@ def run(arguments: argparse.Namespace, command: str) -> int:
     from gpusimbench.evaluator.audit.checking import check_files
     from gpusimbench.evaluator.audit.document import dump_json
     from gpusimbench.evaluator.audit.replaying import ReplayPlan
-    from gpusimbench.evaluator.audit.text import text_of
+    from gpusimbench.evaluator.audit.sections import audit_document
     from gpusimbench.evaluator.audit.verdict import Level
     from gpusimbench.evaluator.read.addresses import expand_paths
+    from gpusimbench.evaluator.render.terminal import print_document
     from gpusimbench.evaluator.runs.groups import group
 
     _check(arguments)
@@ -121,7 +122,7 @@ def run(arguments: argparse.Namespace, command: str) -> int:
     for alike in group(checked.recordings):
         audits.append(audit(alike, plan, max_ulps=arguments.ulps, say=_say))
         if arguments.json != "-":
-            show(text_of(audits[-1], checked))
+            print_document(audit_document(audits[-1], checked), sys.stdout)
             show(block([""]))
     if arguments.json:
         write_json(arguments.json, dump_json(audits, checked, required))

@@ -107,8 +107,11 @@ def _print_facts(block: Facts, console: Console) -> None:
     for name, said in block.pairs:
         for number, text in enumerate(said.lines):
             head = "" if number else line(name)
-            shown = f"{head:<{width}}  {line(text)}"
-            console.print(Hanging(f"  {shown}", _STYLES[said.tone], hang=width + 2), soft_wrap=False)
+            shown = f"  {head:<{width}}  {line(text)}"
+            if said.code:  # to be copied
+                console.print(shown, style=_STYLES[said.tone], soft_wrap=True)
+            else:
+                console.print(Hanging(shown, _STYLES[said.tone], hang=width + 2), soft_wrap=False)
 
 
 def _print_table(block: Table, console: Console) -> None:

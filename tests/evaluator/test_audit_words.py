@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,13 +14,14 @@ from gpusimbench.evaluator.audit.audit import Audit, Outcome
 from gpusimbench.evaluator.audit.checking import Check
 from gpusimbench.evaluator.audit.distribution import LawTest, Unit
 from gpusimbench.evaluator.audit.replaying import Replays
+from gpusimbench.evaluator.audit.sections import audit_document
 from gpusimbench.evaluator.audit.settings import Settings
-from gpusimbench.evaluator.audit.text import text_of
 from gpusimbench.evaluator.audit.verdict import Level, Match, ladder
 from gpusimbench.evaluator.compute.recorder import Made
 from gpusimbench.evaluator.diff.compare import compare
 from gpusimbench.evaluator.diff.result import Setting
 from gpusimbench.evaluator.read.recording import Recording
+from gpusimbench.evaluator.render.terminal import print_document
 from tests.synthetic import grid, write_recording
 
 NO_FINDINGS = Check((), {}, {}, {})
@@ -39,7 +41,9 @@ def five(tmp_path_factory: pytest.TempPathFactory) -> list[Recording]:
 
 def lines(audit: Audit, checked: Check = NO_FINDINGS) -> list[str]:
     """The lines of a report."""
-    return text_of(audit, checked).splitlines()
+    out = io.StringIO()
+    print_document(audit_document(audit, checked), out)
+    return out.getvalue().splitlines()
 
 
 def made(recordings: list[Recording]) -> Replays:
@@ -53,10 +57,11 @@ def test_the_set_and_its_files_are_counted(five: list[Recording]) -> None:
     assert alone == "0.mcap: synthetic 1.0, inclined-collision, 2 envs, dt 1 s, complete"
     assert lines(Audit((five[0], five[1])))[0].startswith("0.mcap and 1 more of its set: ")
     three = lines(Audit((five[0],), made(five[1:4]), tuple(five[1:4])))
-    assert [line for line in three if "complete: " in line] == [f"  replay    complete: {r.path}" for r in five[1:4]]
+    said = [f"complete: {r.path}" for r in five[1:4]]
+    assert [line[12:] for line in three if "complete: " in line] == said
     assert not any(line.endswith(" more") for line in three)
     four = lines(Audit((five[0],), made(five[1:]), tuple(five[1:])))
-    assert [line for line in four if "complete: " in line] == [f"  replay    complete: {r.path}" for r in five[1:4]]
+    assert [line[12:] for line in four if "complete: " in line] == said
     assert "            and 1 more" in four
 
 
@@ -100,7 +105,7 @@ def test_settings_are_cut_and_counted(five: list[Recording]) -> None:
     same, other = compare(five[0], five[1]), compare(five[0], five[4])
     settings = Settings((Setting("engine.cone", "a" * 60, "b" * 61),), 3)
     differing = lines(Audit((five[0],), made(five[4:]), (five[4],), other, settings))
-    assert f"            engine.cone: {'a' * 60} | {'b' * 57}..." in differing
+    assert f"engine.cone: {'a' * 60} | {'b' * 57}..." in " ".join(" ".join(differing).split())
     assert "            and 3 other installed packages" in differing
     equal = lines(Audit((five[0],), made(five[1:2]), (five[1],), same, settings))
     assert "  settings  different, and the numbers are the same: engine.cone, 3 other installed packages" in equal
@@ -109,6 +114,9 @@ def test_settings_are_cut_and_counted(five: list[Recording]) -> None:
     many = Settings(tuple(Setting(f"environment.NAME_{number}", "a", "b") for number in range(20)))
     wrapped = lines(Audit((five[0],), made(five[1:2]), (five[1],), same, many))
     begin = next(i for i, line in enumerate(wrapped) if line.startswith("  settings  "))
+    assert wrapped[begin:] == [
+        line for line in wrapped[begin:] if line.startswith("  settings  ") or line[:12].isspace()
+    ]
     assert len(wrapped) > begin + 1
     assert all(line.startswith(" " * 12) and len(line) <= 120 for line in wrapped[begin + 1 :])
     assert max(map(len, wrapped[begin:])) > 95

@@ -1,17 +1,16 @@
-"""An audit as text: what was asked, what was run here, which levels hold, and what differs."""
+"""What gsb-audit says of an audit: the verdict, what was run here, which levels of agreement hold, and what differs."""
 
 from __future__ import annotations
 
-import textwrap
 from collections.abc import Iterator
 
 from gpusimbench.evaluator.audit.audit import Audit, Outcome
 from gpusimbench.evaluator.audit.checking import RULES, Check
 from gpusimbench.evaluator.audit.settings import Settings
-from gpusimbench.evaluator.audit.verdict import Rung
+from gpusimbench.evaluator.audit.verdict import Level
 from gpusimbench.evaluator.diff.result import Divergence
+from gpusimbench.evaluator.render.document import Cell, Document, Facts, Tone
 from gpusimbench.evaluator.runs.groups import shown_status
-from gpusimbench.schemas.text import Block, block
 
 _TICKS = {True: "[x]", False: "[ ]", None: "[?]"}  # plain characters: no terminal shows them alike
 
@@ -23,62 +22,63 @@ _NO_VERDICT = {
     Outcome.FAILED: "no replay came to its end",
 }
 
-_COLUMNS = 120
-_VALUE = 60
+_VALUE, _COMMAND = 60, 200
 _FILES = 3
 
 
-def text_of(audit: Audit, checked: Check) -> Block:
+def audit_document(audit: Audit, checked: Check) -> Document:
     """The report of one audit."""
-    return block(_lines(audit, checked))
+    return Document(_heading(audit), (Facts(tuple(_facts(audit, checked))),))
 
 
-def _lines(audit: Audit, checked: Check) -> Iterator[str]:
+def _facts(audit: Audit, checked: Check) -> Iterator[tuple[str, Cell]]:
     original = audit.originals[0]
-    yield from _heading(audit)
+    tones = {Level.BIT_IDENTICAL: Tone.GOOD, Level.DIFFERENT: Tone.BAD, None: Tone.WARNING}
+    tone = tones.get(audit.level, Tone.PLAIN)
+    yield "verdict", Cell(_verdict(audit), notes=(audit.why_not,), tone=tone)
+    if audit.verdict is not None:
+        for rung in audit.verdict.rungs:
+            yield _TICKS[rung.holds], Cell(f"{rung.level.value}: {rung.said}")
+    if audit.difference is not None and audit.difference.first is not None:
+        yield "differs", _first(audit.difference.first)
+    yield "recorded", Cell(_where(audit))
     paths = [recording.path for recording in audit.originals]
     broken = dict.fromkeys(sentence for path in paths for sentence in checked.broken.get(path, ()))
     warnings = dict.fromkeys(sentence for path in paths for sentence in checked.warnings.get(path, ()))
     holds = "is broken" if broken else "holds, with warnings" if warnings else "holds"
-    yield f"  check     {RULES} {holds}; content hash {original.content_hash}"
-    yield from (f"            {sentence}" for sentence in (*broken, *warnings))
-    command = " ".join(original.provenance.argv)
-    yield f"  asked     {_short(command, 200)}"
+    yield "check", Cell(f"{RULES} {holds}; content hash {original.content_hash}", notes=(*broken, *warnings))
+    yield "asked", Cell(_short(" ".join(original.provenance.argv), _COMMAND), code=True)
     if audit.replays is not None:
-        yield f"  {'tried' if audit.replays.refused else 'run here':<9} {audit.replays.command}"
-    for replay in audit.failed:
-        yield f"  replay    {replay.status}: {replay.reason}"
-    for recording in audit.recordings[:_FILES]:
-        yield f"  replay    complete: {recording.path}"
+        yield "tried" if audit.replays.refused else "run here", Cell(audit.replays.command, code=True)
+    replays = [f"{replay.status}: {replay.reason}" for replay in audit.failed]
+    replays += [f"complete: {recording.path}" for recording in audit.recordings[:_FILES]]
     if len(audit.recordings) > _FILES:
-        yield f"            and {len(audit.recordings) - _FILES} more"
+        replays.append(f"and {len(audit.recordings) - _FILES} more")
+    if replays:
+        yield "replay", Cell(replays[0], notes=tuple(replays[1:]))
     if audit.recordings:
-        yield f"  runs      {_distinct(audit)}"
-    yield f"  verdict   {_verdict(audit)}"
-    if audit.why_not:
-        yield f"            {audit.why_not}"
-    if audit.verdict is not None:
-        width = max(len(rung.level.value) for rung in audit.verdict.rungs)
-        yield from (_rung(rung, width) for rung in audit.verdict.rungs)
+        yield "runs", Cell(_distinct(audit))
     if audit.difference is not None:
         for note in (*audit.difference.compared.left_out, *audit.difference.notes):
-            yield f"  note      {note}"
-        if audit.difference.first is not None:
-            yield from _first(audit.difference.first)
-        yield from _settings(audit.settings, full=not audit.difference.bit_identical)
+            yield "note", Cell(note)
+        yield "settings", _settings(audit.settings, full=not audit.difference.bit_identical)
 
 
-def _heading(audit: Audit) -> Iterator[str]:
+def _heading(audit: Audit) -> str:
     original = audit.originals[0]
     c, simulation = original.configuration, original.simulation
     version = f" {simulation.version}" if simulation else ""
     others = len(audit.originals) - 1
     files = original.path.name + (f" and {others} more of its set" if others else "")
-    yield f"{files}: {c.simulator}{version}, {c.scene}, {c.n_env} envs, dt {c.dt:g} s, {shown_status(original)}"
+    return f"{files}: {c.simulator}{version}, {c.scene}, {c.n_env} envs, dt {c.dt:g} s, {shown_status(original)}"
+
+
+def _where(audit: Audit) -> str:
+    original = audit.originals[0]
     where = original.provenance.host.get("cpu", "")
-    device = simulation.device if simulation else ""
+    device = original.simulation.device if original.simulation else ""
     machine = where if device in ("", "cpu", where) else f"{device}, {where}"
-    yield f"  recorded  {original.provenance.created_utc}, {machine}"
+    return f"{original.provenance.created_utc}, {machine}"
 
 
 def _verdict(audit: Audit) -> str:
@@ -97,41 +97,29 @@ def _distinct(audit: Audit) -> str:
     return f"{counts} distinct; {both} together"
 
 
-def _rung(rung: Rung, width: int) -> str:
-    return f"  {_TICKS[rung.holds]}       {rung.level.value:<{width}}  {rung.said}"
-
-
-def _first(first: Divergence) -> Iterator[str]:
+def _first(first: Divergence) -> Cell:
     of = " of the timed phase" if first.phase == "timed" else ""
     envs = f"env {first.env_a}; {first.envs} envs at that step"
-    yield f"  differs   from step {first.step_a} ({first.time:g} s){of}, {envs}"
+    said = f"from step {first.step_a} ({first.time:g} s){of}, {envs}"
     if first.state is None:
-        return
+        return Cell(said)
     n, at = first.state.number, first.state
     later = "" if first.located else f" (first recorded state: step {at.step})"
     ulp = "" if n.ulp is None else f", {n.ulp:,} ULP"
     distance = "" if n.distance is None else f", {n.distance:.3g} {n.unit}"
-    yield f"            {n.field} {n.item} {n.component}{later}: {n.a} there, {n.b} here{ulp}{distance}"
+    number = f"{n.field} {n.item} {n.component}{later}: {n.a} there, {n.b} here{ulp}{distance}"
+    return Cell(said, notes=(number,))
 
 
-def _settings(settings: Settings, *, full: bool) -> Iterator[str]:
+def _settings(settings: Settings, *, full: bool) -> Cell:
     more = f"{settings.packages} other installed packages" if settings.packages else ""
     if not settings.deciding:
-        yield f"  settings  the same{f' but for {more}' if more else ''}"
-    elif full:
-        yield "  settings  that differ, there | here"
-        yield from (f"            {s.name}: {_short(s.a)} | {_short(s.b)}" for s in settings.deciding)
-        if more:
-            yield f"            and {more}"
-    else:
-        names = ", ".join([s.name for s in settings.deciding] + ([more] if more else []))
-        yield from _wrapped("  settings  ", f"different, and the numbers are the same: {names}")
-
-
-def _wrapped(head: str, text: str) -> Iterator[str]:
-    yield from textwrap.wrap(
-        text, _COLUMNS, initial_indent=head, subsequent_indent=" " * len(head), break_long_words=False
-    )
+        return Cell(f"the same{f' but for {more}' if more else ''}")
+    if full:
+        differing = [f"{s.name}: {_short(s.a)} | {_short(s.b)}" for s in settings.deciding]
+        return Cell("that differ, there | here", notes=(*differing, *([f"and {more}"] if more else ())))
+    names = ", ".join([s.name for s in settings.deciding] + ([more] if more else []))
+    return Cell(f"different, and the numbers are the same: {names}")
 
 
 def _short(text: str, most: int = _VALUE) -> str:
