@@ -34,7 +34,7 @@ FOUND_BY = {
     "envs": {"regime": "offset"},
     **{
         key: {"fault": key}
-        for key in ("capture", "number", "slot", "neighbours", "bystanders", "fresh", "restored", "set")
+        for key in ("capture", "number", "slot", "neighbours", "poison", "bystanders", "fresh", "restored", "set")
     },
 }
 """By question, the options that plant its fault; and `ulps`, its size."""

@@ -49,6 +49,7 @@ class Initial:
 KINDS = {
     "reset": "every second environment, from 0 on, is reset",
     "set": "all environments are given the positions and velocities that they have",
+    "poison": "environment 1 is given velocities that are not finite, as a diverged solver leaves them",
     "excursion": "all environments are saved, make so many further steps, which are not recorded, and are restored",
 }
 """Interventions after a step, and what each does."""
@@ -83,4 +84,13 @@ class Intervention:
 
     def treated(self, env: int) -> bool:
         """Whether something is done to that environment."""
-        return self.kind != "reset" or env % 2 == 0
+        match self.kind:
+            case "reset":
+                return env % 2 == 0
+            case "poison":
+                return env == 1
+        return True
+
+    def poisoned(self, n_env: int) -> frozenset[int]:
+        """Environments whose states need not be finite."""
+        return frozenset(env for env in range(n_env) if self.kind == "poison" and self.treated(env))

@@ -66,7 +66,7 @@ def _common(recording: Recording) -> GroupKey:
 def _arms(key: GroupKey, recordings: Sequence[Recording]) -> Arms:
     usual = Counter(r.configuration.n_env for r in recordings)
     n_env = max(usual, key=lambda n: (usual[n], n))
-    good = [r for r in recordings if r.status == "complete" and not r.dropouts]
+    good = [r for r in recordings if _ended(r) and not r.dropouts]
     failed = {_treatment(r): f"{r.status}: {r.reason}" for r in recordings if r not in good}
     alone = [r for r in good if not r.configuration.intervention]
     varied = {r: Initial.parse(r.configuration.initial) for r in good if r.configuration.initial}
@@ -90,6 +90,12 @@ def _arms(key: GroupKey, recordings: Sequence[Recording]) -> Arms:
         tuple(tuple(runs) for runs in by_treatment.values() if len(runs) > 1),
         {how: why for how, why in failed.items() if how not in map(_treatment, good)},
     )
+
+
+def _ended(recording: Recording) -> bool:
+    # gates are there to fire where an environment was made to fail
+    poisoned = recording.configuration.intervention.startswith("poison@")
+    return recording.status == "complete" or (poisoned and recording.status == "invalid")
 
 
 def _treatment(recording: Recording) -> str:

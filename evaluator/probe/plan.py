@@ -74,6 +74,7 @@ class Plan:
         if self.n_env > 1:
             yield Arm(self.n_env, str(Initial(self.spread, shift=max(1, self.n_env // 3))))
             yield Arm(self.n_env, str(Initial(self.spread, but=0)))
+            yield Arm(self.n_env, str(varied), str(Intervention("poison", at)))
         for intervention in (Intervention("reset", at), Intervention("excursion", at, more), Intervention("set", at)):
             yield Arm(self.n_env, str(varied), str(intervention))
         yield from (usual, plain)

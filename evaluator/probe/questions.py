@@ -157,6 +157,16 @@ def _neighbours(arms: Arms) -> tuple[Found, str] | Missing:
     return _told(held(Pairs(base, arms.but, ((kept, kept),))), f"environment {kept} among neighbours of other states")
 
 
+def _poison(arms: Arms) -> tuple[Found, str] | Missing:
+    """Environments beside one that is not finite."""
+    beside = _beside(arms, "poison")
+    if isinstance(beside, Missing):
+        return beside
+    base, recording, done = beside
+    envs = [env for env in range(arms.n_env) if not done.treated(env)]
+    return _told(held(Pairs(base, recording, _same(envs))), f"{len(envs)} environments beside one that is not finite")
+
+
 def _bystanders(arms: Arms) -> tuple[Found, str] | Missing:
     """Environments that are left alone while others are reset."""
     beside = _beside(arms, "reset")
@@ -274,6 +284,7 @@ QUESTIONS = (
     Question("number", "does not depend on the number of environments", _numbers),
     Question("slot", "does not depend on the slot", _slots),
     Question("neighbours", "does not depend on the neighbours' states", _neighbours),
+    Question("poison", "a NaN in one environment harms no other", _poison),
     Question("bystanders", "a reset leaves other environments alone", _bystanders),
     Question("fresh", "a reset environment is as good as a fresh one", _fresh),
     Question("restored", "a restored state goes on as before", _restored),

@@ -20,8 +20,8 @@ def apart_by_design(actions: tuple[str, ...], configuration: RunConfiguration) -
         return "the environments were given different actions, so they differ by design"
     if configuration.initial:
         return "the environments began in different states, so they differ by design"
-    if configuration.intervention.startswith("reset@"):
-        return "some environments were reset on the way, so they differ by design"
+    if configuration.intervention.startswith(("reset@", "poison@")):
+        return "some environments were changed on the way, so they differ by design"
     return ""
 
 

@@ -173,9 +173,9 @@ def parser() -> Parser:
     what.add_argument(
         "--intervene",
         metavar="KIND@STEP",
-        help="change the state after a captured step: reset@STEP resets every second environment; set@STEP gives all "
-        "environments the positions and velocities that they have; excursion@STEP+MORE saves all, makes MORE steps "
-        "that are not recorded, and restores all; gsb-probe uses these (default: none)",
+        help="change the state after a captured step: reset@STEP resets every second environment; poison@STEP makes "
+        "one not finite; set@STEP gives all the positions and velocities that they have; excursion@STEP+MORE saves "
+        "all, makes MORE steps that are not recorded, and restores all; gsb-probe uses these (default: none)",
     )
     what.add_argument(
         "--determinism",

@@ -44,7 +44,11 @@ class CapturePhase:
         """Step from the initial state to the last step; what speaks against the states is a gate of the journal."""
         c, sink = self._configuration, self._journal.sink
         view = self._view(simulator.scene, description) if c.view else None
-        writer = self.writer = StateWriter(sink, description.fields, n_env=c.n_env, dt=c.dt, stride=c.stride, view=view)
+        intervention = Intervention.parse(c.intervention) if c.intervention else None
+        writer = self.writer = StateWriter(
+            sink, description.fields, n_env=c.n_env, dt=c.dt, stride=c.stride, view=view,
+            may_fail=intervention.poisoned(c.n_env) if intervention else frozenset(),
+        )  # fmt: skip
         if simulator.scene.actions is not None:
             declare_actions(sink, simulator.scene.actions, n_env=c.n_env)
         counted = EvidenceWriter(sink, description, "capture", dt=c.dt, stride=1, workers=writer.workers)
@@ -60,7 +64,6 @@ class CapturePhase:
             else None
         )
         problems: list[str] = []
-        intervention = Intervention.parse(c.intervention) if c.intervention else None
 
         def write(block: Block) -> None:
             if problems:
@@ -85,6 +88,10 @@ class CapturePhase:
             if problem:
                 problems.append(problem)
 
+        def meddle() -> None:
+            assert intervention is not None
+            intervene(simulator, description.fields, intervention, c)
+
         def captured(done: int) -> None:
             interruption.check()
             self._progress("capture", done, c.steps)
@@ -104,7 +111,7 @@ class CapturePhase:
                     prepare=lambda first, count: prepare(simulator, c, first, count),
                     progress=captured,
                     stopped=lambda: bool(problems),
-                    intervene=None if intervention is None else lambda: intervene(simulator, intervention, c),
+                    intervene=meddle if intervention else None,
                     intervene_after=intervention.step if intervention else 0,
                 )
             finally:

@@ -3,26 +3,36 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gpusimbench.recorder.run.given_actions import prepare
-from gpusimbench.recorder.simulators.base import Simulator
+from gpusimbench.recorder.simulators.base import Simulator, States
 from gpusimbench.recorder.simulators.snapshot import Claim, Extent
 from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.errors import UsageError
+from gpusimbench.schemas.fields import StateField
 from gpusimbench.schemas.treatment import KINDS, Intervention
 
-_CLAIMS = {"reset": "reset", "set": "set_state", "excursion": "snapshot"}
+_CLAIMS = {"reset": "reset", "set": "set_state", "poison": "set_state", "excursion": "snapshot"}
 """The operation of StateClaims that each kind needs."""
 
 
-def intervene(simulator: Simulator, intervention: Intervention, configuration: RunConfiguration) -> None:
-    """Do it, between two steps of a capture."""
+def intervene(
+    simulator: Simulator,
+    fields: tuple[StateField, ...],
+    intervention: Intervention,
+    configuration: RunConfiguration,
+) -> None:
+    """Do it, between two steps of a capture of these fields."""
     every = range(simulator.n_env)
     match intervention.kind:
         case "reset":
             simulator.reset(np.array([env for env in every if intervention.treated(env)]))
         case "set":
             simulator.set_state(tuple(np.array(array) for array in simulator.state()), np.array(every))
+        case "poison":
+            some = np.array([env for env in every if intervention.treated(env)])
+            simulator.set_state(_poisoned(simulator, fields, some), some)
         case "excursion":
             snapshot = simulator.snapshot()
             prepare(simulator, configuration, intervention.step, intervention.more)
@@ -30,6 +40,14 @@ def intervene(simulator: Simulator, intervention: Intervention, configuration: R
             block.wait()
             block.release()
             simulator.restore(snapshot)
+
+
+def _poisoned(simulator: Simulator, fields: tuple[StateField, ...], envs: NDArray[np.int64]) -> States:
+    present = [np.array(array)[envs] for array in simulator.state()]
+    for layout, array in zip(fields, present, strict=True):
+        if layout.field in ("linear_velocity", "qvel"):
+            array[:] = np.nan
+    return tuple(present)
 
 
 def refusal(name: str, adapter: type[Simulator], options: object, text: str) -> str:
@@ -48,7 +66,8 @@ def parse(text: str, steps: int) -> str:
     try:
         made = Intervention.parse(text)
     except ValueError:
-        raise UsageError(f"--intervene is reset@STEP, set@STEP or excursion@STEP+MORE, not '{text}'") from None
+        kinds = "reset@STEP, poison@STEP, set@STEP or excursion@STEP+MORE"
+        raise UsageError(f"--intervene is {kinds}, not '{text}'") from None
     if made.step >= steps:
         raise UsageError(f"--intervene {text} comes after a step below --steps, {steps}")
     return str(made)

@@ -52,6 +52,9 @@ def _world(arm: Arm, planted: Planted | None) -> Callable[[NDArray[Any], int], N
             who, age = _who(env, arm.n_env, arm.initial), step
             if done is not None and done.kind == "reset" and done.treated(env) and step > done.step:
                 who, age = 0, step - done.step
+            if done is not None and done.kind == "poison" and done.treated(env) and step > done.step:
+                found[env] = np.nan
+                continue
             found[env] += np.float32(0.001) * age * np.sin(np.arange(27, dtype=np.float32) + who)[:, None]
         if planted is not None:
             planted(found, step)
@@ -92,7 +95,7 @@ def _moved(env: int, body: int, step: int, ulps: int = 1) -> Planted:
 
 
 ARMS = list(PLAN.arms())
-"""plain, usual, 1, 2 and 8 environments, shifted, all but one, reset, excursion, set, usual, plain."""
+"""plain, usual, 1, 2 and 8 environments, shifted, all but one, poison, reset, excursion, set, usual, plain."""
 
 
 def test_nothing_planted(tmp_path: Path) -> None:
@@ -101,7 +104,7 @@ def test_nothing_planted(tmp_path: Path) -> None:
     assert [q.key for q in QUESTIONS] == list(found)
     assert {key for key, finding in found.items() if finding.answer is Answer.YES} == found.keys() - {"capture"}
     assert found["capture"].answer is Answer.NOT_ASKED
-    assert verdict_of(list(found.values())) == "9 of 9 answers are yes"
+    assert verdict_of(list(found.values())) == "10 of 10 answers are yes"
     assert evidence(found["number"]) == "bit-identical: 7 pairs, 31 steps"
     assert evidence(found["fresh"]) == f"bit-identical: 2 pairs, {PLAN.steps - AT} steps"
 
@@ -109,21 +112,22 @@ def test_nothing_planted(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("index", "env", "step", "also", "env_a"),
     [
-        (10, 2, 7, "runs", 2),
+        (11, 2, 7, "runs", 2),
         (0, 3, 9, "envs", 0),
         (3, 1, 5, "number", 1),
         (5, 1, 4, "slot", 2),
         (6, 0, 6, "neighbours", 0),
-        (7, 1, AT + 2, "bystanders", 1),
-        (7, 2, AT + 3, "fresh", 2),
-        (8, 3, AT + 1, "restored", 3),
-        (9, 0, AT + 1, "set", 0),
+        (7, 2, AT + 2, "poison", 2),
+        (8, 1, AT + 2, "bystanders", 1),
+        (8, 2, AT + 3, "fresh", 2),
+        (9, 3, AT + 1, "restored", 3),
+        (10, 0, AT + 1, "set", 0),
     ],
 )
 def test_one_thing_planted(tmp_path: Path, index: int, env: int, step: int, also: str, env_a: int) -> None:
     """Say no to the question that the planted unit in the last place is about: where, and by how much."""
     # of runs that are alike, both are alike, unless that is what the question is about
-    found = _probe(tmp_path, {at: _moved(env, 5, step) for at in ((0, 11) if index == 0 else (index,))})
+    found = _probe(tmp_path, {at: _moved(env, 5, step) for at in ((0, 12) if index == 0 else (index,))})
     asked = found[also]
     # where runs differ anyway, a difference has no known cause
     others = {Answer.YES, Answer.NOT_ASKED} | ({Answer.OPEN} if also == "runs" else set())
@@ -147,7 +151,7 @@ def test_far_apart(tmp_path: Path) -> None:
         if step >= 12:
             positions[3, 4, 2] += np.float32(0.01) * (15 - abs(step - 20))
 
-    asked = _probe(tmp_path, {8: fly})["restored"]
+    asked = _probe(tmp_path, {9: fly})["restored"]
     assert asked.answer is Answer.NO
     assert asked.found is not None
     assert asked.found.level is Level.DIFFERENT
@@ -172,12 +176,12 @@ def test_not_finite(tmp_path: Path) -> None:
 
 def test_noise_leaves_causes_open(tmp_path: Path) -> None:
     """Blame nothing for a difference where runs of the same configuration differ, too; what is equal is still yes."""
-    found = _probe(tmp_path, {10: _moved(2, 5, 7), 8: _moved(1, 5, 12)})
+    found = _probe(tmp_path, {11: _moved(2, 5, 7), 9: _moved(1, 5, 12)})
     assert found["runs"].answer is Answer.NO
     assert found["restored"].answer is Answer.OPEN
     assert found["restored"].why == "runs that were asked for the same differ too, from step 7 on"
     assert found["slot"].answer is Answer.YES
-    (arms,) = arms_of([_write(tmp_path / "few", ARMS[1]), _write(tmp_path / "few", ARMS[8], _moved(1, 5, 12))])
+    (arms,) = arms_of([_write(tmp_path / "few", ARMS[1]), _write(tmp_path / "few", ARMS[9], _moved(1, 5, 12))])
     alone = {finding.key: finding for finding in answers(arms)}
     assert alone["restored"].answer is Answer.OPEN
     assert "runs were not compared" in alone["restored"].why
@@ -185,7 +189,7 @@ def test_noise_leaves_causes_open(tmp_path: Path) -> None:
 
 def test_what_is_not_there_is_not_asked(tmp_path: Path) -> None:
     """Name what a question needs, and the reason where the run for it failed."""
-    failed = _write(tmp_path, ARMS[9], status="FAILED", reason="no room", cause="ENGINE")
+    failed = _write(tmp_path, ARMS[10], status="FAILED", reason="no room", cause="ENGINE")
     (arms,) = arms_of([_write(tmp_path, ARMS[1]), failed])
     found = {finding.key: finding for finding in answers(arms)}
     assert {finding.answer for finding in found.values()} == {Answer.NOT_ASKED}
@@ -237,7 +241,7 @@ def test_a_plan_goes_on_where_it_stopped() -> None:
     assert PLAN.missing([]) == ARMS
     assert PLAN.missing(done) == []
     assert PLAN.missing(done[:1]) == [*ARMS[1:]]
-    assert PLAN.missing(done, again=[ARMS[8]]) == [ARMS[8]] * 2
+    assert PLAN.missing(done, again=[ARMS[9]]) == [ARMS[9]] * 2
     foreign = RunConfiguration("synthetic", "free-fall", 4, 0.01, PLAN.steps, initial=ARMS[1].initial)
     assert len(PLAN.missing([foreign])) == len(ARMS)
 
@@ -251,8 +255,8 @@ def probed(tmp_path_factory: pytest.TempPathFactory) -> Path:
         out.parent / "answers.json",
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
-    assert len(done.stdout.splitlines()) <= 17
-    assert "9 of 10 answers are yes; no: positions and velocities are the whole state" in " ".join(done.stdout.split())
+    assert len(done.stdout.splitlines()) <= 18
+    assert "10 of 11 answers are yes; no: positions and velocities are the whole state" in " ".join(done.stdout.split())
     return out
 
 
@@ -317,10 +321,10 @@ def test_recordings_that_are_no_arms(gsb_probe: Command, tmp_path: Path) -> None
 def test_gates(tmp_path: Path, gsb_probe: Command) -> None:
     """End with 4 where an answer is no, with 5 where one is open."""
     for index, arm in enumerate(ARMS):
-        _write(tmp_path, arm, _moved(1, 5, 12) if index == 8 else None)
+        _write(tmp_path, arm, _moved(1, 5, 12) if index == 9 else None)
     assert gsb_probe(tmp_path, "--gate").returncode == 4
     few = tmp_path / "few"
     _write(few, ARMS[1])
-    _write(few, ARMS[8], _moved(1, 5, 12))
+    _write(few, ARMS[9], _moved(1, 5, 12))
     assert gsb_probe(few, "--gate").returncode == 5
     assert gsb_probe(few).returncode == 0

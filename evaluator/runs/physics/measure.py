@@ -49,8 +49,8 @@ def _facts(recording: Recording, envs: tuple[tuple[int, int], ...], sank: Sunk |
         return Missing("these are measured trials, with one row each")
     if any(f.group == GROUP and f.field == "qpos" for f in recording.fields):
         return robot_facts(recording) if len(recording.state(GROUP, "qpos")) else NO_STATES
-    if recording.configuration.intervention.startswith("reset@"):
-        return Missing("some environments were reset on the way")
+    if recording.configuration.intervention.startswith(("reset@", "poison@")):
+        return Missing("some environments were changed on the way")
     walk = Walk(recording, envs)
     if not walk.groups:
         return Missing("no positions in three dimensions were recorded")

@@ -18,6 +18,7 @@ FAULTS = {
     "slot": "at step `at`, environment e is moved by e times `ulps`",
     "neighbours": "from step `at` on, an environment is moved after each step that leaves an odd number of set bits in "
     "the velocities of the next one",
+    "poison": "where one is given a state that is not finite, the others are moved",
     "bystanders": "where some are reset, the others are moved",
     "fresh": "where some are reset, they begin moved",
     "restored": "what is restored is moved",
@@ -63,7 +64,8 @@ class Fault:
         if envs is not None:
             touched[:] = False
             touched[envs] = True
-        if operation == "fresh" and self._name == "bystanders":
+        failed = operation == "set" and self._name == "poison" and not all(np.isfinite(a).all() for a in world.state())
+        if failed or (operation == "fresh" and self._name == "bystanders"):
             world.nudge((self._ulps * ~touched).astype(np.int32))
             return
         begins = (operation == "set" and not world.done) or (operation == "fresh" and envs is None)

@@ -36,7 +36,7 @@ class CalibrationOptions:
     env       the one environment that differs from the others; -1: all differ from each other
     entropy   what a run that differs from others draws: run (anew in each process), build (anew in each build), or
               hexadecimal digits after the point of a number from 0 to 1
-    fault     planted for gsb-probe, in regime identical, of the size `ulps`: none, number, slot, neighbours,
+    fault     planted for gsb-probe, in regime identical, of the size `ulps`: none, number, slot, neighbours, poison,
               bystanders, fresh, restored, set or capture (calibration/faults.py says what each does)
     device    auto, cpu or cuda (the first GPU that CUDA shows)
 
