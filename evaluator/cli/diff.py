@@ -56,6 +56,7 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument(
         "--json", type=local_name, metavar="FILE", help="write the result as JSON; - for standard output, alone"
     )
+    p.add_argument("--all", action="store_true", help="print every field, distance, class and setting")
     p.add_argument("--plot", type=local_path, metavar="FILE.svg", help="draw how the difference grows")
     p.add_argument("--no-verify", action="store_true", help="skip the digests; CRCs of what is read are still checked")
     return p
@@ -83,9 +84,10 @@ def run(arguments: argparse.Namespace, command: str) -> int:
 
         show_document(dump_json(found))
         return _exit_code(found)
-    from gpusimbench.evaluator.diff.text import print_difference
+    from gpusimbench.evaluator.diff.sections import diff_document
+    from gpusimbench.evaluator.render.terminal import print_document
 
-    print_difference(found, sys.stdout)
+    print_document(diff_document(found, every=arguments.all), sys.stdout)
     if arguments.json:
         from gpusimbench.evaluator.diff.result import dump_json
 

@@ -260,6 +260,11 @@ class Growth:
     to_1cm: float | None
     fit: GrowthFit | Missing
 
+    @property
+    def largest(self) -> tuple[float | None, ...]:
+        """The largest distance in space, or in the plane where heights were not recorded. [step]"""
+        return self.max_spatial if any(d is not None for d in self.max_spatial) else self.max_planar
+
 
 @dataclass(frozen=True)
 class Change:

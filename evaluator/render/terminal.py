@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from typing import IO
 
+from rich.cells import cell_len
 from rich.console import Console, Group, RenderableType
+from rich.table import Table as RichTable
 from rich.text import Text as RichText
 
 from gpusimbench.evaluator.render.console import Hanging, make_console, plain_table
@@ -121,7 +123,7 @@ def _print_table(block: Table, console: Console) -> None:
         console.print(line(block.caption), style="bold")
     upright = _rich_table([c.title for c in block.columns], [row.cells for row in block.rows], console.width)
     measured = console.measure(upright, options=console.options.update(width=100_000))
-    if measured.maximum <= 2 * console.width and console.measure(upright).minimum <= console.width:
+    if measured.maximum <= 2 * console.width and measured.minimum <= console.width:
         console.print(upright)
     else:
         _print_sideways(block, console)
@@ -152,9 +154,32 @@ def _rich_table(titles: Sequence[str], rows: Sequence[Sequence[Cell]], width: in
         column.justify = "right" if index and numeric else "left"
     names = [titles[0], *(text for row in rows for text in row[0].lines)]
     made.columns[0].width = max(_LEAST, min(max(map(len, names)), _NAME, width - _needed(titles, rows) - _GAP))
+    _keep_words_whole(made, titles, rows, width)
     for row in rows:
         made.add_row(*map(_rich_cell, row))
     return made
+
+
+def _keep_words_whole(made: RichTable, titles: Sequence[str], rows: Sequence[Sequence[Cell]], width: int) -> None:
+    """Set the widths of columns where there is no room for all: rich would break words, and part of a number misleads.
+
+    Each column has room for its longest word, behind the blanks of a line that goes on; columns that need the least
+    more get it first. Where not even that fits, the table is wider than the terminal.
+    """
+    texts = [[title, *(said for row in rows for said in row[i].lines)] for i, title in enumerate(titles)][1:]
+    whole = [max(cell_len(line(text)) for text in column) for column in texts]
+    words = [max((cell_len(line(word)) for text in column for word in text.split()), default=0) for column in texts]
+    least = [min(all_of, word + _GAP) for all_of, word in zip(whole, words, strict=True)]
+    space = width - _GAP * len(titles)
+    first = made.columns[0].width or _LEAST
+    if first + sum(whole) <= space:
+        return
+    made.columns[0].width = first = max(_LEAST, min(first, space - sum(least)))
+    room = max(0, space - first - sum(least))
+    for index in sorted(range(len(texts)), key=lambda i: whole[i] - least[i]):
+        more = min(room, whole[index] - least[index])
+        made.columns[index + 1].width = least[index] + more
+        room -= more
 
 
 def _needed(titles: Sequence[str], rows: Sequence[Sequence[Cell]]) -> int:

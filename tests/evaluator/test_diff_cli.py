@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import json
 import re
 import shlex
@@ -13,12 +12,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from rich.console import Console
 
 from gpusimbench.evaluator.cli.diff import main
 from gpusimbench.evaluator.diff.result import Change
-from gpusimbench.evaluator.diff.text_numbers import print_numbers
 from gpusimbench.evaluator.diff.words import amount, changes, length, ranges, sparkline
+from gpusimbench.evaluator.render import console
 from tests.synthetic import cubes_field, grid, write_recording
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -47,27 +45,44 @@ def pair(tmp_path: Path) -> tuple[str, str]:
 
 def test_a_difference_in_words(pair: tuple[str, str], capsys: pytest.CaptureFixture[str]) -> None:
     """Exit 4, and name step, time, environment, body, component and both numbers."""
-    assert main([*pair]) == 4
-    shown = " ".join(capsys.readouterr().out.split())  # however lines are broken
-    assert "DIFFERENT from step 5 (5 s) on" in shown
-    assert "1 of 3 pairs; the first is env 1" in shown
+    assert main([*pair, "--all"]) == 4
+    out = capsys.readouterr().out
+    shown = " ".join(out.split())  # however lines are broken
+    verdict = "The two recordings differ from step 5 (5 s) on, first in env 1: cubes/position of cube_0_1_1, x: "
+    assert out.startswith(verdict)
+    assert "1 of 3 pairs of envs differ there, first in env 1" in shown
     number = re.search(r"cubes/position of cube_0_1_1, x: (\S+) and (\S+) m \((\S+), (\S+)\): (\S+) ULP", shown)
     assert number is not None
     a, b = float(number[1]), float(number[2])
     assert (b - a, number[3]) == (pytest.approx(1e-9, rel=1e-6), f"0x{np.float64(a).view(np.uint64):016x}")
     assert float(number[5]) == pytest.approx((b - a) / np.spacing(a), rel=0.01)
     assert "growth rate: 1 /s" in shown
-    assert "1 mm: first recorded at 19 s" in shown
-    assert "distinct states: 1 from step 0, 2 from step 5" in shown
+    assert "1 mm first recorded at 19 s" in shown
+    assert "distinct states 1 from step 0, 2 from step 5" in shown
     assert "a 0-2; b 0, 2" in shown
-    assert "the recordings say the same of themselves" in shown
+    assert "settings the same configuration, " in shown
+
+
+def test_in_short(pair: tuple[str, str], capsys: pytest.CaptureFixture[str]) -> None:
+    """Print a screen: the same verdict and the number, what is printed with --all by name, and none of its tables."""
+    assert main([*pair]) == 4
+    short = capsys.readouterr().out
+    assert main([*pair, "--all"]) == 4
+    long = capsys.readouterr().out
+    assert short.splitlines()[0] == long.splitlines()[0]
+    assert len(short.splitlines()) <= 17
+    assert "first number  cubes/position of cube_0_1_1, x: " in short
+    assert "trajectories  2 classes: a 0-2; b 0, 2 | b 1" in short
+    assert "more with --all: fields, distances, equal environments\n" in short
+    assert "max |a - b|" not in short
+    assert "max |a - b|" in long
 
 
 def test_no_difference_in_words(pair: tuple[str, str], capsys: pytest.CaptureFixture[str]) -> None:
     """Exit 0, over a stated extent; environments that do not differ are equal in both files."""
     assert main([*pair, "--env", "2"]) == 0
     shown = capsys.readouterr().out
-    assert "BIT-IDENTICAL" in shown
+    assert shown.startswith("Env 2 of a and env 2 of b are bit-identical.\n")
     assert "31 recorded states from step 0 to 30" in shown
     assert main([pair[1], "--env", "0", "--env", "2"]) == 0
     assert main([pair[1], "--env", "0", "--env", "1"]) == 4
@@ -81,8 +96,9 @@ def test_what_was_not_compared_is_not_called_identical(tmp_path: Path, capsys: p
     ]
     assert main([*map(str, runs)]) == 0
     shown = capsys.readouterr().out
-    assert "\nEQUAL AS FAR AS COMPARED, bit for bit; not all was compared" in shown
-    assert "BIT-IDENTICAL" not in shown
+    verdict = "The two recordings are equal bit for bit as far as compared; not everything was compared.\n"
+    assert shown.startswith(verdict)
+    assert "bit-identical" not in shown
     assert "not compared: states of b after its step 5, up to 9" in shown
     assert main([*map(str, runs), "--json", "-"]) == 0
     found = json.loads(capsys.readouterr().out)
@@ -106,29 +122,31 @@ def test_a_difference_that_ends(tmp_path: Path, capsys: pytest.CaptureFixture[st
         str(write_recording(tmp_path, made(None, 9), steps=9, path_of=made, name=name))
         for name, made in (("a.mcap", at(0.0, 7)), ("zero.mcap", at(-0.0, 7)), ("nan.mcap", at(np.nan, 5)))
     ]
-    assert main(runs[:2]) == 4
+    assert main([*runs[:2], "--all"]) == 4
     shown = capsys.readouterr().out
-    assert "DIFFERENT first at step 7 (7 s)\n" in shown
-    assert "1 of them are 0.0 against -0.0" in shown
-    assert main([runs[0], runs[2], "--json", str(tmp_path / "found.json")]) == 4
+    assert shown.startswith("The two recordings differ first at step 7 (7 s), first in env 0: ")
+    assert "1 of the differing numbers are 0.0 against -0.0" in shown
+    assert main([runs[0], runs[2], "--all", "--json", str(tmp_path / "found.json")]) == 4
     shown = capsys.readouterr().out
-    assert "DIFFERENT first at step 5 (5 s)\n" in shown
+    assert shown.startswith("The two recordings differ first at step 5 (5 s), first in env 0: ")
     assert re.search(r"^cubes/position .* not finite$", shown, re.MULTILINE)
-    assert "of them are not finite on a side, and in no distance" in shown
+    assert "of the differing numbers are not finite on a side, and in no distance" in shown
     assert "positions that are not finite, first at step 5, are left out" in shown
     assert json.loads((tmp_path / "found.json").read_text())["compared"]["fields"][0]["max_distance"] is None
 
 
 @pytest.mark.parametrize("width", [40, 60, 80])
-def test_numbers_stay_whole_in_a_narrow_terminal(width: int) -> None:
-    """Break titles and names, and no number."""
-    numbers = ("2,560", "3,888", "250", "2.05e+09", "2.12e+09", "0.0377 rad/s")
-    titles = ("", "differ", "of", "from step", "ULP then", "max ULP", "max |a - b|")
-    stream = io.StringIO()
-    print_numbers(Console(file=stream, width=width), titles, [("cubes/angular_velocity", *numbers)])
-    shown = stream.getvalue()
-    assert [line for line in shown.splitlines() if all(f" {number}" in line for number in numbers)]
-    assert max(map(len, shown.splitlines())) <= max(width, 60)
+def test_numbers_stay_whole_in_a_narrow_terminal(
+    width: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Break no number of the table of fields, however narrow the terminal is: part of a number is another number."""
+    monkeypatch.setattr(console, "_WIDTH_WITHOUT_TERMINAL", width)
+    runs = [ROOT / "recordings" / "h200" / f"mjx-jax-inclined-collision-n16-r{run}.mcap" for run in (0, 1)]
+    assert main([*map(str, runs), "--all"]) == 4
+    shown = capsys.readouterr().out
+    words = set(shown.split())
+    assert {"2,592", "3,888", "250", "2.05e+09", "2.12e+09", "0.0377"} <= words
+    assert max(map(len, shown.splitlines())) <= max(width, 90)
 
 
 def test_json_and_picture(pair: tuple[str, str], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

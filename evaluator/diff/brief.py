@@ -1,0 +1,146 @@
+"""What gsb-diff says below its verdict: what was compared, and the first difference."""
+
+from __future__ import annotations
+
+from gpusimbench.evaluator.diff import words
+from gpusimbench.evaluator.diff.classes import classes_of
+from gpusimbench.evaluator.diff.result import Contacts, Difference, Divergence, Growth, Number, Side
+from gpusimbench.evaluator.diff.verdict import apart, pair_of, place_of, step_of
+from gpusimbench.evaluator.missing import Missing
+from gpusimbench.evaluator.render.document import Facts, facts
+
+_ITEMS, _FIELDS, _NAMES, _CHANGES, _CLASSES = 6, 8, 4, 4, 3
+
+Pairs = list[tuple[str, str]]
+
+
+def brief(found: Difference, *, every: bool) -> Facts:
+    """Both sides, what was compared and the first difference; and in short, unless it follows at length, the rest."""
+    pairs: Pairs = [("a", _side(found.a)), ("b", _side(found.b)), ("compared", _compared(found))]
+    if found.first:
+        pairs += _first(found, found.first)
+        if every:
+            pairs += _contacts(found, found.first)
+        else:
+            pairs += _growth(found.growth)
+            if found.compared.n_env > 1:
+                pairs.append(("trajectories", _trajectories(found)))
+    if not every or not found.settings:
+        pairs += _settings(found)
+    return facts(*pairs)
+
+
+def _side(side: Side) -> str:
+    return f"{side.label}, env{'s' if len(side.envs) > 1 else ''} {words.ranges(list(side.envs))}: {side.path}"
+
+
+def _compared(found: Difference) -> str:
+    compared = found.compared
+    parts = [words.counted(len(compared.fields), "field"), words.counted(compared.n_env, "pair") + " of envs"]
+    if steps := compared.state_steps:
+        parts.append(f"{words.counted(steps.count, 'recorded state')} from step {steps.first} to {steps.last}")
+    hashes = []
+    if steps := compared.hash_steps:
+        hashes.append(f"{words.counted(steps.count, 'step')} from step {steps.first} to {steps.last}")
+    if compared.timed_steps:
+        hashes.append(f"{words.counted(compared.timed_steps.count, 'step')} of the timed phase")
+    return ", ".join(parts) + (f"; by 64-bit hashes: {', '.join(hashes)}" if hashes else "")
+
+
+def _first(found: Difference, first: Divergence) -> Pairs:
+    said = step_of(found, first)
+    if first.after_step is not None:
+        said += f"; equal up to step {first.after_step}"
+        if first.after_step < first.step_a - 1:
+            said += ", no step in between is known"
+    if found.compared.n_env > 1:
+        said += (
+            f"; {first.envs:,} of {found.compared.n_env:,} pairs of envs differ there, first {pair_of(found, first)}"
+        )
+    return [("first at", said), *_where(found, first)]
+
+
+def _where(found: Difference, first: Divergence) -> Pairs:
+    state = first.state
+    if first.phase == "timed":
+        return [("body and field", "not known: only hashes of the timed phase are recorded, no states")]
+    if state is None and found.compared.state_steps is None:
+        return [("body and field", "not known: the recordings have no states of a common step, only hashes")]
+    if state is None:
+        return [("body and field", "not known: all recorded states are equal again")]
+    pairs: Pairs = []
+    if state.step != first.step_a:
+        no_state = f"not known: no state of step {first.step_a} was recorded (record with --stride 1)"
+        pairs.append(("body and field", f"{no_state}; the differences at step {state.step} ({state.time:g} s):"))
+    every = len(state.fields) == len(found.compared.fields) > 1
+    fields = f"all {len(state.fields)}" if every else words.shortened(state.fields, _FIELDS)
+    return [
+        *pairs,
+        ("fields", fields),
+        ("items", words.shortened(state.items, _ITEMS)),
+        ("first number", _number(state.number)),
+    ]
+
+
+def _number(number: Number) -> str:
+    unit = "" if number.unit == "unit quaternion" else f" {number.unit}"
+    values = f"{number.a} and {number.b}{unit} ({number.hex_a}, {number.hex_b})"
+    resolution = ""
+    if number.resolution is not None:
+        resolution = f", resolution {words.amount(number.resolution, number.unit)}"
+    return f"{place_of(number)}: {values}: {apart(number)}{resolution}"
+
+
+def _contacts(found: Difference, first: Divergence) -> Pairs:
+    sides = (("a", first.contacts_a), ("b", first.contacts_b))
+    if not (first.contacts_a or first.contacts_b):
+        return []
+    counted = [_counted(contacts) for _, contacts in sides]
+    if found.one_recording:
+        return [("contacts then", counted[0])]
+    return [("contacts then", "; ".join(f"{name} {said}" for (name, _), said in zip(sides, counted, strict=True)))]
+
+
+def _counted(contacts: Contacts | None) -> str:
+    return f"mean {contacts.mean:.4g} per env, max {contacts.max:g}" if contacts else "not counted"
+
+
+def _growth(growth: Growth | Missing) -> Pairs:
+    if isinstance(growth, Missing):
+        return [("growth", f"not known: {growth.reason}")]
+    last = next((row for row in reversed(range(len(growth.times))) if growth.largest[row] is not None), None)
+    parts = []
+    if last is not None:
+        parts.append(f"bodies up to {words.length(growth.largest[last])} apart at {growth.times[last]:g} s")
+    parts += reached(growth)
+    if not isinstance(growth.fit, Missing) and not growth.fit.why_no_rate:
+        parts.append(f"rate {growth.fit.rate:.3g} /s")
+    return [("growth", ", ".join(parts))]
+
+
+def _trajectories(found: Difference) -> str:
+    splits = found.splits
+    if splits.no_classes:
+        return f"equal pairs of envs: {words.changes(splits.agreeing, _CHANGES)}"
+    count, listed = classes_of(found, splits.classes_a or (), splits.classes_b or (), _CLASSES)
+    return f"{count}: {' | '.join(listed)}" if listed else f"{count}, no two envs are equal"
+
+
+def reached(growth: Growth) -> list[str]:
+    """When the largest distance is 1 mm, and 1 cm."""
+    return [
+        f"{size} {'never reached' if when is None else f'first recorded at {when:g} s'}"
+        for size, when in (("1 mm", growth.to_1mm), ("1 cm", growth.to_1cm))
+    ]
+
+
+def _settings(found: Difference) -> Pairs:
+    if found.settings:
+        names = words.shortened([setting.name for setting in found.settings], _NAMES)
+        return [("settings", f"{len(found.settings):,} differ: {names}")]
+    if found.one_recording:
+        return []
+    if found.described:
+        return [("settings", "the same configuration, versions, options and machine")]
+    same = "the same configuration and machine"
+    return [("settings", f"{same}; neither recording states its versions and options, so they are not compared")]

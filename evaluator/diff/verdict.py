@@ -1,0 +1,96 @@
+"""What a comparison comes to, in a sentence: are the two the same, and if not, where is the first difference?"""
+
+from __future__ import annotations
+
+from gpusimbench.evaluator.diff import words
+from gpusimbench.evaluator.diff.result import Difference, Divergence, Number, Verdict
+from gpusimbench.evaluator.render.document import Text, Tone
+
+
+def verdict_of(found: Difference) -> Text:
+    """The first line of what gsb-diff says."""
+    who = _who(found)
+    part = bool(found.compared.left_out or found.lost)
+    if found.verdict is Verdict.IDENTICAL:
+        if part:
+            return Text(f"{who} are equal bit for bit as far as compared; not everything was compared.", Tone.WARNING)
+        return Text(f"{who} are bit-identical.", Tone.GOOD)
+    if found.verdict is Verdict.WITHIN_RESOLUTION:
+        far = " as far as compared" if part else ""
+        return Text(f"{who} are equal within the resolution{far}; their bits cannot be compared.", Tone.WARNING)
+    assert found.first is not None
+    since = f"differ {_since(found, found.first)}"
+    if found.same_up_to_env_order:
+        return Text(f"{who} are equal up to the order of environments; env by env, they {since}.", Tone.BAD)
+    if found.same_up_to_body_order and any(field.different for field in found.compared.fields):
+        of = "environments and bodies" if found.bodies_of_other_envs else "bodies"
+        equal = f"are equal up to the order of {of} at all recorded states"
+        return Text(f"{who} {equal}; body by body, they {since}.", Tone.BAD)
+    if found.same_rotations:
+        return Text(f"{who} have the same rotations, some as quaternions of the other sign; they {since}.", Tone.BAD)
+    return Text(f"{who} {since}{_where(found, found.first)}.", Tone.BAD)
+
+
+def step_of(found: Difference, first: Divergence) -> str:
+    """The first step that differs, with its time; of which phase, where the capture is known beside it."""
+    step = f"{first.step_a}" if first.step_a == first.step_b else f"{first.step_a} of a, {first.step_b} of b"
+    return f"step {step} ({first.time:g} s){' of the timed phase' if _beside_capture(found, first) else ''}"
+
+
+def pair_of(found: Difference, first: Divergence) -> str:
+    """The first pair of environments that differs."""
+    if found.one_recording or first.env_a != first.env_b:
+        return f"between env {first.env_a} and env {first.env_b}"
+    return f"in env {first.env_a}"
+
+
+def apart(number: Number) -> str:
+    """How far two numbers are apart."""
+    parts = [
+        f"{words.ulps(number.ulp)} ULP" if number.ulp is not None else "",
+        "same rotation, other sign" if number.other_sign else "",
+        words.amount(number.distance, number.unit) if number.distance is not None else "",
+    ]
+    return ", ".join(part for part in parts if part)
+
+
+def place_of(number: Number) -> str:
+    """Field, body and component of a number."""
+    return f"{number.field} of {words.short(number.item)}, {words.short(number.component)}"
+
+
+def _who(found: Difference) -> str:
+    a, b = found.a.envs, found.b.envs
+    if found.one_recording:
+        return f"Env {a[0]} and env {b[0]} of the recording" if len(b) == 1 else "The environments of the recording"
+    return f"Env {a[0]} of a and env {b[0]} of b" if len(a) == len(b) == 1 else "The two recordings"
+
+
+def _since(found: Difference, first: Divergence) -> str:
+    step = step_of(found, first)
+    return f"from {step} on" if _stays(found, first) else f"first at {step}"
+
+
+def _where(found: Difference, first: Divergence) -> str:
+    env = f", first {pair_of(found, first)}" if found.compared.n_env > 1 else ""
+    if first.located and first.state is not None:
+        return f"{env}: {place_of(first.state.number)}: {apart(first.state.number)}"
+    if first.phase == "capture" and found.compared.state_steps is not None:
+        return f"{env}; no state of that step shows in which body and field"
+    return f"{env}; only hashes are known, so body and field are not"
+
+
+def _stays(found: Difference, first: Divergence) -> bool:
+    """Whether no pair is known to become equal again, so that the sides differ at every known step from here on."""
+    if _beside_capture(found, first):
+        return False  # it is not known pair by pair
+    agreeing = found.splits.agreeing
+    then = [change.count for change in agreeing if change.step <= first.step_a][-1:]
+    later = [change.count for change in agreeing if change.step > first.step_a]
+    counts = [*then, *later]
+    return bool(then) and then[0] < found.compared.n_env and counts == sorted(counts, reverse=True)
+
+
+def _beside_capture(found: Difference, first: Divergence) -> bool:
+    """Whether the difference is of the timed phase, and a capture beside it is the same."""
+    return first.phase == "timed" and found.compared.hash_phase != "timed"
