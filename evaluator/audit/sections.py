@@ -1,18 +1,37 @@
-"""What gsb-audit says of an audit: the verdict, what was run here, which levels of agreement hold, and what differs."""
+"""What gsb-audit says: did re-execution give the same? Then what was checked, run and compared, and what differs."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 from gpusimbench.evaluator.audit.audit import Audit, Outcome
 from gpusimbench.evaluator.audit.checking import RULES, Check
-from gpusimbench.evaluator.audit.settings import Settings
-from gpusimbench.evaluator.audit.verdict import Level
-from gpusimbench.evaluator.diff.result import Divergence
-from gpusimbench.evaluator.render.document import Cell, Document, Facts, Tone
+from gpusimbench.evaluator.audit.verdict import Level, Rung
+from gpusimbench.evaluator.diff.result import Difference, Divergence
+from gpusimbench.evaluator.render.document import (
+    Block,
+    Cell,
+    Code,
+    Document,
+    Item,
+    Items,
+    Section,
+    Text,
+    Tone,
+    facts,
+    items,
+    table,
+)
+from gpusimbench.evaluator.render.numbers import plural
 from gpusimbench.evaluator.runs.groups import shown_status
 
 _TICKS = {True: "[x]", False: "[ ]", None: "[?]"}  # plain characters: no terminal shows them alike
+
+_GIVES = {
+    Level.BIT_IDENTICAL: ("Re-execution gives the same bits", Tone.GOOD),
+    Level.SAME_UP_TO_ENV_ORDER: ("Re-execution gives the same bits, in environments of another order", Tone.GOOD),
+    Level.WITHIN_ULPS: ("Re-execution gives other bits, no number further apart than the allowed ULPs", Tone.GOOD),
+    Level.SAME_DISTRIBUTION: ("Re-execution gives other bits; no difference in distribution is found", Tone.GOOD),
+    Level.DIFFERENT: ("Re-execution gives another distribution", Tone.BAD),
+}
 
 _NO_VERDICT = {
     Outcome.MADE: "the replay cannot be compared",
@@ -23,83 +42,118 @@ _NO_VERDICT = {
 }
 
 _VALUE, _COMMAND = 60, 200
-_FILES = 3
+_FILES, _NAMES, _NOTES = 3, 4, 3
+
+Pairs = list[tuple[str, Cell | str]]
 
 
-def audit_document(audit: Audit, checked: Check) -> Document:
-    """The report of one audit."""
-    return Document(_heading(audit), (Facts(tuple(_facts(audit, checked))),))
-
-
-def _facts(audit: Audit, checked: Check) -> Iterator[tuple[str, Cell]]:
-    original = audit.originals[0]
-    tones = {Level.BIT_IDENTICAL: Tone.GOOD, Level.DIFFERENT: Tone.BAD, None: Tone.WARNING}
-    tone = tones.get(audit.level, Tone.PLAIN)
-    yield "verdict", Cell(_verdict(audit), notes=(audit.why_not,), tone=tone)
-    if audit.verdict is not None:
-        for rung in audit.verdict.rungs:
-            yield _TICKS[rung.holds], Cell(f"{rung.level.value}: {rung.said}")
-    if audit.difference is not None and audit.difference.first is not None:
-        yield "differs", _first(audit.difference.first)
-    yield "recorded", Cell(_where(audit))
-    paths = [recording.path for recording in audit.originals]
-    broken = dict.fromkeys(sentence for path in paths for sentence in checked.broken.get(path, ()))
-    warnings = dict.fromkeys(sentence for path in paths for sentence in checked.warnings.get(path, ()))
-    holds = "is broken" if broken else "holds, with warnings" if warnings else "holds"
-    yield "check", Cell(f"{RULES} {holds}; content hash {original.content_hash}", notes=(*broken, *warnings))
-    yield "asked", Cell(_short(" ".join(original.provenance.argv), _COMMAND), code=True)
+def audit_document(audit: Audit, checked: Check, *, every: bool = False) -> Document:
+    """The verdict and what it rests on; with `every`, all replays, levels and values of settings."""
+    blocks: list[Block] = [_verdict(audit, checked), facts(*_facts(audit, checked, every))]
+    if audit.difference is not None:
+        blocks += _notes(audit.difference, every)
     if audit.replays is not None:
-        yield "tried" if audit.replays.refused else "run here", Cell(audit.replays.command, code=True)
+        blocks += [
+            Text(f"  {'refused' if audit.replays.refused else 'run here'}:"),
+            Code((audit.replays.command,)),
+        ]
+    recorded = (Code((_short(" ".join(audit.originals[0].provenance.argv), _COMMAND),)),)
+    sections = [Section("command", "command of the recording", recorded)]
+    if len(audit.recordings) > _FILES:
+        paths = items(*(f"  {recording.path}" for recording in audit.recordings))
+        sections.append(Section("replays", "complete replays", (paths,)))
+    if audit.settings.deciding:
+        rows = [[setting.name, _short(setting.a), _short(setting.b)] for setting in audit.settings.deciding]
+        sections.append(Section("settings", "settings", (table("settings", "", ("name", "there", "here"), rows),)))
+    if every:
+        blocks += sections
+    else:
+        blocks.append(Text(f"  more with --all: {', '.join(section.title for section in sections)}", Tone.QUIET))
+    return Document("", tuple(blocks))
+
+
+def _verdict(audit: Audit, checked: Check) -> Text:
+    others = len(audit.originals) - 1
+    name = audit.originals[0].path.name + (f" and {others} more of its set" if others else "")
+    gives, tone = _answer(audit)
+    if any(checked.broken.get(recording.path) for recording in audit.originals):
+        return Text(f"{gives}; {'a file' if others else 'the file'} breaks {RULES}: {name}", Tone.BAD)
+    return Text(f"{gives}: {name}", tone)
+
+
+def _answer(audit: Audit) -> tuple[str, Tone]:
+    if audit.invalid:
+        return f"A replay is invalid, and the recording is not ({Level.DIFFERENT.value})", Tone.BAD
+    if audit.level is not None:
+        gives, tone = _GIVES[audit.level]
+        return f"{gives} ({audit.level.value})", tone
+    if audit.verdict is None:
+        return f"No verdict: {_NO_VERDICT[audit.outcome]}", Tone.WARNING
+    if any(rung.level is Level.BIT_IDENTICAL and rung.holds is False for rung in audit.verdict.rungs):
+        return "Re-execution gives other bits; undecided whether of the same distribution", Tone.WARNING
+    return "Re-execution gives the same bits as far as compared; not everything was compared", Tone.WARNING
+
+
+def _facts(audit: Audit, checked: Check, every: bool) -> Pairs:
+    pairs: Pairs = []
+    if audit.why_not and (audit.recordings or not audit.failed):  # what failed says it itself
+        pairs.append(("reason", audit.why_not))
+    pairs += [*_recording(audit), ("content hash", audit.originals[0].content_hash), ("check", _check(audit, checked))]
     replays = [f"{replay.status}: {replay.reason}" for replay in audit.failed]
     replays += [f"complete: {recording.path}" for recording in audit.recordings[:_FILES]]
     if len(audit.recordings) > _FILES:
         replays.append(f"and {len(audit.recordings) - _FILES} more")
     if replays:
-        yield "replay", Cell(replays[0], notes=tuple(replays[1:]))
+        pairs.append(("replays", Cell(replays[0], notes=tuple(replays[1:]))))
     if audit.recordings:
-        yield "runs", Cell(_distinct(audit))
+        pairs.append(("runs", _distinct(audit)))
+    if audit.verdict is not None:
+        level = audit.verdict.level
+        follows = [rung.holds and rung.level is not level for rung in audit.verdict.rungs]
+        pairs += [_rung(rung) for rung, below in zip(audit.verdict.rungs, follows, strict=True) if every or not below]
     if audit.difference is not None:
-        for note in (*audit.difference.compared.left_out, *audit.difference.notes):
-            yield "note", Cell(note)
-        yield "settings", _settings(audit.settings, full=not audit.difference.bit_identical)
+        if audit.difference.first is not None:
+            pairs.append(("differs", _first(audit.difference.first)))
+        pairs.append(("settings", _settings(audit, audit.difference)))
+    return pairs
 
 
-def _heading(audit: Audit) -> str:
+def _recording(audit: Audit) -> Pairs:
     original = audit.originals[0]
     c, simulation = original.configuration, original.simulation
     version = f" {simulation.version}" if simulation else ""
-    others = len(audit.originals) - 1
-    files = original.path.name + (f" and {others} more of its set" if others else "")
-    return f"{files}: {c.simulator}{version}, {c.scene}, {c.n_env} envs, dt {c.dt:g} s, {shown_status(original)}"
-
-
-def _where(audit: Audit) -> str:
-    original = audit.originals[0]
     where = original.provenance.host.get("cpu", "")
-    device = original.simulation.device if original.simulation else ""
+    device = simulation.device if simulation else ""
     machine = where if device in ("", "cpu", where) else f"{device}, {where}"
-    return f"{original.provenance.created_utc}, {machine}"
+    said = f"{c.simulator}{version}, {c.scene}, {plural(c.n_env, 'env')}, dt {c.dt:g} s, {shown_status(original)}"
+    return [("recording", said), ("recorded", f"{original.provenance.created_utc}, {machine}")]
 
 
-def _verdict(audit: Audit) -> str:
-    if audit.level is not None:
-        return audit.level.value
-    return "undecided" if audit.verdict else f"none: {_NO_VERDICT[audit.outcome]}"
+def _check(audit: Audit, checked: Check) -> Cell:
+    paths = [recording.path for recording in audit.originals]
+    broken = dict.fromkeys(sentence for path in paths for sentence in checked.broken.get(path, ()))
+    warnings = dict.fromkeys(sentence for path in paths for sentence in checked.warnings.get(path, ()))
+    holds = "is broken" if broken else "holds, with warnings" if warnings else "holds"
+    tone = Tone.BAD if broken else Tone.WARNING if warnings else Tone.PLAIN
+    return Cell(f"{RULES} {holds}", notes=(*broken, *warnings), tone=tone)
 
 
 def _distinct(audit: Audit) -> str:
+    there, here = len(audit.originals), len(audit.recordings)
     if audit.distinct is None:
-        return (
-            f"{len(audit.originals)} there, {len(audit.recordings)} here; without state hashes, bits are not compared"
-        )
-    there, here, both = audit.distinct
-    counts = f"{len(audit.originals)} there, {there} distinct by state hashes; {len(audit.recordings)} here, {here}"
-    return f"{counts} distinct; {both} together"
+        return f"{there} there, {here} here; without state hashes, bits are not compared"
+    distinct_there, distinct_here, both = audit.distinct
+    counts = f"{there} there, {distinct_there} distinct by state hashes; {here} here, {distinct_here} distinct"
+    return f"{counts}; {both} distinct together"
+
+
+def _rung(rung: Rung) -> tuple[str, Cell]:
+    return f"{_TICKS[rung.holds]} {rung.level.value}", Cell(rung.said)
 
 
 def _first(first: Divergence) -> Cell:
     of = " of the timed phase" if first.phase == "timed" else ""
-    envs = f"env {first.env_a}; {first.envs} envs at that step"
+    envs = f"first in env {first.env_a}, in {plural(first.envs, 'env')} at that step"
     said = f"from step {first.step_a} ({first.time:g} s){of}, {envs}"
     if first.state is None:
         return Cell(said)
@@ -107,19 +161,27 @@ def _first(first: Divergence) -> Cell:
     later = "" if first.located else f" (first recorded state: step {at.step})"
     ulp = "" if n.ulp is None else f", {n.ulp:,} ULP"
     distance = "" if n.distance is None else f", {n.distance:.3g} {n.unit}"
-    number = f"{n.field} {n.item} {n.component}{later}: {n.a} there, {n.b} here{ulp}{distance}"
+    number = f"{n.field} of {n.item}, {n.component}{later}: {n.a} there, {n.b} here{ulp}{distance}"
     return Cell(said, notes=(number,))
 
 
-def _settings(settings: Settings, *, full: bool) -> Cell:
-    more = f"{settings.packages} other installed packages" if settings.packages else ""
-    if not settings.deciding:
-        return Cell(f"the same{f' but for {more}' if more else ''}")
-    if full:
-        differing = [f"{s.name}: {_short(s.a)} | {_short(s.b)}" for s in settings.deciding]
-        return Cell("that differ, there | here", notes=(*differing, *([f"and {more}"] if more else ())))
-    names = ", ".join([s.name for s in settings.deciding] + ([more] if more else []))
-    return Cell(f"different, and the numbers are the same: {names}")
+def _settings(audit: Audit, difference: Difference) -> str:
+    deciding, packages = audit.settings.deciding, audit.settings.packages
+    more = f"{plural(packages, 'other installed package')}" if packages else ""
+    if not deciding:
+        return f"the same{f' but for {more}' if more else ''}"
+    names = ", ".join(setting.name for setting in deciding[:_NAMES])
+    if len(deciding) > _NAMES:
+        names += f" and {len(deciding) - _NAMES} more"
+    same = ", and the bits are the same" if difference.bit_identical else ""
+    return f"{len(deciding)} differ{same}: {names}{f'; and {more}' if more else ''}"
+
+
+def _notes(difference: Difference, every: bool) -> list[Block]:
+    notes = [f"  note: {note}" for note in (*difference.compared.left_out, *difference.notes)]
+    if not every and len(notes) > _NOTES + 1:
+        notes = [*notes[:_NOTES], f"  and {len(notes) - _NOTES} more notes, printed with --all"]
+    return [Items(tuple(map(Item, notes)))] if notes else []
 
 
 def _short(text: str, most: int = _VALUE) -> str:

@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING
 from gpusimbench.evaluator.cli.arguments import local_name, local_path
 from gpusimbench.evaluator.cli.entry import complain, enter, new_parser
 from gpusimbench.evaluator.cli.json_target import check_target, write_json
+from gpusimbench.schemas import text
 from gpusimbench.schemas.errors import ExitCode, UsageError
-from gpusimbench.schemas.text import block, line, show
+from gpusimbench.schemas.text import line, show
 
 if TYPE_CHECKING:
     from gpusimbench.evaluator.audit.audit import Audit
@@ -83,6 +84,7 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument(
         "--json", type=local_name, metavar="FILE", help="write the results as JSON; - for standard output, alone"
     )
+    p.add_argument("--all", action="store_true", help="print every replay, level, note and value of a setting")
     p.add_argument("--python", type=local_path, metavar="PATH", help="interpreter that makes the replays")
     p.add_argument("--timeout", type=float, metavar="S", help="limit of each replay [s]; 0: none (default: as below)")
     p.add_argument("--phases", metavar="LIST", help="timed, capture or both (default: those that were recorded)")
@@ -122,8 +124,9 @@ def run(arguments: argparse.Namespace, command: str) -> int:
     for alike in group(checked.recordings):
         audits.append(audit(alike, plan, max_ulps=arguments.ulps, say=_say))
         if arguments.json != "-":
-            print_document(audit_document(audits[-1], checked), sys.stdout)
-            show(block([""]))
+            with text.live:
+                print_document(audit_document(audits[-1], checked, every=arguments.all), sys.stdout)
+            show(line(""))
     if arguments.json:
         write_json(arguments.json, dump_json(audits, checked, required))
     if checked.damaged:
@@ -150,8 +153,8 @@ def _exit_code(audits: list[Audit], required: Level) -> ExitCode:
     return ExitCode.NOTHING_COMPARABLE if None in met else ExitCode.OK
 
 
-def _say(text: str) -> None:
-    show(line(text), error=True)
+def _say(said: str) -> None:
+    show(line(said), error=True)
 
 
 def main(argv: list[str] | None = None) -> int:

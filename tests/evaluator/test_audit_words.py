@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 from dataclasses import replace
 from pathlib import Path
 
@@ -21,7 +20,7 @@ from gpusimbench.evaluator.compute.recorder import Made
 from gpusimbench.evaluator.diff.compare import compare
 from gpusimbench.evaluator.diff.result import Setting
 from gpusimbench.evaluator.read.recording import Recording
-from gpusimbench.evaluator.render.terminal import print_document
+from gpusimbench.evaluator.render.document import Code, Facts, Items, Table, Text, walk
 from tests.synthetic import grid, write_recording
 
 NO_FINDINGS = Check((), {}, {}, {})
@@ -39,11 +38,21 @@ def five(tmp_path_factory: pytest.TempPathFactory) -> list[Recording]:
     ]
 
 
-def lines(audit: Audit, checked: Check = NO_FINDINGS) -> list[str]:
-    """The lines of a report."""
-    out = io.StringIO()
-    print_document(audit_document(audit, checked), out)
-    return out.getvalue().splitlines()
+def lines(audit: Audit, checked: Check = NO_FINDINGS, *, every: bool = False) -> list[str]:
+    """What a report says, without its layout: the verdict first; facts, remarks, rows and commands a line each."""
+    found = []
+    for block in walk(audit_document(audit, checked, every=every).blocks):
+        if isinstance(block, Text):
+            found.append(block.text.strip())
+        elif isinstance(block, Facts):
+            found += [f"{name}: {said}" for name, cell in block.pairs for said in cell.lines]
+        elif isinstance(block, Items):
+            found += [item.text.strip() for item in block.items]
+        elif isinstance(block, Table):
+            found += [" | ".join(cell.text for cell in row.cells) for row in block.rows]
+        elif isinstance(block, Code):
+            found += block.lines
+    return found
 
 
 def made(recordings: list[Recording]) -> Replays:
@@ -53,25 +62,27 @@ def made(recordings: list[Recording]) -> Replays:
 
 def test_the_set_and_its_files_are_counted(five: list[Recording]) -> None:
     """Count the other originals, and name three recordings of replays and how many more there are."""
-    (alone,) = [line for line in lines(Audit((five[0],))) if "2 envs" in line]
-    assert alone == "0.mcap: synthetic 1.0, inclined-collision, 2 envs, dt 1 s, complete"
-    assert lines(Audit((five[0], five[1])))[0].startswith("0.mcap and 1 more of its set: ")
+    alone = lines(Audit((five[0],)))
+    assert alone[0] == "No verdict: there is nothing to replay: 0.mcap"
+    assert "recording: synthetic 1.0, inclined-collision, 2 envs, dt 1 s, complete" in alone
+    assert lines(Audit((five[0], five[1])))[0].endswith(": 0.mcap and 1 more of its set")
     three = lines(Audit((five[0],), made(five[1:4]), tuple(five[1:4])))
-    said = [f"complete: {r.path}" for r in five[1:4]]
-    assert [line[12:] for line in three if "complete: " in line] == said
+    assert [line for line in three if "complete: " in line] == [f"replays: complete: {r.path}" for r in five[1:4]]
     assert not any(line.endswith(" more") for line in three)
     four = lines(Audit((five[0],), made(five[1:]), tuple(five[1:])))
-    assert [line[12:] for line in four if "complete: " in line] == said
-    assert "            and 1 more" in four
+    assert [line for line in four if "complete: " in line] == [f"replays: complete: {r.path}" for r in five[1:4]]
+    assert "replays: and 1 more" in four
+    every = lines(Audit((five[0],), made(five[1:]), tuple(five[1:])), every=True)
+    assert {str(r.path) for r in five[1:]} <= set(every)
 
 
 def test_distinct_runs_are_counted(five: list[Recording]) -> None:
     """Tell the numbers of runs from those of distinct runs, there, here and together."""
     audit = Audit(tuple(five[:2]), made(five[2:]), tuple(five[2:]), distinct=(1, 2, 3))
-    assert "  runs      2 there, 1 distinct by state hashes; 3 here, 2 distinct; 3 together" in lines(audit)
+    assert "runs: 2 there, 1 distinct by state hashes; 3 here, 2 distinct; 3 distinct together" in lines(audit)
     unknown = replace(audit, distinct=None)
-    assert "  runs      2 there, 3 here; without state hashes, bits are not compared" in lines(unknown)
-    assert not any(line.startswith("  runs") for line in lines(Audit(tuple(five))))
+    assert "runs: 2 there, 3 here; without state hashes, bits are not compared" in lines(unknown)
+    assert not any(line.startswith("runs: ") for line in lines(Audit(tuple(five))))
 
 
 def test_findings_come_once_each(five: list[Recording]) -> None:
@@ -79,47 +90,46 @@ def test_findings_come_once_each(five: list[Recording]) -> None:
     paths = [r.path for r in five[:2]]
     check = Check((), {}, dict.fromkeys(paths, ("it is broken",)), dict.fromkeys(paths, ("it is odd",)))
     text = lines(Audit(tuple(five[:2])), check)
-    assert [line.strip() for line in text if line.strip() in ("it is broken", "it is odd")] == [
-        "it is broken",
-        "it is odd",
+    assert [line for line in text if line in ("check: it is broken", "check: it is odd")] == [
+        "check: it is broken",
+        "check: it is odd",
     ]
-    assert any(line.startswith("  check     integrity-1 is broken; content hash ") for line in text)
+    assert "check: integrity-1 is broken" in text
+    assert "; a file breaks integrity-1: " in text[0]
     warned = lines(Audit(tuple(five[:2])), replace(check, broken={}))
-    assert any(line.startswith("  check     integrity-1 holds, with warnings; ") for line in warned)
-    assert any(line.startswith("  check     integrity-1 holds; ") for line in lines(Audit(tuple(five[:2]))))
+    assert "check: integrity-1 holds, with warnings" in warned
+    assert "check: integrity-1 holds" in lines(Audit(tuple(five[:2])))
+    assert any(line.startswith("content hash: ") for line in warned)
 
 
 def test_the_first_difference_is_in_numbers(five: list[Recording]) -> None:
     """Give step, time, environment, cube, both values and their distance of what differs first."""
     audit = Audit((five[0],), made(five[4:]), (five[4],), compare(five[0], five[4]))
     text = lines(audit)
-    assert "  differs   from step 5 (5 s), env 1; 1 envs at that step" in text
+    assert "differs: from step 5 (5 s), first in env 1, in 1 env at that step" in text
     (number,) = [line for line in text if "cubes/position" in line]
-    assert " z: 0.03 there, 2.03 here, " in number
+    assert ", z: 0.03 there, 2.03 here, " in number
     assert number.endswith(" ULP, 2 m")
-    assert "  settings  the same" in text
+    assert "settings: the same" in text
 
 
 def test_settings_are_cut_and_counted(five: list[Recording]) -> None:
     """Cut a value of more than 60 characters to 60, list all settings of a difference, and count packages."""
     same, other = compare(five[0], five[1]), compare(five[0], five[4])
     settings = Settings((Setting("engine.cone", "a" * 60, "b" * 61),), 3)
-    differing = lines(Audit((five[0],), made(five[4:]), (five[4],), other, settings))
-    assert f"engine.cone: {'a' * 60} | {'b' * 57}..." in " ".join(" ".join(differing).split())
-    assert "            and 3 other installed packages" in differing
+    differing = lines(Audit((five[0],), made(five[4:]), (five[4],), other, settings), every=True)
+    assert f"engine.cone | {'a' * 60} | {'b' * 57}..." in differing
+    assert "settings: 1 differ: engine.cone; and 3 other installed packages" in differing
     equal = lines(Audit((five[0],), made(five[1:2]), (five[1],), same, settings))
-    assert "  settings  different, and the numbers are the same: engine.cone, 3 other installed packages" in equal
+    assert "settings: 1 differ, and the bits are the same: engine.cone; and 3 other installed packages" in equal
+    assert not any("|" in line for line in equal)
     none = lines(Audit((five[0],), made(five[1:2]), (five[1],), same, Settings((), 3)))
-    assert "  settings  the same but for 3 other installed packages" in none
+    assert "settings: the same but for 3 other installed packages" in none
     many = Settings(tuple(Setting(f"environment.NAME_{number}", "a", "b") for number in range(20)))
-    wrapped = lines(Audit((five[0],), made(five[1:2]), (five[1],), same, many))
-    begin = next(i for i, line in enumerate(wrapped) if line.startswith("  settings  "))
-    assert wrapped[begin:] == [
-        line for line in wrapped[begin:] if line.startswith("  settings  ") or line[:12].isspace()
-    ]
-    assert len(wrapped) > begin + 1
-    assert all(line.startswith(" " * 12) and len(line) <= 120 for line in wrapped[begin + 1 :])
-    assert max(map(len, wrapped[begin:])) > 95
+    audit = Audit((five[0],), made(five[1:2]), (five[1],), same, many)
+    named = "environment.NAME_0, environment.NAME_1, environment.NAME_2, environment.NAME_3 and 16 more"
+    assert f"settings: 20 differ, and the bits are the same: {named}" in lines(audit)
+    assert "environment.NAME_19 | a | b" in lines(audit, every=True)
 
 
 def test_what_has_no_verdict_says_why(five: list[Recording]) -> None:
@@ -136,12 +146,12 @@ def test_what_has_no_verdict_says_why(five: list[Recording]) -> None:
         Outcome.MADE: replace(nothing, replays=made(five[:1]), recordings=(five[0],)),
     }
     assert {outcome: audit.outcome for outcome, audit in outcomes.items()} == {outcome: outcome for outcome in outcomes}
-    verdicts = [line for audit in outcomes.values() for line in lines(audit) if line.startswith("  verdict   none: ")]
+    verdicts = [line for audit in outcomes.values() for line in lines(audit) if line.startswith("No verdict: ")]
     assert len(set(verdicts)) == 5
-    assert "  replay    failed: it broke" in lines(outcomes[Outcome.FAILED])
-    assert "  tried     gsb-record" in lines(outcomes[Outcome.REFUSED])
-    assert "  run here  gsb-record" in lines(outcomes[Outcome.FAILED])
-    assert "  verdict   different" in lines(replace(nothing, replays=invalid))
+    assert "replays: failed: it broke" in lines(outcomes[Outcome.FAILED])
+    assert {"refused:", "gsb-record"} <= set(lines(outcomes[Outcome.REFUSED]))
+    assert {"run here:", "gsb-record"} <= set(lines(outcomes[Outcome.FAILED]))
+    assert lines(replace(nothing, replays=invalid))[0].startswith("A replay is invalid, and the recording is not (diff")
     assert replace(nothing, replays=invalid).meets(Level.DIFFERENT) is False
     assert nothing.meets(Level.SAME_DISTRIBUTION) is None
 
