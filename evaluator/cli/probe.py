@@ -12,6 +12,7 @@ from gpusimbench.evaluator.cli.entry import complain, enter, new_parser
 from gpusimbench.evaluator.cli.json_target import check_target, write_json
 from gpusimbench.schemas.errors import DataLost, ExitCode, NothingComparable, UsageError
 from gpusimbench.schemas.location import place
+from gpusimbench.schemas.parser import Parser
 from gpusimbench.schemas.progress import each, sizes
 from gpusimbench.schemas.text import line, show
 
@@ -54,7 +55,7 @@ examples:
 """
 
 
-def parser() -> argparse.ArgumentParser:
+def parser() -> Parser:
     """The command's arguments."""
     p = new_parser(
         "gsb-probe",
@@ -89,6 +90,10 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument("--all", action="store_true", help="say also what was compared, by which files")
     p.add_argument("--gate", action="store_true", help="end with 4 where an answer is no, and with 5 where one is open")
     p.add_argument("--json", type=local_name, metavar="FILE", help="write the answers as JSON; - for standard output")
+    p.show_first(
+        "--sim", "--scene", "--determinism", "--option", "--n-env", "--numbers", "--quick", "--out", "--all", "--gate",
+        "--json",
+    )  # fmt: skip
     return p
 
 

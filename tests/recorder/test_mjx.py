@@ -171,7 +171,9 @@ class TestJax:
         options = find_simulator("mjx").load().Options(max_geom_pairs=pairs, max_contact_points=points)
         model = mjx_physics.load(PAIR, n_env=1, dt=0.01, seed=0, options=options, impl="jax")
         device = jax.devices("cpu")[0]
-        on_device, data = model.put(device), model.first_data(device)
+        compiled = model.compiled
+        start = (jax.numpy.asarray(numbers, "float32") for numbers in (compiled.qpos0, compiled.qvel0))
+        on_device, data = model.put(device), model.first_data(device, *start)
         data = data.replace(qpos=data.qpos.at[2].add(-1e-4).at[9].add(-2e-4))
         data = jax.vmap(lambda _: data)(np.arange(1))
         counted = jax.jit(lambda d: model.count(jax.vmap(mjx.fwd_position, (None, 0))(on_device, d)))(data)
