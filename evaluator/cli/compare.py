@@ -50,6 +50,7 @@ exit codes:
 
 examples:
   gsb-compare base/ head/
+  gsb-compare base/ head/ --all
   gsb-compare base/ head/ --gate {_GATES},bits --json result.json
   gsb-compare --base main-*.mcap --head branch-*.mcap --markdown summary.md --junit report.xml
   gsb-compare first/ again/ --expect-same
@@ -107,7 +108,11 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument("--markdown", type=local_path, metavar="FILE", help="write a comment for a pull request")
     p.add_argument("--junit", type=local_path, metavar="FILE", help="write a JUnit report: configurations by axes")
     p.add_argument("--html", type=local_path, metavar="FILE", help="with --history: write a page of all curves")
-    p.add_argument("--all", action="store_true", help="with --history: print every curve and change")
+    p.add_argument(
+        "--all",
+        action="store_true",
+        help="print every quantity that was compared; with --history, every curve and change",
+    )
     p.add_argument("--no-verify", action="store_true", help="skip the digests; CRCs of what is read are still checked")
     p.add_argument(
         "--cache", type=local_path, metavar="DIR", help="where to keep results (default: the user's cache folder)"
@@ -136,8 +141,8 @@ def run(arguments: argparse.Namespace, command: str) -> int:
         check_target(str(target) if target else None)
     if arguments.history:
         return _run_history(arguments, settings, command)
-    if arguments.html or arguments.all:
-        raise UsageError("--html and --all belong to --history")
+    if arguments.html:
+        raise UsageError("--html belongs to --history")
     base, head = _given(arguments)
 
     from gpusimbench.evaluator.check.protocol import unmet_by_file
@@ -158,17 +163,19 @@ def run(arguments: argparse.Namespace, command: str) -> int:
         complain("gsb-compare", str(failure.error))
 
     if arguments.json != "-":
-        from gpusimbench.evaluator.compare.text import print_result
+        from gpusimbench.evaluator.compare.document import full, short
+        from gpusimbench.evaluator.render.terminal import print_document
 
-        print_result(result, sys.stdout)
+        print_document(full(result) if arguments.all else short(result), sys.stdout)
     if arguments.json:
         from gpusimbench.evaluator.compare.json import dump_json
 
         write_json(arguments.json, dump_json(result))
     if arguments.markdown:
-        from gpusimbench.evaluator.compare.markdown import markdown
+        from gpusimbench.evaluator.compare.document import comment
+        from gpusimbench.evaluator.render.markdown import render_markdown
 
-        write_file(arguments.markdown, markdown(result, command))
+        write_file(arguments.markdown, render_markdown(comment(result, command)))
     if arguments.junit:
         from gpusimbench.evaluator.compare.junit import junit
 

@@ -47,8 +47,32 @@ def verdict(finding: Finding, result: Result) -> str:
     return f"{word} (not gated)" if different and not counts(finding.axis, result.settings) else word
 
 
+def sentence(result: Result) -> str:
+    """The verdict of the whole in one plain sentence."""
+    failing, settings = result.failing, result.settings
+    where = plural(len(result.compared), "configuration")
+    undecided = ", ".join(axis.value for axis in result.undecided)
+    if failing:
+        axes = ", ".join(dict.fromkeys(f.axis.value for f in failing))
+        found = f"in {axes} ({plural(len(failing), 'finding')} in {where})"
+        changed = settings.expect_same or all(f.change is Change.CHANGED for f in failing)
+        said = f"FAILED: head {'differs from' if changed else 'is worse than'} base {found}"
+        return f"{said}; not decided: {undecided}" if undecided else said
+    if not result.comparable:
+        return "NOTHING COMPARED: some configuration has no quantity that base and head share and that a gate asks for"
+    asked = "differs from base" if settings.expect_same else "is worse than base"
+    if result.open:
+        count = plural(len(result.open), "finding")
+        return f"NOT DECIDED: whether head {asked} in {undecided} ({count} in {where})"
+    gained = ", ".join(dict.fromkeys(f.axis.value for f in result.findings if f.change is Change.IMPROVEMENT))
+    parts = [f"PASSED: no sign that head {asked} in {where}"]
+    parts += [f"head is better in {gained}"] if gained else []
+    parts += [f"{plural(len(result.alone), 'configuration')} without a partner"] if result.alone else []
+    return "; ".join(parts)
+
+
 def headline(result: Result) -> str:
-    """The verdict of the whole in one line."""
+    """The verdict of the whole in one line, for programs."""
     failing, settings = result.failing, result.settings
     if failing:
         axes = ", ".join(dict.fromkeys(f.axis.value for f in failing))

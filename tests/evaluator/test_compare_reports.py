@@ -16,7 +16,7 @@ import pytest
 from markdown_it import MarkdownIt
 
 from gpusimbench.evaluator.cli.compare import main
-from gpusimbench.evaluator.compare.markdown import code, safe
+from gpusimbench.evaluator.render.markdown import code, safe
 from gpusimbench.schemas.provenance import PROVENANCE, SIMULATION
 from tests.evaluator.test_compare import NOISE, ROOT, compared, finding, stamped, timed, write_sides
 from tests.synthetic import grid, write_recording
@@ -29,7 +29,7 @@ HOSTILE = (
     "\x1b[31m\x00\u202e\ufffe &amp; |\n\n# h"
 )
 ELEMENTS = frozenset(
-    ("p", "strong", "table", "thead", "tbody", "tr", "th", "td", "details", "summary", "code", "ul", "li", "sub", "br")
+    ("p", "b", "table", "thead", "tbody", "tr", "th", "td", "details", "summary", "code", "ul", "li", "br")
 )
 
 
@@ -79,20 +79,28 @@ def write_hostile(folder: Path) -> tuple[Path, Path]:
 
 
 def test_the_table(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Print what differs, each number's direction, method and runs, and the verdict last."""
+    """Print the verdict first, then what differs; with --all, each number's direction, method and runs."""
     sides = write_sides(tmp_path, timed(host_bytes=(10**8, 2 * 10**8)), timed(1.2, host_bytes=(10**8, 2 * 10**8)))
     assert main([*map(str, sides), "--no-cache"]) == 4
+    verdict = "FAILED: head is worse than base in throughput (1 finding in 1 configuration)"
+    runs = "6 complete runs of base, 6 of head, in the order ABBAABBAABBA (A base, B head)"
+    brief = capsys.readouterr().out.splitlines()
+    assert brief[0] == verdict
+    assert " ".join(" ".join(brief[1:3]).split()).startswith(f"synthetic, inclined-collision, 1 env, dt 1 s: {runs}")
+    assert any(line.startswith("throughput [env-steps/s] ") and line.rstrip().endswith("REGRESSION") for line in brief)
+    assert any(line.startswith("the same: host memory increment") for line in brief)
+    assert len(brief) <= 15
+    assert main([*map(str, sides), "--no-cache", "--all"]) == 4
     shown = capsys.readouterr().out
     lines = shown.splitlines()
-    assert lines[0] == "synthetic, inclined-collision, 1 env, dt 1 s"
-    assert lines[1] == "  6 complete runs of base, 6 of head, in the order ABBAABBAABBA (A base, B head)"
+    assert lines[0] == verdict
+    assert lines[2:4] == ["synthetic, inclined-collision, 1 env, dt 1 s: FAILED, 1 finding", runs]
     assert re.search(
         r"^throughput \[env-steps/s\] +\d+ +\d+ +0\.833 +\[0\.\d{3}, 0\.\d{3}\] +0\.031 +REGRESSION", shown, re.M
     )
-    assert re.search(r"^host memory increment +100\.0 MB +100\.0 MB +1\.000 +- +- +same$", shown, re.M)
-    assert "how: throughput (higher is better): N_env * N_step / T_step" in shown
+    assert re.search(r"^host memory increment +100\.0 MB +100\.0 MB +1\.000 +- +- +same *$", shown, re.M)
+    assert "throughput (higher is better): N_env * N_step / T_step" in shown
     assert "(all 64 ways); the interval inverts it, n = 6 and 6" in " ".join(shown.split())
-    assert lines[-1] == "REGRESSION: throughput (1 finding in 1 configuration)"
 
 
 def test_a_check_of_mechanics_that_is_broken_now(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -155,16 +163,16 @@ def test_markdown_of_hostile_text(tmp_path: Path, capsys: pytest.CaptureFixture[
     capsys.readouterr()
     text = target.read_text(encoding="utf-8")
     first, *_ = text.splitlines()
-    assert first.startswith(":x: **gsb-compare: REGRESSION&#58; throughput, validity")
+    assert first.startswith("<b>FAILED&#58; head is worse than base in throughput, validity")
     assert not any(c in text for c in "\x00\x1b\u202e\ufffe")
     assert not re.search(r"@\w|#\d|www\.|http:", text.replace("&#", ""))
     page = MarkdownIt("commonmark", {"html": True}).enable("table").render(text)
     assert set(re.findall(r"<([a-z]+)", page)) <= ELEMENTS
     assert "&lt;script&gt;" in page
     rows = re.findall(r"<tr>(.*?)</tr>", page, re.DOTALL)
-    assert all(len(re.findall("<t[hd]", row)) in (7, 8) for row in rows)
-    failed = [row for row in rows if "<strong>" in row]
-    assert failed and all(re.search(r"<td[^>]*><strong>[A-Z ]+</strong></td>\s*$", row) for row in failed)
+    assert len({len(re.findall("<t[hd]", row)) for row in rows}) <= 2  # a table of what differs, and one of everything
+    failed = [row for row in rows if "<b>" in row]
+    assert failed and all(re.search(r"<td[^>]*><b>[A-Z ]+</b></td>\s*$", row) for row in failed)
 
 
 def test_text_is_never_markup() -> None:
@@ -207,11 +215,11 @@ def test_junit_of_hostile_text(tmp_path: Path, capsys: pytest.CaptureFixture[str
 @pytest.mark.parametrize(
     ("factor", "noise", "arguments", "code_", "mark", "kinds"),
     [
-        (1.0, 0.1, (), 0, ":white_check_mark:", {"throughput": None, "memory": None, "build": "skipped"}),
-        (1.2, 0.1, (), 4, ":x:", {"throughput": "failure", "memory": None}),
-        (1.2, 20.0, (), 5, ":grey_question:", {"throughput": "error", "memory": None}),
-        (1.2, 20.0, ("--gate", "memory"), 0, ":white_check_mark:", {"throughput": "skipped", "memory": None}),
-        (1.2, 0.1, ("--across", "cone"), 5, ":grey_question:", {"compared": "error"}),
+        (1.0, 0.1, (), 0, "PASSED", {"throughput": None, "memory": None, "build": "skipped"}),
+        (1.2, 0.1, (), 4, "<b>FAILED", {"throughput": "failure", "memory": None}),
+        (1.2, 20.0, (), 5, "NOT DECIDED", {"throughput": "error", "memory": None}),
+        (1.2, 20.0, ("--gate", "memory"), 0, "PASSED", {"throughput": "skipped", "memory": None}),
+        (1.2, 0.1, ("--across", "cone"), 5, "NOTHING COMPARED", {"compared": "error"}),
     ],
 )
 def test_reports_tell_undecided_from_passed(
@@ -241,7 +249,7 @@ def test_reports_tell_undecided_from_passed(
         assert cases[name] == ({kind} if kind else set()), name
     assert int(suites.get("errors", "")) == sum("error" in found for found in cases.values())
     assert page.read_text(encoding="utf-8").startswith(mark)
-    assert ("UNDECIDED: throughput: the interval holds a change of 5 % and more" in shown) is (
+    assert ("undecided: throughput: the interval holds a change of 5 % and more" in shown) is (
         "error" in cases.get("throughput", set())
     )
 
@@ -302,7 +310,7 @@ def test_the_workflow_works(tmp_path: Path, path: str) -> None:
         done = run(steps[name]["run"], tmp_path, path, **environment)
         assert done.returncode == code_, done.stdout + done.stderr
     assert [len(list((tmp_path / "runs" / side).glob("*.mcap"))) for side in ("base", "head")] == [2, 2]
-    assert (tmp_path / "shown.md").read_text(encoding="utf-8").startswith(":grey_question: **gsb-compare: NOT DECIDED")
+    assert (tmp_path / "shown.md").read_text(encoding="utf-8").startswith("NOT DECIDED")
     assert ET.parse(tmp_path / "report.xml").getroot().get("failures") == "0"
     assert steps["Show the comparison"]["if"] == steps["Keep recordings and reports"]["if"] == "always()"
     kept = [name.rstrip("/") for name in job["steps"][-1]["with"]["path"].split()]
