@@ -321,8 +321,8 @@ def test_what_does_not_go_with_a_history(tmp_path: Path, capsys: pytest.CaptureF
     """Refuse what belongs to two sets; and what belongs to a history, without one."""
     write_point(tmp_path, 0)
     assert main(["--history", str(tmp_path), *more]) == 2
-    assert main([str(tmp_path), str(tmp_path), "--all"]) == 2
-    assert "belong to --history" in capsys.readouterr().err
+    assert main([str(tmp_path), str(tmp_path), "--html", "page.html"]) == 2
+    assert "--html belongs to --history" in capsys.readouterr().err
 
 
 def test_the_terminal_says_the_verdict_first(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
