@@ -158,20 +158,30 @@ def _verified(files: list[Place]) -> list[Recording]:
 
 def _recorded(arguments: argparse.Namespace, problems: list[str]) -> list[Place]:
     """The recordings of all plans, those that were missing made; `problems` gets what could not be recorded."""
+    from gpusimbench.evaluator.render.numbers import plural
+
     files: list[Place] = []
     for plan in _plans(arguments):
-        _record(plan, plan.missing(_configurations(arguments.out, plan)), arguments.out, problems)
-        again = differing(_there(arguments.out, plan))
-        _record(plan, plan.missing(_configurations(arguments.out, plan), again), arguments.out, problems, "once more")
-        files += [recording.path for recording in _there(arguments.out, plan)]
+        out = arguments.out
+        refused = _record(plan, plan.missing(_configurations(out, plan)), out, problems)
+        again = plan.missing(_configurations(out, plan), differing(_there(out, plan)))
+        _record(plan, [arm for arm in again if arm not in refused], out, problems, "once more")
+        for why in dict.fromkeys(refused.values()):  # an ability that is missing is an answer
+            count = sum(reason == why for reason in refused.values())
+            show(line(f"gsb-probe: {plural(count, 'arm')} not recorded: {why}"), error=True)
+        files += [recording.path for recording in _there(out, plan)]
     return files
 
 
-def _record(plan: Plan, left: list[Arm], out: Path, problems: list[str], what: str = "") -> None:
+def _record(plan: Plan, left: list[Arm], out: Path, problems: list[str], what: str = "") -> dict[Arm, str]:
+    """Make the runs of these arms; returns those that the simulator refuses, with its reason."""
     from gpusimbench.evaluator.compute.recorder import record
 
+    found: dict[Arm, str] = {}
     title = " ".join(filter(None, (f"recording {plan.simulator}, {plan.determinism}", what)))
     for arm in each(left, title, [plan.n_env + arm.n_env for arm in left]):
+        if arm in found:
+            continue
         made, refused = record(plan.arguments(arm, str(out)), lambda text: None)
         for one in made:
             if one.path is None or one.status == "stopped":
@@ -179,8 +189,9 @@ def _record(plan: Plan, left: list[Arm], out: Path, problems: list[str], what: s
                 complain("gsb-probe", problems[-1])
         if refused and not arm.intervention and not arm.initial:
             raise UsageError(refused)
-        if refused:  # an ability that is missing is an answer
-            show(line(f"gsb-probe: {arm.words}: {refused}"), error=True)
+        if refused:
+            found[arm] = refused
+    return found
 
 
 def differing(recordings: list[Recording]) -> list[Arm]:
