@@ -47,10 +47,15 @@ class Arms:
 
 
 def arms_of(recordings: Sequence[Recording]) -> list[Arms]:
-    """The arms of each configuration among some recordings that were captured, in order of first appearance."""
+    """The arms of each configuration among some recordings that were captured, in order of first appearance.
+
+    Of copies of one run the first counts: that copies agree says nothing of another run.
+    """
     found: dict[GroupKey, list[Recording]] = {}
+    seen: set[str] = set()
     for recording in recordings:
-        if "capture" in recording.configuration.phases:
+        if "capture" in recording.configuration.phases and recording.provenance.run_id not in seen:
+            seen.add(recording.provenance.run_id)
             found.setdefault(_common(recording), []).append(recording)
     return [_arms(key, alike) for key, alike in found.items()]
 
@@ -69,8 +74,10 @@ def _arms(key: GroupKey, recordings: Sequence[Recording]) -> Arms:
     good = [r for r in recordings if _ended(r) and not r.dropouts]
     failed = {_treatment(r): f"{r.status}: {r.reason}" for r in recordings if r not in good}
     alone = [r for r in good if not r.configuration.intervention]
-    varied = {r: Initial.parse(r.configuration.initial) for r in good if r.configuration.initial}
+    varied = _of_one_spread({r: Initial.parse(r.configuration.initial) for r in good if r.configuration.initial})
     same = [r for r, initial in varied.items() if not initial.shift and initial.but is None]
+    usual_size = {r: initial for r, initial in varied.items() if r.configuration.n_env == n_env}
+    treated = [r for r in same if r in usual_size]
     by_treatment: dict[str, list[Recording]] = {}
     for recording in good:
         by_treatment.setdefault(_treatment(recording), []).append(recording)
@@ -80,16 +87,19 @@ def _arms(key: GroupKey, recordings: Sequence[Recording]) -> Arms:
         tuple(r for r in alone if not r.configuration.initial and r.configuration.n_env == n_env),
         tuple(r for r in same if r in alone and r.configuration.n_env == n_env),
         {r.configuration.n_env: r for r in reversed(same) if r in alone and r.configuration.n_env != n_env},
-        next((r for r, initial in varied.items() if initial.shift), None),
-        next((r for r, initial in varied.items() if initial.but is not None), None),
-        {
-            Intervention.parse(r.configuration.intervention).kind: r
-            for r in reversed(same)
-            if r.configuration.intervention
-        },
+        next((r for r, initial in usual_size.items() if initial.shift), None),
+        next((r for r, initial in usual_size.items() if initial.but is not None), None),
+        {Intervention.parse(done).kind: r for r in reversed(treated) if (done := r.configuration.intervention)},
         tuple(tuple(runs) for runs in by_treatment.values() if len(runs) > 1),
         {how: why for how, why in failed.items() if how not in map(_treatment, good)},
     )
+
+
+def _of_one_spread(varied: dict[Recording, Initial]) -> dict[Recording, Initial]:
+    # states that are drawn from another range are other states
+    spreads = Counter(initial.spread for initial in varied.values())
+    usual = max(spreads, key=lambda spread: (spreads[spread], spread), default=None)
+    return {recording: initial for recording, initial in varied.items() if initial.spread == usual}
 
 
 def _ended(recording: Recording) -> bool:

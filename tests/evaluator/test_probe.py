@@ -229,6 +229,34 @@ def test_arms_are_kept_apart(tmp_path: Path) -> None:
     assert [len(arms.varied) for arms in arms_of(recordings)] == [1, 1, 1]
 
 
+def test_copies_are_no_second_run(tmp_path: Path) -> None:
+    """Call nothing repeatable for two files of one run."""
+    one = _write(tmp_path, ARMS[1], run_id="00000000-0000-4000-8000-000000000001")
+    copy = _write(tmp_path, ARMS[1], run_id="00000000-0000-4000-8000-000000000001")
+    (arms,) = arms_of([one, copy])
+    assert {finding.key: finding for finding in answers(arms)}["runs"].answer is Answer.NOT_ASKED
+
+
+def test_other_spreads_are_other_states(tmp_path: Path) -> None:
+    """Compare no run with one whose initial states were drawn from another range."""
+    wider = Arm(PLAN.n_env, str(Initial(2 * PLAN.spread)))
+    recordings = [_write(tmp_path, arm) for arm in (ARMS[1], ARMS[1], wider, Arm(8, wider.initial), ARMS[4])]
+    (arms,) = arms_of(recordings)
+    assert len(arms.varied) == 2
+    assert {n: r.configuration.initial for n, r in arms.by_number.items()} == {8: ARMS[1].initial}
+    found = {finding.key: finding for finding in answers(arms)}
+    assert found["runs"].answer is found["number"].answer is Answer.YES
+
+
+def test_arms_of_other_sizes(tmp_path: Path) -> None:
+    """Hold no arm against runs of another number of environments, but for the question about numbers."""
+    foreign = [Arm(2, ARMS[5].initial), Arm(2, ARMS[6].initial), Arm(2, ARMS[8].initial, ARMS[8].intervention)]
+    (arms,) = arms_of([_write(tmp_path, arm) for arm in (*foreign, *ARMS[:2], *ARMS[11:])])
+    assert arms.shifted is arms.but is None
+    assert arms.treated == {}
+    assert {finding.key: finding for finding in answers(arms)}["slot"].answer is Answer.NOT_ASKED
+
+
 def test_a_plan_goes_on_where_it_stopped() -> None:
     """Make each arm as often as it is asked for, and no run of other plans instead."""
     done = [
