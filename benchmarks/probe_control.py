@@ -29,6 +29,9 @@ ROOT = Path(__file__).resolve().parents[1]
 SIZES = (1, 4, 64, 4096)
 """Of faults, in units in the last place."""
 
+OUTCOMES = 1024
+"""Of what a run draws, times the size: with two outcomes, half of all pairs of runs would be equal by chance."""
+
 FOUND_BY = {
     "runs": {"regime": "run-order", "entropy": "build"},
     "envs": {"regime": "offset"},
@@ -62,7 +65,8 @@ class Probe:
     def options(self) -> dict[str, str]:
         """Of the calibration simulator."""
         given = FOUND_BY[self.planted] if self.planted else {}
-        size = {"ulps": str(self.ulps), "at": str(self.at)} if self.planted else {}
+        ulps = OUTCOMES * self.ulps if self.planted == "runs" else self.ulps
+        size = {"ulps": str(ulps), "at": str(self.at)} if self.planted else {}
         return {**given, **size, "device": "cpu"}
 
 
