@@ -21,7 +21,6 @@ from gpusimbench.evaluator.results.details import (
     Throughput,
     ToReference,
 )
-from gpusimbench.evaluator.results.fidelity import Fidelity, Verdict
 from gpusimbench.evaluator.results.identity_metrics import identical
 from gpusimbench.evaluator.results.metric import Estimate
 from gpusimbench.evaluator.results.validity import BufferUse, Counted, OverflowSeen, Validity
@@ -156,12 +155,6 @@ def _length(metres: float) -> str:
     return f"{metres * 1e9:.3g} nm"
 
 
-def mechanics(fidelity: Fidelity) -> str:
-    """How many of the checks that mechanics demands and that could be made hold; a dash where none could."""
-    held, broken = len(fidelity.of(Verdict.HELD)), len(fidelity.of(Verdict.BROKEN))
-    return f"{held} of {held + broken}" if held + broken else NONE
-
-
 def doubling(metric: Estimate) -> str:
     """How long a distance takes to double, as the median of the runs; a dash where nothing was fitted."""
     times = [time for time in metric.of(Growth).doubling_time_s if time is not None]
@@ -233,16 +226,6 @@ def not_exchanged(metric: Estimate) -> str:
     has_floor = isinstance(metric.details, BetweenRuns | ToReference)
     apart = not isinstance(metric.value, Missing) and metric.value != 0
     return why_missing(floor_of(metric).w1) if has_floor and apart else ""
-
-
-ENERGY = "energy distance; p"
-"""Title of ``energy``."""
-
-
-def energy(metric: Estimate) -> str:
-    """Energy distance of the first two sides and its p-value; a dash where there is none."""
-    found = floor_of(metric).energy
-    return NONE if isinstance(found, Missing) else f"{distance(found.v_statistic)}; {found.p_value:.2g}"
 
 
 def why_no_interval(metric: Estimate, otherwise: str) -> str:
