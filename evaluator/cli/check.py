@@ -35,8 +35,8 @@ def parser() -> argparse.ArgumentParser:
     """The command's arguments."""
     p = new_parser(
         "gsb-check",
-        "Check recordings against rules. All findings of a file are reported, not the first alone; several files are "
-        "checked as a set, too.",
+        "Check recordings against rules: whether each file is whole, and whether the files agree with each other. The "
+        "first line is the verdict; then each broken rule once, with the files that break it.",
         _EPILOG,
     )
     p.add_argument(
@@ -50,7 +50,7 @@ def parser() -> argparse.ArgumentParser:
         metavar="NAME|FILE",
         help="rule set instead of integrity-1; repeatable",
     )
-    p.add_argument("--all", action="store_true", help="list files without findings, too")
+    p.add_argument("--all", action="store_true", help="list every finding of every file, by file")
     p.add_argument("--list-rules", action="store_true", help="show the rules, and what a file of rules can use")
     p.add_argument(
         "--json", type=local_name, metavar="FILE", help="write the findings as JSON; - for standard output, alone"

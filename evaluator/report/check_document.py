@@ -1,4 +1,4 @@
-"""What gsb-check says: the verdict, then each file that has findings with what to do, then how many files have none."""
+"""What gsb-check says: the verdict, then each broken rule once, with what it requires and what to do."""
 
 from __future__ import annotations
 
@@ -6,29 +6,150 @@ from collections.abc import Iterator, Sequence
 
 from gpusimbench.evaluator.check.integrity.problem import Kind
 from gpusimbench.evaluator.check.rules.facts import CONDITIONS, FACTS
-from gpusimbench.evaluator.check.rules.findings import Checked, Finding, Report
+from gpusimbench.evaluator.check.rules.findings import Checked, Finding, Report, Unchecked
 from gpusimbench.evaluator.check.rules.predicates import FILE_PREDICATES, SET_PREDICATES
 from gpusimbench.evaluator.check.rules.rule import Level, RuleSet, Scope
 from gpusimbench.evaluator.render.document import Block, Document, Facts, Item, Items, Section, Text, Tone, facts, items
+from gpusimbench.evaluator.render.numbers import plural
+from gpusimbench.schemas.location import Place
 
-_FILES = 5
+_NAMES = 3
+"""Files that are named; of more, the number is said."""
+
+_RULES = 4
+"""Rules that are named as not checked; of more, the number is said."""
+
 _TONES = {Level.error: Tone.BAD, Level.warning: Tone.WARNING}
 _COMPLETE = "complete"
+_DAMAGES = {"recording": ("cannot be read", "cannot be read"), "no-dropouts": ("has lost data", "have lost data")}
+_DAMAGED = ("is damaged", "are damaged")
+"""What a file is that breaks a rule on damage, by the rule's id; of one file and of several."""
 
 
 def check_document(report: Report, *, every: bool = False) -> Document:
-    """The verdict, the findings of each file and of several files; with `every`, files without findings too."""
-    every = every or len(report.files) == 1
+    """The verdict, then an item for each broken rule; with `every`, all findings of every file instead."""
+    if every:
+        return Document("", (_verdict(report), _by_file(report)))
+    listed = [*_by_rule(report), *_not_complete(report), *_not_checked(report)]
+    blocks: list[Block] = [_verdict(report), Items(tuple(listed))]
+    if len(report.files) == 1:
+        held = report.files[0].held
+        status = f"the run is {_COMPLETE}; " if report.files[0].status == _COMPLETE else ""
+        blocks.append(Text(f"{status}{plural(held, 'rule')} met", Tone.QUIET))
+    elif fine := sum(not _remarkable(file, report) for file in report.files):
+        blocks.append(Text(f"{plural(fine, 'file')} without findings", Tone.QUIET))
+    if listed and (len(report.files) > 1 or len({one.rule.id for one in report.findings}) < len(report.findings)):
+        blocks.append(Text("--all lists every finding of every file", Tone.QUIET))
+    return Document("", tuple(blocks))
+
+
+def _verdict(report: Report) -> Text:
+    errors, warnings = report.count(Level.error), report.count(Level.warning)
+    counts = f"{plural(errors, 'error')}, {plural(warnings, 'warning')}"
+    rules = f"(rules: {' and '.join(report.rule_sets)})"
+    if report.exit_code:
+        return Text(f"FAILED: {_wrong(report)}: {counts} {rules}", Tone.BAD)
+    files = _names([file.path for file in report.files], report, named=1)
+    if not (any(file.held for file in report.files) or report.findings or report.unchecked):
+        return Text(f"NOTHING CHECKED: no rule applies to {files} {rules}", Tone.WARNING)
+    ended = sum(file.status != _COMPLETE for file in report.files)
+    more = f"; {plural(ended, 'run')} not complete" if ended else ""
+    if warnings:
+        return Text(f"PASSED: no error in {files}, {plural(warnings, 'warning')}{more} {rules}", Tone.WARNING)
+    return Text(f"PASSED: no error and no warning in {files}{more} {rules}", Tone.WARNING if ended else Tone.GOOD)
+
+
+def _wrong(report: Report) -> str:
+    """How many files are damaged, and how many others break a rule."""
+    errors = [finding for finding in report.findings if finding.rule.level is Level.error]
+    what: dict[Place, tuple[str, str]] = {}
+    for finding in errors:
+        if finding.rule.damage:
+            said = _DAMAGES.get(finding.rule.id, _DAMAGED)
+            for path in finding.files:
+                what[path] = said if what.get(path, said) == said else _DAMAGED
+    for one in report.unchecked:
+        if one.rule.level is Level.error:
+            what.setdefault(one.file, ("cannot be checked", "cannot be checked"))
+    for finding in errors:
+        for path in finding.files:
+            what.setdefault(path, ("breaks rules", "break rules"))
+    parts = []
+    for said in dict.fromkeys(what.values()):
+        files = [path for path, found in what.items() if found == said]
+        if len(report.files) == 1:
+            parts.append(f"{files[0].name} {said[0]}")
+        else:
+            whole = len(files) == len(report.files)
+            of = _all(report) if whole else str(len(files)) if parts else f"{len(files)} of {len(report.files)} files"
+            names = f" ({_names(files, report)})" if len(files) <= _NAMES and not whole else ""
+            parts.append(f"{of} {said[len(files) > 1]}{names}")
+    return ", ".join(parts)
+
+
+def _by_rule(report: Report) -> Iterator[Item]:
+    """An item for each broken rule: the first finding, how many more there are, and in which files."""
+    rules: dict[str, list[Finding]] = {}
+    for finding in report.findings:
+        rules.setdefault(finding.rule.id, []).append(finding)
+    for findings in sorted(rules.values(), key=lambda found: (found[0].rule.level.name, not found[0].rule.damage)):
+        first, rule = findings[0], findings[0].rule
+        others = sum(finding.found != first.found for finding in findings)
+        more = f"; and {plural(others, 'more finding')} of this rule" if others else ""
+        files = list(dict.fromkeys(path for finding in findings for path in finding.files))
+        where = f" ({_names(files, report)})" if len(report.files) > 1 else ""
+        below = [Item(f"Required: {_joined(rule.requires)}"), Item(f"Fix: {_joined(rule.do)}")]
+        if first.of:
+            points = len({finding.of for finding in findings})
+            below.insert(0, Item(f"in {first.of}{f', and in {points - 1} more' if points > 1 else ''}"))
+        yield Item(f"{_heading(first)}{more}{where}", _TONES[rule.level], tuple(below))
+
+
+def _not_complete(report: Report) -> Iterator[Item]:
+    """Runs that did not end as they should, by how they ended."""
+    ends: dict[tuple[str, str], list[Place]] = {}
+    for file in report.files:
+        if file.status not in (_COMPLETE, "unreadable"):
+            ends.setdefault((file.status, _joined(file.reason)), []).append(file.path)
+    for (status, reason), files in ends.items():
+        where = f" ({_names(files, report)})" if len(report.files) > 1 else ""
+        yield Item(f"the run is {status}{f': {reason}' if reason else ''}{where}", Tone.WARNING)
+
+
+def _not_checked(report: Report) -> Iterator[Item]:
+    """Rules that could not be asked, by the reason."""
+    reasons: dict[str, list[Unchecked]] = {}
+    for one in report.unchecked:
+        reasons.setdefault(one.reason, []).append(one)
+    for reason, found in reasons.items():
+        ids = dict.fromkeys(one.rule.id for one in found)
+        rules = ", ".join(ids) if len(ids) <= _RULES else plural(len(ids), "rule")
+        where = f" ({_names([one.file for one in found], report)})" if len(report.files) > 1 else ""
+        yield Item(f"not checked: {rules}: {_joined(reason)}{where}", Tone.WARNING)
+
+
+def _names(files: Sequence[Place], report: Report, named: int = _NAMES) -> str:
+    """The names of a few files, or how many of all they are."""
+    distinct = list(dict.fromkeys(files))
+    if len(distinct) <= named:
+        return ", ".join(path.name for path in distinct)
+    if len(distinct) == len(report.files):
+        return _all(report) if named > 1 else plural(len(distinct), "file")
+    return f"{len(distinct)} of {len(report.files)} files"
+
+
+def _all(report: Report) -> str:
+    return f"all {len(report.files)} files"
+
+
+def _by_file(report: Report) -> Items:
+    """Every file with its findings, then the findings of several files."""
     told: set[str] = set()  # what to do about a rule is said once
-    files = [_file(file, report, told) for file in report.files if every or _remarkable(file, report)]
+    files = [_file(file, report, told) for file in report.files]
     several = [finding for finding in report.findings if finding.of]
     for of in dict.fromkeys(finding.of for finding in several):
         files.append(Item(of, items=tuple(_finding(finding, told) for finding in several if finding.of == of)))
-    blocks: list[Block] = [_verdict(report), Items(tuple(files))]
-    fine = sum(not _remarkable(file, report) for file in report.files)
-    if fine and not every:
-        blocks.append(Text(f"files without findings: {fine} (listed with --all)", Tone.QUIET))
-    return Document("", tuple(blocks))
+    return Items(tuple(files))
 
 
 def _remarkable(file: Checked, report: Report) -> bool:
@@ -47,35 +168,20 @@ def _file(file: Checked, report: Report, told: set[str]) -> Item:
     for why in dict.fromkeys(one.reason for one in unchecked):
         rules = ", ".join(one.rule.id for one in unchecked if one.reason == why)
         said.append(Item(f"not checked: {rules}: {_joined(why)}", Tone.WARNING))
-    return Item(f"{file.path}: {file.status}{reason}; {file.held} rules hold", items=tuple(said))
+    return Item(f"{file.path}: {file.status}{reason}; {plural(file.held, 'rule')} met", items=tuple(said))
 
 
 def _finding(finding: Finding, told: set[str]) -> Item:
     rule = finding.rule
-    below = [] if rule.id in told else [Item(_joined(rule.requires)), Item(f"-> {_joined(rule.do)}")]
+    below = [] if rule.id in told else [Item(f"Required: {_joined(rule.requires)}"), Item(f"Fix: {_joined(rule.do)}")]
     told.add(rule.id)
     if finding.of:
-        below.append(Item(f"in: {_names(finding)}"))
-    return Item(f"{rule.level.name} {rule.id}: {_joined(finding.found)}", _TONES[rule.level], tuple(below))
+        below.append(Item(f"in: {', '.join(path.name for path in finding.files)}"))
+    return Item(_heading(finding), _TONES[rule.level], tuple(below))
 
 
-def _names(finding: Finding) -> str:
-    more = f" and {len(finding.files) - _FILES} more" if len(finding.files) > _FILES else ""
-    return ", ".join(path.name for path in finding.files[:_FILES]) + more
-
-
-def _verdict(report: Report) -> Text:
-    count = len(report.files)
-    errors, warnings = report.count(Level.error), report.count(Level.warning)
-    damaged = {path for finding in report.findings if finding.rule.damage for path in finding.files}
-    found = f"{errors} error{'' if errors == 1 else 's'}, {warnings} warning{'' if warnings == 1 else 's'}"
-    lost = f"; {len(damaged)} of them damaged" if damaged else ""
-    asked = any(file.held for file in report.files) or report.findings or report.unchecked
-    nothing = "" if asked else "; no rule applies to any file, so nothing was checked"
-    bad = errors or report.exit_code
-    tone = Tone.BAD if bad else Tone.WARNING if warnings or not asked else Tone.GOOD
-    files = f"{count} file{'' if count == 1 else 's'}"
-    return Text(f"{files}{lost}, rules {' and '.join(report.rule_sets)}: {found}{nothing}", tone)
+def _heading(finding: Finding) -> str:
+    return f"{finding.rule.level.name} {finding.rule.id}: {_joined(finding.found)}"
 
 
 def rules_document(rule_sets: Sequence[RuleSet]) -> Document:
@@ -100,7 +206,7 @@ def _rules(rule_set: RuleSet) -> Items:
     for rule in rule_set.rules:
         limits = [*rule.when, *(["scene " + " or ".join(rule.scenes)] if rule.scenes else [])]
         only = f", if {' and '.join(limits)}" if limits else ""
-        said = tuple(map(Item, map(_joined, (rule.requires, f"Why: {rule.why}", f"-> {rule.do}"))))
+        said = tuple(map(Item, map(_joined, (rule.requires, f"Why: {rule.why}", f"Fix: {rule.do}"))))
         made.append(Item(f"{rule.id} ({rule.level.name}, {_scope(rule.of)}{only})", items=said))
     return items(*made)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 import subprocess
 import sys
@@ -44,8 +45,9 @@ def test_a_whole_file(gsb_check: Command, small: Path) -> None:
     done = gsb_check(small)
     assert done.returncode == 0, done.stdout
     assert not done.stderr
-    assert "complete" in done.stdout
-    assert "1 file, rules integrity-1: 0 errors, 0 warnings" in done.stdout
+    verdict, status = done.stdout.splitlines()
+    assert verdict == f"PASSED: no error and no warning in {small.name} (rules: integrity-1)"
+    assert re.fullmatch(r"the run is complete; \d+ rules met", status)
 
 
 @pytest.fixture(scope="module")
@@ -282,19 +284,75 @@ def test_json_never_replaces_a_recording(gsb_check: Command, tmp_path: Path) -> 
 
 
 def test_files_without_findings_are_counted(gsb_check: Command, tmp_path: Path) -> None:
-    """Say the verdict first, then the files with findings; list the others with --all alone."""
-    good, copy = (
+    """Say the verdict first, then what was found; list files without findings with --all alone."""
+    good, other = (
         whole(tmp_path, name="good.mcap"),
         whole(tmp_path, name="other.mcap", status="FAILED", reason="it fell"),
     )
-    short = gsb_check(good, copy).stdout.splitlines()
-    assert short[0].startswith("2 files, rules integrity-1: ")
-    assert not any("good.mcap: " in line for line in short)
-    assert any("other.mcap: " in line for line in short)
-    assert short[-1] == "files without findings: 1 (listed with --all)"
-    every = gsb_check("--all", good, copy).stdout
-    assert every.startswith(short[0])
+    assert gsb_check(good, other).stdout.splitlines() == [
+        "PASSED: no error and no warning in 2 files; 1 run not complete (rules: integrity-1)",
+        "the run is failed: it fell (other.mcap)",
+        "1 file without findings",
+        "--all lists every finding of every file",
+    ]
+    every = gsb_check("--all", good, other).stdout
+    assert every.startswith("PASSED: ")
     assert "good.mcap: complete" in every
+
+
+def test_the_verdict_names_a_damaged_file(gsb_check: Command, tmp_path: Path) -> None:
+    """Say of a file alone that it is damaged; of several, how many and which."""
+    good = whole(tmp_path, name="good.mcap")
+    damaged = tmp_path / "damaged.mcap"
+    damaged.write_bytes(BYTES["an attachment"][1](good.read_bytes()))
+    counts = r"\d+ errors?, 0 warnings \(rules: integrity-1\)"
+    alone, beside = (gsb_check(*files).stdout.splitlines()[0] for files in ((damaged,), (good, damaged)))
+    assert re.fullmatch(rf"FAILED: damaged\.mcap is damaged: {counts}", alone)
+    assert re.fullmatch(rf"FAILED: 1 of 2 files is damaged \(damaged\.mcap\): {counts}", beside)
+    lost = whole(tmp_path, name="lost.mcap", dropout="the disk was full")
+    assert re.match(rf"FAILED: lost\.mcap has lost data: {counts}", gsb_check(lost).stdout)
+    missing = gsb_check(tmp_path / "missing.mcap", lost, damaged).stdout
+    assert " ".join(missing.split()).startswith(
+        "FAILED: 1 of 3 files cannot be read (missing.mcap), 1 has lost data (lost.mcap), 1 is damaged (damaged.mcap): "
+    )
+
+
+def test_a_warning_of_ten_files_is_one_line(gsb_check: Command, tmp_path: Path) -> None:
+    """Say once what ten files have, with their number; name them with --all."""
+    for run in range(10):
+        path = whole(tmp_path, run=run, name=f"run-{run}.mcap")
+        path.write_bytes(BYTES["no CRC"][1](path.read_bytes()))
+    short = gsb_check(tmp_path).stdout.splitlines()
+    assert short[0] == "PASSED: no error in 10 files, 10 warnings (rules: integrity-1)"
+    assert [line for line in short if "crc-present" in line] == [
+        "warning crc-present: the data section has no CRC (all 10 files)"
+    ]
+    assert len(short) == 5
+    every = gsb_check(tmp_path, "--all").stdout
+    assert all(f"run-{run}.mcap: complete" in every for run in range(10))
+    assert every.count("warning crc-present") == 10
+
+
+def test_findings_of_one_rule_stand_together(gsb_check: Command, tmp_path: Path) -> None:
+    """Say the first finding of a rule and how many more there are; list all with --all."""
+    rules = tmp_path / "mine.toml"
+    rules.write_text(_MINE)
+    paths = [whole(tmp_path, simulator=f"other-{n}", name=f"{n}.mcap") for n in (7, 8, 9)]
+    short = " ".join(gsb_check("--rules", rules, *paths).stdout.split())
+    assert short.count("error our-engine: ") == 1
+    more = "; and 2 more findings of this rule (7.mcap, 8.mcap, 9.mcap)"
+    assert f"error our-engine: it is other-7{more} Required: The simulator is ours. Fix: Record with it." in short
+    every = gsb_check("--rules", rules, "--all", *paths).stdout
+    assert all(f"error our-engine: it is other-{n}\n" in every for n in (7, 8, 9))
+
+
+def test_no_rule_applies(gsb_check: Command, tmp_path: Path) -> None:
+    """Call nothing passed of which nothing was checked."""
+    rules = tmp_path / "mine.toml"
+    rules.write_text(_MINE.replace('level = "error"', 'level = "error"\nscenes = ["franka"]'))
+    done = gsb_check(whole(tmp_path, name="a.mcap"), "--rules", rules)
+    assert done.returncode == 0
+    assert done.stdout.startswith("NOTHING CHECKED: no rule applies to a.mcap (rules: mine-1)")
 
 
 def test_terminal_sequences_are_made_visible(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -384,8 +442,6 @@ def test_a_bad_file_of_rules(change: tuple[str, str], message: str, tmp_path: Pa
 )
 def test_bad_arguments(gsb_check: Command, arguments: tuple[str, ...], message: str, tmp_path: Path) -> None:
     """End with 2 and one message."""
-    import re
-
     done = gsb_check(*arguments, cwd=tmp_path)
     assert done.returncode == ExitCode.USAGE
     assert any(part in done.stderr for part in message.split("|")) or re.search(message, done.stderr)
