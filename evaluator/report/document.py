@@ -55,6 +55,7 @@ SECTIONS: tuple[Callable[[Source], Section | None], ...] = (
 """Of a report, in order; a section that has nothing to say is None."""
 
 TITLE = "Which simulator repeats itself, which is right, and how fast is each?"
+"""Of several simulators."""
 
 
 def report(source: Source) -> Document:
@@ -64,7 +65,12 @@ def report(source: Source) -> Document:
         Code((source.command,)),
         Text("All figures as SVG, PDF and CSV: gsb-eval --figures DIR. All tables as files: gsb-eval --tables DIR."),
     )
-    return Document(TITLE, (*overview(source), *_made(source, SECTIONS)), asked_of(source.evaluation), made_by)
+    return Document(_title(source), (*overview(source), *_made(source, SECTIONS)), asked_of(source.evaluation), made_by)
+
+
+def _title(source: Source) -> str:
+    names = list(dict.fromkeys(r.group.key.simulator for r in source.evaluation.results))
+    return TITLE if len(names) != 1 else f"Does {names[0]} repeat itself, is it right, and how fast is it?"
 
 
 def in_short(source: Source) -> Document:

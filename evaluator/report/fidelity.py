@@ -1,15 +1,16 @@
-"""Physics of groups as tables in a terminal, as a fragment of a page, and as JSON."""
+"""Checks of mechanics in words, and as JSON."""
 
 from __future__ import annotations
 
+import re
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 from gpusimbench.evaluator.render.numbers import NONE
 from gpusimbench.evaluator.results.fidelity import Fidelity, FidelityRow, Verdict
 
 TITLES = ("check", "measured", "range", "allowed", "tolerance", "verdict")
-_AT_REST = "at rest at the sample time (mechanics does not demand it)"
-_NUMBERS = ("measured", "range", "allowed", "tolerance")
+_NUMBER = re.compile(r"\d+(?:\.\d+)?")
 
 
 def fidelity_record(one: Fidelity) -> dict[str, Any]:
@@ -74,9 +75,23 @@ def number(value: float | None) -> str:
 
 
 def remarks(one: Fidelity) -> list[str]:
-    """Notes of the checks that were made, and why the others were not: those of one reason share a line."""
-    lines = [f"{row.check.title}: {note}" for row in one.rows for note in row.notes]
+    """Notes of the checks that were made, and why the others were not: what several checks have is said once."""
+    noted: dict[str, list[str]] = {}
+    for row in one.rows:
+        for note in _in_ranges(row.notes):
+            noted.setdefault(note, []).append(row.check.title)
+    lines = [f"{', '.join(titles)}: {note}" for note, titles in noted.items()]
     reasons: dict[str, list[str]] = {}
     for row in one.of(Verdict.NOT_APPLICABLE):
         reasons.setdefault(row.reason, []).append(row.check.title)
     return [*lines, *(f"not applicable: {', '.join(names)}: {why}" for why, names in reasons.items())]
+
+
+def _in_ranges(notes: Sequence[str]) -> Iterator[str]:
+    """Notes of several runs that differ in their numbers alone as one, each number as the range that it takes."""
+    alike: dict[str, list[list[str]]] = {}
+    for note in notes:
+        alike.setdefault(_NUMBER.sub("{}", note.replace("{", "(").replace("}", ")")), []).append(_NUMBER.findall(note))
+    for words, found in alike.items():
+        ranges = (sorted(set(numbers), key=float) for numbers in zip(*found, strict=True))
+        yield words.format(*(values[0] if len(values) == 1 else f"{values[0]} to {values[-1]}" for values in ranges))

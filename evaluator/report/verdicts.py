@@ -80,7 +80,7 @@ def sound(results: Results) -> Cell:
     names = dict.fromkeys(row.check.title for r in broken for row in r.fidelity.of(Verdict.BROKEN))
     if len(results) == 1:
         return Cell("no", notes=(f"broken: {', '.join(names)}",), tone=Tone.BAD)
-    return Cell("no", notes=(f"{len(broken)} of {plural(len(checked), 'group')}",), tone=Tone.BAD)
+    return Cell("no", notes=(f"broken in {len(broken)} of {plural(len(checked), 'group')}",), tone=Tone.BAD)
 
 
 def real(results: Results) -> Cell:
@@ -120,7 +120,8 @@ def _identity(results: Results, counted: Metric, apart: Metric, what: str) -> Ce
     compared = [(r, claim.holds) for r, claim in claims if claim.holds is not None]
     notes = _levels([r for r in results if r not in usual], counted)
     if not compared:
-        why = claims[0][1].why_not if len(claims) == 1 else ""
+        reasons = {claim.why_not for _, claim in claims}
+        why = reasons.pop() if len(reasons) == 1 else ""
         return Cell("not compared", notes=(*([words.shortened(why, 80)] if why else []), *notes), tone=Tone.QUIET)
     differ = [r for r, holds in compared if not holds]
     n = compared[0][0].metrics[counted.name].n

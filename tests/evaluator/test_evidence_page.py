@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from gpusimbench.evaluator.metrics.radar import Axis
 from gpusimbench.evaluator.missing import Missing
-from gpusimbench.evaluator.render.document import Table, Text
+from gpusimbench.evaluator.render.document import Table, Text, walk
 from gpusimbench.evaluator.report.document import report
 from gpusimbench.evaluator.report.html import render_html
 from gpusimbench.evaluator.report.json import to_json
@@ -307,7 +307,7 @@ def test_deviations_are_a_matrix(apart: Evaluation) -> None:
     results = [with_deviations("a", stated), with_deviations("b", stated), with_deviations("c", stated[:1])]
     section = deviations.section(source(replace(apart, results=tuple(results))))
     assert section is not None
-    matrix = next(b for b in section.blocks if isinstance(b, Table))
+    matrix = next(b for b in walk(section.blocks) if isinstance(b, Table))
     assert [column.title for column in matrix.columns] == ["parameter", "wanted", "a, b", "c"]
     assert [[one.text for one in row.cells] for row in matrix.rows] == [
         ["ball.restitution", "0.55", "0", "0"],

@@ -264,7 +264,7 @@ def test_coordinates_must_be_finite() -> None:
     [
         (0.9, 120.0, [1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0]),
         (90.0, 2e5, [100.0, 1000.0, 10000.0, 100000.0]),
-        (3.0, 4.0, []),
+        (3.0, 4.0, [3.0, 3.5, 4.0]),
     ],
 )
 def test_logarithmic_ticks(low: float, high: float, expected: list[float]) -> None:

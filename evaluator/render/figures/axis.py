@@ -19,7 +19,10 @@ def ticks(low: float, high: float, *, at_most: int = 7) -> list[float]:
 
 
 def log_ticks(low: float, high: float, *, at_most: int = 7) -> list[float]:
-    """Round values from low to high for a logarithmic axis: powers of ten, with 2 and 5 between them where few fit."""
+    """Round values from low to high for a logarithmic axis: powers of ten, with 2 and 5 between them where few fit.
+
+    An axis too short for two of these has evenly spaced values.
+    """
     if not (math.isfinite(high) and 0 < low < high):
         raise ValueError(f"a logarithmic axis goes from a smaller to a larger positive value, not from {low} to {high}")
     exponents = range(math.floor(math.log10(low)), math.ceil(math.log10(high)) + 1)
@@ -28,7 +31,7 @@ def log_ticks(low: float, high: float, *, at_most: int = 7) -> list[float]:
             f * 10.0**e for e in exponents for f in factors if low * (1 - 1e-9) <= f * 10.0**e <= high * (1 + 1e-9)
         ]
         if len(found) <= at_most:
-            return found
+            return found if len(found) > 1 else ticks(low, high, at_most=min(at_most, 5))
     return found[:: -(-len(found) // at_most)]
 
 

@@ -36,7 +36,7 @@ def section(source: Source) -> Section | None:
     parts = [_of_scene(source, scene, results) for scene, results in of_scene.items()]
     n_drawn = sum(bool(one.svg) for one in Document("", tuple(parts)).figures())
     n_all = 2 * len(source.shown)
-    said = f"{n_drawn} of {n_all} are drawn; of the others a line says why not"
+    said = f"{n_drawn} of {n_all} are drawn; a line for each of the others" if n_drawn else "nothing to draw"
     hatch = Embed(Markup(matrix.hatch()), Markup(), Markup())
     return Section("consistency", "Consistency matrices", (hatch, Text(_HOW), *parts), said, folded=True)
 

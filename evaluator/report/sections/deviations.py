@@ -47,18 +47,25 @@ def section(source: Source) -> Section | None:
         return None
     matrices = [_matrix(scene, results) for scene, results in _scenes(source.evaluation).items()]
     groups = len(source.evaluation.results)
+    said_of = "by the adapters of the simulators"
     statements = table(
         "deviations",
-        "Every statement, with its reason",
+        "",
         ["parameter", "wanted", "used", "reason", "groups"],
         [
             (d.parameter, d.wanted, d.used, d.reason, "all" if 1 < len(labels) == groups else ", ".join(labels))
             for d, labels in found
         ],
     )
-    shown = [part for one in matrices if one.rows for part in _tables(one)]
+    scenes = tuple(_of_scene(one) for one in matrices if one.rows)
+    listed = Section("deviations-statements", "Every statement, with its reason", (statements,), said_of, folded=True)
     said = plural(len(found), "parameter") + " that an engine could not honour"
-    return Section("deviations", "Deviations from the scene", (Text(_HOW), *shown, statements), said, folded=True)
+    return Section("deviations", "Deviations from the scene", (Text(_HOW), *scenes, listed), said, folded=True)
+
+
+def _of_scene(found: Matrix) -> Section:
+    said = plural(len({parameter for parameter, _, _ in found.rows}), "parameter")
+    return Section(key_of("deviations-of", found.scene), found.scene, tuple(_tables(found)), said, folded=True)
 
 
 def _tables(found: Matrix) -> Iterator[Table]:
@@ -80,7 +87,7 @@ def _table(found: Matrix, begin: int) -> Table:
     used = [f"{letter} {said}" for letter, said in found.legend if any(letter in text for text in cells)]
     legend = [*used, *notes]
     rows = [(parameter, wanted, *cells) for parameter, wanted, cells in found.rows]
-    return table(key_of("deviations", found.scene, begin), found.scene, ["parameter", "wanted", *titles], rows, legend)
+    return table(key_of("deviations", found.scene, begin), "", ["parameter", "wanted", *titles], rows, legend)
 
 
 def _stated(result: GroupResult) -> tuple[Deviation, ...] | None:

@@ -78,6 +78,8 @@ def section(source: Source) -> Section | None:
 
 def _summary(onsets: Sequence[Onset]) -> str:
     envs, runs = (sum(getattr(one, of).startswith("step") for one in onsets) for of in ("envs", "runs"))
+    if not envs and not runs:
+        return f"nothing comes apart in {plural(len(onsets), 'group')}, as far as bits were compared"
     return f"of {plural(len(onsets), 'group')}, environments come apart in {envs} and runs in {runs}"
 
 

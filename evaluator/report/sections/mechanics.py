@@ -22,7 +22,9 @@ def section(source: Source) -> Section | None:
     if not source.shown:
         return None
     ordered = sorted(source.shown, key=lambda r: r not in broken)
-    said = f"{len(broken)} of {plural(len(checked), 'group')} break a check" if checked else "no group could be checked"
+    said = "no group breaks a check" if checked else "no group could be checked"
+    if broken:
+        said = f"{len(broken)} of {plural(len(checked), 'group')} {'breaks' if len(broken) == 1 else 'break'} a check"
     return Section("mechanics", "Mechanics", tuple(map(of_group, ordered)), said, folded=True)
 
 

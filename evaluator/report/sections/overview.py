@@ -6,17 +6,20 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 from gpusimbench.evaluator.check.protocol import RULE_SET
+from gpusimbench.evaluator.missing import known
 from gpusimbench.evaluator.render.cells import estimate
 from gpusimbench.evaluator.render.document import (
     Beside,
     Block,
     Cell,
+    Facts,
     Figure,
     Item,
     Items,
     Row,
     Table,
     Tone,
+    facts,
     key_of,
     table,
 )
@@ -35,8 +38,9 @@ def overview(source: Source) -> tuple[Block, ...]:
     """The blocks of the first screen."""
     evaluation = source.evaluation
     right: list[Block] = [*_scatter(evaluation), *_fastest_table(evaluation.results)]
-    left: list[Block] = [_matrix(evaluation)]
-    return (Items((_state_of_the_set(evaluation),)), Beside((tuple(left), tuple(right))) if right else left[0])
+    left: list[Block] = [_matrix(evaluation), *_speed_alone(evaluation.results)]
+    blocks = (Beside((tuple(left), tuple(right))),) if right else tuple(left)
+    return (Items((_state_of_the_set(evaluation),)), *blocks)
 
 
 def asked_of(evaluation: Evaluation) -> str:
@@ -84,8 +88,9 @@ def _state_of_the_set(evaluation: Evaluation) -> Item:
         parts.append(f"{plural(len(evaluation.unreadable), 'file')} could not be read")
     runs = [run for r in evaluation.results for run in r.group.recordings]
     if left_out := sum(not run.usable for run in runs):
-        parts.append(f"{plural(left_out, 'run')} of {len(runs)} failed, {'is' if left_out == 1 else 'are'} INVALID or "
-                     "lost data, and are in no figure")  # fmt: skip
+        verb = "is" if left_out == 1 else "are"
+        parts.append(f"{plural(left_out, 'run')} of {len(runs)} failed, {verb} INVALID or lost data, and {verb} in no "
+                     "figure")  # fmt: skip
     if count := evaluation.unmet.count:
         rules = len(evaluation.unmet.findings)
         parts.append(f"{plural(rules, 'rule')} of {RULE_SET} not met ({plural(count, 'finding')})")
@@ -114,7 +119,26 @@ def _fastest_table(results: Sequence[GroupResult]) -> Iterator[Table]:
             Row((_where(one), _named(one.first), _named(one.second), _barred(one)), {"scene": one.scene})
             for one in found
         ],
-    )
+    ).without_empty_columns()
+
+
+def _speed_alone(results: Sequence[GroupResult]) -> Iterator[Facts]:
+    """The highest throughput in each scene of a simulator that nobody is beside."""
+    if len({r.group.key.simulator for r in results}) != 1:
+        return
+    best: dict[str, GroupResult] = {}
+    for result in results:
+        speed = known(result.metrics[FPS.name].value)
+        before = best.get(result.group.key.scene)
+        if speed is not None and (before is None or speed > (known(before.metrics[FPS.name].value) or 0.0)):
+            best[result.group.key.scene] = result
+    if best:
+        yield facts(*((f"throughput, {scene} [{FPS.unit}]", _speed(result)) for scene, result in best.items()))
+
+
+def _speed(result: GroupResult) -> Cell:
+    said = estimate(result.metrics[FPS.name])
+    return Cell(said.text, said.value, said.ci95, said.range, (f"{result.label}, {result.group.key.n_env:,} envs",))
 
 
 def _where(found: Fastest) -> Cell:
@@ -133,4 +157,4 @@ def _barred(found: Fastest) -> Cell:
     names = list(dict.fromkeys(speed.result.group.key.simulator for speed, _ in found.faster))
     if not names:
         return Cell("-")
-    return Cell(", ".join(names), notes=("a verdict is no",), tone=Tone.BAD)
+    return Cell(", ".join(names), notes=("INVALID, or mechanics broken",), tone=Tone.BAD)

@@ -27,4 +27,5 @@ def section(source: Source) -> Section | None:
     if found.not_shown:
         not_shown = tuple(Item(f"{', '.join(one.labels)}: {one.reason}") for one in found.not_shown)
         blocks.append(Section("not-played", "Not shown", (Items(not_shown),)))
-    return Section("playback", "Playback", tuple(blocks), f"{plural(len(found.clips), 'group')} to watch", folded=True)
+    said = f"{plural(len(found.clips), 'group')} to watch" if found.clips else "no group to watch"
+    return Section("playback", "Playback", tuple(blocks), said, folded=True)

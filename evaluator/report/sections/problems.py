@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from gpusimbench.evaluator.check.protocol import RULE_SET
+from gpusimbench.evaluator.check.rules.rule import load_rules
 from gpusimbench.evaluator.render.document import Block, Cell, Item, Items, Row, Section, Text, Tone, table
 from gpusimbench.evaluator.render.numbers import plural
 from gpusimbench.evaluator.report.sections.rows import lines_of
@@ -25,18 +26,25 @@ def section(source: Source) -> Section | None:
             table("problems", "Files that are in no figure, or that lost data", ["file", "what is wrong", "why"], rows)
         )
     if evaluation.unmet.count:
-        blocks.append(Text(f"Rules of {RULE_SET} that are not met; gsb-check --protocol says by which files:"))
+        blocks.append(Text(f"Rules of {RULE_SET} that are not met (gsb-check --protocol names the files):"))
         found = sorted(evaluation.unmet.findings.items(), key=lambda one: (-one[1], one[0]))
-        blocks.append(Items(tuple(Item(f"{rule}: {plural(count, 'finding')}") for rule, count in found)))
+        required = {rule.id: rule.requires for rule in load_rules(RULE_SET).rules}
+        said = (f"{rule}, {plural(count, 'finding')}: {required.get(rule, '')}" for rule, count in found)
+        blocks.append(Items(tuple(map(Item, said))))
     notes = [(note, "") for note in evaluation.notes] + [(note, label) for label, note in _notes(evaluation)]
     if listed := lines_of(notes):
         blocks += [Text("Notes:"), listed]
     if not blocks:
         return None
-    files = plural(len({row.cells[0].text for row in rows}), "file")
-    found_by_rules = f"{plural(evaluation.unmet.count, 'finding')} of {RULE_SET}"
-    said = f"{files} with problems, {found_by_rules}, {plural(len(notes), 'note')}"
-    return Section("problems", "What is wrong with this set", tuple(blocks), said, folded=True)
+    parts = []
+    if rows:
+        parts.append(f"{plural(len({row.cells[0].text for row in rows}), 'file')} with problems")
+    if evaluation.unmet.count:
+        parts.append(f"{plural(evaluation.unmet.count, 'finding')} of {RULE_SET}")
+    title = "What is wrong with this set" if parts else "Notes on this set"
+    if notes:
+        parts.append(plural(len(notes), "note"))
+    return Section("problems", title, tuple(blocks), ", ".join(parts), folded=True)
 
 
 def _rows(evaluation: Evaluation) -> Iterator[Row]:

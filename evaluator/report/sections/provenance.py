@@ -1,4 +1,4 @@
-"""Where everything comes from, and how every metric was computed: a folded part for each group."""
+"""Where everything comes from, and how every metric was computed: a folded part for each group, many by simulator."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from gpusimbench.evaluator.render.document import (
 )
 from gpusimbench.evaluator.render.numbers import figure, interval, mean_sd, plural
 from gpusimbench.evaluator.report import words
-from gpusimbench.evaluator.report.sections.rows import facets
+from gpusimbench.evaluator.report.sections.rows import by_simulator, facets
 from gpusimbench.evaluator.report.source import Source
 from gpusimbench.evaluator.results.metric import Estimate
 from gpusimbench.evaluator.results.result import GroupResult
@@ -36,8 +36,11 @@ _TITLES = ("metric", "value", "unit", "95 % interval", "n", "better", "exactness
 
 def section(source: Source) -> Section | None:
     """None where no group is left."""
-    found = tuple(_of_group(number, result) for number, result in enumerate(source.evaluation.results))
-    return Section("provenance", "Provenance", found, plural(len(found), "group"), folded=True) if found else None
+    found = [(result, _of_group(number, result)) for number, result in enumerate(source.evaluation.results)]
+    if not found:
+        return None
+    said = f"machine, software, options and methods of {plural(len(found), 'group')}"
+    return Section("provenance", "Provenance", by_simulator("provenance", found), said, folded=True)
 
 
 def _of_group(number: int, result: GroupResult) -> Section:

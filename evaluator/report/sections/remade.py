@@ -94,7 +94,8 @@ def section(source: Source) -> Section | None:
         blocks.append(_variability(rows, _no_real(source)))
     if missing := _missing(source):
         blocks.append(Text(f"Of the paper's simulators, no complete run is here of {', '.join(missing)}."))
-    said = f"{plural(len(capability), 'row')} of capability, {plural(len(rows), 'row')} of variability"
+    counts = (("capability", len(capability)), ("variability", len(rows)))
+    said = ", ".join(f"{plural(count, 'row')} of {what}" for what, count in counts if count)
     return Section("remade", "The paper's tables, made again", tuple(blocks), said, folded=True)
 
 

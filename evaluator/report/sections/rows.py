@@ -6,11 +6,14 @@ from collections.abc import Iterable, Sequence
 from itertools import groupby
 from typing import Any
 
-from gpusimbench.evaluator.render.document import EMPTY, Cell, Figure, Gallery, Item, Items, Tone, key_of
+from gpusimbench.evaluator.render.document import EMPTY, Cell, Figure, Gallery, Item, Items, Section, Tone, key_of
 from gpusimbench.evaluator.render.figures.matrix import letter
 from gpusimbench.evaluator.render.numbers import plural
 from gpusimbench.evaluator.report import words
 from gpusimbench.evaluator.results.result import GroupResult
+
+FEW = 5
+"""Groups that are listed at once; of more, a summary stands before the closed list."""
 
 
 def facets(result: GroupResult) -> dict[str, str]:
@@ -75,6 +78,22 @@ def lines_of(said: Sequence[tuple[str, str]]) -> Items | None:
         else:
             found.append(Item(f"{plural(len(labels), 'group')}: {sentence}", items=tuple(map(Item, labels))))
     return Items(tuple(found)) if found else None
+
+
+def by_simulator(key: str, parts: Sequence[tuple[GroupResult, Section]]) -> tuple[Section, ...]:
+    """Sections of groups in a closed section for each simulator; as they are where a reader sees them at once.
+
+    key    begins the keys of the sections
+    """
+    names = dict.fromkeys(result.group.key.simulator for result, _ in parts)
+    if len(parts) <= FEW or len(names) < 2:
+        return tuple(part for _, part in parts)
+    made = []
+    for name in names:
+        of = tuple(part for result, part in parts if result.group.key.simulator == name)
+        said = plural(len(of), "group")
+        made.append(Section(key_of(key, "of", name), name, of, said, folded=True, facets={"simulator": name}))
+    return tuple(made)
 
 
 def ordered(results: Iterable[GroupResult], name: str) -> dict[Any, list[GroupResult]]:

@@ -18,7 +18,7 @@ from gpusimbench.evaluator.render.document import (
     key_of,
     table,
 )
-from gpusimbench.evaluator.render.numbers import NONE
+from gpusimbench.evaluator.render.numbers import NONE, plural
 from gpusimbench.evaluator.report import timed, words
 from gpusimbench.evaluator.report.scaling import SceneSweeps, scene_sweeps
 from gpusimbench.evaluator.report.source import Source
@@ -41,9 +41,10 @@ def section(source: Source) -> Section | None:
         return None
     blocks: list[Block] = []
     for scene in found:
-        blocks += _of_scene(scene)
+        sweeps = plural(len(scene.sweeps), "sweep")
+        blocks.append(Section(f"scaling-{scene.scene}", scene.scene, tuple(_of_scene(scene)), sweeps))
     furthest = max((s for s in source.evaluation.sweeps if s.n_max), key=lambda s: s.n_max or 0, default=None)
-    said = f"furthest: {furthest.label}, {furthest.n_max:,} envs" if furthest else ""
+    said = f"largest number of environments: {furthest.n_max:,} ({furthest.label})" if furthest else ""
     return Section("scaling", "Scaling over the number of environments", tuple(blocks), said, folded=True)
 
 
@@ -72,7 +73,7 @@ def _of_scene(found: SceneSweeps) -> Iterator[Block]:
             f"sweep-{found.scene}-{sweeps.index(sweep)}",
             sweep.label,
             (_points(sweep, found),),
-            f"{len(sweep.points)} points",
+            plural(len(sweep.points), "point"),
             folded=True,
             facets=_facets(sweep),
         )

@@ -9,7 +9,7 @@ from gpusimbench.evaluator.render.cells import estimate
 from gpusimbench.evaluator.render.document import Block, Cell, Column, Facts, Section, facts, items, key_of
 from gpusimbench.evaluator.render.numbers import plural
 from gpusimbench.evaluator.report.sections.divergence import onset
-from gpusimbench.evaluator.report.sections.rows import Reasons
+from gpusimbench.evaluator.report.sections.rows import Reasons, lines_of
 from gpusimbench.evaluator.report.sections.values import column_of, of_groups
 from gpusimbench.evaluator.report.source import Source
 from gpusimbench.evaluator.report.verdicts import QUESTIONS, TO_REFERENCE
@@ -57,10 +57,10 @@ def _blocks(source: Source, results: list[GroupResult]) -> Iterator[Block]:
     apart = [f"{r.label}: {said}" for r in shown if (said := _apart(r))]
     if apart:
         yield items(*apart)
-    wrong = [f"{r.label}: {found}" for r in results if (found := faults(r))]
-    notes = [f"{r.label}: {note}" for r in results for note in r.footnotes]
-    if wrong or notes:
-        yield items(*dict.fromkeys([*wrong, *notes]))
+    wrong = [(str(found), r.label) for r in results if (found := faults(r))]
+    notes = [(note, r.label) for r in results for note in r.footnotes]
+    if listed := lines_of(list(dict.fromkeys([*wrong, *notes]))):
+        yield listed
 
 
 def _apart(result: GroupResult) -> str:

@@ -37,7 +37,10 @@ def section(source: Source) -> Section | None:
         blocks.append(Text(f"{plural(hidden, 'group')} of sweeps that captured no states: see scaling."))
     for scene in scenes:
         results = [r for r in source.shown if r.group.key.scene == scene]
-        blocks += _of_scene(scene, results, costs)
+        if any(r.group.complete for r in results):
+            blocks += _of_scene(scene, results, costs)
+        else:
+            blocks.append(Text(f"{scene}: no run of {', '.join(r.label for r in results)} is complete."))
     return Section("throughput", "Throughput and memory", tuple(blocks), _summary(source.shown), folded=True)
 
 
@@ -91,4 +94,4 @@ def _summary(results: list[GroupResult]) -> str:
     found = [one.first for one in fastest(results) if one.first]
     if not found:
         return "mean ± SD of each group"
-    return "; ".join(f"{one.scene}: {one.result.label}, {one.fps:,.0f} {FPS.unit}" for one in found)
+    return "fastest in " + "; ".join(f"{one.scene}: {one.result.label}, {one.fps:,.0f} {FPS.unit}" for one in found)

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
-from gpusimbench.evaluator.render.document import Cell, Column, Section, Tone
+from collections import Counter
+from collections.abc import Iterator, Sequence
+
+from gpusimbench.evaluator.render.document import Block, Cell, Column, Row, Section, Table, Tone, key_of, table
 from gpusimbench.evaluator.render.numbers import NONE, plural
 from gpusimbench.evaluator.report import words
-from gpusimbench.evaluator.report.sections.rows import Reasons
+from gpusimbench.evaluator.report.sections.rows import FEW, Reasons
 from gpusimbench.evaluator.report.sections.values import of_groups
 from gpusimbench.evaluator.report.source import Source
 from gpusimbench.evaluator.results.result import GroupResult
@@ -16,10 +19,22 @@ _HASH = 12  # digits of a hash that are shown
 
 
 def section(source: Source) -> Section | None:
-    """A row for each group, those without states as well."""
+    """A row for each group, those without states as well; of many groups, first what is wrong and a summary."""
     results = [*source.shown, *source.hidden]
     if not results:
         return None
+    every = _of_groups(results)
+    if len(results) <= FEW:
+        blocks: tuple[Block, ...] = (every,)
+    else:
+        listed = Section("validity-groups", "Every group", (every,), plural(len(results), "group"), folded=True)
+        blocks = (*_deviating(results), _by_simulator(results), listed)
+    invalid = sum(any(run.status == "invalid" for run in r.group.recordings) for r in results)
+    said = f"{plural(invalid, 'group')} with INVALID runs" if invalid else "no run is INVALID"
+    return Section("validity", "Validity", blocks, said, folded=True)
+
+
+def _of_groups(results: Sequence[GroupResult]) -> Table:
     columns = [
         (Column("runs"), _runs),
         (Column("counted"), _counts),
@@ -27,16 +42,73 @@ def section(source: Source) -> Section | None:
         (Column("overflow"), _overflow),
         (Column("actions"), _actions),
     ]
-    shown = of_groups("validity", "", results, columns, Reasons(), [_COUNTED])
-    invalid = sum(any(run.status == "invalid" for run in r.group.recordings) for r in results)
-    said = f"{plural(invalid, 'group')} with INVALID runs" if invalid else "no run is INVALID"
-    return Section("validity", "Validity", (shown,), said, folded=True)
+    legend = [_COUNTED, *_meanings(results)]
+    return of_groups("validity", "", results, columns, Reasons(), legend)
+
+
+def _deviating(results: Sequence[GroupResult]) -> Iterator[Table]:
+    """Groups in which a run is not complete or a buffer overflowed."""
+    found = [r for r in results if _ended(r).keys() - {"complete"} or r.validity.overflow]
+    if found:
+        columns = [(Column("runs"), _runs), (Column("fullest buffer"), _fullest), (Column("overflow"), _overflow)]
+        caption = "Groups with runs that are not complete, or with an overflow"
+        yield of_groups("validity-deviating", caption, found, columns, Reasons())
+
+
+def _by_simulator(results: Sequence[GroupResult]) -> Table:
+    names = dict.fromkeys(r.group.key.simulator for r in results)
+    rows = [_of_simulator(name, [r for r in results if r.group.key.simulator == name]) for name in names]
+    rows.sort(key=lambda row: all(cell.tone is not Tone.BAD for cell in row.cells))  # what deviates comes first
+    titles = ("simulator", "groups", "runs", "contacts counted", "fullest buffer", "overflow")
+    return table("validity-simulators", "All groups, by simulator", titles, rows)
+
+
+def _of_simulator(name: str, results: Sequence[GroupResult]) -> Row:
+    ended: Counter[str] = Counter()
+    for result in results:
+        ended.update(_ended(result))
+    counted = sum(result.validity.of("contacts") is not None for result in results)
+    of = plural(len(results), "group")
+    fullest = max(results, key=lambda result: max((use.share or 0.0 for use in result.validity.buffers), default=0.0))
+    return Row(
+        (
+            Cell(name, link=key_of("simulator", name)),
+            Cell(str(len(results)), float(len(results))),
+            _said(ended),
+            Cell(f"in {counted} of {of}", tone=Tone.PLAIN if counted else Tone.QUIET),
+            _fullest(fullest),
+            _overflows(results),
+        ),
+        {"simulator": name},
+    )
+
+
+def _overflows(results: Sequence[GroupResult]) -> Cell:
+    told = [result.validity for result in results if result.validity.overflow_told.holds or result.validity.overflow]
+    fired = sum(bool(one.overflow) for one in told)
+    fatal = any(seen.fatal for one in told for seen in one.overflow or ())
+    silent = len(results) - len(told)
+    notes = (f"not reported by {plural(silent, 'group')}",) if silent and told else ()
+    if not told:
+        return Cell("not reported", tone=Tone.QUIET)
+    if not fired:
+        return Cell(f"none in {plural(len(told), 'group')}", notes=notes)
+    return Cell(f"in {plural(fired, 'group')}", notes=notes, tone=Tone.BAD if fatal else Tone.PLAIN)
+
+
+def _ended(result: GroupResult) -> dict[str, int]:
+    """How many runs ended how."""
+    return {how: count for how, count in result.group.outcomes.items() if count}
 
 
 def _runs(result: GroupResult) -> Cell:
-    found = {how: count for how, count in result.group.outcomes.items() if count}
-    said = ", ".join(f"{count} {'INVALID' if how == 'invalid' else how}" for how, count in found.items())
-    return Cell(said, tone=Tone.BAD if set(found) - {"complete"} else Tone.PLAIN)
+    return _said(_ended(result))
+
+
+def _said(ended: dict[str, int]) -> Cell:
+    complete_first = sorted(ended.items(), key=lambda one: one[0] != "complete")
+    text = ", ".join(f"{count} {'INVALID' if how == 'invalid' else how}" for how, count in complete_first)
+    return Cell(text, tone=Tone.BAD if ended.keys() - {"complete"} else Tone.PLAIN)
 
 
 def _lines(lines: list[str], nothing: str) -> Cell:
@@ -44,25 +116,60 @@ def _lines(lines: list[str], nothing: str) -> Cell:
 
 
 def _counts(result: GroupResult) -> Cell:
-    return _lines([line for one in result.validity.counted for line in _count(one)], "nothing was counted")
+    """A line for each counter, then at how many steps it was read."""
+    found = result.validity.counted
+    lines = []
+    for name in dict.fromkeys(one.name for one in found):
+        phases = "; ".join(f"{_three(one)} ({one.phase})" for one in found if one.name == name)
+        lines.append(f"{_spaced(name)}: {phases}")
+    read = dict.fromkeys(f"{one.phase}: {plural(one.rows, 'step')} of {plural(one.runs, 'run')}" for one in found)
+    return _lines([*lines, *([f"counted in {'; '.join(read)}"] if read else [])], "nothing was counted")
 
 
-def _count(one: Counted) -> list[str]:
-    values = " / ".join(map(words.count, (one.mean, one.p95, one.max)))
-    rows, runs = plural(one.rows, "recorded step"), plural(one.runs, "run")
-    meaning = f": {one.meaning}" if one.meaning else ""
-    return [f"{one.name.replace('_', ' ')}: {values}", f"{one.phase} phase, {rows} of {runs}{meaning}"]
+def _three(one: Counted) -> str:
+    return " / ".join(map(words.count, (one.mean, one.p95, one.max)))
+
+
+def _spaced(name: str) -> str:
+    return name.replace("_", " ")
+
+
+def _meanings(results: Sequence[GroupResult]) -> Iterator[str]:
+    """What counters count and how buffers were sized, with the simulators that say so, each sentence once."""
+    said: dict[str, dict[str, None]] = {}
+    for result in results:
+        name = result.group.key.simulator
+        for one in result.validity.counted:
+            if one.meaning:
+                said.setdefault(f"{_spaced(one.name)}: {one.meaning}", {}).setdefault(name)
+        for use in result.validity.buffers:
+            if use.buffer.sized_by:
+                said.setdefault(f"{use.buffer.name}: {use.buffer.sized_by}", {}).setdefault(name)
+    for sentence, names in said.items():
+        yield f"{sentence} ({', '.join(names)})"
+
+
+def _fullest(result: GroupResult) -> Cell:
+    """The buffer of which most was needed."""
+    known = [use for use in result.validity.buffers if use.share is not None]
+    if not known:
+        return Cell("not told" if result.validity.buffers else "none is stated", tone=Tone.QUIET)
+    fullest = max(known, key=lambda use: use.share or 0.0)
+    return Cell(f"{fullest.buffer.name}: {words.share(fullest)}", notes=(_needed(fullest),))
 
 
 def _buffers(result: GroupResult) -> Cell:
-    return _lines([line for use in result.validity.buffers for line in _buffer(use)], "none is stated")
+    return _lines([_buffer(use) for use in result.validity.buffers], "none is stated")
 
 
-def _buffer(use: BufferUse) -> list[str]:
+def _buffer(use: BufferUse) -> str:
+    return f"{use.buffer.name}: {_needed(use)}{f' ({words.share(use)})' if use.share is not None else ''}"
+
+
+def _needed(use: BufferUse) -> str:
     needed = words.count(use.needed) if use.needed is not None else "not told"
     per = "for all envs" if use.buffer.per == "all" else f"per {use.buffer.per}"
-    share = f" ({words.share(use)})" if use.share is not None else ""
-    return [f"{use.buffer.name}: {needed} of {words.count(use.buffer.asked)} {per}{share}", use.buffer.sized_by]
+    return f"{needed} of {words.count(use.buffer.asked)} {per}"
 
 
 def _overflow(result: GroupResult) -> Cell:
@@ -83,5 +190,6 @@ def _actions(result: GroupResult) -> Cell:
     lines = []
     for one in result.validity.actions:
         lines.append(f"{one.phase}: verified in {one.verified} of {plural(one.runs, 'run')}")
-        lines += [f"first step {first[:_HASH]}, last {last[:_HASH]}" for first, last in one.sha256]
+        if len(one.sha256) > 1:  # the runs were not given the same
+            lines += [f"first step {first[:_HASH]}, last {last[:_HASH]}" for first, last in one.sha256]
     return _lines(lines, NONE)

@@ -34,18 +34,21 @@ def of_groups(
     rows = tuple(Row((named(r), *(write(r) for _, write in columns)), facets(r)) for r in results)
     titles = (Column("group"), *(column for column, _ in columns))
     whole = Table(key, caption, titles, rows, tuple(legend)).without_empty_columns()
-    left_out = [_left_out(rows, i, title, reasons) for i, title in enumerate(titles) if title not in whole.columns]
+    left_out: dict[str, list[str]] = {}
+    for i, title in enumerate(titles):
+        if title not in whole.columns and (why := _why_empty(rows, i, reasons)):
+            left_out.setdefault(why, []).append(title.title)
     marks = {note for row in whole.rows for one in row.cells for note in one.notes}
     used = [line for line in reasons.legend if line.split(" ")[0] in marks]
-    return replace(whole, legend=(*whole.legend, *used, *filter(None, left_out)))
+    missing = [f"no {', '.join(names)}: {why}" for why, names in left_out.items()]
+    return replace(whole, legend=(*whole.legend, *used, *missing))
 
 
-def _left_out(rows: Sequence[Row], index: int, title: Column, reasons: Reasons) -> str:
-    """Why a column is not in a table: no group has a value, for these reasons."""
+def _why_empty(rows: Sequence[Row], index: int, reasons: Reasons) -> str:
+    """Why no group has a value in a column; empty where no reason is known."""
     notes = dict.fromkeys(note for row in rows for note in row.cells[index].notes)
     words_of = {line.split(" ")[0]: line.partition(" ")[2] for line in reasons.legend}
-    said = "; ".join(dict.fromkeys(words_of.get(note, note) for note in notes))
-    return f"no {title.title}: {said}" if said else ""
+    return "; ".join(dict.fromkeys(words_of.get(note, note) for note in notes))
 
 
 def column_of(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 from gpusimbench.evaluator.metrics.regime import REGIME_MEANING
 from gpusimbench.evaluator.missing import Missing, known
@@ -61,7 +61,7 @@ def section(source: Source) -> Section | None:
     ]
     of_others = [column_of(m, others) if m not in (LEFT_BOARD, SANK) else _cubes(m, others) for m in rest]
     blocks: list[Block] = [
-        of_groups("variability-bits", _BITS, results, of_bits, bits),
+        of_groups("variability-bits", _BITS, results, of_bits, bits, list(_types(results))),
         of_groups("variability-distances", _DISTANCES, results, [*_apart(distances, apart)], apart, _LEGEND),
         of_groups("variability-others", _OTHERS, results, of_others, others),
     ]
@@ -70,6 +70,8 @@ def section(source: Source) -> Section | None:
     claims = [identical(r.metrics[DISTINCT_RUNS.name]).holds for r in results]
     compared = [holds for holds in claims if holds is not None]
     said = f"{compared.count(True)} of {plural(len(compared), 'group')} with several runs repeat bit for bit"
+    if not compared:
+        said = "no group has several runs whose bits can be compared"
     return Section("variability", "Variability", tuple(blocks), said, folded=True)
 
 
@@ -103,9 +105,15 @@ def _type(reasons: Reasons) -> Written:
             return reasons.cell(found.value.reason)
         again = words.resampled(found)
         more = [words.another(again)] if again and again.run_differs_below else []
-        return Cell(words.regime(found), notes=(REGIME_MEANING.get(int(found.value), ""), *more))
+        return Cell(words.regime(found), notes=tuple(more))
 
     return cell
+
+
+def _types(results: Sequence[GroupResult]) -> Iterator[str]:
+    """What the published types of some groups mean."""
+    found = {int(value) for r in results if (value := known(r.metrics[REGIME.name].value)) is not None}
+    yield from (f"type {number}: {REGIME_MEANING[number]}" for number in sorted(found & REGIME_MEANING.keys()))
 
 
 def _apart(distances: list[Metric], reasons: Reasons) -> Iterator[tuple[Column, Written]]:
