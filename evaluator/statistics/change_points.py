@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -49,17 +50,20 @@ def change_points(values: npt.ArrayLike, level: float) -> list[ChangePoint]:
     """Where the mean of a series changes: circular binary segmentation (Olshen et al. 2004), in order.
 
     In a stretch of T points, every split into two parts, and every inner part against the rest (a change that is undone
-    later), is a candidate. Both have one statistic, that of the two-sample t-test with one variance:
+    later), is a candidate. Both have one statistic, that of the t-test with one variance for all n points of the
+    series, which are k stretches so far:
 
-        t^2 = (T - 2) B / (S - B),   B = sum of squares between the two parts, S = of all points about their mean
+        t^2 = f B / (S - B),   f = n - k - 1, B = sum of squares between the two parts,
+                               S = of all n points about the means of their stretches
 
-    p is bounded by Bonferroni's inequality over the candidates (for normal values that are independent), half of the
-    level for either kind, so that the many inner parts do not hide a change at the newest point:
+    A stretch of few points, as behind a change that was made lately, is thus held to the noise of all others. p is
+    bounded by Bonferroni's inequality over the candidates of the stretch (for normal values that are independent), half
+    of the level for either kind, so that the many inner parts do not hide a change at the newest point:
 
-        p = 2 N P(|t_(T-2)| >= t),   N = T - 1 splits, or (T - 1)(T - 2)/2 inner parts       (splits: Worsley 1979)
+        p = 2 N P(|t_f| >= t),   N = T - 1 splits, or (T - 1)(T - 2)/2 inner parts           (splits: Worsley 1979)
 
-    The candidate with the smallest p divides the stretch if p <= level, and the parts are searched likewise. The chance
-    of any change point in a series whose values are independent and of one normal law is at most `level`.
+    The candidate with the smallest p divides its stretch if p <= level, and all stretches are searched again. The
+    chance of any change point in a series whose values are independent and of one normal law is at most `level`.
 
     Args:
         values: one finite value a point, in order of time, shape [T].
@@ -73,8 +77,7 @@ def change_points(values: npt.ArrayLike, level: float) -> list[ChangePoint]:
         raise ValueError(f"values must be finite, of shape [point], got {list(series.shape)}")
     if not 0 < level < 1:
         raise ValueError(f"level is a probability between 0 and 1, not {level:g}")
-    found: dict[int, float] = {}
-    _divide(series, 0, len(series), level, found)
+    found = _divide(series, level)
     ends = [0, *sorted(found), len(series)]
     return [
         _change(series, ends[i - 1], index, ends[i + 1], found[index])
@@ -82,67 +85,93 @@ def change_points(values: npt.ArrayLike, level: float) -> list[ChangePoint]:
     ]  # fmt: skip
 
 
-def least_visible(values: npt.ArrayLike, level: float) -> float | None:
+def least_visible(values: npt.ArrayLike, level: float, before: Sequence[npt.ArrayLike] = ()) -> float | None:
     """By how much one more point would have to differ from the mean of these to be a change point, about.
 
-        d = t s sqrt(1 + 1/m),   t as p = level asks of m + 1 points, s = SD of the m points
+        d = t s sqrt(1 + 1/m),   t as p = level asks of the search, s = pooled SD of all levels
 
     Args:
         values: the points since the last change, shape [m].
         level: as in change_points.
+        before: the points of each earlier level.
 
     Returns:
-        the difference, in the unit of the values; None of fewer than two points.
+        the difference, in the unit of the values; None where there is no point, or no level has two.
     """
-    series = np.asarray(values, dtype=np.float64)
-    m = len(series)
-    if m < MIN_POINTS - 1:
+    levels = [np.asarray(one, dtype=np.float64) for one in (values, *before)]
+    m = len(levels[0])
+    freedom = sum(len(one) - 1 for one in levels if len(one))
+    if not m or freedom < 1:
         return None
     from scipy.special import stdtrit
 
     # of m + 1 points there are m splits; two sides, two kinds of candidates
-    t = -float(stdtrit(m - 1, level / (4 * m)))
-    return t * float(series.std(ddof=1)) * math.sqrt(1 + 1 / m)
+    t = -float(stdtrit(freedom, level / (4 * m)))
+    spread = math.sqrt(sum(float(((one - one.mean()) ** 2).sum()) for one in levels if len(one)) / freedom)
+    return t * spread * math.sqrt(1 + 1 / m)
 
 
-def _divide(series: Floats, begin: int, end: int, level: float, found: dict[int, float]) -> None:
-    """Add the change points between begin and end, with their p-values."""
-    pending = [(begin, end)]
-    while pending:
-        low, high = pending.pop()
-        p, places = _best(series[low:high])
-        if p > level:
-            continue
-        cuts = [low, *(low + place for place in places), high]
-        found.update(dict.fromkeys(cuts[1:-1], p))
-        pending += list(zip(cuts[:-1], cuts[1:], strict=True))
+@dataclass(frozen=True)
+class _Candidate:
+    """A way to cut a stretch: sum of squares between its parts, how many ways of this kind there are, and the cuts."""
+
+    between: float
+    ways: int
+    cuts: tuple[int, ...]
 
 
-def _best(series: Floats) -> tuple[float, tuple[int, ...]]:
-    """The smallest p of a stretch, and where it would be cut: at one place, or at two."""
-    count = len(series)
-    if count < MIN_POINTS:
-        return 1.0, ()
+@dataclass(frozen=True)
+class _Stretch:
+    """Points without a change so far: sum of squares about their mean, and the best cut of either kind."""
+
+    total: float = 0.0
+    candidates: tuple[_Candidate, ...] = ()
+
+
+def _divide(series: Floats, level: float) -> dict[int, float]:
+    """The change points with their p-values."""
+    found: dict[int, float] = {}
+    if len(series) < MIN_POINTS:
+        return found
     # in units of the largest distance from the first value: squares neither overflow nor vanish
+    scale = float(np.abs(series - series[0]).max())
+    known: dict[tuple[int, int], _Stretch] = {}
+    while True:
+        ends = [0, *sorted(found), len(series)]
+        for low, high in itertools.pairwise(ends):
+            if (low, high) not in known:
+                known[low, high] = _stretch(series[low:high], low, scale)
+        stretches = [known[pair] for pair in itertools.pairwise(ends)]
+        total, freedom = sum(one.total for one in stretches), len(series) - len(stretches) - 1
+        if freedom < 1:
+            return found
+        ranked = [(_p_value(c, total, freedom), c.cuts) for one in stretches for c in one.candidates]
+        p, cuts = min(ranked, default=(1.0, ()))
+        if not cuts or p > level:
+            return found
+        found.update((cut, p) for cut in cuts if cut not in found)
+
+
+def _stretch(series: Floats, begin: int, scale: float) -> _Stretch:
+    """Of the points from index `begin` on: where they would be cut, at one place or at two."""
+    count = len(series)
     apart = series - series[0]
-    largest = float(np.abs(apart).max())
-    if largest <= _ROUNDING * float(np.abs(series).max()):
-        return 1.0, ()
-    centred = apart / largest - (apart / largest).mean()
-    total = float((centred**2).sum())
+    if count < 2 or float(np.abs(apart).max()) <= _ROUNDING * float(np.abs(series).max()):
+        return _Stretch()
+    centred = apart / scale - (apart / scale).mean()
     sums = np.concatenate([[0.0], centred.cumsum()])
     begins, ends = np.triu_indices(count, k=1)
     ends, begins = ends[begins > 0], begins[begins > 0]  # a part that begins at 0 is the split behind it
     splits = np.arange(1, count)
     by_split = _between(sums[splits], splits, count)
-    candidates: list[tuple[float, int, tuple[int, ...]]] = [
-        (float(by_split.max()), len(splits), (int(splits[by_split.argmax()]),))
-    ]
+    best = int(by_split.argmax())
+    candidates = [_Candidate(float(by_split[best]), len(splits), (begin + int(splits[best]),))]
     if len(begins):
         by_part = _between(sums[ends] - sums[begins], ends - begins, count)
         best = int(by_part.argmax())
-        candidates.append((float(by_part[best]), len(begins), (int(begins[best]), int(ends[best]))))
-    return min((_p_value(between, total, count, ways), places) for between, ways, places in candidates)
+        cuts = (begin + int(begins[best]), begin + int(ends[best]))
+        candidates.append(_Candidate(float(by_part[best]), len(begins), cuts))
+    return _Stretch(float((centred**2).sum()), tuple(candidates))
 
 
 def _between(sums: Floats, sizes: npt.NDArray[np.int64], count: int) -> Floats:
@@ -150,15 +179,17 @@ def _between(sums: Floats, sizes: npt.NDArray[np.int64], count: int) -> Floats:
     return np.asarray(sums**2 * (count / (sizes * (count - sizes))))
 
 
-def _p_value(between: float, total: float, count: int, ways: int) -> float:
+def _p_value(candidate: _Candidate, total: float, freedom: int) -> float:
     from scipy.special import stdtr  # what scipy.stats.t.cdf calls, without a second of imports
 
-    within = max(total - between, 0.0)
+    if candidate.between <= 0.0:
+        return 1.0
+    within = max(total - candidate.between, 0.0)
     if within <= 0.0:
         return 0.0
-    t = math.sqrt((count - 2) * between / within)
+    t = math.sqrt(freedom * candidate.between / within)
     # twice for the two signs, twice for the two kinds of candidates
-    return min(1.0, 4.0 * ways * float(stdtr(count - 2, -t)))
+    return min(1.0, 4.0 * candidate.ways * float(stdtr(freedom, -t)))
 
 
 def _change(series: Floats, begin: int, index: int, end: int, p_value: float) -> ChangePoint:

@@ -72,6 +72,35 @@ def test_what_would_be_visible_is_visible() -> None:
         assert [one.index for one in change_points(longer, LEVEL)] == marked
 
 
+@pytest.mark.parametrize("since", [1, 2, 3])
+def test_a_change_soon_after_another_is_seen(since: int) -> None:
+    """Hold the few points behind a change to the noise of those before it."""
+    values = noisy(10 + since) + 30.0 * (np.arange(10 + since) >= 10)
+    assert [one.index for one in change_points(values, LEVEL)] == [10]
+    least = least_visible(values[10:], LEVEL, [values[:10]])
+    assert least is not None
+    for share, marked in ((1.1, [10, 10 + since]), (0.5, [10])):
+        longer = np.append(values, values[10:].mean() + share * least)
+        assert [one.index for one in change_points(longer, LEVEL)] == marked
+    assert least_visible(values[10:11], LEVEL) is None
+
+
+def test_false_alarms_beside_a_change_stay_rare() -> None:
+    """Mark another point beside a large change in about as many series as have a false alarm without one."""
+    count, at = 600, 8
+    alarms = 0
+    for seed in range(count):
+        found = change_points(noisy(12, seed) + 30.0 * (np.arange(12) >= at), LEVEL)
+        alarms += {one.index for one in found} != {at}
+    # both stretches may raise an alarm
+    assert stats.binomtest(alarms, count, 2 * LEVEL, alternative="greater").pvalue > 0.001
+
+
+def test_noise_too_small_for_squares_is_no_change() -> None:
+    """Mark nothing in differences whose squares vanish beside a change."""
+    assert [one.index for one in change_points([0.0, 1e-200, 0.0, 1e-200, 1.0, 1.0, 1.0], LEVEL)] == [4]
+
+
 @given(series, st.floats(-5, 5), st.sampled_from([0.01, 3.0, 1000.0]))
 def test_neither_shift_nor_scale_moves_a_change_point(values: list[float], shift: float, scale: float) -> None:
     """Mark the same points of a series in another unit."""

@@ -118,14 +118,19 @@ def test_a_gate_is_about_the_newest_point(
     assert (found, document["verdict"][: len(verdict)]) == (code, verdict)
 
 
-def test_an_older_change_fails_no_gate(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Leave open what follows on a regression that the point before the newest had already."""
-    for index in range(10):
-        write_point(tmp_path, index, factor=1.2 if index >= 8 else 1.0)
+@pytest.mark.parametrize("since", [1, 2, 3])
+def test_a_gate_after_an_accepted_change(tmp_path: Path, capsys: pytest.CaptureFixture[str], since: int) -> None:
+    """Pass the points that follow on a regression, by the noise of those before it; fail another regression."""
+    last = 7 + since
+    for index in range(last + 1):
+        write_point(tmp_path, index, factor=1.2 if index >= 7 else 1.0)
     code, document = history(tmp_path, "--gate", "throughput", capsys=capsys)
-    assert changes(document) == [("v8", "fps", "regression")]
-    # one point with the new level does not tell how much the newest would have had to differ
-    assert (code, [one["axis"] for one in document["undecided"]]) == (5, ["throughput"])
+    assert changes(document) == [("v7", "fps", "regression")]
+    assert (code, document["undecided"]) == (0, [])
+    write_point(tmp_path, last + 1, factor=1.2 * 1.2)
+    code, document = history(tmp_path, "--gate", "throughput", capsys=capsys)
+    assert (code, changes(document)[-1][1:]) == (4, ("fps", "regression"))
+    assert {label for label, _, _ in changes(document)} == {"v7", f"v{last + 1}"}
 
 
 def test_a_gate_that_few_points_cannot_decide(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -152,18 +153,19 @@ def searched(curve: Curve, level: float, settings: Settings) -> Curve:
     if curve.exact:
         return replace(curve, shifts=tuple(_fact(curve, index, settings) for index in steps_of(centers)))
     changes = change_points(centers, level)
-    newest = centers[changes[-1].index if changes else 0 :]
+    ends = [0, *(one.index for one in changes), len(centers)]
+    *before, newest = (centers[low:high] for low, high in pairwise(ends))
     return replace(
         curve,
         shifts=tuple(_shift(curve, one, settings) for one in changes),
-        visible=_visible(curve, newest, level),
-        sighted=_visible(curve, newest[:-1], level),
+        visible=_visible(curve, newest, before, level),
+        sighted=_visible(curve, newest[:-1], before, level),
     )
 
 
-def _visible(curve: Curve, centers: Sequence[float], level: float) -> float | None:
+def _visible(curve: Curve, newest: Sequence[float], before: Sequence[Sequence[float]], level: float) -> float | None:
     """What one more point would have to be, as `Curve.visible` has it."""
-    found = least_visible(centers, level) if curve.tested else None
+    found = least_visible(newest, level, before) if curve.tested else None
     if found is None:
         return None
     return math.exp(min(found, _MOST_LOG)) if curve.logs else found / curve.metric.per_unit
