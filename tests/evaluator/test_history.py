@@ -379,6 +379,37 @@ def test_the_page_in_a_browser(tmp_path: Path, browser: Browser) -> None:
         assert browser.page.evaluate("document.querySelector('caption').getBoundingClientRect().width") > 300
 
 
+def test_curves_without_a_change_are_closed(tmp_path: Path) -> None:
+    """Show the curve that changed, and close those that did not; say of each figure only what it draws."""
+    for index in range(8):
+        host = (10**8, 2 * 10**8 + (index * 37 % 11) * 10**5)
+        write_point(tmp_path / "history", index, factor=1.3 if index >= 4 else 1.0, host_bytes=host)
+    page = tmp_path / "page.html"
+    assert main(["--history", str(tmp_path / "history"), "--no-cache", "--html", str(page)]) == 0
+    before, closed, after = page.read_text(encoding="utf-8").partition("Quantities without a change that counts")
+    assert closed
+    assert "throughput [env-steps/s], higher is better" in before
+    assert "Dashed: levels between changes." in before
+    assert "host memory increment [MB], lower is better" in after
+    assert "Dashed" not in after
+
+
+@needs_chromium
+def test_no_label_leaves_the_figure(tmp_path: Path, browser: Browser) -> None:
+    """Keep the newest point's name within the drawing, however long it is."""
+    for index in range(14):
+        write_point(tmp_path / "history", index, factor=1 + index / 50, runs=2, label=f"release-2026.{index:02}")
+    page = tmp_path / "page.html"
+    assert main(["--history", str(tmp_path / "history"), "--no-cache", "--html", str(page)]) == 0
+    browser.open(page)
+    browser.evaluate("document.querySelectorAll('details').forEach(one => { one.open = true; })")
+    outside = """[...document.querySelectorAll('svg text')].filter(one => {
+        const [own, all] = [one.getBoundingClientRect(), one.ownerSVGElement.getBoundingClientRect()];
+        return own.left < all.left - 1 || own.right > all.right + 1; }).map(one => one.textContent)"""
+    assert browser.evaluate("document.querySelectorAll('svg text').length") > 5
+    assert browser.evaluate(outside) == []
+
+
 def test_the_figure() -> None:
     """Draw every value, interval and level, and words for each change: none on top of another."""
     dots = [Dot(i, 100.0 + i, 99.0 + i, 101.0 + i, f"v{i}") for i in range(9)]

@@ -10,7 +10,6 @@ from gpusimbench.evaluator.compare.finding import FAILING, Change
 from gpusimbench.evaluator.compare.history import words
 from gpusimbench.evaluator.compare.history.curves import Curve, Sample, Shift
 from gpusimbench.evaluator.compare.history.history import Event, History, Traced
-from gpusimbench.evaluator.compare.history.points import ORDER
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.render.document import (
     EMPTY,
@@ -40,6 +39,7 @@ _LINES, _NOTES = 5, 2
 
 _TONES = {Change.REGRESSION: Tone.BAD, Change.CHANGED: Tone.WARNING, Change.IMPROVEMENT: Tone.GOOD}
 _TITLE = "What changed, and when"
+_LEAD = "Points are in the order of the earliest start time of their recordings; a label is the name of a folder."
 _METHOD = (
     "A change point of a quantity is a place where the mean of its points is another: circular binary segmentation, a "
     "t-test of points with Bonferroni's bound for all places. Points are the unit, not runs, so that what differs from "
@@ -78,11 +78,13 @@ def full(history: History, command: str = "") -> Document:
         blocks.append(Section("notes", "Split or left out", (items(*left),)))
     keys = _keys(history)
     blocks += [_section(one, key, history) for one, key in zip(history.traced, keys, strict=True)]
-    blocks.append(Section("points", "Points in time", (_points(history),), folded=True))
+    blocks.append(
+        Section("points", "Points in time", (_points(history),), plural(len(history.points), "point"), folded=True)
+    )
     alpha = f"{history.settings.alpha * 100:.3g} %"
     made_by = (Text(_METHOD.format(alpha=alpha), Tone.QUIET), Text(_FACTS, Tone.QUIET))
     return Document(
-        _TITLE, tuple(blocks), lead=ORDER, made_by=(*made_by, *((Code((command,)),) if command else ()))
+        _TITLE, tuple(blocks), lead=_LEAD, made_by=(*made_by, *((Code((command,)),) if command else ()))
     )  # fmt: skip
 
 
@@ -129,12 +131,19 @@ def _keys(history: History) -> list[str]:
 def _section(one: Traced, key: str, history: History) -> Section:
     counting = sum(c.shifts[i].change is not Change.SMALL for c in one.curves for i in range(len(c.shifts)))
     counting += sum(fact.finding.change is not Change.SMALL for fact in one.facts)
-    figures = tuple(_figure(curve, one, key, history) for curve in one.curves if curve.varies)
-    blocks: list[Block] = [Gallery(figures, 30.0)] if figures else []
+    changed, steady = (
+        tuple(_figure(curve, one, key, history) for curve in one.curves if curve.varies and _counts(curve) is moved)
+        for moved in (True, False)
+    )
+    blocks: list[Block] = [Gallery(changed, 30.0)] if changed else []
     if one.curves:
         blocks.append(_quantities(one, key, history))
     if one.facts:
         blocks.append(items(*(Item(_fact(event, history), _tone(event)) for event in _facts(one, history))))
+    if steady:
+        said = plural(len(steady), "curve")
+        drawn = (Gallery(steady, 30.0),)
+        blocks.append(Section(f"{key}-steady", "Quantities without a change that counts", drawn, said, folded=True))
     entries = one.series.entries
     summary = f"{one.series.device}: {plural(len(entries), 'point')}, {plural(counting, 'change')}"
     return Section(
@@ -209,12 +218,26 @@ def _figure(curve: Curve, one: Traced, key: str, history: History) -> Figure:
     ]
     return Figure(
         f"{curve.metric.titled}{better}",
-        f"{curve.metric.method}. Bars: 95 % intervals of a point's runs; dashed: levels between changes.",
+        " ".join([f"{curve.metric.method}.", *_legend(curve)]),
         Markup(drawn),
         key=f"{key}-{curve.metric.name}",
         numbers=Numbers(("point", curve.metric.titled, "95 % low", "95 % high", "runs"), rows),
         about=one.series.heading,
     )  # fmt: skip
+
+
+def _counts(curve: Curve) -> bool:
+    return any(shift.change is not Change.SMALL for shift in curve.shifts)
+
+
+def _legend(curve: Curve) -> list[str]:
+    """What is drawn beside the points of a curve."""
+    said = []
+    if any(sample.ci95 for sample in curve.known):
+        said.append("Bars: 95 % intervals of a point's runs.")
+    if _levels(curve):
+        said.append("Dashed: levels between changes.")
+    return said
 
 
 def _dots(curve: Curve, names: Sequence[str]) -> Iterator[Dot]:

@@ -53,7 +53,8 @@ def visible(curve: Curve) -> str:
     if curve.visible is None:
         return ""
     if curve.logs:
-        return f"{(curve.visible - 1) * 100:.2g} %" if curve.visible < 2 else f"a factor of {curve.visible:.2g}"
+        factor = f"{curve.visible:.2g}" if curve.visible < 100 else f"{curve.visible:.0f}"
+        return f"{(curve.visible - 1) * 100:.2g} %" if curve.visible < 2 else f"a factor of {factor}"
     return f"{figure(curve.visible, curve.metric.unit)} {curve.metric.unit}".strip()
 
 

@@ -9,11 +9,11 @@ from dataclasses import dataclass
 from gpusimbench.evaluator.render.figures import axis, lines
 from gpusimbench.evaluator.render.figures.svg import element, figure, number, text, title
 
-_WIDTH, _HEIGHT = 620.0, 250.0
+_WIDTH, _HEIGHT = 480.0, 250.0
 _LEFT, _RIGHT, _TOP, _BOTTOM = 84.0, 18.0, 40.0, 58.0
 _SIDE, _FLOOR = _WIDTH - _LEFT - _RIGHT, _HEIGHT - _TOP - _BOTTOM
 _ROOM = 0.08  # of the axis, above and below what is drawn
-_LETTER = 6.0
+_LETTER = 7.0
 _LABEL = 16  # characters of a point's name that have room
 _DECADES = 30.0  # from this ratio of the values on, the axis is logarithmic
 _ROWS = 2  # of change labels above the frame
@@ -75,7 +75,7 @@ def history_chart(
         *(element("line", x1=_LEFT, x2=right, y1=place_up(v), y2=place_up(v), class_="faint") for v in up_ticks),
         axis.frame(_LEFT, _TOP, _SIDE, _FLOOR),
         *(axis.left(_LEFT, place_up(v), tick(v)) for v in up_ticks),
-        *(axis.bottom(across(i), bottom, label) for i, label in shown),
+        *(_below(across(i), bottom, label) for i, label in shown),
         text("versions or commits, in order of recording", _LEFT + _SIDE / 2, bottom + 36, class_="mid small"),
         text(value, 12, _TOP + _FLOOR / 2, class_="mid", rotate=-90),
         *(
@@ -114,6 +114,13 @@ def _named(names: Sequence[str]) -> list[tuple[int, str]]:
     room = max(len(name) for name in short) * _LETTER + 10
     every = max(1, math.ceil(len(names) * room / _SIDE))
     return [(i, short[i]) for i in range(len(names) - 1, -1, -every)][::-1]
+
+
+def _below(x: float, bottom: float, label: str) -> str:
+    """A tick, and a point's name below it, which is moved to the side where it would leave the figure."""
+    half = len(label) * _LETTER / 2
+    line = element("line", x1=x, x2=x, y1=bottom, y2=bottom + 4, class_="axis")
+    return line + text(label, min(max(x, half), _WIDTH - half), bottom + 15, class_="mid")
 
 
 def _dot(dot: Dot, x: float, place_up: Callable[[float], float]) -> str:
