@@ -209,7 +209,9 @@ def write_recording(
         writer = StateWriter(sink, (field,), n_env=n_env, dt=dt, stride=stride)
         start = final  # of a field that is no position
         if final.shape[-1] == 3:
-            start = np.broadcast_to(np.array([b.position for b in described.moving()[-27:]], dtype=dtype), final.shape)
+            start = np.broadcast_to(
+                np.array([b.position for b in described.moving()[-final.shape[1] :]], dtype=dtype), final.shape
+            )
         writer.feed([start[np.newaxis]])
         between = [path_of(start, step) if path_of else start for step in range(1, steps)]
         writer.feed([np.stack([*between, final])])

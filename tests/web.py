@@ -19,6 +19,7 @@ class Web:
 
     files     by path, without the leading slash
     ranges    whether parts are given
+    status    of an answer with a part
     packed    whether parts are compressed, though nobody asked for it
     more      bytes of zero behind each part
     cut       bytes of an answer after which the connection breaks; None: never
@@ -32,6 +33,7 @@ class Web:
 
     files: dict[str, bytes] = field(default_factory=dict)
     ranges: bool = True
+    status: int = 206
     packed: bool = False
     more: int = 0
     cut: int | None = None
@@ -95,7 +97,7 @@ def serving() -> Iterator[Web]:
             if asked:
                 first, last = int(asked[1]), min(int(asked[2]), total - 1)
                 part = content[first : last + 1]
-                self.send_response(206)
+                self.send_response(web.status)
                 self.send_header("Content-Range", f"bytes {first}-{last}/{total}")
             else:
                 self.send_response(200)

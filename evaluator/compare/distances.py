@@ -50,9 +50,8 @@ def distances(base: Runs, head: Runs, work: Work) -> Distances | Missing | None:
     if one is None or other is None:
         captured = any("capture" in r.configuration.phases for r in (*base, *head))
         return Missing(why or why_head) if captured else None
-    times = {r.positions.time for r in (*base, *head) if r.positions}
-    if one.shape[1:] != other.shape[1:] or len(times) > 1:
-        return Missing("other numbers of environments or cubes, or another time that is nearest to the sample time")
+    if one.shape[1:] != other.shape[1:]:
+        return Missing("other numbers of environments or cubes")
     try:
         found = run_to_run_variability(np.concatenate([one, other]), work.map)
     except ValueError as error:

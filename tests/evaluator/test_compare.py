@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,7 @@ from gpusimbench.evaluator.check.protocol import unmet_by_file
 from gpusimbench.evaluator.cli.compare import main
 from gpusimbench.evaluator.statistics import exchange
 from gpusimbench.schemas.provenance import PROVENANCE
-from tests.synthetic import Shown, grid, write_recording
+from tests.synthetic import Shown, cubes_field, grid, write_recording
 
 ROOT = Path(__file__).resolve().parents[2]
 RECORDINGS = ROOT / "recordings"
@@ -321,6 +322,17 @@ def test_outcomes_of_runs_that_differ(tmp_path: Path, capsys: pytest.CaptureFixt
         assert finding(document, "fps")["why_not"] == "the timed phase was left out"
         assert "differ among themselves" in finding(document, "states")["why_not"]
     assert outcome["least_p"] == 2 / 924
+
+
+def test_other_numbers_of_cubes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Say why ends cannot be compared where one side recorded fewer cubes, whichever side that is."""
+    whole = cubes_field("float64")
+    all_of_them = [{"final": spread(i)} for i in range(2)]
+    fewer = [{"final": spread(i)[:, :26], "field": replace(whole, items=whole.items[:26])} for i in range(2, 4)]
+    for name, sides in (("fewer", (all_of_them, fewer)), ("more", (fewer, all_of_them))):
+        _, document = compared(*write_sides(tmp_path / name, *sides, "ABBA", elapsed_s=None), capsys=capsys)
+        outcome = finding(document, "outcome")
+        assert (outcome["change"], outcome["why_not"]) == ("not compared", "other numbers of environments or cubes")
 
 
 def test_variability_that_falls(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

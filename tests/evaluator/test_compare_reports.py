@@ -16,7 +16,11 @@ import pytest
 from markdown_it import MarkdownIt
 
 from gpusimbench.evaluator.cli.compare import main
+from gpusimbench.evaluator.compare.compare import Result
+from gpusimbench.evaluator.compare.finding import Change, Finding, Settings
+from gpusimbench.evaluator.compare.words import verdict
 from gpusimbench.evaluator.render.markdown import code, safe
+from gpusimbench.evaluator.results.metric import Axis
 from gpusimbench.schemas.provenance import PROVENANCE, SIMULATION
 from tests.evaluator.test_compare import NOISE, ROOT, compared, finding, stamped, timed, write_sides
 from tests.synthetic import grid, write_recording
@@ -101,6 +105,45 @@ def test_the_table(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert re.search(r"^host memory increment +100\.0 MB +100\.0 MB +1\.000 +- +- +same *$", shown, re.M)
     assert "throughput (higher is better): N_env * N_step / T_step" in shown
     assert "(all 64 ways); the interval inverts it, n = 6 and 6" in " ".join(shown.split())
+
+
+OPEN = {"change": Change.UNCLEAR, "left_open": (Change.REGRESSION,)}
+
+
+@pytest.mark.parametrize(
+    ("axis", "keywords", "words"),
+    [
+        (Axis.THROUGHPUT, OPEN, "undecided (too few runs)"),
+        (Axis.THROUGHPUT, {**OPEN, "bounded": True}, "undecided"),
+        (Axis.THROUGHPUT, {**OPEN, "p_adjusted": 0.3}, "undecided"),
+        (Axis.BUILD, OPEN, "~ (too few runs)"),
+        (Axis.BUILD, {**OPEN, "p_adjusted": 0.3}, "~"),
+        (Axis.THROUGHPUT, {"change": Change.WITHIN, "unit": "env-steps/s"}, "~ within 5 %"),
+        (Axis.PHYSICS, {"change": Change.WITHIN, "unit": "cm"}, "~ within 0.01 cm"),
+        (Axis.MEMORY, {"change": Change.SMALL, "unit": "B", "base": 1e5, "head": 9e5}, "differs, below 1 MB"),
+        (Axis.MEMORY, {"change": Change.SMALL, "unit": "B", "base": 100e6, "head": 104e6}, "differs, below 5 %"),
+        (
+            Axis.MEMORY,
+            {"change": Change.WITHIN, "unit": "B", "base": 1e5, "head": 1.02e5, "ci95": (0.5, 1.03)},
+            "~ within 1 MB",
+        ),
+        (
+            Axis.MEMORY,
+            {"change": Change.WITHIN, "unit": "B", "base": 1e5, "head": 1.04e5, "ci95": (1.0, 1.045)},
+            "~ within 5 %",
+        ),
+        (Axis.MEMORY, {"change": Change.SMALL, "unit": "B"}, "differs, below 5 %"),
+        (Axis.BUILD, {"change": Change.NEAR, "unit": "s", "base": 1.0, "head": 1.2}, "differs, perhaps below 5 %"),
+        (Axis.PHYSICS, {"change": Change.NEAR, "base": 10.0, "head": 12.0}, "differs, perhaps below 5 %"),
+        (Axis.THROUGHPUT, {"change": Change.REGRESSION}, "REGRESSION"),
+        (Axis.BUILD, {"change": Change.REGRESSION}, "regression (not gated)"),
+        (Axis.THROUGHPUT, {"change": Change.IMPROVEMENT}, "improvement"),
+    ],
+)
+def test_the_words_of_a_verdict(axis: Axis, keywords: dict[str, Any], words: str) -> None:
+    """Name the amount that a change is held against, and say where so few runs can show nothing."""
+    result = Result((), (), (), Settings(), tests=0, lost=0, notes=())
+    assert verdict(Finding(axis, "x", "x", **keywords), result) == words
 
 
 def test_a_check_of_mechanics_that_is_broken_now(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from fractions import Fraction
 from itertools import combinations, permutations
 
 import numpy as np
@@ -11,7 +12,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
-from gpusimbench.evaluator.compare.schedule import neighbours
+from gpusimbench.evaluator.compare.counted import Counted
+from gpusimbench.evaluator.compare.finding import Change, Finding
+from gpusimbench.evaluator.compare.schedule import Schedule, neighbours
+from gpusimbench.evaluator.results.metric import Axis
 from gpusimbench.evaluator.statistics import exchange
 from gpusimbench.evaluator.statistics.exchange import (
     compare_distances,
@@ -247,6 +251,33 @@ def test_few_runs_of_one_configuration_do_not_hide_another() -> None:
 def test_neighbours_in_time(order: str, blocks: str) -> None:
     """Cut an order into the shortest stretches that hold both sides."""
     assert "".join(map(str, neighbours([letter == "B" for letter in order]))) == blocks
+
+
+@pytest.mark.parametrize(
+    ("n", "blocks", "interleaved"),
+    [
+        ((2, 2), 1, False), ((2, 2), 2, True), ((3, 9), 2, True), ((4, 4), 2, True), ((5, 5), 2, False),
+        ((5, 5), 3, True), ((6, 6), 2, False), ((6, 6), 4, True), ((7, 7), 3, False), ((9, 7), 4, True),
+    ],
+)  # fmt: skip
+def test_blocks_that_are_short_enough(n: tuple[int, int], blocks: int, interleaved: bool) -> None:
+    """Take runs for interleaved from two blocks on, of four runs on average; never where their times are not known."""
+    head = (False,) * n[0] + (True,) * n[1]
+    numbers = tuple(sorted(i % blocks for i in range(len(head))))
+    assert Schedule((), head, numbers, known=True).interleaved is interleaved
+    assert not Schedule((), head, numbers, known=False).interleaved
+
+
+@given(st.integers(1, 40), st.integers(1, 40), st.data())
+def test_only_uneven_counts_leave_a_question_open(n_base: int, n_head: int, data: st.DataObject) -> None:
+    """Leave nothing open where as large a share of either side's runs does something, however few the runs are."""
+    base = data.draw(st.integers(0, n_base)), n_base
+    head = data.draw(st.integers(0, n_head) | st.just(base[0] * n_head // n_base)), n_head
+    asked = Counted(Finding(Axis.PHYSICS, "sank", "sank", Change.REGRESSION), base, head, "that sank")
+    for able in (True, False):
+        _, otherwise = asked(0.05, able=able)
+        even = Fraction(*base) == Fraction(*head)
+        assert otherwise.left_open == (() if able or even else (Change.REGRESSION,))
 
 
 def test_drawn_dealings_of_distances(monkeypatch: pytest.MonkeyPatch) -> None:

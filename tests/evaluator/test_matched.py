@@ -116,6 +116,16 @@ def test_what_is_not_computed() -> None:
     assert point.matched.floor is None
 
 
+def test_how_many_points_are_not_too_many() -> None:
+    """Compute raw values of 2,000 points a run, and of no more where nobody asks for more."""
+    for n_env, n_item, there in ((2, 1000, True), (3, 667, False)):
+        (point,) = matched_variability(
+            {n_env: one_law(1, n_env, n_item=n_item)}, lambda a, b: 1.0, n_draw=1, seed=0, size=1
+        )
+        assert (point.raw is not None) is there
+    assert point.no_raw == "2001 points a run are more than 2000"
+
+
 def test_seeded_and_solved_once() -> None:
     """Give the same for one seed, and ask for no distance twice within a draw."""
     asked: list[tuple[bytes, bytes]] = []

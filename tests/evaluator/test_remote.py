@@ -223,6 +223,15 @@ def test_a_server_that_gives_no_parts(web: Web, large: list[Path], tmp_path: Pat
     verify(open_recording(f"{web.address}/b.mcap"))
 
 
+@pytest.mark.parametrize("status", [203, 226])
+def test_a_part_that_a_server_calls_something_else(status: int, web: Web, tmp_path: Path) -> None:
+    """Take nothing for a part of the file that the server does not call so: a proxy may have changed it."""
+    web.status = status
+    web.files["a.mcap"] = write_recording(tmp_path, grid(2)).read_bytes()
+    with pytest.raises(Unreachable, match="only as a whole; download it"):
+        open_recording(f"{web.address}/a.mcap")
+
+
 def test_a_connection_that_breaks(web: Web, large: list[Path], capsys: pytest.CaptureFixture[str]) -> None:
     """Name the file and what happened where an answer ends early; nothing is taken for the file's content."""
     web.files["a.mcap"] = large[0].read_bytes()
@@ -786,6 +795,9 @@ def test_redirections_stay_on_the_server(web: Web, tmp_path: Path, capsys: pytes
         web.redirects["list/"] = f"{other.address}/"
         with pytest.raises(Unreachable, match="another server"):
             expand([Location(f"{web.address}/list/*.mcap")])
+        web.redirects["there.zip"] = f"{other.address}/a.zip"
+        with pytest.raises(Unreachable, match="another server"):
+            open_recording(f"zip://a.mcap::{web.address}/there.zip")
         assert not other.requests
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,7 @@ from gpusimbench import schemas
 from gpusimbench.recorder.scenes.registry import make_scene
 from gpusimbench.schemas.build_descriptors import build
 from gpusimbench.schemas.errors import DamagedRecording
-from gpusimbench.schemas.fields import body_field
+from gpusimbench.schemas.fields import StateField, body_field, joint_field
 from gpusimbench.schemas.messages import DESCRIPTOR_SETS, embedded_schema, message_class
 from gpusimbench.schemas.topics import has_digest, parse_state, parse_view, view
 from gpusimbench.schemas.view.motion import Motion, one_of
@@ -141,3 +142,27 @@ def test_things_of_one_name() -> None:
     entities = view.scene().message.entities
     assert len({entity.id for entity in entities}) == len(entities) == 7
     assert [entity.frame_id for entity in entities] == ["env0", "env0", *frames[1:]]
+
+
+def colours_of(scene: str, field: StateField) -> tuple[list[Any], list[Any]]:
+    """Of what is fixed in a scene's view, and of what moves: one of each entity, red, green, blue and alpha."""
+    made = RecordedView(
+        0, fields=[field], scene=json.loads(make_scene(scene).to_json()), env_origins=(), dt=0.01, stride=1
+    )
+    found: tuple[list[Any], list[Any]] = [], []
+    for entity in made.scene().message.entities:
+        shapes = (*entity.cubes, *entity.spheres, *entity.cylinders)
+        (colour,) = {(shape.color.r, shape.color.g, shape.color.b, shape.color.a) for shape in shapes}
+        found[entity.frame_id != "env0"].append(colour)
+    return found
+
+
+def test_colours_tell_things_apart() -> None:
+    """Draw in colours that viewers have, and so that neighbours differ: what is fixed, bodies, and a robot's links."""
+    cubes = make_scene("inclined-collision").groups()["cubes"]
+    fixed, bodies = colours_of("inclined-collision", body_field("cubes", "position", "float64", cubes))
+    none, links = colours_of("franka", joint_field("robot", "qpos", "float64", tuple(f"joint{i}" for i in range(1, 8))))
+    assert (len(fixed), len(bodies), len(none), len(links)) == (2, 27, 0, 9)
+    assert all(a != b for moving in (bodies, links) for a, b in pairwise(moving))
+    assert len({*fixed, *bodies, *links}) == len({*fixed}) + len({*bodies}) + len({*links})
+    assert all(0 <= part <= 1 and alpha == 1 for *parts, alpha in (*fixed, *bodies, *links) for part in parts)
