@@ -50,6 +50,9 @@ LIMIT_S = 60
 SLOWER = 4
 """A mutant is killed whose tests take a minute, and so many times what they took when they were measured: it loops."""
 
+ENDED = tuple(f"exit code {-number}" for number in (signal.SIGKILL, signal.SIGTERM))
+"""Tests that were ended run again: once may be something else on the machine, twice is the mutant, by its memory."""
+
 Place = tuple[int, int]
 
 
@@ -223,6 +226,8 @@ def _run(mutant: Mutant, measured: Reached, trees: SimpleQueue[Path]) -> Result:
                 compiled = "transport.compiled import" in mutant.code
                 run = [*given, *(f"--deselect={test}" for test in left_out)]
                 killed_by = _first_failure(tree, run, limit, compiled=compiled)
+                if killed_by in ENDED:
+                    killed_by = _first_failure(tree, run, limit, compiled=compiled)
                 _write(tree / mutant.path, original)
                 if killed_by is None or not killed_by.startswith("tests/"):
                     break

@@ -112,11 +112,15 @@ def _measured(digest: str) -> Reached:
         configuration = folder / "configuration"
         source = "".join(f"\n    {ROOT / package}" for package in PACKAGES)
         configuration.write_text(_CONFIGURATION.format(folder=folder, source=source, test=_TEST), encoding="utf-8")
-        subprocess.run(
+        done = subprocess.run(
             [sys.executable, "-m", "coverage", "run", f"--rcfile={configuration}",
              "-m", "pytest", "-q", "-m", QUICK, "-p", "tests.reached", "-p", "no:xdist", "--tb=short"],
             cwd=ROOT, env={**os.environ, _SECONDS: str(folder / "seconds")}, check=False,
         )  # fmt: skip
+        if done.returncode not in (pytest.ExitCode.OK, pytest.ExitCode.TESTS_FAILED):
+            raise SystemExit(
+                f"the quick tests did not run to their end (exit code {done.returncode}): nothing is known"
+            )
         return _read(digest, configuration, json.loads((folder / "seconds").read_text(encoding="utf-8")))
 
 
