@@ -61,11 +61,11 @@ def _unasked(unchecked: Sequence[Unchecked], damaged: Set[Place]) -> list[tuple[
 
 
 def _without_copies(recordings: Sequence[Recording]) -> tuple[tuple[Recording, ...], list[tuple[Place, str]]]:
-    # files of one run with different contents are damaged by RULES; of the others, all but the first are copies
+    # files of one run with different contents are damaged by RULES, and so are those without a content hash
     kept: dict[str, Recording] = {}
     copies = []
     for recording in recordings:
-        first = kept.setdefault(recording.provenance.run_id or recording.content_hash, recording)
+        first = kept.setdefault(recording.content_hash, recording)
         if first is not recording:
             copies.append((first.path, f"{recording.path} is a copy of {first.path.name}; it counts once"))
     return tuple(kept.values()), copies

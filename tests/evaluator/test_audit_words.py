@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from gpusimbench import open_recording
-from gpusimbench.evaluator.audit.audit import Audit, Outcome
+from gpusimbench.evaluator.audit.audit import Audit, Outcome, held
 from gpusimbench.evaluator.audit.checking import Check
 from gpusimbench.evaluator.audit.distribution import LawTest, Unit
 from gpusimbench.evaluator.audit.replaying import Replays
@@ -111,6 +111,28 @@ def test_the_first_difference_is_in_numbers(five: list[Recording]) -> None:
     assert ", z: 0.03 there, 2.03 here, " in number
     assert number.endswith(" ULP, 2 m")
     assert "settings: the same" in text
+
+
+def test_a_replay_that_differs_is_the_one_shown(five: list[Recording]) -> None:
+    """Show what differs, whichever of the replays it is, and the sameness where all are the same."""
+    same, other = five[1], five[4]
+    for found, alike in (((same, other), False), ((other, same), False), ((same, five[2]), True)):
+        audit = held((five[0],), made(list(found)), found, max_ulps=4)
+        assert audit.difference is not None
+        assert audit.difference.bit_identical is alike
+        assert audit.distinct == ((1, 1, 1) if alike else (1, 2, 2))
+
+
+def test_an_original_that_did_not_come_out_again(five: list[Recording]) -> None:
+    """Decide nothing of a set of which a file was not reproduced; of a single file, that it is another."""
+    for originals, rungs in (
+        ((five[0], five[2]), [True] * 4),
+        ((five[0], five[4]), [None] * 4),
+        ((five[4],), [False, False, False, None]),
+    ):
+        audit = held(originals, made(five[1:2]), (five[1],), max_ulps=4)
+        assert audit.verdict is not None
+        assert [rung.holds for rung in audit.verdict.rungs] == rungs
 
 
 def test_settings_are_cut_and_counted(five: list[Recording]) -> None:

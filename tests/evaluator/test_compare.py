@@ -275,6 +275,19 @@ def test_runs_that_fail_now(tmp_path: Path, capsys: pytest.CaptureFixture[str]) 
     assert (code, finding(document, "complete_runs")["change"]) == (0, "not distinguishable")
 
 
+def test_runs_that_fail_on_both_sides(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Call it a regression where one run of ten failed and nine do now, and an improvement the other way round."""
+    broken = {"status": "INVALID", "reason": "contacts were dropped", "cause": "BUFFER"}
+    few, many = ([broken if i < bad else {} for i in range(10)] for bad in (1, 9))
+    for name, sides, ended, change in (
+        ("worse", (few, many), (9, 1), "regression"),
+        ("better", (many, few), (1, 9), "improvement"),
+    ):
+        _, document = compared(*write_sides(tmp_path / name, *sides, "AB" * 10), capsys=capsys)
+        runs = finding(document, "complete_runs")
+        assert (runs["base"], runs["head"], runs["change"]) == (*ended, change)
+
+
 def test_contacts_that_are_lost(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Exit 4 for steps that are fast because they drop their contacts; a count beyond all measure is not compared."""
 
@@ -386,6 +399,21 @@ def test_determinism_that_is_lost(tmp_path: Path, capsys: pytest.CaptureFixture[
     )
     assert code == 0
     assert finding(document, "distinct_runs")["change"] == "improvement"
+
+
+def test_one_environment_leaves_nothing_to_decide(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Leave no gate open because a single environment has no second one to be like; runs that are missing do."""
+    one = [{"final": grid(1)}]
+    dead = [{"built": False, "status": "FAILED", "reason": "no memory", "cause": "DEVICE_MEMORY"}]
+    for name, base, head, order, undecided in (
+        ("alike", one * 3, one * 3, "ABBAAB", {"distinct_envs": False}),
+        ("few", one, one, "AB", {"distinct_envs": False, "distinct_runs": True}),
+        ("dead", one * 2, dead * 2, "ABBA", {"distinct_envs": True, "distinct_runs": True}),
+    ):
+        _, document = compared(*write_sides(tmp_path / name, base, head, order, elapsed_s=None), capsys=capsys)
+        for what, is_open in undecided.items():
+            found = finding(document, what)
+            assert (found["change"], bool(found["undecided"])) == ("not compared", is_open), (name, what)
 
 
 def test_another_machine(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
