@@ -1,15 +1,18 @@
-"""Redraws tables of recordings/h200/README.md, README.md and docs/determinism.md from the recordings of that folder.
+"""Redraws tables of recordings/h200/README.md, README.md, docs/determinism.md and docs/probe.md from recordings.
 
 usage: python docs/make_h200.py
 """
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 from gpusimbench.evaluator.missing import Missing, known
+from gpusimbench.evaluator.probe.questions import QUESTIONS, Answer, Finding, probed
+from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.render.markdown import table_markdown
 from gpusimbench.evaluator.render.numbers import distance, figure
 from gpusimbench.evaluator.report import timed
@@ -23,9 +26,11 @@ from gpusimbench.evaluator.results.evaluate import evaluate_files
 from gpusimbench.evaluator.results.evaluation import Evaluation
 from gpusimbench.evaluator.results.result import GroupResult
 from gpusimbench.evaluator.results.sweeps import Sweep, SweepPoint
+from gpusimbench.evaluator.runs.groups import GroupKey
 
 ROOT = Path(__file__).resolve().parent.parent
 FOLDER = ROOT / "recordings" / "h200"
+PROBED = ROOT / "recordings" / "probe"
 BEGIN, END = "<!-- {}: make figures -->", "<!-- end of {} -->"
 _SCENE = "inclined-collision"
 _NONE = "-"
@@ -207,6 +212,26 @@ def answers(evaluation: Evaluation) -> str:
     return table_markdown(replace(table, caption=""))
 
 
+def invariance() -> str:
+    """What the results of each probed configuration depend on, as a Markdown table."""
+    asked = probed([Recording(path) for path in sorted(PROBED.glob("*.mcap"))])
+    rows = [[_probed_name(one.arms.key), *(_answer(finding) for finding in one.findings)] for one in asked]
+    titles = ["simulator, determinism level", *(question.key for question in QUESTIONS)]
+    lines = [titles, ["---"] * len(titles), *sorted(rows)]
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+
+
+def _probed_name(key: GroupKey) -> str:
+    options = " ".join(str(value) for value in json.loads(key.options).values())
+    return f"{' '.join(filter(None, (key.simulator, options)))}, {key.determinism}"
+
+
+def _answer(finding: Finding) -> str:
+    if finding.answer is Answer.NOT_ASKED:
+        return _NONE
+    return f"**{finding.answer}**" if finding.answer is Answer.NO else str(finding.answer)
+
+
 def with_block(page: str, name: str, shown: str) -> str:
     """A page with what is between its markers replaced."""
     begin, end = BEGIN.format(name), END.format(name)
@@ -218,12 +243,14 @@ def with_block(page: str, name: str, shown: str) -> str:
 def pages(evaluation: Evaluation) -> dict[Path, str]:
     """The pages as they should be."""
     card, readme, explained = FOLDER / "README.md", ROOT / "README.md", ROOT / "docs" / "determinism.md"
+    asked = ROOT / "docs" / "probe.md"
     page = with_block(card.read_text(encoding="utf-8"), "verdicts", verdicts(evaluation))
     page = with_block(page, "sweeps", sweeps(evaluation))
     return {
         card: page,
         readme: with_block(readme.read_text(encoding="utf-8"), "h200", answers(evaluation)),
         explained: with_block(explained.read_text(encoding="utf-8"), "switches", switches(evaluation)),
+        asked: with_block(asked.read_text(encoding="utf-8"), "probe", invariance()),
     }
 
 

@@ -18,7 +18,6 @@ from gpusimbench.schemas.text import line, show
 
 if TYPE_CHECKING:
     from gpusimbench.evaluator.probe.plan import Arm, Plan
-    from gpusimbench.evaluator.probe.sections import Probed
     from gpusimbench.evaluator.read.recording import Recording
     from gpusimbench.schemas.configuration import RunConfiguration
     from gpusimbench.schemas.location import Place
@@ -99,24 +98,22 @@ def parser() -> Parser:
 
 def run(arguments: argparse.Namespace, command: str) -> int:
     """Record what is missing, compare and print; returns the exit code."""
-    from gpusimbench.evaluator.probe.arms import arms_of
     from gpusimbench.evaluator.probe.json import dump_probe
-    from gpusimbench.evaluator.probe.questions import QUESTIONS, Answer, answers
-    from gpusimbench.evaluator.probe.sections import probe_document
+    from gpusimbench.evaluator.probe.questions import QUESTIONS, Answer, probed
     from gpusimbench.evaluator.render.terminal import print_document
+    from gpusimbench.evaluator.report.sections.probed import probe_document
 
     _check(arguments)
     problems: list[str] = []
     files = _recorded(arguments, problems) if arguments.sim else _given(arguments)
-    recordings = _verified(files)
-    probed: list[Probed] = [(arms, answers(arms)) for arms in arms_of(recordings)]
-    findings = [finding for _, found in probed for finding in found]
+    asked = probed(_verified(files))
+    findings = [finding for one in asked for finding in one.findings]
     if all(finding.answer is Answer.NOT_ASKED for finding in findings):
         raise NothingComparable("; ".join(problems) or "these recordings are no arms of a probe: nothing can be asked")
     if arguments.json:
-        write_json(arguments.json, dump_probe(probed))
+        write_json(arguments.json, dump_probe(asked))
     if arguments.json != "-":
-        print_document(probe_document(probed, every=arguments.all), sys.stdout)
+        print_document(probe_document(asked, every=arguments.all), sys.stdout)
     if problems:
         return int(ExitCode.FAILURE)
     gated = {question.key for question in QUESTIONS if question.gate} if arguments.gate else set()
@@ -196,12 +193,11 @@ def _record(plan: Plan, left: list[Arm], out: Path, problems: list[str], what: s
 
 def differing(recordings: list[Recording]) -> list[Arm]:
     """Arms of which something differs: more runs of them tell whether that is more than runs do anyway."""
-    from gpusimbench.evaluator.probe.arms import arms_of
     from gpusimbench.evaluator.probe.plan import arm_of
-    from gpusimbench.evaluator.probe.questions import Answer, answers
+    from gpusimbench.evaluator.probe.questions import Answer, probed
 
     at = {recording.path: arm_of(recording.configuration) for recording in recordings}
-    no = (f for arms in arms_of(recordings) for f in answers(arms) if f.answer is Answer.NO and f.found is not None)
+    no = (f for one in probed(recordings) for f in one.findings if f.answer is Answer.NO and f.found is not None)
     return list(dict.fromkeys(at[path] for finding in no if finding.found for path in finding.found.files))
 
 

@@ -46,6 +46,14 @@ class Arms:
         return self.key.version
 
 
+def name_of(arms: Arms) -> str:
+    """Simulator, version, level, device."""
+    key = arms.key
+    level = "" if key.determinism == "default" else f", determinism {key.determinism}"
+    options = "".join(f", {name}={value}" for name, value in json.loads(key.options).items())
+    return f"{key.simulator} {key.version}{level}{options} on {key.device}, {key.scene}"
+
+
 def arms_of(recordings: Sequence[Recording]) -> list[Arms]:
     """The arms of each configuration among some recordings that were captured, in order of first appearance.
 

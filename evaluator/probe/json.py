@@ -6,18 +6,18 @@ from collections.abc import Sequence
 from typing import Any
 
 from gpusimbench.evaluator.json_values import dump, values_of
-from gpusimbench.evaluator.probe.questions import Finding
-from gpusimbench.evaluator.probe.sections import Probed, verdict_of
+from gpusimbench.evaluator.probe.questions import Finding, Probed, verdict_of
 
 SCHEMA_VERSION = 1
 
 
 def dump_probe(probed: Sequence[Probed]) -> str:
     """The document that ``gsb-probe --json`` writes."""
-    return dump({"schema_version": SCHEMA_VERSION, "probes": [_probe(one) for one in probed]})
+    return dump({"schema_version": SCHEMA_VERSION, "probes": [probe_record(one) for one in probed]})
 
 
-def _probe(probed: Probed) -> dict[str, Any]:
+def probe_record(probed: Probed) -> dict[str, Any]:
+    """One configuration and its answers."""
     arms, findings = probed
     key = arms.key
     return {

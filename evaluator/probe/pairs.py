@@ -92,9 +92,9 @@ def held(pairs: Pairs) -> Found | Missing:
     if why := _incomparable(pairs):
         return Missing(why)
     states = _Steps(pairs)
-    if not states.rows_a.size:
-        return Missing("they have no recorded step in common")
     apart, steps, first_step = _by_hashes(pairs)
+    if not states.rows_a.size and not steps:
+        return Missing("they have no step in common, neither by states nor by hashes")
     first: First | None = None
     most_ulp, most, at_step = 0, 0.0, 0
     curve: list[tuple[int, float]] = []

@@ -10,15 +10,19 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
+from textwrap import shorten
+from typing import NamedTuple
 
 import numpy as np
 
 from gpusimbench.evaluator.metrics.levels import Level
 from gpusimbench.evaluator.missing import Missing
-from gpusimbench.evaluator.probe.arms import Arms
+from gpusimbench.evaluator.probe.arms import Arms, arms_of
 from gpusimbench.evaluator.probe.pairs import Found, Pairs, held
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.schemas.treatment import Initial, Intervention
+
+_WHY = 60  # characters of why an arm is missing
 
 
 class Answer(StrEnum):
@@ -38,6 +42,7 @@ class Finding:
     answer      to the title
     found       the comparison that decided; None where none was made
     compared    what was held against what, in words
+    detail      of which of them differ, where there are several kinds
     why         why the answer is open or was not asked; empty elsewhere
     """
 
@@ -46,7 +51,23 @@ class Finding:
     answer: Answer
     found: Found | None = None
     compared: str = ""
+    detail: str = ""
     why: str = ""
+
+
+class Probed(NamedTuple):
+    """The arms of one configuration, and what they answer, a finding a question."""
+
+    arms: Arms
+    findings: list[Finding]
+
+
+class Asked(NamedTuple):
+    """A comparison that decides, and its words; see Finding."""
+
+    found: Found
+    compared: str
+    detail: str = ""
 
 
 @dataclass(frozen=True)
@@ -61,26 +82,42 @@ class Question:
 
     key: str
     title: str
-    ask: Callable[[Arms], tuple[Found, str] | Missing]
+    ask: Callable[[Arms], Asked | Missing]
     attributable: bool = True
     gate: bool = True
+
+
+def probed(recordings: Sequence[Recording]) -> tuple[Probed, ...]:
+    """The answers of each configuration among some recordings."""
+    return tuple(Probed(arms, answers(arms)) for arms in arms_of(recordings))
 
 
 def answers(arms: Arms) -> list[Finding]:
     """What the arms answer to each question."""
     noise = _runs(arms)
-    varies = "" if isinstance(noise, Missing) or noise[0].first_step is None else _varies(noise[0])
+    varies = "" if isinstance(noise, Missing) or noise.found.first_step is None else _varies(noise.found)
     unknown = noise.reason if isinstance(noise, Missing) else ""
     return [_answer(question, arms, varies, unknown) for question in QUESTIONS]
+
+
+def verdict_of(findings: Sequence[Finding]) -> str:
+    """One sentence: how many answers are yes, and which are no."""
+    asked = [one for one in findings if one.answer is not Answer.NOT_ASKED]
+    yes = [one for one in asked if one.answer is Answer.YES]
+    said = f"{len(yes)} of {len(asked)} answers are yes" if asked else "nothing was asked"
+    parts = [said]
+    for answer in (Answer.NO, Answer.OPEN):
+        if titles := [one.title for one in findings if one.answer is answer]:
+            parts.append(f"{answer.value}: {', '.join(titles)}")
+    return "; ".join(parts)
 
 
 def _answer(question: Question, arms: Arms, varies: str, unknown: str) -> Finding:
     asked = question.ask(arms)
     if isinstance(asked, Missing):
         return Finding(question.key, question.title, Answer.NOT_ASKED, why=asked.reason)
-    found, compared = asked
-    finding = Finding(question.key, question.title, Answer.YES, found, compared)
-    if found.level is Level.BIT_IDENTICAL:
+    finding = Finding(question.key, question.title, Answer.YES, *asked)
+    if asked.found.level is Level.BIT_IDENTICAL:
         return finding
     if question.attributable and varies:
         return replace(finding, answer=Answer.OPEN, why=varies)
@@ -93,7 +130,7 @@ def _varies(noise: Found) -> str:
     return f"runs that were asked for the same differ too, from step {noise.first_step} on"
 
 
-def _runs(arms: Arms) -> tuple[Found, str] | Missing:
+def _runs(arms: Arms) -> Asked | Missing:
     """Runs of the same treatment, environment by environment, of every treatment that has several."""
     if not arms.repeated:
         return Missing("needs two runs of the same configuration")
@@ -106,7 +143,7 @@ def _runs(arms: Arms) -> tuple[Found, str] | Missing:
     return _worst(found, f"{count} runs of {len(arms.repeated)} configurations, each with others of the same")
 
 
-def _envs(arms: Arms) -> tuple[Found, str] | Missing:
+def _envs(arms: Arms) -> Asked | Missing:
     """Environment 0 with all others of a run in which all begin alike."""
     if not arms.plain:
         return Missing("needs a run whose environments begin alike")
@@ -114,10 +151,12 @@ def _envs(arms: Arms) -> tuple[Found, str] | Missing:
         return Missing("needs two environments")
     run = arms.plain[0]
     found = held(Pairs(run, run, tuple((0, env) for env in range(1, arms.n_env))))
-    return found if isinstance(found, Missing) else (found, f"environment 0 and the {arms.n_env - 1} others of a run")
+    return (
+        found if isinstance(found, Missing) else Asked(found, f"environment 0 and the {arms.n_env - 1} others of a run")
+    )
 
 
-def _numbers(arms: Arms) -> tuple[Found, str] | Missing:
+def _numbers(arms: Arms) -> Asked | Missing:
     """Environments of the usual run with those of the same slot and state among more, or fewer, environments."""
     base = _first(arms.varied)
     if isinstance(base, Missing):
@@ -129,11 +168,20 @@ def _numbers(arms: Arms) -> tuple[Found, str] | Missing:
     known = [(n, one) for n, one in zip(numbers, found, strict=True) if not isinstance(one, Missing)]
     differ = [n for n, one in known if one.first_step is not None]
     listed = ", ".join(map(str, numbers))
-    tail = f"; they differ for {', '.join(map(str, differ))}" if differ else ""
-    return _worst(found, f"{arms.n_env} environments and {listed} of the same initial states{tail}")
+    parts = [f"differs for {', '.join(map(str, differ))} environments"] if differ else []
+    others = {how: why for how, why in arms.failed.items() if _other_number(how, arms.n_env)}
+    parts += [
+        f"not with {how.partition(' ')[0]}: {shorten(why, 60, placeholder=' ...')}" for how, why in others.items()
+    ]
+    return _worst(found, f"{arms.n_env} environments and {listed} of the same initial states", "; ".join(parts))
 
 
-def _slots(arms: Arms) -> tuple[Found, str] | Missing:
+def _other_number(how: str, n_env: int) -> bool:
+    # of a treatment in words, as in Arms.failed: another number of environments, and nothing done to them
+    return not how.startswith(f"{n_env} envs") and "@" not in how
+
+
+def _slots(arms: Arms) -> Asked | Missing:
     """The same initial states in other slots."""
     base = _first(arms.varied)
     if isinstance(base, Missing):
@@ -145,7 +193,7 @@ def _slots(arms: Arms) -> tuple[Found, str] | Missing:
     return _told(held(Pairs(base, arms.shifted, pairs)), f"the same initial states, {shift} slots further")
 
 
-def _neighbours(arms: Arms) -> tuple[Found, str] | Missing:
+def _neighbours(arms: Arms) -> Asked | Missing:
     """One environment among others that begin otherwise."""
     base = _first(arms.varied)
     if isinstance(base, Missing):
@@ -157,7 +205,7 @@ def _neighbours(arms: Arms) -> tuple[Found, str] | Missing:
     return _told(held(Pairs(base, arms.but, ((kept, kept),))), f"environment {kept} among neighbours of other states")
 
 
-def _poison(arms: Arms) -> tuple[Found, str] | Missing:
+def _poison(arms: Arms) -> Asked | Missing:
     """Environments beside one that is not finite."""
     beside = _beside(arms, "poison")
     if isinstance(beside, Missing):
@@ -167,7 +215,7 @@ def _poison(arms: Arms) -> tuple[Found, str] | Missing:
     return _told(held(Pairs(base, recording, _same(envs))), f"{len(envs)} environments beside one that is not finite")
 
 
-def _bystanders(arms: Arms) -> tuple[Found, str] | Missing:
+def _bystanders(arms: Arms) -> Asked | Missing:
     """Environments that are left alone while others are reset."""
     beside = _beside(arms, "reset")
     if isinstance(beside, Missing):
@@ -179,7 +227,7 @@ def _bystanders(arms: Arms) -> tuple[Found, str] | Missing:
     return _told(held(Pairs(base, recording, _same(envs))), f"{len(envs)} environments beside others that are reset")
 
 
-def _fresh(arms: Arms) -> tuple[Found, str] | Missing:
+def _fresh(arms: Arms) -> Asked | Missing:
     """Environments that are reset with those of a run that has just begun."""
     treated = _treated(arms, "reset")
     if isinstance(treated, Missing):
@@ -192,7 +240,7 @@ def _fresh(arms: Arms) -> tuple[Found, str] | Missing:
     return _told(held(pairs), f"{len(envs)} environments after a reset at step {done.step}, and fresh ones")
 
 
-def _restored(arms: Arms) -> tuple[Found, str] | Missing:
+def _restored(arms: Arms) -> Asked | Missing:
     """All environments after an excursion from which they were restored."""
     beside = _beside(arms, "excursion")
     if isinstance(beside, Missing):
@@ -202,7 +250,7 @@ def _restored(arms: Arms) -> tuple[Found, str] | Missing:
     return _told(held(Pairs(base, recording, _same(range(arms.n_env)))), said)
 
 
-def _set(arms: Arms) -> tuple[Found, str] | Missing:
+def _set(arms: Arms) -> Asked | Missing:
     """All environments after they were given the positions and velocities that they had."""
     beside = _beside(arms, "set")
     if isinstance(beside, Missing):
@@ -213,7 +261,7 @@ def _set(arms: Arms) -> tuple[Found, str] | Missing:
     )
 
 
-def _captured(arms: Arms) -> tuple[Found, str] | Missing:
+def _captured(arms: Arms) -> Asked | Missing:
     """The timed phase, in which nobody looks at states, with the capture: by hashes."""
     for run in (*arms.plain, *arms.varied):
         timed, captured = run.fingerprints("timed"), run.fingerprints("capture")
@@ -232,7 +280,7 @@ def _captured(arms: Arms) -> tuple[Found, str] | Missing:
             level, run.configuration.n_env, int(differ.any(axis=0).sum()), len(steps), first, None, 0, 0.0, 0, (), "m",
             files,
         )  # fmt: skip
-        return found, f"timed and captured states, at step {', '.join(map(str, steps.tolist()))}"
+        return Asked(found, f"timed and captured states, at step {', '.join(map(str, steps.tolist()))}")
     return Missing("needs a run with both phases, timed and capture, that passed the same steps")
 
 
@@ -260,21 +308,22 @@ def _same(envs: Sequence[int]) -> tuple[tuple[int, int], ...]:
     return tuple((env, env) for env in envs)
 
 
-def _told(found: Found | Missing, compared: str) -> tuple[Found, str] | Missing:
-    return found if isinstance(found, Missing) else (found, compared)
+def _told(found: Found | Missing, compared: str) -> Asked | Missing:
+    return found if isinstance(found, Missing) else Asked(found, compared)
 
 
-def _worst(found: Sequence[Found | Missing], compared: str) -> tuple[Found, str] | Missing:
+def _worst(found: Sequence[Found | Missing], compared: str, detail: str = "") -> Asked | Missing:
     known = [one for one in found if not isinstance(one, Missing)]
     if not known:
         return next(one for one in found if isinstance(one, Missing))
     worst = max(known, key=lambda one: (one.level, one.max_distance, one.max_ulp))
-    return replace(
+    all_of_them = replace(
         worst,
         pairs=sum(one.pairs for one in known),
         differing=sum(one.differing for one in known),
         first_step=min((one.first_step for one in known if one.first_step is not None), default=None),
-    ), compared
+    )
+    return Asked(all_of_them, compared, detail)
 
 
 QUESTIONS = (

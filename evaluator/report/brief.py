@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from gpusimbench.evaluator.missing import Missing, known
+from gpusimbench.evaluator.probe.arms import name_of
+from gpusimbench.evaluator.probe.questions import verdict_of
 from gpusimbench.evaluator.render.cells import estimate
 from gpusimbench.evaluator.render.document import EMPTY, Block, Cell, Document, Facts, Text, Tone, facts, table
 from gpusimbench.evaluator.render.numbers import plural
@@ -81,7 +83,7 @@ def _one(result: GroupResult) -> Facts:
 
 
 def _several(evaluation: Evaluation) -> Iterator[Block]:
-    results = evaluation.results
+    results = [r for r in evaluation.results if not _treated(r)] or list(evaluation.results)
     scenes = len({r.group.key.scene for r in results}) > 1
     questions = [*QUESTIONS, *([TO_REFERENCE] if evaluation.reference else [])]
     titles = ["", *(["scene"] if scenes else []), "envs x runs", *(q.brief or q.title for q in questions), FPS.unit]
@@ -100,11 +102,21 @@ def _several(evaluation: Evaluation) -> Iterator[Block]:
             for r in results
         ],
     )
+    if hidden := len(evaluation.results) - len(results):
+        yield Text(f"{plural(hidden, 'group')} of runs that only gsb-probe needs: --all", Tone.QUIET)
+    for asked in evaluation.probed:
+        yield Text(f"{name_of(asked.arms)}: {verdict_of(asked.findings)}")
     for one in fastest(results):
         if one.first:
             device = one.device or "an unnamed device"
             named = f"{one.first.result.label}, {one.first.fps:,.0f} env-steps/s"
             yield Text(f"Fastest valid simulator in {one.scene} on {device}: {named}")
+
+
+def _treated(result: GroupResult) -> bool:
+    # runs that were made to answer a question of gsb-probe, and nothing else
+    key = result.group.key
+    return bool(key.intervention or (key.initial and isinstance(result.metrics[FPS.name].value, Missing)))
 
 
 def _troubles(evaluation: Evaluation) -> Iterator[Text]:

@@ -8,6 +8,7 @@ from typing import Any
 from gpusimbench.evaluator.json_values import dump, values_of
 from gpusimbench.evaluator.metrics.memory_model import MemoryModel
 from gpusimbench.evaluator.missing import known, why_missing
+from gpusimbench.evaluator.probe.json import probe_record
 from gpusimbench.evaluator.report.evidence_json import (
     capability_record,
     contender_record,
@@ -56,6 +57,7 @@ def to_json(evaluation: Evaluation) -> dict[str, Any]:
         "guidelines": [vars(g) for g in comparison.guidelines],
         "protocol_1": {"findings": evaluation.unmet.count, "by_rule": dict(evaluation.unmet.findings)},
         "price_list": [family_record(family) for family in evaluation.price_list],
+        "probes": [probe_record(one) for one in evaluation.probed],
         "capability": [capability_record(row) for row in capability(evaluation.sweeps, evaluation.results)],
     }
     plain: dict[str, Any] = values_of(document)

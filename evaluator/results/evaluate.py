@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 from gpusimbench.evaluator.check.protocol import RULE_SET, Protocol, Unmet, unmet_by_file
 from gpusimbench.evaluator.compute.work import HERE, Work
 from gpusimbench.evaluator.missing import Missing, known
+from gpusimbench.evaluator.probe.questions import Probed, probed
+from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.results.accumulation import accumulations
 from gpusimbench.evaluator.results.density_maps import reference_density, shared_map, with_cloud
 from gpusimbench.evaluator.results.details import SunkCubes
@@ -121,8 +123,20 @@ def evaluate(
         notes=(*notes, *comparison.notes),
         price_list=price_list(results),
         unmet=protocol.whole,
+        probed=_probed(distinct),
         shorter={scene: time for scene, time in times.items() if time != sample_time},
     )
+
+
+def _probed(runs: Sequence[Run]) -> tuple[Probed, ...]:
+    """What results depend on, of configurations of which some run was treated; states are read again."""
+    treated = {_configuration(run) for run in runs if run.configuration.initial or run.configuration.intervention}
+    return probed([Recording(run.path) for run in runs if _configuration(run) in treated])
+
+
+def _configuration(run: Run) -> tuple[str, ...]:
+    c = run.configuration
+    return c.simulator, c.scene, c.determinism
 
 
 def _maps(found: Sequence[_Found], target: Reference | None) -> dict[str, Map]:

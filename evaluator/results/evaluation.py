@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from gpusimbench.evaluator.check.protocol import Unmet
+from gpusimbench.evaluator.probe.questions import Probed
 from gpusimbench.evaluator.results.accumulation import Accumulation
 from gpusimbench.evaluator.results.determinism_cost import Family
 from gpusimbench.evaluator.results.ranking import Comparison
@@ -35,6 +36,7 @@ class Evaluation:
     notes        about the set as a whole
     shorter      by scene, the time at which positions are compared instead of `sample_time` [s]: no recording of the
                  scene is as long
+    probed       what results depend on, of configurations of which runs were treated as gsb-probe does
     """
 
     sample_time: float
@@ -50,6 +52,7 @@ class Evaluation:
     price_list: tuple[Family, ...] = ()
     unmet: Unmet = Unmet()
     shorter: Mapping[str, float] = field(default_factory=dict)
+    probed: tuple[Probed, ...] = ()
 
     def sampled_at(self, scene: str) -> float:
         """Simulated time at which positions of a scene are compared [s]."""

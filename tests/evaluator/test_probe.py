@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 from collections.abc import Callable
 from pathlib import Path
@@ -16,9 +17,17 @@ from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.probe.arms import arms_of
 from gpusimbench.evaluator.probe.pairs import Pairs, held
 from gpusimbench.evaluator.probe.plan import Arm, Plan
-from gpusimbench.evaluator.probe.questions import QUESTIONS, Answer, Finding, answers
-from gpusimbench.evaluator.probe.sections import evidence, verdict_of
+from gpusimbench.evaluator.probe.questions import QUESTIONS, Answer, Finding, answers, verdict_of
 from gpusimbench.evaluator.read.recording import Recording
+from gpusimbench.evaluator.render.document import Section
+from gpusimbench.evaluator.render.terminal import print_document
+from gpusimbench.evaluator.report.brief import brief
+from gpusimbench.evaluator.report.document import report
+from gpusimbench.evaluator.report.json import to_json
+from gpusimbench.evaluator.report.sections.probed import depends, evidence
+from gpusimbench.evaluator.report.source import Source
+from gpusimbench.evaluator.results.evaluate import evaluate_files
+from gpusimbench.evaluator.results.evaluation import Evaluation
 from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.location import place
 from gpusimbench.schemas.provenance import PROVENANCE
@@ -356,3 +365,64 @@ def test_gates(tmp_path: Path, gsb_probe: Command) -> None:
     _write(few, ARMS[9], _moved(1, 5, 12))
     assert gsb_probe(few, "--gate").returncode == 5
     assert gsb_probe(few).returncode == 0
+
+
+def test_numbers_that_differ_are_named(tmp_path: Path) -> None:
+    """Say for which numbers of environments anything differs, and which could not be compared."""
+    recordings = [_write(tmp_path, arm) for arm in (ARMS[1], ARMS[1], ARMS[2])]
+    recordings.append(_write(tmp_path, ARMS[3], _moved(1, 7, 4)))
+    recordings.append(_write(tmp_path, ARMS[4], status="INVALID", reason="buffer overflow", cause="ENGINE"))
+    (arms,) = arms_of(recordings)
+    found = {finding.key: finding for finding in answers(arms)}["number"]
+    assert found.answer is Answer.NO
+    assert found.detail == "differs for 2 environments; not with 8: invalid: buffer overflow"
+    assert found.detail in evidence(found)
+
+
+SHIPPED = sorted((Path(__file__).resolve().parents[2] / "recordings" / "probe").glob("*run-to-run*.mcap"))
+
+
+@pytest.fixture(scope="module")
+def evaluated() -> Evaluation:
+    """What gsb-eval makes of two probes on a GPU."""
+    return evaluate_files([place(str(path)) for path in SHIPPED])
+
+
+def test_probes_on_a_gpu(evaluated: Evaluation) -> None:
+    """Two engines repeat themselves and depend on the number of environments; hashes answer where no states are."""
+    found = {one.arms.key.simulator: {f.key: f for f in one.findings} for one in evaluated.probed}
+    assert set(found) == {"mjx", "newton"}
+    for answered in found.values():
+        assert {key for key, f in answered.items() if f.answer is Answer.NO} - {"set"} == {"number"}
+        fresh = answered["fresh"].found
+        assert fresh is not None
+        assert (fresh.level, fresh.steps, fresh.curve) == (Level.BIT_IDENTICAL, 200, ())
+        number = answered["number"].found
+        assert number is not None and number.first is not None and number.first_step is not None
+        assert number.first_step < number.first.step == 150
+        assert "ULP at step 150, the first recorded state" in evidence(answered["number"])
+    assert found["mjx"]["number"].detail == "differs for 1, 2, 64 environments"
+    assert found["newton"]["number"].detail == "differs for 1, 2 environments"
+
+
+def test_what_results_depend_on_is_reported(evaluated: Evaluation) -> None:
+    """Answer on the first screen, in a section, in the terminal, as JSON; list no run that only a probe needs."""
+    made = report(Source(evaluated, published=False, command=""))
+    (matrix,) = (table for table in made.tables() if table.key == "simulators")
+    titles = [column.title for column in matrix.columns]
+    for row in matrix.rows:
+        assert row.cells[titles.index("same at any N")].text == "no"
+        assert row.cells[titles.index("same in any slot")].text == "yes"
+    assert any(isinstance(block, Section) and block.title == "What results depend on" for block in made.blocks)
+    stream = io.StringIO()
+    print_document(brief(evaluated), stream)
+    shown = stream.getvalue()
+    assert "newton 1.8.0, determinism run-to-run, solver=xpbd on NVIDIA H200" in shown
+    assert "intervention=" not in shown
+    assert "of runs that only gsb-probe needs: --all" in shown
+    assert [probe["simulator"] for probe in to_json(evaluated)["probes"]] == ["mjx", "newton"]
+
+
+def test_a_simulator_that_was_not_probed() -> None:
+    """Leave a question open, and one that was not asked, apart from an answer."""
+    assert depends([], "number").text == "not asked"

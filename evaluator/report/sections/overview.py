@@ -12,6 +12,7 @@ from gpusimbench.evaluator.render.document import (
     Beside,
     Block,
     Cell,
+    Column,
     Facts,
     Figure,
     Item,
@@ -25,13 +26,19 @@ from gpusimbench.evaluator.render.document import (
 )
 from gpusimbench.evaluator.render.numbers import plural
 from gpusimbench.evaluator.report.leaders import Fastest, Speed, fastest
-from gpusimbench.evaluator.report.sections import scatter
+from gpusimbench.evaluator.report.sections import probed, scatter
 from gpusimbench.evaluator.report.source import Source
 from gpusimbench.evaluator.report.verdicts import QUESTIONS, TO_REFERENCE
 from gpusimbench.evaluator.results.cost_metrics import FPS
 from gpusimbench.evaluator.results.evaluation import Evaluation
 from gpusimbench.evaluator.results.result import GroupResult
 from gpusimbench.evaluator.runs.groups import is_instrument
+
+_DEPENDS = (
+    ("same at any N", "yes: the same initial state has the same bits among more or fewer envs, where probed", "number"),
+    ("same in any slot", "yes: the same initial state has the same bits in another slot, where probed", "slot"),
+)
+"""Title, meaning and question of gsb-probe that the first screen answers, where any run was made for it."""
 
 
 def overview(source: Source) -> tuple[Block, ...]:
@@ -60,18 +67,25 @@ def asked_of(evaluation: Evaluation) -> str:
 
 def _matrix(evaluation: Evaluation) -> Table:
     questions = [*QUESTIONS, *([TO_REFERENCE] if evaluation.reference else [])]
+    asked = [Column(title, meaning) for title, meaning, _ in _DEPENDS] if evaluation.probed else []
     names = dict.fromkeys(r.group.key.simulator for r in evaluation.results)
     rows = [_engine(name, [r for r in evaluation.results if r.group.key.simulator == name]) for name in names]
     rows.sort(key=lambda row: row[1])
     return table(
         "simulators",
         "What each simulator did",
-        ["simulator", *(one.column for one in questions)],
+        ["simulator", *(one.column for one in questions), *asked],
         [
-            Row((head, *(one.answer(results) for one in questions)), {"simulator": name})
+            Row((head, *(one.answer(results) for one in questions), *_depends(name, evaluation)), {"simulator": name})
             for name, _, head, results in rows
         ],
     )
+
+
+def _depends(name: str, evaluation: Evaluation) -> Iterator[Cell]:
+    if evaluation.probed:
+        ours = [one for one in evaluation.probed if one.arms.key.simulator == name]
+        yield from (probed.depends(ours, key) for _, _, key in _DEPENDS)
 
 
 def _engine(name: str, results: list[GroupResult]) -> tuple[str, bool, Cell, list[GroupResult]]:

@@ -1,20 +1,47 @@
-"""What gsb-probe says: how many answers are as hoped for, and a line a question."""
+"""What results depend on, as gsb-probe asks: how many answers are as hoped for, and a line a question."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
 from gpusimbench.evaluator.metrics.levels import MAX_ULP, TOLERANCE_M, Level
-from gpusimbench.evaluator.probe.arms import Arms
+from gpusimbench.evaluator.probe.arms import Arms, name_of
 from gpusimbench.evaluator.probe.pairs import Found
-from gpusimbench.evaluator.probe.questions import Answer, Finding
-from gpusimbench.evaluator.render.document import Block, Cell, Document, Item, Items, Section, Tone, key_of, table
+from gpusimbench.evaluator.probe.questions import Answer, Finding, Probed, verdict_of
+from gpusimbench.evaluator.render.document import Block, Cell, Document, Item, Items, Section, Text, Tone, key_of, table
+from gpusimbench.evaluator.render.numbers import plural
+from gpusimbench.evaluator.report.source import Source
 
 _TONES = {Answer.YES: Tone.GOOD, Answer.NO: Tone.BAD, Answer.OPEN: Tone.WARNING, Answer.NOT_ASKED: Tone.QUIET}
 _UNITS = {"m": (("m", 1.0), ("cm", 1e-2), ("mm", 1e-3), ("um", 1e-6), ("nm", 1e-9)),
           "rad": (("rad", 1.0), ("mrad", 1e-3), ("urad", 1e-6), ("nrad", 1e-9))}  # fmt: skip
 
-Probed = tuple[Arms, Sequence[Finding]]
+
+_METHOD = (
+    "Short runs that differ in one thing alone are compared bit by bit. Open: runs of the same configuration differ, "
+    "too, so that nothing can be said of the cause. The last question is no defect where its answer is no."
+)
+
+
+def section(source: Source) -> Section | None:
+    """None where no run was treated as gsb-probe does."""
+    asked = source.evaluation.probed
+    if not asked:
+        return None
+    parts = [_section(number, *one, every=False, several=True) for number, one in enumerate(asked)]
+    said = plural(len(asked), "configuration")
+    return Section("probed", "What results depend on", (Text(_METHOD), *parts), f"{said} probed", folded=True)
+
+
+def depends(asked: Sequence[Probed], key: str) -> Cell:
+    """The answers to one question of several configurations of a simulator, as one cell: "no" where any is."""
+    found = [(one, finding) for one in asked for finding in one.findings if finding.key == key]
+    for answer in (Answer.NO, Answer.YES, Answer.OPEN):
+        if those := [(one, finding) for one, finding in found if finding.answer is answer]:
+            levels = dict.fromkeys(one.arms.key.determinism for one, _ in those)
+            notes = [f"at {', '.join(levels)}", *(finding.detail for _, finding in those if finding.detail)]
+            return Cell(answer.value, notes=tuple(notes[:2]), tone=_TONES[answer])
+    return Cell("not asked", tone=Tone.QUIET)
 
 
 def probe_document(probed: Sequence[Probed], *, every: bool = False) -> Document:
@@ -22,26 +49,6 @@ def probe_document(probed: Sequence[Probed], *, every: bool = False) -> Document
     several = len(probed) > 1
     found = [_section(number, arms, findings, every, several) for number, (arms, findings) in enumerate(probed)]
     return Document("", tuple(found))
-
-
-def name_of(arms: Arms) -> str:
-    """Simulator, version, level, device."""
-    key = arms.key
-    level = "" if key.determinism == "default" else f", determinism {key.determinism}"
-    options = "" if key.options == "{}" else f", {key.options}"
-    return f"{key.simulator} {key.version}{level}{options} on {key.device}, {key.scene}"
-
-
-def verdict_of(findings: Sequence[Finding]) -> str:
-    """One sentence: how many answers are yes, and which are no."""
-    asked = [one for one in findings if one.answer is not Answer.NOT_ASKED]
-    yes = [one for one in asked if one.answer is Answer.YES]
-    said = f"{len(yes)} of {len(asked)} answers are yes" if asked else "nothing was asked"
-    parts = [said]
-    for answer in (Answer.NO, Answer.OPEN):
-        if titles := [one.title for one in findings if one.answer is answer]:
-            parts.append(f"{answer.value}: {', '.join(titles)}")
-    return "; ".join(parts)
 
 
 def _section(number: int, arms: Arms, findings: Sequence[Finding], every: bool, several: bool) -> Section:
@@ -68,8 +75,7 @@ def evidence(finding: Finding) -> str:
     """What the answer stands on, in a few words."""
     if finding.found is None:
         return finding.why
-    said = _found(finding.found)
-    return f"{said}; {finding.why}" if finding.why else said
+    return "; ".join(filter(None, (_found(finding.found), finding.detail, finding.why)))
 
 
 def _found(found: Found) -> str:
@@ -80,7 +86,9 @@ def _found(found: Found) -> str:
     if found.first is not None:
         first = found.first
         where = f"env {first.env_a}, {first.item} {first.field.partition('/')[2]} {first.component}"
-        parts.append(f"first by {first.ulp:,} ULP ({where})")
+        ulp = f"{first.ulp:,} ULP"
+        late = f"{ulp} at step {first.step}, the first recorded state"
+        parts.append(f"first by {ulp} ({where})" if first.step == found.first_step else f"{late} ({where})")
         if found.max_distance:
             parts.append(f"{_amount(found.max_distance, found.unit)} apart at step {found.at_step}")
         if found.level is not Level.DIFFERENT:
