@@ -151,9 +151,7 @@ def _envs(arms: Arms) -> Asked | Missing:
         return Missing("needs two environments")
     run = arms.plain[0]
     found = held(Pairs(run, run, tuple((0, env) for env in range(1, arms.n_env))))
-    return (
-        found if isinstance(found, Missing) else Asked(found, f"environment 0 and the {arms.n_env - 1} others of a run")
-    )
+    return _told(found, f"environment 0 and the {arms.n_env - 1} others of a run")
 
 
 def _numbers(arms: Arms) -> Asked | Missing:
