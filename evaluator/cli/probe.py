@@ -19,6 +19,7 @@ from gpusimbench.schemas.text import line, show
 if TYPE_CHECKING:
     from gpusimbench.evaluator.probe.plan import Arm, Plan
     from gpusimbench.evaluator.read.recording import Recording
+    from gpusimbench.evaluator.results.determinism_cost import Family
     from gpusimbench.schemas.configuration import RunConfiguration
     from gpusimbench.schemas.location import Place
 
@@ -101,19 +102,21 @@ def run(arguments: argparse.Namespace, command: str) -> int:
     from gpusimbench.evaluator.probe.json import dump_probe
     from gpusimbench.evaluator.probe.questions import QUESTIONS, Answer, probed
     from gpusimbench.evaluator.render.terminal import print_document
+    from gpusimbench.evaluator.report.evidence_json import family_record
     from gpusimbench.evaluator.report.sections.probed import probe_document
 
     _check(arguments)
     problems: list[str] = []
     files = _recorded(arguments, problems) if arguments.sim else _given(arguments)
-    asked = probed(_verified(files))
+    recordings = _verified(files)
+    asked, prices = probed(recordings), _prices(recordings)
     findings = [finding for one in asked for finding in one.findings]
     if all(finding.answer is Answer.NOT_ASKED for finding in findings):
         raise NothingComparable("; ".join(problems) or "these recordings are no arms of a probe: nothing can be asked")
     if arguments.json:
-        write_json(arguments.json, dump_probe(asked))
+        write_json(arguments.json, dump_probe(asked, [family_record(family) for family in prices]))
     if arguments.json != "-":
-        print_document(probe_document(asked, every=arguments.all), sys.stdout)
+        print_document(probe_document(asked, prices, every=arguments.all), sys.stdout)
     if problems:
         return int(ExitCode.FAILURE)
     gated = {question.key for question in QUESTIONS if question.gate} if arguments.gate else set()
@@ -153,11 +156,20 @@ def _verified(files: list[Place]) -> list[Recording]:
     return found
 
 
+def _prices(recordings: list[Recording]) -> tuple[Family, ...]:
+    """What levels of determinism cost, of those that were clocked alone."""
+    from gpusimbench.evaluator.results.determinism_cost import price_list
+    from gpusimbench.evaluator.results.evaluate import evaluate_files
+
+    clocked = [r.path for r in recordings if r.configuration.phases == ("timed",)]
+    return price_list(evaluate_files(clocked).results) if clocked else ()
+
+
 def _recorded(arguments: argparse.Namespace, problems: list[str]) -> list[Place]:
     """The recordings of all plans, those that were missing made; `problems` gets what could not be recorded."""
     from gpusimbench.evaluator.render.numbers import plural
 
-    files: list[Place] = []
+    plans: dict[tuple[str, str, tuple[str, ...]], list[Plan]] = {}
     for plan in _plans(arguments):
         out = arguments.out
         refused = _record(plan, plan.missing(_configurations(out, plan)), out, problems)
@@ -166,29 +178,49 @@ def _recorded(arguments: argparse.Namespace, problems: list[str]) -> list[Place]
         for why in dict.fromkeys(refused.values()):  # an ability that is missing is an answer
             count = sum(reason == why for reason in refused.values())
             show(line(f"gsb-probe: {plural(count, 'arm')} not recorded: {why}"), error=True)
-        files += [recording.path for recording in _there(out, plan)]
-    return files
+        plans.setdefault((plan.simulator, plan.scene, plan.options), []).append(plan)
+    for levels in plans.values():
+        _clock(levels, arguments.out, problems)
+    return [r.path for levels in plans.values() for plan in levels for r in _there(arguments.out, plan)]
+
+
+def _clock(levels: list[Plan], out: Path, problems: list[str]) -> None:
+    """Make the runs that tell what each level of determinism costs; none where there is one level alone."""
+    from gpusimbench.evaluator.probe.plan import PRICED, arm_of, interleaved
+
+    if len(levels) < 2:
+        return
+    there = {plan: sum(arm_of(c) == plan.priced for c in _configurations(out, plan)) for plan in levels}
+    order = list(interleaved(levels))
+    left = [plan for at, plan in enumerate(order) if order[:at].count(plan) >= there[plan]]
+    for plan in each(left, f"clocking {levels[0].simulator}, {PRICED} runs a level"):
+        _make(plan, plan.priced, out, problems)
 
 
 def _record(plan: Plan, left: list[Arm], out: Path, problems: list[str], what: str = "") -> dict[Arm, str]:
     """Make the runs of these arms; returns those that the simulator refuses, with its reason."""
-    from gpusimbench.evaluator.compute.recorder import record
-
     found: dict[Arm, str] = {}
     title = " ".join(filter(None, (f"recording {plan.simulator}, {plan.determinism}", what)))
     for arm in each(left, title, [plan.n_env + arm.n_env for arm in left]):
         if arm in found:
             continue
-        made, refused = record(plan.arguments(arm, str(out)), lambda text: None)
-        for one in made:
-            if one.path is None or one.status == "stopped":
-                problems.append(f"{plan.command(arm, str(out))}: {one.status}: {one.reason}")
-                complain("gsb-probe", problems[-1])
-        if refused and not arm.intervention and not arm.initial:
-            raise UsageError(refused)
-        if refused:
+        if refused := _make(plan, arm, out, problems):
             found[arm] = refused
     return found
+
+
+def _make(plan: Plan, arm: Arm, out: Path, problems: list[str]) -> str:
+    """Make the run of an arm; returns why the simulator refuses what is done to it."""
+    from gpusimbench.evaluator.compute.recorder import record
+
+    made, refused = record(plan.arguments(arm, str(out)), lambda text: None)
+    for one in made:
+        if one.path is None or one.status == "stopped":
+            problems.append(f"{plan.command(arm, str(out))}: {one.status}: {one.reason}")
+            complain("gsb-probe", problems[-1])
+    if refused and not arm.intervention and not arm.initial:
+        raise UsageError(refused)
+    return refused
 
 
 def differing(recordings: list[Recording]) -> list[Arm]:

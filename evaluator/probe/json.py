@@ -11,9 +11,10 @@ from gpusimbench.evaluator.probe.questions import Finding, Probed, verdict_of
 SCHEMA_VERSION = 1
 
 
-def dump_probe(probed: Sequence[Probed]) -> str:
-    """The document that ``gsb-probe --json`` writes."""
-    return dump({"schema_version": SCHEMA_VERSION, "probes": [probe_record(one) for one in probed]})
+def dump_probe(probed: Sequence[Probed], prices: Sequence[dict[str, Any]]) -> str:
+    """The document that ``gsb-probe --json`` writes; `prices` are records of what levels of determinism cost."""
+    probes = [probe_record(one) for one in probed]
+    return dump({"schema_version": SCHEMA_VERSION, "probes": probes, "prices": prices})
 
 
 def probe_record(probed: Probed) -> dict[str, Any]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shlex
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 from gpusimbench.schemas.configuration import RunConfiguration
@@ -21,13 +21,15 @@ MANY = 8
 class Arm:
     """One run: how it is treated.
 
-    timed  whether it has a timed phase beside the capture, so that both can be compared
+    timed     whether it has a timed phase: beside the capture, so that both can be compared, or alone, for a price
+    captured  whether states are captured
     """
 
     n_env: int
     initial: str = ""
     intervention: str = ""
     timed: bool = False
+    captured: bool = True
 
     @property
     def words(self) -> str:
@@ -35,9 +37,19 @@ class Arm:
         return ", ".join(filter(None, (f"{self.n_env} envs", self.initial, self.intervention)))
 
 
+PRICED = 4
+"""Runs of each level that are clocked for its price."""
+
+
+def interleaved(plans: Sequence[Plan]) -> Iterator[Plan]:
+    """The levels of a simulator in the order in which they are clocked: A B B A A B B A, so that drift cancels out."""
+    for round_ in range(PRICED):
+        yield from plans if round_ % 2 == 0 else reversed(plans)
+
+
 def arm_of(c: RunConfiguration) -> Arm:
     """How a run was treated."""
-    return Arm(c.n_env, c.initial, c.intervention, "timed" in c.phases)
+    return Arm(c.n_env, c.initial, c.intervention, "timed" in c.phases, "capture" in c.phases)
 
 
 @dataclass(frozen=True)
@@ -79,6 +91,11 @@ class Plan:
             yield Arm(self.n_env, str(varied), str(intervention))
         yield from (usual, plain)
 
+    @property
+    def priced(self) -> Arm:
+        """The run that is clocked at each level, with as many environments as there are in any arm."""
+        return Arm(max(self.n_env, *self.numbers), timed=True, captured=False)
+
     def missing(self, recorded: Iterable[RunConfiguration], again: Iterable[Arm] = ()) -> list[Arm]:
         """Arms that are not among the runs of a folder that have ended.
 
@@ -100,7 +117,7 @@ class Plan:
             self.simulator, self.scene, self.determinism, self.seed, self.steps, self._stride(c.n_env),
             sorted(self.options),
         )  # fmt: skip
-        return found == asked and arm_of(c) in set(self.arms())
+        return found == asked and arm_of(c) in {*self.arms(), self.priced}
 
     def _stride(self, n_env: int) -> int:
         return self.steps if n_env > MANY * self.n_env else self.stride
@@ -115,8 +132,12 @@ class Plan:
         given += ["--intervene", arm.intervention] if arm.intervention else []
         # the timed phase passes the step at which the capture ends, so that both have a hash of it
         first = self.steps // 2
-        timed = ["--warmup", str(first), "--timed-steps", str(self.steps - first)]
-        given += timed if arm.timed else ["--phases", "capture"]
+        if not arm.captured:
+            given += ["--phases", "timed", "--warmup", str(first), "--timed-steps", str(self.steps)]
+        elif arm.timed:
+            given += ["--warmup", str(first), "--timed-steps", str(self.steps - first)]
+        else:
+            given += ["--phases", "capture"]
         return [*given, "--no-view", "--compression", "zstd", "--out", out]
 
     def command(self, arm: Arm, out: str) -> str:

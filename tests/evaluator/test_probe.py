@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import io
 import json
+from collections import Counter
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +18,7 @@ from gpusimbench.evaluator.metrics.levels import Level
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.probe.arms import arms_of
 from gpusimbench.evaluator.probe.pairs import Pairs, held
-from gpusimbench.evaluator.probe.plan import Arm, Plan
+from gpusimbench.evaluator.probe.plan import Arm, Plan, arm_of, interleaved
 from gpusimbench.evaluator.probe.questions import QUESTIONS, Answer, Finding, answers, verdict_of
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.render.document import Section
@@ -426,3 +428,39 @@ def test_what_results_depend_on_is_reported(evaluated: Evaluation) -> None:
 def test_a_simulator_that_was_not_probed() -> None:
     """Leave a question open, and one that was not asked, apart from an answer."""
     assert depends([], "number").text == "not asked"
+
+
+def test_levels_are_clocked_in_turn() -> None:
+    """Clock every level equally often, forth and back, among as many environments as any arm has."""
+    plans = [replace(PLAN, determinism=level) for level in ("default", "strict", "stricter")]
+    order = [plan.determinism for plan in interleaved(plans)]
+    assert order[:6] == ["default", "strict", "stricter", "stricter", "strict", "default"]
+    assert Counter(order) == dict.fromkeys(("default", "strict", "stricter"), 4)
+    arguments = PLAN.arguments(PLAN.priced, "out")
+    assert arguments[arguments.index("--n-env") + 1] == "8"
+    assert arguments[arguments.index("--phases") + 1] == "timed"
+    clocked = RunConfiguration("synthetic", "inclined-collision", 8, 0.01, PLAN.steps, phases=("timed",))
+    assert PLAN.has(clocked)
+    assert arm_of(clocked) == PLAN.priced
+    assert len(PLAN.missing([clocked])) == len(ARMS)
+
+
+def test_what_a_level_costs(tmp_path: Path, gsb_probe: Command) -> None:
+    """Print the throughput of a level relative to the default's with its interval, below its answers."""
+    for level, seconds in (("default", 1.0), ("strict", 2.0)):
+        for arm in (ARMS[0], ARMS[12]):
+            _write(tmp_path, arm, determinism=level)
+        for run in range(4):
+            write_recording(
+                tmp_path, None, n_env=8, steps=PLAN.steps, dt=0.01, elapsed_s=seconds + run / 100, determinism=level,
+                switches={"sorted": level == "strict"},
+            )  # fmt: skip
+    done = gsb_probe(tmp_path, "--json", tmp_path / "answers.json")
+    assert done.returncode == 0, done.stderr
+    said = " ".join(done.stdout.split())
+    assert "Throughput with 8 environments, relative to the default level: 0.50" in said
+    assert said.count("Throughput with") == 1
+    ((family,), probes) = (json.loads((tmp_path / "answers.json").read_text())[key] for key in ("prices", "probes"))
+    (price,) = family["levels"]
+    assert price["throughput_of_default"]["ratio"] == pytest.approx(0.5, rel=0.01)
+    assert len(probes) == 2

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
 
 from gpusimbench.evaluator.metrics.levels import MAX_ULP, TOLERANCE_M, Level
@@ -10,7 +11,9 @@ from gpusimbench.evaluator.probe.pairs import Found
 from gpusimbench.evaluator.probe.questions import Answer, Finding, Probed, verdict_of
 from gpusimbench.evaluator.render.document import Block, Cell, Document, Item, Items, Section, Text, Tone, key_of, table
 from gpusimbench.evaluator.render.numbers import plural
+from gpusimbench.evaluator.report.sections.determinism_cost import ratio
 from gpusimbench.evaluator.report.source import Source
+from gpusimbench.evaluator.results.determinism_cost import Family
 
 _TONES = {Answer.YES: Tone.GOOD, Answer.NO: Tone.BAD, Answer.OPEN: Tone.WARNING, Answer.NOT_ASKED: Tone.QUIET}
 _UNITS = {"m": (("m", 1.0), ("cm", 1e-2), ("mm", 1e-3), ("um", 1e-6), ("nm", 1e-9)),
@@ -28,7 +31,7 @@ def section(source: Source) -> Section | None:
     asked = source.evaluation.probed
     if not asked:
         return None
-    parts = [_section(number, *one, every=False, several=True) for number, one in enumerate(asked)]
+    parts = [_section(number, *one, price="", every=False, several=True) for number, one in enumerate(asked)]
     said = plural(len(asked), "configuration")
     return Section("probed", "What results depend on", (Text(_METHOD), *parts), f"{said} probed", folded=True)
 
@@ -44,16 +47,35 @@ def depends(asked: Sequence[Probed], key: str) -> Cell:
     return Cell("not asked", tone=Tone.QUIET)
 
 
-def probe_document(probed: Sequence[Probed], *, every: bool = False) -> Document:
-    """A section for each simulator and level; with `every`, also what was held against what, and by which files."""
+def probe_document(probed: Sequence[Probed], prices: Sequence[Family], *, every: bool = False) -> Document:
+    """A section for each simulator and level, with what the level costs.
+
+    every  also what was held against what, and by which files
+    """
     several = len(probed) > 1
-    found = [_section(number, arms, findings, every, several) for number, (arms, findings) in enumerate(probed)]
+    found = [
+        _section(number, arms, findings, _price(arms, prices), every, several)
+        for number, (arms, findings) in enumerate(probed)
+    ]
     return Document("", tuple(found))
 
 
-def _section(number: int, arms: Arms, findings: Sequence[Finding], every: bool, several: bool) -> Section:
+def _price(arms: Arms, prices: Sequence[Family]) -> str:
+    """What the level costs, in a sentence; empty where it was not clocked, or is the default."""
+    for price in (price for family in prices for price in family.prices):
+        own, key = price.result.group.recordings[0].configuration, arms.key
+        same = (own.simulator, own.scene, own.options) == (key.simulator, key.scene, json.loads(key.options))
+        if same and price.level == key.determinism and price.result.group.key.device == key.device:
+            said = price.speed.why_not or ratio(price.speed)
+            return f"Throughput with {own.n_env:,} environments, relative to the default level: {said}."
+    return ""
+
+
+def _section(number: int, arms: Arms, findings: Sequence[Finding], price: str, every: bool, several: bool) -> Section:
     rows = [_row(finding) for finding in findings]
     blocks: list[Block] = [table(f"probe-{number}", "", ("question", "answer", "evidence"), rows)]
+    if price:
+        blocks.append(Text(price))
     if every:
         blocks.append(Items(tuple(_compared(finding) for finding in findings if finding.found is not None)))
     title = name_of(arms)
