@@ -53,7 +53,7 @@ class BodyFrame(MujocoC):
     """Gives angular velocities as MuJoCo holds them: in the body's frame."""
 
     def state(self):
-        return self.raw(super().state(), np.asarray(self._qvel))
+        return self.raw(super().state(), self._worlds.read("qvel"))
 
     def states(self, n_step):
         rows = []
@@ -375,17 +375,17 @@ class ResetKeepsSpeeds(MujocoC):
     """Lets bodies fly on after a reset."""
 
     def reset(self, envs=None):
-        speeds = np.array(self._qvel)
+        speeds = self._worlds.read("qvel").copy()
         super().reset(envs)
-        self._qvel[:] = speeds
+        self._worlds.write("qvel", speeds)
 
 
 class ResetKeepsTheWarmStart(MujocoC):
     """Writes the first positions and velocities, and calls that a reset."""
 
     def reset(self, envs=None):
-        rows = slice(None) if envs is None else envs
-        self._qpos[rows], self._qvel[rows] = self._compiled.qpos0, self._compiled.qvel0
+        self._worlds.write("qpos", self._compiled.qpos0, envs)
+        self._worlds.write("qvel", self._compiled.qvel0, envs)
 
 
 class ResetsAll(MujocoC):
@@ -400,7 +400,7 @@ class SetsPosesOnly(MujocoC):
 
     def set_state(self, states, envs=None):
         super().set_state(states, envs)
-        self._qvel[slice(None) if envs is None else envs] = self._compiled.qvel0
+        self._worlds.write("qvel", self._compiled.qvel0, envs)
 
 
 class LosesItsStart(MujocoC):
@@ -414,8 +414,8 @@ class SetsNothingElse(MujocoC):
     """Keeps the warm start where it is given another state."""
 
     def set_state(self, states, envs=None):
-        rows = slice(None) if envs is None else envs
-        self._qpos[rows], self._qvel[rows] = self._compiled.joined(states)
+        for name, values in zip(("qpos", "qvel"), self._compiled.joined(states), strict=True):
+            self._worlds.write(name, values, envs)
 
 
 class ClaimsTooMuch(Spoiled):

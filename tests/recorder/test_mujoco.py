@@ -12,6 +12,8 @@ import pytest
 
 from gpusimbench.recorder.scenes.base import IDENTITY
 from gpusimbench.recorder.scenes.registry import make_scene
+from gpusimbench.recorder.simulators.mujoco import model as model_module
+from gpusimbench.recorder.simulators.mujoco import worlds
 from gpusimbench.schemas.errors import UsageError
 from tests.recorder import engines
 from tests.recorder.engines import field
@@ -30,6 +32,51 @@ def test_equals_a_plain_loop() -> None:
     cubes = field(description, simulator.state(), "cubes/position")
     expected = data.qpos.reshape(-1, 7)[1:, :3]  # the ball comes first
     assert all(cubes[env].tobytes() == np.ascontiguousarray(expected).tobytes() for env in range(2))
+
+
+@pytest.mark.parametrize("scene", ["inclined-collision", "free-fall", "franka"])
+def test_steps_without_the_batch_have_the_same_bits(scene: str) -> None:
+    """Give the states, counts and hashes of the batch by mj_step of each environment, also after a restart."""
+    found, steppings = [], []
+    for stepping, threads in (("batch", 2), ("mj_step", 1), ("mj_step", 2)):
+        simulator, description = build(make_scene(scene), n_env=5, stepping=stepping, threads=threads)
+        actions = make_scene(scene).actions
+        simulator.prepare(None if actions is None else actions.draw(7, n_env=5, first_step=0, n_step=140))
+        captured = simulator.states(100)  # past the impact
+        evidence = simulator.evidence()
+        assert evidence is not None
+        simulator.step(20)
+        simulator.reset(np.array([1, 4]))
+        simulator.step(20)
+        arrays = (*captured, *evidence.counts.values(), *simulator.state())
+        found.append([array.tobytes() for array in arrays])
+        steppings.append(description.options.get("stepping", "batch"))
+    assert found[1] == found[0]
+    assert found[2] == found[0]
+    assert steppings == ["batch", "mj_step", "mj_step"]
+
+
+def test_releases_without_a_batch(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Step by mj_step where MuJoCo has no batch, say so, and refuse a batch that is asked for."""
+    monkeypatch.setattr(worlds, "find_spec", lambda name: None)
+    _, description = build(make_scene("free-fall"))
+    assert description.options["stepping"] == "mj_step"
+    assert description.timing_covers.startswith("mj_step of each environment")
+    with pytest.raises(UsageError, match="has no mujoco.batch; use stepping=mj_step"):
+        build(make_scene("free-fall"), stepping="batch")
+
+
+def test_releases_that_reset_bad_states(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Leave out the flag that older releases do not know, say so, and report the resets."""
+    monkeypatch.chdir(tmp_path)  # MuJoCo writes its log to the working folder
+    monkeypatch.setattr(model_module, "KNOWS_AUTORESET", False)
+    scene = make_scene("free-fall")
+    fast = replace(scene.bodies[1], linear_velocity=(1e12, 0.0, 0.0), orientation=IDENTITY)
+    simulator, description = build(replace(scene, bodies=(scene.bodies[0], fast)), stepping="mj_step")
+    assert description.switches == {"precision": "float64", "autoreset": "enable"}
+    assert b"autoreset" not in description.attachments["scene.xml"][1]
+    simulator.step(2)
+    assert "mjWARN_BADQ" in simulator.gates()[0]
 
 
 @pytest.mark.parametrize("threads", ["1", "3"])
@@ -80,7 +127,7 @@ def test_options_are_those_in_force() -> None:
         *(("solref", v) for v in ("", "1", "nan 1", "inf 1", "0.02 -1", "0 1", "0.02 1 2", "-5 3")),
         *(("solimp", v) for v in ("", "0.9 0.95", "0 0.9 0.001 0.5 2", "0.9 1 0.001 0.5 2", "0.9 0.95 -1 0.5 2",
                                   "0.9 0.95 0.001 nan 2", "0.9 0.95 0.001 0.5 0.5")),
-        ("impratio", "0"), ("condim", "2"), ("threads", "-1"),
+        ("impratio", "0"), ("condim", "2"), ("threads", "-1"), ("stepping", "rollout"),
     ],
 )  # fmt: skip
 def test_values_that_mujoco_would_replace(name: str, value: str) -> None:

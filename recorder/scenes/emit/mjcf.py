@@ -110,6 +110,7 @@ def emit_mjcf(
     option: Mapping[str, str],
     geom: Mapping[str, str],
     numerics: Mapping[str, str] | None = None,
+    autoreset: bool = True,
 ) -> str:
     """MJCF of one environment; bodies, joints and geoms carry the scene's names.
 
@@ -117,13 +118,15 @@ def emit_mjcf(
     option     further attributes of <option>, such as integrator and cone
     geom       defaults of <geom>, such as solref and condim
     numerics   custom numbers by name, which some engines read
+    autoreset  whether the engine knows this flag, by which it is told not to reset states that went bad
     """
     root = ET.Element("mujoco", {"model": scene.name})
     ET.SubElement(root, "compiler", {"angle": "radian", "autolimits": "true"})
     settings = {"timestep": _number(dt), "gravity": _numbers(scene.gravity), **option}
     element = ET.SubElement(root, "option", settings)
-    # MuJoCo would restart a simulation that went bad, which would look like good data
-    ET.SubElement(element, "flag", {"autoreset": "disable"})
+    if autoreset:
+        # MuJoCo would restart a simulation that went bad, which would look like good data
+        ET.SubElement(element, "flag", {"autoreset": "disable"})
     ET.SubElement(ET.SubElement(root, "default"), "geom", dict(geom))
     world = ET.SubElement(root, "worldbody")
     for body in scene.bodies:

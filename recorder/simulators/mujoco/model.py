@@ -17,6 +17,9 @@ from gpusimbench.recorder.simulators.mujoco.options import GEOM_ATTRIBUTES, OPTI
 from gpusimbench.schemas.errors import UsageError
 from gpusimbench.schemas.fields import StateField, body_fields, joint_field
 
+KNOWS_AUTORESET = hasattr(mujoco.mjtDisableBit, "mjDSBL_AUTORESET")
+"""Whether this release can be told not to reset a state that went bad; older ones always do, with a warning."""
+
 _QPOS = 7  # of a free joint: position 3, orientation wxyz 4
 _QVEL = 6  # of a free joint: linear velocity in the world frame 3, angular velocity in the body's frame 3
 
@@ -159,6 +162,7 @@ def compile_scene(
         option={name: str(getattr(options, name)) for name in OPTION_ATTRIBUTES},
         geom={name: str(getattr(options, name)) for name in GEOM_ATTRIBUTES},
         numerics=numerics,
+        autoreset=KNOWS_AUTORESET,
     )
     model = mujoco.MjModel.from_xml_string(xml)
     qpos0, qvel0 = model.qpos0.copy(), np.zeros(model.nv)

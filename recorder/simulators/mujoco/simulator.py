@@ -1,7 +1,7 @@
 """MuJoCo C on the CPU: the embedded default and the float64 reference.
 
 Environments are the simulations of one ``mujoco.batch.Batch``, stepped on a pool of threads; MuJoCo promises results
-that are bit-identical to a loop over one MjData each, at any number of threads.
+that are bit-identical to a loop over one MjData each, at any number of threads. That loop is there too (worlds.py).
 """
 
 from __future__ import annotations
@@ -18,8 +18,10 @@ from gpusimbench.recorder.scenes.emit.mjcf import deviations
 from gpusimbench.recorder.simulators.base import Description, Simulator, States
 from gpusimbench.recorder.simulators.counters import CONSTRAINT_ROWS, CONTACTS
 from gpusimbench.recorder.simulators.evidence import Evidence
-from gpusimbench.recorder.simulators.mujoco.options import STATE_COMPONENTS, MjcfOptions
+from gpusimbench.recorder.simulators.mujoco.options import MjcfOptions, one_of
 from gpusimbench.recorder.simulators.snapshot import COMPLETE, Envs, Snapshot, StateClaims
+
+STEPPING = ("auto", "batch", "mj_step")
 
 
 @dataclass(frozen=True)
@@ -27,14 +29,18 @@ class MujocoOptions(MjcfOptions):
     """Options of MuJoCo C.
 
     threads    0: as many as the process may use
+    stepping   batch: mujoco.batch.Batch; mj_step: mj_step of each environment, which every release of MuJoCo has; auto:
+               the batch where there is one. Both give the same bits
     """
 
     threads: int = 0
+    stepping: str = "auto"
 
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.threads < 0:
             raise ValueError("threads is 0 (all that the process may use) or a positive number")
+        one_of("stepping", self.stepping, STEPPING)
 
 
 class MujocoC(Simulator):
@@ -46,37 +52,34 @@ class MujocoC(Simulator):
     def build(self) -> Description:
         """See Simulator.build."""
         import mujoco
-        from mujoco.batch import Batch
 
-        from gpusimbench.recorder.simulators.mujoco.model import compile_scene
+        from gpusimbench.recorder.simulators.mujoco.model import KNOWS_AUTORESET, compile_scene
+        from gpusimbench.recorder.simulators.mujoco.worlds import BatchWorlds, make_worlds
 
         options: MujocoOptions = self.options
         compiled = self._compiled = compile_scene(self.scene, dt=self.dt, options=options)
         self._warnings = [mujoco.mjtWarning(kind).name for kind in range(int(mujoco.mjtWarning.mjNWARNING))]
         threads = options.threads or len(os.sched_getaffinity(0))
-        self._batch = Batch(compiled.model, nsim=self.n_env, nthread=threads)
-        self._batch.reset()
-        self._qpos = self._batch.bind("qpos")
-        self._qvel = self._batch.bind("qvel")
-        self._qpos[:], self._qvel[:] = compiled.qpos0, compiled.qvel0
-        self._contacts = self._batch.bind("ncon")
-        self._rows = self._batch.bind("nefc")
+        self._worlds = make_worlds(options.stepping, compiled.model, self.n_env, threads)
+        self._worlds.write("qpos", compiled.qpos0)
+        self._worlds.write("qvel", compiled.qvel0)
         self._counts: NDArray[np.int64] | None = None  # of the last states; None: to be counted when asked
         self._warned = np.zeros((self.n_env, len(self._warnings)), dtype=np.int64)
         self._risen = np.zeros_like(self._warned)  # since gates were asked
         self._actions: NDArray[np.float32] | None = None
         self._next_action = 0
         self._made = 0  # steps since the build
-        if self.scene.actions is not None:
-            self._ctrl = self._batch.bind("ctrl")
+        switches = {"precision": "float64"} | ({} if KNOWS_AUTORESET else {"autoreset": "enable"})
+        # the batch is what recordings have that do not say
+        stepping = {} if isinstance(self._worlds, BatchWorlds) else {"stepping": "mj_step"}
         return Description(
             version=mujoco.__version__,
             device="cpu",
-            options={**compiled.in_force(options, "mujoco"), "threads": threads},
-            switches={"precision": "float64"},
+            options={**compiled.in_force(options, "mujoco"), "threads": threads, **stepping},
+            switches=switches,
             deviations=deviations(self.scene),
             fields=compiled.fields("float64"),
-            timing_covers="Batch.step of all environments on all threads; no state is copied, nothing is drawn",
+            timing_covers=self._worlds.timing_covers,
             attachments=compiled.attachments,
             counters=(CONTACTS, CONSTRAINT_ROWS),
         )
@@ -91,20 +94,22 @@ class MujocoC(Simulator):
         self._counts = None
         self._made += n_step
         if self._actions is None:
-            self._batch.step(nstep=n_step)
+            self._worlds.step(n_step)
             return
         for _ in range(n_step):
-            self._ctrl[:] = self._actions[self._next_action]  # in double precision, which holds every float32
+            self._worlds.write(
+                "ctrl", self._actions[self._next_action]
+            )  # in double precision, which holds every float32
             self._next_action += 1
-            self._batch.step()
+            self._worlds.step(1)
 
     def applied(self) -> NDArray[np.float32] | None:
         """See Simulator.applied."""
-        return None if self.scene.actions is None else np.asarray(self._ctrl).astype(np.float32)
+        return None if self.scene.actions is None else self._worlds.read("ctrl").astype(np.float32)
 
     def state(self) -> States:
         """See Simulator.state."""
-        return self._compiled.split(self._qpos.copy(), self._qvel.copy())
+        return self._compiled.split(self._worlds.read("qpos").copy(), self._worlds.read("qvel").copy())
 
     @classmethod
     def state_claims(cls, options: Any) -> StateClaims:
@@ -113,31 +118,31 @@ class MujocoC(Simulator):
 
     def snapshot(self) -> Snapshot:
         """See Simulator.snapshot."""
-        return Snapshot(self._made, {name: np.array(self._batch.bind(name)) for name in STATE_COMPONENTS})
+        return Snapshot(self._made, {name: self._worlds.read(name).copy() for name in self._worlds.state_names})
 
     def restore(self, snapshot: Snapshot, envs: Envs = None) -> None:
         """See Simulator.restore."""
-        for name in STATE_COMPONENTS:
-            rows = slice(None) if envs is None else envs
-            self._batch.bind(name)[rows] = snapshot.arrays[name][rows]
+        for name in self._worlds.state_names:
+            values = snapshot.arrays[name]
+            self._worlds.write(name, values if envs is None else values[envs], envs)
         if envs is None:
             self._made = snapshot.step
         self._counts = None
 
     def reset(self, envs: Envs = None) -> None:
-        """See Simulator.reset: Batch.reset, then the scene's initial velocities."""
+        """See Simulator.reset: a reset of MuJoCo's, then the scene's initial velocities."""
         self._begin(self._compiled.qpos0, self._compiled.qvel0, envs)
 
     def set_state(self, states: States, envs: Envs = None) -> None:
-        """See Simulator.set_state: Batch.reset, then positions and velocities."""
+        """See Simulator.set_state: a reset of MuJoCo's, then positions and velocities."""
         self._begin(*self._compiled.joined(states), envs)
 
     def _begin(self, qpos: NDArray[np.float64], qvel: NDArray[np.float64], envs: Envs) -> None:
         self._count_warnings()  # a reset clears those of its environments
-        self._batch.reset(ids=envs)
-        self._warned = self._warnings_so_far()
-        rows = slice(None) if envs is None else envs
-        self._qpos[rows], self._qvel[rows] = qpos, qvel
+        self._worlds.reset(envs)
+        self._warned = self._worlds.warnings()
+        self._worlds.write("qpos", qpos, envs)
+        self._worlds.write("qvel", qvel, envs)
         if envs is None:
             self._made = 0
         self._counts = None
@@ -145,20 +150,21 @@ class MujocoC(Simulator):
     def states(self, n_step: int) -> States:
         """See Simulator.states."""
         # Not Batch.rollout: it stops a simulation whose warning counters rise and repeats its last state.
-        qpos = np.empty((n_step, *self._qpos.shape))
-        qvel = np.empty((n_step, *self._qvel.shape))
+        model = self._compiled.model
+        qpos = np.empty((n_step, self.n_env, model.nq))
+        qvel = np.empty((n_step, self.n_env, model.nv))
         counts = []
         for k in range(n_step):
             self.step(1)
-            qpos[k] = self._qpos
-            qvel[k] = self._qvel
+            qpos[k] = self._worlds.read("qpos")
+            qvel[k] = self._worlds.read("qvel")
             counts.append(self._count())
         self._counts = np.concatenate(counts)
         return self._compiled.split(qpos, qvel)
 
     def _count(self) -> NDArray[np.int64]:
         # [row, counter, env]
-        pair = (np.asarray(self._contacts).reshape(-1), np.asarray(self._rows).reshape(-1))
+        pair = (self._worlds.read("ncon").reshape(-1), self._worlds.read("nefc").reshape(-1))
         return np.array(pair, dtype=np.int64)[None]
 
     def evidence(self) -> Evidence:
@@ -178,11 +184,7 @@ class MujocoC(Simulator):
                 fired.append(f"MuJoCo warning {name}: {int(risen[:, kind].sum())} times, first in env {envs[0]}")
         return fired
 
-    def _warnings_so_far(self) -> NDArray[np.int64]:
-        # [env, kind]
-        return np.asarray(self._batch.warning)[:, :, 1].astype(np.int64)
-
     def _count_warnings(self) -> None:
-        counts = self._warnings_so_far()
-        self._risen += counts - self._warned
+        counts = self._worlds.warnings()
+        self._risen += np.maximum(counts - self._warned, 0)  # releases without autoreset="disable" clear counters
         self._warned = counts
