@@ -12,7 +12,7 @@ from gpusimbench.evaluator.render.document import EMPTY, Block, Cell, Document, 
 from gpusimbench.evaluator.render.numbers import plural
 from gpusimbench.evaluator.report import timed
 from gpusimbench.evaluator.report.leaders import fastest
-from gpusimbench.evaluator.report.verdicts import QUESTIONS, TO_REFERENCE, another_run
+from gpusimbench.evaluator.report.verdicts import QUESTIONS, TO_REFERENCE, another_run, usual
 from gpusimbench.evaluator.results.cost_metrics import FPS
 from gpusimbench.evaluator.results.evaluation import Evaluation
 from gpusimbench.evaluator.results.group_metrics import W1_PARALLEL, W1_REAL, W1_RUN_TO_RUN
@@ -83,7 +83,7 @@ def _one(result: GroupResult) -> Facts:
 
 
 def _several(evaluation: Evaluation) -> Iterator[Block]:
-    results = [r for r in evaluation.results if not _treated(r)] or list(evaluation.results)
+    results = usual(evaluation.results)
     scenes = len({r.group.key.scene for r in results}) > 1
     questions = [*QUESTIONS, *([TO_REFERENCE] if evaluation.reference else [])]
     titles = ["", *(["scene"] if scenes else []), "envs x runs", *(q.brief or q.title for q in questions), FPS.unit]
@@ -111,12 +111,6 @@ def _several(evaluation: Evaluation) -> Iterator[Block]:
             device = one.device or "an unnamed device"
             named = f"{one.first.result.label}, {one.first.fps:,.0f} env-steps/s"
             yield Text(f"Fastest valid simulator in {one.scene} on {device}: {named}")
-
-
-def _treated(result: GroupResult) -> bool:
-    # runs that were made to answer a question of gsb-probe, and nothing else
-    key = result.group.key
-    return bool(key.intervention or (key.initial and isinstance(result.metrics[FPS.name].value, Missing)))
 
 
 def _troubles(evaluation: Evaluation) -> Iterator[Text]:

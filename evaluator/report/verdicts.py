@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from gpusimbench.evaluator.missing import known
+from gpusimbench.evaluator.missing import Missing, known
 from gpusimbench.evaluator.render.document import Cell, Column, Tone
 from gpusimbench.evaluator.render.numbers import distance, plural
 from gpusimbench.evaluator.report import words
+from gpusimbench.evaluator.results.cost_metrics import FPS
 from gpusimbench.evaluator.results.fidelity import Verdict
 from gpusimbench.evaluator.results.group_metrics import REGIME, W1_PARALLEL, W1_REAL, W1_RUN_TO_RUN
 from gpusimbench.evaluator.results.identity_metrics import DISTINCT_ENVS, DISTINCT_RUNS, identical
@@ -39,6 +40,16 @@ class Question:
     def column(self) -> Column:
         """A column of answers."""
         return Column(self.title, self.meaning)
+
+
+def usual(results: Results) -> list[GroupResult]:
+    """Without groups of runs that were made to answer a question of gsb-probe, and nothing else; all, if all are."""
+    return [r for r in results if not _for_probe(r)] or list(results)
+
+
+def _for_probe(result: GroupResult) -> bool:
+    key = result.group.key
+    return bool(key.intervention or (key.initial and isinstance(result.metrics[FPS.name].value, Missing)))
 
 
 def repeats(results: Results) -> Cell:

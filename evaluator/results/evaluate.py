@@ -131,7 +131,8 @@ def evaluate(
 def _probed(runs: Sequence[Run]) -> tuple[Probed, ...]:
     """What results depend on, of configurations of which some run was treated; states are read again."""
     treated = {_configuration(run) for run in runs if run.configuration.initial or run.configuration.intervention}
-    return probed([Recording(run.path) for run in runs if _configuration(run) in treated])
+    found = probed([Recording(run.path) for run in runs if _configuration(run) in treated])
+    return tuple(one for one in found if one.arms.varied or one.arms.treated)
 
 
 def _configuration(run: Run) -> tuple[str, ...]:
