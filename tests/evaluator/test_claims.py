@@ -99,7 +99,6 @@ def test_identical(value: float | None, n: int, without: int) -> None:
     claim = identical(metric)
     assert claim.yes == yes
     assert ("alike" in words.all_alike(metric)) == yes
-    assert ("alike" in board_words._distinct("runs", metric)) == yes
     assert (claim.holds is None) == bool(claim.why_not)
 
 

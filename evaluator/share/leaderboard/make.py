@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from gpusimbench.evaluator.compute.work import Work
+from gpusimbench.evaluator.render.html import render_page
 from gpusimbench.evaluator.results.evaluate import evaluate
 from gpusimbench.evaluator.runs.run import Run
 from gpusimbench.evaluator.share.dataset.checkup import WHOLE
@@ -13,7 +14,7 @@ from gpusimbench.evaluator.share.dataset.contents import LookedAt
 from gpusimbench.evaluator.share.leaderboard.board import Board
 from gpusimbench.evaluator.share.leaderboard.document import KIND, dump_csv, dump_json
 from gpusimbench.evaluator.share.leaderboard.gathering import gather, recordings_of, without_doubles
-from gpusimbench.evaluator.share.leaderboard.page import render
+from gpusimbench.evaluator.share.leaderboard.page import leaderboard_document
 from gpusimbench.evaluator.share.leaderboard.reproduction import replays_of
 from gpusimbench.evaluator.share.leaderboard.standing import sections
 from gpusimbench.schemas import checks
@@ -34,7 +35,13 @@ def make_leaderboard(places: Sequence[Place], folder: Path, *, title: str, sampl
     made = board(gather(found, sample_time, work), title=title, sample_time=sample_time, work=work)
     if work.store is not None:
         work.store.prune()
-    write_files({folder / PAGE: render(made), folder / CSV: dump_csv(made), folder / JSON: dump_json(made)})
+    write_files(
+        {
+            folder / PAGE: render_page(leaderboard_document(made)),
+            folder / CSV: dump_csv(made),
+            folder / JSON: dump_json(made),
+        }
+    )
     return made
 
 

@@ -1,44 +1,253 @@
-"""A leaderboard as one HTML page that needs nothing but itself: no script, no network, no other file.
-
-What recordings say is a stranger's text: the template escapes every value.
-"""
+"""A leaderboard as a document: who is first where, then a section for each scene and device."""
 
 from __future__ import annotations
 
-import jinja2
-from markupsafe import Markup
+from collections.abc import Iterator, Sequence
 
-from gpusimbench import schemas
 from gpusimbench.evaluator.metrics.regime import REGIME_MEANING
-from gpusimbench.evaluator.render import numbers
-from gpusimbench.evaluator.render.figures import palette
-from gpusimbench.evaluator.render.templating import page_templates
+from gpusimbench.evaluator.missing import Missing
+from gpusimbench.evaluator.render.cells import estimate, missing
+from gpusimbench.evaluator.render.document import (
+    EMPTY,
+    Block,
+    Cell,
+    Column,
+    Document,
+    Item,
+    Row,
+    Table,
+    Text,
+    Tone,
+    items,
+    table,
+)
+from gpusimbench.evaluator.render.document import Section as Part
+from gpusimbench.evaluator.render.numbers import plural
 from gpusimbench.evaluator.report import timed
-from gpusimbench.evaluator.report import words as report_words
+from gpusimbench.evaluator.report.verdicts import QUESTIONS
+from gpusimbench.evaluator.report.words import amount, shared
+from gpusimbench.evaluator.results.cost_metrics import FPS
 from gpusimbench.evaluator.share.leaderboard import words
 from gpusimbench.evaluator.share.leaderboard.board import Board
+from gpusimbench.evaluator.share.leaderboard.standing import Row as Standing
+from gpusimbench.evaluator.share.leaderboard.standing import Section
+
+_LEAD = (
+    "Computed from {}, and from nothing else: no figure here was typed in. Each row names its recordings by content "
+    "hash, so that anybody who has them can compute this page again."
+)
+_SPEED = Column(f"throughput [{FPS.unit}]", "mean ± SD over runs, 95 % interval")
+_CHECKED = Column("checked", "by the rules of integrity-1: every byte was read; below it, what did not hold")
+_REPRODUCED = Column("reproduced", "by replays among the recordings, bit for bit")
 
 
-def render(board: Board) -> str:
-    """The page's text; the same recordings give the same page."""
-    templates = page_templates(jinja2.PackageLoader("gpusimbench.evaluator.share", "templates"))
-    environment = templates.overlay(keep_trailing_newline=True)
-    environment.filters |= {
-        "short": words.short,
-        "mean_sd": numbers.mean_sd,
-        "interval": numbers.interval,
-        "amount": report_words.amount,
-        "shared": report_words.shared,
-    }
-    return environment.get_template("leaderboard.html.j2").render(
-        board=board,
-        words=words,
-        timed=timed,
-        types=sorted(REGIME_MEANING.items()),
-        version=schemas.__version__,
-        colours={
-            "light": Markup(palette.variables(dark=False)),
-            "dark": Markup(palette.variables(dark=True)),
-            "figures": "",
-        },
+def leaderboard_document(board: Board) -> Document:
+    """All that a leaderboard says; the same recordings give the same document."""
+    named = [section for section in board.sections if section.device]
+    blocks: list[Block] = []
+    if board.unreadable:
+        left = (Item(f"{name}: {why}", Tone.BAD) for name, why in board.unreadable)
+        blocks.append(Part("left-out", "Files that are left out", (items(*left),)))
+    if named:
+        blocks.append(_firsts(named))
+    blocks += [_section(number, section) for number, section in enumerate(named, 1)]
+    for number, section in enumerate((s for s in board.sections if not s.device), 1):
+        title = f"{section.scene}: ended before the simulator named its device"
+        blocks.append(Part(f"unnamed{number}", title, (_without_place(f"unnamed{number}-none", section.rows),)))
+    if board.notes:
+        blocks.append(Part("notes", "Notes", (items(*board.notes),), plural(len(board.notes), "note"), folded=True))
+    blocks.append(_how(board))
+    made_by = (Text("The same rows for programs: leaderboard.json and leaderboard.csv, beside this page."),)
+    return Document(board.title, tuple(blocks), _LEAD.format(plural(board.recordings, "recording")), made_by)
+
+
+def _firsts(sections: Sequence[Section]) -> Table:
+    """The two fastest of each section, and how many cannot have a place."""
+    rows = []
+    for number, section in enumerate(sections, 1):
+        first, second = (*section.ranked[:2], None, None)[:2]
+        where = Cell(section.scene, notes=(section.device, _timed_over(section)), link=f"s{number}")
+        rows.append(Row((where, _leader(first), _leader(second), _barred(section)), {"scene": section.scene}))
+    columns = (
+        "scene, device", f"fastest [{FPS.unit}]", "next",
+        Column("not ranked", "simulators that are INVALID, break mechanics or a rule, or failed, in any scene"),
+    )  # fmt: skip
+    return table("first", "Who is first", columns, rows)
+
+
+def _leader(row: Standing | None) -> Cell:
+    if row is None:
+        return Cell("none", tone=Tone.QUIET)
+    return Cell(f"{row.key.simulator}: {estimate(row.fps).text}", notes=(f"{row.key.n_env:,} envs",))
+
+
+def _barred(section: Section) -> Cell:
+    names = list(dict.fromkeys(row.key.simulator for row in section.unranked))
+    return Cell(", ".join(names), tone=Tone.BAD) if names else EMPTY
+
+
+def _section(number: int, section: Section) -> Part:
+    key = f"s{number}"
+    blocks: list[Block] = [Text(_timed_over(section))]
+    if section.ranked:
+        blocks.append(_ranking(f"{key}-ranking", section))
+    if section.points:
+        said = f"{plural(len(section.points), 'other point')} of these simulators, at which they are slower"
+        blocks.append(Part(f"{key}-points", said, (_points(f"{key}-points-table", section.points),), folded=True))
+    if section.unranked:
+        said = ", ".join(dict.fromkeys(row.key.simulator for row in section.unranked))
+        shown = _without_place(f"{key}-none-table", section.unranked)
+        blocks.append(Part(f"{key}-none", "Without a place", (shown,), said, folded=True))
+    how = _settings(f"{key}-settings-table", section.rows)
+    blocks.append(Part(f"{key}-settings", "How each row was run", (how,), "switches, solver, protocol", folded=True))
+    files = sum(len(row.entries) for row in section.rows)
+    told = plural(files, "recording")
+    blocks.append(Part(f"{key}-files", "Recordings", (_files(f"{key}-files-table", section),), told, folded=True))
+    return Part(key, f"{section.scene} on {section.device}", tuple(blocks))
+
+
+def _timed_over(section: Section) -> str:
+    timed_over = f"timed over {section.timed} of the scene, " if section.timed else ""
+    return f"{timed_over}dt {section.dt:g} s, scene {words.short(section.scene_hash)}"
+
+
+def _ranking(key: str, section: Section) -> Table:
+    columns: list[Column | str] = [
+        "simulator", Column("place", "by throughput"), _SPEED, "envs", "memory",
+        Column("N_env^max", "largest number of environments of its sweep, and why it goes no further"),
+        *(question.column for question in QUESTIONS), _CHECKED, _REPRODUCED,
+    ]  # fmt: skip
+    rows = []
+    for row in section.ranked:
+        most, ends = words.n_env_max(row)
+        cells = (
+            _who(row), Cell(str(row.place), float(row.place or 0)), _speed(row), _envs(row), _memory(row),
+            Cell(most, notes=(ends,)) if most else EMPTY,
+            *(question.answer([row.result]) for question in QUESTIONS),
+            _checked(row), _reproduced(row),
+        )  # fmt: skip
+        rows.append(Row(cells, _facets(row)))
+    return table(key, f"Ranking: {section.scene} on {section.device}", columns, rows).without_empty_columns()
+
+
+def _points(key: str, of: Sequence[Standing]) -> Table:
+    rows = [Row((_who(row), _envs(row), _speed(row), _memory(row), _checked(row)), _facets(row)) for row in of]
+    return table(key, "", ("simulator", "envs", _SPEED, "memory", _CHECKED), rows)
+
+
+def _without_place(key: str, of: Sequence[Standing]) -> Table:
+    rows = [
+        Row((_who(row), _envs(row), Cell(row.no_place, tone=Tone.BAD), _checked(row), _reproduced(row)), _facets(row))
+        for row in of
+    ]
+    return table(key, "", ("simulator", "envs", "why it has no place", _CHECKED, _REPRODUCED), rows)
+
+
+def _settings(key: str, of: Sequence[Standing]) -> Table:
+    rows = []
+    for row in of:
+        work = row.result.timed
+        solver = [f"{name} {value}" for name, value in work.settings.items() if value]
+        of_files = words.deviations(row)
+        of_set = [rule for rule in work.unmet.findings if not any(said.startswith(f"{rule}: ") for said in of_files)]
+        said = (_lines(solver), _lines(words.settings(row)), _lines([*of_files, *of_set]))
+        rows.append(Row((Cell(row.name, notes=(f"{row.key.n_env:,} envs",)), *said), _facets(row)))
+    return table(key, "", ("simulator", "solver", "switches in force", "rules of protocol-1 that are not met"), rows)
+
+
+def _lines(said: Sequence[str]) -> Cell:
+    return Cell(said[0], notes=tuple(said[1:])) if said else EMPTY
+
+
+def _files(key: str, section: Section) -> Table:
+    rows = []
+    for row in section.rows:
+        for entry in row.entries:
+            ended = Cell(entry.status, tone=Tone.PLAIN if entry.status == "complete" else Tone.BAD)
+            of = Cell(words.short(entry.replay_of), code=True) if entry.replay_of else EMPTY
+            who = Cell(row.name, notes=(f"{row.key.n_env:,} envs",))
+            cells = (who, Cell(entry.name, code=True), Cell(entry.content_hash or "no hash", code=True), ended, of)
+            rows.append(Row(cells, _facets(row)))
+    return table(key, "", ("simulator", "file", "content hash", "status", "replay of"), rows)
+
+
+def _facets(row: Standing) -> dict[str, str]:
+    key = row.key
+    return {"simulator": key.simulator, "scene": key.scene, "device": key.device or "none", "level": key.determinism}
+
+
+def _who(row: Standing) -> Cell:
+    """The claim of a row: name, version, level."""
+    return Cell(row.name, notes=(f"{row.key.version or 'no version'}; determinism {row.key.determinism}",))
+
+
+def _envs(row: Standing) -> Cell:
+    return Cell(f"{row.key.n_env:,}", float(row.key.n_env))
+
+
+def _speed(row: Standing) -> Cell:
+    beside = [plural(len(row.result.group.complete), "run"), *timed.beside(row.result.timed)[:1]]
+    if others := shared(row.fps):
+        beside.append(f"another process on the GPU: {others}")
+    return estimate(row.fps, *beside, tone=Tone.WARNING if others else Tone.PLAIN)
+
+
+def _memory(row: Standing) -> Cell:
+    if isinstance(row.memory.value, Missing):
+        return missing(row.memory.value)
+    name = row.memory.name
+    whose = "of the host" if name.startswith("host") else "of the GPU"
+    whose = "of the process on the GPU" if name.startswith("process") else whose
+    return Cell(amount(row.memory), float(row.memory.value), notes=(whose,))
+
+
+def _checked(row: Standing) -> Cell:
+    """What the rules say of its recordings, what did not hold, and how many rules of the protocol are not met."""
+    unmet = len(row.result.timed.unmet.findings)
+    beyond = (f"{plural(unmet, 'rule')} of protocol-1 not met",) if unmet else ()
+    return Cell(words.checked(row), notes=(*row.gates, *beyond), tone=Tone.BAD if row.gates else Tone.PLAIN)
+
+
+def _reproduced(row: Standing) -> Cell:
+    return Cell(words.reproduced(row.reproduction), tone=Tone.GOOD if row.reproduction.reproduced else Tone.PLAIN)
+
+
+def _how(board: Board) -> Part:
+    return Part("how", "How to read this", (items(*_explained(board.sample_time)),), folded=True)
+
+
+def _explained(sample_time: float) -> Iterator[str]:
+    yield (
+        "A place is by throughput within one scene, one step, one device and the same timed steps of the scene: at "
+        "other steps the scene has other contacts. A timed phase below 1 s is marked. Cone, iterations and tolerance "
+        "of the solver stand in the table of how each row was run: with others a step is another amount of work. Two "
+        "devices are not compared."
+    )
+    yield (
+        "A row is a set of runs of one simulator, version, switches, options, device and number of environments. A "
+        "simulator that was run with several numbers of environments has its place by the one at which it is fastest."
+    )
+    yield (
+        "A run that is INVALID, or that breaks a rule of integrity-1, leaves its row without a place, and so do states "
+        "that break a check of mechanics, which is made where states were captured. Either holds for the same engine "
+        "in every scene. Runs that failed are named."
+    )
+    yield "Intervals are 95 %, over runs. Without an interval there are too few runs, and two places may be one."
+    yield "Repeats itself, envs alike: whether state hashes of runs, or of environments, differ at any captured step."
+    types = "; ".join(f"{number}: {meaning}" for number, meaning in sorted(REGIME_MEANING.items()))
+    yield f"Types of GPUSimBench, from planar distances at {sample_time:g} s, rounded to 0.01 cm: {types}."
+    yield (
+        "Whole means that all of a file was read: every CRC, every digest, the content hash, clocks, hashes and states "
+        "against each other. A rule of protocol-1 that is not met stands below it: the row has numbers of steps or a "
+        "machine of its own, and not those of the benchmark."
+    )
+    yield (
+        "Reproduced bitwise means that a recording of a replay is among these recordings, and that its state at every "
+        "captured step is that of the original, bit for bit. A verdict that somebody wrote down does not count. That a "
+        "recording is a replay, and on what machine, are its own words; recordings name no people, so whether anybody "
+        "else made it is not known here."
+    )
+    yield (
+        "A content hash shows that a file is the one that somebody published, and not that a simulator made it. That "
+        "the same comes out on your machine does: gsb-audit FILE."
     )

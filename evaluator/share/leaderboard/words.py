@@ -5,14 +5,10 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator
 
-from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.render import numbers
 from gpusimbench.evaluator.render.numbers import plural
 from gpusimbench.evaluator.report import timed
 from gpusimbench.evaluator.report import words as report_words
-from gpusimbench.evaluator.results.details import DistinctEnvs, DistinctRuns
-from gpusimbench.evaluator.results.identity_metrics import identical
-from gpusimbench.evaluator.results.metric import Estimate
 from gpusimbench.evaluator.share.dataset.checkup import BROKEN
 from gpusimbench.evaluator.share.leaderboard.board import Board
 from gpusimbench.evaluator.share.leaderboard.reproduction import Reproduction
@@ -42,30 +38,6 @@ def leaderboard_lines(board: Board) -> Iterator[str]:
 def short(content_hash: str) -> str:
     """The first digits of a content hash."""
     return content_hash[:_SHORT] or "no hash"
-
-
-def repeats(row: Row) -> list[str]:
-    """How far environments and runs are the same, a line each; why that is not known where nothing is."""
-    metrics = row.result.metrics
-    envs, runs = metrics["distinct_envs"], metrics["distinct_runs"]
-    if isinstance(envs.value, Missing) and isinstance(runs.value, Missing):
-        return [*dict.fromkeys((envs.value.reason, runs.value.reason))]
-    lines = [_distinct("envs", envs), _distinct("runs", runs)]
-    kind = metrics["regime_published"]
-    return [*lines, f"type {report_words.regime(kind)}"] if not isinstance(kind.value, Missing) else lines
-
-
-def _distinct(what: str, metric: Estimate) -> str:
-    if isinstance(metric.value, Missing):
-        return f"{what}: {metric.value.reason}"
-    claim = identical(metric)
-    if claim.holds is None:
-        return f"{what}: {claim.why_not}"
-    if claim.yes:
-        return f"all {metric.n} {what} alike"
-    details = metric.details
-    since = details.first_difference_step if isinstance(details, DistinctEnvs | DistinctRuns) else None
-    return f"{metric.value:.0f} of {metric.n} {what} distinct" + ("" if since is None else f", from step {since}")
 
 
 def n_env_max(row: Row) -> tuple[str, str]:
