@@ -61,6 +61,7 @@ def _simulator(entry: Entry) -> Json:
     return {
         "device_here": device,
         "options": _options(adapter),
+        "across_releases": adapter.across_releases,
         "state": {field.name: str(getattr(claims, field.name)) for field in fields(claims)},
         "levels": [
             {"level": level, "sets": sets, "effect_here": level not in none, "why_none": none.get(level, "")}

@@ -55,6 +55,7 @@ class Simulator(ABC):
     determinism_levels    levels that can be asked for, and what each sets, in words; "default" is the engine as it
                           ships
     levels_without_effect  by kind of device ("cpu", "cuda"), levels that are known to change nothing there, and why
+    across_releases  options with which all releases of the engine step in the same way, so that two can be compared
     draws_actions    True where the adapter makes the scene's actions on its device, step by step, instead of taking
                      them from ``prepare``
     blocks_ahead     blocks of captured steps that may be begun before the first of them is waited for
@@ -65,6 +66,7 @@ class Simulator(ABC):
     timing_interval: ClassVar[int] = 1
     determinism_levels: ClassVar[dict[str, str]] = {"default": "the engine as it ships"}
     levels_without_effect: ClassVar[dict[str, dict[str, str]]] = {}
+    across_releases: ClassVar[dict[str, str]] = {}
     draws_actions: ClassVar[bool] = False
     blocks_ahead: ClassVar[int] = 1
 

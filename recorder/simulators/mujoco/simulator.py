@@ -48,6 +48,7 @@ class MujocoC(Simulator):
 
     Options = MujocoOptions
     abilities = BODIES | ROBOTS
+    across_releases = {"stepping": "mj_step"}
 
     def build(self) -> Description:
         """See Simulator.build."""

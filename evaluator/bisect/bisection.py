@@ -1,0 +1,180 @@
+"""A bisection: which releases are recorded, what each showed, and between which two the change lies."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from gpusimbench.evaluator.bisect.environment import NotInstalled, environment_of
+from gpusimbench.evaluator.bisect.plan import Plan
+from gpusimbench.evaluator.bisect.predicates import Predicate, Verdict, by_states, first_number
+from gpusimbench.evaluator.bisect.search import Bounds, search
+from gpusimbench.evaluator.compute.recorder import record
+from gpusimbench.evaluator.diff.result import Setting
+from gpusimbench.evaluator.diff.settings import differing_settings
+from gpusimbench.evaluator.read.recording import Recording
+from gpusimbench.evaluator.runs.validation import verify
+from gpusimbench.schemas.errors import GsbError, UsageError
+from gpusimbench.schemas.location import place
+from gpusimbench.schemas.progress import stage
+
+_ENVIRONMENTS = "environments"
+_PACKAGES = "software.packages."
+_OURS = ("software.recorder.",)  # which code recorded: a bisection that goes on later may have another
+
+
+class NotRecorded(GsbError):
+    """A release whose runs fail."""
+
+
+@dataclass(frozen=True)
+class Bisection:
+    """What was found.
+
+    package, simulator, scene, predicate  what was asked of which
+    options       with which every release was recorded
+    versions      from the good release to the bad one
+    tested        what each recorded release showed, by version, in the order of versions; the good one aside
+    files         recordings of each
+    same          last release that is known to be like the good one
+    different     first release that is known to differ; None where the bad one does not
+    skipped       releases between the two that could not be judged
+    step          how far the states of these two differ; empty where no release differs
+    first         the first number in which they do; empty where none is recorded
+    packages      packages whose version is another in the environments of these two
+    settings      what else their recordings say of themselves and differ in
+    """
+
+    package: str
+    simulator: str
+    scene: str
+    predicate: str
+    options: tuple[str, ...]
+    versions: tuple[str, ...]
+    tested: Mapping[str, Verdict]
+    files: Mapping[str, tuple[str, ...]]
+    same: str
+    different: str | None
+    skipped: tuple[str, ...]
+    step: str
+    first: str
+    packages: tuple[Setting, ...]
+    settings: tuple[Setting, ...]
+
+    @property
+    def exact(self) -> bool:
+        """Whether the first release that differs is known."""
+        return self.different is not None and not self.skipped
+
+
+@dataclass
+class Releases:
+    """Releases and their recordings, made where they are not there yet.
+
+    package  that pip installs
+    given    Pythons of releases that are there already, by version; empty: environments are made
+    out      folder of all that is made: a folder of recordings for each version, and environments/
+    say      gets a line for each thing that is done
+    """
+
+    package: str
+    plan: Plan
+    out: Path
+    given: Mapping[str, Path] = field(default_factory=dict)
+    say: Callable[[str], None] = lambda text: None
+
+    def recorded(self, version: str) -> list[Recording]:
+        """All runs of a release; NotInstalled or NotRecorded where it cannot have them."""
+        folder = self.out / version
+        there = self._there(folder, version)
+        if missing := self.plan.runs - len(there):
+            python = self._python(version)
+            with stage(f"recording {self.package} {version}"):
+                made, refused = record(self.plan.arguments(python, missing, folder), lambda text: None)
+            failed = [run for run in made if run.path is None or run.status not in ("complete", "invalid")]
+            if refused or failed:
+                why = refused or f"{failed[0].status}: {failed[0].reason}"
+                raise NotRecorded(f"{self.package} {version} cannot be recorded: {why}")
+            there = self._there(folder, version)
+            if len(there) < self.plan.runs:
+                raise NotRecorded(f"{self.package} {version} has {len(there)} of {self.plan.runs} recordings")
+        for recording in there:
+            verify(recording)
+        return there[: self.plan.runs]
+
+    def _python(self, version: str) -> Path:
+        if version in self.given:
+            return self.given[version]
+        with stage(f"installing {self.package} {version}"):
+            return environment_of(self.out / _ENVIRONMENTS / version, self.package, version)
+
+    def _there(self, folder: Path, version: str) -> list[Recording]:
+        found = [Recording(place(str(path))) for path in (sorted(folder.glob("*.mcap")) if folder.is_dir() else [])]
+        found = [recording for recording in found if recording.status in ("complete", "invalid")]
+        for recording in found:
+            packages = recording.provenance.software.get("packages", {})
+            other = packages.get(self.package, version) != version and not self.given
+            if other or not self.plan.has(recording.configuration):
+                raise UsageError(
+                    f"{recording.path} is of another bisection: name another folder with --out, or remove {folder}"
+                )
+        return found
+
+
+def bisect(releases: Releases, versions: tuple[str, ...], predicate: Predicate, asked: str) -> Bisection:
+    """Record and judge releases until two neighbours are found of which one is like the first of all.
+
+    asked  the predicate as the user named it
+
+    NotInstalled or NotRecorded where the first or the last release has no recordings.
+    """
+    files: dict[str, list[Recording]] = {versions[0]: releases.recorded(versions[0])}
+    releases.say(f"{versions[0]}: recorded, the good one")
+    tested: dict[str, Verdict] = {}
+
+    def judge(index: int) -> bool | None:
+        version = versions[index]
+        try:
+            files[version] = releases.recorded(version)
+        except (NotInstalled, NotRecorded) as error:
+            if index == len(versions) - 1:
+                raise
+            tested[version] = Verdict(None, str(error))
+        else:
+            tested[version] = predicate(files[versions[0]], files[version])
+        said = {True: "differs", False: "the same", None: "not judged"}[tested[version].different]
+        releases.say(f"{version}: {said}: {tested[version].evidence}")
+        return tested[version].different
+
+    bounds = search(len(versions), judge)
+    return _found(releases, versions, bounds, tested, files, asked)
+
+
+def _found(
+    releases: Releases, versions: tuple[str, ...], bounds: Bounds, tested: dict[str, Verdict],
+    files: dict[str, list[Recording]], asked: str,
+) -> Bisection:  # fmt: skip
+    same = versions[bounds.same]
+    different = None if bounds.different is None else versions[bounds.different]
+    step, first = "", ""
+    packages: tuple[Setting, ...] = ()
+    others: tuple[Setting, ...] = ()
+    if different is not None:
+        one, other = files[same], files[different]
+        step, first = by_states(one, other).evidence, first_number(one[0], other[0])
+        found = {setting.name: setting for setting in differing_settings(one[0], other[0])}
+        settings = [setting for name, setting in found.items() if not name.startswith(_OURS)]
+        packages = tuple(
+            Setting(setting.name.removeprefix(_PACKAGES), setting.a, setting.b)
+            for setting in settings
+            if setting.name.startswith(_PACKAGES)
+        )
+        others = tuple(s for s in settings if not s.name.startswith(_PACKAGES) and s.name != "version")
+    plan = releases.plan
+    return Bisection(
+        releases.package, plan.simulator, plan.scene, asked, plan.options, versions,
+        {version: tested[version] for version in versions if version in tested},
+        {version: tuple(str(r.path) for r in files[version]) for version in versions if version in files},
+        same, different, tuple(versions[index] for index in bounds.skipped), step, first, packages, others,
+    )  # fmt: skip

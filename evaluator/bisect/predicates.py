@@ -1,0 +1,130 @@
+"""In which way the recordings of a release may differ from those of the good one."""
+
+from __future__ import annotations
+
+import shlex
+import subprocess
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from gpusimbench.evaluator.diff.compare import compare
+from gpusimbench.evaluator.diff.result import Difference
+from gpusimbench.evaluator.diff.verdict import apart, place_of
+from gpusimbench.evaluator.diff.words import amount, length
+from gpusimbench.evaluator.missing import Missing
+from gpusimbench.evaluator.read.recording import Recording
+from gpusimbench.schemas.errors import ExitCode, GsbError, NothingComparable
+
+STATES, GSB_COMPARE = "states", "gsb-compare"
+
+_CANNOT_TELL = 125  # as of git bisect run
+_LEAST_OF_SHELLS = 126  # 126, 127: cannot be run; 128 and more: ended by a signal
+_LONGEST = 160
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """Whether a release differs from the good one; None where that cannot be told, and what that stands on."""
+
+    different: bool | None
+    evidence: str
+
+
+Predicate = Callable[[Sequence[Recording], Sequence[Recording]], Verdict]
+"""Holds a release's recordings against those of the good one, which come first."""
+
+
+def predicate_of(text: str) -> Predicate:
+    """The predicate of that name; gsb-compare with options of its own; else the command that it is."""
+    if text == STATES:
+        return by_states
+    given = shlex.split(text)
+    if compares(text):
+        command = [sys.executable, "-P", "-m", "gpusimbench.evaluator.cli.compare", *given[1:]]
+        return lambda good, other: _by_compare([*command, *_folders(good, other)])
+    return lambda good, other: _by_command([*given, *_folders(good, other)])
+
+
+def compares(text: str) -> bool:
+    """Whether a predicate is gsb-compare, which needs several runs and a timed phase."""
+    return shlex.split(text)[:1] == [GSB_COMPARE]
+
+
+def by_states(good: Sequence[Recording], other: Sequence[Recording]) -> Verdict:
+    """Whether any bit of any state differs, run by run; not to be told where runs of the good release differ."""
+    if len(good) > 1 and by_states(good[:1], good[1:2]).different:
+        return Verdict(None, "runs of the good release differ from each other: use --predicate gsb-compare")
+    for one, another in zip(good, other, strict=False):
+        try:
+            found = compare(one, another)
+        except NothingComparable as error:
+            return Verdict(None, str(error))
+        if found.first is not None:
+            return Verdict(True, f"from step {found.first.step_a} on{_apart(found)}")
+        if not found.bit_identical:
+            return Verdict(None, "their bits cannot be compared")
+    return Verdict(False, "all states are bit-identical")
+
+
+def first_number(a: Recording, b: Recording) -> str:
+    """The first number in which two recordings differ, and by how much; empty where no recorded state does."""
+    first = compare(a, b).first
+    if first is None or first.state is None:
+        return ""
+    number = first.state.number
+    return f"step {first.state.step}, {place_of(number)}: {number.a} and {number.b}, {apart(number)}"
+
+
+def _apart(found: Difference) -> str:
+    # how far bodies get, or joints where there are no bodies
+    if isinstance(found.growth, Missing):
+        angles = [field for field in found.compared.fields if field.field.endswith("/qpos") and field.max_distance]
+        return "".join(f"; joints up to {amount(field.max_distance, field.unit)} apart" for field in angles)
+    rows = [(d, t) for d, t in zip(found.growth.largest, found.growth.times, strict=True) if d]
+    if not rows:
+        return ""
+    most, at = max(rows)
+    reached = "" if found.growth.to_1mm is None else f", 1 mm at {found.growth.to_1mm:g} s"
+    return f"; bodies up to {length(most)} apart at {at:g} s{reached}"
+
+
+def _folders(good: Sequence[Recording], other: Sequence[Recording]) -> list[str]:
+    return [str(Path(str(recordings[0].path)).parent) for recordings in (good, other)]
+
+
+def _by_compare(command: Sequence[str]) -> Verdict:
+    done = _run(command)
+    said = _first(done.stdout)
+    if done.returncode == ExitCode.NOTHING_COMPARABLE:
+        return Verdict(None, said or _last(done.stderr))
+    if done.returncode not in (ExitCode.OK, ExitCode.GATE_FAILED):
+        raise GsbError(f"gsb-compare ended with exit code {done.returncode}: {_last(done.stderr)}")
+    return Verdict(done.returncode == ExitCode.GATE_FAILED, said)
+
+
+def _by_command(command: Sequence[str]) -> Verdict:
+    done = _run(command)
+    said = _last(done.stdout) or _last(done.stderr)
+    code = done.returncode
+    if code == _CANNOT_TELL:
+        return Verdict(None, said)
+    if code < 0 or code >= _LEAST_OF_SHELLS:
+        raise GsbError(f"the predicate '{command[0]}' ended with exit code {code}: {said}")
+    return Verdict(code != 0, said or f"exit code {code}")
+
+
+def _run(command: Sequence[str]) -> subprocess.CompletedProcess[str]:
+    try:
+        return subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, text=True, errors="replace")
+    except OSError as error:
+        raise GsbError(f"cannot start the predicate '{command[0]}': {error.strerror}") from None
+
+
+def _first(text: str) -> str:
+    return next((one.strip() for one in text.splitlines() if one.strip()), "")[:_LONGEST]
+
+
+def _last(text: str) -> str:
+    return _first("\n".join(reversed(text.splitlines())))

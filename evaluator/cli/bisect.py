@@ -1,0 +1,178 @@
+"""gsb-bisect: which release of an engine changed what is recorded."""
+
+from __future__ import annotations
+
+import argparse
+import shlex
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from gpusimbench.evaluator.cli.arguments import local_name
+from gpusimbench.evaluator.cli.entry import enter, new_parser
+from gpusimbench.evaluator.cli.json_target import check_target, write_json
+from gpusimbench.schemas.errors import ExitCode, UsageError
+from gpusimbench.schemas.parser import Parser
+from gpusimbench.schemas.text import line, show
+
+if TYPE_CHECKING:
+    from gpusimbench.evaluator.bisect.plan import Plan
+
+_OUT = Path("bisect")
+_N_ENV = 4
+_RUNS = 5  # of each release, where runs are compared as a set
+
+_EPILOG = """\
+gsb-bisect records the good release and the bad one, each in a virtual environment of its own, then the release in the
+middle between the last that is like the good one and the first that is not, and so on: of n releases at most
+ceil(log2 n) + 2 are recorded. Everything else that a run needs has the same version in all environments, where the
+releases take that; "packages" says what changed with the first release that differs.
+
+predicates:
+  states       any bit of any state differs from the good release's
+  gsb-compare  gsb-compare GOOD OTHER fails: slower, more memory, other physics, invalid, less deterministic; with
+               options of its own, such as 'gsb-compare --gate physics'
+  COMMAND      is run with two folders of recordings, those of the good release and those of another one; it ends with
+               0 where they are alike, with 125 where it cannot tell, with any other code up to 124 where they differ
+
+The recordings lie in --out, a folder for each release: the same command goes on where it was interrupted, and what is
+recorded is not recorded again. Environments lie in OUT/environments, each as large as the engine, and can be removed.
+A release that cannot be installed or recorded is skipped. Where releases change back and forth, one change is found.
+
+exit codes:
+  0  the first release that differs is named
+  1  the good or the bad release cannot be installed or recorded, or the predicate fails
+  2  the command asks for something that cannot be
+  3  a recording is damaged
+  5  the bad release does not differ, or releases next to the change could not be judged
+
+examples:
+  gsb-bisect --sim mujoco --good 3.2.0 --bad 3.9.0
+  gsb-bisect --sim mujoco --good 3.2.0 --bad 3.9.0 --scene franka --predicate 'python judge.py' --out franka
+  gsb-bisect --sim mujoco --environment 3.2.0=old/.venv --environment 3.9.0=new/.venv
+"""
+
+
+def parser() -> Parser:
+    """The command's arguments."""
+    p = new_parser(
+        "gsb-bisect",
+        "Find the first release of an engine whose recordings differ from those of a good release; few are recorded.",
+        _EPILOG,
+    )
+    p.add_argument("--sim", required=True, metavar="NAME", help="simulator; see gsb-record --list")
+    p.add_argument("--good", metavar="VERSION", help="release to compare with, the oldest")
+    p.add_argument("--bad", metavar="VERSION", help="later release, which differs")
+    p.add_argument(
+        "--predicate", default="states", metavar="NAME",
+        help="states, gsb-compare or a COMMAND: in which way releases differ; see below (default: %(default)s)",
+    )  # fmt: skip
+    p.add_argument("--package", metavar="NAME", help="what pip installs (default: the name of the simulator)")
+    p.add_argument(
+        "--environment", action="append", default=[], metavar="VERSION=PATH",
+        help="an interpreter or virtual environment that has this release; repeatable, the oldest first: nothing is "
+        "installed, and there are no other releases",
+    )  # fmt: skip
+    p.add_argument("--scene", default="inclined-collision", metavar="NAME", help="(default: %(default)s)")
+    p.add_argument("--option", action="append", default=[], metavar="NAME=VALUE", help="of the simulator; repeatable")
+    p.add_argument("--n-env", type=int, default=_N_ENV, metavar="N", help="environments (default: %(default)s)")
+    p.add_argument("--steps", type=int, metavar="N", help="captured steps (default: 5 s of simulated time)")
+    p.add_argument("--runs", type=int, metavar="R", help=f"of each release (default: 1; of gsb-compare: {_RUNS})")
+    p.add_argument("--seed", type=int, default=0, metavar="N", help="of what is drawn (default: %(default)s)")
+    p.add_argument(
+        "--out", type=Path, default=_OUT, metavar="DIR", help="of recordings and environments (default: %(default)s/)"
+    )
+    p.add_argument("--json", type=local_name, metavar="FILE", help="write the result as JSON; - for standard output")
+    p.show_first("--sim", "--good", "--bad", "--predicate", "--environment", "--scene", "--option", "--out", "--json")
+    return p
+
+
+def run(arguments: argparse.Namespace, command: str) -> int:
+    """Record what is missing, search and print; returns the exit code."""
+    from gpusimbench.evaluator.bisect.bisection import Releases, bisect
+    from gpusimbench.evaluator.bisect.document import bisect_document, dump_json
+    from gpusimbench.evaluator.bisect.environment import between, releases
+    from gpusimbench.evaluator.bisect.predicates import predicate_of
+    from gpusimbench.evaluator.bisect.search import most
+    from gpusimbench.evaluator.render.terminal import print_document
+
+    given = _given(arguments)
+    _check(arguments, given)
+    plan = _plan(arguments)
+    package = arguments.package or arguments.sim
+    known = tuple(given) or releases(package)
+    versions = between(known, arguments.good or known[0], arguments.bad or known[-1])
+    _say(f"{len(versions)} releases from {versions[0]} to {versions[-1]}; at most {most(len(versions))} are recorded")
+    made = Releases(package, plan, arguments.out, given, _say)
+    found = bisect(made, versions, predicate_of(arguments.predicate), arguments.predicate)
+    if arguments.json:
+        write_json(arguments.json, dump_json(found))
+    if arguments.json != "-":
+        print_document(bisect_document(found), sys.stdout)
+    return int(ExitCode.OK if found.exact else ExitCode.NOTHING_COMPARABLE)
+
+
+def _given(arguments: argparse.Namespace) -> dict[str, Path]:
+    found = {}
+    for text in arguments.environment:
+        version, equals, path = text.partition("=")
+        if not equals or not path:
+            raise UsageError(f"--environment is VERSION=PATH, not '{text}'")
+        if version in found:
+            raise UsageError(f"--environment {version} is given twice")
+        found[version] = Path(path)
+    return found
+
+
+def _check(arguments: argparse.Namespace, given: dict[str, Path]) -> None:
+    from gpusimbench.evaluator.bisect.environment import is_version
+
+    if not given and not (arguments.good and arguments.bad):
+        raise UsageError("name the releases with --good and --bad")
+    if len(given) == 1:
+        raise UsageError("one --environment is nothing to compare: give those of two releases at least")
+    for version in filter(None, (*given, arguments.good, arguments.bad, arguments.package)):
+        if not is_version(version):
+            raise UsageError(f"'{version}' is no version and no package that pip knows")
+    for name in ("n_env", "steps", "runs"):
+        value = getattr(arguments, name)
+        if value is not None and value < 1:
+            raise UsageError(f"--{name.replace('_', '-')} is at least 1, not {value}")
+    try:
+        words = shlex.split(arguments.predicate)
+    except ValueError as error:
+        raise UsageError(f"--predicate is no command: {error}") from None
+    if not words:
+        raise UsageError("--predicate is empty")
+    check_target(arguments.json)
+
+
+def _plan(arguments: argparse.Namespace) -> Plan:
+    from gpusimbench.evaluator.bisect.plan import Plan, with_options
+    from gpusimbench.evaluator.bisect.predicates import compares
+    from gpusimbench.evaluator.compute.recorder import about
+
+    several = compares(arguments.predicate)
+    return Plan(
+        arguments.sim,
+        arguments.scene,
+        with_options(tuple(arguments.option), about(arguments.sim).get("across_releases", {})),
+        arguments.n_env,
+        arguments.steps,
+        arguments.seed,
+        arguments.runs or (_RUNS if several else 1),
+        timed=several,
+    )
+
+
+def _say(text: str) -> None:
+    show(line(f"gsb-bisect: {text}"), error=True)
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Entry point of gsb-bisect."""
+    return enter(parser(), run, argv)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
