@@ -28,6 +28,10 @@ class NotRecorded(GsbError):
     """A release whose runs fail."""
 
 
+class Refused(NotRecorded):
+    """A release of which gsb-record begins no run: it lacks something, or no release can do what is asked."""
+
+
 @dataclass(frozen=True)
 class Bisection:
     """What was found.
@@ -88,14 +92,16 @@ class Releases:
         """All runs of a release; NotInstalled or NotRecorded where it cannot have them."""
         folder = self.out / version
         there = self._there(folder, version)
-        if missing := self.plan.runs - len(there):
+        if (missing := self.plan.runs - len(there)) > 0:
             python = self._python(version)
             with stage(f"recording {self.package} {version}"):
                 made, refused = record(self.plan.arguments(python, missing, folder), lambda text: None)
             failed = [run for run in made if run.path is None or run.status not in ("complete", "invalid")]
-            if refused or failed:
-                why = refused or f"{failed[0].status}: {failed[0].reason}"
-                raise NotRecorded(f"{self.package} {version} cannot be recorded: {why}")
+            cannot = f"{self.package} {version} cannot be recorded"
+            if refused:
+                raise Refused(f"{cannot}: {refused}")
+            if failed:
+                raise NotRecorded(f"{cannot}: {failed[0].status}: {failed[0].reason}")
             there = self._there(folder, version)
             if len(there) < self.plan.runs:
                 raise NotRecorded(f"{self.package} {version} has {len(there)} of {self.plan.runs} recordings")
@@ -127,9 +133,13 @@ def bisect(releases: Releases, versions: tuple[str, ...], predicate: Predicate, 
 
     asked  the predicate as the user named it
 
-    NotInstalled or NotRecorded where the first or the last release has no recordings.
+    NotInstalled or NotRecorded where the first or the last release has no recordings, UsageError where the first is
+    refused.
     """
-    files: dict[str, list[Recording]] = {versions[0]: releases.recorded(versions[0])}
+    try:
+        files = {versions[0]: releases.recorded(versions[0])}
+    except Refused as error:
+        raise UsageError(str(error)) from None
     releases.say(f"{versions[0]}: recorded, the good one")
     tested: dict[str, Verdict] = {}
 

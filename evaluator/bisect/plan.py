@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import shlex
 from dataclasses import dataclass
 from pathlib import Path
 
-from gpusimbench.evaluator.compute.recorder import COMMAND, as_path
+from gpusimbench.evaluator.compute.recorder import as_path
 from gpusimbench.schemas.configuration import RunConfiguration
 
 
@@ -15,7 +14,7 @@ class Plan:
     """The runs of every release.
 
     options  NAME=VALUE, with those by which every release of the engine steps in the same way
-    steps    that are captured; None: as many as gsb-record makes by default
+    steps    that are captured
     runs     of each release
     timed    whether there is a timed phase
     """
@@ -24,7 +23,7 @@ class Plan:
     scene: str
     options: tuple[str, ...]
     n_env: int
-    steps: int | None
+    steps: int
     seed: int
     runs: int
     timed: bool
@@ -34,20 +33,17 @@ class Plan:
         given = ["--sim", self.simulator, "--scene", self.scene, "--python", as_path(python)]
         given += [f"--option={option}" for option in self.options]
         given += ["--n-env", str(self.n_env), "--runs", str(runs), "--seed", str(self.seed)]
-        given += ["--steps", str(self.steps)] if self.steps is not None else []
+        given += ["--steps", str(self.steps)]
         given += ["--phases", "timed,capture" if self.timed else "capture"]
         return [*given, "--no-view", "--compression", "zstd", "--out", as_path(out)]
-
-    def command(self, python: Path, runs: int, out: Path) -> str:
-        """The same as a user would type it."""
-        return shlex.join([COMMAND, *self.arguments(python, runs, out)])
 
     def has(self, c: RunConfiguration) -> bool:
         """Whether a run is what this plan asks for."""
         options = sorted(f"{name}={value}" for name, value in c.options.items())
-        found = (c.simulator, c.scene, c.n_env, c.seed, "timed" in c.phases, options)
-        asked = (self.simulator, self.scene, self.n_env, self.seed, self.timed, sorted(self.options))
-        return found == asked and self.steps in (None, c.steps)
+        found = (c.simulator, c.scene, c.n_env, c.seed, c.steps, "timed" in c.phases, options)
+        return found == (
+            self.simulator, self.scene, self.n_env, self.seed, self.steps, self.timed, sorted(self.options)
+        )  # fmt: skip
 
 
 def with_options(asked: tuple[str, ...], common: dict[str, str]) -> tuple[str, ...]:

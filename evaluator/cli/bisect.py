@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import shlex
+import signal
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -19,7 +20,7 @@ if TYPE_CHECKING:
     from gpusimbench.evaluator.bisect.plan import Plan
 
 _OUT = Path("bisect")
-_N_ENV = 4
+_N_ENV, _STEPS = 4, 500
 _RUNS = 5  # of each release, where runs are compared as a set
 
 _EPILOG = """\
@@ -76,7 +77,9 @@ def parser() -> Parser:
     p.add_argument("--scene", default="inclined-collision", metavar="NAME", help="(default: %(default)s)")
     p.add_argument("--option", action="append", default=[], metavar="NAME=VALUE", help="of the simulator; repeatable")
     p.add_argument("--n-env", type=int, default=_N_ENV, metavar="N", help="environments (default: %(default)s)")
-    p.add_argument("--steps", type=int, metavar="N", help="captured steps (default: 5 s of simulated time)")
+    p.add_argument(
+        "--steps", type=int, default=_STEPS, metavar="N", help="captured steps of each run (default: %(default)s)"
+    )
     p.add_argument("--runs", type=int, metavar="R", help=f"of each release (default: 1; of gsb-compare: {_RUNS})")
     p.add_argument("--seed", type=int, default=0, metavar="N", help="of what is drawn (default: %(default)s)")
     p.add_argument(
@@ -96,6 +99,7 @@ def run(arguments: argparse.Namespace, command: str) -> int:
     from gpusimbench.evaluator.bisect.search import most
     from gpusimbench.evaluator.render.terminal import print_document
 
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # no run goes on that nobody waits for
     given = _given(arguments)
     _check(arguments, given)
     plan = _plan(arguments)

@@ -176,6 +176,10 @@ def test_environments_that_are_the_same(tmp_path: Path) -> None:
     assert all(Recording(str(path)).simulation.options["stepping"] == "mj_step" for path in files)  # type: ignore[union-attr]
     assert call("gsb-bisect", *arguments).returncode == 5
     assert {path: path.stat().st_mtime_ns for path in (tmp_path / "out").rglob("*.mcap")} == files
+    assert call("gsb-bisect", *arguments, "--runs", "2").returncode == 5
+    assert len(list((tmp_path / "out" / "one").iterdir())) == 2
+    assert call("gsb-bisect", *arguments).returncode == 5
+    assert len(list((tmp_path / "out").rglob("*.mcap"))) == 4
     refused = call("gsb-bisect", *arguments, "--seed", "1")
     assert refused.returncode == 2
     assert "is of another bisection" in refused.stderr
@@ -208,6 +212,13 @@ def test_a_command_finds_an_environment(tmp_path: Path) -> None:
     done = call("gsb-bisect", *arguments, "--predicate", f"{sys.executable} {judge}", "--json", target)
     assert done.returncode == 5
     assert "changed after mujoco b and up to d; c could not be judged" in " ".join(done.stdout.split())
+
+
+def test_what_no_release_can_do(tmp_path: Path) -> None:
+    """Pass on why gsb-record refuses, as wrong usage."""
+    done = call("gsb-bisect", *_arguments(tmp_path / "out", "one", "other"), "--option", "stepping=slow")
+    assert done.returncode == 2
+    assert "mujoco one cannot be recorded" in done.stderr and "stepping is one of auto, batch, mj_step" in done.stderr
 
 
 @pytest.mark.parametrize(
