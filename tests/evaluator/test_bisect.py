@@ -6,6 +6,7 @@ import json
 import shutil
 import subprocess
 import sys
+import zipfile
 from pathlib import Path
 
 import pytest
@@ -14,7 +15,7 @@ from hypothesis import strategies as st
 
 from gpusimbench.evaluator.bisect.bisection import Bisection
 from gpusimbench.evaluator.bisect.document import bisect_document, verdict_of
-from gpusimbench.evaluator.bisect.environment import NotInstalled, between, environment_of
+from gpusimbench.evaluator.bisect.environment import RECORDING, NotInstalled, between, environment_of, releases
 from gpusimbench.evaluator.bisect.plan import with_options
 from gpusimbench.evaluator.bisect.predicates import Verdict, first_number, predicate_of
 from gpusimbench.evaluator.bisect.search import most, search
@@ -240,6 +241,39 @@ def test_wrong_usage(arguments: tuple[str, ...], message: str) -> None:
     done = call("gsb-bisect", *arguments)
     assert done.returncode == 2
     assert message in done.stderr
+
+
+def _wheel(folder: Path, name: str, version: str) -> None:
+    # the smallest that pip installs: a module and what it is
+    about = f"{name}-{version}.dist-info"
+    with zipfile.ZipFile(folder / f"{name}-{version}-py3-none-any.whl", "w") as wheel:
+        wheel.writestr(f"{name}.py", f"VERSION = {version!r}\n")
+        wheel.writestr(f"{about}/METADATA", f"Metadata-Version: 2.1\nName: {name}\nVersion: {version}\n")
+        wheel.writestr(
+            f"{about}/WHEEL", "Wheel-Version: 1.0\nGenerator: test\nRoot-Is-Purelib: true\nTag: py3-none-any\n"
+        )
+        wheel.writestr(f"{about}/RECORD", "")
+
+
+@pytest.mark.slow
+def test_environments_of_releases(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """List what pip can install, the oldest first, and make an environment of a release once."""
+    wheels = tmp_path / "wheels"
+    wheels.mkdir()
+    for version in ("1.10", "1.2", "1.9"):
+        _wheel(wheels, "tiny", version)
+    for name in RECORDING:  # of a version that is not the one of this Python: pip has to choose
+        _wheel(wheels, name, "0.0.1")
+    monkeypatch.setenv("PIP_NO_INDEX", "1")
+    monkeypatch.setenv("PIP_FIND_LINKS", str(wheels))
+    assert releases("tiny") == ("1.2", "1.9", "1.10")
+    python = environment_of(tmp_path / "made", "tiny", "1.9")
+    said = subprocess.run(
+        [python, "-c", "import tiny, numpy; print(tiny.VERSION, numpy.VERSION)"], capture_output=True, text=True
+    )
+    assert said.stdout == "1.9 0.0.1\n"
+    monkeypatch.setenv("PIP_FIND_LINKS", str(tmp_path))  # nothing is installed again
+    assert environment_of(tmp_path / "made", "tiny", "1.9") == python
 
 
 @pytest.mark.slow
