@@ -20,6 +20,7 @@ from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.probe.arms import Arms, arms_of
 from gpusimbench.evaluator.probe.pairs import Found, Pairs, held
 from gpusimbench.evaluator.read.recording import Recording
+from gpusimbench.evaluator.statistics.regimes import upper_bound_of_none
 from gpusimbench.schemas.treatment import Initial, Intervention
 
 _WHY = 60  # characters of why an arm is missing
@@ -42,7 +43,7 @@ class Finding:
     answer      to the title
     found       the comparison that decided; None where none was made
     compared    what was held against what, in words
-    detail      of which of them differ, where there are several kinds
+    detail      which of them differ, where there are several kinds; how sure an agreement of runs is
     why         why the answer is open or was not asked; empty elsewhere
     """
 
@@ -140,7 +141,12 @@ def _runs(arms: Arms) -> Asked | Missing:
         for other in runs[1:]
     ]
     count = sum(map(len, arms.repeated))
-    return _worst(found, f"{count} runs of {len(arms.repeated)} configurations, each with others of the same")
+    asked = _worst(found, f"{count} runs of {len(arms.repeated)} configurations, each with others of the same")
+    if isinstance(asked, Missing) or asked.found.level is not Level.BIT_IDENTICAL:
+        return asked
+    agreed = sum(not isinstance(one, Missing) for one in found)
+    below = upper_bound_of_none(agreed)
+    return asked._replace(detail=f"one more run differs with a probability below {below:.0%} (95 %)")
 
 
 def _envs(arms: Arms) -> Asked | Missing:
