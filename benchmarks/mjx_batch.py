@@ -112,8 +112,9 @@ def one_by_one(function: Callable[..., Any]) -> Callable[..., Any]:
 def replacements() -> dict[str, Callable[[ExitStack], None]]:
     """What is computed environment by environment in a whole run, by name."""
     import jax
-    from mujoco.mjx._src import solver
+    from mujoco.mjx._src import smooth, solver
 
+    centres = smooth.com_pos
     factor, solve, gradient = jax.scipy.linalg.cho_factor, jax.scipy.linalg.cho_solve, solver._update_gradient
 
     def alone_factor(matrix: Any) -> Any:
@@ -124,6 +125,17 @@ def replacements() -> dict[str, Callable[[ExitStack], None]]:
 
     def alone_gradient(model: Any, data: Any, context: Any) -> Any:
         return one_by_one(lambda d, c: gradient(model, d, c))(data, context)
+
+    def alone_centres(model: Any, data: Any) -> Any:
+        def found(one: Any) -> Any:
+            done = centres(model, one)
+            return done.subtree_com, done._impl.cinert, done.cdof
+
+        names = ("subtree_com", "_impl.cinert", "cdof")
+        return data.tree_replace(dict(zip(names, one_by_one(found)(data), strict=True)))
+
+    def masses(stack: ExitStack) -> None:
+        stack.enter_context(mock.patch.object(smooth, "com_pos", alone_centres))
 
     def cholesky(stack: ExitStack) -> None:
         stack.enter_context(mock.patch.object(jax.scipy.linalg, "cho_factor", alone_factor))
@@ -136,11 +148,17 @@ def replacements() -> dict[str, Callable[[ExitStack], None]]:
         cholesky(stack)
         newton(stack)
 
+    def all_three(stack: ExitStack) -> None:
+        both(stack)
+        masses(stack)
+
     return {
         "nothing": lambda stack: None,
         "Cholesky factors and solves": cholesky,
         "the solver's Newton direction": newton,
         "both": both,
+        "centres of mass": masses,
+        "all three": all_three,
     }
 
 
