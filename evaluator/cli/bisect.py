@@ -13,6 +13,7 @@ from gpusimbench.evaluator.cli.arguments import local_name
 from gpusimbench.evaluator.cli.entry import enter, new_parser
 from gpusimbench.evaluator.cli.json_target import check_target, write_json
 from gpusimbench.schemas.errors import ExitCode, UsageError
+from gpusimbench.schemas.folder_lock import held
 from gpusimbench.schemas.parser import Parser
 from gpusimbench.schemas.text import line, show
 
@@ -108,7 +109,8 @@ def run(arguments: argparse.Namespace, command: str) -> int:
     versions = between(known, arguments.good or known[0], arguments.bad or known[-1])
     _say(f"{len(versions)} releases from {versions[0]} to {versions[-1]}; at most {most(len(versions))} are recorded")
     made = Releases(package, plan, arguments.out, given, _say)
-    found = bisect(made, versions, predicate_of(arguments.predicate), arguments.predicate)
+    with held(arguments.out, "gsb-bisect", "bisects releases"):
+        found = bisect(made, versions, predicate_of(arguments.predicate), arguments.predicate)
     if arguments.json:
         write_json(arguments.json, dump_json(found))
     if arguments.json != "-":

@@ -11,6 +11,7 @@ from gpusimbench.evaluator.cli.arguments import local_name
 from gpusimbench.evaluator.cli.entry import complain, enter, new_parser
 from gpusimbench.evaluator.cli.json_target import check_target, write_json
 from gpusimbench.schemas.errors import DataLost, ExitCode, NothingComparable, UsageError
+from gpusimbench.schemas.folder_lock import held
 from gpusimbench.schemas.location import place
 from gpusimbench.schemas.parser import Parser
 from gpusimbench.schemas.progress import each, sizes
@@ -167,21 +168,27 @@ def _prices(recordings: list[Recording]) -> tuple[Family, ...]:
 
 def _recorded(arguments: argparse.Namespace, problems: list[str]) -> list[Place]:
     """The recordings of all plans, those that were missing made; `problems` gets what could not be recorded."""
+    plans = _plans(arguments)
+    with held(arguments.out, "gsb-probe", "records a probe"):
+        for plan in plans:
+            _record_arms(plan, arguments.out, problems)
+        together: dict[tuple[str, str, tuple[str, ...]], list[Plan]] = {}
+        for plan in plans:
+            together.setdefault((plan.simulator, plan.scene, plan.options), []).append(plan)
+        for levels in together.values():
+            _clock(levels, arguments.out, problems)
+    return [recording.path for plan in plans for recording in _there(arguments.out, plan)]
+
+
+def _record_arms(plan: Plan, out: Path, problems: list[str]) -> None:
     from gpusimbench.evaluator.render.numbers import plural
 
-    plans: dict[tuple[str, str, tuple[str, ...]], list[Plan]] = {}
-    for plan in _plans(arguments):
-        out = arguments.out
-        refused = _record(plan, plan.missing(_configurations(out, plan)), out, problems)
-        again = plan.missing(_configurations(out, plan), differing(_there(out, plan)))
-        _record(plan, [arm for arm in again if arm not in refused], out, problems, "once more")
-        for why in dict.fromkeys(refused.values()):  # an ability that is missing is an answer
-            count = sum(reason == why for reason in refused.values())
-            show(line(f"gsb-probe: {plural(count, 'arm')} not recorded: {why}"), error=True)
-        plans.setdefault((plan.simulator, plan.scene, plan.options), []).append(plan)
-    for levels in plans.values():
-        _clock(levels, arguments.out, problems)
-    return [r.path for levels in plans.values() for plan in levels for r in _there(arguments.out, plan)]
+    refused = _record(plan, plan.missing(_configurations(out, plan)), out, problems)
+    again = plan.missing(_configurations(out, plan), differing(_there(out, plan)))
+    _record(plan, [arm for arm in again if arm not in refused], out, problems, "once more")
+    for why in dict.fromkeys(refused.values()):  # an ability that is missing is an answer
+        count = sum(reason == why for reason in refused.values())
+        show(line(f"gsb-probe: {plural(count, 'arm')} not recorded: {why}"), error=True)
 
 
 def _clock(levels: list[Plan], out: Path, problems: list[str]) -> None:

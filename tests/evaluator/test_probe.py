@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import os
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import replace
@@ -31,6 +32,7 @@ from gpusimbench.evaluator.report.source import Source
 from gpusimbench.evaluator.results.evaluate import evaluate_files
 from gpusimbench.evaluator.results.evaluation import Evaluation
 from gpusimbench.schemas.configuration import RunConfiguration
+from gpusimbench.schemas.folder_lock import held as held_by
 from gpusimbench.schemas.location import place
 from gpusimbench.schemas.provenance import PROVENANCE
 from gpusimbench.schemas.treatment import Initial, Intervention
@@ -466,3 +468,19 @@ def test_what_a_level_costs(tmp_path: Path, gsb_probe: Command) -> None:
     (price,) = family["levels"]
     assert price["throughput_of_default"]["ratio"] == pytest.approx(0.5, rel=0.01)
     assert len(probes) == 2
+
+
+@pytest.mark.parametrize(
+    ("command", "arguments"),
+    [
+        ("gsb-probe", ["--sim", "mujoco"]),
+        ("gsb-bisect", ["--sim", "mujoco", "--environment", "1.0=here", "--environment", "2.0=there"]),
+    ],
+)
+def test_two_commands_in_one_folder(command: str, arguments: list[str], tmp_path: Path) -> None:
+    """Refuse to record into a folder in which the same command is at work, and name the process; keep nothing of it."""
+    with held_by(tmp_path, command, "is at work"):
+        done = call(command, *arguments, "--out", tmp_path)
+        assert done.returncode == 1
+        assert f"process {os.getpid()} on" in done.stderr
+    assert list(tmp_path.iterdir()) == []
