@@ -120,6 +120,36 @@ def test_who_has_no_place(runs: Path, tmp_path: Path) -> None:
     assert "instrument" in why["control"]
     page = (tmp_path / "board" / "index.html").read_text()
     assert all(reason in page for reason in ("buffer overflow", "no memory", "through the floor"))
+    top = page.partition("<caption>Who is first</caption>")[2].partition("</table>")[0]
+    assert "<td>good: 400" in top
+    rule = "breaks a rule of integrity-1"
+    for name, reason in (("invalid", "1 of 2 runs INVALID"), ("unsaid", rule), ("sunk", "states break mechanics")):
+        assert f"<small>{name} (1 row): {reason}</small>" in top
+    assert "untimed" not in top
+    assert "control" not in top
+
+
+def test_an_engine_that_is_wrong_elsewhere_has_no_place(runs: Path, tmp_path: Path) -> None:
+    """Put nobody first whose mechanics break in another scene, and say at the top of the page what it is."""
+    sunk = grid(2).copy()
+    sunk[..., 2] = -1.0
+    write(runs, sunk, simulator="wrong", steps=500, dt=0.01)
+    write(runs, simulator="wrong", scene="free-fall", elapsed_s=0.1, steps=500, dt=0.01)
+    write(runs, simulator="right", scene="free-fall", elapsed_s=9.0, steps=500, dt=0.01)
+    document = made(tmp_path, runs)
+    (free_fall,) = (section for section in document["sections"] if section["scene"] == "free-fall")
+    assert [(row["simulator"], row["place"]) for row in free_fall["rows"]] == [("right", 1), ("wrong", None)]
+    top = (tmp_path / "board" / "index.html").read_text().partition("</table>")[0]
+    assert "wrong (1 row): elsewhere 27 of 27 cubes per env sank (inclined-collision)" in top
+
+
+def test_rules_that_are_not_met_are_said_in_words(runs: Path, tmp_path: Path) -> None:
+    """Name the rules of the protocol beside a place, and say below what they require and what was found."""
+    write(runs, grid(2), timed_steps=7)
+    made(tmp_path, runs)
+    page = (tmp_path / "board" / "index.html").read_text()
+    assert re.search(r"<small>protocol-1 not met: .*timed steps.*</small>", page)
+    assert re.search(r"At least 1000 steps are timed, and have clocks: it is 7 \(1 of 1\)", page)
 
 
 def test_damaged_recordings_are_left_out(runs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -25,17 +25,21 @@ from gpusimbench.evaluator.render.document import Section as Part
 from gpusimbench.evaluator.render.numbers import plural
 from gpusimbench.evaluator.report import timed
 from gpusimbench.evaluator.report.verdicts import QUESTIONS
-from gpusimbench.evaluator.report.words import amount, shared
+from gpusimbench.evaluator.report.words import amount, shared, shortened
 from gpusimbench.evaluator.results.cost_metrics import FPS
+from gpusimbench.evaluator.runs.groups import is_instrument
 from gpusimbench.evaluator.share.leaderboard import words
 from gpusimbench.evaluator.share.leaderboard.board import Board
+from gpusimbench.evaluator.share.leaderboard.standing import ELSEWHERE, Section
 from gpusimbench.evaluator.share.leaderboard.standing import Row as Standing
-from gpusimbench.evaluator.share.leaderboard.standing import Section
 
 _LEAD = (
     "Computed from {}, and from nothing else: no figure here was typed in. Each row names its recordings by content "
     "hash, so that anybody who has them can compute this page again."
 )
+_REASON = 80
+"""Characters of a reason on the first screen."""
+
 _SPEED = Column(f"throughput [{FPS.unit}]", "mean ± SD over runs, 95 % interval")
 _CHECKED = Column("checked", "by the rules of integrity-1: every byte was read; below it, what did not hold")
 _REPRODUCED = Column("reproduced", "by replays among the recordings, bit for bit")
@@ -70,7 +74,7 @@ def _firsts(sections: Sequence[Section]) -> Table:
         rows.append(Row((where, _leader(first), _leader(second), _barred(section)), {"scene": section.scene}))
     columns = (
         "scene, device", f"fastest [{FPS.unit}]", "next",
-        Column("not ranked", "simulators that are INVALID, break mechanics or a rule, or failed, in any scene"),
+        Column("without a place", "rows that are INVALID, failed, break a rule, or break mechanics in any scene"),
     )  # fmt: skip
     return table("first", "Who is first", columns, rows)
 
@@ -78,17 +82,40 @@ def _firsts(sections: Sequence[Section]) -> Table:
 def _leader(row: Standing | None) -> Cell:
     if row is None:
         return Cell("none", tone=Tone.QUIET)
-    return Cell(f"{row.key.simulator}: {estimate(row.fps).text}", notes=(f"{row.key.n_env:,} envs",))
+    speed = estimate(row.fps)
+    name = (row.name,) if row.name != row.key.simulator else ()
+    told = f"{row.key.n_env:,} envs, {row.key.version or 'no version'}, determinism {row.key.determinism}"
+    return Cell(f"{row.key.simulator}: {speed.text}", range=speed.range, notes=(*name, told))
 
 
 def _barred(section: Section) -> Cell:
-    names = list(dict.fromkeys(row.key.simulator for row in section.unranked))
-    return Cell(", ".join(names), tone=Tone.BAD) if names else EMPTY
+    """Simulators with rows that something speaks against, and what; an untimed row or an instrument is no fault."""
+    found: dict[str, list[str]] = {}
+    for row in section.unranked:
+        if _is_fault(row):
+            found.setdefault(row.key.simulator, []).append(_in_short(row.no_place))
+    told = (
+        f"{name} ({plural(len(reasons), 'row')}): {'; '.join(dict.fromkeys(reasons))}"
+        for name, reasons in found.items()
+    )
+    return Cell(", ".join(found), notes=tuple(told), tone=Tone.BAD) if found else EMPTY
+
+
+def _in_short(no_place: str) -> str:
+    """What kind of reason it is; the whole of it stands in the table of rows without a place."""
+    kind, _, rest = no_place.partition(": ")
+    return shortened(f"elsewhere {rest.partition('; ')[0]}" if kind == ELSEWHERE else kind, _REASON)
+
+
+def _is_fault(row: Standing) -> bool:
+    """Whether a row has no place for what it did, and not because it was never to be ranked."""
+    untimed = isinstance(row.fps.value, Missing) and row.no_place == row.fps.value.reason
+    return bool(row.no_place) and not untimed and not is_instrument(row.key)
 
 
 def _section(number: int, section: Section) -> Part:
     key = f"s{number}"
-    blocks: list[Block] = [Text(_timed_over(section))]
+    blocks: list[Block] = [Text(_scene(section))]
     if section.ranked:
         blocks.append(_ranking(f"{key}-ranking", section))
     if section.points:
@@ -103,12 +130,21 @@ def _section(number: int, section: Section) -> Part:
     files = sum(len(row.entries) for row in section.rows)
     told = plural(files, "recording")
     blocks.append(Part(f"{key}-files", "Recordings", (_files(f"{key}-files-table", section),), told, folded=True))
-    return Part(key, f"{section.scene} on {section.device}", tuple(blocks))
+    return Part(key, _heading(section), tuple(blocks))
+
+
+def _heading(section: Section) -> str:
+    """Scene, device and timed steps: sections of one scene and device differ by these alone."""
+    return ", ".join(part for part in (f"{section.scene} on {section.device}", section.timed) if part)
 
 
 def _timed_over(section: Section) -> str:
     timed_over = f"timed over {section.timed} of the scene, " if section.timed else ""
-    return f"{timed_over}dt {section.dt:g} s, scene {words.short(section.scene_hash)}"
+    return f"{timed_over}{_scene(section)}"
+
+
+def _scene(section: Section) -> str:
+    return f"dt {section.dt:g} s, scene {words.short(section.scene_hash)}"
 
 
 def _ranking(key: str, section: Section) -> Table:
@@ -127,7 +163,7 @@ def _ranking(key: str, section: Section) -> Table:
             _checked(row), _reproduced(row),
         )  # fmt: skip
         rows.append(Row(cells, _facets(row)))
-    return table(key, f"Ranking: {section.scene} on {section.device}", columns, rows).without_empty_columns()
+    return table(key, f"Ranking: {_heading(section)}", columns, rows).without_empty_columns()
 
 
 def _points(key: str, of: Sequence[Standing]) -> Table:
@@ -136,10 +172,10 @@ def _points(key: str, of: Sequence[Standing]) -> Table:
 
 
 def _without_place(key: str, of: Sequence[Standing]) -> Table:
-    rows = [
-        Row((_who(row), _envs(row), Cell(row.no_place, tone=Tone.BAD), _checked(row), _reproduced(row)), _facets(row))
-        for row in of
-    ]
+    rows = []
+    for row in of:
+        why = Cell(row.no_place, tone=Tone.BAD if _is_fault(row) else Tone.QUIET)
+        rows.append(Row((_who(row), _envs(row), why, _checked(row), _reproduced(row)), _facets(row)))
     return table(key, "", ("simulator", "envs", "why it has no place", _CHECKED, _REPRODUCED), rows)
 
 
@@ -148,9 +184,7 @@ def _settings(key: str, of: Sequence[Standing]) -> Table:
     for row in of:
         work = row.result.timed
         solver = [f"{name} {value}" for name, value in work.settings.items() if value]
-        of_files = words.deviations(row)
-        of_set = [rule for rule in work.unmet.findings if not any(said.startswith(f"{rule}: ") for said in of_files)]
-        said = (_lines(solver), _lines(words.settings(row)), _lines([*of_files, *of_set]))
+        said = (_lines(solver), _lines(words.settings(row)), _lines(words.unmet(row)))
         rows.append(Row((Cell(row.name, notes=(f"{row.key.n_env:,} envs",)), *said), _facets(row)))
     return table(key, "", ("simulator", "solver", "switches in force", "rules of protocol-1 that are not met"), rows)
 
@@ -202,9 +236,9 @@ def _memory(row: Standing) -> Cell:
 
 
 def _checked(row: Standing) -> Cell:
-    """What the rules say of its recordings, what did not hold, and how many rules of the protocol are not met."""
-    unmet = len(row.result.timed.unmet.findings)
-    beyond = (f"{plural(unmet, 'rule')} of protocol-1 not met",) if unmet else ()
+    """What the rules say of its recordings, what did not hold, and which rules of the protocol are not met."""
+    unmet = words.unmet_in_short(row)
+    beyond = (unmet,) if unmet else ()
     return Cell(words.checked(row), notes=(*row.gates, *beyond), tone=Tone.BAD if row.gates else Tone.PLAIN)
 
 

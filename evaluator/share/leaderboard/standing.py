@@ -21,6 +21,9 @@ from gpusimbench.evaluator.runs.run import Run
 from gpusimbench.evaluator.share.dataset.checkup import BROKEN, Checkup
 from gpusimbench.evaluator.share.leaderboard.reproduction import Replay, Reproduction, reproduction
 
+ELSEWHERE = "the same engine elsewhere"
+"""What a reason begins with that is from another row of the same engine."""
+
 
 @dataclass(frozen=True)
 class Entry:
@@ -211,7 +214,7 @@ def _no_place(result: GroupResult, results: Sequence[GroupResult], entries: Sequ
     if isinstance(fps.value, Missing):
         return fps.value.reason
     elsewhere = faults_anywhere(result, results)
-    return f"the same engine elsewhere: {'; '.join(elsewhere)}" if elsewhere else ""
+    return f"{ELSEWHERE}: {'; '.join(elsewhere)}" if elsewhere else ""
 
 
 def _gates(result: GroupResult, entries: Sequence[Entry]) -> list[str]:

@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Iterator
+from functools import cache
 
+from gpusimbench.evaluator.check.rules.rule import load_rules
 from gpusimbench.evaluator.render import numbers
 from gpusimbench.evaluator.render.numbers import plural
 from gpusimbench.evaluator.report import timed
 from gpusimbench.evaluator.report import words as report_words
-from gpusimbench.evaluator.share.dataset.checkup import BROKEN
+from gpusimbench.evaluator.share.dataset.checkup import BROKEN, PROTOCOL
 from gpusimbench.evaluator.share.leaderboard.board import Board
 from gpusimbench.evaluator.share.leaderboard.reproduction import Reproduction
 from gpusimbench.evaluator.share.leaderboard.standing import Row
 
 _SHORT = 10
 _LONGEST = 100
+_YES_OR_NO = re.compile(r"^found: (yes|no) ")
 
 
 def leaderboard_lines(board: Board) -> Iterator[str]:
@@ -64,6 +68,27 @@ def deviations(row: Row) -> list[str]:
         for deviation in entry.deviations:
             found[deviation] = found.get(deviation, 0) + 1
     return [f"{deviation} ({count} of {len(row.entries)})" for deviation, count in found.items()]
+
+
+def unmet(row: Row) -> list[str]:
+    """Rules of protocol-1 that are not met: the sentence that each requires, and what was found in how many files."""
+    told: dict[str, list[str]] = {rule: [] for rule in row.result.timed.unmet.findings}
+    for deviation in deviations(row):
+        rule, _, found = deviation.partition(": ")
+        told.setdefault(rule, []).append(_YES_OR_NO.sub("not so ", found))
+    required = _required()
+    return [f"{required[rule]}: {', '.join(found)}" if found else required[rule] for rule, found in told.items()]
+
+
+@cache
+def _required() -> dict[str, str]:
+    return {rule.id: rule.requires.rstrip(".") for rule in load_rules(PROTOCOL).rules}
+
+
+def unmet_in_short(row: Row) -> str:
+    """The same as names of rules; empty where all are met."""
+    rules = ", ".join(rule.replace("-", " ") for rule in row.result.timed.unmet.findings)
+    return f"protocol-1 not met: {rules}" if rules else ""
 
 
 def reproduced(found: Reproduction) -> str:
