@@ -19,6 +19,7 @@ from unittest import mock
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.warp_batch import first_difference, of_first
 from gpusimbench.evaluator.metrics.divergence import differs, ulp_distance
 from gpusimbench.recorder.scenes.registry import make_scene
 from gpusimbench.recorder.simulators.mjx.physics import MjxOptions
@@ -162,17 +163,9 @@ def replacements() -> dict[str, Callable[[ExitStack], None]]:
     }
 
 
-def trajectory(n_env: int, steps: int, device: str) -> list[bytes]:
-    """The states of environment 0 after each step, as bytes."""
-    simulator = simulator_of(n_env, device)
-    states = simulator.states(steps)
-    simulator.close()
-    return [b"".join(np.ascontiguousarray(array[step, 0]).tobytes() for array in states) for step in range(steps)]
-
-
-def first_difference(one: Sequence[bytes], other: Sequence[bytes]) -> str:
-    """The first step at which two trajectories differ in any bit."""
-    return str(next((step for step, (a, b) in enumerate(zip(one, other, strict=True), 1) if a != b), "never"))
+def trajectory(n_env: int, steps: int, device: str) -> list[NDArray[Any]]:
+    """The states of environment 0 after each step, one array a step."""
+    return of_first(simulator_of(n_env, device), steps)
 
 
 def table(head: Sequence[str], rows: Iterator[list[str]]) -> None:

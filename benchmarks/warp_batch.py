@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gpusimbench.recorder.scenes.registry import make_scene
+from gpusimbench.recorder.simulators.base import Simulator
 from gpusimbench.recorder.simulators.warp.simulator import MujocoWarp, WarpOptions
 
 GROUPS = "_jtdaj_groups_per_world"
@@ -29,6 +30,11 @@ def trajectory(n_env: int, steps: int, device: str) -> list[NDArray[Any]]:
     simulator = MujocoWarp(scene, n_env=n_env, dt=scene.dt, seed=0, options=WarpOptions(device=device))
     simulator.build()
     simulator.compile("capture")
+    return of_first(simulator, steps)
+
+
+def of_first(simulator: Simulator, steps: int) -> list[NDArray[Any]]:
+    """The states of environment 0 of a simulator that was built, after each step, one array a step; closes it."""
     states = simulator.states(steps)
     simulator.close()
     return [np.concatenate([array[step, 0].ravel() for array in states]) for step in range(steps)]

@@ -69,6 +69,11 @@ class RunConfiguration:
     initial: str = ""
     intervention: str = ""
 
+    @property
+    def option_words(self) -> list[str]:
+        """The simulator's options as the command takes them, NAME=VALUE, sorted."""
+        return sorted(f"{name}={value}" for name, value in self.options.items())
+
     def to_json(self) -> dict[str, Any]:
         """As plain JSON values; of the last two, what is empty is left out."""
         record = {**asdict(self), "phases": list(self.phases), "view": list(self.view)}

@@ -39,8 +39,7 @@ class Plan:
 
     def has(self, c: RunConfiguration) -> bool:
         """Whether a run is what this plan asks for."""
-        options = sorted(f"{name}={value}" for name, value in c.options.items())
-        found = (c.simulator, c.scene, c.n_env, c.seed, c.steps, "timed" in c.phases, options)
+        found = (c.simulator, c.scene, c.n_env, c.seed, c.steps, "timed" in c.phases, c.option_words)
         return found == (
             self.simulator, self.scene, self.n_env, self.seed, self.steps, self.timed, sorted(self.options)
         )  # fmt: skip

@@ -111,8 +111,7 @@ class Plan:
 
     def has(self, c: RunConfiguration) -> bool:
         """Whether a run is an arm of this plan."""
-        options = sorted(f"{name}={value}" for name, value in c.options.items())
-        found = (c.simulator, c.scene, c.determinism, c.seed, c.steps, c.stride, options)
+        found = (c.simulator, c.scene, c.determinism, c.seed, c.steps, c.stride, c.option_words)
         asked = (
             self.simulator, self.scene, self.determinism, self.seed, self.steps, self._stride(c.n_env),
             sorted(self.options),

@@ -175,7 +175,7 @@ def _numbers(arms: Arms) -> Asked | Missing:
     parts = [f"differs for {', '.join(map(str, differ))} environments"] if differ else []
     others = {how: why for how, why in arms.failed.items() if _other_number(how, arms.n_env)}
     parts += [
-        f"not with {how.partition(' ')[0]}: {shorten(why, 60, placeholder=' ...')}" for how, why in others.items()
+        f"not with {how.partition(' ')[0]}: {shorten(why, _WHY, placeholder=' ...')}" for how, why in others.items()
     ]
     return _worst(found, f"{arms.n_env} environments and {listed} of the same initial states", "; ".join(parts))
 

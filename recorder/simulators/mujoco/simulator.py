@@ -98,9 +98,8 @@ class MujocoC(Simulator):
             self._worlds.step(n_step)
             return
         for _ in range(n_step):
-            self._worlds.write(
-                "ctrl", self._actions[self._next_action]
-            )  # in double precision, which holds every float32
+            # in double precision, which holds every float32
+            self._worlds.write("ctrl", self._actions[self._next_action])
             self._next_action += 1
             self._worlds.step(1)
 
