@@ -108,7 +108,7 @@ def configurations(probe: Probe, folder: Path) -> list[dict[str, Any]]:
     for arm in plan.missing([recording.configuration for recording in there], differing(there)):
         arguments = parser().parse_args(plan.arguments(arm, "."))
         fill(arguments)
-        found.append(configure(arguments).to_json())
+        found.append(configure(arguments)[0].to_json())
     return found
 
 

@@ -19,6 +19,9 @@ from gpusimbench.schemas.writing import Taken, create, give_name
 MIN_DT = 1e-6
 """Shortest step [s]: times are recorded in whole nanoseconds, and a step is to be off by no more than a thousandth."""
 
+MAX_SNAPSHOTS = 64
+"""Snapshots that a run takes."""
+
 MAX_TIMEOUT = 1e9
 """Longest time limit [s]."""
 
@@ -89,6 +92,17 @@ def check_runs(count: int) -> None:
     """UsageError where no set has so many runs."""
     if count < 1:
         raise UsageError(f"--runs is at least 1, not {count}")
+
+
+def parse_snapshots(text: str, steps: int) -> tuple[int, ...]:
+    """Steps that --snapshot names. UsageError where they are none of those that are captured."""
+    found = [word.strip() for word in text.split(",")] if text else []
+    if not all(word.isdecimal() and int(word) <= steps for word in found) or len(found) > MAX_SNAPSHOTS:
+        raise UsageError(
+            f"--snapshot is a list of captured steps, from 0 to --steps ({steps}), separated by commas, at most "
+            f"{MAX_SNAPSHOTS}, not '{text}'"
+        )
+    return tuple(sorted({int(word) for word in found}))
 
 
 def runs(configuration: RunConfiguration, count: int) -> list[RunConfiguration]:

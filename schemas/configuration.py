@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from gpusimbench.schemas import checks
 from gpusimbench.schemas.errors import DamagedRecording
-from gpusimbench.schemas.treatment import Initial, Intervention
+from gpusimbench.schemas.treatment import Given, Initial, Intervention, parse_initial
 
 OPTIONAL_PHASES = ("timed", "capture")
 """Phases that a run can leave out; "warmup" belongs to "timed"."""
@@ -32,7 +33,7 @@ class RunConfiguration:
     scene        name in the registry of scenes
     n_env        number of identical environments
     dt           simulator step [s]
-    steps        steps captured after the initial state
+    steps        last captured step; the scene's first state is step 0
     stride       every how many steps a state is recorded; divides `steps`
     warmup       steps before the timed ones, excluded from throughput
     timed_steps  steps that throughput is computed from
@@ -44,9 +45,10 @@ class RunConfiguration:
     determinism  level that the simulator was asked for; "default" leaves the engine as it ships
     timeout      the run is ended after so many seconds; 0: never
     capture      one of CAPTURE_MODES
-    initial      how environments begin, as of treatment.Initial; empty: in the scene's first state
+    initial      how environments begin, as of treatment.Initial or Given; empty: in the scene's first state
     intervention what is done to their state on the way, as of treatment.Intervention; empty: nothing
     view         environments whose captured states are written as what viewers draw, too
+    snapshots    captured steps after which the engine's whole state is saved, ascending
     """
 
     simulator: str
@@ -68,16 +70,28 @@ class RunConfiguration:
     view: tuple[int, ...] = ()
     initial: str = ""
     intervention: str = ""
+    snapshots: tuple[int, ...] = ()
 
     @property
     def option_words(self) -> list[str]:
         """The simulator's options as the command takes them, NAME=VALUE, sorted."""
         return sorted(f"{name}={value}" for name, value in self.options.items())
 
+    @property
+    def first_step(self) -> int:
+        """The first captured step: 0, or the step of another run that this run continues."""
+        return int(self.initial.split(":")[1]) if self.initial.startswith("snapshot:") else 0
+
+    @property
+    def captured_steps(self) -> int:
+        """Steps that the capture makes."""
+        return self.steps - self.first_step
+
     def to_json(self) -> dict[str, Any]:
-        """As plain JSON values; of the last two, what is empty is left out."""
+        """As plain JSON values; of the last three, what is empty is left out."""
         record = {**asdict(self), "phases": list(self.phases), "view": list(self.view)}
-        for name in ("initial", "intervention"):
+        record["snapshots"] = list(self.snapshots)
+        for name in ("initial", "intervention", "snapshots"):
             if not record[name]:
                 del record[name]
         return record
@@ -93,7 +107,7 @@ class RunConfiguration:
             raise DamagedRecording(f"phases are not among {OPTIONAL_PHASES}: {phases}")
         timed = "timed" in phases
         n_env = checks.whole(record, "n_env", 1, MAX_ENVS)
-        return cls(
+        made = cls(
             simulator=checks.text(record, "simulator"),
             scene=checks.text(record, "scene"),
             n_env=n_env,
@@ -111,15 +125,22 @@ class RunConfiguration:
             timeout=checks.number(record, "timeout", 0, 1e9) if "timeout" in record else 0.0,
             capture=checks.text(record, "capture", default=CAPTURE_MODES[0]),
             view=tuple(checks.whole({"view": env}, "view", 0, n_env - 1) for env in checks.items(record, "view")),
-            initial=_treatment(record, "initial", Initial),
-            intervention=_treatment(record, "intervention", Intervention),
+            initial=_treatment(record, "initial", parse_initial),
+            intervention=_treatment(record, "intervention", Intervention.parse),
+            snapshots=tuple(
+                checks.whole({"snapshots": step}, "snapshots", 0, checks.MAX_COUNT)
+                for step in checks.items(record, "snapshots")
+            ),
         )
+        if made.captured_steps < 1:
+            raise DamagedRecording(f"it begins at step {made.first_step} and ends at step {made.steps}")
+        return made
 
 
-def _treatment(record: dict[str, Any], name: str, kind: type[Initial] | type[Intervention]) -> str:
+def _treatment(record: dict[str, Any], name: str, parse: Callable[[str], Initial | Given | Intervention]) -> str:
     text = checks.text(record, name, default="")
     try:
-        return text and str(kind.parse(text))
+        return text and str(parse(text))
     except ValueError:
         raise DamagedRecording(f"{name} is none that is known: {text[:40]!r}") from None
 

@@ -12,8 +12,15 @@ from dataclasses import dataclass
 MOST_SPREAD = 3.0
 """Of initial states [m/s or rad]."""
 
+GIVEN = "initial.npz"
+"""Attachment with the states that a run was given to begin with, as of schemas.arrays."""
+
+SNAPSHOT = re.compile(r"snapshot-(\d{1,12})\.npz")
+"""Attachment with an engine's whole state after a step."""
+
 _NUMBER = r"[0-9.eE+-]+"
 _INITIAL = re.compile(rf"random:(?P<spread>{_NUMBER})(?:,(?:shift:(?P<shift>\d{{1,8}})|but:(?P<but>\d{{1,8}})))?")
+_GIVEN = re.compile(r"(?:states|snapshot:(?P<step>\d{1,12})):(?P<sha256>[0-9a-f]{64})")
 _INTERVENTION = re.compile(r"(?P<kind>[a-z]+)@(?P<step>\d{1,9})(?:\+(?P<more>\d{1,9}))?")
 
 
@@ -44,6 +51,50 @@ class Initial:
     def __str__(self) -> str:
         tail = f",shift:{self.shift}" if self.shift else "" if self.but is None else f",but:{self.but}"
         return f"random:{self.spread!r}{tail}"
+
+
+@dataclass(frozen=True)
+class Given:
+    """Initial states that were given: "states:SHA256" or "snapshot:STEP:SHA256". The recording has them attached.
+
+    sha256  of the attachment GIVEN [hex]
+    step    None: positions and velocities. Else an engine's whole state after that step of another run, which this run
+            continues: its first state is that of this step, and has its number
+    """
+
+    sha256: str
+    step: int | None = None
+
+    @classmethod
+    def parse(cls, text: str) -> Given:
+        """From the text; ValueError where it is none."""
+        found = _GIVEN.fullmatch(text)
+        if not found:
+            raise ValueError(text)
+        return cls(found["sha256"], None if found["step"] is None else int(found["step"]))
+
+    def __str__(self) -> str:
+        return f"{'states' if self.step is None else f'snapshot:{self.step}'}:{self.sha256}"
+
+
+def parse_initial(text: str) -> Initial | Given:
+    """How environments begin; ValueError where the text is nothing that is known."""
+    return Initial.parse(text) if text.startswith("random:") else Given.parse(text)
+
+
+def drawn(text: str) -> Initial | None:
+    """How initial states were drawn; None where they were not."""
+    return Initial.parse(text) if text.startswith("random:") else None
+
+
+def initial_words(text: str) -> str:
+    """How environments begin, short enough for a table."""
+    return re.sub(r"([0-9a-f]{12})[0-9a-f]{52}$", r"\1", text)
+
+
+def snapshot_name(step: int) -> str:
+    """Of the attachment with the snapshot after that step."""
+    return f"snapshot-{step}.npz"
 
 
 KINDS = {

@@ -254,7 +254,8 @@ def _captured(recording: Recording, phases: dict[str, float]) -> tuple[Rate | No
         return None, "no capture phase was asked for"
     if seconds <= 0 or recording.status != "complete":
         return None, "the capture phase has no clocks" if recording.status == "complete" else "the run is not complete"
-    return Rate(c.n_env, c.steps, seconds, frames_per_second(c.n_env, c.steps, seconds)), ""
+    made = c.captured_steps
+    return Rate(c.n_env, made, seconds, frames_per_second(c.n_env, made, seconds)), ""
 
 
 def _memory(recording: Recording) -> dict[str, Memory]:

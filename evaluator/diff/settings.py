@@ -11,13 +11,14 @@ from typing import Any
 from gpusimbench.evaluator.diff.result import Setting
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.schemas.provenance import ENGINE_LOG, PACKAGES, PROVENANCE, SIMULATION
+from gpusimbench.schemas.treatment import GIVEN, SNAPSHOT
 
 _UNSET = "(unset)"
 _LONGEST = 200
 _DEEPEST = 4
 _DIGITS = 12  # of a digest that is shown
-_OF_THE_RUN = ("run_index", "view")
-_TOLD_ELSEWHERE = (PROVENANCE, SIMULATION, PACKAGES, ENGINE_LOG, "entropy.txt")
+_OF_THE_RUN = ("run_index", "view", "snapshots")
+_TOLD_ELSEWHERE = (PROVENANCE, SIMULATION, PACKAGES, ENGINE_LOG, GIVEN, "entropy.txt")
 
 
 def differing_settings(a: Recording, b: Recording) -> tuple[Setting, ...]:
@@ -59,7 +60,7 @@ def _told(recording: Recording) -> Iterator[tuple[str, str]]:
             told[digest] = told[digest][:_DIGITS]
         yield from _flat(told, f"actions.{phase}.")
     for name in recording.attachment_names():
-        if name not in _TOLD_ELSEWHERE:
+        if name not in _TOLD_ELSEWHERE and not SNAPSHOT.fullmatch(name):
             yield (
                 f"attachment.{name}",
                 f"sha256 {hashlib.sha256(recording.attachment(name) or b'').hexdigest()[:_DIGITS]}",

@@ -116,7 +116,8 @@ def _rows(recording: Recording, motion: Motion, rate: float) -> slice:
     # at most `rate` times a simulated second; none where a field has none
     stop = min((len(recording.state(field.group, field.field)) for field in motion.fields), default=0)
     c = recording.configuration
-    return slice(0, stop, one_of(rate, dt=c.dt, stride=c.stride))
+    step = one_of(rate, dt=c.dt, stride=c.stride)
+    return slice(-(c.first_step // c.stride) % step, stop, step)
 
 
 def _times(recording: Recording, motion: Motion, rows: slice) -> tuple[int, ...]:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.runs.groups import GroupKey, key_of
-from gpusimbench.schemas.treatment import Initial, Intervention
+from gpusimbench.schemas.treatment import Initial, Intervention, drawn
 
 
 @dataclass(frozen=True)
@@ -62,7 +62,9 @@ def arms_of(recordings: Sequence[Recording]) -> list[Arms]:
     found: dict[GroupKey, list[Recording]] = {}
     seen: set[str] = set()
     for recording in recordings:
-        if "capture" in recording.configuration.phases and recording.provenance.run_id not in seen:
+        c = recording.configuration
+        given = bool(c.initial) and drawn(c.initial) is None  # which no arm is
+        if "capture" in c.phases and not given and recording.provenance.run_id not in seen:
             seen.add(recording.provenance.run_id)
             found.setdefault(_common(recording), []).append(recording)
     return [_arms(key, alike) for key, alike in found.items()]
@@ -82,7 +84,7 @@ def _arms(key: GroupKey, recordings: Sequence[Recording]) -> Arms:
     good = [r for r in recordings if _ended(r) and not r.dropouts]
     failed = {_treatment(r): f"{r.status}: {r.reason}" for r in recordings if r not in good}
     alone = [r for r in good if not r.configuration.intervention]
-    varied = _of_one_spread({r: Initial.parse(r.configuration.initial) for r in good if r.configuration.initial})
+    varied = _of_one_spread({r: initial for r in good if (initial := drawn(r.configuration.initial))})
     same = [r for r, initial in varied.items() if not initial.shift and initial.but is None]
     usual_size = {r: initial for r, initial in varied.items() if r.configuration.n_env == n_env}
     treated = [r for r in same if r in usual_size]

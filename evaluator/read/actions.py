@@ -31,10 +31,13 @@ def action_names(messages: Messages) -> tuple[str, ...]:
     return tuple(dict.fromkeys(p.name for p in parsed if p))
 
 
-def read_actions(messages: Messages, name: str, *, n_env: int, cut_short: bool) -> NDArray[np.floating]:
-    """A stream of actions, shape [step, env, action]; row i leads from the state of step i to the next.
+def read_actions(
+    messages: Messages, name: str, *, n_env: int, first_step: int, cut_short: bool
+) -> NDArray[np.floating]:
+    """A stream of actions, shape [step, env, action]; row i leads from row i of the states to the next.
 
-    cut_short  steps that not every environment has are left out, instead of being damage
+    first_step  of the capture
+    cut_short   steps that not every environment has are left out, instead of being damage
 
     KeyError names the recorded streams. DamagedRecording where steps or environments are missing.
     """
@@ -43,7 +46,7 @@ def read_actions(messages: Messages, name: str, *, n_env: int, cut_short: bool) 
         known = ", ".join(action_names(messages)) or "none"
         raise KeyError(f"{messages.path} has no actions {name}; it has: {known}")
     starts = sorted(found)
-    blocks = {start: _column(messages, found[start], start) for start in starts}
+    blocks = {start: _column(messages, found[start], start, first_step) for start in starts}
     if cut_short and not all(blocks.values()):
         return np.empty((0, n_env, 0))
     kinds = {(block.dtype, block.shape[2]) for rows in blocks.values() for block in rows}
@@ -59,9 +62,9 @@ def read_actions(messages: Messages, name: str, *, n_env: int, cut_short: bool) 
     return np.concatenate([np.concatenate(blocks[start])[:steps] for start in starts], axis=1)
 
 
-def _column(messages: Messages, topic: str, env_start: int) -> list[NDArray[np.floating]]:
+def _column(messages: Messages, topic: str, env_start: int, first_step: int) -> list[NDArray[np.floating]]:
     rows: list[NDArray[np.floating]] = []
-    expected = 0
+    expected = first_step
     for content in messages.contents(topic):
         header, block = decode_action(content)
         if (header.first_step, header.env_start) != (expected, env_start) or header.stride > 1:

@@ -138,7 +138,10 @@ class Recording:
         KeyError names the recorded ones.
         """
         cut_short = self.status == "incomplete"
-        return read_actions(self._messages, name, n_env=self.configuration.n_env, cut_short=cut_short)
+        return read_actions(
+            self._messages, name, n_env=self.configuration.n_env, first_step=self.configuration.first_step,
+            cut_short=cut_short,
+        )  # fmt: skip
 
     @cached_property
     def timing(self) -> dict[str, StepTiming]:

@@ -163,7 +163,8 @@ def _asked(c: RunConfiguration) -> Iterator[str]:
         yield f"{c.warmup} warm-up and {c.timed_steps} timed steps"
     if "capture" in c.phases:
         kept = f"every {c.stride}th" if c.stride > 1 else "each"
-        yield f"{plural(c.steps, 'captured step')}, {kept} kept"
+        begin = f" from step {c.first_step} on" if c.first_step else ""
+        yield f"{plural(c.captured_steps, 'captured step')}{begin}, {kept} kept"
 
 
 def _pairs(values: dict[str, Any], given: dict[str, str]) -> str:

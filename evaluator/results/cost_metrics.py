@@ -153,7 +153,7 @@ def _overhead(run: Run) -> float | Missing:
     c = run.configuration
     if not (run.capture_s and run.elapsed_s):
         return Missing("timed and captured steps were not both clocked")
-    return overhead(run.capture_s, c.steps, run.elapsed_s, c.timed_steps)
+    return overhead(run.capture_s, c.captured_steps, run.elapsed_s, c.timed_steps)
 
 
 def _capture(group: GroupRuns) -> CaptureOverhead:

@@ -113,10 +113,13 @@ class StateWriter:
         n_env: int,
         dt: float,
         stride: int,
+        first_step: int = 0,
         view: ViewWriter | None = None,
         may_fail: frozenset[int] = frozenset(),
     ) -> None:
-        """may_fail  environments whose states need not be finite"""
+        """first_step  number of the first state that will be fed
+        may_fail    environments whose states need not be finite
+        """
         self._sink = sink
         self.fields = tuple(fields)
         self._n_env = n_env
@@ -131,8 +134,9 @@ class StateWriter:
         self._buffers: dict[int, States] = {}  # by first environment
         self.workers = Workers(alone=row_bytes(n_env, fields) * self._rows < _ALONE_BYTES)
         self._view = view
-        self.last_step = -1
-        self.last_recorded_step = -1
+        self._first_step = first_step
+        self.last_step = first_step - 1
+        self.last_recorded_step = first_step - 1
         for field in self.fields:
             for start in self._starts:
                 metadata = {**field.to_metadata(), "stride": str(stride), "dt": repr(dt), "n_env": str(n_env)}
@@ -169,7 +173,7 @@ class StateWriter:
                 self._held.append(kept)
                 self._held_rows += stored
             self.last_step += len(columns[0][0])
-            whole = self._held_rows >= self._rows or first == 0
+            whole = self._held_rows >= self._rows or first == self._first_step
             if stored and not whole:  # until the block is full, in memory of their own
                 self._held[-1] = [tuple(array.copy() for array in states) for states in kept]
             # in this order: a file is written by one thread, which must not wait for hashes that others make meanwhile

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -70,39 +70,37 @@ def step_and_capture(
     writing: Writing,
     clock: CaptureClock,
     *,
-    steps: int,
+    first: int,
+    last: int,
     block_steps: int,
     prepare: Callable[[int, int], Actions | None],
     progress: Callable[[int], None],
     stopped: Callable[[], bool],
-    intervene: Callable[[], None] | None = None,
-    intervene_after: int = 0,
+    between: Sequence[tuple[int, Callable[[], None]]] = (),
 ) -> None:
-    """Put the initial state and the states of `steps` steps, `block_steps` of them a block.
+    """Put the present state, of step `first`, and those of all steps up to `last`, `block_steps` of them a block.
 
     prepare   hands the engine the actions of the next steps, by the first of them and their number, and returns them
-    progress  called with the steps begun so far
+    progress  called with the last step begun so far
     stopped   True once a state was not finite: nothing of use follows
-    intervene  called once, after so many steps, with nothing begun ahead of it
+    between   what is called once, in order, after a step, with nothing begun ahead of it
     """
-    writing.put(Block(0, Held(tuple(array[np.newaxis].copy() for array in simulator.state())), None))
+    writing.put(Block(first, Held(tuple(array[np.newaxis].copy() for array in simulator.state())), None))
     ahead: deque[Block] = deque()
-    begun = 0
-    while (begun < steps and not stopped()) or ahead:
-        due = intervene is not None and begun == intervene_after
+    begun, calls = first, deque(between)
+    while (begun < last and not stopped()) or ahead or (calls and not stopped()):
+        due = bool(calls) and begun == calls[0][0]
         if due and not ahead:
-            assert intervene is not None
-            intervene()
-            intervene = None
+            calls.popleft()[1]()
             continue
         room = len(ahead) < simulator.blocks_ahead and len(ahead) + writing.unwritten < RING_BLOCKS
-        if begun < steps and not stopped() and not due and (room or not ahead):
+        if begun < last and not stopped() and not due and (room or not ahead):
             if not room:
                 clock.stall(lambda: writing.wait(RING_BLOCKS - 1))
             progress(begun)
-            count = min(block_steps, steps - begun)
-            if intervene is not None and begun < intervene_after:
-                count = min(count, intervene_after - begun)
+            count = min(block_steps, last - begun)
+            if calls:
+                count = min(count, calls[0][0] - begun)
             actions = prepare(begun, count)
             ahead.append(Block(begun + 1, simulator.begin_states(count), actions))
             begun += count

@@ -31,6 +31,8 @@ replays:
   and nothing else. What it asks for is printed first. The scene has to be the same; --option (and --impl, --device...)
   replaces what was recorded, and the new recording says so; --runs, --phases, --view-env, --timeout, --python and --out
   are yours.
+  --replay FILE --from STEP begins in the middle, at a snapshot that --snapshot STEP has saved, and captures the states
+  from there on. The engine takes a snapshot as it is: continue only recordings of people whose code you would run.
   A replay that takes more memory, threads or disk than its recording accounts for is stopped; nothing of it is kept.
   gsb-audit FILE does this, and says whether the same came out.
 
@@ -78,6 +80,7 @@ _SIMULATED: dict[str, Any] = {
     "device": (),
     "initial": "",
     "intervene": "",
+    "snapshot": "",
     "determinism": "default",
     "timeout": 0.0,
     "phases": ",".join(OPTIONAL_PHASES),
@@ -97,7 +100,7 @@ _MEASURED: dict[str, Any] = {"scene": "inclined-collision", "trials": None, "uni
 """The same for real trials."""
 
 _REPLAYED: dict[str, Any] = {
-    "runs": 1, "option": (), "timeout": 0.0, "phases": None, "view_env": (), "no_view": False,
+    "runs": 1, "option": (), "timeout": 0.0, "phases": None, "view_env": (), "no_view": False, "from_step": None,
     "ray": None, "ray_resource": None,
 }  # fmt: skip
 """The same for replays; and so are the options that are short for --option."""
@@ -166,9 +169,11 @@ def parser() -> Parser:
         what.add_argument(f"--{name}", action="append", metavar="X", help=f"{meaning}: short for --option {name}=X")
     what.add_argument(
         "--initial",
-        metavar="random:SPREAD",
-        help="begin each environment in a state of its own: velocities of bodies [m/s] and angles of joints [rad] are "
-        "drawn within +-SPREAD of the scene's, from the seed (default: all begin alike)",
+        metavar="random:SPREAD|FILE",
+        help="begin each environment in a state of its own. random:SPREAD draws velocities of bodies [m/s] and angles "
+        "of joints [rad] within +-SPREAD of the scene's, from the seed. FILE.mcap or FILE.mcap@STEP gives the "
+        "positions and velocities that a recording has at a step (default: its first), also of another simulator; "
+        "FILE.npz gives arrays by GROUP/FIELD (default: all begin in the scene's first state)",
     )
     what.add_argument(
         "--intervene",
@@ -176,6 +181,13 @@ def parser() -> Parser:
         help="change the state after a captured step: reset@STEP resets every second environment; poison@STEP makes "
         "one not finite; set@STEP gives all the positions and velocities that they have; excursion@STEP+MORE saves "
         "all, makes MORE steps that are not recorded, and restores all; gsb-probe uses these (default: none)",
+    )
+    what.add_argument(
+        "--from",
+        dest="from_step",
+        type=int,
+        metavar="STEP",
+        help="with --replay: begin at the snapshot that the recording has of this step, and capture the rest",
     )
     what.add_argument(
         "--determinism",
@@ -195,6 +207,12 @@ def parser() -> Parser:
     how.add_argument("--steps", type=int, metavar="N", help="captured steps (default: 5 s of simulated time)")
     how.add_argument(
         "--stride", type=int, metavar="K", help=f"record every K-th state (default: {_SIMULATED['stride']})"
+    )
+    how.add_argument(
+        "--snapshot",
+        metavar="STEP[,STEP...]",
+        help="save the engine's whole state after these captured steps, so that --replay FILE --from STEP can "
+        "continue there (default: none)",
     )
     how.add_argument(
         "--capture",
@@ -275,6 +293,8 @@ def fill(arguments: argparse.Namespace) -> None:
     for name in foreign:
         if name not in own and getattr(arguments, name) is not None:
             raise UsageError(f"--{name.replace('_', '-')} is for {whose}; {doing}")
+    if arguments.from_step is not None and arguments.replay is None:
+        raise UsageError("--from is a step of the recording that --replay names")
     if arguments.ray_resource is not None and arguments.ray is None:
         raise UsageError("--ray-resource chooses nodes of a Ray cluster; say which cluster with --ray")
     if arguments.sweep is not None and arguments.n_env is not None:

@@ -23,18 +23,25 @@ if TYPE_CHECKING:
     from gpusimbench.recorder.sets.series import Maker
 
 
-def configure(arguments: argparse.Namespace) -> RunConfiguration:
-    """The configuration that the arguments ask for; UsageError where it cannot be."""
+def configure(arguments: argparse.Namespace) -> tuple[RunConfiguration, bytes | None]:
+    """The configuration that the arguments ask for, and the states that --initial gives; UsageError where it cannot
+    be."""
     with shielded():  # an import that is interrupted shows as one that is broken
-        from gpusimbench.recorder.plan import check_dt, view_of
+        from gpusimbench.recorder.plan import check_dt, parse_snapshots, view_of
         from gpusimbench.recorder.run import initial, intervention
         from gpusimbench.recorder.scenes.registry import make_scene
+        from gpusimbench.recorder.sets.given import read_given
 
     scene = make_scene(arguments.scene)
     dt = scene.dt if arguments.dt is None else arguments.dt
     check_dt(dt)
     phases = _phases(arguments.phases)
     steps = round(scene.sample_time / dt) if arguments.steps is None else arguments.steps
+    begins, given = arguments.initial, None
+    if begins.startswith("random:"):
+        begins = initial.parse(begins, arguments.n_env)
+    elif begins:
+        begins, given = read_given(begins, arguments.n_env if arguments.sweep is None else 1)
     configuration = RunConfiguration(
         simulator=arguments.sim,
         scene=arguments.scene,
@@ -52,11 +59,12 @@ def configure(arguments: argparse.Namespace) -> RunConfiguration:
         timeout=arguments.timeout,
         capture=arguments.capture,
         view=view_of(arguments.view_env, off=arguments.no_view, phases=phases),
-        initial=arguments.initial and initial.parse(arguments.initial, arguments.n_env),
+        initial=begins,
         intervention=arguments.intervene and intervention.parse(arguments.intervene, steps),
+        snapshots=parse_snapshots(arguments.snapshot, steps),
     )
     check_configuration(configuration)
-    return configuration
+    return configuration, given
 
 
 def check_configuration(configuration: RunConfiguration) -> None:
@@ -64,7 +72,7 @@ def check_configuration(configuration: RunConfiguration) -> None:
     with shielded():
         from gpusimbench.recorder.options import parse_options
         from gpusimbench.recorder.plan import check
-        from gpusimbench.recorder.run import initial, intervention
+        from gpusimbench.recorder.run import intervention, start
         from gpusimbench.recorder.scenes.registry import make_scene
         from gpusimbench.recorder.simulators.registry import find_simulator
 
@@ -81,7 +89,7 @@ def check_configuration(configuration: RunConfiguration) -> None:
         )
     if refusal := adapter.refusal(simulator, make_scene(configuration.scene), options):
         raise UsageError(refusal)
-    if refusal := initial.refusal(simulator, adapter, options, configuration.initial):
+    if refusal := start.refusal(simulator, adapter, options, configuration.initial, configuration.snapshots):
         raise UsageError(refusal)
     if refusal := intervention.refusal(simulator, adapter, options, configuration.intervention):
         raise UsageError(refusal)
@@ -109,10 +117,10 @@ def record(arguments: argparse.Namespace, argv: tuple[str, ...]) -> int:
     points = () if arguments.sweep is None else parse_points(arguments.sweep)
     if points:
         arguments.n_env = points[0]
-    configuration = configure(arguments)
+    configuration, given = configure(arguments)
     interpreter = _interpreter(arguments, arguments.sim)
     out = arguments.out or OUT
-    request = Request(configuration, out, argv, quiet=arguments.json, end_killed=bool(points))
+    request = Request(configuration, out, argv, quiet=arguments.json, end_killed=bool(points), given=given)
     with _maker(arguments, configuration, interpreter) as maker:
         if points:
             code, results = record_sweep(request, Sweep(points, arguments.runs), maker)
@@ -155,6 +163,7 @@ def replay(arguments: argparse.Namespace, argv: tuple[str, ...]) -> int:
         from gpusimbench.recorder.sets.progress import say
         from gpusimbench.recorder.sets.replay import (
             announcement,
+            begun,
             check_room,
             check_scene,
             origin,
@@ -173,6 +182,7 @@ def replay(arguments: argparse.Namespace, argv: tuple[str, ...]) -> int:
         timeout=arguments.timeout,
         compression=arguments.compression,
     )
+    configuration, given = begun(source, configuration, arguments.from_step)
     view = view_of(arguments.view_env, off=arguments.no_view, phases=configuration.phases)
     configuration = replace(configuration, view=view)
     try:
@@ -189,7 +199,7 @@ def replay(arguments: argparse.Namespace, argv: tuple[str, ...]) -> int:
     say(announcement(source, configuration))
     of = origin(source, configuration)
     out = arguments.out or OUT_OF_REPLAYS
-    request = Request(configuration, out, argv, quiet=arguments.json, replay_of=of, cage=source.cage)
+    request = Request(configuration, out, argv, quiet=arguments.json, replay_of=of, cage=source.cage, given=given)
     with _maker(arguments, configuration, interpreter) as maker:
         code, results = record_set(request, arguments.runs, maker)
     if code and configuration.options.get("device", "cpu") not in ("cpu", "auto"):

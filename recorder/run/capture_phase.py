@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,12 +19,14 @@ from gpusimbench.recorder.capture.writing import Block, Writing
 from gpusimbench.recorder.run.given_actions import prepare, write_applied
 from gpusimbench.recorder.run.intervention import intervene
 from gpusimbench.recorder.run.journal import Journal
+from gpusimbench.recorder.run.start import saved
 from gpusimbench.recorder.scenes.base import Scene
 from gpusimbench.recorder.simulators.base import Description, Simulator
 from gpusimbench.recorder.simulators.captured import RING_BLOCKS
+from gpusimbench.schemas.arrays import MEDIA_TYPE
 from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.errors import DamagedRecording, DataLost
-from gpusimbench.schemas.treatment import Intervention
+from gpusimbench.schemas.treatment import Intervention, snapshot_name
 
 
 class CapturePhase:
@@ -46,7 +49,7 @@ class CapturePhase:
         view = self._view(simulator.scene, description) if c.view else None
         intervention = Intervention.parse(c.intervention) if c.intervention else None
         writer = self.writer = StateWriter(
-            sink, description.fields, n_env=c.n_env, dt=c.dt, stride=c.stride, view=view,
+            sink, description.fields, n_env=c.n_env, dt=c.dt, stride=c.stride, first_step=c.first_step, view=view,
             may_fail=intervention.poisoned(c.n_env) if intervention else frozenset(),
         )  # fmt: skip
         if simulator.scene.actions is not None:
@@ -56,7 +59,7 @@ class CapturePhase:
             KeptStates(
                 description.fields,
                 n_env=c.n_env,
-                rows=c.steps + 1,
+                rows=c.captured_steps + 1,
                 n_action=len(simulator.scene.actions.joints) if simulator.scene.actions else 0,
                 workers=writer.workers,
             )
@@ -83,20 +86,22 @@ class CapturePhase:
                 name, first = simulator.scene.actions.name, block.first_step - 1
                 write_actions(sink, writer.workers, name, applied, n_env=c.n_env, first_step=first, dt=c.dt)
             problem = writer.take(block.captured)
-            if block.first_step:
+            if block.first_step > c.first_step:
                 self._journal.count(block.captured.evidence(), counted, block.first_step)
             if problem:
                 problems.append(problem)
 
-        def meddle() -> None:
-            assert intervention is not None
-            intervene(simulator, description.fields, intervention, c)
+        snapshots: dict[int, bytes] = {}
+        between = [(step, partial(self._save, simulator, snapshots, step)) for step in c.snapshots]
+        if intervention and intervention.step >= c.first_step:
+            between.append((intervention.step, partial(intervene, simulator, description.fields, intervention, c)))
+            between.sort(key=lambda call: call[0])  # a snapshot of the same step comes first
 
         def captured(done: int) -> None:
             interruption.check()
             self._progress("capture", done, c.steps)
 
-        simulator.reserve(min(c.steps, writer.steps_per_block))
+        simulator.reserve(min(c.captured_steps, writer.steps_per_block))
         # until it has finished, the sink is its thread's
         writing = Writing(kept.keep if kept else write)
         clock = CaptureClock()
@@ -106,13 +111,13 @@ class CapturePhase:
                     simulator,
                     writing,
                     clock,
-                    steps=c.steps,
+                    first=c.first_step,
+                    last=c.steps,
                     block_steps=writer.steps_per_block,
                     prepare=lambda first, count: prepare(simulator, c, first, count),
                     progress=captured,
                     stopped=lambda: bool(problems),
-                    intervene=meddle if intervention else None,
-                    intervene_after=intervention.step if intervention else 0,
+                    between=between,
                 )
             finally:
                 try:
@@ -126,8 +131,10 @@ class CapturePhase:
             raise
         except BaseException:
             writer.flush()  # whatever ended the run, the states so far are good
+            self._attach(snapshots)
             raise
         writer.flush()
+        self._attach(snapshots)
         if writer.last_step != c.steps and not problems:
             raise ValueError(f"the simulator gave states up to step {writer.last_step}, not of all {c.steps} steps")
         clock.written()
@@ -136,7 +143,15 @@ class CapturePhase:
             self._journal.gate(problems[0], "NOT_FINITE")
         self._journal.ask_gates(simulator)
         if not problems:
-            write_applied(self._journal, simulator, c, 0, c.steps)
+            write_applied(self._journal, simulator, c, c.first_step, c.captured_steps)
+
+    def _save(self, simulator: Simulator, snapshots: dict[int, bytes], step: int) -> None:
+        snapshots[step] = saved(simulator)
+
+    def _attach(self, snapshots: dict[int, bytes]) -> None:
+        # not while stepping: the file is another thread's then
+        for step, data in snapshots.items():
+            self._journal.sink.attach(snapshot_name(step), MEDIA_TYPE, data)
 
     def _view(self, scene: Scene, description: Description) -> ViewWriter | None:
         try:
@@ -159,7 +174,7 @@ class CapturePhase:
             "memory": "they are kept in memory, and written after the last step",
         }
         covers = f"from block to block: steps, and their states, counts and hashes on the host; {how[c.capture]}"
-        rows = writer.steps_per_block
-        self._journal.timing("capture", clock.blocks, 0, rows, covers)
-        self._journal.timing("stall", clock.stalls, 0, rows, "the engine stands still until a block was written")
+        rows, first = writer.steps_per_block, c.first_step
+        self._journal.timing("capture", clock.blocks, first, rows, covers)
+        self._journal.timing("stall", clock.stalls, first, rows, "the engine stands still until a block was written")
         self._journal.timing("drain", clock.drain, c.steps, 1, "from the last state on the host to that in the file")

@@ -4,17 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from gpusimbench.recorder.run.initial import begin
+from gpusimbench.recorder.run.start import begin
 from gpusimbench.recorder.simulators.base import Description, Simulator
 
 
 class Engine:
     """The present simulator; each one is closed once, before the next or at the end. A context manager."""
 
-    def __init__(self, make: Callable[[], Simulator], initial: str) -> None:
-        """initial  as a RunConfiguration has it"""
+    def __init__(self, make: Callable[[], Simulator], initial: str, given: bytes | None) -> None:
+        """initial  as a RunConfiguration has it
+        given    the attachment of that, for what was not drawn
+        """
         self._make = make
         self._initial = initial
+        self._given = given
         self._present: Simulator | None = None
 
     @property
@@ -28,7 +31,7 @@ class Engine:
         self._close()
         self._present = self._make()
         description = self._present.build()
-        begin(self._present, description, self._initial)
+        begin(self._present, description, self._initial, self._given)
         return description
 
     def __enter__(self) -> Engine:

@@ -1,4 +1,4 @@
-"""Initial states of environments that do not all begin alike."""
+"""Initial states that are drawn, so that environments do not all begin alike."""
 
 from __future__ import annotations
 
@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gpusimbench.recorder.scenes.base import Scene
-from gpusimbench.recorder.simulators.base import Description, Simulator, States
-from gpusimbench.recorder.simulators.snapshot import Extent
+from gpusimbench.recorder.simulators.base import States
 from gpusimbench.schemas.errors import UsageError
 from gpusimbench.schemas.fields import StateField
 from gpusimbench.schemas.mix32 import GOLDEN32, mix32
@@ -74,24 +73,8 @@ def draw(initial: Initial, seed: int, field: int, shape: tuple[int, ...]) -> NDA
     return np.asarray((index.astype(np.int64) - most) * GRID, dtype=np.float64)
 
 
-def begin(simulator: Simulator, description: Description, initial: str) -> None:
-    """Give a simulator that was just built the initial states that a run was asked to have."""
-    if initial:
-        first = tuple(np.array(array) for array in simulator.state())
-        drawn = Initial.parse(initial)
-        simulator.set_state(states(drawn, simulator.scene, description.fields, first, simulator.seed))
-
-
-def refusal(name: str, adapter: type[Simulator], options: object, initial: str) -> str:
-    """Why a simulator cannot begin so; empty where it can."""
-    claim = adapter.state_claims(options).set_state
-    if not initial or claim.extent is not Extent.NONE:
-        return ""
-    return f"simulator '{name}' has no initial states per environment (--initial): {claim.why}"
-
-
 def parse(text: str, n_env: int) -> str:
-    """What --initial was given, as the recording keeps it. UsageError where it is nothing that can be drawn."""
+    """What --initial says of drawn states, as the recording keeps it. UsageError where nothing can be drawn so."""
     try:
         drawn = Initial.parse(text)
         if drawn.spread < GRID or (drawn.but or 0) >= n_env:

@@ -41,6 +41,7 @@ from gpusimbench.recorder.scenes.registry import make_scene
 from gpusimbench.recorder.simulators.base import Description, Simulator
 from gpusimbench.recorder.simulators.registry import find_simulator
 from gpusimbench.schemas import FORMAT, topics
+from gpusimbench.schemas.arrays import MEDIA_TYPE
 from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.errors import DataLost, GsbError
 from gpusimbench.schemas.provenance import (
@@ -52,6 +53,7 @@ from gpusimbench.schemas.provenance import (
     Provenance,
     ReplayOf,
 )
+from gpusimbench.schemas.treatment import GIVEN
 
 Progress = Callable[[str, int, int], None]
 """Called with a phase, the steps done in it, and the steps that it has; with interruption.ENDING at the end."""
@@ -76,6 +78,7 @@ class Run:
     log          returns what the engine printed so far
     reserved     the .partial file of `path` is there already, empty, made for this run
     replay_of    the recording whose configuration it is
+    given        what the run begins with, where its configuration says that it was given (schemas.treatment.Given)
     interrupted  whether the one who started this process has interrupted it: an engine that handles signals itself may
                  keep them from this process
     """
@@ -92,6 +95,7 @@ class Run:
         log: Callable[[], bytes],
         reserved: bool = False,
         replay_of: ReplayOf | None = None,
+        given: bytes | None = None,
         interrupted: Callable[[], bool] = lambda: False,
     ) -> None:
         self._configuration = configuration
@@ -100,6 +104,7 @@ class Run:
         self._log = log
         self._provenance = Provenance(run_id, created, argv, configuration, replay_of=replay_of)
         self._reserved = reserved
+        self._given = given
         self._interrupted = interrupted
 
     def record(self) -> Outcome:
@@ -181,6 +186,8 @@ class Run:
             sink.attach(PACKAGES, "text/plain", package_list().encode())
             if scene is not None:
                 sink.attach(SCENE, "application/json", scene.to_json().encode())
+            if self._given is not None:
+                sink.attach(GIVEN, MEDIA_TYPE, self._given)
             sink.channel(topics.RUN_EVENT, "gsb.v1.Event")
             if configuration.view:
                 journal.shown_log = LogWriter(sink)
@@ -207,7 +214,7 @@ class Run:
                     determinism=configuration.determinism,
                 )
 
-            with Engine(new_simulator, configuration.initial) as engine:
+            with Engine(new_simulator, configuration.initial, self._given) as engine:
                 with Phase(journal, memory, "init"):
                     self._progress("init", 0, 1)
                     description = journal.clocked("build", engine.start)

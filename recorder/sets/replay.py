@@ -26,6 +26,7 @@ from gpusimbench.schemas.errors import DamagedRecording, RecordingError, UsageEr
 from gpusimbench.schemas.fields import StateField
 from gpusimbench.schemas.mcap.reader import Container
 from gpusimbench.schemas.provenance import LOGGED, PROVENANCE, REAL, SCENE, SIMULATION, Provenance, ReplayOf, Simulation
+from gpusimbench.schemas.treatment import GIVEN, Given, drawn, initial_words, snapshot_name
 
 """What recordings of programs that are no adapter (recorder.log) say of their fresh start."""
 
@@ -47,6 +48,7 @@ class Source:
     scene_sha256   identity of its scene
     ran_s          how long the run took where it was made [s]; None where it does not say
     cage           what a replay may take of a machine
+    digests        of its attachments and streams, which its content hash is made of [hex]
     """
 
     path: Path
@@ -57,6 +59,7 @@ class Source:
     scene_sha256: str
     ran_s: float | None
     cage: Cage
+    digests: Mapping[str, str]
 
 
 def read_source(path: Path) -> Source:
@@ -105,7 +108,10 @@ def _read(container: Container, path: Path) -> Source:
         raise DamagedRecording("the end record was changed since the recording was made")
     check_traces(container, c, simulation.fields)
     cage = Cage(peak_bytes(container, end.peak_rss_bytes), content_bytes(container, c, simulation.fields))
-    return Source(path, provenance.run_id, end.content_hash, c, simulation.fields, scene_hash, ran_s(container), cage)
+    return Source(
+        path, provenance.run_id, end.content_hash, c, simulation.fields, scene_hash, ran_s(container), cage,
+        dict(end.digests),
+    )  # fmt: skip
 
 
 def replayed(
@@ -136,6 +142,43 @@ def replayed(
     )  # fmt: skip
 
 
+def begun(
+    source: Source, configuration: RunConfiguration, from_step: int | None
+) -> tuple[RunConfiguration, bytes | None]:
+    """How a replay begins: as the recording did, with what that was given, or at a snapshot that it has.
+
+    from_step  the snapshot's step; None: as the recording did
+
+    UsageError where there is no such snapshot, DamagedRecording where what is attached is not what it was.
+    """
+    c, path = configuration, source.path
+    if from_step is None:
+        if drawn(c.initial) or not c.initial:
+            return c, None
+        return c, _attached(source, GIVEN)
+    if from_step not in c.snapshots:
+        has = ", ".join(map(str, c.snapshots)) or "none: gsb-record --snapshot STEP saves them"
+        raise UsageError(f"{path} has no snapshot of step {from_step}; it has {has}")
+    if "capture" not in c.phases:
+        raise UsageError("--from captures states from a step on, and --phases has no capture")
+    if from_step % c.stride or from_step >= c.steps:
+        raise UsageError(
+            f"{path} has states of every {c.stride}th step up to {c.steps}: --from {from_step} is not one of those "
+            "before the last"
+        )
+    data = _attached(source, snapshot_name(from_step))
+    how = Given(hashlib.sha256(data).hexdigest(), from_step)
+    later = tuple(step for step in c.snapshots if step > from_step)
+    return replace(c, initial=str(how), phases=("capture",), snapshots=later), data
+
+
+def _attached(source: Source, name: str) -> bytes:
+    data = Container(source.path).attachment(name)
+    if data is None or hashlib.sha256(data).hexdigest() != source.digests.get(attachment_name(name)):
+        raise DamagedRecording(f"{source.path}: {name} is missing, or was changed since the recording was made")
+    return data
+
+
 def origin(source: Source, configuration: RunConfiguration) -> ReplayOf:
     """What a replay's recording says of the one that it is a replay of."""
     was = source.configuration
@@ -146,6 +189,8 @@ def origin(source: Source, configuration: RunConfiguration) -> ReplayOf:
     }
     if configuration.phases != was.phases:
         changed["phases"] = ",".join(was.phases)
+    if configuration.initial != was.initial:
+        changed["initial"] = was.initial
     return ReplayOf(source.run_id, source.content_hash, changed)
 
 
@@ -182,10 +227,12 @@ def announcement(source: Source, configuration: RunConfiguration) -> str:
     if "timed" in c.phases:
         steps.append(f"{c.warmup} + {c.timed_steps} timed steps")
     if "capture" in c.phases:
-        steps.append(f"{c.steps} captured steps")
+        from_step = f" from step {c.first_step} on" if c.first_step else ""
+        steps.append(f"{c.captured_steps} captured steps{from_step}")
     given = "".join(f", {name}={value}" for name, value in c.options.items())
     level = "" if c.determinism == "default" else f", determinism {c.determinism}"
-    begins = "".join(f", {text}" for text in (c.initial and f"initial {c.initial}", c.intervention) if text)
+    initial = c.initial and f"initial {initial_words(c.initial)}"
+    begins = "".join(f", {text}" for text in (initial, c.intervention) if text)
     took = "" if source.ran_s is None or source.ran_s > 1e9 else f"; a run took {source.ran_s:.1f} s there"
     line = (
         f"replay of run {source.run_id[:8]}, content {source.content_hash[:12]}: {c.simulator}{given}{level}, "

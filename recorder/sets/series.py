@@ -36,6 +36,7 @@ class Request:
     replay_of      the recording that the runs are replays of
     end_killed     where a run has to be killed after its timeout, write a recording that says so
     cage           what a run may take of the machine; None: anything
+    given          what a run begins with, as of schemas.treatment.Given; None: it is not given
     """
 
     configuration: RunConfiguration
@@ -45,10 +46,13 @@ class Request:
     replay_of: ReplayOf | None = None
     end_killed: bool = False
     cage: Cage | None = None
+    given: bytes | None = None
 
     def task(self, run: RunConfiguration) -> Task:
         """One of the runs, to be made now."""
-        return Task.of(run, self.argv, replay_of=self.replay_of, end_killed=self.end_killed, cage=self.cage)
+        return Task.of(
+            run, self.argv, replay_of=self.replay_of, end_killed=self.end_killed, cage=self.cage, given=self.given
+        )
 
 
 class Maker(Protocol):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import uuid
+from base64 import b64decode, b64encode
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -26,6 +27,7 @@ class Task:
     replay_of   the recording that it is a replay of
     end_killed  where it has to be killed after its timeout, write a recording that says so
     cage        what it may take of the machine; None: anything
+    given       what it begins with, as of schemas.treatment.Given; None: it is not given
     """
 
     configuration: RunConfiguration
@@ -35,6 +37,7 @@ class Task:
     replay_of: ReplayOf | None = None
     end_killed: bool = False
     cage: Cage | None = None
+    given: bytes | None = None
 
     @classmethod
     def of(
@@ -45,14 +48,19 @@ class Task:
         replay_of: ReplayOf | None = None,
         end_killed: bool = False,
         cage: Cage | None = None,
+        given: bytes | None = None,
     ) -> Task:
         """A new run, created now."""
-        return cls(configuration, str(uuid.uuid4()), utc_now(), argv, replay_of, end_killed, cage)
+        return cls(configuration, str(uuid.uuid4()), utc_now(), argv, replay_of, end_killed, cage, given)
 
     def to_json(self) -> dict[str, Any]:
         """As plain JSON values."""
         of = asdict(self.replay_of) if self.replay_of else None
-        return {**asdict(self), "configuration": self.configuration.to_json(), "argv": list(self.argv), "replay_of": of}
+        given = None if self.given is None else b64encode(self.given).decode()
+        return {
+            **asdict(self), "configuration": self.configuration.to_json(), "argv": list(self.argv), "replay_of": of,
+            "given": given,
+        }  # fmt: skip
 
     @classmethod
     def from_json(cls, record: dict[str, Any]) -> Task:
@@ -66,6 +74,7 @@ class Task:
             ReplayOf.from_json(of) if of else None,
             record["end_killed"],
             Cage(**record["cage"]) if record["cage"] else None,
+            None if record["given"] is None else b64decode(record["given"]),
         )
 
 
@@ -85,6 +94,7 @@ def make(
         interruptions=interruptions,
         replay_of=task.replay_of,
         cage=task.cage,
+        given=task.given,
     )
     if not (task.end_killed and result.died and result.cause == "TIMEOUT") or interruptions.count:
         return result

@@ -38,8 +38,8 @@ def check_traces(container: Container, c: RunConfiguration, fields: Fields) -> N
     """UsageError where a recording asks for more environments or steps than it has traces of."""
     asked = []
     if "capture" in c.phases:
-        asked.append(("captured steps", c.steps, _hashes(container, "capture") // c.n_env - 1))
-        rows = c.steps // c.stride + 1
+        asked.append(("captured steps", c.captured_steps, _hashes(container, "capture") // c.n_env - 1))
+        rows = c.captured_steps // c.stride + 1
         for field in fields:
             row = c.n_env * _row_bytes((field,))
             asked.append((f"rows of {field.name}", rows, _stored(container, field) // row))
@@ -59,7 +59,9 @@ def content_bytes(container: Container, c: RunConfiguration, fields: Fields) -> 
     """What another recording of that configuration holds, uncompressed [bytes]: by what is asked, or as this one."""
     size = 0
     if "capture" in c.phases:
-        size += c.n_env * (_row_bytes(fields) * (c.steps // c.stride + 1) + _HASH_BYTES * (c.steps + 1))
+        size += c.n_env * (
+            _row_bytes(fields) * (c.captured_steps // c.stride + 1) + _HASH_BYTES * (c.captured_steps + 1)
+        )
     if "timed" in c.phases:
         size += c.n_env * _HASH_BYTES * _TIMED_ROWS + _CLOCK_BYTES * sum(n for _, n in _timed(c))
     return max(size, container.content_bytes)
@@ -88,7 +90,8 @@ def ran_s(container: Container) -> float | None:
 
 def _check_size(container: Container, c: RunConfiguration) -> None:
     size = container.size
-    steps = (c.steps if "capture" in c.phases else 0) + (c.warmup + c.timed_steps if "timed" in c.phases else 0)
+    captured = c.captured_steps if "capture" in c.phases else 0
+    steps = captured + (c.warmup + c.timed_steps if "timed" in c.phases else 0)
     for what, asked, most in (("environments", c.n_env, _ENVS_PER_BYTE), ("steps", steps, _STEPS_PER_BYTE)):
         if asked > most * size:
             raise UsageError(

@@ -168,13 +168,11 @@ def test_what_is_evaluated(recorded: tuple[Path, Path], gsb_eval: Command, tmp_p
 @pytest.mark.parametrize(
     "text",
     [
-        "random",
         "random:",
         "random:0",
         "random:nan",
         "random:4",
         "random:-1",
-        "file:x",
         "random:1,shift:",
         "random:1,shift:1,but:0",
     ],

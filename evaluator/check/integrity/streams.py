@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from itertools import pairwise
 
 import numpy as np
 
 from gpusimbench.evaluator.check.integrity.problem import Kind, Problems
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.runs.validation import demands
+from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.provenance import LOGGED, REAL, SCENE
+from gpusimbench.schemas.treatment import Intervention
 
 _PHASE_OF = {"stall": "capture", "drain": "capture"}
 """Clocks whose phase has another name."""
@@ -64,11 +67,13 @@ def _fingerprints(recording: Recording, problems: Problems) -> None:
         found = recording.fingerprints("capture")
         # sorted, each once; how many steps were asked for is a stranger's number, and nothing of its size is made
         there = np.empty(0, dtype=np.int64) if found is None else found.steps[found.steps <= c.steps]
-        if missing := c.steps + 1 - len(there):
-            gaps = np.flatnonzero(there != np.arange(len(there)))
-            first = gaps[0] if len(gaps) else len(there)
+        there = there[there >= c.first_step]
+        if missing := c.captured_steps + 1 - len(there):
+            gaps = np.flatnonzero(there != c.first_step + np.arange(len(there)))
+            first = c.first_step + (gaps[0] if len(gaps) else len(there))
             problems.add(
-                Kind.fingerprint, f"{missing} of {c.steps + 1} captured steps have none, the first is step {first}"
+                Kind.fingerprint,
+                f"{missing} of {c.captured_steps + 1} captured steps have none, the first is step {first}",
             )
 
 
@@ -108,15 +113,23 @@ def _intervals(recording: Recording, problems: Problems) -> None:
     if recording.simulation is not None and recording.simulation.fresh_start == LOGGED:
         asked.pop("warmup", None)  # a program that is no adapter clocks the timed steps alone
     if "capture" in c.phases and "capture" in recording.timing:  # older files have none
-        asked["capture"] = c.steps
+        asked["capture"] = c.captured_steps
     for phase, steps in asked.items():
         timing = recording.timing.get(phase)
-        intervals = -(-steps // max(timing.steps_per_interval, 1)) if timing else 0
+        spans = _capture_spans(c) if phase == "capture" else [steps]
+        intervals = sum(-(-span // max(timing.steps_per_interval, 1)) for span in spans) if timing else 0
         found = len(timing.start_ns) if timing else 0
         if found != intervals or (steps and timing is None):
             verb = {"warmup": "come first", "timed": "be timed", "capture": "be captured"}[phase]
             what = f"{steps} steps were to {verb}; there are clocks of {found} intervals"
             problems.add(Kind.contradiction, what)
+
+
+def _capture_spans(c: RunConfiguration) -> list[int]:
+    # steps between those after which the capture stops to save or to change the state: blocks end there
+    stops = {*c.snapshots, *([Intervention.parse(c.intervention).step] if c.intervention else ())}
+    ends = sorted({c.first_step, c.steps, *(step for step in stops if c.first_step < step < c.steps)})
+    return [end - begin for begin, end in pairwise(ends)]
 
 
 def _states(recording: Recording, problems: Problems) -> None:

@@ -101,13 +101,14 @@ class _Check:
             self._add(f"{scene} has {count} messages, not one")
         self._compare(view.scene(), next(expected[scene], None))
         arrays = [self._recording.state(field.group, field.field) for field in view.fields]
-        rows = range(0, min(map(len, arrays)), view.one_of)
+        first = self._recording.configuration.first_step // self._recording.configuration.stride
+        rows = range(-first % view.one_of, min(map(len, arrays)), view.one_of)
         for topic in others:
             count = len(self._container.messages(topic))
             if count > len(rows) or (self._ended and count < len(rows)):
                 self._add(f"{topic} has {count} messages, and the states are of {len(rows)} such times")
         shown = max(len(self._container.messages(topic)) for topic in others)
-        for wanted in _made(view, rows[:shown], arrays):
+        for wanted in _made(view, rows[:shown], arrays, first):
             self._compare(wanted, next(expected[wanted.topic], None))
 
     def _compare(self, wanted: ViewMessage, found: tuple[int, int, memoryview] | None) -> None:
@@ -147,14 +148,15 @@ class _Check:
         self._problems.add(Kind.view, what)
 
 
-def _made(view: RecordedView, rows: range, arrays: Sequence[StateArray]) -> Iterator[ViewMessage]:
-    # of some rows at a time, so that neither states nor messages of a long run are held
+def _made(view: RecordedView, rows: range, arrays: Sequence[StateArray], first: int) -> Iterator[ViewMessage]:
+    # of some rows at a time, so that neither states nor messages of a long run are held; `first` is the row that row 0
+    # would be if the recording began at step 0
     size = max(1, _BLOCK_ROWS // rows.step)
     for begin in range(0, len(rows), size):
         part = rows[begin : begin + size]
         span, one = slice(part[0], part[-1] + 1), slice(view.env, view.env + 1)
         states = [array.read(span, one)[:: rows.step, 0] for array in arrays]
-        yield from view.rows(part, states)
+        yield from view.rows(range(first + part.start, first + part.stop, part.step), states)
 
 
 def _same_definition(data: bytes, kind: str) -> bool:

@@ -27,6 +27,7 @@ from gpusimbench.evaluator.report.source import Source
 from gpusimbench.evaluator.results.metric import Estimate
 from gpusimbench.evaluator.results.result import GroupResult
 from gpusimbench.evaluator.runs.run import Run
+from gpusimbench.schemas.treatment import initial_words
 
 _DEPTH = 3
 _ROWS = 1000  # of a record of a stranger, and items of a list in it
@@ -54,7 +55,7 @@ def _blocks(number: int, result: GroupResult) -> Iterator[Block]:
     asked = {
         "simulator": key.simulator, "scene": key.scene, "envs": key.n_env, "dt [s]": key.dt, "seed": key.seed,
         "warm-up steps": key.warmup, "timed steps": key.timed_steps, "determinism": key.determinism,
-        **({"initial states": key.initial} if key.initial else {}),
+        **({"initial states": initial_words(key.initial)} if key.initial else {}),
         **({"intervention": key.intervention} if key.intervention else {}),
         "options": recordings[0].configuration.options if recordings else {},
     }  # fmt: skip

@@ -61,7 +61,9 @@ class Depths:
 
     def _ever(self, setting: Setting) -> Facts:
         if setting.fastest is None:
-            return dict.fromkeys((Check.DEPTH_EVER, Check.PAIR_EVER), Missing("the scene has no level floor"))
+            otherwise = setting.begun_otherwise
+            why = Missing("the scene has no level floor") if otherwise is None else otherwise
+            return dict.fromkeys((Check.DEPTH_EVER, Check.PAIR_EVER), why)
         slack = setting.fastest * setting.dt + setting.sink
         note = "" if setting.stride == 1 else setting.sparse
         of = "sqrt(2 g H) dt + g dt^2"

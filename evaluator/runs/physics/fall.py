@@ -95,6 +95,8 @@ def _landing(setting: Setting, fall: Fall) -> Facts:
 
 
 def _find(setting: Setting) -> Fall | Missing:
+    if (otherwise := setting.begun_otherwise) is not None:
+        return otherwise
     bodies = setting.world.moving
     tops = [body.top for body in setting.world.fixed]
     if not tops or not all(body.level for body in setting.world.fixed) or not all(b.rests for b in bodies):

@@ -59,8 +59,8 @@ def _facts(recording: Recording, envs: tuple[tuple[int, int], ...], sank: Sunk |
     world = world_of(recording, walk.items)
     if isinstance(world, Missing):
         return world
-    configuration = recording.configuration
-    setting = Setting(walk, world, configuration.dt, configuration.stride, _sample_time(recording))
+    c = recording.configuration
+    setting = Setting(walk, world, c.dt, c.stride, _sample_time(recording), c.initial)
     return {**_of_states(setting), Check.SANK: _sank(count_sunk(recording) if sank is None else sank)}
 
 

@@ -7,8 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.runs.physics.states import Walk
 from gpusimbench.evaluator.runs.physics.world import World
+from gpusimbench.schemas.treatment import drawn
 
 
 @dataclass(frozen=True)
@@ -20,6 +22,7 @@ class Setting:
     dt           step of the simulator [s]
     stride       steps between rows
     sample_time  when the scene's outcome is read [s]
+    initial      how the run began, as RunConfiguration.initial; empty: in the scene's first state
     """
 
     walk: Walk
@@ -27,6 +30,12 @@ class Setting:
     dt: float
     stride: int
     sample_time: float
+    initial: str = ""
+
+    @property
+    def begun_otherwise(self) -> Missing | None:
+        """Why nothing can be said of a motion that is known from the scene's first state; None where it can."""
+        return Missing("the run did not begin in the scene's first state") if self.initial else None
 
     @property
     def row_time(self) -> float:
@@ -49,12 +58,17 @@ class Setting:
 
     @property
     def fastest(self) -> float | None:
-        """sqrt(2 g H) [m/s], with H from the lowest floor to the highest centre at the start; None without a floor."""
+        """sqrt(2 g H) [m/s], with H from the lowest floor to the highest centre at the start, and what was drawn for
+        the velocities; None without a floor, and where the start was given."""
+        spread = drawn(self.initial)
+        if self.initial and spread is None:
+            return None
         tops = [body.top for body in self.world.fixed if body.level]
         if not tops:
             return None
         highest = max(body.start[2] for body in self.world.moving)
-        return float((2.0 * self.world.gravity * max(0.0, highest - min(tops))) ** 0.5)
+        fall = float((2.0 * self.world.gravity * max(0.0, highest - min(tops))) ** 0.5)
+        return fall if spread is None else float(np.hypot(fall, 3**0.5 * spread.spread))
 
     @property
     def sparse(self) -> str:

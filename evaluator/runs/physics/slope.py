@@ -64,6 +64,8 @@ def slope_facts(setting: Setting) -> Facts:
 
 
 def _find(setting: Setting) -> tuple[int, Descent] | Missing:
+    if (otherwise := setting.begun_otherwise) is not None:
+        return otherwise
     for index, body in enumerate(setting.world.moving):
         if not (body.radius and body.rests):
             continue
