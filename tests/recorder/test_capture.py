@@ -244,7 +244,7 @@ def test_a_slow_disk_stops_the_engine_and_is_told() -> None:
 
     writing, clock = Writing(write), CaptureClock()
     step_and_capture(
-        simulator, writing, clock, steps=45, block_steps=5, prepare=lambda first, count: None,
+        simulator, writing, clock, first=0, last=45, block_steps=5, prepare=lambda first, count: None,
         progress=lambda done: None, stopped=lambda: False,
     )  # fmt: skip
     writing.finish()
