@@ -7,6 +7,7 @@ written afterwards.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -16,7 +17,9 @@ from gpusimbench.recorder.scenes.base import Robot, Scene
 from gpusimbench.recorder.scenes.emit.usd import env_path, prim_names
 from gpusimbench.recorder.simulators.base import States
 from gpusimbench.recorder.simulators.physx import libraries
+from gpusimbench.recorder.simulators.physx.grid import every
 from gpusimbench.recorder.simulators.physx.session import Session
+from gpusimbench.recorder.simulators.snapshot import Envs
 from gpusimbench.schemas.errors import GsbError
 from gpusimbench.schemas.fields import StateField, joint_field
 
@@ -33,7 +36,7 @@ class Arms:
 
         self._session, self._device = session, device
         self._n_env, self._joints = n_env, [joint.name for joint in robot.joints()]
-        paths = [f"{env_path(env)}/{prim_names(scene)[robot.name]}" for env in range(n_env)]
+        paths = self._paths = [f"{env_path(env)}/{prim_names(scene)[robot.name]}" for env in range(n_env)]
         self._bindings: dict[str, Any] = {}
         with libraries.quiet():
             for name in ("POSITION", "VELOCITY", "POSITION_TARGET"):
@@ -58,9 +61,31 @@ class Arms:
     def _begin(self, robot: Robot) -> None:
         self._session.physx.warmup()
         start = np.tile(np.array(robot.start, dtype=np.float32), (self._n_env, 1))
-        for name, values in (("POSITION", start), ("VELOCITY", np.zeros_like(start)), ("POSITION_TARGET", start)):
-            self._bindings[name].write(values)
-        self._session.physx.update_articulations_kinematic()  # links follow their joints
+        self.put({"POSITION": start, "VELOCITY": np.zeros_like(start), "POSITION_TARGET": start}, None, stepped=False)
+
+    def kept(self) -> dict[str, NDArray[Any]]:
+        """Angles, speeds and the targets of the drives: copies [env, joint] by the engine's names."""
+        found: dict[str, NDArray[Any]] = {}
+        for name, binding in self._bindings.items():
+            held = np.empty(binding.shape, dtype=np.float32)
+            binding.read(held)
+            found[name] = held[self._rows]
+        return found
+
+    def put(self, arrays: Mapping[str, NDArray[Any]], envs: Envs, *, stepped: bool) -> None:
+        """Write such rows, [env of envs, joint]; it does not matter here whether the robots have stepped."""
+        rows = self._rows if envs is None else self._rows[envs]
+        for name, values in arrays.items():
+            whole = np.zeros(self._bindings[name].shape, dtype=np.float32)
+            whole[rows] = values
+            self._bindings[name].write(whole, indices=rows.astype(np.int32))
+        handles = self._session.handles([self._paths[env] for env in every(self._n_env, envs)])
+        self._session.physx.update_articulations_kinematic(prim_paths=handles)  # links follow their joints
+
+    def merged(self, states: States, first: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+        """What `put` takes, of the fields' arrays [env, joint, 1]; all else is of `first`."""
+        angles, speeds = (array[..., 0] for array in states)
+        return {**first, "POSITION": angles, "VELOCITY": speeds}
 
     @staticmethod
     def row_bytes(scene: Scene, n_env: int) -> int:

@@ -11,7 +11,10 @@ from numpy.typing import NDArray
 from gpusimbench.recorder.scenes.base import Scene, Vector
 from gpusimbench.recorder.scenes.emit.usd import env_path, prim_names
 from gpusimbench.recorder.simulators.base import States
+from gpusimbench.recorder.simulators.physx.grid import every
+from gpusimbench.recorder.simulators.physx.orientations import to_write
 from gpusimbench.recorder.simulators.physx.session import Session
+from gpusimbench.recorder.simulators.snapshot import Envs
 from gpusimbench.schemas.fields import BODY_FIELDS, StateField, body_fields
 
 _COLUMNS = ("position", "orientation", "linearVelocity", "angularVelocity")
@@ -67,8 +70,44 @@ class Bodies:
 
     def _order(self, groups: Mapping[str, Any]) -> NDArray[np.int32]:
         """For each body in the scene's order, environment by environment, its row in the engine's order."""
-        paths = [f"{env_path(env)}/{name}" for env in range(self._n_env) for name in self._names]
-        return np.array(self._session.rows(groups.values(), paths), dtype=np.int32)
+        return np.array(self._session.rows(groups.values(), self._paths(None)), dtype=np.int32)
+
+    def _paths(self, envs: Envs) -> list[str]:
+        # of the bodies of some environments, environment by environment
+        return [f"{env_path(env)}/{name}" for env in every(self._n_env, envs) for name in self._names]
+
+    def kept(self) -> dict[str, NDArray[Any]]:
+        """The bodies' poses and velocities: copies [env, number] by name."""
+        stored = self.rows(1)
+        self.store(stored, 0)
+        return {"bodies": stored.numpy().reshape(self._n_env, -1).copy()}
+
+    def put(self, arrays: Mapping[str, NDArray[Any]], envs: Envs, *, stepped: bool) -> None:
+        """Write such rows, [env of envs, number].
+
+        stepped  whether the bodies may have contacts: on a CPU they are then taken out of the simulation and put back,
+                 so that the engine forgets these
+        """
+        from ovphysx.types import SimObjectType
+
+        states = np.ascontiguousarray(arrays["bodies"], dtype=np.float32).reshape(-1, _WIDTH)
+        position, orientation, linear, angular = (states[:, part] for part in _PARTS)
+        columns = (position, to_write(np.roll(orientation, -1, axis=1)), linear, angular)
+        paths = self._paths(envs)
+        if stepped and not self._device.is_cuda:
+            for out in (1, 0):
+                flags = np.full(len(paths), out, dtype=np.uint8)
+                self._session.write(SimObjectType.RIGID_BODY, paths, {"disableSimulation": flags})
+        self._session.write(SimObjectType.RIGID_BODY, paths, dict(zip(_COLUMNS, columns, strict=True)))
+
+    def merged(self, states: States, first: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+        """What `put` takes, of the fields' arrays [env, item, width]; they replace all of `first`, [env, number]."""
+        rows = first["bodies"].reshape(len(first["bodies"]), -1, _WIDTH).copy()
+        left = iter(states)
+        for group in self._groups:
+            for part in _PARTS:
+                rows[:, group, part] = next(left)
+        return {"bodies": rows.reshape(len(rows), -1)}
 
     def split(self, stored: NDArray[np.float32]) -> States:
         """Stored states [step, body, number] as copies, the arrays of `fields`."""

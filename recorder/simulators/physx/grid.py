@@ -5,12 +5,18 @@ from __future__ import annotations
 import math
 
 from gpusimbench.recorder.scenes.base import Plane, Scene, Vector
+from gpusimbench.recorder.simulators.snapshot import Envs
 
 
 def origins(n_env: int, spacing: float) -> tuple[Vector, ...]:
     """Origin of each environment [m]: on a square grid, numbered square by square, so that they do not depend on how
     many there are. Empty where the spacing is 0."""
     return tuple((spacing * x, spacing * y, 0.0) for x, y in map(_cell, range(n_env))) if spacing else ()
+
+
+def every(n_env: int, envs: Envs) -> range | list[int]:
+    """The environments that are meant."""
+    return range(n_env) if envs is None else [int(env) for env in envs]
 
 
 def _cell(env: int) -> tuple[int, int]:

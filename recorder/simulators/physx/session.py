@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from gpusimbench.recorder.scenes.base import Vector
 from gpusimbench.recorder.scenes.emit.usd import env_path
@@ -90,14 +93,43 @@ class Session:
                 result.groups.clear()
                 result.close_sync()
 
+    def write(self, kind: Any, paths: Sequence[str], columns: Mapping[str, NDArray[Any]]) -> None:
+        """Write columns of these objects of a kind by name, [object, number], and of no others.
+
+        Refused by a GPU before the first step.
+        """
+        with self.physx.query(kind, prim_paths=self.handles(paths), metadata=False).wait() as query:
+            names = list(columns)
+            with self.physx.write(query, names).wait() as session:
+                while (group := session.fetch_next().wait()) is not None:
+                    rows, target = self.rows([group], paths), group.tensors[0]
+                    filled = np.empty(target.shape, columns[names[group.attribute_index]].dtype)
+                    filled[rows] = columns[names[group.attribute_index]].reshape(filled.shape)
+                    target.assign(filled)
+                    if target.device.is_cuda:
+                        import warp as wp
+
+                        wp.synchronize_device(target.device)
+                    session.commit_sync(group)
+                    del group, target
+
+    def handles(self, paths: Sequence[str]) -> list[int]:
+        """The engine's numbers of these prims."""
+        import ovstage
+
+        with (
+            ovstage.PathDictionary(self._stage) as dictionary,
+            dictionary.create_path_list_from_strings(paths) as listed,
+        ):
+            return list(dictionary.get_paths(listed))
+
     def rows(self, groups: Iterable[Any], paths: Sequence[str]) -> list[int]:
         """The row of each of these prims in all of some groups, which are of these prims alone."""
         import ovstage
 
+        wanted = self.handles(paths)
         with ovstage.PathDictionary(self._stage) as dictionary:
             found = [dictionary.get_paths(prims) for prims in {group.prim_list for group in groups}]
-            with dictionary.create_path_list_from_strings(paths) as listed:
-                wanted = dictionary.get_paths(listed)
         rows = {prim: row for row, prim in enumerate(found[0])}
         missing = [path for path, prim in zip(paths, wanted, strict=True) if prim not in rows]
         if missing or len(rows) != len(wanted):

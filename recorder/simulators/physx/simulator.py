@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import gc
 import os
+from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any
 
@@ -16,11 +17,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gpusimbench.recorder.abilities import BODIES, ROBOTS, Ability
+from gpusimbench.recorder.failure import Refused
 from gpusimbench.recorder.scenes.emit.usd import emit_usd
 from gpusimbench.recorder.simulators.base import Description, Simulator, States
 from gpusimbench.recorder.simulators.physx import grid
 from gpusimbench.recorder.simulators.physx.deviations import deviations
 from gpusimbench.recorder.simulators.physx.options import OF_THE_GPU, PhysxOptions, apis, broad_phase
+from gpusimbench.recorder.simulators.snapshot import Envs, Snapshot, StateClaims, partial
 from gpusimbench.recorder.simulators.warp import runtime as warp_runtime
 from gpusimbench.schemas.errors import GsbError, UsageError
 from gpusimbench.schemas.provenance import Buffer
@@ -80,6 +83,7 @@ class Physx(Simulator):
         if gpu and (said := [line for line in session.log.peek() if "falling back to CPU" in line]):
             raise GsbError(f"out of memory: {said[0]}")
         self._start: States | None = None  # until the engine tells its state
+        self._first: dict[str, NDArray[Any]]
         self._arms: Any = None
         if robot is not None:
             self._arms = arms.Arms(session, self.scene, robot, n_env=self.n_env, device=device)
@@ -89,7 +93,12 @@ class Physx(Simulator):
         if gpu and robot is None:
             if self._source.store(self._last, 0):
                 raise GsbError("PhysX did not take the GPU: its states are on the host; its messages say why")
-            self._start = self._source.split(bodies.described(self.scene, origins, self.n_env)[None])
+            described = bodies.described(self.scene, origins, self.n_env)
+            self._start = self._source.split(described[None])
+            self._first = {"bodies": described.reshape(self.n_env, -1)}
+        else:
+            self._first = self._source.kept()
+        self._done, self._stepped = 0, False  # steps since the build, or since all were brought back; whether any
         return Description(
             version=libraries.version(),
             device=warp_runtime.name_of(device),
@@ -153,6 +162,8 @@ class Physx(Simulator):
 
     def _advance(self, n_step: int) -> None:
         self._start = None
+        self._done += n_step
+        self._stepped = True
         for _ in range(n_step):
             if self._arms is not None:
                 self._arms.command()
@@ -177,6 +188,48 @@ class Physx(Simulator):
             blocks.append(self._source.split(self._ring[:rows].numpy()))
         return blocks[0] if len(blocks) == 1 else tuple(map(np.concatenate, zip(*blocks, strict=True)))
 
+    @classmethod
+    def state_claims(cls, options: Any) -> StateClaims:
+        """See Simulator.state_claims."""
+        contacts = "what PhysX keeps to itself of contacts and joints, such as impulses and friction"
+        order = (
+            "the order in which PhysX solves contacts, which changes as bodies leave the simulation and return to it"
+            if options.device == "cpu"
+            else "on a GPU the contacts of before, on a CPU the order in which PhysX solves contacts, which changes as "
+            "bodies leave the simulation and return to it"
+        )
+        return StateClaims(partial(contacts), partial(contacts), partial(order), partial(order))
+
+    def snapshot(self) -> Snapshot:
+        """See Simulator.snapshot."""
+        return Snapshot(self._done, self._first if self._start is not None else self._source.kept())
+
+    def restore(self, snapshot: Snapshot, envs: Envs = None) -> None:
+        """See Simulator.restore."""
+        self._put({name: array[_rows(envs)] for name, array in snapshot.arrays.items()}, envs, snapshot.step)
+
+    def reset(self, envs: Envs = None) -> None:
+        """See Simulator.reset: the engine has no operation for it, so the first state is written."""
+        self._put({name: array[_rows(envs)] for name, array in self._first.items()}, envs, 0)
+
+    def set_state(self, states: States, envs: Envs = None) -> None:
+        """See Simulator.set_state."""
+        self._put(self._source.merged(states, {name: a[_rows(envs)] for name, a in self._first.items()}), envs, 0)
+
+    def _put(self, arrays: Mapping[str, NDArray[Any]], envs: Envs, done: int) -> None:
+        from ovphysx import TaskError
+
+        if self._start is not None:
+            self._start = None
+            self._session.physx.warmup()  # a step of 1 ns: a GPU takes no state before
+            self._source.put(self._first, None, stepped=False)
+        try:
+            self._source.put(arrays, envs, stepped=self._stepped)
+        except TaskError as error:
+            raise Refused(f"PhysX does not take this state: {' '.join(str(error).split())}") from None
+        if envs is None:
+            self._done = done
+
     def gates(self) -> list[str]:
         """See Simulator.gates: what PhysX said of dropped contacts, and its errors."""
         return self._session.log.take()
@@ -191,6 +244,10 @@ class Physx(Simulator):
         gc.collect()  # the engine does not end while an array of it is alive
         if session is not None:
             session.close()
+
+
+def _rows(envs: Envs) -> Any:
+    return slice(None) if envs is None else envs
 
 
 def _first_state(*, gpu: bool, robot: bool) -> str:
