@@ -7,7 +7,7 @@ from typing import Any
 
 from gpusimbench.schemas import checks
 from gpusimbench.schemas.errors import DamagedRecording
-from gpusimbench.schemas.treatment import Initial, Intervention
+from gpusimbench.schemas.treatment import Initial, Intervention, Keep
 
 OPTIONAL_PHASES = ("timed", "capture")
 """Phases that a run can leave out; "warmup" belongs to "timed"."""
@@ -46,6 +46,7 @@ class RunConfiguration:
     capture      one of CAPTURE_MODES
     initial      how environments begin, as of treatment.Initial; empty: in the scene's first state
     intervention what is done to their state on the way, as of treatment.Intervention; empty: nothing
+    keep         which of the captured states are written, as of treatment.Keep; empty: all
     view         environments whose captured states are written as what viewers draw, too
     """
 
@@ -68,6 +69,7 @@ class RunConfiguration:
     view: tuple[int, ...] = ()
     initial: str = ""
     intervention: str = ""
+    keep: str = ""
 
     @property
     def option_words(self) -> list[str]:
@@ -75,9 +77,9 @@ class RunConfiguration:
         return sorted(f"{name}={value}" for name, value in self.options.items())
 
     def to_json(self) -> dict[str, Any]:
-        """As plain JSON values; of the last two, what is empty is left out."""
+        """As plain JSON values; of the last three, what is empty is left out."""
         record = {**asdict(self), "phases": list(self.phases), "view": list(self.view)}
-        for name in ("initial", "intervention"):
+        for name in ("initial", "intervention", "keep"):
             if not record[name]:
                 del record[name]
         return record
@@ -113,10 +115,11 @@ class RunConfiguration:
             view=tuple(checks.whole({"view": env}, "view", 0, n_env - 1) for env in checks.items(record, "view")),
             initial=_treatment(record, "initial", Initial),
             intervention=_treatment(record, "intervention", Intervention),
+            keep=_treatment(record, "keep", Keep),
         )
 
 
-def _treatment(record: dict[str, Any], name: str, kind: type[Initial] | type[Intervention]) -> str:
+def _treatment(record: dict[str, Any], name: str, kind: type[Initial] | type[Intervention] | type[Keep]) -> str:
     text = checks.text(record, name, default="")
     try:
         return text and str(kind.parse(text))

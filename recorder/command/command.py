@@ -27,7 +27,7 @@ def configure(arguments: argparse.Namespace) -> RunConfiguration:
     """The configuration that the arguments ask for; UsageError where it cannot be."""
     with shielded():  # an import that is interrupted shows as one that is broken
         from gpusimbench.recorder.plan import check_dt, view_of
-        from gpusimbench.recorder.run import initial, intervention
+        from gpusimbench.recorder.run import initial, intervention, keep
         from gpusimbench.recorder.scenes.registry import make_scene
 
     scene = make_scene(arguments.scene)
@@ -51,9 +51,10 @@ def configure(arguments: argparse.Namespace) -> RunConfiguration:
         determinism=arguments.determinism,
         timeout=arguments.timeout,
         capture=arguments.capture,
-        view=view_of(arguments.view_env, off=arguments.no_view, phases=phases),
+        view=view_of(arguments.view_env, off=arguments.no_view, phases=phases, keep=arguments.keep),
         initial=arguments.initial and initial.parse(arguments.initial, arguments.n_env),
         intervention=arguments.intervene and intervention.parse(arguments.intervene, steps),
+        keep=arguments.keep and keep.parse(arguments.keep),
     )
     check_configuration(configuration)
     return configuration
@@ -64,7 +65,7 @@ def check_configuration(configuration: RunConfiguration) -> None:
     with shielded():
         from gpusimbench.recorder.options import parse_options
         from gpusimbench.recorder.plan import check
-        from gpusimbench.recorder.run import initial, intervention
+        from gpusimbench.recorder.run import initial, intervention, keep
         from gpusimbench.recorder.scenes.registry import make_scene
         from gpusimbench.recorder.simulators.registry import find_simulator
 
@@ -79,8 +80,10 @@ def check_configuration(configuration: RunConfiguration) -> None:
         raise UsageError(
             f"simulator '{simulator}' has no determinism level '{configuration.determinism}'; it has: {has}{hint}"
         )
-    if refusal := adapter.refusal(simulator, make_scene(configuration.scene), options):
+    scene = make_scene(configuration.scene)
+    if refusal := adapter.refusal(simulator, scene, options):
         raise UsageError(refusal)
+    keep.check(configuration, scene)
     if refusal := initial.refusal(simulator, adapter, options, configuration.initial):
         raise UsageError(refusal)
     if refusal := intervention.refusal(simulator, adapter, options, configuration.intervention):
@@ -173,8 +176,9 @@ def replay(arguments: argparse.Namespace, argv: tuple[str, ...]) -> int:
         timeout=arguments.timeout,
         compression=arguments.compression,
     )
-    view = view_of(arguments.view_env, off=arguments.no_view, phases=configuration.phases)
-    configuration = replace(configuration, view=view)
+    c = configuration
+    view = view_of(arguments.view_env, off=arguments.no_view, phases=c.phases, keep=c.keep)
+    configuration = replace(c, view=view)
     try:
         check_scene(source, make_scene(configuration.scene))
         check_configuration(configuration)

@@ -185,7 +185,11 @@ def announcement(source: Source, configuration: RunConfiguration) -> str:
         steps.append(f"{c.steps} captured steps")
     given = "".join(f", {name}={value}" for name, value in c.options.items())
     level = "" if c.determinism == "default" else f", determinism {c.determinism}"
-    begins = "".join(f", {text}" for text in (c.initial and f"initial {c.initial}", c.intervention) if text)
+    begins = "".join(
+        f", {text}"
+        for text in (c.initial and f"initial {c.initial}", c.intervention, c.keep and f"keep {c.keep}")
+        if text
+    )
     took = "" if source.ran_s is None or source.ran_s > 1e9 else f"; a run took {source.ran_s:.1f} s there"
     line = (
         f"replay of run {source.run_id[:8]}, content {source.content_hash[:12]}: {c.simulator}{given}{level}, "
