@@ -7,6 +7,7 @@ from collections.abc import Callable
 from contextlib import suppress
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gpusimbench.recorder import interruption
 from gpusimbench.recorder.capture.flight import MOST, FlightWriter
@@ -75,33 +76,54 @@ class FlightPhase:
     ) -> None:
         c = self._configuration
         intervention = Intervention.parse(c.intervention) if c.intervention else None
-        writer.look(flight, flight.failures(), 0)
-        begun = 0
-        ahead: deque[int] = deque()  # last steps of blocks that were begun and not looked at
-        while begun < c.steps or ahead:
-            due = intervention is not None and begun == intervention.step
-            if intervention is not None and due and not ahead:
-                intervene(simulator, description.fields, intervention, c)
-                intervention = None
-            elif begun < c.steps and len(ahead) < flight.ahead and not due:
-                interruption.check()
-                self._progress("capture", begun, c.steps)
-                end = c.steps if intervention is None else intervention.step
-                count = min(BLOCK_STEPS, end - begun)
-                prepare(simulator, c, begun, count)
-                flight.begin(count)
-                begun += count
-                ahead.append(begun)
-            else:
-                failures = flight.failures()
+
+        def look(failures: NDArray[np.int64], last_step: int) -> None:
+            if last_step:
                 clock.arrive()
-                self.last_step = ahead.popleft()
-                writer.look(flight, failures, self.last_step)
+            self.last_step = last_step
+            writer.look(flight, failures, last_step)
+
+        def ready(first: int, count: int) -> None:
+            interruption.check()
+            self._progress("capture", first, c.steps)
+            prepare(simulator, c, first, count)
+
+        until = c.steps if intervention is None else intervention.step
+        look(flight.failures(), 0)
+        fly(flight, 0, until, ready, look)
+        if intervention is not None:
+            intervene(simulator, description.fields, intervention, c)
+            fly(flight, until, c.steps, ready, look)
 
     def _hash(self, simulator: Simulator) -> None:
         c = self._configuration
         hashes = fingerprint(simulator.state())[np.newaxis]
         write_fingerprints(self._journal.sink, "capture", hashes, first_step=self.last_step, stride=1, dt=c.dt)
+
+
+def fly(
+    flight: Flight,
+    first: int,
+    last: int,
+    prepare: Callable[[int, int], None],
+    look: Callable[[NDArray[np.int64], int], None],
+) -> None:
+    """Make the steps from `first` to `last`, and look at each block.
+
+    prepare  called before a block is begun, with its first step and their number
+    look     called with the failures so far, and the last step that they are of
+    """
+    begun = first
+    ahead: deque[int] = deque()  # last steps of blocks that were begun and not looked at
+    while begun < last or ahead:
+        if begun < last and len(ahead) < flight.ahead:
+            count = min(BLOCK_STEPS, last - begun)
+            prepare(begun, count)
+            flight.begin(count)
+            begun += count
+            ahead.append(begun)
+        else:
+            look(flight.failures(), ahead.popleft())
 
 
 def watch_of(configuration: RunConfiguration, description: Description) -> Watch:
