@@ -6,6 +6,7 @@ from gpusimbench.schemas.errors import GsbError, UsageError
 
 CAUSES = (
     "DEVICE_MEMORY", "HOST_MEMORY", "BUFFER", "NOT_FINITE", "TIMEOUT", "REFUSED", "INTERRUPTED", "ENGINE",
+    "OUT_OF_BOUNDS",
 )  # fmt: skip
 """Names of gsb.v1.Cause."""
 

@@ -69,10 +69,11 @@ def check(configuration: RunConfiguration) -> None:
         )
 
 
-def view_of(envs: Sequence[int], *, off: bool, phases: Sequence[str]) -> tuple[int, ...]:
-    """Environments that a recording has a view of: those asked for, or the first, where states are captured.
+def view_of(envs: Sequence[int], *, off: bool, phases: Sequence[str], keep: str = "") -> tuple[int, ...]:
+    """Environments that a recording has a view of: those asked for, or the first, where all states are captured.
 
-    off  none is wanted
+    off   none is wanted
+    keep  as of a RunConfiguration
 
     UsageError for an answer that contradicts another.
     """
@@ -81,7 +82,7 @@ def view_of(envs: Sequence[int], *, off: bool, phases: Sequence[str]) -> tuple[i
         raise UsageError("--view-env names environments for the view that --no-view leaves out; give one of them")
     if envs and not captured:
         raise UsageError("--view-env is of captured states, and --phases has no capture")
-    return () if off or not captured else tuple(envs) or (0,)
+    return () if off or not captured else tuple(envs) or (() if keep else (0,))
 
 
 def _listed(envs: tuple[int, ...]) -> str:

@@ -8,7 +8,7 @@ from typing import Any
 
 from gpusimbench.schemas import checks
 from gpusimbench.schemas.errors import DamagedRecording
-from gpusimbench.schemas.treatment import Given, Initial, Intervention, parse_initial
+from gpusimbench.schemas.treatment import Given, Initial, Intervention, Keep, parse_initial
 
 OPTIONAL_PHASES = ("timed", "capture")
 """Phases that a run can leave out; "warmup" belongs to "timed"."""
@@ -47,6 +47,7 @@ class RunConfiguration:
     capture      one of CAPTURE_MODES
     initial      how environments begin, as of treatment.Initial or Given; empty: in the scene's first state
     intervention what is done to their state on the way, as of treatment.Intervention; empty: nothing
+    keep         which of the captured states are written, as of treatment.Keep; empty: all
     view         environments whose captured states are written as what viewers draw, too
     snapshots    captured steps after which the engine's whole state is saved, ascending
     """
@@ -71,6 +72,7 @@ class RunConfiguration:
     initial: str = ""
     intervention: str = ""
     snapshots: tuple[int, ...] = ()
+    keep: str = ""
 
     @property
     def option_words(self) -> list[str]:
@@ -88,10 +90,10 @@ class RunConfiguration:
         return self.steps - self.first_step
 
     def to_json(self) -> dict[str, Any]:
-        """As plain JSON values; of the last three, what is empty is left out."""
+        """As plain JSON values; of the last four, what is empty is left out."""
         record = {**asdict(self), "phases": list(self.phases), "view": list(self.view)}
         record["snapshots"] = list(self.snapshots)
-        for name in ("initial", "intervention", "snapshots"):
+        for name in ("initial", "intervention", "keep", "snapshots"):
             if not record[name]:
                 del record[name]
         return record
@@ -127,6 +129,7 @@ class RunConfiguration:
             view=tuple(checks.whole({"view": env}, "view", 0, n_env - 1) for env in checks.items(record, "view")),
             initial=_treatment(record, "initial", parse_initial),
             intervention=_treatment(record, "intervention", Intervention.parse),
+            keep=_treatment(record, "keep", Keep.parse),
             snapshots=tuple(
                 checks.whole({"snapshots": step}, "snapshots", 0, checks.MAX_COUNT)
                 for step in checks.items(record, "snapshots")
@@ -137,7 +140,7 @@ class RunConfiguration:
         return made
 
 
-def _treatment(record: dict[str, Any], name: str, parse: Callable[[str], Initial | Given | Intervention]) -> str:
+def _treatment(record: dict[str, Any], name: str, parse: Callable[[str], Initial | Given | Intervention | Keep]) -> str:
     text = checks.text(record, name, default="")
     try:
         return text and str(parse(text))

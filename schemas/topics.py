@@ -8,6 +8,7 @@ from typing import NamedTuple
 RUN_EVENT = "/run/event"
 RUN_END = "/run/end"
 RUN_DROPOUT = "/run/dropout"
+RUN_FAILING = "/run/failing"
 MEMORY_HOST = "/memory/host"
 
 VIEW = "view"
@@ -15,6 +16,7 @@ VIEW = "view"
 
 _ACTION = re.compile(r"/action/([a-z0-9_]+)/([0-9]{1,9})")
 _COUNT = re.compile(r"/count/([a-z0-9_]+)/([a-z0-9_]+)")
+_FLIGHT = re.compile(r"/flight/([0-9]{1,9})/([a-z0-9_]+)/([a-z0-9_]+)")
 _STATE = re.compile(r"/state/([a-z0-9_]+)/([a-z0-9_]+)/([0-9]{1,9})")
 _ENV_DIGITS = 6
 
@@ -61,6 +63,17 @@ def parse_view(topic: str) -> ViewTopic | None:
     """Parts of a view's topic, or None where the topic is another."""
     match = _STATE.fullmatch(topic)
     return ViewTopic(match[2], int(match[3])) if match and match[1] == VIEW else None
+
+
+def flight(env: int, group: str, field: str) -> str:
+    """Topic of the last states of one field of an environment that failed."""
+    return f"/flight/{env:0{_ENV_DIGITS}d}/{group}/{field}"
+
+
+def parse_flight(topic: str) -> StateTopic | None:
+    """Group, field and environment of such a topic, or None where the topic is another."""
+    match = _FLIGHT.fullmatch(topic)
+    return StateTopic(match[2], match[3], int(match[1])) if match else None
 
 
 def has_digest(topic: str) -> bool:

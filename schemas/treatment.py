@@ -1,7 +1,7 @@
-"""How a run differs from a plain one: how its environments begin, and what is done to them on the way.
+"""How a run differs from a plain one: how environments begin, what is done to them on the way, what is kept of them.
 
-Both are short texts in a RunConfiguration. A probe asks whether something matters that should not, by runs that differ
-in one of them.
+Each is a short text in a RunConfiguration. A probe asks whether something matters that should not, by runs that differ
+in one of the first two.
 """
 
 from __future__ import annotations
@@ -21,6 +21,10 @@ SNAPSHOT = re.compile(r"snapshot-(\d{1,12})\.npz")
 _NUMBER = r"[0-9.eE+-]+"
 _INITIAL = re.compile(rf"random:(?P<spread>{_NUMBER})(?:,(?:shift:(?P<shift>\d{{1,8}})|but:(?P<but>\d{{1,8}})))?")
 _GIVEN = re.compile(r"(?:states|snapshot:(?P<step>\d{1,12})):(?P<sha256>[0-9a-f]{64})")
+MOST_METRES = 1e9
+"""Of the bounds of environments."""
+
+_KEEP = re.compile(rf"failing(?:,within:(?P<within>{_NUMBER}))?")
 _INTERVENTION = re.compile(r"(?P<kind>[a-z]+)@(?P<step>\d{1,9})(?:\+(?P<more>\d{1,9}))?")
 
 
@@ -145,3 +149,28 @@ class Intervention:
     def poisoned(self, n_env: int) -> frozenset[int]:
         """Environments whose states need not be finite."""
         return frozenset(env for env in range(n_env) if self.kind == "poison" and self.treated(env))
+
+
+@dataclass(frozen=True)
+class Keep:
+    """Which states are written: "failing", "failing,within:METRES"; those of environments that fail.
+
+    within  a body that is further than this from the origin of its environment, along any axis, is out of bounds [m];
+            None: there are no bounds
+    """
+
+    within: float | None = None
+
+    @classmethod
+    def parse(cls, text: str) -> Keep:
+        """From the text; ValueError where it is none."""
+        found = _KEEP.fullmatch(text)
+        if not found:
+            raise ValueError(text)
+        within = None if found["within"] is None else float(found["within"])
+        if within is not None and not 0 < within <= MOST_METRES:
+            raise ValueError(text)
+        return cls(within)
+
+    def __str__(self) -> str:
+        return "failing" if self.within is None else f"failing,within:{self.within!r}"

@@ -11,6 +11,7 @@ from gpusimbench.evaluator.check.integrity.problem import Kind
 from gpusimbench.evaluator.check.integrity.scan import Scan, Stream
 from gpusimbench.evaluator.metrics.cotenants import Sign, cotenants
 from gpusimbench.evaluator.metrics.throughput import frames_per_second
+from gpusimbench.evaluator.read.failing import Failing
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.runs.memory import gpu_memory
 from gpusimbench.schemas import topics
@@ -105,6 +106,7 @@ class Inspection:
     co_tenants   other processes on the device; None where the simulator did not step on a GPU
     counters     names by phase
     hashes       steps with state hashes, by phase
+    failing      environments that failed; None where the states of all were kept
     overflowed   buffers and limits that were run into; None where the engine does not tell
     view         environments that viewers show of the file, as it is
     """
@@ -133,6 +135,7 @@ class Inspection:
     counters: dict[str, tuple[str, ...]] = field(default_factory=dict)
     hashes: dict[str, int] = field(default_factory=dict)
     gates: tuple[str, ...] = ()
+    failing: Failing | None = None
     overflowed: tuple[str, ...] | None = None
     dropouts: tuple[str, ...] = ()
     view: tuple[int, ...] = ()
@@ -212,6 +215,7 @@ def _streams(recording: Recording, scan: Scan) -> dict[str, Any]:
         "actions": tuple(_action(recording, scan, name) for name in recording.action_names),
         "counters": read(lambda: {phase: tuple(by_name) for phase, by_name in recording.counts.items()}, _NO_NAMES),
         "hashes": read(lambda: _hashes(recording), dict[str, int]()),
+        "failing": read(lambda: recording.failing, None),
         "gates": read(lambda: tuple(f"{e.phase}: {e.text}" for e in recording.events if e.kind == "GATE"), _NONE),
         "overflowed": read(lambda: _overflowed(recording), None),
         "dropouts": read(lambda: recording.dropouts, _NONE),

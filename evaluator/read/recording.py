@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gpusimbench.evaluator.read.actions import action_names, apart_by_design, read_actions
+from gpusimbench.evaluator.read.failing import Failing, LastStates, read_failing, read_last_states
 from gpusimbench.evaluator.read.messages import MAX_END_BYTES, Messages
 from gpusimbench.evaluator.read.state_array import StateArray
 from gpusimbench.evaluator.read.step_evidence import (
@@ -172,6 +173,19 @@ class Recording:
         """State hashes of a phase ("capture", "timed"); None where it has none."""
         cut_short = self.status == "incomplete"
         return read_fingerprints(self._messages, phase, n_env=self.configuration.n_env, cut_short=cut_short)
+
+    @cached_property
+    def failing(self) -> Failing | None:
+        """The environments that failed, where the states of these alone were kept; None where all were."""
+        return read_failing(self._messages, n_env=self.configuration.n_env)
+
+    def last_states(self, env: int) -> LastStates:
+        """States around the failure of an environment that `failing` lists; KeyError names those that it lists."""
+        listed = {failure.env: failure for failure in self.failing.failures} if self.failing else {}
+        if env not in listed:
+            known = ", ".join(map(str, sorted(listed))) or "none"
+            raise KeyError(f"{self.path} has no last states of environment {env}; it has those of: {known}")
+        return read_last_states(self._messages, self.fields, listed[env])
 
     @cached_property
     def events(self) -> tuple[Event, ...]:

@@ -13,6 +13,7 @@ from gpusimbench.evaluator.report.sections import (
     determinism_cost,
     deviations,
     divergence,
+    failing,
     guidelines,
     mechanics,
     playback,
@@ -33,6 +34,7 @@ from gpusimbench.evaluator.report.source import Source
 
 SECTIONS: tuple[Callable[[Source], Section | None], ...] = (
     problems.section,
+    failing.section,
     simulators.section,
     variability.section,
     probed.section,

@@ -10,8 +10,10 @@ from gpusimbench.evaluator.check.inspection import Array, CoTenancy, Inspection,
 from gpusimbench.evaluator.check.integrity.problem import REMARKS, Kind
 from gpusimbench.evaluator.json_values import brief, dump, plain
 from gpusimbench.evaluator.metrics.cotenants import Presence
+from gpusimbench.evaluator.read.failing import ONLY_FAILING
 from gpusimbench.evaluator.render.document import Block, Cell, Document, Facts, Table, Text, Tone, table
 from gpusimbench.evaluator.render.numbers import plural
+from gpusimbench.evaluator.report.failures import counted, failing_table
 from gpusimbench.evaluator.results.timed_work import SHORT_S
 from gpusimbench.evaluator.runs.cotenancy import described
 from gpusimbench.schemas import __version__
@@ -33,7 +35,7 @@ _LONGEST = 600
 
 _FIRST = (
     "status", "integrity", "CAUTION", "sha256", "recorded", "simulator", "scene", "size", "protocol", "determinism",
-    "machine", "gpu 0", "throughput", "states", "not read", "gate", "LOST",
+    "machine", "gpu 0", "throughput", "states", "failed", "not read", "gate", "LOST",
 )  # fmt: skip
 """What is said without --all."""
 
@@ -46,6 +48,9 @@ def info_document(found: Inspection, *, every: bool = False) -> Document:
     shown = [name for name in said if every or name in _FIRST or (name == "overflow" and found.overflowed)]
     pairs = tuple((name, Cell(said[name][0], notes=tuple(said[name][1:]), tone=_tone(name, found))) for name in shown)
     blocks: list[Block] = [Facts(pairs)]
+    if found.failing and found.failing.failures:
+        bits = found.simulation.overflow_bits if found.simulation else ()
+        blocks.append(failing_table("failing", [("", found.failing, bits)]))
     if every:
         blocks.append(_arrays(found))
     else:
@@ -121,7 +126,7 @@ def _integrity(found: Inspection) -> str:
     looked_at = ["records", "digests", "content hash"]
     if Kind.crc_missing.name not in found.integrity:
         looked_at.insert(1, "CRCs")
-    if "capture" in found.hashes and Kind.state_hash.name not in found.unchecked:
+    if "capture" in found.hashes and not found.failing and Kind.state_hash.name not in found.unchecked:
         looked_at.append("state hashes")
     return f"whole and unchanged: {', '.join(looked_at)}"
 
@@ -162,7 +167,7 @@ def _asked(c: RunConfiguration) -> Iterator[str]:
     if "timed" in c.phases:
         yield f"{c.warmup} warm-up and {c.timed_steps} timed steps"
     if "capture" in c.phases:
-        kept = f"every {c.stride}th" if c.stride > 1 else "each"
+        kept = f"{c.keep} environments alone" if c.keep else f"every {c.stride}th" if c.stride > 1 else "each"
         begin = f" from step {c.first_step} on" if c.first_step else ""
         yield f"{plural(c.captured_steps, 'captured step')}{begin}, {kept} kept"
 
@@ -237,7 +242,11 @@ def _inside(found: Inspection) -> Iterator[tuple[str, str]]:
         groups = ", ".join(dict.fromkeys(array.name.partition("/")[0] for array in recorded))
         yield "states", f"of {groups}, in {kinds}, at {plural(recorded[0].shape[0], 'step')}: {size}"
     elif found.arrays:
-        yield "states", f"none; {', '.join(array.name for array in found.arrays)} could be captured"
+        failing = found.provenance is not None and found.provenance.configuration.keep
+        fields = ", ".join(array.name for array in found.arrays)
+        yield "states", ONLY_FAILING if failing else f"none; {fields} could be captured"
+    if found.failing and found.provenance:
+        yield "failed", counted(found.failing, found.provenance.configuration.n_env)
     for array in found.actions:
         yield "actions", f"{array.name}: {_bytes(array.stored_bytes)}"
     for phase, names in found.counters.items():

@@ -12,7 +12,8 @@ from gpusimbench.evaluator.metrics.divergence import FIT_LIMIT_M, MIN_R_SQUARED
 from gpusimbench.evaluator.metrics.identity import changes, distinct_over_time
 from gpusimbench.evaluator.metrics.levels import Verdict, verdict
 from gpusimbench.evaluator.metrics.split_tree import split_tree
-from gpusimbench.evaluator.missing import Missing
+from gpusimbench.evaluator.missing import Missing, why_missing
+from gpusimbench.evaluator.read.failing import ONLY_FAILING
 from gpusimbench.evaluator.results.aggregate import NO_RUN, Runs
 from gpusimbench.evaluator.results.claims import Claim
 from gpusimbench.evaluator.results.details import (
@@ -37,6 +38,8 @@ _HASHED = "64-bit state hashes of every captured step"
 def _no_hashes(runs: Runs) -> str:
     if any(r.histories for r in runs):
         return ""
+    if any(why_missing(r.histories) == ONLY_FAILING for r in runs):
+        return ONLY_FAILING
     return "no states were captured" if runs else NO_RUN
 
 

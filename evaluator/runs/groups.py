@@ -58,6 +58,7 @@ class GroupKey:
     determinism         level that was asked for
     initial             how environments begin, empty for all alike
     intervention        what is done to their state on the way, empty for nothing
+    keep                which states are written, empty for all
     options             of the engine in force, JSON; as asked where the run ended before the engine said them
     switches            determinism switches and precision in force, JSON
     conditions          environment variables, versions and driver that can change numbers, JSON
@@ -83,6 +84,7 @@ class GroupKey:
     origins: str
     initial: str = ""
     intervention: str = ""
+    keep: str = ""
 
 
 @dataclass(frozen=True)
@@ -164,6 +166,7 @@ def key_of(recording: Described) -> GroupKey:
         origins=json.dumps(simulation.env_origins if simulation else []),
         initial=c.initial,
         intervention=c.intervention,
+        keep=c.keep,
     )
 
 
@@ -238,7 +241,7 @@ def precisions(key: GroupKey) -> list[str]:
 
 
 def _order(key: GroupKey) -> tuple[Any, ...]:
-    settings = (key.determinism, key.initial, key.intervention, key.n_env, key.dt, key.switches, key.options)
+    settings = (key.determinism, key.initial, key.intervention, key.keep, key.n_env, key.dt, key.switches, key.options)
     return (key.scene, key.simulator == REAL, key.simulator, key.version, *settings)
 
 

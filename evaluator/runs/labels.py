@@ -18,7 +18,9 @@ NONE_GIVEN: Given = {}
 _SHOWN_SETTINGS = 4
 _SHOWN_LENGTH = 60
 
-_ATTRIBUTES = ("version", "device", "scene_hash", "n_env", "dt", "seed", "determinism", "initial", "intervention")
+_ATTRIBUTES = (
+    "version", "device", "scene_hash", "n_env", "dt", "seed", "determinism", "initial", "intervention", "keep",
+)  # fmt: skip
 _PROTOCOL = ("warmup", "timed_steps")
 
 _MEANINGS = (

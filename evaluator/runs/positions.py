@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from gpusimbench.evaluator.metrics.variability import sampling_step
 from gpusimbench.evaluator.missing import Missing
+from gpusimbench.evaluator.read.failing import ONLY_FAILING
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.schemas.errors import DamagedRecording
 from gpusimbench.schemas.fields import StateField
@@ -18,7 +19,13 @@ from gpusimbench.schemas.provenance import REAL
 
 GROUP = "cubes"
 
-NO_STATES = Missing("no states were recorded (the capture phase was left out or not reached)")
+
+def no_states(recording: Recording) -> Missing:
+    """Why a recording has no states."""
+    if recording.configuration.keep:
+        return Missing(ONLY_FAILING)
+    return Missing("no states were recorded (the capture phase was left out or not reached)")
+
 
 _FAR_M = 1e6  # a cube that far away belongs to a simulation that blew up
 
@@ -64,7 +71,7 @@ def sample_positions(recording: Recording, sample_time: float) -> Positions | Mi
         return Missing(f"no positions of {GROUP} were recorded")
     array = recording.state(GROUP, "position")
     if not len(array):
-        return NO_STATES
+        return no_states(recording)
     dt = recording.configuration.dt
     step = sampling_step(sample_time, dt)
     if recording.configuration.simulator == REAL and not math.isclose(step * dt, sample_time, rel_tol=1e-6):

@@ -14,6 +14,7 @@ from gpusimbench.evaluator.metrics.capture import changes_states
 from gpusimbench.evaluator.metrics.cotenants import CoTenants, cotenants
 from gpusimbench.evaluator.metrics.levels import Verdict, verdict
 from gpusimbench.evaluator.missing import Missing
+from gpusimbench.evaluator.read.failing import ONLY_FAILING
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.read.scene import board_of, extent_of_trials
 from gpusimbench.evaluator.read.stamp import stamp_of
@@ -104,6 +105,7 @@ def _described(recording: Recording) -> Run:
         },
         overflows={phase: _overflowed(overflows) for phase, overflows in recording.overflows.items()},
         action_streams=recording.action_streams,
+        failing=recording.failing,
         board=board,
     )
 
@@ -114,7 +116,10 @@ def _measured(run: Run, recording: Recording, sample_time: float) -> Run:
     timing = recording.timing
     gpu = gpu_memory(recording)
     captured = recording.fingerprints("capture")
-    histories = histories_of(captured) if captured is not None else Missing("no states were captured")
+    if recording.configuration.keep:
+        histories: Histories | Missing = Missing(ONLY_FAILING)  # hashes of the first state and the last are no history
+    else:
+        histories = histories_of(captured) if captured is not None else Missing("no states were captured")
     return replace(
         run,
         elapsed_s=elapsed_of(recording),

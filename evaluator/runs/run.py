@@ -10,6 +10,7 @@ from gpusimbench.evaluator.metrics.lost_cubes import Board
 from gpusimbench.evaluator.metrics.memory import Checkpoints, GpuMemory
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.read.actions import apart_by_design
+from gpusimbench.evaluator.read.failing import Failing
 from gpusimbench.evaluator.read.stamp import Stamp
 from gpusimbench.evaluator.read.step_evidence import ActionStream
 from gpusimbench.evaluator.runs.physics.facts import PhysicsFacts
@@ -76,6 +77,7 @@ class Run:
     counts          by phase and name
     overflows       by phase; a phase that tells nothing is left out
     action_streams  what each phase applied, by phase
+    failing         environments that failed, where the states of these alone were kept
     board           of the scene; None without one, and where its description cannot be read
     unmet           rules of the benchmark's protocol that the file breaks by itself
     stamp           of the file before it was read, where it was read
@@ -117,6 +119,7 @@ class Run:
     counts: dict[str, dict[str, CountSummary]] = field(default_factory=dict)
     overflows: dict[str, OverflowSummary] = field(default_factory=dict)
     action_streams: dict[str, ActionStream] = field(default_factory=dict)
+    failing: Failing | None = None
     board: Board | None = None
     unmet: tuple[str, ...] = ()
     stamp: Stamp | Missing = Missing("the file was not read for good")

@@ -12,7 +12,7 @@ from gpusimbench.evaluator.metrics.divergence import FIT_LIMIT_M, GrowthFit, fit
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.read.state_array import StateArray
-from gpusimbench.evaluator.runs.positions import NO_STATES, check_format
+from gpusimbench.evaluator.runs.positions import check_format, no_states
 from gpusimbench.schemas.errors import DamagedRecording
 from gpusimbench.schemas.fields import StateField
 
@@ -80,7 +80,7 @@ def spread(recording: Recording) -> Spread | Missing:
     arrays = [recording.state(f.group, f.field) for f in fields]
     steps = arrays[0].steps
     if not len(steps):
-        return NO_STATES
+        return no_states(recording)
     if any(not np.array_equal(a.steps, steps) for a in arrays):
         raise DamagedRecording(f"{recording.path}: the state fields have different rows")
     rows = np.arange(0, len(steps), -(-len(steps) // MAX_STEPS))

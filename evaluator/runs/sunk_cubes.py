@@ -10,7 +10,7 @@ from gpusimbench.evaluator.metrics.lost_cubes import Sinking, may_have_sunk
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.read.scene import radius_of, supports_of
-from gpusimbench.evaluator.runs.positions import GROUP, NO_STATES, in_env_frame
+from gpusimbench.evaluator.runs.positions import GROUP, in_env_frame, no_states
 
 _ROW_BYTES = 16 << 20  # of positions read at a time
 
@@ -38,7 +38,7 @@ def count_sunk(recording: Recording) -> Sunk | Missing:
         return Missing(f"no positions of {GROUP} were recorded")
     array = recording.state(GROUP, "position")
     if len(array) < 2:
-        return NO_STATES
+        return no_states(recording)
     supports = supports_of(recording)
     if not supports:
         return Missing("this scene has no level surface to go through")

@@ -11,12 +11,14 @@ from collections.abc import Callable, Iterator
 import numpy as np
 
 from gpusimbench.evaluator.missing import Missing
+from gpusimbench.evaluator.read.failing import KINDS, ONLY_FAILING, LastStates
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.read.scene import board_of, radius_of, supports_of
 from gpusimbench.evaluator.runs.physics.measure import check_described
 from gpusimbench.evaluator.runs.positions import GROUP, check_format
 from gpusimbench.schemas import checks
 from gpusimbench.schemas.errors import NUMBERS_OF_A_STRANGER, DamagedRecording
+from gpusimbench.schemas.fingerprint import fingerprint
 from gpusimbench.schemas.view.motion import Motion
 from gpusimbench.schemas.view.shapes import solids_of
 
@@ -38,6 +40,7 @@ def demands(recording: Recording) -> Iterator[Callable[[], object]]:
     yield lambda: recording.dropouts
     yield lambda: recording.fingerprints("capture")
     yield lambda: recording.fingerprints("timed")
+    yield lambda: _failed(recording)
     for field in recording.fields:
         yield lambda field=field: recording.state(field.group, field.field)  # type: ignore[misc]
         if field.field == "position":
@@ -84,6 +87,52 @@ def _hashed(recording: Recording) -> None:
     bare = np.setdiff1d(arrays[0].steps, hashes.steps)
     if len(bare):
         raise DamagedRecording(f"{recording.path}: the state of step {bare[0]} has no state hash, and others have")
+
+
+def _failed(recording: Recording) -> None:
+    # the failures that are listed are those that the states show
+    failing = recording.failing
+    c = recording.configuration
+    if failing is None:
+        if c.keep and recording.status in ("complete", "invalid") and "capture" in c.phases:
+            entered = any(event.phase == "capture" for event in recording.events)
+            if entered or recording.status == "complete":
+                raise DamagedRecording(f"{recording.path}: nothing says which environments failed ({ONLY_FAILING})")
+        return
+    if failing.total and recording.status == "complete":
+        raise DamagedRecording(f"{recording.path}: the run is complete, and {failing.total} environments failed")
+    for failure in failing.failures:
+        last = recording.last_states(failure.env)
+        states = last.states
+        _hashed_alike(recording, failure.env, last)
+        if failure.kind != KINDS[0]:
+            continue
+        finite = [
+            np.isfinite(states[field.name][failure.step - failure.first_step, item, place])
+            for field in recording.fields
+            for item, named in enumerate(field.items)
+            for place, component in enumerate(field.components)
+            if (field.name, named, component) == (failure.field, failure.item, failure.component)
+        ]
+        if not finite or all(finite):
+            raise DamagedRecording(
+                f"{recording.path}: environment {failure.env} is said to be not finite at step {failure.step}, and its "
+                "states there are"
+            )
+
+
+def _hashed_alike(recording: Recording, env: int, last: LastStates) -> None:
+    # where the states of an environment reach back to the first step, or up to the last, they have hashes
+    hashes = recording.fingerprints("capture")
+    if hashes is None:
+        return
+    common, at_hashes, at_states = np.intersect1d(hashes.steps, last.steps, return_indices=True)
+    rows = [np.ascontiguousarray(last.states[field.name][at_states]) for field in recording.fields]
+    wrong = fingerprint(rows) != hashes.hashes[at_hashes, env]
+    if wrong.any():
+        raise DamagedRecording(
+            f"{recording.path}: the hash of environment {env} at step {common[wrong][0]} is not that of its state"
+        )
 
 
 def _described(recording: Recording) -> None:

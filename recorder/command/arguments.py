@@ -87,6 +87,7 @@ _SIMULATED: dict[str, Any] = {
     "steps": None,
     "stride": 1,
     "capture": CAPTURE_MODES[0],
+    "keep": "",
     "view_env": (),
     "no_view": False,
     "warmup": 100,
@@ -219,6 +220,13 @@ def parser() -> Parser:
         choices=CAPTURE_MODES,
         help="lossless: write while stepping, and wait where the disk is slower; memory: write after the last step "
         f"(default: {_SIMULATED['capture']})",
+    )
+    how.add_argument(
+        "--keep",
+        metavar="failing[,within:M]",
+        help="write no states but those around the failures of the first 16 environments that become not finite, "
+        "overflow a buffer, or have a body further than M metres from their origin along an axis: 100 steps before "
+        "and 10 after (default: all states of all environments)",
     )
     how.add_argument(
         "--view-env",

@@ -28,7 +28,7 @@ def configure(arguments: argparse.Namespace) -> tuple[RunConfiguration, bytes | 
     be."""
     with shielded():  # an import that is interrupted shows as one that is broken
         from gpusimbench.recorder.plan import check_dt, parse_snapshots, view_of
-        from gpusimbench.recorder.run import initial, intervention
+        from gpusimbench.recorder.run import initial, intervention, keep
         from gpusimbench.recorder.scenes.registry import make_scene
         from gpusimbench.recorder.sets.given import read_given
 
@@ -58,9 +58,10 @@ def configure(arguments: argparse.Namespace) -> tuple[RunConfiguration, bytes | 
         determinism=arguments.determinism,
         timeout=arguments.timeout,
         capture=arguments.capture,
-        view=view_of(arguments.view_env, off=arguments.no_view, phases=phases),
+        view=view_of(arguments.view_env, off=arguments.no_view, phases=phases, keep=arguments.keep),
         initial=begins,
         intervention=arguments.intervene and intervention.parse(arguments.intervene, steps),
+        keep=arguments.keep and keep.parse(arguments.keep),
         snapshots=parse_snapshots(arguments.snapshot, steps),
     )
     check_configuration(configuration)
@@ -72,7 +73,7 @@ def check_configuration(configuration: RunConfiguration) -> None:
     with shielded():
         from gpusimbench.recorder.options import parse_options
         from gpusimbench.recorder.plan import check
-        from gpusimbench.recorder.run import intervention, start
+        from gpusimbench.recorder.run import intervention, keep, start
         from gpusimbench.recorder.scenes.registry import make_scene
         from gpusimbench.recorder.simulators.registry import find_simulator
 
@@ -87,8 +88,10 @@ def check_configuration(configuration: RunConfiguration) -> None:
         raise UsageError(
             f"simulator '{simulator}' has no determinism level '{configuration.determinism}'; it has: {has}{hint}"
         )
-    if refusal := adapter.refusal(simulator, make_scene(configuration.scene), options):
+    scene = make_scene(configuration.scene)
+    if refusal := adapter.refusal(simulator, scene, options):
         raise UsageError(refusal)
+    keep.check(configuration, scene)
     if refusal := start.refusal(simulator, adapter, options, configuration.initial, configuration.snapshots):
         raise UsageError(refusal)
     if refusal := intervention.refusal(simulator, adapter, options, configuration.intervention):
@@ -182,9 +185,9 @@ def replay(arguments: argparse.Namespace, argv: tuple[str, ...]) -> int:
         timeout=arguments.timeout,
         compression=arguments.compression,
     )
-    configuration, given = begun(source, configuration, arguments.from_step)
-    view = view_of(arguments.view_env, off=arguments.no_view, phases=configuration.phases)
-    configuration = replace(configuration, view=view)
+    c, given = begun(source, configuration, arguments.from_step)
+    view = view_of(arguments.view_env, off=arguments.no_view, phases=c.phases, keep=c.keep)
+    configuration = replace(c, view=view)
     try:
         check_scene(source, make_scene(configuration.scene))
         check_configuration(configuration)

@@ -43,6 +43,11 @@ class CapturePhase:
         self._progress = progress
         self.writer: StateWriter | None = None
 
+    @property
+    def last_step(self) -> int:
+        """The last one whose state is in the file."""
+        return max(0, self.writer.last_recorded_step) if self.writer else 0
+
     def run(self, simulator: Simulator, description: Description) -> None:
         """Step from the initial state to the last step; what speaks against the states is a gate of the journal."""
         c, sink = self._configuration, self._journal.sink

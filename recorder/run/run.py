@@ -4,7 +4,7 @@
     init       the simulator is built; what it says of itself is written
     warmup     steps that are excluded from throughput; the first pays for compilation
     timed      nothing is recorded but clocks and memory
-    capture    a fresh simulator; the full state of every environment
+    capture    a fresh simulator; the full state of every environment, or the last states of those that fail
 
 Validity gates are asked after the warm-up, after the timed phase and after the capture. What the engine counts
 (contacts, rows, overflow bits) is kept for every captured step, and for the last step of the warm-up and of the timed
@@ -33,6 +33,7 @@ from gpusimbench.recorder.probes.software import describe_software, package_list
 from gpusimbench.recorder.run.capture_phase import CapturePhase
 from gpusimbench.recorder.run.engine import Engine
 from gpusimbench.recorder.run.environment import apply_environment
+from gpusimbench.recorder.run.flight_phase import FlightPhase
 from gpusimbench.recorder.run.journal import Journal, Phase
 from gpusimbench.recorder.run.pace import COMPILE, REBUILD
 from gpusimbench.recorder.run.timed_phase import warm_up_and_time
@@ -115,20 +116,20 @@ class Run:
         sink = Sink(self._path, compression=self._configuration.compression, reserved=self._reserved)
         try:
             journal = Journal(sink)
-            captured = CapturePhase(journal, self._configuration, self._progress)
+            phase = FlightPhase if self._configuration.keep else CapturePhase
+            captured = phase(journal, self._configuration, self._progress)
             status, reason, cause = self._guarded(journal, captured)
             if log := self._log():
                 sink.attach(ENGINE_LOG, "text/plain", log)
-            last_step = max(0, captured.writer.last_recorded_step) if captured.writer else 0
             if journal.shown_log:
                 journal.shown_log.status(status, reason)
-            sink.finish(status, reason, cause=cause, last_step=last_step, peak_rss_bytes=peak_rss_bytes())
+            sink.finish(status, reason, cause=cause, last_step=captured.last_step, peak_rss_bytes=peak_rss_bytes())
         except BaseException:
             sink.abandon()
             raise
         return Outcome(status, reason, cause, self._path)
 
-    def _guarded(self, journal: Journal, captured: CapturePhase) -> tuple[str, str, str]:
+    def _guarded(self, journal: Journal, captured: CapturePhase | FlightPhase) -> tuple[str, str, str]:
         try:
             try:
                 with Gpus() as gpus:
@@ -160,7 +161,7 @@ class Run:
             return TimedOut(f"timeout: more than {self._configuration.timeout:g} s, in phase {phase}{made}")
         return Interrupted(f"interrupted in phase {phase}{made}")
 
-    def _run_phases(self, journal: Journal, captured: CapturePhase, gpus: Gpus) -> None:
+    def _run_phases(self, journal: Journal, captured: CapturePhase | FlightPhase, gpus: Gpus) -> None:
         configuration, sink = self._configuration, journal.sink
         with interruption.shielded():  # a recording that has an end says what it is of
             interruption.install(also_ignored=True)

@@ -232,7 +232,7 @@ def announcement(source: Source, configuration: RunConfiguration) -> str:
     given = "".join(f", {name}={value}" for name, value in c.options.items())
     level = "" if c.determinism == "default" else f", determinism {c.determinism}"
     initial = c.initial and f"initial {initial_words(c.initial)}"
-    begins = "".join(f", {text}" for text in (initial, c.intervention) if text)
+    begins = "".join(f", {text}" for text in (initial, c.intervention, c.keep and f"keep {c.keep}") if text)
     took = "" if source.ran_s is None or source.ran_s > 1e9 else f"; a run took {source.ran_s:.1f} s there"
     line = (
         f"replay of run {source.run_id[:8]}, content {source.content_hash[:12]}: {c.simulator}{given}{level}, "

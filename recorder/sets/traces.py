@@ -11,6 +11,8 @@ from typing import Any
 
 import numpy as np
 
+from gpusimbench.recorder.capture.flight import MOST
+from gpusimbench.recorder.simulators.flight import AFTER, BEFORE
 from gpusimbench.schemas import topics
 from gpusimbench.schemas.blocks import STATE_HEAD_BYTES, decode_fingerprints, state_bytes, state_header_in
 from gpusimbench.schemas.configuration import RunConfiguration
@@ -30,6 +32,7 @@ _STEPS_PER_BYTE = 64
 _HASH_BYTES = 8
 _CLOCK_BYTES = 16
 _TIMED_ROWS = 2  # of hashes: at the beginning and the end of the timed phase
+_KEPT_ROWS = 2  # of hashes, where failing environments alone are kept: likewise of the capture
 
 Fields = tuple[StateField, ...]
 
@@ -38,11 +41,7 @@ def check_traces(container: Container, c: RunConfiguration, fields: Fields) -> N
     """UsageError where a recording asks for more environments or steps than it has traces of."""
     asked = []
     if "capture" in c.phases:
-        asked.append(("captured steps", c.captured_steps, _hashes(container, "capture") // c.n_env - 1))
-        rows = c.captured_steps // c.stride + 1
-        for field in fields:
-            row = c.n_env * _row_bytes((field,))
-            asked.append((f"rows of {field.name}", rows, _stored(container, field) // row))
+        asked += _kept(container, c) if c.keep else _captured(container, c, fields)
     if "timed" in c.phases:
         asked += [(f"{phase} steps", n, _clocked(container, phase)) for phase, n in _timed(c)]
         asked.append(("timed environments", c.n_env, _hashes(container, "timed") // _TIMED_ROWS))
@@ -55,10 +54,30 @@ def check_traces(container: Container, c: RunConfiguration, fields: Fields) -> N
     _check_size(container, c)
 
 
+def _captured(container: Container, c: RunConfiguration, fields: Fields) -> list[tuple[str, int, int]]:
+    asked = [("captured steps", c.captured_steps, _hashes(container, "capture") // c.n_env - 1)]
+    rows = c.captured_steps // c.stride + 1
+    for field in fields:
+        row = c.n_env * _row_bytes((field,))
+        asked.append((f"rows of {field.name}", rows, _stored(container, field) // row))
+    return asked
+
+
+def _kept(container: Container, c: RunConfiguration) -> list[tuple[str, int, int]]:
+    # where failing environments alone are kept, all that is left of the others is hashes and clocks
+    environments = _hashes(container, "capture") // _KEPT_ROWS
+    return [
+        ("captured steps", c.steps, _clocked(container, "capture")),
+        ("captured environments", c.n_env, environments),
+    ]
+
+
 def content_bytes(container: Container, c: RunConfiguration, fields: Fields) -> int:
     """What another recording of that configuration holds, uncompressed [bytes]: by what is asked, or as this one."""
     size = 0
-    if "capture" in c.phases:
+    if "capture" in c.phases and c.keep:
+        size += MOST * _row_bytes(fields) * (BEFORE + 1 + AFTER) + c.n_env * _HASH_BYTES * _KEPT_ROWS
+    elif "capture" in c.phases:
         size += c.n_env * (
             _row_bytes(fields) * (c.captured_steps // c.stride + 1) + _HASH_BYTES * (c.captured_steps + 1)
         )

@@ -2,9 +2,10 @@
 
 An adapter holds N identical environments of one scene. The recorder calls, in this order: the constructor, ``build``
 once, ``compile`` once, then ``prepare``, ``step`` or ``states``, ``evidence`` and ``gates`` any number of times,
-``close``. A capture that needs a fresh start gets a new instance, so nothing has to be reset for it. ``snapshot``,
-``restore``, ``reset`` and ``set_state`` come between steps, where ``state_claims`` offers them; ``set_state`` may come
-right after ``build`` too, and gives environments initial states of their own.
+``close``; where only failing environments are kept, ``flight`` instead of ``states``. A capture that needs a fresh
+start gets a new instance, so nothing has to be reset for it. ``snapshot``, ``restore``, ``reset`` and ``set_state``
+come between steps, where ``state_claims`` offers them; ``set_state`` may come right after ``build`` too, and gives
+environments initial states of their own.
 
 Importing an adapter's module must be cheap and must not touch a device: engines are imported in ``build``, when the
 environment variables that ``environment`` asks for are set.
@@ -23,6 +24,7 @@ from gpusimbench.recorder.abilities import Ability, listed, titles
 from gpusimbench.recorder.scenes.base import Scene
 from gpusimbench.recorder.simulators.captured import Captured, Held, States
 from gpusimbench.recorder.simulators.evidence import Evidence
+from gpusimbench.recorder.simulators.flight import Flight, HostFlight, Watch
 from gpusimbench.recorder.simulators.snapshot import Envs, Snapshot, StateClaims
 from gpusimbench.schemas.errors import UsageError
 from gpusimbench.schemas.provenance import EngineFacts, Simulation
@@ -172,6 +174,14 @@ class Simulator(ABC):
         their device override this.
         """
         return Held(self.states(n_step), self.evidence())
+
+    def flight(self, watch: Watch) -> Flight:
+        """Step on from the present state, holding the last steps alone, and tell which environments fail.
+
+        Nothing but the flight steps the simulator from then on; ``set_state`` may come between two steps. This default
+        copies all states to the host; engines that can hold them, and look at them, on their device override it.
+        """
+        return HostFlight(self, watch)
 
     @classmethod
     def state_claims(cls, options: Any) -> StateClaims:

@@ -47,6 +47,11 @@ _WIRE = {
         "generator": 1, "first_step": 2, "steps": 3, "envs": 4, "first_sha256": 5, "last_sha256": 6, "verified": 7,
     },
     "Dropout": {"topic": 1, "first_step": 2, "steps": 3, "reason": 4},
+    "EnvFailure": {
+        "env": 1, "step": 2, "kind": 3, "group": 4, "field": 5, "item": 6, "component": 7, "value": 8,
+        "overflow_bits": 9, "first_step": 10, "steps": 11,
+    },
+    "FailingEnvs": {"failures": 1, "not_finite": 2, "overflow": 3, "out_of_bounds": 4, "last_step": 5},
     "RunEnd": {
         "status": 1, "reason": 2, "last_step": 3, "digests": 4, "content_hash": 5, "peak_rss_bytes": 6, "cause": 7,
     },

@@ -144,6 +144,8 @@ def _states(
         problems.skip("the state fields have different numbers of rows", Kind.state_hash)
     hashes = _hashes(container, configuration, problems)
     missing = [f.name for f in fields if state_name(f) not in lost and not len(arrays.get(state_name(f), ()))]
+    if configuration.keep and len(missing) == len(fields):
+        return {}  # hashes are of the first step and the last, and no states were kept
     if hashes is not None and missing:
         more = f" and {len(missing) - _SHOWN} more" if len(missing) > _SHOWN else ""
         told = ", ".join(missing[:_SHOWN]) + more

@@ -65,6 +65,11 @@ def _fingerprints(recording: Recording, problems: Problems) -> None:
         return
     if "capture" in c.phases:
         found = recording.fingerprints("capture")
+        if c.keep:
+            missing_rows = sorted({0, c.steps} - set(() if found is None else found.steps.tolist()))
+            if missing_rows:
+                problems.add(Kind.fingerprint, f"the state of step {missing_rows[0]} has none")
+            return
         # sorted, each once; how many steps were asked for is a stranger's number, and nothing of its size is made
         there = np.empty(0, dtype=np.int64) if found is None else found.steps[found.steps <= c.steps]
         there = there[there >= c.first_step]
@@ -134,7 +139,7 @@ def _capture_spans(c: RunConfiguration) -> list[int]:
 
 def _states(recording: Recording, problems: Problems) -> None:
     c = recording.configuration
-    if recording.status == "complete" and "capture" in c.phases:
+    if recording.status == "complete" and "capture" in c.phases and not c.keep:
         last = 1 if c.simulator == REAL else c.steps
         for field in recording.fields:
             steps = recording.state(field.group, field.field).steps

@@ -57,6 +57,7 @@ def _blocks(number: int, result: GroupResult) -> Iterator[Block]:
         "warm-up steps": key.warmup, "timed steps": key.timed_steps, "determinism": key.determinism,
         **({"initial states": initial_words(key.initial)} if key.initial else {}),
         **({"intervention": key.intervention} if key.intervention else {}),
+        **({"states kept": key.keep} if key.keep else {}),
         "options": recordings[0].configuration.options if recordings else {},
     }  # fmt: skip
     yield _records(number, "What was asked", asked)

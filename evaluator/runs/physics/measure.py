@@ -18,7 +18,7 @@ from gpusimbench.evaluator.runs.physics.slides import Slides
 from gpusimbench.evaluator.runs.physics.slope import slope_facts
 from gpusimbench.evaluator.runs.physics.states import States, Walk, drawn_envs
 from gpusimbench.evaluator.runs.physics.world import world_of
-from gpusimbench.evaluator.runs.positions import NO_STATES
+from gpusimbench.evaluator.runs.positions import no_states
 from gpusimbench.evaluator.runs.sunk_cubes import Sunk, count_sunk
 from gpusimbench.schemas import checks
 from gpusimbench.schemas.errors import DamagedRecording
@@ -48,14 +48,14 @@ def _facts(recording: Recording, envs: tuple[tuple[int, int], ...], sank: Sunk |
     if recording.configuration.simulator == REAL:
         return Missing("these are measured trials, with one row each")
     if any(f.group == GROUP and f.field == "qpos" for f in recording.fields):
-        return robot_facts(recording) if len(recording.state(GROUP, "qpos")) else NO_STATES
+        return robot_facts(recording) if len(recording.state(GROUP, "qpos")) else no_states(recording)
     if recording.configuration.intervention.startswith(("reset@", "poison@")):
         return Missing("some environments were changed on the way")
     walk = Walk(recording, envs)
     if not walk.groups:
         return Missing("no positions in three dimensions were recorded")
     if len(walk) < 2:
-        return NO_STATES
+        return no_states(recording)
     world = world_of(recording, walk.items)
     if isinstance(world, Missing):
         return world

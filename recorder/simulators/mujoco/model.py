@@ -77,6 +77,12 @@ class MjcfModel:
             joint_field("robot", "qvel", dtype, joints),
         )
 
+    @property
+    def coordinates(self) -> NDArray[np.int64]:
+        """Places in qpos of x, y and z of the bodies in `fields`."""
+        found = [at_qpos[:, :3].ravel() for at_qpos, _ in self._groups]
+        return np.concatenate(found) if found else np.empty(0, dtype=np.int64)
+
     def split(self, qpos: NDArray[np.floating], qvel: NDArray[np.floating]) -> States:
         """qpos [..., nq] and qvel [..., nv] as the arrays of `fields`, in their own precision; views where possible."""
         arrays: list[NDArray[np.floating]] = []

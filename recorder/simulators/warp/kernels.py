@@ -81,3 +81,63 @@ def count_contacts(
     contact = wp.tid()
     if contact < wp.min(nacon[0], worldid.shape[0]):
         wp.atomic_add(ring, row[0], 0, worldid[contact], 1)
+
+
+@wp.func
+def what_failed(value: float, bounded: wp.int32, within: float) -> int:
+    """The kind of failure that a number of a state is, as of simulators.flight; -1: none."""
+    if not wp.isfinite(value):
+        return 0
+    if bounded != 0 and wp.abs(value) > within:
+        return 2
+    return -1
+
+
+@wp.kernel(enable_backward=False)
+def hold(
+    step: wp.array(dtype=wp.int32),
+    qpos: wp.array2d(dtype=float),
+    qvel: wp.array2d(dtype=float),
+    overflow: wp.array(dtype=int),
+    bounded: wp.array(dtype=wp.int32),
+    within: float,
+    fatal: int,
+    kinds: int,
+    held_qpos: wp.array3d(dtype=float),
+    held_qvel: wp.array3d(dtype=float),
+    held_bits: wp.array2d(dtype=int),
+    failures: wp.array(dtype=wp.int64),
+):
+    """The state of step step[0] into a ring of steps, and the first failure of each env, as simulators.flight has it.
+
+    Threads are [env, number of qpos, then of qvel, then one for the overflow bits, which are cleared]. bounded says of
+    each number of qpos whether it is a coordinate of a body; 0, 1 and 2 are the kinds of failures.
+    """
+    env, i = wp.tid()
+    row = step[0] % held_bits.shape[0]
+    n_qpos = qpos.shape[1]
+    n_state = n_qpos + qvel.shape[1]
+    now = wp.int64(step[0]) * wp.int64(kinds)
+    if i == n_state:
+        bits = overflow[env]
+        held_bits[row, env] = bits
+        overflow[env] = 0
+        if (bits & fatal) != 0:
+            wp.atomic_min(failures, env, now + wp.int64(1))
+        return
+    if i < n_qpos:
+        held_qpos[row, env, i] = qpos[env, i]
+        kind = what_failed(qpos[env, i], bounded[i], within)
+        if kind >= 0:
+            wp.atomic_min(failures, env, now + wp.int64(kind))
+    else:
+        held_qvel[row, env, i - n_qpos] = qvel[env, i - n_qpos]
+        if not wp.isfinite(qvel[env, i - n_qpos]):
+            wp.atomic_min(failures, env, now)
+
+
+@wp.kernel(enable_backward=False)
+def held_of_env(env: int, held: wp.array3d(dtype=float), rows: wp.array2d(dtype=float)):
+    """held [row, env, i] of one env into rows [row, i]."""
+    row, i = wp.tid()
+    rows[row, i] = held[row, env, i]

@@ -23,11 +23,13 @@ from gpusimbench.recorder.scenes.emit.mjcf import deviations
 from gpusimbench.recorder.simulators.base import Description, Simulator, States
 from gpusimbench.recorder.simulators.counters import CONSTRAINT_ROWS, CONTACTS, SOLVER_ITERATIONS
 from gpusimbench.recorder.simulators.evidence import Evidence
+from gpusimbench.recorder.simulators.flight import Flight, Watch
 from gpusimbench.recorder.simulators.mujoco.options import MjcfOptions
 from gpusimbench.recorder.simulators.snapshot import COMPLETE, Envs, Snapshot, StateClaims
 from gpusimbench.recorder.simulators.warp import runtime as warp_runtime
 from gpusimbench.recorder.simulators.warp import worlds
 from gpusimbench.recorder.simulators.warp.block import WarpBlock, evidence_of
+from gpusimbench.recorder.simulators.warp.flight import WarpFlight
 from gpusimbench.recorder.simulators.warp.transfer import Slot, Slots
 from gpusimbench.schemas.errors import GsbError
 from gpusimbench.schemas.provenance import Buffer, OverflowBit
@@ -351,6 +353,11 @@ class MujocoWarp(Simulator):
             one()
         slot.begin_copy(n_step)
         return WarpBlock(self._slots, slot, n_step, self._compiled)
+
+    def flight(self, watch: Watch) -> Flight:
+        """See Simulator.flight."""
+        self.compile("capture")
+        return WarpFlight(self._device, self._data, self._compiled, watch, self._one_step, self._captured)
 
     def states(self, n_step: int) -> States:
         """See Simulator.states."""
