@@ -13,7 +13,7 @@ from mcap.stream_reader import StreamReader
 from mcap.writer import Writer
 
 from gpusimbench.schemas import topics
-from gpusimbench.schemas.digest import attachment_name, content_hash
+from gpusimbench.schemas.digest import ContentDigest, attachment_name, content_hash
 from gpusimbench.schemas.messages import enum_values, message_class
 from gpusimbench.schemas.provenance import PROVENANCE
 
@@ -26,11 +26,13 @@ def forge(
     attachment: str = PROVENANCE,
     end: Callable[[Any], None] = lambda end: None,
     honest: bool = True,
+    message: Callable[[str, bytes], bytes] = lambda topic, data: data,
 ) -> Path:
     """Copy a recording with one attachment's JSON changed in place.
 
     end     changes the end record likewise
     honest  False leaves digests and content hash as they were
+    message gives what is written of each message, by topic; only of topics that have one
     """
     digests: dict[str, str] = {}
     channels: dict[int, str] = {}
@@ -60,8 +62,13 @@ def forge(
                 case Metadata():
                     writer.add_metadata(record.name, record.metadata)
                 case Message():
-                    data = record.data
-                    if channels[record.channel_id] == topics.RUN_END:
+                    topic = channels[record.channel_id]
+                    data = message(topic, record.data)
+                    if data != record.data:
+                        alone = ContentDigest()
+                        alone.message(topic, data)
+                        digests |= alone.digests()
+                    if topic == topics.RUN_END:
                         data = _ended(data, digests if honest else {}, end)
                     writer.add_message(
                         targets[record.channel_id], record.log_time, data, record.publish_time, record.sequence

@@ -20,6 +20,7 @@ from gpusimbench.recorder.simulators.calibration.chance import places, shares
 from gpusimbench.recorder.simulators.calibration.model import model_of
 from gpusimbench.recorder.simulators.calibration.options import REGIMES, CalibrationOptions
 from gpusimbench.recorder.simulators.calibration.simulator import Calibration
+from gpusimbench.recorder.simulators.flight import NEVER, Kind, Watch, told
 from gpusimbench.schemas.errors import UsageError
 
 Json = dict[str, Any]
@@ -42,6 +43,28 @@ def test_racing_atomics() -> None:
     counts = simulator.evidence()
     assert counts is not None
     assert counts.counts["contacts"].min() > 0
+    simulator.close()
+
+
+def test_a_planted_failure() -> None:
+    """Tell the environment and the step of a state that is made not finite, and hold the steps before it."""
+    simulator, description = build(n_env=5)
+    flight = simulator.flight(Watch(description.fields))
+    assert (flight.failures() == NEVER).all()
+    for _ in range(2):
+        flight.begin(20)
+        assert (flight.failures() == NEVER).all()
+    broken = tuple(np.array(array)[3:4] for array in simulator.state())
+    for field, array in zip(description.fields, broken, strict=True):
+        array[:] = np.nan if field.field == "linear_velocity" else array
+    simulator.set_state(broken, np.array([3]))
+    flight.begin(20)
+    failures = flight.failures()
+    assert told(int(failures[3])) == (41, Kind.NOT_FINITE)
+    assert (np.delete(failures, 3) == NEVER).all()
+    for array in flight.window(3, 0, 60):
+        assert np.isfinite(array[:41]).all()
+    assert not all(np.isfinite(array[41]).all() for array in flight.window(3, 0, 60))
     simulator.close()
 
 

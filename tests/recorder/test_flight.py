@@ -4,22 +4,27 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gpusimbench import open_recording
+from gpusimbench import open_recording, verify
 from gpusimbench.evaluator.read.failing import ONLY_FAILING, Failing
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.recorder.run.keep import parse
 from gpusimbench.recorder.simulators.flight import AFTER, BEFORE
+from gpusimbench.schemas import topics
 from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.errors import DamagedRecording, ExitCode, UsageError
+from gpusimbench.schemas.messages import message_class
 from gpusimbench.schemas.treatment import MOST_METRES, Keep
 from tests.conftest import call
+from tests.forging import forge
 
 _RUN = ("--sim", "mujoco", "--runs", "1", "--phases", "capture")
 _POISONED = (*_RUN, "--n-env", "5", "--steps", "200", "--intervene", "poison@150")
@@ -147,6 +152,74 @@ def test_other_commands(poisoned: tuple[Path, Path], tmp_path: Path) -> None:
     assert "151  not finite  ball  ball/position x" in done.stdout
     (group,) = json.loads((tmp_path / "eval.json").read_text())["groups"]
     assert group["keep"] == "failing"
+
+
+def _other_env(listed: Any) -> None:
+    listed.failures[0].env = 5
+
+
+def _other_step(listed: Any) -> None:
+    listed.failures[0].step = 150
+
+
+def _other_window(listed: Any) -> None:
+    listed.failures[0].steps -= 1
+
+
+def _other_component(listed: Any) -> None:
+    listed.failures[0].component = "w"
+
+
+def _none_counted(listed: Any) -> None:
+    listed.not_finite = 0
+
+
+def _twice(listed: Any) -> None:
+    listed.failures.append(listed.failures[0])
+    listed.not_finite = 2
+
+
+@pytest.mark.parametrize(
+    ("change", "why"),
+    [
+        (_other_env, "names an environment twice, or one that is not there"),
+        (_other_step, "is said to be not finite at step 150, and its states there are"),
+        (_other_window, "has other states than /run/failing says"),
+        (_other_component, "is said to be not finite at step 151, and its states there are"),
+        (_none_counted, "counts 0 of 5 environments"),
+        (_twice, "names an environment twice, or one that is not there"),
+    ],
+)
+def test_a_forged_list(poisoned: tuple[Path, Path], tmp_path: Path, change: Callable[[Any], None], why: str) -> None:
+    """Call a file damaged whose list says something else than its states, whatever its digests say."""
+
+    def forged(topic: str, data: bytes) -> bytes:
+        if topic != topics.RUN_FAILING:
+            return data
+        listed = message_class("gsb.v1.FailingEnvs").FromString(data)
+        change(listed)
+        return bytes(listed.SerializeToString())
+
+    file = forge(poisoned[0], tmp_path / "forged.mcap", lambda _: None, message=forged)
+    with pytest.raises(DamagedRecording, match=why):
+        verify(open_recording(file))
+    done = call("gsb-check", file)
+    assert done.returncode == ExitCode.DATA_LOST, done.stdout
+    assert why in " ".join(done.stdout.split())
+    for command in ("gsb-info", "gsb-eval"):
+        assert "Traceback" not in call(command, file).stderr
+
+
+def test_a_run_that_ends_early(tmp_path: Path) -> None:
+    """Keep what failed until a run took too long."""
+    long = (*_RUN, "--n-env", "2", "--steps", "1000000", "--timeout", "2")
+    kept = open_recording(_record(tmp_path, *long, "--keep", "failing", "--intervene", "poison@30", exit_code=1))
+    assert (kept.status, kept.cause) == ("failed", "timeout")
+    failing = _failing(kept)
+    assert [(f.env, f.step) for f in failing.failures] == [(1, 31)]
+    assert failing.last_step > 31
+    assert len(kept.last_states(1).steps) == 31 + AFTER + 1
+    assert call("gsb-check", kept.path).stdout.startswith("PASSED")
 
 
 def test_metrics_are_missing(tmp_path: Path) -> None:
