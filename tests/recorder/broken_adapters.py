@@ -12,6 +12,7 @@ from gpusimbench.recorder.simulators.base import Simulator
 from gpusimbench.recorder.simulators.captured import Held
 from gpusimbench.recorder.simulators.counters import CONTACTS
 from gpusimbench.recorder.simulators.evidence import Evidence
+from gpusimbench.recorder.simulators.flight import HostFlight
 from gpusimbench.recorder.simulators.mujoco.simulator import MujocoC
 from gpusimbench.recorder.simulators.snapshot import Claim, Extent
 from gpusimbench.schemas.errors import UsageError
@@ -354,6 +355,24 @@ class OneSlot(MujocoC):
         for slot, array in zip(self.slot, arrays, strict=True):
             slot[:n_step] = array[: len(slot)]
         return Held(tuple(slot[:n_step] for slot in self.slot), block.evidence())
+
+
+class OneStepBehind(MujocoC):
+    """Holds in a flight, for each step, the state of the one before."""
+
+    def flight(self, watch):
+        class Behind(HostFlight):
+            def window(self, env, first, last):
+                return tuple(np.roll(array, 1, axis=0) for array in super().window(env, first, last))
+
+        return Behind(self, watch)
+
+
+class LooksElsewhere(MujocoC):
+    """Finds in a flight who leaves bounds a hundredth as wide."""
+
+    def flight(self, watch):
+        return HostFlight(self, replace(watch, within=watch.within / 100))
 
 
 class ForgetsTheWarmStart(MujocoC):

@@ -8,6 +8,7 @@ from gpusimbench.recorder.conformance.checks.actions import actions_are_those_dr
 from gpusimbench.recorder.conformance.checks.agreement import (
     blocks_ahead_are_the_same,
     captured_states_stay,
+    flights_hold_the_captured_states,
     step_and_states_agree,
 )
 from gpusimbench.recorder.conformance.checks.description import (
@@ -85,6 +86,7 @@ CHECKS: tuple[Check, ...] = (
     buffers_are_larger_than_what_they_held,
     captured_states_stay,
     blocks_ahead_are_the_same,
+    flights_hold_the_captured_states,
     step_and_states_agree,
     counts_agree_step_by_step,
     actions_are_those_drawn,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +12,7 @@ from gpusimbench.recorder.conformance.scene import N_STEP
 from gpusimbench.recorder.conformance.subject import Subject
 from gpusimbench.recorder.conformance.verdict import NotApplicable, fail
 from gpusimbench.recorder.simulators.base import Description, Evidence, Simulator, States
+from gpusimbench.recorder.simulators.flight import BLOCK_STEPS, NEVER, Kind, Watch, failure
 
 
 def step_and_states_agree(subject: Subject) -> None:
@@ -43,6 +45,41 @@ def blocks_ahead_are_the_same(subject: Subject) -> None:
         one, other = (joined(found, name) for found in (trajectory.evidence, evidence))
         if not np.array_equal(one, other):
             fail(f"blocks begun ahead give other counts of {name} than one after another")
+
+
+def flights_hold_the_captured_states(subject: Subject) -> None:
+    """Hold the same numbers in a flight, and find who leaves bounds in the step in which captured states do."""
+    if subject.adapter.flight is Simulator.flight:
+        raise NotApplicable("flight is not overridden: captured states are looked at on the host")
+    trajectory = subject.trajectory
+    description, n_env = trajectory.description, trajectory.n_env
+    origins = np.array(description.env_origins, dtype=np.float64) if description.env_origins else None
+    free = Watch(description.fields, origins=origins)
+    far = [
+        np.abs(free.local(field, array)).max(axis=(1, 2, 3))
+        for field, array in zip(description.fields, trajectory.states, strict=True)
+        if field.field == "position"
+    ]
+    # so that some leave on the way, as long as anything moves away
+    watch = replace(free, within=float(np.max(far, axis=0)[N_STEP // 2]))
+    beyond = [watch.beyond(f, array).any(axis=(2, 3)) for f, array in zip(watch.fields, trajectory.states, strict=True)]
+    left = np.any(beyond, axis=0)  # [step, env]
+    expected = [failure(int(own.argmax()), Kind.OUT_OF_BOUNDS) if own.any() else NEVER for own in left.T]
+    with subject.built(trajectory.scene) as (simulator, _):
+        simulator.compile("capture")
+        flight = simulator.flight(watch)
+        found = flight.failures()
+        for first in range(0, N_STEP, BLOCK_STEPS):
+            simulator.prepare(None)
+            flight.begin(min(BLOCK_STEPS, N_STEP - first))
+            found = flight.failures()
+        held = [flight.window(env, 0, N_STEP) for env in range(n_env)]
+    whole = tuple(np.concatenate(columns, axis=1) for columns in zip(*held, strict=True))
+    if differ := differences(description, trajectory.states, whole):
+        expect_repeatable(subject)
+        fail(f"a flight holds other states than states() gives, in {', '.join(differ)}")
+    if found.tolist() != expected:
+        fail(f"a flight finds the first failures {found.tolist()}; by the captured states they are {expected}")
 
 
 def counted(evidence: Sequence[Evidence | None]) -> list[str]:
