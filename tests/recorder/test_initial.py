@@ -201,7 +201,7 @@ def test_what_is_kept() -> None:
 
 def test_an_engine_without(gsb_record: Command, tmp_path: Path) -> None:
     """Refuse an engine whose adapter cannot set states, before anything is begun."""
-    done = gsb_record("--sim", "genesis", "--initial", "random:0.1", "--out", tmp_path)
+    done = gsb_record("--sim", "isaaclab", "--initial", "random:0.1", "--out", tmp_path)
     assert done.returncode == 2
-    assert "'genesis' has no initial states per environment (--initial): the adapter does not offer it" in done.stderr
+    assert "'isaaclab' has no initial states per environment (--initial): the adapter does not offer it" in done.stderr
     assert not any(tmp_path.iterdir())

@@ -15,6 +15,7 @@ from gpusimbench.recorder.scenes.emit.mjcf import emit_mjcf
 from gpusimbench.recorder.simulators.genesis.options import GenesisOptions
 from gpusimbench.recorder.simulators.genesis.sizes import Sizes
 from gpusimbench.recorder.simulators.mujoco.model import rotate_to_body
+from gpusimbench.recorder.simulators.snapshot import Envs
 
 
 @dataclass(frozen=True)
@@ -37,16 +38,16 @@ class Model:
     _entities: dict[str, Any]
     _robot: Any
 
-    def reset(self) -> None:
-        """Bring all environments to the scene's initial state."""
-        self.scene.reset()
-        self.place()
+    def reset(self, envs: Envs = None) -> None:
+        """Bring environments to the scene's initial state."""
+        self.scene.reset(envs_idx=envs)
+        self.place(envs)
 
-    def place(self) -> None:
+    def place(self, envs: Envs = None) -> None:
         """Give the bodies their speeds and the robot its angles, which entities are not described with."""
-        speeds = np.zeros((self.scene.n_envs, self.solver.n_dofs))
-        for body in self._described.moving():
-            link = self._entities[body.name].base_link
+        n_env = self.scene.n_envs if envs is None else len(envs)
+        speeds = np.zeros((n_env, self.solver.n_dofs))
+        for body, link in self._moving():
             # of a free joint: linear in the world frame, angular in the body's
             speeds[:, link.dof_start : link.dof_start + 3] = body.linear_velocity
             speeds[:, link.dof_start + 3 : link.dof_end] = rotate_to_body(
@@ -54,8 +55,32 @@ class Model:
             )
         if self._robot is not None and self._described.robot is not None:
             start = np.array(self._described.robot.start)
-            self._robot.set_qpos(np.repeat(start[None], self.scene.n_envs, axis=0))
-        self.solver.set_dofs_velocity(speeds)
+            self._robot.set_qpos(np.repeat(start[None], n_env, axis=0), envs_idx=envs)
+        self.solver.set_dofs_velocity(speeds, envs_idx=envs)
+
+    def give(self, links: NDArray[np.floating], joints: NDArray[np.floating], envs: Envs) -> None:
+        """Give environments that were just reset other poses and velocities.
+
+        links   [env of envs, body, 13] in the order of Scene.moving: position, orientation wxyz, linear and angular
+                velocity in the world frame
+        joints  [env of envs, joint, 2]: angles and speeds
+        """
+        qpos = self.solver.get_qpos(envs_idx=envs).cpu().numpy().copy()
+        speeds = self.solver.get_dofs_velocity(envs_idx=envs).cpu().numpy().astype(np.float64)
+        for place, (_, link) in enumerate(self._moving()):
+            given = links[:, place]
+            qpos[:, link.q_start : link.q_start + 7] = given[:, :7]
+            speeds[:, link.dof_start : link.dof_start + 3] = given[:, 7:10]
+            numbers = given.astype(np.float64)
+            speeds[:, link.dof_start + 3 : link.dof_end] = rotate_to_body(numbers[:, 3:7], numbers[:, 10:13])
+        if self._robot is not None and self._described.robot is not None:
+            angles = [self._robot.get_joint(joint.name).q_start for joint in self._described.robot.joints()]
+            qpos[:, angles], speeds[:, self.joints] = joints[..., 0], joints[..., 1]
+        self.solver.set_qpos(qpos, envs_idx=envs)
+        self.solver.set_dofs_velocity(speeds, envs_idx=envs)
+
+    def _moving(self) -> list[tuple[Body, Any]]:
+        return [(body, self._entities[body.name].base_link) for body in self._described.moving()]
 
 
 def build_model(genesis: Any, scene: Scene, *, n_env: int, dt: float, options: GenesisOptions, sizes: Sizes) -> Model:

@@ -21,6 +21,7 @@ from gpusimbench.recorder.simulators.evidence import Evidence
 from gpusimbench.recorder.simulators.genesis import runtime
 from gpusimbench.recorder.simulators.genesis.deviations import deviations
 from gpusimbench.recorder.simulators.genesis.options import GenesisOptions
+from gpusimbench.recorder.simulators.snapshot import COMPLETE, Envs, Snapshot, StateClaims
 from gpusimbench.schemas.fields import StateField, body_fields, joint_field
 
 _RING_ROWS = 50
@@ -59,6 +60,7 @@ class Genesis(Simulator):
         """See Simulator.build."""
         options: GenesisOptions = self.options
         genesis = self._genesis = runtime.start(options, deterministic=_LEVELS[self.determinism], seed=self.seed)
+        from gpusimbench.recorder.simulators.genesis.keep import Keep
         from gpusimbench.recorder.simulators.genesis.model import build_model
         from gpusimbench.recorder.simulators.genesis.ring import Ring
         from gpusimbench.recorder.simulators.genesis.sizes import choose_sizes
@@ -68,6 +70,9 @@ class Genesis(Simulator):
         with self._refusals():
             self._model = build_model(genesis, self.scene, n_env=self.n_env, dt=self.dt, options=options, sizes=sizes)
         self._watch = Watch(self._model.solver)
+        self._keep = Keep(self._model.solver)
+        self._done = 0  # steps since the build, or since all were brought back
+        self._given = False  # whether states were given that a reset does not bring back
         self._last = Ring(self._model, self._watch, 1)
         self._ring: Ring | None = None
         self._counted: Evidence | None = None
@@ -136,10 +141,13 @@ class Genesis(Simulator):
 
     def compile(self, phase: str) -> None:
         """See Simulator.compile: some kernels are loaded at the first step only; the state is brought back."""
+        before = self._keep.kept() if self._given else None  # large: not where a reset does
         self._model.scene.step(update_visualizer=False)
         if phase == "capture":
             self._make_ring().store()
         self._model.reset()
+        if before is not None:
+            self._keep.put(before, None)
         runtime.synchronise(self._genesis)
 
     def _make_ring(self) -> Any:
@@ -176,6 +184,7 @@ class Genesis(Simulator):
         runtime.synchronise(self._genesis)
 
     def _advance(self) -> None:
+        self._done += 1
         if self._targets is not None:
             self._model.solver.control_dofs_position(self._targets[self._next_target], self._model.joints)
             self._next_target += 1
@@ -218,6 +227,42 @@ class Genesis(Simulator):
             arrays += [joints[..., 0:1], joints[..., 1:2]]
         return tuple(arrays)
 
+    @classmethod
+    def state_claims(cls, options: Any) -> StateClaims:
+        """See Simulator.state_claims."""
+        return StateClaims(COMPLETE, COMPLETE, COMPLETE, COMPLETE)
+
+    def snapshot(self) -> Snapshot:
+        """See Simulator.snapshot: what Genesis' checkpoints hold of what steps change."""
+        return Snapshot(self._done, self._keep.kept())
+
+    def restore(self, snapshot: Snapshot, envs: Envs = None) -> None:
+        """See Simulator.restore."""
+        self._keep.put(snapshot.arrays, envs)
+        self._counted, self._given = None, True
+        if envs is None:
+            self._done = snapshot.step
+
+    def reset(self, envs: Envs = None) -> None:
+        """See Simulator.reset: Scene.reset, and the speeds and angles that it does not know."""
+        self._watch.take()  # the engine forgets its error codes here
+        self._model.reset(envs)
+        self._counted = None
+        if envs is None:
+            self._done = 0
+
+    def set_state(self, states: States, envs: Envs = None) -> None:
+        """See Simulator.set_state."""
+        self.reset(envs)
+        self._given = True
+        left, n_env = iter(states), len(states[0])
+        links = np.empty((n_env, len(self._model.links), 13), dtype=states[0].dtype)
+        for group in self._groups:
+            for columns in (slice(0, 3), slice(3, 7), slice(7, 10), slice(10, 13)):
+                links[:, group, columns] = next(left)
+        joints = [next(left) for _ in range(2)] if self.scene.robot is not None else []
+        self._model.give(links, np.concatenate(joints, axis=-1) if joints else np.empty((n_env, 0, 2)), envs)
+
     def evidence(self) -> Evidence:
         """See Simulator.evidence."""
         if self._counted is None:
@@ -233,7 +278,7 @@ class Genesis(Simulator):
     def close(self) -> None:
         """See Simulator.close."""
         # tensors that share the engine's memory go before it does
-        for name in ("_targets", "_ring", "_last", "_watch", "_model", "_counted"):
+        for name in ("_targets", "_ring", "_last", "_keep", "_watch", "_model", "_counted"):
             vars(self).pop(name, None)
         runtime.stop()
 
