@@ -90,7 +90,7 @@ def test_hostile_names(evaluation: Evaluation) -> None:
     """Escape what a simulator calls itself in every format."""
     table = tables_of(evaluation)["throughput-inclined-collision"]
     assert "\n'=cmd" in as_csv(table)
-    assert "&#91;x&#93;" in table_markdown(table)
+    assert r"\[x](http&#58;//x)" in table_markdown(table)
     assert r"\textbackslash{}input\{a\} \% \textless{}b" in as_latex(table)
 
 

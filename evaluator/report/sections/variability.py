@@ -61,7 +61,7 @@ def section(source: Source) -> Section | None:
     ]
     of_others = [column_of(m, others) if m not in (LEFT_BOARD, SANK) else _cubes(m, others) for m in rest]
     blocks: list[Block] = [
-        of_groups("variability-bits", _BITS, results, of_bits, bits, list(_types(results))),
+        of_groups("variability-bits", _BITS, results, of_bits, bits, list(types_of(results))),
         of_groups("variability-distances", _DISTANCES, results, [*_apart(distances, apart)], apart, _LEGEND),
         of_groups("variability-others", _OTHERS, results, of_others, others),
     ]
@@ -110,7 +110,7 @@ def _type(reasons: Reasons) -> Written:
     return cell
 
 
-def _types(results: Sequence[GroupResult]) -> Iterator[str]:
+def types_of(results: Sequence[GroupResult]) -> Iterator[str]:
     """What the published types of some groups mean."""
     found = {int(value) for r in results if (value := known(r.metrics[REGIME.name].value)) is not None}
     yield from (f"type {number}: {REGIME_MEANING[number]}" for number in sorted(found & REGIME_MEANING.keys()))

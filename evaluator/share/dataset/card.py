@@ -4,24 +4,40 @@ from __future__ import annotations
 
 import shlex
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
-
-import jinja2
 
 from gpusimbench import schemas
 from gpusimbench.evaluator.json_values import brief
-from gpusimbench.evaluator.metrics.regime import REGIME_MEANING
 from gpusimbench.evaluator.render import numbers
+from gpusimbench.evaluator.render.cells import estimate
+from gpusimbench.evaluator.render.document import (
+    Block,
+    Cell,
+    Code,
+    Column,
+    Document,
+    Facts,
+    Section,
+    Text,
+    facts,
+    items,
+    key_of,
+    table,
+)
+from gpusimbench.evaluator.render.markdown import render_markdown
 from gpusimbench.evaluator.report import timed, words
+from gpusimbench.evaluator.report.sections.variability import types_of
+from gpusimbench.evaluator.report.verdicts import QUESTIONS
+from gpusimbench.evaluator.results.cost_metrics import FPS
 from gpusimbench.evaluator.results.evaluation import Evaluation
+from gpusimbench.evaluator.results.group_metrics import REGIME
 from gpusimbench.evaluator.results.result import GroupResult
 from gpusimbench.evaluator.runs.groups import shown_status
 from gpusimbench.evaluator.runs.run import Run
 from gpusimbench.evaluator.share.dataset.citation import Publication, quoted
 from gpusimbench.evaluator.share.dataset.contents import LookedAt, runs_of
 from gpusimbench.evaluator.share.dataset.licences import HUB_NAMES
-from gpusimbench.evaluator.share.dataset.markdown import cell, fenced
 
 CARD = "README.md"
 
@@ -30,23 +46,12 @@ KEYWORDS = ("robotics", "simulation", "benchmark", "reproducibility", "mcap")
 _SIZES = ((1000, "n<1K"), (10_000, "1K<n<10K"), (100_000, "10K<n<100K"))
 _MOST_COMMANDS = 40
 _LONGEST_COMMAND = 400
+_LONGEST_REASON = 300
 
-
-class Row(NamedTuple):
-    """A group, as cells."""
-
-    label: str
-    version: str
-    device: str
-    runs: str
-    determinism: str
-    distinct_envs: str
-    distinct_runs: str
-    type: str
-    throughput: str
-    timed: tuple[str, ...]
-    interval: str
-    trouble: str
+_FILES = (
+    "Each is one MCAP file, which stores what was run, the command, the machine, the versions and options, and how the "
+    "run ended. Every number on this page and in the tables was computed from these files; none was typed in."
+)
 
 
 class Problem(NamedTuple):
@@ -68,56 +73,143 @@ class Machine(NamedTuple):
 def card(
     publication: Publication, looked_at: Sequence[LookedAt], evaluation: Evaluation, size: int, identity: str
 ) -> str:
-    """The page. The same recordings and words of the publisher give the same bytes.
+    """The page, with the front matter that the Hub reads. The same recordings and words give the same bytes.
 
     size      of all recordings [byte]
     identity  of their content
     """
-    environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("gpusimbench.evaluator.share", "templates"),
-        undefined=jinja2.StrictUndefined,
-        autoescape=False,  # noqa: S701 - Markdown, whose own markup is escaped by `cell`
-        trim_blocks=True,
-        lstrip_blocks=True,
-        keep_trailing_newline=True,
-    )
-    environment.filters |= {"cell": cell, "quoted": quoted}
+    about = f"{publication.about}\n\n" if publication.about else ""  # the publisher's own Markdown
+    title = render_markdown(Document(publication.title, ()))
+    body = render_markdown(card_document(publication, looked_at, evaluation, size, identity))
+    return f"{_front_matter(publication, len(looked_at))}\n{title}\n{about}{body}"
+
+
+def _front_matter(publication: Publication, recordings: int) -> str:
+    hub_licence = HUB_NAMES.get(publication.licence, "other")
+    own = [f"license_name: {quoted(publication.licence.lower())}", "license_link: LICENSE"]
+    size = next((name for limit, name in _SIZES if recordings < limit), "100K<n<1M")
+    lines = [
+        f"license: {quoted(hub_licence)}",
+        *(own if hub_licence == "other" else []),
+        f"pretty_name: {quoted(publication.title)}",
+        "task_categories:",
+        "  - robotics",
+        "tags:",
+        *(f"  - {quoted(tag)}" for tag in KEYWORDS),
+        "size_categories:",
+        f"  - {quoted(size)}",
+        "configs:",
+        *_config("metrics", "default: true"),
+        *_config("runs"),
+    ]
+    return "\n".join(["---", *lines, "---", ""])
+
+
+def _config(table_name: str, *more: str) -> list[str]:
+    lines = [*more, "data_files:", "  - split: train", f"    path: {table_name}.parquet"]
+    return [f"  - config_name: {table_name}", *(f"    {line}" for line in lines)]
+
+
+def card_document(
+    publication: Publication, looked_at: Sequence[LookedAt], evaluation: Evaluation, size: int, identity: str
+) -> Document:
+    """What the page says below its title and the publisher's words."""
     results = evaluation.results
     held = list(runs_of(looked_at))
+    count, groups = numbers.plural(len(looked_at), "recording"), numbers.plural(len(results), "group")
+    blocks: list[Block] = [
+        Text(f"{count} of robot simulators, {size / 1e6:.1f} MB, in {groups}. {_FILES}"),
+        facts(("Content of all recordings", Cell(f"sha256:{identity}", code=True))),
+    ]
+    if wrong := problems(looked_at):
+        rows = [(one.name, one.what, words.shortened(one.why, _LONGEST_REASON)) for one in wrong]
+        said = Text("No metric is computed from these recordings, or from what they lost.")
+        blocks.append(
+            Section("problems", "Problems", (said, table("problem-files", "", ("file", "what", "why"), rows)))
+        )
+    for scene in dict.fromkeys(r.group.key.scene for r in results):
+        blocks.append(_scene(scene, [r for r in results if r.group.key.scene == scene]))
+    blocks += [
+        Section("reading", "How to read the tables", (_legend(results, evaluation.sample_time),)),
+        Section("recorded", "How it was recorded", tuple(_recorded(held))),
+        Section("check", "How to check it, and to run it again", tuple(_checking(looked_at, held))),
+        Section("licence", "Licence", (Text(_licence(publication)),)),
+        Section("citation", "Citation", (Text(_cited(publication)), *_address(publication))),
+    ]
+    return Document("", tuple(blocks))
+
+
+def _scene(scene: str, results: Sequence[GroupResult]) -> Section:
+    columns: tuple[Column | str, ...] = (
+        "group", "version", "device", "envs x complete runs", "determinism",
+        *(question.column for question in QUESTIONS), "type", f"throughput [{FPS.unit}]",
+        *(column.title for column in timed.ALL), "other runs",
+    )  # fmt: skip
+    shown = table(key_of("scene", scene), "", columns, [_row(one) for one in results]).without_empty_columns()
+    beside = timed.incomparable(results)
+    notes = [f"{one.label}: {note}" for one in results for note in one.notes]
+    return Section(key_of(scene), scene, (shown, *map(Text, beside), *([items(*notes)] if notes else [])))
+
+
+def _row(result: GroupResult) -> tuple[Cell | str, ...]:
+    key, found = result.group.key, result.metrics
+    return (
+        result.label, key.version, key.device, f"{key.n_env} x {len(result.group.complete)}", key.determinism,
+        *(question.answer([result]) for question in QUESTIONS),
+        words.regime(found[REGIME.name]), estimate(found[FPS.name]),
+        *timed.cells(timed.ALL, result.timed), words.trouble(result.group),
+    )  # fmt: skip
+
+
+def _legend(results: Sequence[GroupResult], sample_time: float) -> Facts:
+    said: list[tuple[str, str]] = [(question.title, question.meaning) for question in QUESTIONS]
+    if types := list(types_of(results)):
+        rounded = f"by GPUSimBench, from planar distances at {sample_time:g} s of simulated time, rounded to 0.01 cm"
+        said.append(("type", rounded))
+        said += [(name, meaning) for name, _, meaning in (one.partition(": ") for one in types)]
+    unmet, _, counted = timed.LEGEND.partition(": ")
+    said += [
+        (unmet, counted),
+        ("throughput", "mean ± SD over runs, and below it the 95 % interval"),
+        (
+            "metrics.parquet",
+            "a row for each metric of each group, with unit, interval and method; where there is no value, the column "
+            "why_not has the reason",
+        ),
+        ("runs.parquet", "a row for each recording, with its content hash, status and machine"),
+    ]
+    return facts(*said)
+
+
+def _recorded(held: Sequence[Run]) -> Iterator[Block]:
+    rows = [(one.host, one.gpus, Cell(str(one.recordings), float(one.recordings))) for one in machines(held)]
+    yield table("machines", "", ("machine", "GPUs", "recordings"), rows)
     told, more = _commands(held)
-    return environment.get_template("card.md.j2").render(
-        publication=publication,
-        hub_licence=HUB_NAMES.get(publication.licence, "other"),
-        tags=KEYWORDS,
-        size=next((name for limit, name in _SIZES if len(looked_at) < limit), "100K<n<1M"),
-        count=numbers.plural(len(looked_at), "recording"),
-        groups=numbers.plural(len(results), "group"),
-        megabytes=f"{size / 1e6:.1f}",
-        identity=identity,
-        problems=problems(looked_at),
-        scenes=[
-            (scene, [_row(r) for r in results if r.group.key.scene == scene])
-            for scene in dict.fromkeys(r.group.key.scene for r in results)
-        ],
-        notes={
-            scene: [(r.label, note) for r in results if r.group.key.scene == scene for note in r.notes]
-            for scene in {r.group.key.scene for r in results}
-        },
-        timed=[column.title for column in timed.ALL],
-        not_comparable={
-            scene: timed.incomparable(r for r in results if r.group.key.scene == scene)
-            for scene in {r.group.key.scene for r in results}
-        },
-        sample_time=evaluation.sample_time,
-        types=sorted(REGIME_MEANING.items()),
-        machines=machines(held),
-        commands_said=f"The command of each run is in its recording. Here they are, each once{more}:",
-        commands=fenced(told),
-        version=schemas.__version__,
-        evaluate=_evaluate(looked_at),
-        replay=_replay(held),
-        cited=_cited(publication),
+    if told:
+        yield Text(f"The command of each run is in its recording. Here they are, each once{more}.")
+        yield Code(tuple(told))
+
+
+def _checking(looked_at: Sequence[LookedAt], held: Sequence[Run]) -> Iterator[Block]:
+    yield Text("Download the files as they are, from the Hugging Face Hub for example with")
+    yield Code(("hf download --repo-type dataset --local-dir DIR REPOSITORY",))
+    yield Text("Then check every file in their folder. This needs nothing of gpusimbench:")
+    yield Code(("sha256sum -c SHA256SUMS",))
+    yield Text(
+        f"gpusimbench {schemas.__version__} wrote this page. With this version or a later one, gsb-share verify checks "
+        "every file and every content hash, and computes the tables again; gsb-eval makes a report:"
     )
+    yield Code(("gsb-share verify .", _evaluate(looked_at)))
+    if replay := _replay(held):
+        yield Text(
+            "gsb-audit runs a recording's own configuration on the machine that it is called on, and says how closely "
+            "the result agrees with the recording:"
+        )
+        yield Code((replay,))
+
+
+def _licence(publication: Publication) -> str:
+    return publication.licence + ("." if publication.licence in HUB_NAMES else ": see the file LICENSE.")
 
 
 def problems(looked_at: Sequence[LookedAt]) -> list[Problem]:
@@ -134,24 +226,6 @@ def problems(looked_at: Sequence[LookedAt]) -> list[Problem]:
         if summary is not None and one.checkup.findings:
             found.append(Problem(one.name, "breaks a rule", "; ".join(one.checkup.findings)))
     return found
-
-
-def _row(result: GroupResult) -> Row:
-    key, found = result.group.key, result.metrics
-    return Row(
-        label=result.label,
-        version=key.version,
-        device=key.device,
-        runs=f"{key.n_env} x {len(result.group.complete)}",
-        determinism=key.determinism,
-        distinct_envs=words.count_of(found["distinct_envs"]),
-        distinct_runs=words.count_of(found["distinct_runs"]),
-        type=words.regime(found["regime_published"]),
-        throughput=numbers.mean_sd(found["fps"]),
-        timed=timed.cells(timed.ALL, result.timed),
-        interval=numbers.interval(found["fps"]),
-        trouble=words.trouble(result.group),
-    )
 
 
 def machines(held: Sequence[Run]) -> list[Machine]:
@@ -185,7 +259,7 @@ def _commands(held: Sequence[Run]) -> tuple[list[str], str]:
         for command, count in sorted(found.items())[:_MOST_COMMANDS]
     ]
     left = len(found) - _MOST_COMMANDS
-    return lines or ["none is told"], f", the first {_MOST_COMMANDS} of {len(found)}" if left > 0 else ""
+    return lines, f", the first {_MOST_COMMANDS} of {len(found)}" if left > 0 else ""
 
 
 def _evaluate(looked_at: Sequence[LookedAt]) -> str:
@@ -204,5 +278,11 @@ def _replay(held: Sequence[Run]) -> str:
 
 def _cited(publication: Publication) -> str:
     authors = "; ".join(author.shown for author in publication.authors)
-    told = [authors, publication.title, f"doi:{publication.doi}" if publication.doi else "", publication.url]
+    told = [authors, publication.title, f"doi:{publication.doi}" if publication.doi else ""]
     return ". ".join(part for part in told if part) + "."
+
+
+def _address(publication: Publication) -> Iterator[Block]:
+    if publication.url:
+        yield facts(("Address", Cell(publication.url, code=True)))
+    yield Text("CITATION.cff has the same for programs.")

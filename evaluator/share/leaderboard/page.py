@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
-from gpusimbench.evaluator.metrics.regime import REGIME_MEANING
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.render.cells import estimate, missing
 from gpusimbench.evaluator.render.document import (
@@ -60,7 +59,7 @@ def leaderboard_document(board: Board) -> Document:
         blocks.append(Part(f"unnamed{number}", title, (_without_place(f"unnamed{number}-none", section.rows),)))
     if board.notes:
         blocks.append(Part("notes", "Notes", (items(*board.notes),), plural(len(board.notes), "note"), folded=True))
-    blocks.append(_how(board))
+    blocks.append(_how())
     made_by = (Text("The same rows for programs: leaderboard.json and leaderboard.csv, beside this page."),)
     return Document(board.title, tuple(blocks), _LEAD.format(plural(board.recordings, "recording")), made_by)
 
@@ -246,11 +245,11 @@ def _reproduced(row: Standing) -> Cell:
     return Cell(words.reproduced(row.reproduction), tone=Tone.GOOD if row.reproduction.reproduced else Tone.PLAIN)
 
 
-def _how(board: Board) -> Part:
-    return Part("how", "How to read this", (items(*_explained(board.sample_time)),), folded=True)
+def _how() -> Part:
+    return Part("how", "How to read this", (items(*_explained()),), folded=True)
 
 
-def _explained(sample_time: float) -> Iterator[str]:
+def _explained() -> Iterator[str]:
     yield (
         "A place is by throughput within one scene, one step, one device and the same timed steps of the scene: at "
         "other steps the scene has other contacts. A timed phase below 1 s is marked. Cone, iterations and tolerance "
@@ -268,8 +267,6 @@ def _explained(sample_time: float) -> Iterator[str]:
     )
     yield "Intervals are 95 %, over runs. Without an interval there are too few runs, and two places may be one."
     yield "Repeats itself, envs alike: whether state hashes of runs, or of environments, differ at any captured step."
-    types = "; ".join(f"{number}: {meaning}" for number, meaning in sorted(REGIME_MEANING.items()))
-    yield f"Types of GPUSimBench, from planar distances at {sample_time:g} s, rounded to 0.01 cm: {types}."
     yield (
         "Whole means that all of a file was read: every CRC, every digest, the content hash, clocks, hashes and states "
         "against each other. A rule of protocol-1 that is not met stands below it: the row has numbers of steps or a "

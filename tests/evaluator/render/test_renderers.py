@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import html
 import html.parser
 import io
 import re
@@ -38,8 +39,10 @@ from gpusimbench.evaluator.render.document import (
 )
 from gpusimbench.evaluator.render.html import render_page
 from gpusimbench.evaluator.render.markdown import render_markdown
+from gpusimbench.evaluator.render.markdown_text import prose
 from gpusimbench.evaluator.render.table_files import Format, as_csv, as_latex, table_files
 from gpusimbench.evaluator.render.terminal import print_document
+from gpusimbench.schemas.text import line
 from tests.browser import Browser, needs_chromium
 
 HOSTILE = (
@@ -121,7 +124,7 @@ def printed(document: Document) -> str:
 
 def test_everything_is_said_in_every_format_of_a_whole_document() -> None:
     document = document_of("X")
-    for shown in (printed(document), render_markdown(document).replace("&#", ""), render_page(document)):
+    for shown in (printed(document), render_markdown(document), render_page(document)):
         assert [where for where in WHERE if f"{where} X" not in shown] == []
 
 
@@ -176,6 +179,92 @@ def test_markdown_has_the_same_structure_whatever_the_texts_are(text: str) -> No
         ]
 
     assert structure(render_markdown(document_of(text))) == structure(render_markdown(document_of("X")))
+
+
+_MARKED = "ab1 .:;*_`~[](){}<>|!#&@\\/=+-^%$\n\t"
+MARKUP = st.text(alphabet=st.one_of(st.sampled_from(_MARKED), st.characters()), min_size=1, max_size=30)
+PIECES = st.lists(
+    st.sampled_from([
+        "*", "_", "__", "a", " ", "1.", "[x]", "[cm]", "(y)", ":", "&lt", "&amp;", "&#1", "<b", ">", "#", "|", "-", "~",
+        "`", "![", "\\", "]:", "](",
+    ]), min_size=1,
+).map("".join)  # fmt: skip
+
+
+def shown_by_markdown(source: str) -> list[str]:
+    """What a reader of the rendered page sees, a text for each paragraph, heading, item, cell or element of HTML."""
+    parser = MarkdownIt("commonmark", {"html": True}).enable(["table", "strikethrough"])
+    found = []
+    for token in parser.parse(source):
+        if token.type in ("inline", "html_block", "fence"):
+            children = token.children or [token]
+            allowed = {"text", "code_inline", "html_block", "fence"}
+            assert {child.type for child in children} <= allowed, token
+            texts = (child.content for child in children)
+            found.append("".join(html.unescape(one) if token.type == "html_block" else one for one in texts))
+    return [one.replace("\u200b", "").strip() for one in found]
+
+
+@given(st.one_of(st.sampled_from(HOSTILE), MARKUP, PIECES).map(str.strip).filter(bool))
+def test_what_markdown_shows_is_the_text_itself(text: str) -> None:
+    said = line(re.sub(r"[\t\n\r]", " ", text))
+    typed = line(text)
+    document = Document(
+        text,
+        (
+            Text(text),
+            items(text),
+            Items((Item("behind a word", items=(Item(f"in {text}"),)),)),
+            facts((f"name {text}", Cell(f"fact {text}")), (text, Cell(text)), ("typed", Cell(f"a{text}b", code=True))),
+            Section("part", text, (table("t", text, [text, "typed"], [(text, Cell(f"a{text}b", code=True))]),)),
+            Section("folded", text, (), "and why", folded=True),
+        ),
+    )
+    expected = [
+        said, said, said, "behind a word", f"in {said}", f"name {said}: fact {said}", f"{said}: {said}",
+        f"typed: a{typed}b", said, said, "typed", said, f"a{typed}b", f"Table: {said}",
+        f"<details><summary>{said}: and why</summary>", "</details>",
+    ]  # fmt: skip
+    assert shown_by_markdown(render_markdown(document)) == expected
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "MuJoCo 3.3.7 (warp), dt 0.001 s: 12,345.6 +/- 7 env-steps/s, 95 % interval [3.1, 4.2] [cm]",
+        "[3.1, 4.2] mujoco [cone=elliptic, mode=slow], state_array.py, deep/er/run_01-a.mcap & more",
+        "a -> b, 2 < 3, C:/runs, R&D, #ok, 5-2, 1.5; 'x' = \"y\"!",
+    ],
+)
+def test_markdown_leaves_ordinary_words_as_they_are(text: str) -> None:
+    assert prose(text) == text
+
+
+@pytest.mark.parametrize(
+    ("text", "shown"),
+    [
+        ("a|b\nc", "a&#124;b c"),
+        ("\x1b\u202e", "&#92;x1b&#92;u202e"),
+        ("@team", "@\u200bteam"),
+        ("see gh-12, and-3, #4", "see gh-\u200b12, and-3, #\u200b4"),
+        ("https://example.org www.example.org", "https&#58;//example.org www\\.example.org"),
+        ("__init__.py, snake_case", "\\_\\_init\\_\\_.py, snake_case"),
+        ("1. first", "1\\. first"),
+        ("2024. 1. 1.", "2024\\. 1. 1."),
+        ("[x] [a](b) [c]: d", "\\[x] \\[a](b) \\[c]: d"),
+        ("- item - else", "\\- item - else"),
+    ],
+)
+def test_markdown_holds_off_what_would_be_markup(text: str, shown: str) -> None:
+    assert prose(text) == shown
+
+
+@given(st.lists(st.text(alphabet="`a\n~ ", max_size=12), min_size=1, max_size=4))
+def test_code_in_markdown_is_one_block_whatever_its_lines_are(lines: list[str]) -> None:
+    shown = render_markdown(Document("", (Code(tuple(lines)), Text("behind"))))
+    tokens = MarkdownIt("commonmark").parse(shown)
+    assert [token.type for token in tokens] == ["fence", "paragraph_open", "inline", "paragraph_close"]
+    assert tokens[0].content.count("\n") == len(lines)
 
 
 @given(st.one_of(st.sampled_from(HOSTILE), st.text(max_size=30)))
