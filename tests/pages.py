@@ -28,7 +28,7 @@ def print_all(evaluation: Evaluation, stream: IO[str], *, published: bool = Fals
 def text_of(evaluation: Evaluation) -> str:
     """All that `gsb-eval --all` says, each cell on one line: what a terminal breaks between columns stands together."""
     shown = render_markdown(in_short(Source(evaluation, False, "")))
-    return html.unescape(re.sub(r"<[^>]*>", " ", shown).replace("\u200b", ""))
+    return html.unescape(re.sub(r"</?[a-z][^>]*>", " ", shown).replace("\u200b", ""))
 
 
 def tables_of(evaluation: Evaluation, *, published: bool = False) -> dict[str, Table]:
