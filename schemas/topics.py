@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable
 from typing import NamedTuple
 
 RUN_EVENT = "/run/event"
@@ -52,6 +53,13 @@ def parse_state(topic: str) -> StateTopic | None:
     """Parts of a state topic, or None where the topic is another."""
     match = _STATE.fullmatch(topic)
     return StateTopic(match[1], match[2], int(match[3])) if match and match[1] != VIEW else None
+
+
+def states_of(names: Iterable[str], group: str, field: str) -> dict[str, int]:
+    """Of these topics those of the state blocks of one field, and the first environment of each."""
+    prefix = f"/state/{group}/{field}/"
+    parsed = ((name, parse_state(name)) for name in names if name.startswith(prefix))
+    return {name: parts.env_start for name, parts in parsed if parts}
 
 
 def view(kind: str, env: int) -> str:

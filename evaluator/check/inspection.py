@@ -284,11 +284,7 @@ def _state(recording: Recording, scan: Scan, described: StateField) -> Array:
     numbers = array.dtype.itemsize
     for size in array.shape:
         numbers *= size
-    streams = [
-        stream
-        for topic, stream in scan.streams.items()
-        if (parts := topics.parse_state(topic)) and (parts.group, parts.field) == (described.group, described.field)
-    ]
+    streams = [scan.streams[topic] for topic in topics.states_of(scan.streams, described.group, described.field)]
     return Array(
         described.name, array.shape, described.dtype, described.unit, described.frame, described.note, numbers,
         sum(s.bytes for s in streams), tuple(sorted({e for s in streams for e in s.encodings})),

@@ -256,12 +256,9 @@ class StateArray:
     def _index(self, dt: float) -> list[_Column]:
         # A block's place follows from its topic and time, so that nothing has to be decompressed to find a step.
         columns = []
-        prefix = f"/state/{self.field.name}/"
-        for topic in self._container.channels:
-            parts = topics.parse_state(topic) if topic.startswith(prefix) else None
-            if parts is None or (parts.group, parts.field) != (self.field.group, self.field.field):
-                continue
-            if topic != topics.state(*parts):
+        group, field = self.field.group, self.field.field
+        for topic, env_start in topics.states_of(self._container.channels, group, field).items():
+            if topic != topics.state(group, field, env_start):
                 raise DamagedRecording(f"{self._container.path}: {topic} is no name that the format gives")
             messages = self._container.messages(topic)
             if not messages:
@@ -276,7 +273,7 @@ class StateArray:
             blocks = [_Block(r, after - r, m) for r, after, m in zip(rows, rows[1:], messages, strict=False)]
             if any(block.rows < 1 for block in blocks):
                 raise DamagedRecording(f"{self._container.path}: {topic} has two blocks of one step")
-            columns.append(_Column(parts.env_start, blocks, rows[-1]))
+            columns.append(_Column(env_start, blocks, rows[-1]))
         return sorted(columns, key=lambda c: c.env_start)
 
     def _header(self, message: Message) -> BlockHeader:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from gpusimbench.recorder.run.start import ITEMS
 from gpusimbench.schemas import arrays, topics
-from gpusimbench.schemas.blocks import STATE_HEAD_BYTES, decode_state, state_header_in
+from gpusimbench.schemas.blocks import STATE_HEAD_BYTES, decode_state, state_header, state_header_in
 from gpusimbench.schemas.checks import Budget
 from gpusimbench.schemas.errors import DamagedRecording, UsageError
 from gpusimbench.schemas.fields import StateField
@@ -85,24 +85,17 @@ def _of_recording(path: Path, step: int | None) -> dict[str, NDArray[Any]]:
 
 def _state_at(container: Container, field: StateField, step: int | None) -> NDArray[Any]:
     """A field's array [env, item, width] after a step; of the first that was recorded where none is given."""
-    places = {at.env_start: topic for topic in container.channels if (at := _of_field(topic, field))}
-    parts = [_row(container, container.messages(places[start]), step) for start in sorted(places)]
+    places = topics.states_of(container.channels, field.group, field.field)
+    parts = [_row(container, container.messages(topic), step) for topic in sorted(places, key=places.__getitem__)]
     if not parts or any(part is None for part in parts):
         raise UsageError(f"{container.path} has no states of step {0 if step is None else step}")
     return np.concatenate([part for part in parts if part is not None])
 
 
-def _of_field(topic: str, field: StateField) -> topics.StateTopic | None:
-    at = topics.parse_state(topic)
-    return at if at and (at.group, at.field) == (field.group, field.field) else None
-
-
 def _row(container: Container, messages: list[Message], step: int | None) -> NDArray[Any] | None:
     for message in messages:
         size, head = container.peek(message, STATE_HEAD_BYTES)
-        header = state_header_in(head, size)
-        if header is None:
-            header = decode_state(container.read(message)[1])[0]
+        header = state_header_in(head, size) or state_header(container.read(message)[1])
         steps = range(header.first_step, header.first_step + header.steps * header.stride, max(header.stride, 1))
         if step is None or step in steps:
             array = decode_state(container.read(message)[1])[1]

@@ -135,8 +135,7 @@ def _hashes(container: Container, phase: str) -> int:
 
 def _stored(container: Container, field: StateField) -> int:
     # bytes of a field's arrays, decompressed
-    places = ((topic, topics.parse_state(topic)) for topic in container.channels)
-    own = [topic for topic, at in places if at and (at.group, at.field) == (field.group, field.field)]
+    own = topics.states_of(container.channels, field.group, field.field)
     number = np.dtype(field.dtype).itemsize
     return sum(_array_bytes(container, message, number) for topic in own for message in container.messages(topic))
 
