@@ -60,11 +60,10 @@ class Depths:
         return {**self._at_rest(last), **self._ever(setting)}
 
     def _ever(self, setting: Setting) -> Facts:
-        if setting.fastest is None:
-            otherwise = setting.begun_otherwise
-            why = Missing("the scene has no level floor") if otherwise is None else otherwise
-            return dict.fromkeys((Check.DEPTH_EVER, Check.PAIR_EVER), why)
-        slack = setting.fastest * setting.dt + setting.sink
+        fastest = setting.fastest
+        if isinstance(fastest, Missing):
+            return dict.fromkeys((Check.DEPTH_EVER, Check.PAIR_EVER), fastest)
+        slack = fastest * setting.dt + setting.sink
         note = "" if setting.stride == 1 else setting.sparse
         of = "sqrt(2 g H) dt + g dt^2"
         return {

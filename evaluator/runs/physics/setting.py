@@ -57,15 +57,15 @@ class Setting:
         return 2.0 * self.walk.epsilon * (self.walk.offset + largest)
 
     @property
-    def fastest(self) -> float | None:
+    def fastest(self) -> float | Missing:
         """sqrt(2 g H) [m/s], with H from the lowest floor to the highest centre at the start, and what was drawn for
-        the velocities; None without a floor, and where the start was given."""
+        the velocities; or why there is no bound."""
         spread = drawn(self.initial)
-        if self.initial and spread is None:
-            return None
+        if spread is None and (otherwise := self.begun_otherwise) is not None:
+            return otherwise
         tops = [body.top for body in self.world.fixed if body.level]
         if not tops:
-            return None
+            return Missing("the scene has no level floor")
         highest = max(body.start[2] for body in self.world.moving)
         fall = float((2.0 * self.world.gravity * max(0.0, highest - min(tops))) ** 0.5)
         return fall if spread is None else float(np.hypot(fall, 3**0.5 * spread.spread))
