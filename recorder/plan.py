@@ -14,6 +14,7 @@ from gpusimbench.schemas import PARTIAL
 from gpusimbench.schemas.configuration import CAPTURE_MODES, MAX_ENVS, MAX_VIEW, OPTIONAL_PHASES, RunConfiguration
 from gpusimbench.schemas.errors import DataLost, GsbError, UsageError
 from gpusimbench.schemas.suggestion import did_you_mean
+from gpusimbench.schemas.treatment import Intervention
 from gpusimbench.schemas.writing import Taken, create, give_name
 
 MIN_DT = 1e-6
@@ -55,6 +56,10 @@ def check(configuration: RunConfiguration) -> None:
         raise UsageError(
             f"--stride {c.stride} does not divide --steps {c.steps}, so the last state would not be recorded"
         )
+    if c.intervention and Intervention.parse(c.intervention).step >= c.steps:
+        raise UsageError(f"--intervene {c.intervention} comes after a step below --steps, {c.steps}")
+    if len(c.snapshots) > MAX_SNAPSHOTS or not all(c.first_step <= step <= c.steps for step in c.snapshots):
+        raise _no_snapshots(c.first_step, c.steps, _listed(c.snapshots))
     if c.capture not in CAPTURE_MODES:
         raise UsageError(f"--capture is {' or '.join(CAPTURE_MODES)}, not '{c.capture}'")
     if len(c.view) > MAX_VIEW or len(set(c.view)) < len(c.view):
@@ -85,8 +90,8 @@ def view_of(envs: Sequence[int], *, off: bool, phases: Sequence[str], keep: str 
     return () if off or not captured else tuple(envs) or (() if keep else (0,))
 
 
-def _listed(envs: tuple[int, ...]) -> str:
-    return ", ".join(map(str, envs))
+def _listed(numbers: tuple[int, ...]) -> str:
+    return ", ".join(map(str, numbers))
 
 
 def check_runs(count: int) -> None:
@@ -96,14 +101,18 @@ def check_runs(count: int) -> None:
 
 
 def parse_snapshots(text: str, steps: int) -> tuple[int, ...]:
-    """Steps that --snapshot names. UsageError where they are none of those that are captured."""
+    """Steps that --snapshot names, ascending. UsageError where they are no numbers; `check` holds their bounds."""
     found = [word.strip() for word in text.split(",")] if text else []
-    if not all(word.isdecimal() and int(word) <= steps for word in found) or len(found) > MAX_SNAPSHOTS:
-        raise UsageError(
-            f"--snapshot is a list of captured steps, from 0 to --steps ({steps}), separated by commas, at most "
-            f"{MAX_SNAPSHOTS}, not '{text}'"
-        )
+    if not all(word.isdecimal() for word in found):
+        raise _no_snapshots(0, steps, text)
     return tuple(sorted({int(word) for word in found}))
+
+
+def _no_snapshots(first: int, last: int, asked: str) -> UsageError:
+    return UsageError(
+        f"--snapshot is a list of captured steps, from {first} to --steps ({last}), separated by commas, at most "
+        f"{MAX_SNAPSHOTS}, not '{asked}'"
+    )
 
 
 def runs(configuration: RunConfiguration, count: int) -> list[RunConfiguration]:

@@ -82,7 +82,8 @@ class RunConfiguration:
     @property
     def first_step(self) -> int:
         """The first captured step: 0, or the step of another run that this run continues."""
-        return int(self.initial.split(":")[1]) if self.initial.startswith("snapshot:") else 0
+        how = parse_initial(self.initial) if self.initial else None
+        return how.step or 0 if isinstance(how, Given) else 0
 
     @property
     def captured_steps(self) -> int:
@@ -131,8 +132,10 @@ class RunConfiguration:
             intervention=_treatment(record, "intervention", Intervention.parse),
             keep=_treatment(record, "keep", Keep.parse),
             snapshots=tuple(
-                checks.whole({"snapshots": step}, "snapshots", 0, checks.MAX_COUNT)
-                for step in checks.items(record, "snapshots")
+                sorted(
+                    checks.whole({"snapshots": step}, "snapshots", 0, checks.MAX_COUNT)
+                    for step in checks.items(record, "snapshots")
+                )
             ),
         )
         if made.captured_steps < 1:

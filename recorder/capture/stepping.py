@@ -83,7 +83,7 @@ def step_and_capture(
     prepare   hands the engine the actions of the next steps, by the first of them and their number, and returns them
     progress  called with the last step begun so far
     stopped   True once a state was not finite: nothing of use follows
-    between   what is called once, in order, after a step, with nothing begun ahead of it
+    between   what is called once, with nothing begun ahead of it, after a step from `first` to `last`; in their order
     """
     writing.put(Block(first, Held(tuple(array[np.newaxis].copy() for array in simulator.state())), None))
     ahead: deque[Block] = deque()

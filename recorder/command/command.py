@@ -60,7 +60,7 @@ def configure(arguments: argparse.Namespace) -> tuple[RunConfiguration, bytes | 
         capture=arguments.capture,
         view=view_of(arguments.view_env, off=arguments.no_view, phases=phases, keep=arguments.keep),
         initial=begins,
-        intervention=arguments.intervene and intervention.parse(arguments.intervene, steps),
+        intervention=arguments.intervene and intervention.parse(arguments.intervene),
         keep=arguments.keep and keep.parse(arguments.keep),
         snapshots=parse_snapshots(arguments.snapshot, steps),
     )

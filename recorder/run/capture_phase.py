@@ -97,7 +97,11 @@ class CapturePhase:
                 problems.append(problem)
 
         snapshots: dict[int, bytes] = {}
-        between = [(step, partial(self._save, simulator, snapshots, step)) for step in c.snapshots]
+
+        def save(step: int) -> None:
+            snapshots[step] = saved(simulator)
+
+        between = [(step, partial(save, step)) for step in c.snapshots]
         if intervention and intervention.step >= c.first_step:
             between.append((intervention.step, partial(intervene, simulator, description.fields, intervention, c)))
             between.sort(key=lambda call: call[0])  # a snapshot of the same step comes first
@@ -149,9 +153,6 @@ class CapturePhase:
         self._journal.ask_gates(simulator)
         if not problems:
             write_applied(self._journal, simulator, c, c.first_step, c.captured_steps)
-
-    def _save(self, simulator: Simulator, snapshots: dict[int, bytes], step: int) -> None:
-        snapshots[step] = saved(simulator)
 
     def _attach(self, snapshots: dict[int, bytes]) -> None:
         # not while stepping: the file is another thread's then

@@ -5,11 +5,13 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from gpusimbench import open_recording
+from gpusimbench.recorder.plan import check
 from gpusimbench.recorder.run.start import begin
 from gpusimbench.recorder.scenes.registry import make_scene
 from gpusimbench.recorder.sets.replay import begun, read_source
@@ -161,6 +163,22 @@ def test_a_snapshot_that_was_changed(whole: Path) -> None:
         begun(wrong, wrong.configuration, 30)
     with pytest.raises(UsageError, match="has no snapshot"):
         begun(source, replace(source.configuration, snapshots=()), 30)
+
+
+@pytest.mark.parametrize(
+    ("asked", "said"),
+    [
+        ({"snapshots": (11,)}, r"from 0 to --steps \(10\)"),
+        ({"snapshots": (3,), "initial": f"snapshot:4:{'0' * 64}"}, r"from 4 to --steps \(10\)"),
+        ({"snapshots": (1,) * 65}, "at most 64"),
+        ({"intervention": "reset@10"}, "comes after a step below --steps, 10"),
+    ],
+)
+def test_what_a_stranger_may_ask(asked: dict[str, Any], said: str) -> None:
+    """Refuse a configuration out of a file that would stop the capture at steps that it never makes."""
+    known = replace(RunConfiguration("mujoco", "free-fall", 1, 0.01, 10), **asked)
+    with pytest.raises(UsageError, match=said):
+        check(RunConfiguration.from_json(known.to_json()))
 
 
 def test_a_run_that_ends_before_it_begins() -> None:
