@@ -167,7 +167,9 @@ def _asked(c: RunConfiguration) -> Iterator[str]:
     if "timed" in c.phases:
         yield f"{c.warmup} warm-up and {c.timed_steps} timed steps"
     if "capture" in c.phases:
-        kept = f"{c.keep} environments alone" if c.keep else f"every {c.stride}th" if c.stride > 1 else "each"
+        kept = "each" if c.stride == 1 else f"every {c.stride}th"
+        if c.keep:
+            kept = f"those of failing environments alone ({c.keep})"
         begin = f" from step {c.first_step} on" if c.first_step else ""
         yield f"{plural(c.captured_steps, 'captured step')}{begin}, {kept} kept"
 
