@@ -337,6 +337,19 @@ def test_outcomes_of_runs_that_differ(tmp_path: Path, capsys: pytest.CaptureFixt
     assert outcome["least_p"] == 2 / 924
 
 
+@pytest.mark.parametrize(
+    ("head", "said"),
+    [((2, 3), "0 of their histories are"), ((0, 3), "1 of their histories is"), ((0, 1), "2 of their histories are")],
+)
+def test_histories_that_are_on_both_sides(
+    head: tuple[int, int], said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Count the histories that occur on both sides, where runs of one differ and no bits can be compared."""
+    sides = [[{"final": spread(i)} for i in seeds] for seeds in ((0, 1), head)]
+    _, document = compared(*write_sides(tmp_path, *sides, "ABBA", elapsed_s=None), capsys=capsys)
+    assert finding(document, "states")["why_not"] == f"runs of base differ among themselves; {said} on both sides"
+
+
 def test_other_numbers_of_cubes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Say why ends cannot be compared where one side recorded fewer cubes, whichever side that is."""
     whole = cubes_field("float64")

@@ -106,6 +106,15 @@ def test_the_table(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert "(all 64 ways); the interval inverts it, n = 6 and 6" in " ".join(shown.split())
 
 
+def test_a_finding_of_fewer_runs_says_of_how_many(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Say beside a number that was not tested how many runs it is of, where these are not all runs of the sides."""
+    whole = timed(host_bytes=(10**8, 2 * 10**8))
+    for name, base, said in (("all", whole, []), ("five", [*whole[:5], timed()[5]], ["n = 5 and 6"])):
+        assert main([*map(str, write_sides(tmp_path / name, base, whole)), "--no-cache", "--all"]) == 0
+        shown = capsys.readouterr().out
+        assert re.findall(r"^[^:]+: (n = .+)$", shown, re.M) == said
+
+
 OPEN = {"change": Change.UNCLEAR, "left_open": (Change.REGRESSION,)}
 
 

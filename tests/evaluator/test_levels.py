@@ -130,6 +130,8 @@ def test_numbers_that_are_not_finite() -> None:
     [
         (samples(1), {}, "two samples"),
         (samples()[0], {}, "sample, env, item, width"),
+        (samples()[:, :0], {}, "sample, env, item, width"),
+        (samples()[:, :, :0], {}, "sample, env, item, width"),
         (samples().astype(np.int64), {}, "float32"),
         (samples(), {"origins": np.zeros((2, 3))}, "origins"),
         (samples(), {"tolerance": -1.0}, "limits"),

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import struct
 from pathlib import Path
 
 import pytest
 from mcap.writer import Writer
 
+from gpusimbench.schemas.errors import DamagedRecording
 from gpusimbench.schemas.mcap.index import read_index
 from gpusimbench.schemas.mcap.reader import open_source
+from gpusimbench.schemas.mcap.records import RECORD_HEAD
 
 
 @pytest.mark.parametrize(("channels", "messages"), [(1, 1), (1, 5), (16, 1), (16, 3), (40, 2)])
@@ -29,3 +32,24 @@ def test_messages_of_a_chunk_are_counted_by_its_indexes(channels: int, messages:
     assert chunk.messages == channels * messages
     assert list(chunk.channels) == numbers
     assert (chunk.first_time, chunk.last_time) == (0, messages - 1)
+
+
+def test_no_record_lies_upon_another(tmp_path: Path) -> None:
+    """Refuse a summary that places an attachment at any byte of a chunk, or of what lists the chunk's messages."""
+    path = tmp_path / "one.mcap"
+    with path.open("wb") as stream:
+        writer = Writer(stream, enable_crcs=False)
+        writer.start()
+        writer.add_attachment(0, 0, "a", "", b"bytes")
+        channel = writer.register_channel("/n", "json", 0)
+        writer.add_message(channel, 0, b"{}", 0)
+        writer.finish()
+    data, index = path.read_bytes(), read_index(open_source(path))
+    assert index is not None
+    (attachment,), (chunk,) = index.attachments, index.chunks
+    begin, length = attachment.record - RECORD_HEAD, attachment.end + 4 - attachment.record + RECORD_HEAD
+    told = data.rindex(struct.pack("<QQ", begin, length))
+    for place in range(chunk.chunk.record - RECORD_HEAD, index.data_end):
+        path.write_bytes(data[:told] + struct.pack("<Q", place) + data[told + 8 :])
+        with pytest.raises(DamagedRecording, match=f"places a record at byte {place},"):
+            read_index(open_source(path))
