@@ -30,7 +30,7 @@ from gpusimbench.evaluator.runs.groups import GroupKey
 
 ROOT = Path(__file__).resolve().parent.parent
 FOLDER = ROOT / "recordings" / "h200"
-PROBED = ROOT / "recordings" / "probe"
+PROBED = (ROOT / "recordings" / "probe", ROOT / "recordings" / "probe-h100")
 BEGIN, END = "<!-- {}: make figures -->", "<!-- end of {} -->"
 _SCENE = "inclined-collision"
 _NONE = "-"
@@ -212,17 +212,27 @@ def answers(evaluation: Evaluation) -> str:
     return table_markdown(replace(table, caption=""))
 
 
-def invariance() -> str:
-    """What the results of each probed configuration depend on, as a Markdown table."""
-    asked = probed([Recording(path) for path in sorted(PROBED.glob("*.mcap"))])
-    rows = [[_probed_name(one.arms.key), *(_answer(finding) for finding in one.findings)] for one in asked]
-    titles = ["simulator, determinism level", *(question.key for question in QUESTIONS)]
+def invariance(*, whole: bool = False) -> str:
+    """What the results of each probed configuration depend on, as a Markdown table; `whole`: of whole probes alone."""
+    asked = probed([Recording(path) for folder in PROBED for path in sorted(folder.glob("*.mcap"))])
+    rows = [
+        [_probed_name(one.arms.key), _model(one.arms.key), *(_answer(finding) for finding in one.findings)]
+        for one in asked
+        if not whole or sum(finding.answer is not Answer.NOT_ASKED for finding in one.findings) > len(QUESTIONS) / 2
+    ]
+    titles = ["simulator, determinism level", "GPU", *(question.key for question in QUESTIONS)]
     lines = [titles, ["---"] * len(titles), *sorted(rows)]
     return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
 
+def _model(key: GroupKey) -> str:
+    """H100 of "NVIDIA H100 80GB HBM3"."""
+    return key.device.removeprefix("NVIDIA ").split()[0]
+
+
 def _probed_name(key: GroupKey) -> str:
-    options = " ".join(str(value) for value in json.loads(key.options).values())
+    given = json.loads(key.options)
+    options = " ".join(str(given[name]) for name in _PLAIN if name in given)
     return f"{' '.join(filter(None, (key.simulator, options)))}, {key.determinism}"
 
 
@@ -248,7 +258,9 @@ def pages(evaluation: Evaluation) -> dict[Path, str]:
     page = with_block(page, "sweeps", sweeps(evaluation))
     return {
         card: page,
-        readme: with_block(readme.read_text(encoding="utf-8"), "h200", answers(evaluation)),
+        readme: with_block(
+            with_block(readme.read_text(encoding="utf-8"), "h200", answers(evaluation)), "probe", invariance(whole=True)
+        ),
         explained: with_block(explained.read_text(encoding="utf-8"), "switches", switches(evaluation)),
         asked: with_block(asked.read_text(encoding="utf-8"), "probe", invariance()),
     }

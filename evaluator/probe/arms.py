@@ -67,7 +67,7 @@ def arms_of(recordings: Sequence[Recording]) -> list[Arms]:
         if "capture" in c.phases and not given and recording.provenance.run_id not in seen:
             seen.add(recording.provenance.run_id)
             found.setdefault(_common(recording), []).append(recording)
-    return [_arms(key, alike) for key, alike in found.items()]
+    return [_arms(key, alike) for key, alike in _without_followers(found).items()]
 
 
 def _common(recording: Recording) -> GroupKey:
@@ -76,6 +76,31 @@ def _common(recording: Recording) -> GroupKey:
         key_of(recording), n_env=0, initial="", intervention="", warmup=0, timed_steps=0, layout="", origins="",
         options=options,
     )  # fmt: skip
+
+
+def _without_followers(found: dict[GroupKey, list[Recording]]) -> dict[GroupKey, list[Recording]]:
+    """Joins configurations whose switches differ only where the engine itself sets them by the number of environments.
+
+    Such a switch has one value for each number of environments. Genesis, for one, chooses how it divides its work
+    (`para_level`) by that number: whether the result depends on the choice is what the probe asks.
+    """
+    families: dict[GroupKey, list[GroupKey]] = {}
+    for key in found:
+        families.setdefault(replace(key, switches=""), []).append(key)
+    joined: dict[GroupKey, list[Recording]] = {}
+    for keys in families.values():
+        values: dict[str, dict[int, set[str]]] = {}
+        for key in keys:
+            numbers = {recording.configuration.n_env for recording in found[key]}
+            for name, value in json.loads(key.switches or "{}").items():
+                for n_env in numbers:
+                    values.setdefault(name, {}).setdefault(n_env, set()).add(json.dumps(value))
+        followers = {name for name, by_number in values.items() if all(len(one) == 1 for one in by_number.values())}
+        for key in keys:
+            switches = json.loads(key.switches or "{}")
+            chosen = {name: value for name, value in switches.items() if name not in followers}
+            joined.setdefault(replace(key, switches=json.dumps(chosen)), []).extend(found[key])
+    return joined
 
 
 def _arms(key: GroupKey, recordings: Sequence[Recording]) -> Arms:

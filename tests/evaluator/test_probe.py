@@ -34,7 +34,7 @@ from gpusimbench.evaluator.results.evaluation import Evaluation
 from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.folder_lock import held as held_by
 from gpusimbench.schemas.location import place
-from gpusimbench.schemas.provenance import PROVENANCE
+from gpusimbench.schemas.provenance import PROVENANCE, SIMULATION
 from gpusimbench.schemas.treatment import Initial, Intervention
 from tests.conftest import Command, call
 from tests.synthetic import grid, write_recording
@@ -76,10 +76,14 @@ def _world(arm: Arm, planted: Planted | None) -> Callable[[NDArray[Any], int], N
     return positions
 
 
-def _write(folder: Path, arm: Arm, planted: Planted | None = None, **keywords: Any) -> Recording:
+def _write(
+    folder: Path, arm: Arm, planted: Planted | None = None, switches: dict[str, Any] | None = None, **keywords: Any
+) -> Recording:
     def treated(name: str, record: dict[str, Any]) -> None:
         if name == PROVENANCE:
             record["configuration"] |= {"initial": arm.initial, "intervention": arm.intervention}
+        if name == SIMULATION:
+            record["switches"] |= switches or {}
 
     folder.mkdir(exist_ok=True)
     start = grid(arm.n_env, "float32")
@@ -187,6 +191,15 @@ def test_not_finite(tmp_path: Path) -> None:
     assert found.answer is Answer.NO
     assert found.found is not None
     assert found.found.level is Level.DIFFERENT
+
+
+def test_switches_that_follow_the_number(tmp_path: Path) -> None:
+    """Keep the arms together where the engine itself sets a switch by the number of environments."""
+    arms = [_write(tmp_path, arm, switches={"layout": min(arm.n_env, 2), "mode": "a"}) for arm in ARMS]
+    (one,) = arms_of(arms)
+    assert sorted(one.by_number) == [1, 2, 8]
+    others = [_write(tmp_path, arm, switches={"layout": min(arm.n_env, 2), "mode": "b"}) for arm in ARMS[:3]]
+    assert [json.loads(both.key.switches)["mode"] for both in arms_of([*arms, *others])] == ["a", "b"]
 
 
 def test_noise_leaves_causes_open(tmp_path: Path) -> None:

@@ -42,6 +42,9 @@ class Physx(Simulator):
         "enhanced": "physxScene:enableEnhancedDeterminism: what an environment does does not depend on the others, "
         "but still on where it stands",
     }
+    levels_without_effect = {
+        "cuda": {"enhanced": "on an H100 and an H200, runs have the same bits with and without it"},
+    }
 
     @classmethod
     def withheld(cls, options: Any) -> dict[Ability, str]:
