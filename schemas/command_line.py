@@ -13,6 +13,7 @@ _WIDTH = 118
 _VARIABLES = {
     "CUDA_VISIBLE_DEVICES": "the first GPU that it names is the one that engines step on and whose memory is read",
     "GSB_CACHE": "where results are kept without --cache (default: gpusimbench in $XDG_CACHE_HOME or ~/.cache)",
+    "GSB_CUBE_TOSS": "the measured tosses of scene cube-toss, where --tosses does not say",
     "GSB_ENVIRONMENTS": "where --setup makes environments (default: gpusimbench/environments in $XDG_DATA_HOME or "
     "~/.local/share)",
     "GSB_MADRONA_MODULE": "the simulator module of --sim madrona, where --option module=NAME does not say",
@@ -23,7 +24,7 @@ _VARIABLES = {
 """Variables of the environment that commands read."""
 
 _READS = {
-    "gsb-record": ("CUDA_VISIBLE_DEVICES", "GSB_ENVIRONMENTS", "GSB_MADRONA_MODULE", "GSB_PROGRESS"),
+    "gsb-record": ("CUDA_VISIBLE_DEVICES", "GSB_CUBE_TOSS", "GSB_ENVIRONMENTS", "GSB_MADRONA_MODULE", "GSB_PROGRESS"),
     "gsb-audit": ("CUDA_VISIBLE_DEVICES", "GSB_ENVIRONMENTS", "GSB_MADRONA_MODULE", "GSB_PROGRESS"),
     "gsb-eval": ("GSB_CACHE", "GSB_PROGRESS", "OMP_NUM_THREADS"),
     "gsb-compare": ("GSB_CACHE", "GSB_PROGRESS", "OMP_NUM_THREADS"),

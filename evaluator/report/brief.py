@@ -59,7 +59,7 @@ def _says(result: GroupResult) -> str:
 def _one(result: GroupResult) -> Facts:
     answers = [(q.title, _joined(q.answer([result]))) for q in QUESTIONS]
     if (known(result.metrics[W1_REAL.name].value)) is not None:
-        answers.append((TO_REFERENCE.title, estimate(result.metrics[W1_REAL.name])))
+        answers.append((TO_REFERENCE.title, _joined(TO_REFERENCE.answer([result]))))
     figures = [
         (metric.titled, _line(estimate(result.metrics[metric.name])))
         for metric in METRICS.values()
@@ -137,7 +137,8 @@ def _troubles(evaluation: Evaluation) -> Iterator[Text]:
 
 def _joined(said: Cell) -> Cell:
     """A verdict and what stands below it on one line."""
-    return Cell(": ".join([said.text, *(["; ".join(said.notes)] if said.notes else [])]), tone=said.tone)
+    first = f"{said.text} {said.range}".rstrip()
+    return Cell(": ".join([first, *(["; ".join(said.notes)] if said.notes else [])]), tone=said.tone)
 
 
 def _line(said: Cell) -> Cell:

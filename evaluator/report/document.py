@@ -26,6 +26,7 @@ from gpusimbench.evaluator.report.sections import (
     scaling,
     simulators,
     throughput,
+    tosses,
     validity,
     variability,
 )
@@ -36,6 +37,7 @@ SECTIONS: tuple[Callable[[Source], Section | None], ...] = (
     problems.section,
     failing.section,
     simulators.section,
+    tosses.section,
     variability.section,
     probed.section,
     mechanics.section,

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from gpusimbench.evaluator.missing import Missing, known
 from gpusimbench.evaluator.render.document import Cell, Column, Tone
-from gpusimbench.evaluator.render.numbers import distance, plural
+from gpusimbench.evaluator.render.numbers import distance, figure, interval, plural
 from gpusimbench.evaluator.report import words
 from gpusimbench.evaluator.results.cost_metrics import FPS
 from gpusimbench.evaluator.results.fidelity import Verdict
@@ -15,6 +15,7 @@ from gpusimbench.evaluator.results.group_metrics import REGIME, W1_PARALLEL, W1_
 from gpusimbench.evaluator.results.identity_metrics import DISTINCT_ENVS, DISTINCT_RUNS, identical
 from gpusimbench.evaluator.results.metric import Metric
 from gpusimbench.evaluator.results.result import GroupResult
+from gpusimbench.evaluator.results.toss_metrics import TOSS_FACE, TOSS_POSITION, TOSS_ROTATION
 
 Results = Sequence[GroupResult]
 
@@ -95,8 +96,18 @@ def sound(results: Results) -> Cell:
 
 
 def real(results: Results) -> Cell:
-    """How far positions are from the reference: the smallest and the largest distance of the groups [cm]."""
-    found = [r.metrics[W1_REAL.name] for r in results]
+    """How far positions are from the reference: the smallest and the largest distance of the groups [cm].
+
+    Against measured tosses it is the error of position, which compares each toss with its own simulation.
+    """
+    tossed = [r.metrics[TOSS_POSITION.name] for r in results if known(r.metrics[TOSS_POSITION.name].value) is not None]
+    if len(results) == 1 and tossed:
+        others = [results[0].metrics[metric.name] for metric in (TOSS_ROTATION, TOSS_FACE)]
+        said = (f"{m.metric.title} {figure(v, m.unit)} {m.unit}" for m in others if (v := known(m.value)) is not None)
+        error = known(tossed[0].value) or 0.0
+        notes = (f"of {tossed[0].n} tosses", *said)
+        return Cell(f"{distance(error)} cm", error, tossed[0].ci95, interval(tossed[0]), notes)
+    found = tossed or [r.metrics[W1_REAL.name] for r in results]
     values = sorted(value for one in found if (value := known(one.value)) is not None)
     if not values:
         return Cell("not compared", tone=Tone.QUIET)

@@ -188,6 +188,21 @@ class ToReference(OverRuns):
 
 
 @dataclass(frozen=True)
+class OverTosses(OverRuns):
+    """Of an error of a thrown cube.
+
+    tosses          that were compared
+    tracking_floor  the same error of a cube in free fall before its first contact, in the unit of the metric; None
+                    where there is no such thing
+    per_toss        the values, mean over runs, in the order of the tosses
+    """
+
+    tosses: int = 0
+    tracking_floor: float | None = field(default=None, metadata=_OPTIONAL)
+    per_toss: tuple[float, ...] = field(default=(), metadata=_HIDDEN)
+
+
+@dataclass(frozen=True)
 class OverTime:
     """How many are distinct, at the steps where a count changes: at that very step, and by all steps up to it."""
 

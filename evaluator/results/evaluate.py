@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from gpusimbench.evaluator.check.protocol import RULE_SET, Protocol, Unmet, unmet_by_file
 from gpusimbench.evaluator.compute.work import HERE, Work
+from gpusimbench.evaluator.metrics.tosses import TossErrors
 from gpusimbench.evaluator.missing import Missing, known
 from gpusimbench.evaluator.probe.questions import Probed, probed
 from gpusimbench.evaluator.read.recording import Recording
@@ -36,6 +37,7 @@ from gpusimbench.evaluator.runs.labels import footnotes, labels, options_given
 from gpusimbench.evaluator.runs.reader import Reader, Unreadable
 from gpusimbench.evaluator.runs.run import Run
 from gpusimbench.evaluator.runs.sample_time import DEFAULT_S, notes_on
+from gpusimbench.evaluator.runs.toss_motion import errors_of, measured_tosses
 from gpusimbench.schemas.errors import DamagedRecording
 from gpusimbench.schemas.location import Place
 from gpusimbench.schemas.progress import each
@@ -80,14 +82,8 @@ def evaluate(
     distinct = cotenancy.with_peers(distinct)
 
     measured = [r for r in distinct if r.configuration.simulator == REAL]
-    chosen, reference_note = _choose_reference(reference, measured)
-    target, why_not = _use_reference(chosen) if chosen else (None, reference_note)
-    if target:
-        if chosen and chosen.doubt:
-            notes.append(f"the reference {target.path.name}: {chosen.doubt.text}")
-        reference_note = reference_note or f"compared with {target.label} in {target.path.name}"
-
     groups = [g for g in group(distinct) if not g.measured]
+    targets, target, why_not, reference_note = _targets(reference, measured, [g.key.scene for g in groups], notes)
     times = {g.key.scene: (shorter or {}).get(g.key.scene, sample_time) for g in groups}
     notes += notes_on({scene: time for scene, time in times.items() if time != sample_time}, sample_time)
     if len({g.key.dt for g in groups}) > 1:
@@ -99,7 +95,9 @@ def evaluate(
             f"the recordings break rules of {RULE_SET} {_times(protocol.whole.count)}: gsb-check --protocol names them"
         )
     found = [
-        _evaluate_group(g, label, protocol.of(g.recordings), target or Missing(why_not), times[g.key.scene], work)
+        _evaluate_group(
+            g, label, protocol.of(g.recordings), targets.get(g.key.scene) or Missing(why_not), times[g.key.scene], work
+        )
         for g, label in each(list(zip(groups, names, strict=True)), "computing metrics of groups")
     ]
     notes += _identical_groups(found)
@@ -174,14 +172,40 @@ def without_copies(files: Sequence[Run], failures: list[Unreadable]) -> tuple[li
     return list(seen.values()), notes
 
 
-def _choose_reference(given: Run | None, measured: Sequence[Run]) -> tuple[Run | None, str]:
-    if given is not None:
-        return given, ""
-    if len(measured) == 1:
-        return measured[0], f"compared with the real trials in {measured[0].path.name}"
-    if measured:
-        return None, f"{len(measured)} recordings of real trials are here: choose one with --reference"
-    return None, "no reference: give real trials or another recording with --reference"
+def _targets(
+    given: Run | None, measured: Sequence[Run], scenes: Sequence[str], notes: list[str]
+) -> tuple[dict[str, Reference], Reference | None, str, str]:
+    """What is compared with what: the reference of each scene; that which stands for all; why there is none; in words.
+
+    A reference that was given is that of every scene. Without one, each scene is compared with the only real trials of
+    it among the files. Doubts are added to the notes.
+    """
+    of_scene: dict[str, list[Run]] = {}
+    for run in [given] if given is not None else measured:
+        of_scene.setdefault(run.configuration.scene, []).append(run)
+    found: dict[str, Reference] = {}
+    reasons, said = [], []
+    for scene, runs in of_scene.items():
+        if len(runs) > 1:
+            reasons.append(f"{len(runs)} recordings of real trials of {scene} are here: choose one with --reference")
+            continue
+        made, why_not = _use_reference(runs[0])
+        if made is None:
+            reasons.append(why_not)
+            continue
+        found[scene] = made
+        said.append(
+            f"{made.label} in {made.path.name}" if given is not None else f"the real trials in {made.path.name}"
+        )
+        if runs[0].doubt:
+            notes.append(f"the reference {made.path.name}: {runs[0].doubt.text}")
+    if not found:
+        none = "no reference: give real trials or another recording with --reference"
+        return {}, None, "; ".join(reasons) or none, "; ".join(reasons) or none
+    main = next((found[scene] for scene in scenes if scene in found), next(iter(found.values())))
+    # what a scene without trials of its own is compared with says that it is of another scene
+    targets = {scene: found.get(scene, main) for scene in scenes}
+    return targets, main, "", "; ".join([f"compared with {' and '.join(said)}", *reasons])
 
 
 def _use_reference(run: Run) -> tuple[Reference | None, str]:
@@ -190,15 +214,30 @@ def _use_reference(run: Run) -> tuple[Reference | None, str]:
         return None, f"the reference {name} is {run.status}: {run.reason}"
     if run.dropouts:
         return None, f"the reference {name} lost data: {run.dropouts[0]}"
-    if isinstance(run.positions, Missing):
+    c = run.configuration
+    measured = c.simulator == REAL
+    tosses = measured_tosses(Recording(run.path)) if measured else None
+    if not isinstance(run.positions, Missing):
+        planar = run.positions.planar
+    elif tosses:  # each has an end of its own, whatever the sample time is
+        planar = tosses.motion.position[-1][:, np.newaxis, :2]
+    else:
         return None, f"the reference {name} cannot be used: {run.positions.reason}"
     if run.doubt and run.doubt.wrong:
         return None, f"the reference {name} cannot be used: {run.doubt.text}: record it again with --unit"
-    planar = run.positions.planar
-    c = run.configuration
-    measured = c.simulator == REAL
     label = f"{len(planar)} real trials" if measured else f"{c.simulator} with {c.n_env} envs, dt {c.dt:g} s"
-    return Reference(label, run.path, run.provenance.run_id, measured, c.scene, planar), ""
+    label = tosses.name() if tosses else label
+    return Reference(label, run.path, run.provenance.run_id, measured, c.scene, planar, tosses=tosses), ""
+
+
+def _toss_errors(runs: Sequence[Run], reference: Reference | Missing) -> list[TossErrors | Missing]:
+    """Errors of each run against measured tosses; states are read again."""
+    if isinstance(reference, Missing) or reference.tosses is None:
+        why = reference.reason if isinstance(reference, Missing) else "the reference has no tosses"
+        return [Missing(why)] * len(runs)
+    if any(run.configuration.scene != reference.scene for run in runs):
+        return [Missing(f"the reference is of scene {reference.scene}")] * len(runs)
+    return [errors_of(Recording(run.path), reference.tosses) for run in runs]
 
 
 def _evaluate_group(
@@ -210,7 +249,7 @@ def _evaluate_group(
     work: Work,
 ) -> _Found:
     runs = group.complete
-    group_runs = GroupRuns(runs, reference, work)
+    group_runs = GroupRuns(runs, reference, work, _toss_errors(runs, reference))
     planar = group_runs.planar
     result = GroupResult(
         group=group,

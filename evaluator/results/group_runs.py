@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 from gpusimbench.evaluator.compute.work import HERE, Work
 from gpusimbench.evaluator.metrics.identity import distinct_over_time
 from gpusimbench.evaluator.metrics.lost_cubes import clamped
+from gpusimbench.evaluator.metrics.tosses import TossErrors, TrackingFloor
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.results.aggregate import Runs
 from gpusimbench.evaluator.results.reference import Reference
@@ -26,6 +28,7 @@ class GroupRuns:
     runs       in their order
     reference  that their positions are compared with
     work       where distances are computed
+    tosses     errors against measured tosses, one a run, or why there are none
     moved      positions instead of those at the sample step [m], shape [run, env, item, 2]; None for those
     known      estimates that were made, by the name of their metric
     """
@@ -33,6 +36,7 @@ class GroupRuns:
     runs: Runs
     reference: Reference | Missing = Missing("there is no reference")
     work: Work = HERE
+    tosses: Sequence[TossErrors | Missing] = ()
     moved: NDArray[np.float64] | None = None
     known: dict[str, Any] = field(default_factory=dict)
 
@@ -40,6 +44,12 @@ class GroupRuns:
     def scene(self) -> str:
         """Its name; empty without a run."""
         return self.runs[0].configuration.scene if self.runs else ""
+
+    @property
+    def toss_floor(self) -> TrackingFloor | None:
+        """Below which no error of a toss can be; None where the reference has no tosses."""
+        reference = self.reference
+        return reference.tosses.floor if isinstance(reference, Reference) and reference.tosses else None
 
     @cached_property
     def at_sample(self) -> Runs:

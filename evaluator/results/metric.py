@@ -47,6 +47,7 @@ class Table(StrEnum):
 
     THROUGHPUT = "throughput"
     VARIABILITY = "variability"
+    REALITY = "reality"
 
 
 Values = Callable[[GroupRuns], Sequence[float | Missing]]

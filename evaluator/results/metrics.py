@@ -15,6 +15,7 @@ from gpusimbench.evaluator.results.identity_metrics import (
     EQUALITY_RUNS,
 )
 from gpusimbench.evaluator.results.metric import Metric, Table
+from gpusimbench.evaluator.results.toss_metrics import TOSS_METRICS
 
 METRICS: dict[str, Metric] = {
     metric.name: metric
@@ -33,6 +34,7 @@ METRICS: dict[str, Metric] = {
         SANK,
         REGIME,
         CAPTURE_CHANGES_STATES,
+        *TOSS_METRICS,
     )
 }
 """By name."""

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gpusimbench.evaluator.metrics.density import Density
+from gpusimbench.evaluator.runs.toss_motion import MeasuredTosses
 from gpusimbench.schemas.location import Place
 
 
@@ -22,6 +23,7 @@ class Reference:
     scene      that they belong to
     positions  [m], shape [trial, item, 2]
     density    on the shared grid
+    tosses     measured motions of a thrown cube; None where it has none
     """
 
     label: str
@@ -31,3 +33,4 @@ class Reference:
     scene: str
     positions: NDArray[np.float64]
     density: Density | None = None
+    tosses: MeasuredTosses | None = None

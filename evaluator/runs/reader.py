@@ -31,6 +31,7 @@ from gpusimbench.evaluator.runs.validation import NOT_TIMED, check_overflow, ela
 from gpusimbench.schemas.errors import NUMBERS_OF_A_STRANGER, DamagedRecording, GsbError
 from gpusimbench.schemas.location import Place
 from gpusimbench.schemas.provenance import REAL
+from gpusimbench.schemas.tosses import TOSSES
 from gpusimbench.schemas.trial_units import METRES, UnitDoubt, unit_doubt
 
 
@@ -184,7 +185,7 @@ def _doubt(recording: Recording, positions: Positions | Missing) -> UnitDoubt | 
     extent = extent_of_trials(recording, GROUP)
     options = recording.simulation.options if recording.simulation else {}
     unit, names = str(options.get("unit", "m")), options.get("trials")
-    if extent is None or unit not in METRES:
+    if extent is None or unit not in METRES or recording.attachment(TOSSES) is not None:
         return None
     planar = positions.planar
     if not isinstance(names, list) or len(names) != len(planar):

@@ -69,7 +69,8 @@ _USAGE = """\
 _SIMULATED: dict[str, Any] = {
     "scene": "inclined-collision",
     "sweep": None,
-    "n_env": 16,
+    "n_env": None,
+    "tosses": None,
     "runs": 10,
     "dt": None,
     "seed": 0,
@@ -97,7 +98,12 @@ _SIMULATED: dict[str, Any] = {
 }
 """Arguments that make sense for a simulator only, and what each is where it is not given."""
 
-_MEASURED: dict[str, Any] = {"scene": "inclined-collision", "trials": None, "unit": None, "sample_time": 5.0}
+N_ENV = 16
+"""Environments where nothing says how many."""
+
+_MEASURED: dict[str, Any] = {
+    "scene": "inclined-collision", "tosses": None, "trials": None, "unit": None, "sample_time": None,
+}  # fmt: skip
 """The same for real trials."""
 
 _REPLAYED: dict[str, Any] = {
@@ -149,7 +155,9 @@ def parser() -> Parser:
     what.add_argument("--sim", metavar="NAME", help="simulator (see --list), or 'real' for measured trials")
     what.add_argument("--replay", type=Path, metavar="FILE", help="run what a recording says that it ran; see below")
     what.add_argument("--scene", metavar="NAME", help=f"what is simulated; see --list (default: {_SIMULATED['scene']})")
-    what.add_argument("--n-env", type=int, metavar="N", help=f"environments (default: {_SIMULATED['n_env']})")
+    what.add_argument(
+        "--n-env", type=int, metavar="N", help=f"environments (default: {N_ENV}; of cube-toss: one a toss)"
+    )
     what.add_argument(
         "--sweep",
         metavar="A..B[:F]",
@@ -175,6 +183,14 @@ def parser() -> Parser:
         "of joints [rad] within +-SPREAD of the scene's, from the seed. FILE.mcap or FILE.mcap@STEP gives the "
         "positions and velocities that a recording has at a step (default: its first), also of another simulator; "
         "FILE.npz gives arrays by GROUP/FIELD (default: all begin in the scene's first state)",
+    )
+    what.add_argument(
+        "--tosses",
+        type=Path,
+        metavar="PATH",
+        help="measured tosses, for scene cube-toss: a folder of .pt files as ContactNets publishes them, or an .npz; "
+        "each environment begins as one toss, and --sim real records the tosses themselves (default: $GSB_CUBE_TOSS, "
+        "else a synthetic set)",
     )
     what.add_argument(
         "--intervene",
@@ -269,7 +285,7 @@ def parser() -> Parser:
         "--sample-time",
         type=float,
         metavar="S",
-        help=f"when they were measured [s] (default: {_MEASURED['sample_time']})",
+        help="when they were measured [s] (default: 5.0)",
     )
     p.show_first(
         "--list", "--setup", "--sim", "--scene", "--n-env", "--runs", "--option", "--determinism", "--phases",

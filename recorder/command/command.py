@@ -8,7 +8,7 @@ from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
-from gpusimbench.recorder.command.arguments import OUT, OUT_OF_REPLAYS, SHORTHANDS, fill, parser
+from gpusimbench.recorder.command.arguments import N_ENV, OUT, OUT_OF_REPLAYS, SHORTHANDS, fill, parser
 from gpusimbench.recorder.interruption import shielded
 from gpusimbench.recorder.output import flush, show, show_document
 from gpusimbench.schemas.configuration import RunConfiguration
@@ -31,17 +31,32 @@ def configure(arguments: argparse.Namespace) -> tuple[RunConfiguration, bytes | 
         from gpusimbench.recorder.run import initial, intervention, keep
         from gpusimbench.recorder.scenes.registry import make_scene
         from gpusimbench.recorder.sets.given import read_given
+        from gpusimbench.recorder.trials.tosses import read_tosses
 
     scene = make_scene(arguments.scene)
     dt = scene.dt if arguments.dt is None else arguments.dt
     check_dt(dt)
     phases = _phases(arguments.phases)
-    steps = round(scene.sample_time / dt) if arguments.steps is None else arguments.steps
     begins, given = arguments.initial, None
+    if arguments.tosses is not None and not scene.tosses:
+        raise UsageError(f"--tosses is for scene cube-toss, not for {scene.name}")
+    if arguments.tosses is not None and begins:
+        raise UsageError("--tosses and --initial both say how environments begin; give one of them")
+    if scene.tosses and not begins and arguments.sweep is None:
+        tosses = read_tosses(arguments.tosses)
+        if arguments.n_env is None:
+            arguments.n_env = len(tosses)
+        if arguments.steps is None:
+            arguments.steps = round(tosses.steps(scene) * scene.dt / dt)
+        if arguments.n_env >= 1:
+            begins, given = tosses.initial(arguments.n_env)
+    elif arguments.n_env is None:
+        arguments.n_env = N_ENV
     if begins.startswith("random:"):
         begins = initial.parse(begins, arguments.n_env)
-    elif begins:
+    elif begins and given is None:
         begins, given = read_given(begins, arguments.n_env if arguments.sweep is None else 1)
+    steps = round(scene.sample_time / dt) if arguments.steps is None else arguments.steps
     configuration = RunConfiguration(
         simulator=arguments.sim,
         scene=arguments.scene,

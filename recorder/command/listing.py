@@ -66,7 +66,7 @@ def _about(entry: Entry, scenes: list[Scene]) -> Json:
     installed = not entry.missing()
     prepared = find(entry.name)
     adapter, problem = _adapter(entry)
-    abilities: frozenset[Ability] = adapter.abilities if adapter else frozenset()
+    abilities: frozenset[Ability] = adapter.offered(adapter.Options()) if adapter else frozenset()
     missing = {scene.name: titles(scene.needs() - abilities) for scene in scenes} if adapter else {}
     levels = adapter.determinism_levels if adapter and (installed or prepared) else {}
     return {

@@ -14,6 +14,7 @@ from gpusimbench.recorder.simulators.snapshot import Extent, Snapshot
 from gpusimbench.schemas import arrays
 from gpusimbench.schemas.errors import UsageError
 from gpusimbench.schemas.fields import StateField
+from gpusimbench.schemas.tosses import NOTICE
 from gpusimbench.schemas.treatment import GIVEN, Given, parse_initial
 
 ITEMS = "items"
@@ -51,7 +52,7 @@ def states_of(given: Arrays, simulator: Simulator, description: Description) -> 
     of the scene's first state. UsageError where something does not fit."""
     names = {field.name for field in description.fields}
     items = {name for name in given if name.endswith(f"/{ITEMS}")}
-    if unknown := sorted(given.keys() - names - items):
+    if unknown := sorted(given.keys() - names - items - {NOTICE}):
         raise UsageError(f"initial states have '{unknown[0]}', and the simulator's are {', '.join(sorted(names))}")
     found = []
     for layout, present in zip(description.fields, simulator.state(), strict=True):

@@ -228,6 +228,7 @@ class Scene:
     dt           the protocol's step [s]
     sample_time  when the outcome is read [s]
     board        the fixed box that moving bodies should stay on, or empty where there is none
+    tosses       True where environments begin as measured tosses (recorder.trials.tosses); None where not
     summary      one sentence for lists
     """
 
@@ -241,6 +242,7 @@ class Scene:
     sample_time: float = 5.0
     board: str = ""
     parameters: dict[str, Any] = field(default_factory=dict)
+    tosses: bool | None = None
 
     def moving(self) -> tuple[Body, ...]:
         """Bodies that move, in order."""
@@ -266,6 +268,8 @@ class Scene:
                 needs.add(Ability.ROBOT_AMONG_BODIES)
         if self.actions is not None:
             needs.add(Ability.ACTIONS)
+        if self.tosses:
+            needs.add(Ability.ENV_STARTS)
         return frozenset(needs)
 
     def to_json(self) -> str:

@@ -11,6 +11,7 @@ from importlib import metadata
 
 from gpusimbench.recorder.plugins import in_words
 from gpusimbench.recorder.scenes.base import Scene
+from gpusimbench.recorder.scenes.cube_toss import cube_toss
 from gpusimbench.recorder.scenes.franka import franka
 from gpusimbench.recorder.scenes.free_fall import free_fall
 from gpusimbench.recorder.scenes.inclined_collision import inclined_collision
@@ -23,6 +24,7 @@ SCENES: dict[str, Callable[[], Scene]] = {
     "inclined-collision": inclined_collision,
     "free-fall": free_fall,
     "franka": franka,
+    "cube-toss": cube_toss,
 }
 """The built-in ones."""
 

@@ -25,7 +25,7 @@ from gpusimbench.recorder.scenes.base import Scene
 from gpusimbench.recorder.simulators.captured import Captured, Held, States
 from gpusimbench.recorder.simulators.evidence import Evidence
 from gpusimbench.recorder.simulators.flight import Flight, HostFlight, Watch
-from gpusimbench.recorder.simulators.snapshot import Envs, Snapshot, StateClaims
+from gpusimbench.recorder.simulators.snapshot import Envs, Extent, Snapshot, StateClaims
 from gpusimbench.schemas.errors import UsageError
 from gpusimbench.schemas.provenance import EngineFacts, Simulation
 
@@ -98,10 +98,16 @@ class Simulator(ABC):
         return {}
 
     @classmethod
+    def offered(cls, options: Any) -> frozenset[Ability]:
+        """What the engine can do: its abilities, and initial states per environment where a state can be set."""
+        settable = cls.state_claims(options).set_state.extent is not Extent.NONE
+        return cls.abilities | ({Ability.ENV_STARTS} if settable else frozenset())
+
+    @classmethod
     def refusal(cls, name: str, scene: Scene, options: Any) -> str:
         """Why the simulator of that name cannot simulate a scene with these options; empty where it can."""
         needs, withheld = scene.needs(), cls.withheld(options)
-        if missing := titles(needs - cls.abilities):
+        if missing := titles(needs - cls.offered(options)):
             why = f"it has no {listed(missing)}"
         elif missing := titles(needs & withheld.keys()):
             instead = dict.fromkeys(how for ability, how in withheld.items() if ability in needs)

@@ -8,34 +8,42 @@ from __future__ import annotations
 
 import argparse
 import json
-import uuid
 
 import numpy as np
 
 from gpusimbench.recorder.capture.sink import Sink
 from gpusimbench.recorder.output import show_path
-from gpusimbench.recorder.plan import MIN_DT, prepare_folder, release, reserve, utc_now
-from gpusimbench.recorder.probes.software import describe_software
+from gpusimbench.recorder.plan import MIN_DT
 from gpusimbench.recorder.scenes.registry import make_scene
 from gpusimbench.recorder.sets.progress import say
+from gpusimbench.recorder.trials.reference import new_recording, record_tosses
 from gpusimbench.recorder.trials.trials import UNITS, Trials, parse_trials
 from gpusimbench.schemas import topics
 from gpusimbench.schemas.blocks import state_parts
 from gpusimbench.schemas.configuration import RunConfiguration, sim_time_ns
-from gpusimbench.schemas.errors import DataLost, UsageError
+from gpusimbench.schemas.errors import UsageError
 from gpusimbench.schemas.fields import FIELD_KINDS, StateField
 from gpusimbench.schemas.provenance import PROVENANCE, REAL, SCENE, SIMULATION, TRIALS, Provenance, Simulation
 from gpusimbench.schemas.trial_units import extent_of, unit_doubt
 
 _GROUP = "cubes"
+_SAMPLE_TIME = 5.0
 
 
 def record_trials(arguments: argparse.Namespace, argv: tuple[str, ...]) -> int:
-    """Write one recording from a CSV file; returns the exit code. Nothing is written unless every row is good."""
+    """Write one recording from a CSV file, or of tosses; returns the exit code. Nothing is written unless every row is
+    good."""
+    scene = make_scene(arguments.scene)
+    if scene.tosses:
+        return record_tosses(arguments, argv, scene)
+    if arguments.tosses is not None:
+        raise UsageError(f"--tosses is for scene cube-toss; trials of {scene.name} are a CSV file, --trials")
     if arguments.trials is None:
         raise UsageError("--sim real needs --trials FILE.csv with the header trial,cube,x,y or trial,cube,x,y,z")
     if arguments.unit is None:
         raise UsageError(f"--sim real needs --unit {' or '.join(UNITS)}: the unit of the positions in the file")
+    if arguments.sample_time is None:
+        arguments.sample_time = _SAMPLE_TIME
     if not MIN_DT <= arguments.sample_time < float("inf"):
         raise UsageError(f"--sample-time is a time in seconds, at least {MIN_DT:g}, not {arguments.sample_time}")
     try:
@@ -45,7 +53,6 @@ def record_trials(arguments: argparse.Namespace, argv: tuple[str, ...]) -> int:
         raise UsageError(f"cannot read {arguments.trials}: {error.strerror}") from None
     except UnicodeDecodeError:
         raise UsageError(f"{arguments.trials} is not a text file in UTF-8") from None
-    scene = make_scene(arguments.scene)
     cubes = scene.groups().get(_GROUP, ())
     if not cubes:
         raise UsageError(f"scene {scene.name} has no {_GROUP} to measure")
@@ -73,23 +80,10 @@ def record_trials(arguments: argparse.Namespace, argv: tuple[str, ...]) -> int:
         compression=arguments.compression,
         options={"unit": arguments.unit},
     )
-    prepare_folder(arguments.out)
-    created = utc_now()
-    provenance = Provenance(str(uuid.uuid4()), created, argv, configuration, software=describe_software())
-    path = reserve(arguments.out, configuration, created)
-    try:
-        sink = Sink(path, compression=configuration.compression, reserved=True)
-        try:
-            _write(sink, configuration, provenance, trials, cubes, scene.to_json(), scene.sha256(), data)
-        except BaseException as error:
-            sink.abandon()
-            if not isinstance(error, DataLost):
-                sink.partial.unlink(missing_ok=True)
-            raise
-    finally:
-        release(path)
+    with new_recording(arguments.out, configuration, argv) as (sink, provenance):
+        _write(sink, configuration, provenance, trials, cubes, scene.to_json(), scene.sha256(), data)
     say(f"{len(trials.names)} trials of {len(cubes)} cubes")
-    show_path(path)
+    show_path(sink.path)
     return 0
 
 

@@ -178,7 +178,7 @@ def test_checks_are_chosen_by_abilities() -> None:
         abilities = frozenset({Ability.FREE_BODIES, Ability.BOXES, Ability.PLANES})
 
     subject = Subject(OnlyBoxes, name="only-boxes")
-    assert [scene.name for scene in subject.scenes] == ["free-fall"]
+    assert [scene.name for scene in subject.scenes] == ["free-fall", "cube-toss"]
     CHECK["registered_scenes_start_as_described"](subject)
     with pytest.raises(NotApplicable, match="cannot simulate scene 'conformance': it has no spheres"):
         CHECK["ball_rolls_down_the_slope"](subject)
@@ -225,8 +225,8 @@ def test_few_builds() -> None:
         except NotApplicable:
             continue
     assert built.count("conformance") == 3
-    assert sorted(set(built)) == ["conformance", "franka", "free-fall", "inclined-collision"]
-    assert len(built) == 3 + 3 + 1
+    assert sorted(set(built)) == ["conformance", "cube-toss", "franka", "free-fall", "inclined-collision"]
+    assert len(built) == 3 + 4 + 1
 
 
 def test_a_build_that_fails_is_not_tried_again() -> None:

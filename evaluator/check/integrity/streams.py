@@ -140,12 +140,11 @@ def _capture_spans(c: RunConfiguration) -> list[int]:
 def _states(recording: Recording, problems: Problems) -> None:
     c = recording.configuration
     if recording.status == "complete" and "capture" in c.phases and not c.keep:
-        last = 1 if c.simulator == REAL else c.steps
         for field in recording.fields:
             steps = recording.state(field.group, field.field).steps
-            if not len(steps) or steps[-1] != last:
+            if not len(steps) or steps[-1] != c.steps:
                 end = f"end at step {steps[-1]}" if len(steps) else "are not there"
-                problems.add(Kind.contradiction, f"states of {field.name} {end}; step {last} was asked for")
+                problems.add(Kind.contradiction, f"states of {field.name} {end}; step {c.steps} was asked for")
 
 
 def _scene(recording: Recording, problems: Problems) -> None:

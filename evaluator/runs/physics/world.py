@@ -84,15 +84,20 @@ class World:
     moving   in the order of the recorded groups and items
     fixed    in the scene's order
     gravity  magnitude, along -z [m/s2]
+    rebounds whether the coefficients of restitution are known; a scene that says of its parameter "restitution_known"
+             that it is false leaves them to each engine
     """
 
     moving: tuple[Moving, ...]
     fixed: tuple[FixedBody, ...]
     gravity: float
+    rebounds: bool = True
 
     @property
     def restitution(self) -> float:
-        """The largest coefficient of any material."""
+        """The largest coefficient of any material; 1, the most that mechanics allows, where it is not known."""
+        if not self.rebounds:
+            return 1.0
         surfaces = [*(body.surface for body in self.moving), *(body.surface for body in self.fixed)]
         return max(surface.restitution for surface in surfaces)
 
@@ -132,7 +137,9 @@ def world_of(recording: Recording, items: Sequence[tuple[str, str]]) -> World | 
                 return made
             moving.append(made)
         fixed = [_fixed(body) for body in described.values() if body.get("mass") is None]
-        return World(tuple(moving), tuple(body for body in fixed if body is not None), -z)
+        parameters = checks.mapping(scene, "parameters") if "parameters" in scene else {}
+        rebounds = parameters.get("restitution_known") is not False
+        return World(tuple(moving), tuple(body for body in fixed if body is not None), -z, rebounds)
     except DamagedRecording as error:
         raise DamagedRecording(f"{recording.path}: {error}") from None
 

@@ -1,0 +1,116 @@
+"""Metrics of a thrown cube against measured tosses: each is an error of every toss, and its mean over tosses."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gpusimbench.evaluator.metrics.tosses import TossErrors
+from gpusimbench.evaluator.missing import Missing
+from gpusimbench.evaluator.results.details import OverTosses
+from gpusimbench.evaluator.results.group_runs import GroupRuns
+from gpusimbench.evaluator.results.metric import Direction, Estimate, Metric, Table, missing
+from gpusimbench.evaluator.statistics.cases import DRAWS, mean_interval
+
+_INTERVAL = "tosses resampled"
+_CM, _MM, _MJ = 100.0, 1000.0, 1000.0
+_DEGREES = 180.0 / math.pi
+
+
+def _of(field: str, factor: float) -> Callable[[Metric, GroupRuns], Estimate]:
+    """The mean over runs and tosses of a field of TossErrors, in the unit of the metric."""
+
+    def estimate(metric: Metric, group: GroupRuns) -> Estimate:
+        found = [errors for errors in group.tosses if not isinstance(errors, Missing)]
+        if not found:
+            reasons = [errors.reason for errors in group.tosses if isinstance(errors, Missing)]
+            return missing(metric, reasons[0] if reasons else "no run of this group is complete")
+        per_toss = _per_toss(found, field) * factor
+        floor = group.toss_floor
+        floors = {"position": floor.position, "rotation": floor.rotation} if floor else {}
+        return Estimate(
+            metric,
+            float(per_toss.mean()),
+            method=f"{metric.method}, mean over tosses and runs; interval: {_INTERVAL}, {DRAWS} draws with seed 0",
+            n=len(per_toss),
+            ci95=mean_interval(per_toss),
+            details=OverTosses(
+                per_run=tuple(float(getattr(errors, field).mean() * factor) for errors in found),
+                tosses=len(per_toss),
+                tracking_floor=floors[field] * factor if field in floors else None,
+                per_toss=tuple(per_toss.tolist()),
+            ),
+        )
+
+    return estimate
+
+
+def _per_toss(found: list[TossErrors], field: str) -> NDArray[np.float64]:
+    """Mean over runs, one a toss."""
+    return np.asarray(np.mean([getattr(errors, field) for errors in found], axis=0))
+
+
+TOSS_POSITION = Metric(
+    "toss_position", "error of position", "cm", Direction.LOWER,
+    "thrown cube against measured tosses: distance between the simulated and the measured centre, mean over the "
+    "measured rows after the first, mean over tosses. `tracking_floor`: the same of a cube in free fall before the "
+    "first contact, which no simulation can go below",
+    method="distance between simulated and measured centres, mean over the rows of a toss", table=Table.REALITY,
+    of_group=_of("position", _CM), interval=_INTERVAL, optional=True,
+)  # fmt: skip
+
+TOSS_ROTATION = Metric(
+    "toss_rotation", "error of rotation", "deg", Direction.LOWER,
+    "the same of orientations: angle of the rotation from the measured to the simulated orientation",
+    method="angle between simulated and measured orientations, mean over the rows of a toss", table=Table.REALITY,
+    of_group=_of("rotation", _DEGREES), interval=_INTERVAL, optional=True,
+)  # fmt: skip
+
+TOSS_END_POSITION = replace(
+    TOSS_POSITION, name="toss_end_position", title="error of position at the end",
+    docs="distance between the centres at the last measured row of each toss",
+    method="distance between simulated and measured centres at the last row of a toss",
+    of_group=_of("end_position", _CM),
+)  # fmt: skip
+
+TOSS_END_ROTATION = replace(
+    TOSS_ROTATION, name="toss_end_rotation", title="error of rotation at the end",
+    docs="angle between the orientations at the last measured row of each toss",
+    method="angle between simulated and measured orientations at the last row of a toss",
+    of_group=_of("end_rotation", _DEGREES),
+)  # fmt: skip
+
+TOSS_FACE = replace(
+    TOSS_POSITION, name="toss_face", title="same face up", unit="%", direction=Direction.HIGHER,
+    docs="share of tosses that end with the measured face up; of a guess, 1 in 6",
+    method="tosses whose last row has the measured face up", of_group=_of("end_face", 100.0),
+)  # fmt: skip
+
+TOSS_REST = replace(
+    TOSS_POSITION, name="toss_rest", title="time to rest, less the measured", unit="s", direction=Direction.NEITHER,
+    docs="time from which on the cube is slower than 3 cm/s and 0.3 rad/s, less that of the measured toss; where the "
+    "simulated cube still moves at the last measured row, the time of that row stands for it, a lower bound",
+    method="time to rest less the measured one", of_group=_of("rest_time", 1.0),
+)  # fmt: skip
+
+TOSS_ENERGY = replace(
+    TOSS_POSITION, name="toss_energy", title="error of energy", unit="mJ",
+    docs="difference of the mechanical energies, absolute, mean over the rows of a toss; of a uniform cube",
+    method="difference of simulated and measured mechanical energy, absolute, mean over the rows of a toss",
+    of_group=_of("energy", _MJ),
+)  # fmt: skip
+
+TOSS_DEPTH = replace(
+    TOSS_POSITION, name="toss_depth", title="deepest penetration", unit="mm",
+    docs="deepest place of a corner below the table at any row of a toss",
+    method="deepest place of a corner below the table at any row of a toss", of_group=_of("depth", _MM),
+)  # fmt: skip
+
+TOSS_METRICS = (
+    TOSS_POSITION, TOSS_ROTATION, TOSS_END_POSITION, TOSS_END_ROTATION, TOSS_FACE, TOSS_REST, TOSS_ENERGY, TOSS_DEPTH,
+)  # fmt: skip
+"""All of them."""

@@ -1,0 +1,78 @@
+"""Settings that are judged on the same cases, such as tosses: the mean over cases, and differences case by case."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from scipy import stats
+
+DRAWS = 2000
+"""Resampled sets of cases behind an interval."""
+
+PERMUTATIONS = 9999
+"""Of signs, drawn at random."""
+
+FEWEST = 8
+"""Cases for an interval."""
+
+
+@dataclass(frozen=True)
+class Paired:
+    """A comparison over cases that both were judged on.
+
+    mean     of the differences a - b, in the unit of the values
+    ci95     by resampling cases; None for fewer than FEWEST
+    p_value  that signs drawn at random give a mean as far from zero (sign-flip permutation test, two-sided)
+    cases    that were compared
+    """
+
+    mean: float
+    ci95: tuple[float, float] | None
+    p_value: float
+    cases: int
+
+
+def mean_interval(values: npt.ArrayLike, *, seed: int = 0) -> tuple[float, float] | None:
+    """95 % interval of a mean over cases, by resampling cases (percentile bootstrap, Efron 1979).
+
+    values  one a case, shape [case]
+
+    None for fewer than FEWEST cases. ValueError where the shape is another.
+    """
+    found = np.asarray(values, dtype=np.float64)
+    if found.ndim != 1:
+        raise ValueError(f"values have the shape [case], not {found.shape}")
+    if len(found) < FEWEST:
+        return None
+    drawn = np.random.default_rng(seed).integers(len(found), size=(DRAWS, len(found)))
+    low, high = np.quantile(found[drawn].mean(axis=1), (0.025, 0.975))
+    return float(low), float(high)
+
+
+def paired(a: npt.ArrayLike, b: npt.ArrayLike, *, seed: int = 0) -> Paired:
+    """Compare values of the same cases, shape [case] each.
+
+    Under the hypothesis that a and b are exchangeable in each case, every difference has either sign with the same
+    probability (Fisher's permutation test for paired samples).
+
+    ValueError where there are no cases, not as many of both, or values that are not finite.
+    """
+    first, second = np.asarray(a, dtype=np.float64), np.asarray(b, dtype=np.float64)
+    if first.shape != second.shape or first.ndim != 1 or not first.size:
+        raise ValueError(f"values of the same cases have one shape [case], not {first.shape} and {second.shape}")
+    difference = first - second
+    if not np.isfinite(difference).all():
+        raise ValueError("values are not all finite")
+    if not difference.any():
+        return Paired(0.0, mean_interval(difference, seed=seed), 1.0, len(difference))
+    tested = stats.permutation_test(
+        (difference,),
+        np.mean,
+        permutation_type="samples",
+        n_resamples=PERMUTATIONS,
+        vectorized=True,
+        rng=np.random.default_rng(seed),
+    )
+    return Paired(float(difference.mean()), mean_interval(difference, seed=seed), float(tested.pvalue), len(difference))

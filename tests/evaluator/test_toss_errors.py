@@ -1,0 +1,273 @@
+"""Errors of simulated tosses against measured ones."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from gpusimbench.evaluator.metrics.tosses import (
+    Cube,
+    Motion,
+    angle,
+    depths,
+    rest_times,
+    toss_errors,
+    tracking_floor,
+    up,
+)
+from gpusimbench.evaluator.missing import Missing
+from gpusimbench.evaluator.read.recording import Recording
+from gpusimbench.evaluator.report.sections.tosses import ranked
+from gpusimbench.evaluator.results.evaluate import evaluate_files
+from gpusimbench.evaluator.results.toss_metrics import TOSS_METRICS
+from gpusimbench.evaluator.runs.toss_motion import errors_of, measured_tosses
+from gpusimbench.evaluator.statistics.cases import FEWEST, mean_interval, paired
+from tests.conftest import Command, recorded
+
+CUBE = Cube(edge=0.1, mass=0.4, inertia=0.4 * 0.01 / 6, gravity=9.81)
+DT = 0.01
+
+
+def _quaternion(rotation: Rotation) -> np.ndarray:
+    return np.roll(rotation.as_quat(), 1, axis=-1)
+
+
+def _flight(rows: int = 20, tosses: int = 3, height: float = 5.0, seed: int = 0) -> Motion:
+    """Cubes that fall freely and turn at a constant rate, by the formulas."""
+    rng = np.random.default_rng(seed)
+    time = np.arange(rows)[:, None, None] * DT
+    place, speed, rate = rng.normal(size=(3, tosses, 3))
+    place[:, 2] += height
+    position = place + speed * time - np.array([0, 0, 9.81]) * time**2 / 2
+    begin = Rotation.random(tosses, random_state=seed)
+    orientation = np.stack([_quaternion(Rotation.from_rotvec(rate * k * DT) * begin) for k in range(rows)])
+    velocity = speed - np.array([0, 0, 9.81]) * time
+    return Motion(np.arange(rows), position, orientation, velocity, np.broadcast_to(rate, position.shape).copy())
+
+
+@given(st.tuples(*[st.floats(-1, 1)] * 3), st.floats(0, math.pi), st.integers(0, 9))
+def test_angle(axis: tuple[float, ...], turn: float, seed: int) -> None:
+    """Give back the angle of a rotation, whichever of its two quaternions is taken."""
+    unit = np.array(axis) + [0, 0, 2.0]
+    unit /= np.linalg.norm(unit)
+    first = Rotation.random(random_state=seed)
+    second = Rotation.from_rotvec(turn * unit) * first
+    a, b = _quaternion(first), _quaternion(second)
+    assert float(angle(a, b)) == pytest.approx(turn, abs=1e-7)
+    assert float(angle(a, -b)) == pytest.approx(turn, abs=1e-7)
+
+
+def test_no_error() -> None:
+    """Find nothing between equal motions, and the same face up."""
+    motion = _flight()
+    errors = toss_errors(motion, motion, np.array([20, 12, 7]), CUBE, DT)
+    for name in ("position", "rotation", "end_position", "end_rotation", "rest_time", "energy"):
+        assert not getattr(errors, name).any(), name
+    assert errors.end_face.tolist() == [1.0, 1.0, 1.0]
+
+
+def test_known_errors() -> None:
+    """Measure a shift that grows with time, over the rows of each toss alone, without the first."""
+    motion = _flight()
+    shift = np.zeros_like(motion.position)
+    shift[..., 0] = np.arange(20)[:, None] * 0.001
+    shift[12:, 1] = 99.0  # after the end of the second toss
+    turned = (
+        Rotation.from_rotvec([0, 0, 0.2]) * Rotation.from_quat(np.roll(motion.orientation, -1, axis=-1).reshape(-1, 4))
+    ).as_quat()
+    moved = Motion(
+        motion.rows, motion.position + shift, np.roll(turned, 1, axis=-1).reshape(motion.orientation.shape),
+        motion.linear_velocity, motion.angular_velocity,
+    )  # fmt: skip
+    errors = toss_errors(moved, motion, np.array([20, 12, 7]), CUBE, DT)
+    np.testing.assert_allclose(errors.position, [0.001 * np.mean(range(1, n)) for n in (20, 12, 7)])
+    np.testing.assert_allclose(errors.end_position, [0.019, 0.011, 0.006])
+    np.testing.assert_allclose(errors.rotation, 0.2)
+    np.testing.assert_allclose(errors.end_rotation, 0.2)
+    assert not errors.energy.any()
+
+
+def test_fewer_rows() -> None:
+    """Compare at the rows that a simulation has; the last of them within a toss is its end."""
+    motion = _flight()
+    rows = np.arange(0, 20, 4)
+    found = Motion(rows, *(getattr(motion, name)[rows] for name in
+                           ("position", "orientation", "linear_velocity", "angular_velocity")))  # fmt: skip
+    found.position[3:, 1] += [0.0, 0.03, 0.04]  # row 12 on: beyond the second toss
+    errors = toss_errors(found, motion, np.array([20, 12, 20]), CUBE, DT)
+    assert errors.end_position.tolist() == [0.0, 0.0, 0.0]
+    found.position[2, 1] += [0.0, 0.03, 0.04]
+    assert toss_errors(found, motion, np.array([20, 12, 20]), CUBE, DT).end_position[1] == pytest.approx(0.05)
+
+
+def test_up() -> None:
+    """Name the face whose outward normal points up."""
+    turned = [
+        Rotation.identity(),
+        Rotation.from_euler("x", 180, degrees=True),
+        Rotation.from_euler("y", -90, degrees=True),
+    ]
+    assert up(np.stack([_quaternion(one) for one in turned])).tolist() == [2, 5, 0]
+
+
+def test_depth() -> None:
+    """Measure the lowest corner of a tilted cube."""
+    tilted = _quaternion(Rotation.from_euler("x", 45, degrees=True))
+    motion = Motion(
+        np.arange(1), np.array([[[0, 0, 0.06]]]), tilted[None, None], np.zeros((1, 1, 3)), np.zeros((1, 1, 3))
+    )
+    assert float(depths(motion, 0.1)[0, 0]) == pytest.approx(0.05 * math.sqrt(2) - 0.06)
+
+
+def test_rest() -> None:
+    """Date the rest from the last motion; one that moves until its end rests at its last row."""
+    motion = _flight(rows=10)
+    motion.linear_velocity[:], motion.angular_velocity[:] = 0.0, 0.0
+    motion.linear_velocity[:4, 0] = 0.05
+    motion.angular_velocity[:7, 1] = 0.5
+    motion.linear_velocity[:, 2] = 1.0
+    within = np.ones((10, 3), dtype=bool)
+    np.testing.assert_allclose(rest_times(motion, within, DT), [0.04, 0.07, 0.09])
+
+
+def test_floor() -> None:
+    """Find no floor in an exact free fall, and in a noisy one the noise."""
+    motion = _flight()
+    counts = np.array([20, 20, 20])
+    exact = tracking_floor(motion, counts, CUBE, DT, motion.linear_velocity[0])
+    assert exact.position == pytest.approx(0.0, abs=1e-12)
+    assert exact.rotation == pytest.approx(0.0, abs=1e-7)
+    assert (exact.tosses, exact.rows) == (3, 19.0)
+    motion.position[1:] += [0.0, 0.003, 0.004]
+    assert tracking_floor(motion, counts, CUBE, DT, motion.linear_velocity[0]).position == pytest.approx(0.005)
+    low = Motion(motion.rows, motion.position - [0, 0, 20.0], *list(vars(motion).values())[2:])
+    assert tracking_floor(low, counts, CUBE, DT, motion.linear_velocity[0]).tosses == 0
+
+
+def _run(*arguments: str) -> Path:
+    (path,) = recorded("--scene", "cube-toss", "--runs", "1", "--phases", "capture", "--no-view", *arguments)
+    return path
+
+
+@pytest.fixture(scope="module")
+def reference() -> Path:
+    """The synthetic tosses."""
+    (path,) = recorded("--sim", "real", "--scene", "cube-toss")
+    return path
+
+
+@pytest.fixture(scope="module")
+def runs() -> dict[str, Path]:
+    """The same tosses simulated: as it ships, with a cone that the truth does not have, and coarsely recorded."""
+    return {
+        "elliptic": _run("--sim", "mujoco"),
+        "pyramidal": _run("--sim", "mujoco", "--option", "cone=pyramidal"),
+        "substeps": _run("--sim", "mujoco", "--dt", str(1 / 148 / 4), "--stride", "4"),
+    }
+
+
+def test_a_wrong_cone_is_seen(reference: Path, runs: dict[str, Path]) -> None:
+    """Rank the cone of the truth before another, certainly, at either step."""
+    found = evaluate_files([reference, *runs.values()])
+    assert found.reference is not None
+    assert found.reference.tosses is not None
+    order = ranked(found.results)
+    names = {str(path): name for name, path in runs.items()}
+    assert {names[str(one.result.group.recordings[0].path)] for one in order[:2]} == {"substeps", "elliptic"}
+    last = order[-1]
+    assert last.against is not None
+    assert last.against.cases == 48
+    assert last.against.ci95 is not None
+    assert last.against.ci95[0] > 0.5
+    assert last.adjusted is not None
+    assert last.adjusted < 0.001
+    floor = found.reference.tosses.floor
+    assert 0 < floor.position < 0.002
+    for metric in TOSS_METRICS:
+        value = order[0].result.metrics[metric.name]
+        assert not isinstance(value.value, Missing)
+        assert value.ci95 is not None
+        assert value.ci95[0] <= value.value <= value.ci95[1]
+
+
+def test_order_does_not_matter(reference: Path, runs: dict[str, Path], tmp_path: Path, gsb_record: Command) -> None:
+    """Find the toss of each environment by its first state: another order, fewer or more of them give the same."""
+    measured = measured_tosses(Recording(reference))
+    assert measured is not None
+    whole = errors_of(Recording(runs["elliptic"]), measured)
+    assert not isinstance(whole, Missing)
+    assert len(whole.position) == 48
+    for n_env in (5, 50):
+        part = errors_of(Recording(_run("--sim", "mujoco", "--n-env", str(n_env))), measured)
+        assert not isinstance(part, Missing)
+        np.testing.assert_array_equal(part.position, whole.position[: len(part.position)])
+        assert len(part.position) == min(n_env, 48)
+    other = gsb_record(
+        "--sim", "mujoco", "--scene", "cube-toss", "--initial", "random:0.1", "--n-env", "2", "--runs", "1",
+        "--phases", "capture", "--out", tmp_path,
+    )  # fmt: skip
+    assert other.returncode == 0
+    found = errors_of(Recording(next(tmp_path.glob("*.mcap"))), measured)
+    assert isinstance(found, Missing)
+    assert "begins as no toss" in found.reason
+
+
+def test_outputs(reference: Path, runs: dict[str, Path], tmp_path: Path, gsb_eval: Command) -> None:
+    """Show the errors, the comparison and the floor in the report, and the error in the short answer."""
+    done = gsb_eval(
+        reference, runs["elliptic"], runs["pyramidal"], "--all", "--html", tmp_path, "--json", tmp_path / "e.json"
+    )
+    assert done.returncode == 0, done.stderr
+    assert "Errors against measured tosses" in done.stdout
+    assert "The measurement itself leaves" in done.stdout
+    record = json.loads((tmp_path / "e.json").read_text(encoding="utf-8"))
+    extra = record["groups"][0]["metrics"]["toss_position"]["extra"]
+    assert extra["tosses"] == 48
+    assert "per_toss" not in extra
+    short = gsb_eval(reference, runs["elliptic"]).stdout
+    assert "of 48 tosses; error of rotation" in short
+    alone = json.loads(gsb_eval(runs["elliptic"], "--json", "-").stdout)
+    assert alone["groups"][0]["metrics"]["toss_position"]["value"] is None
+
+
+def test_paired() -> None:
+    """Tell a shift of all cases from none, and be the negative of the other way round."""
+    rng = np.random.default_rng(3)
+    a = rng.gamma(2.0, size=60)
+    b = a + rng.normal(0.2, 0.3, size=60)
+    found, back = paired(b, a), paired(a, b)
+    assert found.p_value < 0.001
+    assert found.ci95 is not None
+    assert found.ci95[0] < found.mean < found.ci95[1]
+    assert back.mean == pytest.approx(-found.mean)
+    assert back.p_value == pytest.approx(found.p_value, abs=0.01)
+    assert paired(a, a) == paired(b, b)
+    assert paired(a, a).p_value == 1.0
+    for wrong in (([], []), ([1.0], [1.0, 2.0]), ([math.nan], [1.0])):
+        with pytest.raises(ValueError, match="values"):
+            paired(*wrong)
+
+
+def test_false_alarms() -> None:
+    """Reject exchangeable cases no more often than the level says."""
+    rng = np.random.default_rng(5)
+    p = [paired(*rng.normal(size=(2, 20)), seed=seed).p_value for seed in range(200)]
+    assert 1 <= sum(one <= 0.05 for one in p) <= 20
+
+
+@given(st.lists(st.floats(-5, 5), min_size=FEWEST, max_size=30))
+def test_interval(values: list[float]) -> None:
+    """Enclose nothing but what the values span; of too few there is none."""
+    found = mean_interval(values)
+    assert found is not None
+    assert min(values) - 1e-9 <= found[0] <= found[1] <= max(values) + 1e-9
+    assert mean_interval(values[: FEWEST - 1]) is None
+    with pytest.raises(ValueError, match="shape"):
+        mean_interval([values])
