@@ -454,10 +454,10 @@ def test_the_figure_of_odd_values(values: tuple[float, float]) -> None:
 
 @pytest.mark.slow
 def test_the_documents_figures_are_those_of_the_benchmark() -> None:
-    """Find in docs/compare.md the tables of real runs and of the largest noise; the whole takes minutes."""
+    """Find in docs/false-alarms.md the tables of real runs and of the largest noise; the whole takes minutes."""
     from benchmarks import history_alarms
 
-    page = (RECORDINGS.parent / "docs" / "compare.md").read_text(encoding="utf-8")
+    page = (RECORDINGS.parent / "docs" / "false-alarms.md").read_text(encoding="utf-8")
     quartiles = [float(np.quantile(history_alarms.deviations(), q)) for q in (0.25, 0.5, 0.75)]
     history_alarms.check(quartiles)
     assert ", ".join(f"{q:.1%}" for q in quartiles) in page
