@@ -103,7 +103,7 @@ def test_the_table(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     )
     assert re.search(r"^host memory increment +100\.0 MB +100\.0 MB +1\.000 +- +- +same *$", shown, re.M)
     assert "throughput (higher is better): N_env * N_step / T_step" in shown
-    assert "(all 64 ways); the interval inverts it, n = 6 and 6" in " ".join(shown.split())
+    assert "(all 64 ways); the interval inverts the test, n = 6 and 6" in " ".join(shown.split())
 
 
 def test_a_finding_of_fewer_runs_says_of_how_many(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -283,7 +283,7 @@ def test_reports_tell_undecided_from_passed(
         assert cases[name] == ({kind} if kind else set()), name
     assert int(suites.get("errors", "")) == sum("error" in found for found in cases.values())
     assert page.read_text(encoding="utf-8").startswith(mark)
-    assert ("undecided: throughput: the interval holds a change of 5 % and more" in shown) is (
+    assert ("undecided: throughput: the interval contains a change of 5 % or more" in shown) is (
         "error" in cases.get("throughput", set())
     )
 
