@@ -65,7 +65,7 @@ def parser() -> argparse.ArgumentParser:
     p = new_parser(
         "gsb-compare",
         "Compare two sets of recordings, base and head: is head slower, does it take more memory, is its physics "
-        "different, does it fail, did it lose determinism? At most 5 % of invocations raise a false alarm.",
+        "different, does it fail, did it lose determinism? Tests keep false alarms rare (--alpha).",
         _EPILOG,
     )
     p.add_argument("sets", nargs="*", type=place, metavar="SET", help="base and head: folders of recordings, or files")
