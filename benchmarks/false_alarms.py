@@ -151,7 +151,7 @@ def shares(codes: Iterable[ExitCode]) -> str:
 
 
 def tables(runs: Sequence[Run]) -> Iterator[str]:
-    """Lines of the tables, as docs/compare.md has them."""
+    """Lines of the tables, as docs/false-alarms.md has them."""
     yield from recorded(runs)
     for runs_a_side, count in SIMULATED:
         yield ""

@@ -6,7 +6,7 @@ searched by `statistics.change_points`, and the first sets by the whole of `comp
 same. The real runs are those of `false_alarms.csv`: one configuration, made one after another on a machine on which
 other jobs came and went; they pass through `compare.history`.
 
-    python -m benchmarks.history_alarms         the tables of docs/compare.md
+    python -m benchmarks.history_alarms         the tables of docs/false-alarms.md
 """
 
 from __future__ import annotations

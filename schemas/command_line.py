@@ -64,7 +64,8 @@ _SEE_ALSO = {
     "docs/strangers.md",
     "gsb-diff": "gsb-audit, which replays first; gsb-eval, for sets of runs; docs/diff.md",
     "gsb-audit": "gsb-record --replay, which only replays; gsb-diff, which shows where two part; docs/audit.md",
-    "gsb-compare": "gsb-eval, for one set; gsb-diff, for two files; docs/compare.md; docs/how-to/ci.md",
+    "gsb-compare": "gsb-eval, for one set; gsb-diff, for two files; docs/compare.md; docs/history.md; "
+    "docs/how-to/ci.md",
     "gsb-probe": "gsb-record, which makes its runs; gsb-diff, which shows where two part; docs/probe.md",
     "gsb-bisect": "gsb-diff, which shows where two releases part; gsb-compare; docs/bisect.md",
     "gsb-view": "gsb-diff, which says in numbers where two part; gsb-share viewer; docs/view.md; docs/viewers.md",

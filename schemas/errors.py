@@ -1,7 +1,7 @@
 """Every error that a user can meet, with the exit code that a command ends with.
 
 GsbError                  1  something failed
-├── UsageError            2  the command was asked for something that cannot be
+├── UsageError            2  wrong usage of a command
 ├── RecordingError        3  a file cannot be read as what it should be
 │   ├── NotARecording     3  it is something else: not MCAP, another profile, an unknown format version
 │   ├── DamagedRecording  3  bytes are missing or changed

@@ -111,11 +111,11 @@ def audit(group: Group[Recording], plan: ReplayPlan, *, max_ulps: int, say: Call
     if not originals:
         ended = " ".join(f"{count} {status}" for status, count in group.outcomes.items() if count)
         return Audit(
-            group.recordings, why_not=f"no run is complete ({ended}): there is nothing to hold a replay against"
+            group.recordings, why_not=f"no run is complete ({ended}): there is nothing to compare a replay with"
         )
     asked = originals[0].path
     if isinstance(asked, Location):
-        raise UsageError(f"{asked} is elsewhere: download it to have it replayed")
+        raise UsageError(f"{asked} is not on this machine: download it to replay it")
     replays = make_replays(asked, plan.within(_ran(originals[0])), say)
     done = Audit(originals, replays)
     if replays.refused:
@@ -178,7 +178,7 @@ def law_of(originals: Sequence[Recording], replays: Sequence[Recording]) -> LawT
     """The test of one law over planar positions of the cubes at the sample time, or why there is none."""
     time = _sample_time(originals[0])
     if time is None:
-        return "no positions of cubes were captured, and the test is about those"
+        return "no positions of cubes were captured, and the test needs them"
     sides: list[list[npt.NDArray[np.float64]]] = []
     for side in (originals, replays):
         sides.append([])
@@ -188,7 +188,7 @@ def law_of(originals: Sequence[Recording], replays: Sequence[Recording]) -> LawT
                 return f"{recording.path.name}: {positions.reason}"
             sides[-1].append(positions.planar)
     if len({run.shape for side in sides for run in side}) > 1:
-        return "the replays have other numbers of environments or cubes"
+        return "the replays have a different number of environments or cubes"
     try:
         return same_law(*sides, time=time)
     except ValueError as error:

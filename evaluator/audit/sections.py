@@ -6,6 +6,7 @@ from gpusimbench.evaluator.audit.audit import Audit, Outcome
 from gpusimbench.evaluator.audit.checking import RULES, Check
 from gpusimbench.evaluator.audit.verdict import Level, Rung
 from gpusimbench.evaluator.diff.result import Difference, Divergence
+from gpusimbench.evaluator.diff.words import differ
 from gpusimbench.evaluator.render.document import (
     Block,
     Cell,
@@ -141,10 +142,10 @@ def _check(audit: Audit, checked: Check) -> Cell:
 def _distinct(audit: Audit) -> str:
     there, here = len(audit.originals), len(audit.recordings)
     if audit.distinct is None:
-        return f"{there} there, {here} here; without state hashes, bits are not compared"
+        return f"{plural(there, 'original')}, {plural(here, 'replay')}; without state hashes, bits are not compared"
     distinct_there, distinct_here, both = audit.distinct
-    counts = f"{there} there, {distinct_there} distinct by state hashes; {here} here, {distinct_here} distinct"
-    return f"{counts}; {both} distinct together"
+    originals = f"{plural(there, 'original')}, {distinct_there} distinct by state hashes"
+    return f"{originals}; {plural(here, 'replay')}, {distinct_here} distinct; {both} distinct together"
 
 
 def _rung(rung: Rung) -> tuple[str, Cell]:
@@ -173,8 +174,8 @@ def _settings(audit: Audit, difference: Difference) -> str:
     names = ", ".join(setting.name for setting in deciding[:_NAMES])
     if len(deciding) > _NAMES:
         names += f" and {len(deciding) - _NAMES} more"
-    same = ", and the bits are the same" if difference.bit_identical else ""
-    return f"{len(deciding)} differ{same}: {names}{f'; and {more}' if more else ''}"
+    same = ", although the bits are the same" if difference.bit_identical else ""
+    return f"{differ(len(deciding))}{same}: {names}{f'; and {more}' if more else ''}"
 
 
 def _notes(difference: Difference, every: bool) -> list[Block]:

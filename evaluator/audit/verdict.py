@@ -105,15 +105,15 @@ def ladder(
 
 def _bits(matches: Sequence[Match], compared: str) -> Rung:
     same = sum(m.bit_identical for m in matches)
-    said = f"{same} of {len(matches)} replays: {compared} of an original"
+    said = f"{same} of {len(matches)} replays agree with an original in {compared}"
     return _whole(Rung(Level.BIT_IDENTICAL, every(m.bit_identical for m in matches).holds, said), matches)
 
 
 def _order(matches: Sequence[Match]) -> Rung:
     held = [m.bit_identical or m.same_up_to_env_order for m in matches]
     if (holds := every(held).holds) is None:
-        return Rung(Level.SAME_UP_TO_ENV_ORDER, None, "environments cannot be held against others")
-    said = f"{sum(h is True for h in held)} of {len(matches)} replays: an original's envs in any order"
+        return Rung(Level.SAME_UP_TO_ENV_ORDER, None, "environments cannot be compared with others")
+    said = f"{sum(h is True for h in held)} of {len(matches)} replays have the environments of an original in any order"
     return _whole(Rung(Level.SAME_UP_TO_ENV_ORDER, holds, said), matches)
 
 
@@ -147,18 +147,17 @@ def _whole(rung: Rung, matches: Sequence[Match]) -> Rung:
 def _law(law: LawTest | str, originals: int) -> Rung:
     if isinstance(law, str):
         return Rung(Level.SAME_DISTRIBUTION, None, law)
-    far = f"W1 at {law.time:g} s {law.observed_cm:.3g} cm, up to {law.floor_q95_cm:.3g} cm under one law (95 %)"
-    said = (
-        f"{far}, p = {law.p_value:.2g}: {law.originals} original and {law.replays} replayed {law.unit.value} exchanged"
-    )
+    floor = f"up to {law.floor_q95_cm:.3g} cm in 95 % if they have one distribution"
+    far = f"W1 at {law.time:g} s: {law.observed_cm:.3g} cm ({floor}), p = {law.p_value:.2g}"
+    said = f"{far}: {law.originals} original and {law.replays} replayed {law.unit.value} exchanged"
     if law.envs_per_run < law.envs:
         said += f", {law.envs_per_run} of {law.envs} envs each"
     if law.unit is Unit.ENVIRONMENTS:
-        said += "; it has no power where an environment's number decides, --runs "
+        said += "; without power if results depend on the number of an environment: --runs "
         said += f"{runs_needed(originals)} would exchange runs"
     if law.rejects:
         return Rung(Level.SAME_DISTRIBUTION, False, said)
     if not law.can_reject:
-        few = f"so few cannot show a difference (p is at least {law.least_p:.2g}): give --runs {runs_needed(originals)}"
+        few = f"too few to show a difference (p is at least {law.least_p:.2g}): give --runs {runs_needed(originals)}"
         return Rung(Level.SAME_DISTRIBUTION, None, f"{said}; {few}")
-    return Rung(Level.SAME_DISTRIBUTION, True, f"{said}; not refuted at {ALPHA:g}")
+    return Rung(Level.SAME_DISTRIBUTION, True, f"{said}; not rejected at {ALPHA:g}")

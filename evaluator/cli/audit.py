@@ -24,28 +24,28 @@ _LEVELS = ("bit-identical", "same-up-to-env-order", "within-ulps", "same-distrib
 _MOST_RUNS = 1000
 
 _EPILOG = """\
-A replay takes from a file its configuration and nothing else: no code, no model, no path. It asks for no more steps and
-environments than the file has traces of, and what is run is printed first. Options may ask for any amount of work: a
-replay ends after 20 times what the original took, at least ten minutes and at most a day, or after --timeout. It is
-stopped where it takes more than twice the memory that is recorded (at least 2 GiB, at most 80 % of this machine's), and
-where it has too many threads or writes more than twice what the original holds; see docs/audit.md.
+A replay takes only the configuration from a file: no code, no model, no path. The file must contain evidence for as
+many steps and environments as it asks for, and what will run is printed first. Because options can ask for any amount
+of work, a replay ends after 20 times the time of the original (at least ten minutes, at most a day), or after
+--timeout. It is stopped if it takes more than twice the recorded memory (at least 2 GiB, at most 80 % of this
+machine's), starts too many threads, or writes more than twice what the original holds; see docs/audit.md.
 
 levels, strongest first:
-  bit-identical         every recorded number of every replay, at every step, is that of an original
-  same-up-to-env-order  the same, but environments have other numbers
+  bit-identical         every recorded number of every replay has the same bits as in an original, at every step
+  same-up-to-env-order  the same, but environments are in another order
   within-ulps           no two numbers are further apart than --ulps units in the last place
-  same-distribution     a permutation test on the cubes' planar positions does not tell originals and replays apart, and
-                        they are enough for it to do so
+  same-distribution     a permutation test on the cubes' planar positions finds no difference between originals and
+                        replays, and there are enough of them to find one
   different             none of these
 
 exit codes:
   0  every verdict is at least the level of --require
   1  a replay failed while others did not
-  2  the command asks for something that cannot be
-  3  a file is damaged, cut short or no recording; the others were audited
+  2  wrong usage
+  3  a file is damaged, cut short or not a recording; the others were audited
   4  a verdict is below the level of --require, or a rule of integrity-1 (see gsb-check) is broken
-  5  something cannot be replayed here (the message says what is missing), was refused or stopped for what it would
-     take of this machine, or the replays are too few to decide
+  5  a run cannot be replayed here (the message says what is missing), was refused or stopped because it would take
+     too much memory, time or disk, or the replays are too few to decide
 
 examples:
   gsb-audit theirs.mcap
@@ -58,12 +58,18 @@ def parser() -> argparse.ArgumentParser:
     """The command's arguments."""
     p = new_parser(
         "gsb-audit",
-        "Check recordings, run their own configurations again on this machine, and say how closely what comes out "
-        "agrees. Recordings that were made alike are originals of one audit.",
+        "Check recordings, repeat their runs on this machine with the recorded configuration (replays), and say how "
+        "closely the results agree. Recordings of one configuration are audited together.",
         _EPILOG,
     )
     p.add_argument("files", nargs="+", type=local_path, metavar="FILE", help="recordings (.mcap), or folders of them")
-    p.add_argument("--runs", type=int, default=1, metavar="R", help="replays of each (default: 1; statistics want 6)")
+    p.add_argument(
+        "--runs",
+        type=int,
+        default=1,
+        metavar="R",
+        help="replays of each configuration (default: 1; the test of distributions needs up to 19)",
+    )
     p.add_argument(
         "--out", type=local_path, default=Path("audit"), metavar="DIR", help="folder of the replays (default: audit/)"
     )
@@ -72,7 +78,7 @@ def parser() -> argparse.ArgumentParser:
         choices=_LEVELS,
         default=_LEVELS[-1],
         metavar="LEVEL",
-        help="weakest level that ends with 0; see below (default: %(default)s)",
+        help="weakest level that ends with exit code 0; see --help-all for the levels (default: %(default)s)",
     )
     p.add_argument(
         "--ulps",
@@ -85,11 +91,18 @@ def parser() -> argparse.ArgumentParser:
         "--json", type=local_name, metavar="FILE", help="write the results as JSON; - for standard output, alone"
     )
     p.add_argument("--all", action="store_true", help="print every replay, level, note and value of a setting")
-    p.add_argument("--python", type=local_path, metavar="PATH", help="interpreter that makes the replays")
-    p.add_argument("--timeout", type=float, metavar="S", help="limit of each replay [s]; 0: none (default: as below)")
-    p.add_argument("--phases", metavar="LIST", help="timed, capture or both (default: those that were recorded)")
+    p.add_argument("--python", type=local_path, metavar="PATH", help="Python interpreter that runs the replays")
     p.add_argument(
-        "--option", action="append", default=[], metavar="NAME=VALUE", help="instead of what was recorded; repeatable"
+        "--timeout",
+        type=float,
+        metavar="S",
+        help="time limit of each replay [s]; 0: none (default: 20 times the original)",
+    )
+    p.add_argument(
+        "--phases", metavar="LIST", help="phases to replay: timed, capture or both (default: those that were recorded)"
+    )
+    p.add_argument(
+        "--option", action="append", default=[], metavar="NAME=VALUE", help="replace a recorded option; repeatable"
     )
     return p
 
@@ -136,9 +149,9 @@ def run(arguments: argparse.Namespace, command: str) -> int:
 
 def _check(arguments: argparse.Namespace) -> None:
     if not 1 <= arguments.runs <= _MOST_RUNS:
-        raise UsageError(f"--runs is from 1 to {_MOST_RUNS}, not {arguments.runs}")
+        raise UsageError(f"--runs must be from 1 to {_MOST_RUNS}, not {arguments.runs}")
     if arguments.ulps < 0:
-        raise UsageError(f"--ulps is at least 0, not {arguments.ulps}")
+        raise UsageError(f"--ulps must be at least 0, not {arguments.ulps}")
     if arguments.timeout is not None and not 0 <= arguments.timeout < float("inf"):
         raise UsageError(f"--timeout is a number of seconds, 0 for never, not {arguments.timeout}")
     check_target(arguments.json)

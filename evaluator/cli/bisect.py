@@ -44,7 +44,7 @@ A release that cannot be installed or recorded is skipped. Where releases change
 exit codes:
   0  the first release that differs is named
   1  the good or the bad release cannot be installed or recorded, or the predicate fails
-  2  the command asks for something that cannot be
+  2  wrong usage
   3  a recording is damaged
   5  the bad release does not differ, or releases next to the change could not be judged
 

@@ -16,7 +16,7 @@ _EPILOG = """\
 exit codes:
   0  every rule holds; warnings do not count
   1  the results cannot be written
-  2  the command asks for something that cannot be
+  2  wrong usage
   3  a file is damaged, cut short, no recording, or has lost data; the others were checked
   4  a rule is broken
 

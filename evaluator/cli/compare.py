@@ -21,32 +21,33 @@ if TYPE_CHECKING:
 _GATES = "throughput,memory,physics,validity,determinism"
 
 _EPILOG = f"""\
-What was asked for the same on both sides is compared: scene, environments, step, simulator, options, machine. Versions,
-packages and what follows from them may differ. Record the two in turn (A B B A ...), at least six runs each: by default
-three of each decide nothing of throughput and memory, and end with 5.
+Groups of runs that were asked for the same are compared: scene, environments, step, simulator, options, machine.
+Versions and packages may differ. Record base and head in turn (A B B A ...), at least six runs each: with the default
+gates, three of each cannot decide throughput and memory, and the exit code is 5.
 
-A ratio is judged by its 95 % interval. Wholly beyond --threshold, to the worse, it fails (where its p, adjusted for all
-comparisons, is at most --alpha). Wholly on the other side of the threshold it passes. Else the gate is undecided.
+The 95 % interval of head / base decides. If all of it is worse than --threshold, the gate fails (if p, adjusted for all
+comparisons, is at most --alpha). If all of it is on the other side of the threshold, the gate passes. Otherwise the
+gate is undecided.
 
 axes, and what fails their gate:
-  throughput   head is slower; that it is faster never fails
+  throughput   head is slower (an improvement never fails a gate)
   memory       head takes more memory of the device, of the engine's allocator, or of the host
-  physics      a check of mechanics held for base and is broken for head; cubes end elsewhere
-  validity     runs fail or are invalid that did not; steps have another number of contacts
-  determinism  environments or runs were bit-identical, and are not any more
-  variability  environments or runs of head end further apart (not a gate by default)
-  bits         the states of head are not those of base, bit for bit (not a gate by default)
-  build        building or compiling takes longer (not a gate by default)
+  physics      a check of mechanics holds in base and is broken in head; cubes end elsewhere
+  validity     runs fail or are invalid in head only; the number of contacts changes
+  determinism  environments or runs are bit-identical in base and not in head
+  variability  environments or runs of head end further apart (no gate by default)
+  bits         the states of head differ from those of base in any bit (no gate by default)
+  build        building or compiling takes longer (no gate by default)
 
 exit codes:
   0  every gate passed
   1  the results cannot be written
-  2  the command asks for something that cannot be
-  3  a file is damaged, cut short or no recording, or a recording lost data; no gate failed in the rest
-  4  a gate failed, whatever else is true of other files
-  5  no gate failed and one could not be decided: too few runs, an interval that holds the threshold, a thing that one
-     side has and the other not; or nothing could be compared. What neither side has (GPU memory on a CPU) is left out
-  --history tells what changed at which version, and fails (4) only with --gate, by what changed at the newest
+  2  wrong usage
+  3  a file is damaged, cut short or not a recording, or a recording lost data; no gate failed in the rest
+  4  a gate failed, even if other files are damaged
+  5  no gate failed and one is undecided: too few runs, an interval that contains the threshold, a quantity that only
+     one side has; or nothing could be compared. What neither side has (GPU memory on a CPU) is left out
+  --history exits with 4 only with --gate, for a change at the newest version
 
 examples:
   gsb-compare base/ head/
@@ -63,27 +64,39 @@ def parser() -> argparse.ArgumentParser:
     """The command's arguments."""
     p = new_parser(
         "gsb-compare",
-        "Compare two sets of recordings: whether head is slower, takes more memory, has other physics, fails, or lost "
-        "its determinism, with few false alarms.",
+        "Compare two sets of recordings, base and head: is head slower, does it take more memory, is its physics "
+        "different, does it fail, did it lose determinism? Tests keep false alarms rare (--alpha).",
         _EPILOG,
     )
     p.add_argument("sets", nargs="*", type=place, metavar="SET", help="base and head: folders of recordings, or files")
-    p.add_argument("--base", nargs="+", type=place, default=[], metavar="FILE", help="instead of the first SET")
-    p.add_argument("--head", nargs="+", type=place, default=[], metavar="FILE", help="instead of the second SET")
+    p.add_argument(
+        "--base", nargs="+", type=place, default=[], metavar="FILE", help="recordings of base, instead of the first SET"
+    )
+    p.add_argument(
+        "--head",
+        nargs="+",
+        type=place,
+        default=[],
+        metavar="FILE",
+        help="recordings of head, instead of the second SET",
+    )
     p.add_argument(
         "--across", action="append", default=[], metavar="KEY",
-        help="an option that may differ, or simulator, determinism, warmup, timed_steps; repeatable",
+        help="what may differ: an option, or simulator, determinism, warmup, timed_steps; repeatable",
     )  # fmt: skip
     p.add_argument(
         "--history", type=local_path, metavar="DIR",
-        help="instead of SETs: a folder that has a folder of recordings for each version or commit",
+        help="instead of SETs: a folder with one folder of recordings for each version or commit",
     )  # fmt: skip
     p.add_argument(
         "--gate", metavar="LIST",
-        help=f"axes that have to pass (default: {_GATES}; with --history: none)",
+        help=f"axes that must pass (default: {_GATES}; with --history: none)",
     )  # fmt: skip
     p.add_argument(
-        "--alpha", type=float, default=0.05, help="chance of any false alarm in an invocation (default: %(default)s)"
+        "--alpha",
+        type=float,
+        default=0.05,
+        help="largest chance of any false alarm in an invocation (default: %(default)s)",
     )
     p.add_argument(
         "--threshold",
@@ -99,15 +112,17 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument(
         "--expect-same",
         action="store_true",
-        help="base and head are one thing: any difference on any axis fails; axes of --gate have to be decided",
+        help="base and head are the same engine: a difference on any axis fails; axes of --gate must be decided",
     )
     add_sample_time(p)
     p.add_argument(
         "--json", type=local_name, metavar="FILE", help="write the results as JSON; - for standard output, alone"
     )
     p.add_argument("--markdown", type=local_path, metavar="FILE", help="write a comment for a pull request")
-    p.add_argument("--junit", type=local_path, metavar="FILE", help="write a JUnit report: configurations by axes")
-    p.add_argument("--html", type=local_path, metavar="FILE", help="with --history: write a page of all curves")
+    p.add_argument(
+        "--junit", type=local_path, metavar="FILE", help="write a JUnit report: a case for each configuration and axis"
+    )
+    p.add_argument("--html", type=local_path, metavar="FILE", help="with --history: write a page with all curves")
     p.add_argument(
         "--all",
         action="store_true",
@@ -142,7 +157,7 @@ def run(arguments: argparse.Namespace, command: str) -> int:
     if arguments.history:
         return _run_history(arguments, settings, command)
     if arguments.html:
-        raise UsageError("--html belongs to --history")
+        raise UsageError("--html needs --history; for two sets, use --markdown or --json")
     base, head = _given(arguments)
 
     from gpusimbench.evaluator.check.protocol import unmet_by_file
@@ -186,9 +201,9 @@ def run(arguments: argparse.Namespace, command: str) -> int:
 def _run_history(arguments: argparse.Namespace, settings: Settings, command: str) -> int:
     """Follow quantities over the points of a history; returns the exit code."""
     if arguments.sets or arguments.base or arguments.head:
-        raise UsageError("--history takes the place of base and head: give one or the other")
+        raise UsageError("--history cannot be combined with base and head: give one or the other")
     if arguments.expect_same or arguments.across or arguments.junit:
-        raise UsageError("--expect-same, --across and --junit belong to two sets, not to --history")
+        raise UsageError("--expect-same, --across and --junit compare two sets and cannot be used with --history")
 
     from gpusimbench.evaluator.check.protocol import unmet_by_file
     from gpusimbench.evaluator.compare.history.history import trace
@@ -232,7 +247,7 @@ def _work(arguments: argparse.Namespace) -> Work:
     from gpusimbench.evaluator.compute.work import Work
 
     if arguments.cache and arguments.cache.exists() and not arguments.cache.is_dir():
-        raise UsageError(f"--cache is a folder, and {arguments.cache} is none")
+        raise UsageError(f"--cache must be a folder, and {arguments.cache} is not one")
     folder = None if arguments.no_cache else arguments.cache or default_folder()
     return Work(store=Store(folder) if folder else None)
 
@@ -251,9 +266,9 @@ def _settings(arguments: argparse.Namespace) -> Settings:
     from gpusimbench.evaluator.results.metric import Axis
 
     if not 0 < arguments.alpha < 1:
-        raise UsageError(f"--alpha is a probability between 0 and 1, not {arguments.alpha:g}")
+        raise UsageError(f"--alpha must be a probability between 0 and 1, not {arguments.alpha:g}")
     if not 0 <= arguments.outcome < float("inf"):
-        raise UsageError(f"--outcome is a distance in cm, at least 0, not {arguments.outcome:g}")
+        raise UsageError(f"--outcome must be a distance in cm, at least 0, not {arguments.outcome:g}")
     check_sample_time(arguments.sample_time)
     axes = {axis.value: axis for axis in Axis}
     given = _GATES if arguments.gate is None else arguments.gate
@@ -278,7 +293,7 @@ def _share(text: str) -> float:
     except ValueError:
         share = -1.0
     if rest.strip() or not 0 <= share < float("inf"):
-        raise argparse.ArgumentTypeError(f"'{text}' is no share, such as 5% or 0.05")
+        raise argparse.ArgumentTypeError(f"'{text}' is not a share such as 5% or 0.05")
     return share
 
 

@@ -24,8 +24,9 @@ _EPILOG = """\
 exit codes:
   0  nothing differs: all that was compared is bit-identical, or, where bits cannot be compared, within the resolution
   1  the results cannot be written
-  2  the command asks for something that cannot be
-  3  a file is damaged or no recording; or nothing differs in what is there, but a recording is cut short or lost data
+  2  wrong usage
+  3  a file is damaged or not a recording; or nothing differs in what is there, but a recording is cut short or lost
+     data
   4  they differ
   5  they have nothing in common that could be compared
 
@@ -50,8 +51,8 @@ def parser() -> argparse.ArgumentParser:
     )
     p.add_argument(
         "--env", type=int, action="append", default=[], metavar="E",
-        help="with one recording, twice: these two; with two, once: this one of both, or twice: E of the first "
-        "and E of the second (default: all environments)",
+        help="environment to compare; with one recording, give it twice; with two, once for the same environment of "
+        "both, or twice for one of each (default: all environments)",
     )  # fmt: skip
     p.add_argument(
         "--json", type=local_name, metavar="FILE", help="write the result as JSON; - for standard output, alone"
@@ -100,7 +101,9 @@ def _check(arguments: argparse.Namespace) -> None:
     if files > 2:
         raise UsageError(f"gsb-diff compares two recordings, or one with itself; {files} recordings were given")
     if envs > 2 or (files == 1 and envs == 1):
-        raise UsageError(f"{envs} environments were given: one recording needs two of them, two take one or two")
+        raise UsageError(
+            f"{envs} environments were given: with one recording give --env twice, with two recordings once or twice"
+        )
     if arguments.plot and arguments.plot.suffix != ".svg":
         raise UsageError(f"--plot draws SVG; name the file .svg instead of {arguments.plot.name}")
     check_target(arguments.json)

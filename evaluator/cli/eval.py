@@ -31,7 +31,7 @@ _EPILOG = """\
 exit codes:
   0  every file was read and every recording is complete, failed or invalid by its own word
   1  the results cannot be written
-  2  the command asks for something that cannot be
+  2  wrong usage
   3  the rest was evaluated, but a file is damaged, cut short or no recording, or a recording lost data
   5  no recording could be evaluated
 
@@ -151,7 +151,7 @@ def _work(arguments: argparse.Namespace, stack: ExitStack) -> Work:
         mapper = stack.enter_context(Cluster(arguments.ray))
     folder = None if arguments.no_cache else arguments.cache or default_folder()
     if arguments.cache and arguments.cache.exists() and not arguments.cache.is_dir():
-        raise UsageError(f"--cache is a folder, and {arguments.cache} is none")
+        raise UsageError(f"--cache must be a folder, and {arguments.cache} is not one")
     return Work(mapper, Store(folder) if folder else None)
 
 

@@ -15,10 +15,10 @@ from gpusimbench.schemas.text import block, show
 
 _EPILOG = """\
 exit codes:
-  0  every file is a recording and whole
+  0  every file is a whole recording
   1  the results cannot be written
-  2  the command asks for something that cannot be
-  3  a file is damaged, cut short or no recording; what can be said of it is said
+  2  wrong usage
+  3  a file is damaged, cut short or not a recording; what can be read is shown
 
 examples:
   gsb-info recordings/mujoco-amd-r0.mcap
@@ -32,15 +32,20 @@ def parser() -> argparse.ArgumentParser:
     """The command's arguments."""
     p = new_parser(
         "gsb-info",
-        "Say who made a recording, of what, where, how long it took, and what is in it. The whole file is verified.",
+        "Show what a recording contains: simulator, scene, machine, times, states, and who made it. The whole file is "
+        "verified.",
         _EPILOG,
     )
     p.add_argument(
         "files", nargs="+", type=place, metavar="FILE", help="recordings (.mcap), folders of them, or addresses"
     )
-    p.add_argument("--all", action="store_true", help="say all that a file says of itself, and list its arrays")
+    p.add_argument(
+        "--all", action="store_true", help="show everything that a file says about itself, and list its arrays"
+    )
     p.add_argument("--json", type=local_name, metavar="FILE", help="write it as JSON; - for standard output, alone")
-    p.add_argument("--no-verify", action="store_true", help="skip digests and comparisons; CRCs are still checked")
+    p.add_argument(
+        "--no-verify", action="store_true", help="skip digests and comparisons; CRCs of what is read are still checked"
+    )
     return p
 
 

@@ -44,7 +44,7 @@ The recordings lie in --out; a probe that was interrupted goes on where it stopp
 exit codes:
   0  answered; with --gate, every answer is yes but the last, which is no defect
   1  a run could not be recorded
-  2  the command asks for something that cannot be
+  2  wrong usage
   3  a recording is damaged
   4  with --gate: an answer is no
   5  with --gate: an answer is open; without: nothing could be asked

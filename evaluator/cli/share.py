@@ -24,7 +24,7 @@ _EPILOG = """\
 exit codes:
   0  every file was written; verify: the set is what its manifest says
   1  a file could not be written
-  2  the command asks for something that cannot be
+  2  wrong usage
   3  a file is damaged or no recording, or cut short (which recover is for, and ends with 0); what could be written was;
      verify: a file is missing, changed or damaged
   4  verify: the parts of the set do not agree; card, verify: a recording breaks a rule

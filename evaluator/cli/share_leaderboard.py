@@ -61,5 +61,5 @@ def _work(arguments: argparse.Namespace) -> Work:
 
     folder = None if arguments.no_cache else arguments.cache or default_folder()
     if arguments.cache and arguments.cache.exists() and not arguments.cache.is_dir():
-        raise UsageError(f"--cache is a folder, and {arguments.cache} is none")
+        raise UsageError(f"--cache must be a folder, and {arguments.cache} is not one")
     return Work(store=Store(folder) if folder else None)

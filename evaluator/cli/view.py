@@ -23,15 +23,16 @@ if TYPE_CHECKING:
 _PROGRAMS = ("auto", "page", "rerun", "foxglove", "lichtblick")
 
 _EPILOG = """\
-The page is one file without a network: environments in 3D over simulated time, coloured by which of them are
-bit-identical so far, with a jump to the first divergence. Several files of one scene are drawn together.
+The page is one file and needs no network. It shows environments in 3D over simulated time; environments that are
+bit-identical so far have one colour, and a button jumps to the first divergence. Several files of one scene are drawn
+together.
 
 exit codes:
-  0  it is shown, or, without a display, it is said where the page is
+  0  the recordings are shown, or, without a display, the command says where the page is
   1  the page cannot be written, or the program cannot be started
-  2  the command asks for something that cannot be
-  3  a file is damaged or no recording; or one is cut short or lost data, and what is there is shown
-  5  a file holds no states, so that there is nothing to show
+  2  wrong usage
+  3  a file is damaged or not a recording; or a recording is cut short or lost data, and what is there is shown
+  5  a file holds no states, so there is nothing to show
 
 examples:
   gsb-view recordings/h200/physx-spacing-0-inclined-collision-n16-r0.mcap
@@ -42,23 +43,25 @@ examples:
 
 def parser() -> argparse.ArgumentParser:
     """The command's arguments."""
-    p = new_parser("gsb-view", "Show environments of recordings in motion.", _EPILOG)
+    p = new_parser(
+        "gsb-view", "Show environments of recordings in motion, and the step at which the first bits differ.", _EPILOG
+    )
     p.add_argument(
         "files", nargs="+", type=place, metavar="FILE", help="recordings (.mcap), folders of them, or addresses"
     )
     p.add_argument(
         "--with", dest="program", choices=_PROGRAMS, default="auto",
-        help="what to open (default: auto, which is Foxglove or Lichtblick where one is installed, else the page)",
+        help="what to open (default: auto: Foxglove or Lichtblick if installed, else the page)",
     )  # fmt: skip
     p.add_argument(
         "--env", type=int, action="append", default=[], metavar="E",
-        help="environment to show, of each file; repeatable (default: one of each bitwise class, the first that part)",
+        help="environment to show, of each file; repeatable (default: one of each bitwise class, up to six)",
     )  # fmt: skip
     p.add_argument("--out", type=local_path, metavar="FILE.html", help="keep the page (default: in a temporary folder)")
-    p.add_argument("--no-open", action="store_true", help="write what would be opened, say where it is, and end")
+    p.add_argument("--no-open", action="store_true", help="write the page without opening it, and say where it is")
     p.add_argument(
         "--spread", type=float, default=0.5, metavar="M",
-        help="for other programs: environments at one place are moved this far apart (default: 0.5)",
+        help="for other programs: distance between environments that are at one place [m] (default: 0.5)",
     )  # fmt: skip
     return p
 

@@ -259,8 +259,9 @@ def _warnings(draft: _Draft, findings: Sequence[Finding], alpha: float) -> list[
     elif clocked and order.one_first and max(order.n) > 1:
         lines.append(f"one side always came first ({order.text}): a steady drift favours one; A B B A cancels it")
     if 0 < min(order.n) < FEW_RUNS:
-        what = "complete run" if order.n[0] == 1 else "complete runs"
-        lines.append(f"{order.n[0]} {what} of base and {order.n[1]} of head are few: {FEW_RUNS} a side are advised")
+        lines.append(
+            f"few complete runs ({order.n[0]} of base, {order.n[1]} of head): record at least {FEW_RUNS} a side"
+        )
     return [*timed.of_sides(*draft.timed), *lines, *_without_power(findings, alpha)]
 
 

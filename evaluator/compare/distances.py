@@ -51,13 +51,13 @@ def distances(base: Runs, head: Runs, work: Work) -> Distances | Missing | None:
         captured = any("capture" in r.configuration.phases for r in (*base, *head))
         return Missing(why or why_head) if captured else None
     if one.shape[1:] != other.shape[1:]:
-        return Missing("other numbers of environments or cubes")
+        return Missing("the runs have different numbers of environments or cubes")
     try:
         found = run_to_run_variability(np.concatenate([one, other]), work.map)
     except ValueError as error:
         return Missing(str(error))
     if found.matrix_cm is None:
-        return Missing("so many large runs that not all distances were computed")
+        return Missing("too many large runs to compute all distances")
     alike = [len({run.tobytes() for run in side}) == 1 for side in (one, other)]
     return Distances(
         found.matrix_cm,

@@ -116,7 +116,7 @@ class Finding:
         if not (set(self.left_open) & (DIFFERENT if settings.expect_same else FAILING)):
             return ""
         if self.bounded:
-            return f"the interval holds a change of {settings.threshold * 100:.3g} % and more"
+            return f"the interval contains a change of {settings.threshold * 100:.3g} % or more"
         return "too few runs"
 
 

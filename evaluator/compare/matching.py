@@ -128,10 +128,10 @@ def _one_scene(one: Group[Run], other: Group[Run]) -> bool:
 def _why(group: Group[Run], others: Groups, across: Collection[str]) -> str:
     alike = [g for g in others if anywhere(g, across) == anywhere(group, across)]
     if not alike:
-        return "nothing on the other side was asked for the same"
+        return "no group of the other side was asked for the same"
     if not any(_one_scene(group, g) for g in alike):
-        return "the description of the scene is another one on the other side"
-    return "several groups were asked for the same, in versions or conditions that differ: compare them one by one"
+        return "the description of the scene differs on the other side"
+    return "several groups were asked for the same, in different versions or conditions: compare them one at a time"
 
 
 def _differences(base: Group[Run], head: Group[Run]) -> tuple[str, ...]:

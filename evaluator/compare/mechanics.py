@@ -42,7 +42,7 @@ def _unchanged(one: Fidelity, other: Fidelity, n: tuple[int, int]) -> Finding:
     held = [
         f"{len(f.of(Verdict.HELD))} of {len(f.of(Verdict.HELD)) + len(f.of(Verdict.BROKEN))} held" for f in (one, other)
     ]
-    method = "verdicts of gsb-eval --all; those that apply to both sides are the same"
+    method = "verdicts of the checks that apply to both sides, as gsb-eval --all prints them"
     return Finding(
         Axis.PHYSICS, _NAME, _TITLE, Change.SAME, Direction.HIGHER, said=(held[0], held[1]), n=n, method=method
     )  # fmt: skip

@@ -52,7 +52,7 @@ def compare_numbers(
     order = schedule(*having)
     values = np.array([of[id(run)] for run in order.runs], dtype=np.float64)
     if not ((values == 0) | ((values > 1 / _MOST) & (values < _MOST))).all():
-        return not_compared(axis, name, title, "a run has a value that is negative, not finite or beyond all measure")
+        return not_compared(axis, name, title, "a run has a value that is negative, not finite or too large")
     second = np.array(order.head)
     one, other = values[~second], values[second]
     finding = Finding(
@@ -69,7 +69,7 @@ def compare_numbers(
                 change=judged(metric.direction, rises=other[0] > one[0])
                 if matters(metric, one[0], other[0], settings)
                 else Change.SMALL,
-                note=f"every run of a side has this very value; {_by_chance(order)}",
+                note=f"all runs of a side have this value; {_by_chance(order)}",
             )
     return _Asked(metric, order, values, finding, settings)
 
@@ -144,14 +144,15 @@ class _Asked:
 
 def _by_chance(order: Schedule) -> str:
     """How often two values that fell to runs whatever their side would part them like this."""
-    return f"runs dealt at random part them so in {least_p(order.head, [0] * len(order.head)):.2g} of all cases"
+    chance = least_p(order.head, [0] * len(order.head))
+    return f"random exchange of runs separates them like this in {chance:.2g} of all cases"
 
 
 def _exchanged(found: Shift, blocks: tuple[int, ...]) -> str:
     count = len(set(blocks))
     within = f"within {count} blocks of neighbours in time" if count > 1 else "with any other"
     how = f"all {found.n} ways" if found.exhaustive else f"{found.n - 1} ways drawn with seed {found.seed}"
-    return f"permutation test, runs exchanged {within} ({how}); the interval inverts it"
+    return f"permutation test, runs exchanged {within} ({how}); the interval inverts the test"
 
 
 def _values(metric: Metric, side: GroupRuns) -> Sequence[float | Missing]:

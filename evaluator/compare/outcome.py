@@ -33,10 +33,10 @@ def compare_outcomes(
     )  # fmt: skip
     if all(found.alike):
         if found.same:
-            return replace(finding, note="the same bits in every run at the sample step")
+            return replace(finding, note="bit-identical in every run at the sample step")
         if min(found.n) > 1:
             change = Change.CHANGED if found.matrix_cm[0, -1] > settings.outcome_cm else Change.SMALL
-            return replace(finding, change=change, note="all runs of a side end at the same bits")
+            return replace(finding, change=change, note="the runs of each side are bit-identical at the sample step")
     if min(found.n) < 2:
         return not_compared(Axis.PHYSICS, _NAME, _TITLE, _FEW)
     return _Outcome(found, finding, settings)
@@ -62,7 +62,7 @@ def compare_spread(
         ratio=head / base if base > 0 else None, n=found.n, method=f"{metric.method}{_bounds(found)}",
     )  # fmt: skip
     if all(found.alike):
-        return replace(finding, note="the same bits in every run of a side at the sample step")
+        return replace(finding, note="the runs of each side are bit-identical at the sample step")
     return _Spread(found, finding, settings)
 
 
@@ -87,7 +87,7 @@ class _Outcome(_Exchanged):
         shown = replace(
             _tested(self.finding, found),
             change=Change.CHANGED if found.difference > self.settings.outcome_cm else Change.SMALL,
-            note=f"further apart than runs of one side by {found.difference:.3g} cm",
+            note=f"W1 between runs of different sides minus W1 between runs of one side: {found.difference:.3g} cm",
         )
         return shown, replace(shown, change=Change.UNCLEAR, left_open=() if able else (Change.CHANGED,))
 
@@ -120,6 +120,9 @@ def _bounds(found: Distances) -> str:
 
 def _apart(found: Distances) -> tuple[str, str]:
     """Mean distance within each side, and between the two [cm]."""
-    base, head = ("" if one is None else f"{one:.3g} within" for one in found.within())
-    between = f"{found.matrix_cm[: found.n[0], found.n[0] :].mean():.3g} apart"
+    base, head = (
+        "" if one is None else f"{one:.3g} within {side}"
+        for one, side in zip(found.within(), ("base", "head"), strict=True)
+    )
+    between = f"{found.matrix_cm[: found.n[0], found.n[0] :].mean():.3g} between them"
     return base, f"{head}, {between}" if head else between

@@ -44,22 +44,25 @@ def compare_bits(base: Runs, head: Runs) -> Finding | None:
     n = (len(base), len(head))
     method = "64-bit state hashes of every environment at every captured step"
     if len(set(map(comparable, runs))) > 1:
-        return not_compared(Axis.BITS, "states", _STATES, "other scene, seed of actions, or layout of the states")
+        return not_compared(
+            Axis.BITS, "states", _STATES, "the scene, the seed of the actions or the layout of the states differs"
+        )
     found = [[r.histories for r in side if r.histories] for side in (base, head)]
     if not all(found) or sum(map(len, found)) < len(runs):
         return not_compared(Axis.BITS, "states", _STATES, "not all runs captured states")
     for name, side in zip(("base", "head"), found, strict=True):
         if len({h.until(len(h.steps)) for h in side}) > 1:
             shared = _shared(*found)
-            return not_compared(Axis.BITS, "states", _STATES, f"runs of {name} differ among themselves; {shared}")
+            return not_compared(Axis.BITS, "states", _STATES, f"runs of {name} differ from each other; {shared}")
     one, other = found[0][0], found[1][0]
     rows = min(len(one.steps), len(other.steps))
     if not rows or not np.array_equal(one.steps[:rows], other.steps[:rows]):
-        return not_compared(Axis.BITS, "states", _STATES, "other steps were captured")
+        return not_compared(Axis.BITS, "states", _STATES, "different steps were captured")
     apart = np.flatnonzero((one.digests[:rows] != other.digests[:rows]).any(axis=1))
     same = not len(apart)
     if not same and min(n) < 2:
-        why = f"they differ from step {int(one.steps[apart[0]])} on, as runs of one side may too: needs two runs a side"
+        since = int(one.steps[apart[0]])
+        why = f"they differ from step {since} on, but runs of one side may differ too: needs two runs a side"
         return not_compared(Axis.BITS, "states", _STATES, why)
     said = f"bit-identical at {rows} steps" if same else f"differ from step {int(one.steps[apart[0]])} on"
     change = Change.SAME if same else Change.CHANGED

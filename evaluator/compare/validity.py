@@ -35,7 +35,7 @@ def compare_validity(pair: Pair) -> Finding | Question:
     return replace(
         finding,
         change=Change.REGRESSION if worse else Change.IMPROVEMENT,
-        note=f"runs that fail with one probability on both sides are dealt as unevenly in {chance:.2g} of all cases",
+        note=f"if both sides failed with one probability, failures would be as uneven in {chance:.2g} of all cases",
     )
 
 

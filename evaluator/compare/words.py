@@ -59,7 +59,7 @@ def sentence(result: Result) -> str:
         said = f"FAILED: head {'differs from' if changed else 'is worse than'} base {found}"
         return f"{said}; not decided: {undecided}" if undecided else said
     if not result.comparable:
-        return "NOTHING COMPARED: some configuration has no quantity that base and head share and that a gate asks for"
+        return "NOTHING COMPARED: in some configuration, base and head share no quantity of an axis that has a gate"
     asked = "differs from base" if settings.expect_same else "is worse than base"
     if result.open:
         count = plural(len(result.open), "finding")
@@ -158,23 +158,24 @@ def legend(result: Result) -> list[str]:
         alpha = _percent(result.settings.alpha)
         tests = plural(result.tests, "statistical comparison")
         lines.append(
-            f"p: adjusted for {tests} on axes that count, of enough runs to show something (Holm), so that any false "
-            f"alarm among them has a chance of at most {alpha}; intervals are of one comparison alone"
+            f"p: adjusted (Holm) for {tests} on axes that count, with enough runs to be significant; the chance of any "
+            f"false alarm among them is at most {alpha}; intervals are not adjusted"
         )
     if any(f.axis is Axis.VARIABILITY and f.p_adjusted is not None for f in findings):
         lines.append(
-            "p of W1 between envs and between runs: adjusted for each other alone, with as large a chance again"
+            "p of W1 between envs and between runs: adjusted for these two only; the chance of a false alarm among "
+            f"them is at most {_percent(result.settings.alpha)}"
         )
     passed = [f for f in findings if not f.undecided(result.settings)]
     if any(f.change in (Change.UNCLEAR, Change.WITHIN) for f in passed):
-        lines.append("~: not distinguishable by so many runs; what the interval holds is possible")
+        lines.append("~: no difference shown with this number of runs; every value in the interval is possible")
     if result.open:
         lines.append(
-            "undecided: neither failed nor passed, exit code 5 where nothing fails; more runs, longer runs, a larger "
-            "--threshold, or --gate without the axis decide"
+            "undecided: the gate neither failed nor passed (exit code 5 if nothing fails); to decide, use more runs, "
+            "longer runs, a larger --threshold, or --gate without the axis"
         )
     if any(f.p_value is None and f.change not in (Change.NOT_COMPARED, Change.SAME) for f in findings):
-        lines.append("verdicts without a p say what these runs did, and are no statistics")
+        lines.append("verdicts without a p are facts about these runs, not statistics")
     return lines
 
 
@@ -183,7 +184,7 @@ def settings_line(result: Result) -> str:
     settings = result.settings
     gates = ", ".join(axis.value for axis in Axis if axis in settings.gates)
     if settings.expect_same:
-        return f"base and head are said to be the same: every difference counts; to be decided: {gates}"
+        return f"base and head should be the same (--expect-same): every difference fails; must be decided: {gates}"
     least = f"{_percent(settings.threshold)} of an amount, or {settings.outcome_cm:g} cm"
     return f"gates: {gates}; changes below {least}, do not count"
 

@@ -54,9 +54,8 @@ def _first(found: Difference, first: Divergence) -> Pairs:
         if first.after_step < first.step_a - 1:
             said += ", no step in between is known"
     if found.compared.n_env > 1:
-        said += (
-            f"; {first.envs:,} of {found.compared.n_env:,} pairs of envs differ there, first {pair_of(found, first)}"
-        )
+        pairs = f"{first.envs:,} of {found.compared.n_env:,} pairs of envs differ at that step"
+        said += f"; {pairs}, first {pair_of(found, first)}"
     return [("first at", said), *_where(found, first)]
 
 
@@ -129,7 +128,7 @@ def _trajectories(found: Difference) -> str:
 def reached(growth: Growth) -> list[str]:
     """When the largest distance is 1 mm, and 1 cm."""
     return [
-        f"{size} {'never reached' if when is None else f'first recorded at {when:g} s'}"
+        f"{size} {'never reached' if when is None else f'reached by {when:g} s'}"
         for size, when in (("1 mm", growth.to_1mm), ("1 cm", growth.to_1cm))
     ]
 
@@ -137,7 +136,7 @@ def reached(growth: Growth) -> list[str]:
 def _settings(found: Difference) -> Pairs:
     if found.settings:
         names = words.shortened([setting.name for setting in found.settings], _NAMES)
-        return [("settings", f"{len(found.settings):,} differ: {names}")]
+        return [("settings", f"{words.differ(len(found.settings))}: {names}")]
     if found.one_recording:
         return []
     if found.described:

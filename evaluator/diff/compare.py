@@ -36,7 +36,7 @@ def compare(a: Recording, b: Recording, *, envs: tuple[int, int] | None = None) 
 def compare_envs(recording: Recording, first: int, second: int) -> Difference:
     """Two environments of one recording; raises as `compare` does."""
     if first == second:
-        raise UsageError(f"an environment is compared with another one, not {first} with itself")
+        raise UsageError(f"give two different environments, not {first} twice")
     return _compare(one(recording, first), one(recording, second))
 
 

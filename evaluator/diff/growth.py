@@ -64,7 +64,7 @@ class Distances:
         fit = fit_growth(times, distances, limit=FIT_LIMIT_M)
         if self._not_finite is not None and not (distances > 0).any():
             known = np.isfinite(distances).any()
-            fit = Missing("nothing moved apart of what is finite" if known else "no distance is finite")
+            fit = Missing("no finite positions moved apart" if known else "no distance is finite")
         return Growth(
             groups=self._groups,
             steps=tuple(self._steps),

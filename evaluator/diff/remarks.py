@@ -84,13 +84,14 @@ def notes(a: Selection, b: Selection, fields: Fields, hashes: CommonHashes | Non
         found.append(f"the hashes are those of the {hashes.phase} phase: of the steps that it began and ended with")
     if any(field.basis is Basis.LOCAL for field in fields):
         found.append(
-            "origins differ, so positions cannot be compared by bits: origins are subtracted in float64, and what the "
-            "recorded precision cannot tell at that distance from the world's origin counts as equal"
+            "origins differ, so positions cannot be compared by bits: origins are subtracted in float64, and "
+            "differences below the spacing of the recorded numbers at that distance from the world's origin count as "
+            "equal"
         )
     if any(field.basis is Basis.FLOAT32 for field in fields):
         found.append(
-            "one recording is float32, the other float64: not comparable by bits; what float32 cannot tell counts as "
-            "equal, and distances in ULPs are those of float32"
+            "one recording is float32, the other float64: not comparable by bits; differences below the spacing of "
+            "float32 count as equal, and distances in ULPs are those of float32"
         )
     return tuple(found)
 

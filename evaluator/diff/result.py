@@ -287,8 +287,8 @@ class Splits:
     classes_a      by environment of side a: class of its trajectory; those of one class are equal at every common step
     classes_b      the same of side b, with the same classes
     last_a, last_b classes at the last common step likewise
-    no_classes     why environments cannot be held against others than their own counterpart, and all of these are None;
-                   empty where they can
+    no_classes     why environments can only be compared with their own counterpart, and all of these are None; empty
+                   where they can be compared with others
     """
 
     by_hashes: bool

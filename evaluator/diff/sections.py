@@ -53,7 +53,7 @@ def _remarks(found: Difference, every: bool) -> list[Block]:
     made += [Item(f"  incomplete: {text}", Tone.WARNING) for text in found.lost]
     notes = list(found.notes)
     if found.copies:
-        notes.insert(0, "both are recordings of one run: that they agree says nothing about another run")
+        notes.insert(0, "both files are recordings of the same run, so their agreement says nothing about another run")
     if found.compared.hash_steps is None:
         notes.append(f"state hashes were not used, so only recorded states are known: {found.compared.no_hashes}")
     made += [Item(f"  note: {text}") for text in notes]

@@ -76,8 +76,8 @@ def _where(found: Difference, first: Divergence) -> str:
     if first.located and first.state is not None:
         return f"{env}: {place_of(first.state.number)}: {apart(first.state.number)}"
     if first.phase == "capture" and found.compared.state_steps is not None:
-        return f"{env}; no state of that step shows in which body and field"
-    return f"{env}; only hashes are known, so body and field are not"
+        return f"{env}; body and field are unknown, because no state of that step was recorded"
+    return f"{env}; body and field are unknown, because only hashes were recorded"
 
 
 def _stays(found: Difference, first: Divergence) -> bool:

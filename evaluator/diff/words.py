@@ -42,6 +42,11 @@ def counted(count: int, what: str) -> str:
     return f"{count:,} {what}{'' if count == 1 else 's'}"
 
 
+def differ(count: int) -> str:
+    """How many differ: "1 differs", "2 differ"."""
+    return f"{count:,} differ{'s' if count == 1 else ''}"
+
+
 def ranges(numbers: Sequence[int]) -> str:
     """Increasing whole numbers, shortened: "0-3, 7"."""
     parts = []

@@ -84,16 +84,16 @@ def compared(recordings: Sequence[Recording]) -> Compared | str:
         return why_not
     found = [recording.fingerprints("capture") for recording in recordings]
     if any(of_one is None for of_one in found):
-        return "not every recording has state hashes, so that nothing is known of bits"
+        return "some recordings have no state hashes, so bits cannot be compared"
     hashes = [of_one for of_one in found if of_one is not None]
     steps = hashes[0].steps
     for of_one in hashes[1:]:
         steps = np.intersect1d(steps, of_one.steps)
     if not steps.size:
-        return "there is no step that all recordings have state hashes of"
+        return "no step has state hashes in all recordings"
     members = [_alike(recordings[0], recording) for recording in recordings]
     if len(members) == 1 and len(members[0]) == 1 < recordings[0].configuration.n_env:
-        return "the environments stand at different origins, which are part of the bits of their positions"
+        return "the environments have different origins, which are part of the bits of their positions"
     most = max(1, _MOST_HASHES // (len(steps) * len(recordings)))
     kept = [envs[:most] for envs in members]
     return Compared(
@@ -163,7 +163,7 @@ def _changed(hashes: NDArray[np.uint64]) -> Iterator[tuple[int, NDArray[np.int64
 def _why_not(recordings: Sequence[Recording]) -> str:
     described = [[(f.name, f.dtype, f.items, f.components) for f in recording.fields] for recording in recordings]
     if any(one != described[0] for one in described):
-        return "the recordings have different fields, items or precision, so that their bits cannot be compared"
+        return "the recordings have different fields, items or precision, so their bits cannot be compared"
     if len({recording.configuration.dt for recording in recordings}) > 1:
         return "the recordings have different time steps"
     return ""
@@ -185,5 +185,5 @@ def _left_out(recordings: Sequence[Recording], members: list[NDArray[np.int64]],
     if few < alike:
         return f"bits of the first {few} of {total} environments are compared; those of all would need too much memory"
     if alike < total:
-        return f"bits of {alike} of {total} environments are compared: the others stand at other origins"
+        return f"bits of {alike} of {total} environments are compared: the others have other origins"
     return ""

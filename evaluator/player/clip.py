@@ -123,12 +123,12 @@ def _check(recordings: Sequence[Recording], envs: Sequence[int]) -> None:
         if other.configuration.scene != first.configuration.scene:
             raise UsageError(
                 f"{first.path} is of {first.configuration.scene}, {other.path} of {other.configuration.scene}: "
-                "recordings that are shown together are of one scene"
+                "recordings that are shown together must have the same scene"
             )
         if other.configuration.dt != first.configuration.dt:
             raise UsageError(
                 f"{first.path} steps by {first.configuration.dt:g} s, {other.path} by {other.configuration.dt:g} s: "
-                "recordings that are shown together have one time step"
+                "recordings that are shown together must have the same time step"
             )
     for recording in recordings:
         n_env = recording.configuration.n_env
@@ -157,7 +157,7 @@ def _changes(among: Compared | str, chosen: Sequence[tuple[int, int]]) -> tuple[
         return None, among
     members = [among.member(*one) for one in chosen]
     if None in members:
-        return None, "environments are shown that stand at different origins, which are part of their bits"
+        return None, "the shown environments have different origins, which are part of their bits"
     return changes(among, [member for member in members if member is not None]), ""
 
 
@@ -226,29 +226,29 @@ def _notes(
     if seen is not None and seen.so_far[-1] > len(set(seen.leader[-1].tolist())):
         notes.append(
             f"{len(tracks)} environments are shown, of {seen.so_far[-1]} bitwise classes in the end; those that split "
-            "off first come first"
+            "off first are shown first"
         )
     notes += dict.fromkeys(filter(None, (recording.apart_by_design for recording in recordings)))
     if isinstance(among, Compared) and among.left_out:
         notes.append(among.left_out)
     if seen is not None and not seen.complete:
-        notes.append(f"changes of classes behind step {seen.steps[-1]} are not shown: there are too many")
+        notes.append(f"changes of classes after step {seen.steps[-1]} are not shown: there are too many")
     strides = sorted({recording.configuration.stride for recording in recordings})
     if strides != [1]:
         told = " or ".join(f"{stride}th" for stride in strides if stride > 1)
-        notes.append(f"states were recorded at every {told} step only; between, the last recorded one stays")
+        notes.append(f"states were recorded at every {told} step only; in between, the last recorded state is shown")
     if any(len(track.steps) < len(rows[track.recording]) for track in tracks):
         kept = ", ".join(dict.fromkeys(f"{len(t.steps)} of {len(rows[t.recording])}" for t in tracks))
-        near = ", around the first divergence all of them" if seen and seen.first_divergence is not None else ""
-        notes.append(f"{kept} recorded states are in this page{near}")
+        near = ", and all of them around the first divergence" if seen and seen.first_divergence is not None else ""
+        notes.append(f"this page has {kept} recorded states{near}")
     if around.left_out:
         notes.append(f"{around.left_out} shapes of the scene are not drawn: there are too many")
     shapeless = sum(body not in around.bodies for body in tracks[0].items.bodies)
     if shapeless:
-        notes.append(f"{shapeless} bodies have no shape that is known; a dot stands for each")
+        notes.append(f"{shapeless} bodies have no known shape and are shown as dots")
     for recording in recordings:
         if recording.status != "complete":
             notes.append(f"recording {recording.path.name} is {recording.status}: {recording.reason}")
     if any(recording.scene != recordings[0].scene for recording in recordings[1:]):
-        notes.append("the recordings describe the scene differently; it is drawn as the first one says")
+        notes.append("the recordings describe the scene differently; the description of the first one is drawn")
     return notes

@@ -30,7 +30,9 @@ def views(recordings: Sequence[Recording], clip: Clip, folder: Path, *, spread: 
     found = []
     for index, recording in enumerate(recordings):
         if not isinstance(recording.path, Path):
-            raise UsageError(f"{recording.path} is elsewhere; other programs are given files of this machine: copy it")
+            raise UsageError(
+                f"{recording.path} is not on this machine: download it, because other programs open local files only"
+            )
         envs = [track.env for track in clip.tracks if track.recording == index] or [0]
         if envs_inside(recording.path).issuperset(envs):
             found.append(recording.path)

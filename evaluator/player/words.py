@@ -45,8 +45,8 @@ def _divergence(clip: Clip) -> str:
         for step, count in zip(found.steps.tolist(), found.so_far.tolist(), strict=True)
         if step in set(found.splits.tolist())
     ]
-    more = f" and {len(told) - _MOST_SPLITS} splits more" if len(told) > _MOST_SPLITS else ""
+    more = f" and {len(told) - _MOST_SPLITS} more splits" if len(told) > _MOST_SPLITS else ""
     return (
-        f"Of {clip.n_member} {clip.whose}, the first part at step {found.first_divergence} "
-        f"({found.first_divergence * clip.dt:g} s); distinct so far: {', '.join(told[:_MOST_SPLITS])}{more}."
+        f"The {clip.n_member} {clip.whose} first differ at step {found.first_divergence} "
+        f"({found.first_divergence * clip.dt:g} s); distinct: {', '.join(told[:_MOST_SPLITS])}{more}."
     )

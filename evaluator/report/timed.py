@@ -123,7 +123,9 @@ def remarks(results: Iterable[GroupResult], *, named: Callable[[GroupResult], st
     ):
         lines.append(f"another process was on the GPU, and throughput may be lower for it: {_listed(others)}")
     if differing_settings(works):
-        lines.append(f"{', '.join(SETTINGS)} of the solver differ between rows: a step is not the same work in all")
+        lines.append(
+            f"solver settings ({', '.join(SETTINGS)}) differ between rows: a step is not the same amount of work in all"
+        )
     if any(work.unmet.findings for work in works):
         lines.append(LEGEND)
     return lines
@@ -159,7 +161,9 @@ def of_sides(base: TimedWork, head: TimedWork) -> list[str]:
     if short := [f"{name} ({seconds(work)} s)".replace(f" {_SHORT} s", " s") for name, work in sides if work.short]:
         lines.append(f"timed for less than {SHORT_S:g} s, which is too short to rely on: {', '.join(short)}")
     if base.settings != head.settings:
-        lines.append(f"{', '.join(SETTINGS)} of the solver differ: {settings(base)} in base, {settings(head)} in head")
+        lines.append(
+            f"solver settings ({', '.join(SETTINGS)}) differ: base has {settings(base)}; head has {settings(head)}"
+        )
     if base.unmet.findings.keys() != head.unmet.findings.keys():
         lines.append(f"rules of protocol-1 that are not met: {_rules(base)} in base, {_rules(head)} in head")
     return lines

@@ -16,7 +16,7 @@ _EPILOG = """\
 exit codes:
   0  every run is complete; of a sweep, every run below its last point, and at least one run
   1  a run failed or is invalid; its recording says why; a replay took too much of this machine and was stopped
-  2  the command asks for something that cannot be
+  2  wrong usage
   3  a run's process died or the disk was full: data was lost
 
 sweeps:

@@ -27,7 +27,7 @@ _EPILOG = """\
 exit codes:
   0  no check failed
   1  a check failed
-  2  the command asks for something that cannot be, such as an option that the simulator does not have
+  2  wrong usage, such as an option that the simulator does not have
 
 examples:
   python -m gpusimbench.recorder.conformance --sim mujoco

@@ -64,7 +64,7 @@ too: gsb eval is gsb-eval. Its options: gsb VERB --help, and gsb VERB --help-all
 exit codes:
   0  as of the verb's command; without a verb: it was said what to do next
   1  as of the verb's command
-  2  there is no such verb, or the verb's command is asked for something that cannot be
+  2  there is no such verb, or wrong usage of the verb's command
   3  as of the verb's command
   4  as of the verb's command
   5  as of the verb's command

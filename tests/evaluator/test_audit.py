@@ -152,7 +152,7 @@ def test_the_same_comes_out_on_the_same_machine(small_set: list[Path], tmp_path:
     verdict = f"Re-execution gives the same bits (bit-identical): {small_set[0].name} and 2 more of its set"
     assert " ".join(done.stdout.split()).startswith(verdict)
     assert len(lines) <= 16
-    counted = "  runs               3 there, 1 distinct by state hashes; 1 here, 1 distinct; 1 distinct together"
+    counted = "  runs               3 originals, 1 distinct by state hashes; 1 replay, 1 distinct; 1 distinct together"
     assert counted in lines
     assert f"gsb-record --replay {small_set[0]} --runs 1 --out audit" in done.stdout
     (replay,) = (tmp_path / "audit").glob("*.mcap")
@@ -172,7 +172,7 @@ def test_another_option_is_found_and_named(small: Path, tmp_path: Path) -> None:
     forged = forge(small, tmp_path / "forged.mcap", claim)
     done = _audit(forged, "--out", tmp_path / "out", "--require", "bit-identical", "--all")
     assert done.returncode == 4, done.stderr
-    assert "  [ ] bit-identical         0 of 1 replays: every bit of an original" in done.stdout
+    assert "  [ ] bit-identical         0 of 1 replays agree with an original in every bit" in done.stdout
     assert "  differs                   from step " in done.stdout
     assert re.search(r"^engine\.cone +elliptic +pyramidal", done.stdout, re.MULTILINE)
 
@@ -384,7 +384,7 @@ def test_environments_are_exchanged_with_a_warning() -> None:
     rng = np.random.default_rng(4)
     law = same_law([_drawn(rng)], [_drawn(rng)], time=5.0)
     said = ladder([Match(False, False, None)], lambda: law, max_ulps=4, originals=1).rungs[-1].said
-    assert "it has no power where an environment's number decides, --runs 19 would exchange runs" in said
+    assert "without power if results depend on the number of an environment: --runs 19 would exchange runs" in said
 
 
 @pytest.mark.parametrize(("ran", "limit"), [(0.5, 600), (40.01, 801), (1e9, 86_400)])
@@ -417,8 +417,8 @@ def test_a_part_of_a_recording_is_said_to_be_one(tmp_path_factory: pytest.TempPa
     done = _audit(whole, "--phases", "timed", "--out", tmp_path / "timed")
     assert done.returncode == 5, done.stdout + done.stderr
     said = " ".join(done.stdout.split())
-    assert "1 of 1 replays: the 2 state hashes of the timed phase of an original; not everything" in said
-    assert "1 there, 1 distinct by state hashes; 1 here, 1 distinct; 1 distinct together" in done.stdout
+    assert "1 of 1 replays agree with an original in the 2 state hashes of the timed phase; not everything" in said
+    assert "1 original, 1 distinct by state hashes; 1 replay, 1 distinct; 1 distinct together" in done.stdout
 
     def renamed(document: dict[str, Any]) -> None:
         for field in document["fields"][1:]:

@@ -79,9 +79,9 @@ def test_the_set_and_its_files_are_counted(five: list[Recording]) -> None:
 def test_distinct_runs_are_counted(five: list[Recording]) -> None:
     """Tell the numbers of runs from those of distinct runs, there, here and together."""
     audit = Audit(tuple(five[:2]), made(five[2:]), tuple(five[2:]), distinct=(1, 2, 3))
-    assert "runs: 2 there, 1 distinct by state hashes; 3 here, 2 distinct; 3 distinct together" in lines(audit)
+    assert "runs: 2 originals, 1 distinct by state hashes; 3 replays, 2 distinct; 3 distinct together" in lines(audit)
     unknown = replace(audit, distinct=None)
-    assert "runs: 2 there, 3 here; without state hashes, bits are not compared" in lines(unknown)
+    assert "runs: 2 originals, 3 replays; without state hashes, bits are not compared" in lines(unknown)
     assert not any(line.startswith("runs: ") for line in lines(Audit(tuple(five))))
 
 
@@ -141,16 +141,16 @@ def test_settings_are_cut_and_counted(five: list[Recording]) -> None:
     settings = Settings((Setting("engine.cone", "a" * 60, "b" * 61),), 3)
     differing = lines(Audit((five[0],), made(five[4:]), (five[4],), other, settings), every=True)
     assert f"engine.cone | {'a' * 60} | {'b' * 57}..." in differing
-    assert "settings: 1 differ: engine.cone; and 3 other installed packages" in differing
+    assert "settings: 1 differs: engine.cone; and 3 other installed packages" in differing
     equal = lines(Audit((five[0],), made(five[1:2]), (five[1],), same, settings))
-    assert "settings: 1 differ, and the bits are the same: engine.cone; and 3 other installed packages" in equal
+    assert "settings: 1 differs, although the bits are the same: engine.cone; and 3 other installed packages" in equal
     assert not any("|" in line for line in equal)
     none = lines(Audit((five[0],), made(five[1:2]), (five[1],), same, Settings((), 3)))
     assert "settings: the same but for 3 other installed packages" in none
     many = Settings(tuple(Setting(f"environment.NAME_{number}", "a", "b") for number in range(20)))
     audit = Audit((five[0],), made(five[1:2]), (five[1],), same, many)
     named = "environment.NAME_0, environment.NAME_1, environment.NAME_2, environment.NAME_3 and 16 more"
-    assert f"settings: 20 differ, and the bits are the same: {named}" in lines(audit)
+    assert f"settings: 20 differ, although the bits are the same: {named}" in lines(audit)
     assert "environment.NAME_19 | a | b" in lines(audit, every=True)
 
 
@@ -188,8 +188,8 @@ def test_replays_of_a_rung_are_counted() -> None:
     same, turned = Match(True, True, 0, steps=9), Match(False, True, 10**9, steps=8)
     near, far = Match(False, False, 3, steps=7), Match(False, False, 5000, steps=6)
     assert said(same, turned, far)[:3] == [
-        "1 of 3 replays: every bit of an original",
-        "2 of 3 replays: an original's envs in any order",
+        "1 of 3 replays agree with an original in every bit",
+        "2 of 3 replays have the environments of an original in any order",
         "largest distance 5,000 ULP over 6 recorded steps; 4 are allowed",
     ]
     assert said(same, turned, near)[2] == "largest distance 3 ULP over 7 recorded steps; 4 are allowed"
@@ -204,16 +204,16 @@ LAW = LawTest(5.0, Unit.RUNS, 3, 4, 8, 8, 1.25, 2.5, 0.5, 0.01, 199, False, 0)
 @pytest.mark.parametrize(
     ("law", "expected"),
     [
-        (LAW, "p = 0.5: 3 original and 4 replayed runs exchanged; not refuted at 0.05"),
+        (LAW, "p = 0.5: 3 original and 4 replayed runs exchanged; not rejected at 0.05"),
         (replace(LAW, p_value=0.01), "p = 0.01: 3 original and 4 replayed runs exchanged"),
-        (replace(LAW, envs_per_run=7), "replayed runs exchanged, 7 of 8 envs each; not refuted at 0.05"),
-        (replace(LAW, least_p=0.1), "so few cannot show a difference (p is at least 0.1): give --runs 5"),
+        (replace(LAW, envs_per_run=7), "replayed runs exchanged, 7 of 8 envs each; not rejected at 0.05"),
+        (replace(LAW, least_p=0.1), "too few to show a difference (p is at least 0.1): give --runs 5"),
     ],
 )
 def test_the_test_of_one_law_in_words(law: LawTest, expected: str) -> None:
     """Give distance, floor, p-value, what was exchanged, and how many runs could decide."""
     words = said(Match(False, False, None), law=law, originals=2)[-1]
-    assert words.startswith("W1 at 5 s 1.25 cm, up to 2.5 cm under one law (95 %), p = ")
+    assert words.startswith("W1 at 5 s: 1.25 cm (up to 2.5 cm in 95 % if they have one distribution), p = ")
     assert words.endswith(expected)
 
 

@@ -343,7 +343,10 @@ def test_a_cache_that_is_no_folder(tmp_path: Path, small: Path, gsb_eval: Comman
     """Refuse a file where a folder was meant."""
     (tmp_path / "file").write_text("")
     done = gsb_eval(small, "--cache", tmp_path / "file")
-    assert (done.returncode, done.stderr) == (2, f"gsb-eval: --cache is a folder, and {tmp_path / 'file'} is none\n")
+    assert (done.returncode, done.stderr) == (
+        2,
+        f"gsb-eval: --cache must be a folder, and {tmp_path / 'file'} is not one\n",
+    )
 
 
 def test_where_it_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:

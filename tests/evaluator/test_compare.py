@@ -333,7 +333,7 @@ def test_outcomes_of_runs_that_differ(tmp_path: Path, capsys: pytest.CaptureFixt
         outcome = finding(document, "outcome")
         assert (found, outcome["change"]) == (code, change)
         assert finding(document, "fps")["why_not"] == "the timed phase was left out"
-        assert "differ among themselves" in finding(document, "states")["why_not"]
+        assert "differ from each other" in finding(document, "states")["why_not"]
     assert outcome["least_p"] == 2 / 924
 
 
@@ -347,7 +347,7 @@ def test_histories_that_are_on_both_sides(
     """Count the histories that occur on both sides, where runs of one differ and no bits can be compared."""
     sides = [[{"final": spread(i)} for i in seeds] for seeds in ((0, 1), head)]
     _, document = compared(*write_sides(tmp_path, *sides, "ABBA", elapsed_s=None), capsys=capsys)
-    assert finding(document, "states")["why_not"] == f"runs of base differ among themselves; {said} on both sides"
+    assert finding(document, "states")["why_not"] == f"runs of base differ from each other; {said} on both sides"
 
 
 def test_other_numbers_of_cubes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -358,7 +358,10 @@ def test_other_numbers_of_cubes(tmp_path: Path, capsys: pytest.CaptureFixture[st
     for name, sides in (("fewer", (all_of_them, fewer)), ("more", (fewer, all_of_them))):
         _, document = compared(*write_sides(tmp_path / name, *sides, "ABBA", elapsed_s=None), capsys=capsys)
         outcome = finding(document, "outcome")
-        assert (outcome["change"], outcome["why_not"]) == ("not compared", "other numbers of environments or cubes")
+        assert (outcome["change"], outcome["why_not"]) == (
+            "not compared",
+            "the runs have different numbers of environments or cubes",
+        )
 
 
 def test_variability_that_falls(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -446,7 +449,7 @@ def test_what_has_no_partner(tmp_path: Path, capsys: pytest.CaptureFixture[str])
     code, document = compared(base, head, capsys=capsys)
     assert (code, document["verdict"], document["compared"]) == (5, "NOTHING COMPARED", [])
     assert {one["side"] for one in document["without_partner"]} == {"base", "head"}
-    assert "nothing on the other side" in document["without_partner"][0]["reason"]
+    assert "no group of the other side" in document["without_partner"][0]["reason"]
     more = write_recording(base, None, n_env=9, change=stamped(98))
     code, document = compared(base, head, "--across", "cone", capsys=capsys)
     assert (code, document["verdict"].rpartition("; ")[2]) == (0, "1 configuration without a partner")

@@ -25,7 +25,7 @@ from tests.evaluator.test_compare import NOISE, ROOT, compared, finding, stamped
 from tests.synthetic import grid, write_recording
 from tests.test_docs import command
 
-DOCUMENT = ROOT / "docs" / "compare.md"
+DOCUMENT, HISTORY, FIGURES = (ROOT / "docs" / name for name in ("compare.md", "history.md", "false-alarms.md"))
 WORKFLOW = ROOT / "examples" / "github-actions" / "simulator-regression.yml"
 HOSTILE = (
     "@team | `x` <script>alert(1)</script> [a](http://b.c) **b** #1 ![i](j) www.e.com :x: "
@@ -103,7 +103,7 @@ def test_the_table(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     )
     assert re.search(r"^host memory increment +100\.0 MB +100\.0 MB +1\.000 +- +- +same *$", shown, re.M)
     assert "throughput (higher is better): N_env * N_step / T_step" in shown
-    assert "(all 64 ways); the interval inverts it, n = 6 and 6" in " ".join(shown.split())
+    assert "(all 64 ways); the interval inverts the test, n = 6 and 6" in " ".join(shown.split())
 
 
 def test_a_finding_of_fewer_runs_says_of_how_many(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -283,7 +283,7 @@ def test_reports_tell_undecided_from_passed(
         assert cases[name] == ({kind} if kind else set()), name
     assert int(suites.get("errors", "")) == sum("error" in found for found in cases.values())
     assert page.read_text(encoding="utf-8").startswith(mark)
-    assert ("undecided: throughput: the interval holds a change of 5 % and more" in shown) is (
+    assert ("undecided: throughput: the interval contains a change of 5 % or more" in shown) is (
         "error" in cases.get("throughput", set())
     )
 
@@ -307,11 +307,12 @@ def test_a_report_that_cannot_be_written(target: str, tmp_path: Path, capsys: py
 
 
 @pytest.mark.slow
-def test_the_document_shows_what_is_printed(tmp_path: Path, path: str) -> None:
-    """Run every command of docs/compare.md; where it shows an output, that is the output."""
-    page = DOCUMENT.read_text(encoding="utf-8")
+@pytest.mark.parametrize(("document", "n_command"), [(DOCUMENT, 2), (HISTORY, 1)], ids=["compare", "history"])
+def test_the_document_shows_what_is_printed(document: Path, n_command: int, tmp_path: Path, path: str) -> None:
+    """Run every command of docs/compare.md and docs/history.md; where they show an output, that is the output."""
+    page = document.read_text(encoding="utf-8")
     found = re.findall(r"^```console\n(.*?)\n```\n(?:\n```text\n(.*?)\n```)?", page, re.DOTALL | re.MULTILINE)
-    assert len(found) >= 2
+    assert len(found) >= n_command
     (tmp_path / "recordings").symlink_to(ROOT / "recordings")
     for line, expected in found:
         done = run(line, tmp_path, path)
@@ -354,12 +355,12 @@ def test_the_workflow_works(tmp_path: Path, path: str) -> None:
 
 @pytest.mark.slow
 def test_the_documents_figures_are_those_of_the_runs() -> None:
-    """Find in docs/compare.md the benchmark's tables of recorded runs, and the first row of the simulated ones.
+    """Find in docs/false-alarms.md the benchmark's tables of recorded runs, and the first row of the simulated ones.
 
     The other rows take ten minutes: ``python -m benchmarks.false_alarms`` prints them.
     """
     from benchmarks.false_alarms import kept, recorded, simulated
 
-    page = DOCUMENT.read_text(encoding="utf-8")
+    page = FIGURES.read_text(encoding="utf-8")
     for line in (*recorded(kept()), *islice(simulated(4, 400), 3)):
         assert line in page

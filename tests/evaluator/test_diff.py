@@ -398,7 +398,7 @@ def test_distances_that_are_not_finite(tmp_path: Path) -> None:
     found = compare(a, record(tmp_path, changed(still(), 5, with_nan)))
     assert [(f.different, f.max_distance) for f in found.compared.fields] == [(STEPS - 4, None)]
     assert found.growth is not None
-    assert (found.growth.not_finite_from, found.growth.fit) == (5, Missing("nothing moved apart of what is finite"))
+    assert (found.growth.not_finite_from, found.growth.fit) == (5, Missing("no finite positions moved apart"))
     (field,) = compare(a, record(tmp_path, changed(still(), 5, and_moved))).compared.fields
     assert field.max_distance == pytest.approx(0.5, rel=1e-6)
 
@@ -414,7 +414,7 @@ def test_nothing_in_common(tmp_path: Path) -> None:
         compare_all_envs(record(tmp_path, still(1)))
     with pytest.raises(UsageError, match="no environment 2: it has 0 to 1"):
         compare_envs(a, 0, 2)
-    with pytest.raises(UsageError, match="itself"):
+    with pytest.raises(UsageError, match="two different environments"):
         compare_envs(a, 1, 1)
 
 

@@ -50,14 +50,14 @@ def test_a_difference_in_words(pair: tuple[str, str], capsys: pytest.CaptureFixt
     shown = " ".join(out.split())  # however lines are broken
     verdict = "The two recordings differ from step 5 (5 s) on, first in env 1: cubes/position of cube_0_1_1, x: "
     assert out.startswith(verdict)
-    assert "1 of 3 pairs of envs differ there, first in env 1" in shown
+    assert "1 of 3 pairs of envs differ at that step, first in env 1" in shown
     number = re.search(r"cubes/position of cube_0_1_1, x: (\S+) and (\S+) m \((\S+), (\S+)\): (\S+) ULP", shown)
     assert number is not None
     a, b = float(number[1]), float(number[2])
     assert (b - a, number[3]) == (pytest.approx(1e-9, rel=1e-6), f"0x{np.float64(a).view(np.uint64):016x}")
     assert float(number[5]) == pytest.approx((b - a) / np.spacing(a), rel=0.01)
     assert "growth rate: 1 /s" in shown
-    assert "1 mm first recorded at 19 s" in shown
+    assert "1 mm reached by 19 s" in shown
     assert "distinct states 1 from step 0, 2 from step 5" in shown
     assert "a 0-2; b 0, 2" in shown
     assert "settings the same configuration, " in shown

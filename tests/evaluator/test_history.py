@@ -139,7 +139,9 @@ def test_a_gate_that_few_points_cannot_decide(tmp_path: Path, capsys: pytest.Cap
         write_point(tmp_path, index, factor=1.0 + 0.01 * index)
     code, document = history(tmp_path, "--gate", "throughput", capsys=capsys)
     assert code == 5
-    assert document["undecided"][0]["why"] == "points differ so much that a change that counts could not be seen"
+    assert (
+        document["undecided"][0]["why"] == "points differ so much that a change above the threshold could not be seen"
+    )
     assert history(tmp_path, capsys=capsys)[0] == 0
 
 
@@ -213,7 +215,7 @@ def test_devices_are_not_compared(tmp_path: Path, capsys: pytest.CaptureFixture[
     assert [len(one["points"]) for one in document["configurations"]] == [3, 1]
     assert len({one["device"] for one in document["configurations"]}) == 2
     (note,) = document["notes"]
-    assert "device changed: curve split" in note
+    assert "device changed: the curve is split" in note
     assert "at v0 to v2 (3 points)" in note
 
 
@@ -243,7 +245,7 @@ def test_another_scene_is_another_curve(tmp_path: Path, capsys: pytest.CaptureFi
         write_recording(point, None, change=change)
     _, document = history(tmp_path, capsys=capsys)
     assert [len(one["points"]) for one in document["configurations"]] == [2, 2]
-    assert any("machine or scene changed: curve split" in note for note in document["notes"])
+    assert any("machine or scene changed: the curve is split" in note for note in document["notes"])
 
 
 def test_all_simulators_at_once_may_be_the_machine(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -327,7 +329,7 @@ def test_what_does_not_go_with_a_history(tmp_path: Path, capsys: pytest.CaptureF
     write_point(tmp_path, 0)
     assert main(["--history", str(tmp_path), *more]) == 2
     assert main([str(tmp_path), str(tmp_path), "--html", "page.html"]) == 2
-    assert "--html belongs to --history" in capsys.readouterr().err
+    assert "--html needs --history" in capsys.readouterr().err
 
 
 def test_the_terminal_says_the_verdict_first(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -454,10 +456,10 @@ def test_the_figure_of_odd_values(values: tuple[float, float]) -> None:
 
 @pytest.mark.slow
 def test_the_documents_figures_are_those_of_the_benchmark() -> None:
-    """Find in docs/compare.md the tables of real runs and of the largest noise; the whole takes minutes."""
+    """Find in docs/false-alarms.md the tables of real runs and of the largest noise; the whole takes minutes."""
     from benchmarks import history_alarms
 
-    page = (RECORDINGS.parent / "docs" / "compare.md").read_text(encoding="utf-8")
+    page = (RECORDINGS.parent / "docs" / "false-alarms.md").read_text(encoding="utf-8")
     quartiles = [float(np.quantile(history_alarms.deviations(), q)) for q in (0.25, 0.5, 0.75)]
     history_alarms.check(quartiles)
     assert ", ".join(f"{q:.1%}" for q in quartiles) in page

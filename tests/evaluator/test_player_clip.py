@@ -81,8 +81,8 @@ def test_one_environment_stands_for_a_class(tmp_path: Path) -> None:
     assert clip.tracks[2].apart[-1] == pytest.approx(0.06)
     assert 0 < clip.tracks[1].apart[-1] < 1e-15
     told = " ".join(sentences(clip))
-    assert "the first part at step 40 (0.4 s); distinct so far: 2 from step 40, 3 from step 60." in told
-    assert "of 101 recorded states are in this page, around the first divergence all of them." in told
+    assert "first differ at step 40 (0.4 s); distinct: 2 from step 40, 3 from step 60." in told
+    assert "of 101 recorded states, and all of them around the first divergence." in told
 
 
 def test_equal_environments_share_their_poses(tmp_path: Path) -> None:
@@ -99,7 +99,7 @@ def test_a_clip_keeps_to_its_budget() -> None:
     assert len(encode(whole)) < 400_000
     assert len(encode(thin)) < 130_000 < len(encode(whole))
     assert set(range(0, 25)) <= set(thin.tracks[0].steps.tolist())
-    assert any("recorded states are in this page" in note for note in thin.notes)
+    assert any("recorded states" in note and "this page has" in note for note in thin.notes)
 
 
 def test_origins_are_taken_away(tmp_path: Path) -> None:
@@ -137,9 +137,9 @@ def test_what_cannot_be_shown_is_said(tmp_path: Path) -> None:
     """Refuse other scenes, other time steps, environments that are not there, too many, and files without states."""
     one = Recording(write_recording(tmp_path, grid(2)))
     slower = Recording(write_recording(tmp_path, grid(2), dt=2.0))
-    with pytest.raises(UsageError, match="one time step"):
+    with pytest.raises(UsageError, match="the same time step"):
         make_clip([one, slower])
-    with pytest.raises(UsageError, match="one scene"):
+    with pytest.raises(UsageError, match="the same scene"):
         make_clip([one, Recording(write_recording(tmp_path, None, scene="franka"))])
     with pytest.raises(UsageError, match="no environment 2: it has 0 to 1"):
         make_clip([one], envs=[2])

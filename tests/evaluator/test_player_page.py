@@ -280,7 +280,7 @@ def test_it_is_useful_without_scripts(browser: Browser, page: Path, tmp_path: Pa
     browser.open(page, scripts=False)
     browser.screenshot(tmp_path / "still.png")
     html = page.read_text(encoding="utf-8")
-    assert "the first part at step 40 (0.4 s); distinct so far: 2 from step 40, 3 from step 60." in html
+    assert "first differ at step 40 (0.4 s); distinct: 2 from step 40, 3 from step 60." in html
     assert '<div class="stage" hidden>' in html
 
 

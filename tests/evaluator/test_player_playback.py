@@ -116,4 +116,4 @@ def test_the_report_plays_its_groups(evaluation: Evaluation, tmp_path: Path) -> 
         browser.open(page, scripts=False)
         assert browser.errors == []
     text = page.read_text(encoding="utf-8")
-    assert "Of 8 environments of 2 runs, the first part at step 40 (0.4 s)" in text
+    assert "The 8 environments of 2 runs first differ at step 40 (0.4 s)" in text

@@ -181,7 +181,7 @@ def test_comparisons_warn_where_sides_differ(tmp_path: Path, capsys: pytest.Capt
     warned = " ".join(found["warnings"])
     assert over in warned
     assert "too short to rely on: base (0.5 s), head (0.5 s)" in warned
-    assert "elliptic, 100, 1e-08 in base, pyramidal, 7, 1e-06 in head" in warned
+    assert "base has elliptic, 100, 1e-08; head has pyramidal, 7, 1e-06" in warned
     assert found["base"]["timed"]["windows"][0]["first_step"] == 20
     alike = TimedWork((Window(1, 3),), (2.0, 3.0), {"cone": "elliptic"})
     assert timed.of_sides(alike, alike) == []

@@ -48,7 +48,7 @@ def test_without_a_display_it_says_where_the_page_is(tmp_path: Path) -> None:
     assert page.parent.parent == tmp_path
     assert page.name == f"{PARTING.stem}.html"
     assert f"no browser can be opened from here; the page is {page}" in done.stderr
-    assert "the first part at step 72 (0.72 s); distinct so far: 2 from step 72, 3 from step 105." in done.stderr
+    assert "first differ at step 72 (0.72 s); distinct: 2 from step 72, 3 from step 105." in done.stderr
     text = page.read_text(encoding="utf-8")
     for fact in (
         "physx 0.7.0.74035321",
@@ -149,7 +149,7 @@ def test_exit_codes(tmp_path: Path) -> None:
         ((without, *out), 5, "holds no states"),
         ((short, *out), 3, "Recording short.mcap.partial is incomplete"),
         ((nothing, *out), 3, "not an MCAP file"),
-        ((PARTING, other, *out), 2, "one time step"),
+        ((PARTING, other, *out), 2, "the same time step"),
         ((PARTING, "--env", 16, *out), 2, "no environment 16: it has 0 to 15"),
         ((PARTING, "--no-open", "--out", tmp_path / "view.mcap"), 2, "call it .html"),
         ((PARTING, "--no-open", "--out", tmp_path / "no" / "view.html"), 1, "cannot write"),
@@ -168,7 +168,7 @@ def test_environments_that_part_by_design(arms: Path, tmp_path: Path) -> None:
     """Say where environments were told to do different things, so that nobody takes that for a fault."""
     done = view(arms, "--out", tmp_path / "view.html", "--no-open")
     assert done.returncode == 0, done.stderr
-    assert "the first part at step 1" in done.stderr
+    assert "first differ at step 1" in done.stderr
     assert "The environments were given different actions, so they differ by design." in done.stderr
 
 

@@ -127,7 +127,7 @@ class Curve:
         level = abs(float(known(self.known[-1].value) or 0.0)) * self.metric.per_unit
         end = level * self.sighted if self.logs else level + self.sighted * self.metric.per_unit
         hidden = matters(self.metric, level, end, settings)
-        return "points differ so much that a change that counts could not be seen" if hidden else ""
+        return "points differ so much that a change above the threshold could not be seen" if hidden else ""
 
 
 def curves_of(series: Series) -> Iterator[Curve]:
@@ -182,7 +182,7 @@ def _curve(metric: Metric, axis: Axis, entries: Sequence[Entry]) -> Curve | None
     exact = metric.values is not None and all(s.alike for s in samples if not isinstance(s.value, Missing))
     curve = Curve(metric, axis, samples, logs, exact)
     if not all(value == 0 or 1 / _MOST < value < _MOST for value in flat):
-        return replace(curve, why_not="a run has a value that is negative, not finite or beyond all measure")
+        return replace(curve, why_not="a run has a value that is negative, not finite or too large")
     count = len(curve.known)
     if count < 2 or count < MIN_POINTS and not exact:
         return replace(curve, why_not=f"{count} point{'s have' if count > 1 else ' has'} a value: too few")

@@ -41,10 +41,10 @@ _TONES = {Change.REGRESSION: Tone.BAD, Change.CHANGED: Tone.WARNING, Change.IMPR
 _TITLE = "What changed, and when"
 _LEAD = "Points are in the order of the earliest start time of their recordings; a label is the name of a folder."
 _METHOD = (
-    "A change point of a quantity is a place where the mean of its points is another: circular binary segmentation, a "
-    "t-test of points with Bonferroni's bound for all places. Points are the unit, not runs, so that what differs from "
-    "one recording session to the next counts as noise. Chance of any false alarm among all curves: at most {alpha}, "
-    "if points without a change are independent and of one normal law."
+    "A change point is a place where the mean of a quantity's points changes: circular binary segmentation, a "
+    "t-test of points with Bonferroni's bound for all places. Points are the unit, not runs, so differences from "
+    "one recording session to the next count as noise. Chance of any false alarm among all curves: at most {alpha}, "
+    "if points without a change are independent and normally distributed."
 )
 _FACTS = "Changes without a p are facts: bits, runs that fail, or values that are the same in every run of a point."
 
@@ -179,7 +179,7 @@ def _quantities(one: Traced, key: str, history: History) -> Table:
         "first value",
         "newest value",
         "changes",
-        "smallest change to be seen next",
+        "smallest change visible at the next point",
     )
     return table(f"{key}-quantities", "", columns, rows)
 

@@ -68,7 +68,7 @@ def series_of(points: Sequence[Point], work: Work) -> tuple[list[Series], list[s
             if len(several) > 1:
                 notes.append(
                     f"{point.label}: {len(several)} groups of {key.simulator}, {key.scene}, {key.n_env} envs were "
-                    "asked for the same, in versions or conditions that differ: left out; a point is one version"
+                    "asked for the same, in different versions or conditions: left out, because a point is one version"
                 )
                 continue
             of_key = found.setdefault(key, {})
@@ -116,7 +116,7 @@ def _split(series: Sequence[Series], points: Sequence[Point]) -> str:
         f"{one.device}{f' (scene {one.scene})' if one.scene else ''} at {_span(one, points)}" for one in series
     )
     what = "device" if len({one.device for one in series}) > 1 else "machine or scene"
-    return f"{series[0].heading}: {what} changed: curve split, points are compared within one alone: {parts}"
+    return f"{series[0].heading}: {what} changed: the curve is split, and points are compared within a part: {parts}"
 
 
 def _span(series: Series, points: Sequence[Point]) -> str:

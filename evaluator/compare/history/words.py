@@ -16,10 +16,10 @@ def headline(history: History) -> str:
         return "NOTHING COMPARED: a history needs two points of one configuration on one device"
     newest = history.points[history.newest].label
     if failing := history.failing:
-        return f"FAILED at {newest}: {_axes(failing)} ({plural(len(failing), 'change')} that a gate does not allow)"
+        return f"FAILED at {newest}: {_axes(failing)} ({plural(len(failing), 'change')} on axes with a gate)"
     if history.undecided:
         axes = ", ".join(dict.fromkeys(axis.value for _, axis, _, _ in history.undecided))
-        return f"NOT DECIDED at {newest}: {axes} ({len(history.undecided)} of what the gates ask)"
+        return f"NOT DECIDED at {newest}: {axes} ({len(history.undecided)} of the quantities that have a gate)"
     counting = [event for event in history.events if event.change is not Change.SMALL]
     if not counting:
         return f"NO CHANGE found over {plural(len(history.points), 'point')}"
@@ -38,7 +38,7 @@ def said(event: Event, history: History) -> str:
 
 def verdict(event: Event) -> str:
     """Its verdict; one below the threshold says so."""
-    return "differs, less than counts" if event.change is Change.SMALL else event.change.value
+    return "differs, below threshold" if event.change is Change.SMALL else event.change.value
 
 
 def amount(event: Event) -> str:
@@ -90,7 +90,7 @@ def note(finding: Finding) -> str:
 
 
 def _many(change: Change, count: int) -> str:
-    return f"{count} with another result" if change is Change.CHANGED else plural(count, change.value)
+    return plural(count, "other change") if change is Change.CHANGED else plural(count, change.value)
 
 
 def _axes(events: list[Event]) -> str:
