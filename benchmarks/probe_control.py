@@ -5,7 +5,7 @@ none. Seeds, numbers of environments, spreads and steps differ from probe to pro
 its recordings, which a second process makes, in the calibration simulator's own environment (gsb-record --setup
 calibration); it records all of them, since a process of its own for each of a few thousand runs would take hours.
 
-    python -m benchmarks.probe_control [--probes 110]         the table of docs/probe.md
+    python -m benchmarks.probe_control [--probes 132]         the table of docs/probe.md
 """
 
 from __future__ import annotations
@@ -37,7 +37,18 @@ FOUND_BY = {
     "envs": {"regime": "offset"},
     **{
         key: {"fault": key}
-        for key in ("capture", "number", "slot", "neighbours", "poison", "bystanders", "fresh", "restored", "set")
+        for key in (
+            "capture",
+            "number",
+            "slot",
+            "neighbours",
+            "poison",
+            "bystanders",
+            "fresh",
+            "restored",
+            "process",
+            "set",
+        )
     },
 }
 """By question, the options that plant its fault; and `ulps`, its size."""
@@ -95,7 +106,10 @@ def plan_of(probe: Probe) -> Any:
 
 
 def configurations(probe: Probe, folder: Path) -> list[dict[str, Any]]:
-    """Of the runs that it lacks, as a recording keeps them; of arms that differ, more are recorded."""
+    """Of the runs that it lacks, as a recording keeps them; of arms that differ, more are recorded.
+
+    A run that continues a snapshot also has the file with the snapshot, `saved`; it waits until there is such a file.
+    """
     from gpusimbench.evaluator.cli.probe import differing
     from gpusimbench.evaluator.read.recording import Recording
     from gpusimbench.recorder.command.arguments import fill, parser
@@ -106,23 +120,39 @@ def configurations(probe: Probe, folder: Path) -> list[dict[str, Any]]:
     plan = plan_of(probe)
     there = [Recording(place(str(path))) for path in sorted(folder.glob("*.mcap"))]
     for arm in plan.missing([recording.configuration for recording in there], differing(there)):
+        if arm.continued:
+            saved = (r.path for r in there if arm.continued in r.configuration.snapshots)
+            found += [_continuing(path, arm.continued) for path in list(saved)[:1]]
+            continue
         arguments = parser().parse_args(plan.arguments(arm, "."))
         fill(arguments)
         found.append(configure(arguments)[0].to_json())
     return found
 
 
+def _continuing(path: Any, step: int) -> dict[str, Any]:
+    from gpusimbench.recorder.sets.replay import begun, read_source
+
+    source = read_source(Path(str(path)))
+    return {**begun(source, source.configuration, step)[0].to_json(), "saved": str(path)}
+
+
 def record(jobs: Path) -> None:
     """Make the runs of a file of jobs, in this process, which has Taichi."""
     from gpusimbench.recorder.run.run import Run
     from gpusimbench.schemas.configuration import RunConfiguration
+    from gpusimbench.schemas.mcap.reader import Container
+    from gpusimbench.schemas.treatment import snapshot_name
 
     for number, job in enumerate(json.loads(jobs.read_text())):
-        path = Path(job["path"])
+        path, c = Path(job["path"]), RunConfiguration.from_json(job["configuration"])
+        saved = job["configuration"].get("saved")
+        given = Container(Path(saved)).attachment(snapshot_name(c.first_step)) if saved else None
         path.parent.mkdir(parents=True, exist_ok=True)
         run = Run(
-            RunConfiguration.from_json(job["configuration"]), path, run_id=f"{number:032x}", argv=(),
+            c, path, run_id=f"{number:032x}", argv=(),
             created="2026-01-01T00:00:00Z", progress=lambda phase, done, of: None, log=lambda: b"",
+            given=given,
         )  # fmt: skip
         outcome = run.record()
         if outcome.status != "COMPLETE":
@@ -182,7 +212,7 @@ def recorded_elsewhere(jobs: list[dict[str, Any]], file: Path) -> None:
 def main() -> None:
     """Plant, record, judge, count."""
     p = argparse.ArgumentParser(description=(__doc__ or "").split("\n\n", maxsplit=1)[0])
-    p.add_argument("--probes", type=int, default=110, help="with a fault, and as many without")
+    p.add_argument("--probes", type=int, default=132, help="with a fault, and as many without")
     p.add_argument("--record", type=Path, help=argparse.SUPPRESS)
     arguments = p.parse_args()
     if arguments.record:
@@ -193,7 +223,7 @@ def main() -> None:
         folder = Path(scratch)
         drawn = list(probes(arguments.probes))
         made = 0
-        for attempt in range(2):
+        for attempt in range(4):  # all; those that continue others; twice those that differ
             jobs = [
                 {"path": str(folder / str(probe.number) / f"{attempt}-{index:02}.mcap"), "configuration": configuration}
                 for probe in drawn

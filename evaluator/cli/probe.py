@@ -220,14 +220,23 @@ def _make(plan: Plan, arm: Arm, out: Path, problems: list[str]) -> str:
     """Make the run of an arm; returns why the simulator refuses what is done to it."""
     from gpusimbench.evaluator.compute.recorder import record
 
-    made, refused = record(plan.arguments(arm, str(out)), lambda text: None)
+    saved = _saved(plan, arm, out) if arm.continued else ""
+    if arm.continued and not saved:
+        return "there is no snapshot to continue"
+    made, refused = record(plan.arguments(arm, str(out), saved), lambda text: None)
     for one in made:
         if one.path is None or one.status == "stopped":
-            problems.append(f"{plan.command(arm, str(out))}: {one.status}: {one.reason}")
+            problems.append(f"{plan.command(arm, str(out), saved)}: {one.status}: {one.reason}")
             complain("gsb-probe", problems[-1])
     if refused and not arm.intervention and not arm.initial:
         raise UsageError(refused)
     return refused
+
+
+def _saved(plan: Plan, arm: Arm, out: Path) -> str:
+    """The latest recording with the snapshot that an arm continues; empty without one."""
+    found = [r for r in _there(out, plan) if arm.continued in r.configuration.snapshots and r.status == "complete"]
+    return str(found[-1].path) if found else ""
 
 
 def differing(recordings: list[Recording]) -> list[Arm]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 from collections import Counter
 from collections.abc import Sequence
@@ -9,7 +10,15 @@ from dataclasses import dataclass, replace
 
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.runs.groups import GroupKey, key_of
-from gpusimbench.schemas.treatment import Initial, Intervention, drawn
+from gpusimbench.schemas.treatment import (
+    Given,
+    Initial,
+    Intervention,
+    drawn,
+    initial_words,
+    parse_initial,
+    snapshot_name,
+)
 
 
 @dataclass(frozen=True)
@@ -25,6 +34,7 @@ class Arms:
     shifted   the same with states in other slots
     but       the same, where all environments but one begin otherwise
     treated   as `varied`, by kind of intervention
+    continued a run that saved a snapshot, and one that began with the snapshot in a process of its own
     repeated  runs of one treatment, of each that has several
     failed    why arms are missing, by how they were to be treated
     """
@@ -37,6 +47,7 @@ class Arms:
     shifted: Recording | None
     but: Recording | None
     treated: dict[str, Recording]
+    continued: tuple[Recording, Recording] | None
     repeated: tuple[tuple[Recording, ...], ...]
     failed: dict[str, str]
 
@@ -63,7 +74,8 @@ def arms_of(recordings: Sequence[Recording]) -> list[Arms]:
     seen: set[str] = set()
     for recording in recordings:
         c = recording.configuration
-        given = bool(c.initial) and drawn(c.initial) is None  # which no arm is
+        how = parse_initial(c.initial) if c.initial else None
+        given = isinstance(how, Given) and how.step is None  # which no arm is
         if "capture" in c.phases and not given and recording.provenance.run_id not in seen:
             seen.add(recording.provenance.run_id)
             found.setdefault(_common(recording), []).append(recording)
@@ -108,11 +120,11 @@ def _arms(key: GroupKey, recordings: Sequence[Recording]) -> Arms:
     n_env = max(usual, key=lambda n: (usual[n], n))
     good = [r for r in recordings if _ended(r) and not r.dropouts]
     failed = {_treatment(r): f"{r.status}: {r.reason}" for r in recordings if r not in good}
-    alone = [r for r in good if not r.configuration.intervention]
+    alone = [r for r in good if not r.configuration.intervention and not r.configuration.snapshots]
     varied = _of_one_spread({r: initial for r in good if (initial := drawn(r.configuration.initial))})
     same = [r for r, initial in varied.items() if not initial.shift and initial.but is None]
     usual_size = {r: initial for r, initial in varied.items() if r.configuration.n_env == n_env}
-    treated = [r for r in same if r in usual_size]
+    treated = [r for r in same if r in usual_size and not r.configuration.snapshots]
     by_treatment: dict[str, list[Recording]] = {}
     for recording in good:
         by_treatment.setdefault(_treatment(recording), []).append(recording)
@@ -125,9 +137,23 @@ def _arms(key: GroupKey, recordings: Sequence[Recording]) -> Arms:
         next((r for r, initial in usual_size.items() if initial.shift), None),
         next((r for r, initial in usual_size.items() if initial.but is not None), None),
         {Intervention.parse(done).kind: r for r in reversed(treated) if (done := r.configuration.intervention)},
+        _continued(good),
         tuple(tuple(runs) for runs in by_treatment.values() if len(runs) > 1),
         {how: why for how, why in failed.items() if how not in map(_treatment, good)},
     )
+
+
+def _continued(good: Sequence[Recording]) -> tuple[Recording, Recording] | None:
+    """A run and the first that continues one of its snapshots, by what is attached to it."""
+    for later in good:
+        how = parse_initial(later.configuration.initial) if later.configuration.initial else None
+        if not isinstance(how, Given) or how.step is None:
+            continue
+        for run in good:
+            data = run.attachment(snapshot_name(how.step)) if how.step in run.configuration.snapshots else None
+            if data is not None and hashlib.sha256(data).hexdigest() == how.sha256:
+                return run, later
+    return None
 
 
 def _of_one_spread(varied: dict[Recording, Initial]) -> dict[Recording, Initial]:
@@ -145,4 +171,5 @@ def _ended(recording: Recording) -> bool:
 
 def _treatment(recording: Recording) -> str:
     c = recording.configuration
-    return " ".join(filter(None, (f"{c.n_env} envs", c.initial, c.intervention)))
+    saved = f"snapshot {c.snapshots[0]}" if c.snapshots else ""
+    return " ".join(filter(None, (f"{c.n_env} envs", initial_words(c.initial), c.intervention, saved)))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import shlex
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.treatment import Initial, Intervention
@@ -21,8 +21,10 @@ MANY = 8
 class Arm:
     """One run: how it is treated.
 
+    initial   as of a RunConfiguration; "snapshot:STEP": it continues, in a process of its own, the run that saved it
     timed     whether it has a timed phase: beside the capture, so that both can be compared, or alone, for a price
     captured  whether states are captured
+    snapshot  step after which the engine's whole state is saved; 0: it is not
     """
 
     n_env: int
@@ -30,11 +32,19 @@ class Arm:
     intervention: str = ""
     timed: bool = False
     captured: bool = True
+    snapshot: int = 0
+
+    @property
+    def continued(self) -> int:
+        """The step of the snapshot that it begins with; 0 where it begins at the beginning."""
+        kind, _, step = self.initial.partition(":")
+        return int(step) if kind == "snapshot" else 0
 
     @property
     def words(self) -> str:
         """What is special about it, for who waits for it."""
-        return ", ".join(filter(None, (f"{self.n_env} envs", self.initial, self.intervention)))
+        saved = f"snapshot after step {self.snapshot}" if self.snapshot else ""
+        return ", ".join(filter(None, (f"{self.n_env} envs", self.initial, self.intervention, saved)))
 
 
 PRICED = 4
@@ -49,7 +59,9 @@ def interleaved(plans: Sequence[Plan]) -> Iterator[Plan]:
 
 def arm_of(c: RunConfiguration) -> Arm:
     """How a run was treated."""
-    return Arm(c.n_env, c.initial, c.intervention, "timed" in c.phases, "capture" in c.phases)
+    begins = ":".join(c.initial.split(":")[:2]) if c.initial.startswith("snapshot:") else c.initial
+    saved = c.snapshots[0] if c.snapshots else 0
+    return Arm(c.n_env, begins, c.intervention, "timed" in c.phases, "capture" in c.phases, saved)
 
 
 @dataclass(frozen=True)
@@ -89,6 +101,8 @@ class Plan:
             yield Arm(self.n_env, str(varied), str(Intervention("poison", at)))
         for intervention in (Intervention("reset", at), Intervention("excursion", at, more), Intervention("set", at)):
             yield Arm(self.n_env, str(varied), str(intervention))
+        if saved := max(self.stride, at // self.stride * self.stride) % self.steps:  # of a step whose state is recorded
+            yield from (replace(usual, snapshot=saved), Arm(self.n_env, f"snapshot:{saved}"))
         yield from (usual, plain)
 
     @property
@@ -121,14 +135,21 @@ class Plan:
     def _stride(self, n_env: int) -> int:
         return self.steps if n_env > MANY * self.n_env else self.stride
 
-    def arguments(self, arm: Arm, out: str) -> list[str]:
-        """Of gsb-record, for one arm."""
+    def arguments(self, arm: Arm, out: str, saved: str = "") -> list[str]:
+        """Of gsb-record, for one arm.
+
+        saved  the recording with the snapshot that a continued arm begins with
+        """
+        if arm.continued:
+            given = ["--replay", saved, "--from", str(arm.continued)]
+            return [*given, "--no-view", "--compression", "zstd", "--out", out]
         given = ["--sim", self.simulator, "--scene", self.scene, "--determinism", self.determinism]
         given += [f"--option={option}" for option in self.options]
         given += ["--n-env", str(arm.n_env), "--runs", "1", "--steps", str(self.steps), "--seed", str(self.seed)]
         given += ["--stride", str(self._stride(arm.n_env))]
         given += ["--initial", arm.initial] if arm.initial else []
         given += ["--intervene", arm.intervention] if arm.intervention else []
+        given += ["--snapshot", str(arm.snapshot)] if arm.snapshot else []
         # the timed phase passes the step at which the capture ends, so that both have a hash of it
         first = self.steps // 2
         if not arm.captured:
@@ -139,6 +160,6 @@ class Plan:
             given += ["--phases", "capture"]
         return [*given, "--no-view", "--compression", "zstd", "--out", out]
 
-    def command(self, arm: Arm, out: str) -> str:
+    def command(self, arm: Arm, out: str, saved: str = "") -> str:
         """The same as a user would type it."""
-        return shlex.join(["gsb-record", *self.arguments(arm, out)])
+        return shlex.join(["gsb-record", *self.arguments(arm, out, saved)])

@@ -254,6 +254,18 @@ def _restored(arms: Arms) -> Asked | Missing:
     return _told(held(Pairs(base, recording, _same(range(arms.n_env)))), said)
 
 
+def _process(arms: Arms) -> Asked | Missing:
+    """A run and one that continues its snapshot in a process of its own."""
+    if arms.continued is None:
+        failed = next((why for how, why in arms.failed.items() if " snapshot" in how), "")
+        needed = "needs a run with --snapshot STEP, and its --replay FILE --from STEP"
+        return Missing(f"its run is {failed}" if failed else needed)
+    base, later = arms.continued
+    step = later.configuration.first_step
+    pairs = Pairs(base, later, _same(range(base.configuration.n_env)))
+    return _told(held(pairs), f"a snapshot of step {step}, restored in another process, and the run that saved it")
+
+
 def _set(arms: Arms) -> Asked | Missing:
     """All environments after they were given the positions and velocities that they had."""
     beside = _beside(arms, "set")
@@ -341,6 +353,7 @@ QUESTIONS = (
     Question("bystanders", "a reset leaves other environments alone", _bystanders),
     Question("fresh", "a reset environment is as good as a fresh one", _fresh),
     Question("restored", "a restored state goes on as before", _restored),
+    Question("process", "a snapshot goes on in another process as before", _process),
     Question("set", "positions and velocities are the whole state", _set, gate=False),
 )
 """In the order of the report."""

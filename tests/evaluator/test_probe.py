@@ -97,7 +97,7 @@ def _write(
 
 def _probe(folder: Path, planted: dict[int, Planted] | None = None) -> dict[str, Finding]:
     """Answers to recordings of the plan; `planted` by place in it."""
-    recordings = [_write(folder, arm, (planted or {}).get(index)) for index, arm in enumerate(PLAN.arms())]
+    recordings = [_write(folder, arm, (planted or {}).get(index)) for index, arm in enumerate(ARMS)]
     (arms,) = arms_of(recordings)
     return {finding.key: finding for finding in answers(arms)}
 
@@ -111,7 +111,7 @@ def _moved(env: int, body: int, step: int, ulps: int = 1) -> Planted:
     return plant
 
 
-ARMS = list(PLAN.arms())
+ARMS = [arm for arm in PLAN.arms() if not arm.snapshot and not arm.continued]
 """plain, usual, 1, 2 and 8 environments, shifted, all but one, poison, reset, excursion, set, usual, plain."""
 
 
@@ -119,8 +119,9 @@ def test_nothing_planted(tmp_path: Path) -> None:
     """Answer yes to everything that was recorded, where nothing depends on anything."""
     found = _probe(tmp_path)
     assert [q.key for q in QUESTIONS] == list(found)
-    assert {key for key, finding in found.items() if finding.answer is Answer.YES} == found.keys() - {"capture"}
-    assert found["capture"].answer is Answer.NOT_ASKED
+    others = {"capture", "process"}
+    assert {key for key, finding in found.items() if finding.answer is Answer.YES} == found.keys() - others
+    assert {found[key].answer for key in others} == {Answer.NOT_ASKED}
     assert verdict_of(list(found.values())) == "10 of 10 answers are yes"
     assert evidence(found["number"]) == "bit-identical: 7 pairs, 31 steps"
     # two runs agreed with the first of their arm: 1 - 0.05^(1/2)
@@ -289,17 +290,19 @@ def test_a_plan_goes_on_where_it_stopped() -> None:
     """Make each arm as often as it is asked for, and no run of other plans instead."""
     done = [
         RunConfiguration(
-            "synthetic", "inclined-collision", arm.n_env, 0.01, PLAN.steps, initial=arm.initial,
-            intervention=arm.intervention, phases=("timed", "capture") if arm.timed else ("capture",),
+            "synthetic", "inclined-collision", arm.n_env, 0.01, PLAN.steps,
+            initial=f"{arm.initial}:{'0' * 64}" if arm.continued else arm.initial, intervention=arm.intervention,
+            phases=("timed", "capture") if arm.timed else ("capture",),
+            snapshots=(arm.snapshot,) if arm.snapshot else (),
         )
-        for arm in ARMS
+        for arm in PLAN.arms()
     ]  # fmt: skip
-    assert PLAN.missing([]) == ARMS
+    assert PLAN.missing([]) == list(PLAN.arms())
     assert PLAN.missing(done) == []
-    assert PLAN.missing(done[:1]) == [*ARMS[1:]]
+    assert PLAN.missing(done[:1]) == [*PLAN.arms()][1:]
     assert PLAN.missing(done, again=[ARMS[9]]) == [ARMS[9]] * 2
     foreign = RunConfiguration("synthetic", "free-fall", 4, 0.01, PLAN.steps, initial=ARMS[1].initial)
-    assert len(PLAN.missing([foreign])) == len(ARMS)
+    assert len(PLAN.missing([foreign])) == len(list(PLAN.arms()))
 
 
 @pytest.fixture(scope="module")
@@ -311,8 +314,8 @@ def probed(tmp_path_factory: pytest.TempPathFactory) -> Path:
         out.parent / "answers.json",
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
-    assert len(done.stdout.splitlines()) <= 18
-    assert "10 of 11 answers are yes; no: positions and velocities are the whole state" in " ".join(done.stdout.split())
+    assert len(done.stdout.splitlines()) <= 19
+    assert "11 of 12 answers are yes; no: positions and velocities are the whole state" in " ".join(done.stdout.split())
     return out
 
 
@@ -334,6 +337,7 @@ def test_recordings_are_enough(probed: Path, gsb_probe: Command) -> None:
     assert gsb_probe(probed, "--gate").returncode == 0
     every = gsb_probe(probed, "--all").stdout
     assert "saved at step 10, 3 further steps, restored" in " ".join(every.split())
+    assert "a snapshot of step 10, restored in another process" in " ".join(every.split())
 
 
 def test_nothing_is_recorded_twice(probed: Path, gsb_probe: Command) -> None:
@@ -459,7 +463,7 @@ def test_levels_are_clocked_in_turn() -> None:
     clocked = RunConfiguration("synthetic", "inclined-collision", 8, 0.01, PLAN.steps, phases=("timed",))
     assert PLAN.has(clocked)
     assert arm_of(clocked) == PLAN.priced
-    assert len(PLAN.missing([clocked])) == len(ARMS)
+    assert len(PLAN.missing([clocked])) == len(list(PLAN.arms()))
 
 
 def test_what_a_level_costs(tmp_path: Path, gsb_probe: Command) -> None:

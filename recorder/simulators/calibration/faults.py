@@ -22,6 +22,7 @@ FAULTS = {
     "bystanders": "where some are reset, the others are moved",
     "fresh": "where some are reset, they begin moved",
     "restored": "what is restored is moved",
+    "process": "what is restored in a process that has made no step is moved",
     "set": "what is given a state after the first step is moved",
     "capture": "what is stepped without being captured is moved",
 }
@@ -59,7 +60,8 @@ class Fault:
             world.nudge(np.full(self._n_env, self._ulps, dtype=np.int32))
 
     def after(self, operation: str, world: Nudged, envs: Envs) -> None:
-        """Once some environments were restored ("restored"), reset ("fresh") or set ("set")."""
+        """Once some environments were restored ("restored", or "process" before any step was made in this process),
+        reset ("fresh") or set ("set")."""
         touched = np.ones(self._n_env, dtype=bool)
         if envs is not None:
             touched[:] = False

@@ -54,6 +54,7 @@ class Calibration(Simulator):
         entropy = entropy_of(options)
         self._world = World(self.scene, n_env=self.n_env, dt=self.dt, options=options, entropy=entropy)
         self._counted: NDArray[np.int32] | None = None
+        self._stepped = False
         names = [body.name for body in self.scene.moving()]
         self._groups = [np.array([names.index(name) for name in group]) for group in self.scene.groups().values()]
         config = ti.lang.impl.current_cfg()
@@ -94,7 +95,7 @@ class Calibration(Simulator):
         """See Simulator.step."""
         import taichi as ti
 
-        self._counted = None
+        self._counted, self._stepped = None, True
         for _ in range(n_step):
             self._world.step()
         self._world.fault.after_uncaptured(self._world)
@@ -116,7 +117,7 @@ class Calibration(Simulator):
     def restore(self, snapshot: Snapshot, envs: Envs = None) -> None:
         """See Simulator.restore."""
         self._put([snapshot.arrays[name] for name in _FIELDS], envs, snapshot.step)
-        self._world.fault.after("restored", self._world, envs)
+        self._world.fault.after("restored" if self._stepped else "process", self._world, envs)
 
     def reset(self, envs: Envs = None) -> None:
         """See Simulator.reset."""
@@ -142,6 +143,7 @@ class Calibration(Simulator):
 
     def states(self, n_step: int) -> States:
         """See Simulator.states."""
+        self._stepped = True
         states, counts = [], []
         for first in range(0, n_step, self._world.rows):
             rows = min(self._world.rows, n_step - first)
