@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 from gpusimbench.evaluator.check.integrity.problem import Kind
-from gpusimbench.evaluator.check.rules.facts import CONDITIONS, FACTS
+from gpusimbench.evaluator.check.rules.facts import CONDITIONS, FACTS, FactType
 from gpusimbench.evaluator.check.rules.findings import Checked, Finding, Report, Unchecked
 from gpusimbench.evaluator.check.rules.predicates import FILE_PREDICATES, SET_PREDICATES
-from gpusimbench.evaluator.check.rules.rule import Level, RuleSet, Scope
+from gpusimbench.evaluator.check.rules.rule import Level, Rule, RuleSet, Scope
 from gpusimbench.evaluator.render.document import Block, Document, Facts, Item, Items, Section, Text, Tone, facts, items
 from gpusimbench.evaluator.render.numbers import plural
 from gpusimbench.schemas.location import Place
@@ -98,7 +98,7 @@ def _by_rule(report: Report) -> Iterator[Item]:
         more = f"; and {plural(others, 'more finding')} of this rule" if others else ""
         files = list(dict.fromkeys(path for finding in findings for path in finding.files))
         where = f" ({_names(files, report)})" if len(report.files) > 1 else ""
-        below = [Item(f"Required: {_joined(rule.requires)}"), Item(f"Fix: {_joined(rule.do)}")]
+        below = _advice(rule)
         if first.of:
             points = len({finding.of for finding in findings})
             below.insert(0, Item(f"in {first.of}{f', and in {points - 1} more' if points > 1 else ''}"))
@@ -173,15 +173,26 @@ def _file(file: Checked, report: Report, told: set[str]) -> Item:
 
 def _finding(finding: Finding, told: set[str]) -> Item:
     rule = finding.rule
-    below = [] if rule.id in told else [Item(f"Required: {_joined(rule.requires)}"), Item(f"Fix: {_joined(rule.do)}")]
+    below = [] if rule.id in told else _advice(rule)
     told.add(rule.id)
     if finding.of:
         below.append(Item(f"in: {', '.join(path.name for path in finding.files)}"))
     return Item(_heading(finding), _TONES[rule.level], tuple(below))
 
 
+def _advice(rule: Rule) -> list[Item]:
+    """What is required, where the heading does not say what is wrong, and what to do."""
+    required = [] if rule.broken else [Item(f"Required: {_joined(rule.requires)}")]
+    return [*required, Item(f"Fix: {_joined(rule.do)}")]
+
+
 def _heading(finding: Finding) -> str:
-    return f"{finding.rule.level.name} {finding.rule.id}: {_joined(finding.found)}"
+    """What is wrong, and what was found; of a fact that is true or false the first says both."""
+    rule, found = finding.rule, _joined(finding.found)
+    if rule.broken:
+        what = _joined(rule.broken).rstrip(".")
+        found = what if FACTS[rule.fact].type is FactType.flag and rule.of is Scope.file else f"{what}; {found}"
+    return f"{rule.level.name} {rule.id}: {found}"
 
 
 def rules_document(rule_sets: Sequence[RuleSet]) -> Document:

@@ -163,16 +163,16 @@ def _capture(group: GroupRuns) -> CaptureOverhead:
 
 FPS = Metric(
     "fps", "throughput", "env-steps/s", Direction.HIGHER,
-    "N_env * N_step / T_step of the timed phase; mean over runs",
+    "environment-steps per second of the timed phase, N_env * N_step / T_step; mean over runs",
     method="N_env * N_step / T_step of the timed phase", published=True,
     values=each(_fps), details=_throughput, axis=Axis.THROUGHPUT, radar=RadarAxis.THROUGHPUT,
 )  # fmt: skip
 
 DEVICE_MEMORY = Metric(
     "memory_peak_increment", "GPU memory increment", "GB", Direction.LOWER,
-    "largest reading of the GPU's memory in the timed phase minus the baseline, as NVML reports it for the whole of "
-    "the device that steps: the first that CUDA shows to the run; up to the phase's last clock reading; mean over runs "
-    "without a known [co-tenant](#gpu-memory-and-other-processes)",
+    "largest reading of the GPU's memory in the timed phase (up to its last clock reading) minus the baseline; NVML's "
+    "figure for the whole device that steps, which is the first that CUDA shows to the run; mean over runs without a "
+    "known [co-tenant](#gpu-memory-and-other-processes)",
     method="peak of the timed phase minus baseline (NVML, the whole of the device that steps)", published=True,
     values=each(_device_increment), details=_device_memory, of_group=_device,
     interval="delete-one-run jackknife", axis=Axis.MEMORY, radar=RadarAxis.MEMORY,
@@ -180,16 +180,16 @@ DEVICE_MEMORY = Metric(
 
 PROCESS_MEMORY = Metric(
     "process_memory_peak", "GPU memory of the process", "GB", Direction.LOWER,
-    "largest reading of the timed phase of the memory that NVML attributes to the run's process, which held none at "
-    "the baseline; mean over all runs",
+    "largest reading, in the timed phase, of the memory that NVML attributes to the run's process; the process has "
+    "none at the baseline; mean over all runs",
     method="largest reading of the timed phase (NVML, of the run's process, which held none before)",
     values=each(_process_peak), details=_process_memory, optional=True, axis=Axis.MEMORY,
 )  # fmt: skip
 
 ALLOCATOR_PEAK = Metric(
     "allocator_peak", "peak of the engine's allocator", "GB", Direction.LOWER,
-    "peak that the engine's own device allocator kept, up to the end of the timed phase, without what CUDA graphs "
-    "hold; none where the peak was reached while the simulator was built; mean over runs",
+    "peak that the engine's own device allocator reports at the end of the timed phase, without the memory of CUDA "
+    "graphs; no value if the peak was reached while the simulator was built; mean over runs",
     method="peak that the engine's own allocator kept",
     values=each(_allocator_peak), details=lambda _: Memory(source="allocator"), optional=True, axis=Axis.MEMORY,
 )  # fmt: skip
@@ -204,8 +204,8 @@ HOST_MEMORY = Metric(
 
 BUILD_TIME = Metric(
     "build_time", "time to build", "s", Direction.LOWER,
-    "import of the engine, sizing of its buffers, loading of the model, allocation; median over runs, since the first "
-    "run of a set fills the caches of the others",
+    "time for importing the engine, sizing its buffers, loading the model and allocating; median over runs, because "
+    "the first run of a set fills the caches of the others",
     method="import of the engine, sizing of its buffers, loading of the model, allocation",
     values=each(lambda run: run.build_s),
     aggregate=MEDIAN, optional=True, axis=Axis.BUILD,
@@ -213,16 +213,16 @@ BUILD_TIME = Metric(
 
 COMPILE_TIME = Metric(
     "compile_time", "time to compile", "s", Direction.LOWER,
-    "compilation of what the timed phase runs (the capture phase, where nothing was timed); median over runs",
+    "time for compiling the program of the timed phase (of the capture phase, if nothing was timed); median over runs",
     method="compilation of what the timed (or else the capture) phase runs",
     values=_compile_times, aggregate=MEDIAN, of_group=_compile, optional=True, axis=Axis.BUILD,
 )  # fmt: skip
 
 CAPTURE_OVERHEAD = Metric(
     "capture_slowdown", "capture overhead", "", Direction.LOWER,
-    "time of a captured step over that of a timed step, (T_capture / N_capture) / (T_timed / N_timed), mean over runs; "
-    "`stalled_share`: the share of the capture's time that the engine waited for the disk. The two phases make other "
-    "steps of the scene: contacts that come late make it larger or smaller",
+    "duration of a captured step relative to a timed step, (T_capture / N_capture) / (T_timed / N_timed); mean over "
+    "runs. The two phases make different steps of the scene, so contacts that occur late change the ratio. "
+    "`stalled_share`: share of the capture's time in which the engine waited for the disk",
     method="time of a captured step / of a timed step",
     values=each(_overhead), remark="; the phases make other steps of the scene", details=_capture, optional=True,
 )  # fmt: skip

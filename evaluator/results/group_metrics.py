@@ -272,7 +272,7 @@ def _resampled(
 
 W1_PARALLEL = Metric(
     "w1_parallel", "W1 between envs", "cm", Direction.LOWER,
-    "parallel variability: mean of W1 over all pairs of environments of a run; mean over runs; `matrix_of`: place, in "
+    "parallel variability: mean of W1 over all pairs of environments of a run; mean over runs. `matrix_of`: index, in "
     "the lists of `distinct_envs`, of the run whose matrix is drawn",
     method="W1 between the planar positions of two environments, mean over pairs", published=True,
     table=Table.VARIABILITY, values=_parallel_values, of_group=_parallel,
@@ -281,8 +281,8 @@ W1_PARALLEL = Metric(
 
 W1_RUN_TO_RUN = Metric(
     "w1_run_to_run", "W1 between runs", "cm", Direction.LOWER,
-    "run-to-run variability: mean and SD of W1 over all pairs of runs, environments pooled; `runs` and `classes`: "
-    "indices of the runs, and their classes by bits, in the order of the matrix",
+    "run-to-run variability: mean and SD of W1 over all pairs of runs, where the cubes of all environments of a run "
+    "are one set. `runs` and `classes`: indices of the runs, and their classes of equal bits, in the matrix's order",
     method="W1 between the pooled planar positions of two runs", published=True,
     table=Table.VARIABILITY, of_group=_run_to_run,
     interval="delete-one-run jackknife of a mean over pairs", axis=Axis.VARIABILITY, radar=RadarAxis.RUN_TO_RUN,
@@ -290,34 +290,36 @@ W1_RUN_TO_RUN = Metric(
 
 W1_REAL = Metric(
     "w1_real", "W1 to the reference", "cm", Direction.LOWER,
-    "distance to real trials (or to another recording): W1 between all positions of a run and all of the reference; "
-    "mean over runs",
+    "distance to real trials (or to another recording): W1 between all positions of a run and all positions of the "
+    "reference; mean over runs",
     method="W1 between the planar positions of a run and the reference", published=True,
     table=Table.VARIABILITY, of_group=_to_reference, interval="delete-one-run jackknife", radar=RadarAxis.EMD_TO_REAL,
 )  # fmt: skip
 
 LEFT_BOARD = Metric(
     "left_board", "cubes off the board", "cubes per env", Direction.LOWER,
-    "cubes beside or below the board at the sample step; `total`, and `envs_with_any`: environments with such a cube; "
-    "see below",
+    "cubes beside or below the board at the sample step; see [cubes that left the board](#cubes-that-left-the-board). "
+    "`total`: all such cubes; `envs_with_any`: environments with such a cube",
     method="cubes whose centre is beside or below the board at the sample step",
     table=Table.VARIABILITY, of_group=_left_board,
 )  # fmt: skip
 
 SANK = Metric(
     "sank", "cubes sunk", "cubes per env", Direction.LOWER,
-    "cubes that went through the board or the ground by the last captured step; see below",
+    "cubes that went through the board or the ground by the last captured step; see "
+    "[through the floor](#through-the-floor)",
     method="cubes that are wholly beneath a level surface that they went through, at the last captured step",
     table=Table.VARIABILITY, of_group=_sank,
 )  # fmt: skip
 
 REGIME = Metric(
     "regime_published", "published type", "type", Direction.NEITHER,
-    "types 1 to 4, from whether the two variabilities are nonzero after rounding to 0.01 cm; `probabilities`: of each "
-    "type for another sample of as many runs, by resampling whole runs; `decided_by`: indices of the runs without "
-    "which the type is another; `agreement`: whether all runs are equal in `bits` or only by `rounding`; `distinct`: "
-    "how many are distinct by bits; `run_differs_below`: where all runs are equal in that sense, a bound on how often "
-    "another run is not ([statistics](statistics.md))",
+    "[type](regimes.md) 1 to 4: whether `w1_parallel` and `w1_run_to_run` are nonzero after rounding to 0.01 cm. "
+    "`probabilities`: probability of each type for another sample of as many runs, by resampling whole runs; "
+    "`decided_by`: indices of the runs without which the type would differ; `agreement`: whether all runs are equal in "
+    "`bits` or only by `rounding`; `distinct`: number of runs that are distinct by bits; `run_differs_below`: if all "
+    "runs are equal in that sense, upper bound on the probability that another run is not "
+    "([statistics](statistics.md))",
     method="variability counts as present where it is nonzero after rounding to 0.01 cm", published=True,
     table=Table.VARIABILITY, of_group=_regime,
 )  # fmt: skip

@@ -260,15 +260,17 @@ def _level(metric: Metric, found: Verdict, n: int, run: int | None = None) -> Es
 
 DISTINCT_ENVS = Metric(
     "distinct_envs", "distinct envs", "", Direction.NEITHER,
-    "classes of environments of a run that are bit-identical at every captured step; `over_time`: how many differ at a "
-    "step, and how many have by then, at the steps where either changes; `tree`: which left which in the first run",
+    "number of classes of environments of a run; environments of a class are bit-identical at every captured step; "
+    "largest number of all runs. `over_time`: distinct environments at a step, and up to this step, at the steps where "
+    "either number changes; `tree`: [splits](#divergence) in the first run",
     method=f"largest number of distinct environments in a run, by {_HASHED}",
     table=Table.VARIABILITY, of_group=_distinct_envs,
 )  # fmt: skip
 
 DISTINCT_RUNS = Metric(
     "distinct_runs", "distinct runs", "", Direction.NEITHER,
-    "classes of runs that are bit-identical, environment by environment; `over_time` and `tree` likewise",
+    "number of classes of runs; runs of a class are bit-identical, environment by environment. `over_time` and `tree`: "
+    "as for `distinct_envs`",
     method=f"distinct runs, env by env, by {_HASHED}", table=Table.VARIABILITY, of_group=_distinct_runs,
 )  # fmt: skip
 
@@ -279,26 +281,28 @@ _LEVELS = (
 
 EQUALITY_ENVS = Metric(
     "equality_envs", "equality of envs", "level", Direction.LOWER,
-    "how equal the environments of a run are, in the run where they are least so: 0 bit-identical at every captured "
-    'step, 1 the same positions with bodies in another order ("equal up to the order of bodies"), 2 within 8 ULP, 3 '
-    "within 0.1 mm, 4 different; 1 to 4 at the sample step, with the worst pair",
+    "strongest level of equality that holds for the environments of a run, in the run where they are least equal: 0 "
+    'bit-identical at every captured step, 1 the same positions with bodies in another order ("equal up to the order '
+    'of bodies"), 2 within 8 ULP, 3 within 0.1 mm, 4 different. Levels 1 to 4 refer to positions at the sample step; '
+    "the worst pair is given",
     method=_LEVELS, table=Table.VARIABILITY, of_group=_equality_of_envs,
 )  # fmt: skip
 
 EQUALITY_RUNS = Metric(
     "equality_runs", "equality of runs", "level", Direction.LOWER,
-    "the same of the runs, environment by environment; 1 also where the environments are the same in other places "
-    '("equal up to the order of environments", "... environments and bodies"), bit by bit and each as often. `order` '
-    "names what is in another order. Orders up to rounding, and of environments at different origins, are not "
-    "recognised; orientations and velocities are not looked at ([`gsb-diff`](diff.md) does)",
+    "the same levels for runs, environment by environment. Level 1 also if the environments are the same, bit by bit "
+    'and each as often, in another order ("equal up to the order of environments", "... environments and bodies"); '
+    "`order` names what is in another order. An order is not recognised if values also differ by rounding, or if "
+    "environments have different origins. Orientations and velocities are not compared ([`gsb-diff`](diff.md) compares "
+    "them)",
     method=_LEVELS, table=Table.VARIABILITY, of_group=_equality_of_runs,
 )  # fmt: skip
 
 DIVERGENCE_RATE = Metric(
     "divergence_rate", "divergence rate of envs", "1/s", Direction.LOWER,
-    "rate of an exponential through the largest distance of a body from where it is in environment 0, from the first "
-    "that is not zero up to 1 mm; mean over runs, with the curve of one of them; a run has no rate where R squared "
-    f"of its fit is below {MIN_R_SQUARED:g}: `divergence` has the fit",
+    "rate of an exponential fitted to the largest distance of a body from the same body in environment 0, from the "
+    "first nonzero distance up to 1 mm; mean over runs, with the curve of one run. A run has no rate if R squared of "
+    f"its fit is below {MIN_R_SQUARED:g}: [`divergence`](#divergence) has the fit",
     method="rate of an exponential through the largest distance of a body from environment 0, from the first that is "
     f"not zero up to {FIT_LIMIT_M * _MM_PER_M:g} mm",
     table=Table.VARIABILITY, values=each(_rate), details=_growth, optional=True,
@@ -306,9 +310,9 @@ DIVERGENCE_RATE = Metric(
 
 CAPTURE_CHANGES_STATES = Metric(
     "capture_changes_states", "runs changed by capturing", "", Direction.LOWER,
-    "runs whose captured states differ from those of the timed phase, which nothing observed. A difference has a value "
-    "only where all runs are bit-identical (`distinct_runs` is 1): otherwise an engine's own noise would be blamed on "
-    "the capture, and the reason says so, with the counts in `extra`",
+    "number of runs whose captured states differ from the states of the timed phase, in which nothing is recorded. If "
+    "some differ, there is a value only if all runs are bit-identical (`distinct_runs` is 1), because otherwise the "
+    "engine itself may cause the difference; the reason then says so, with the counts in `extra`",
     method="runs whose state hashes differ between timed and capture phase at a step that both passed",
     of_group=_capture_effect,
 )  # fmt: skip

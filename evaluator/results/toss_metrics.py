@@ -56,16 +56,16 @@ def _per_toss(found: list[TossErrors], field: str) -> NDArray[np.float64]:
 
 TOSS_POSITION = Metric(
     "toss_position", "error of position", "cm", Direction.LOWER,
-    "thrown cube against measured tosses: distance between the simulated and the measured centre, mean over the "
-    "measured rows after the first, mean over tosses. `tracking_floor`: the same of a cube in free fall before the "
-    "first contact, which no simulation can go below",
+    "thrown cube ([how to](how-to/cube-toss.md)): distance between the simulated and the measured centre, mean over "
+    "the measured rows (points in time) of a toss after the first row, then over tosses. `tracking_floor`: the same "
+    "distance for a cube in free fall before the first contact; no simulation can be closer to the measurement",
     method="distance between simulated and measured centres, mean over the rows of a toss", table=Table.REALITY,
     of_group=_of("position", _CM), interval=_INTERVAL, optional=True,
 )  # fmt: skip
 
 TOSS_ROTATION = Metric(
     "toss_rotation", "error of rotation", "deg", Direction.LOWER,
-    "the same of orientations: angle of the rotation from the measured to the simulated orientation",
+    "angle of the rotation from the measured to the simulated orientation, mean as for `toss_position`",
     method="angle between simulated and measured orientations, mean over the rows of a toss", table=Table.REALITY,
     of_group=_of("rotation", _DEGREES), interval=_INTERVAL, optional=True,
 )  # fmt: skip
@@ -86,27 +86,27 @@ TOSS_END_ROTATION = replace(
 
 TOSS_FACE = replace(
     TOSS_POSITION, name="toss_face", title="same face up", unit="%", direction=Direction.HIGHER,
-    docs="share of tosses that end with the measured face up; of a guess, 1 in 6",
+    docs="share of tosses that end with the same face up as measured; guessing gives 1 in 6",
     method="tosses whose last row has the measured face up", of_group=_of("end_face", 100.0),
 )  # fmt: skip
 
 TOSS_REST = replace(
     TOSS_POSITION, name="toss_rest", title="time to rest, less the measured", unit="s", direction=Direction.NEITHER,
-    docs="time from which on the cube is slower than 3 cm/s and 0.3 rad/s, less that of the measured toss; where the "
-    "simulated cube still moves at the last measured row, the time of that row stands for it, a lower bound",
+    docs="time after which the cube stays slower than 3 cm/s and 0.3 rad/s, minus that of the measured toss; if the "
+    "simulated cube still moves at the last measured row, the time of that row is used, a lower bound",
     method="time to rest less the measured one", of_group=_of("rest_time", 1.0),
 )  # fmt: skip
 
 TOSS_ENERGY = replace(
     TOSS_POSITION, name="toss_energy", title="error of energy", unit="mJ",
-    docs="difference of the mechanical energies, absolute, mean over the rows of a toss; of a uniform cube",
+    docs="absolute difference of the mechanical energies of a uniform cube, mean over the rows of a toss",
     method="difference of simulated and measured mechanical energy, absolute, mean over the rows of a toss",
     of_group=_of("energy", _MJ),
 )  # fmt: skip
 
 TOSS_DEPTH = replace(
     TOSS_POSITION, name="toss_depth", title="deepest penetration", unit="mm",
-    docs="deepest place of a corner below the table at any row of a toss",
+    docs="largest depth of a corner below the table at any row of a toss",
     method="deepest place of a corner below the table at any row of a toss", of_group=_of("depth", _MM),
 )  # fmt: skip
 

@@ -15,36 +15,36 @@ from gpusimbench.schemas.provenance import REAL
 _EPILOG = """\
 exit codes:
   0  every run is complete; of a sweep, every run below its last point, and at least one run
-  1  a run failed or is invalid; its recording says why; a replay took too much of this machine and was stopped
+  1  a run failed or is INVALID (its recording gives the reason), or a replay exceeded its limits and was stopped
   2  wrong usage
-  3  a run's process died or the disk was full: data was lost
+  3  a run's process died, or the disk was full: data was lost
 
 sweeps:
-  --sweep makes the runs of each number of environments, smallest first, and ends behind the first at which every run
-  fails or is invalid. To find that limit is what a sweep is for, so a failure there is no failure of the command. Where
-  the first run is out of memory or of a buffer, is refused or times out, the other runs of its point are not made.
-  The same command with the same --out goes on where it stopped: runs whose recordings lie there are not made again.
-  Two commands do not make the same sweep in one folder at once: the second ends with 1 and names the process that does.
+  --sweep records each number of environments, smallest first, and ends after the first number at which every run fails
+  or is INVALID. A sweep searches for this limit, so such a failure does not make the command fail. If the first run of
+  a number runs out of memory or of a buffer, is refused or times out, the other runs of this number are skipped.
+  To continue a sweep, repeat the command with the same --out: existing recordings are kept. Two commands cannot record
+  the same sweep in one folder at once: the second ends with exit code 1 and names the process of the first.
 
 replays:
-  --replay FILE makes the run of a recording again, here: its configuration, which passes the same checks as arguments,
-  and nothing else. What it asks for is printed first. The scene has to be the same; --option (and --impl, --device...)
-  replaces what was recorded, and the new recording says so; --runs, --phases, --view-env, --timeout, --python and --out
-  are yours.
-  --replay FILE --from STEP begins in the middle, at a snapshot that --snapshot STEP has saved, and captures the states
-  from there on. The engine takes a snapshot as it is: continue only recordings of people whose code you would run.
-  A replay that takes more memory, threads or disk than its recording accounts for is stopped; nothing of it is kept.
-  gsb-audit FILE does this, and says whether the same came out.
+  --replay FILE repeats the run of a recording on this machine, with the recorded configuration, which is printed first
+  and checked like arguments. The scene must be the same. --option (and --impl, --device...) replaces recorded options,
+  and the new recording stores that. --runs, --phases, --view-env, --timeout, --python and --out are not taken from the
+  recording.
+  --replay FILE --from STEP begins at a snapshot that --snapshot STEP saved, and captures the states from there on. The
+  engine loads the snapshot unchecked: continue only recordings of people whose code you would run.
+  A replay that uses more memory, threads or disk than its recording accounts for is stopped, and its files are deleted.
+  gsb-audit FILE replays a recording and compares the results.
 
 clusters:
-  --ray ADDRESS makes one run at a time on each GPU of a Ray cluster, or one a node where runs step on the CPU, and
-  copies each recording to --out here. Only machines of one kind are used: those of the kind that there are most of, or
-  that --ray-resource names. Every node needs this version of the project and the engine; see docs/cluster.md.
+  --ray ADDRESS makes one run at a time on each GPU of a Ray cluster (on each node, if runs step on the CPU), and copies
+  the recordings to --out on this machine. Only machines of one kind are used: the most frequent kind, or the kind with
+  the resource --ray-resource. Every node needs this version of the project and the engine; see docs/cluster.md.
 
 environments:
-  Engines whose packages cannot live together get an environment each: --setup NAME makes it, in $GSB_ENVIRONMENTS or
-  the user's folder for data, from pinned requirements whose hashes are checked. Later runs of that simulator find it.
-  --python PATH takes one of your own. What builds on torch gets the torch that pip is configured for on this machine.
+  Engines whose packages conflict with others get a Python environment each. --setup NAME makes the environment, in
+  $GSB_ENVIRONMENTS or the user's data folder, from pinned requirements with hashes; later runs of this simulator use
+  it. --python PATH uses an environment of your own. torch is installed as pip is configured on this machine.
 
 examples:
   gsb-record --list mujoco
@@ -115,8 +115,8 @@ _REPLAYED: dict[str, Any] = {
 OUT, OUT_OF_REPLAYS = Path("runs"), Path("replays")  # replays are no further runs of a set
 
 SHORTHANDS = {
-    "impl": "implementation, of simulators that have several",
-    "backend": "engine, of simulators that stand on several",
+    "impl": "implementation, of a simulator that has several",
+    "backend": "engine, of a simulator that can use several",
     "solver": "solver",
     "device": "device to step on",
 }
@@ -139,110 +139,112 @@ def parser() -> Parser:
         nargs="?",
         const="",
         metavar="NAME",
-        help="show simulators, where they are installed, and scenes; of one that is named all: options, levels of "
-        "determinism, and whether they have an effect here",
+        help="show all simulators and scenes; with NAME, show one in detail: options, determinism levels, and whether "
+        "each level has an effect on this machine",
     )
-    p.add_argument("--setup", metavar="NAME", help="make the environment of a simulator that needs one of its own")
+    p.add_argument("--setup", metavar="NAME", help="install a simulator in a Python environment of its own")
     p.add_argument(
         "--python",
         type=Path,
         metavar="PATH",
-        help="interpreter, or virtual environment, that makes the runs (or the environment of --setup)",
+        help="Python interpreter or virtual environment for the runs (or for --setup)",
     )
     p.add_argument("--json", action="store_true", help="print results (or the list) as JSON on standard output")
 
     what = p.add_argument_group("what is run")
     what.add_argument("--sim", metavar="NAME", help="simulator (see --list), or 'real' for measured trials")
-    what.add_argument("--replay", type=Path, metavar="FILE", help="run what a recording says that it ran; see below")
-    what.add_argument("--scene", metavar="NAME", help=f"what is simulated; see --list (default: {_SIMULATED['scene']})")
+    what.add_argument("--replay", type=Path, metavar="FILE", help="repeat the run of a recording; see below")
+    what.add_argument("--scene", metavar="NAME", help=f"scene; see --list (default: {_SIMULATED['scene']})")
     what.add_argument(
-        "--n-env", type=int, metavar="N", help=f"environments (default: {N_ENV}; of cube-toss: one a toss)"
+        "--n-env", type=int, metavar="N", help=f"number of environments (default: {N_ENV}; of cube-toss: one per toss)"
     )
     what.add_argument(
         "--sweep",
         metavar="A..B[:F]",
-        help="instead of --n-env: A, A*F, A*F*F... and B environments, powers of two (F: 2); see below",
+        help="instead of --n-env: record A, A*F, A*F*F... and B environments, powers of two (F: 2); see below",
     )
     what.add_argument(
-        "--runs", type=int, metavar="R", help=f"independent runs (default: {_SIMULATED['runs']}; of --replay: 1)"
+        "--runs",
+        type=int,
+        metavar="R",
+        help=f"independent runs (default: {_SIMULATED['runs']}; of --replay: 1)",
     )
-    what.add_argument("--dt", type=float, metavar="S", help="step [s] (default: the scene's, such as 0.01)")
+    what.add_argument("--dt", type=float, metavar="S", help="time step [s] (default: the scene's, such as 0.01)")
     what.add_argument(
         "--seed",
         type=int,
         metavar="N",
-        help=f"of what is drawn at random, in every run (default: {_SIMULATED['seed']})",
+        help=f"seed of random numbers, the same in every run (default: {_SIMULATED['seed']})",
     )
-    what.add_argument("--option", action="append", metavar="NAME=VALUE", help="an option of the simulator; repeatable")
+    what.add_argument("--option", action="append", metavar="NAME=VALUE", help="option of the simulator; repeatable")
     for name, meaning in SHORTHANDS.items():
         what.add_argument(f"--{name}", action="append", metavar="X", help=f"{meaning}: short for --option {name}=X")
     what.add_argument(
         "--initial",
         metavar="random:SPREAD|FILE",
-        help="begin each environment in a state of its own. random:SPREAD draws velocities of bodies [m/s] and angles "
-        "of joints [rad] within +-SPREAD of the scene's, from the seed. FILE.mcap or FILE.mcap@STEP gives the "
-        "positions and velocities that a recording has at a step (default: its first), also of another simulator; "
-        "FILE.npz gives arrays by GROUP/FIELD (default: all begin in the scene's first state)",
+        help="initial states. random:SPREAD gives each environment velocities of bodies [m/s] and joint angles [rad] "
+        "drawn within +-SPREAD of the scene's. FILE.mcap or FILE.mcap@STEP takes positions and velocities from a step "
+        "of a recording (default: its first), also of another simulator. FILE.npz has arrays named GROUP/FIELD "
+        "(default: the scene's initial state in all environments)",
     )
     what.add_argument(
         "--tosses",
         type=Path,
         metavar="PATH",
-        help="measured tosses, for scene cube-toss: a folder of .pt files as ContactNets publishes them, or an .npz; "
-        "each environment begins as one toss, and --sim real records the tosses themselves (default: $GSB_CUBE_TOSS, "
+        help="measured tosses for scene cube-toss: a folder of .pt files as published by ContactNets, or an .npz file. "
+        "Each environment begins as one toss; --sim real records the tosses themselves (default: $GSB_CUBE_TOSS, or "
         "else a synthetic set)",
     )
     what.add_argument(
         "--intervene",
         metavar="KIND@STEP",
         help="change the state after a captured step: reset@STEP resets every second environment; poison@STEP makes "
-        "one not finite; set@STEP gives all the positions and velocities that they have; excursion@STEP+MORE saves "
-        "all, makes MORE steps that are not recorded, and restores all; gsb-probe uses these (default: none)",
+        "the state of one environment not finite; set@STEP writes back the current positions and velocities; "
+        "excursion@STEP+MORE saves the state, makes MORE steps that are not recorded, and restores the state. "
+        "gsb-probe uses these (default: none)",
     )
     what.add_argument(
         "--from",
         dest="from_step",
         type=int,
         metavar="STEP",
-        help="with --replay: begin at the snapshot that the recording has of this step, and capture the rest",
+        help="with --replay: begin at the recording's snapshot of this step, and capture the rest",
     )
     what.add_argument(
         "--determinism",
         metavar="LEVEL",
-        help="what the engine has for it; see --list (default: default, the engine as it ships)",
+        help="determinism level of the engine; see --list NAME (default: default, the engine as it ships)",
     )
-    what.add_argument(
-        "--timeout", type=float, metavar="S", help="end each run after so many seconds (default: 0, never)"
-    )
+    what.add_argument("--timeout", type=float, metavar="S", help="end each run after this time [s] (default: 0, never)")
 
     how = p.add_argument_group("what is recorded")
     how.add_argument(
         "--phases",
         metavar="LIST",
-        help=f"timed (throughput), capture (states) or both (default: {_SIMULATED['phases']}; of --replay: as there)",
+        help=f"timed (throughput), capture (states) or both (default: {_SIMULATED['phases']}; --replay: as recorded)",
     )
-    how.add_argument("--steps", type=int, metavar="N", help="captured steps (default: 5 s of simulated time)")
+    how.add_argument("--steps", type=int, metavar="N", help="number of captured steps (default: 5 s of simulated time)")
     how.add_argument(
         "--stride", type=int, metavar="K", help=f"record every K-th state (default: {_SIMULATED['stride']})"
     )
     how.add_argument(
         "--snapshot",
         metavar="STEP[,STEP...]",
-        help="save the engine's whole state after these captured steps, so that --replay FILE --from STEP can "
-        "continue there (default: none)",
+        help="save the engine's complete state after these captured steps; --replay FILE --from STEP continues there "
+        "(default: none)",
     )
     how.add_argument(
         "--capture",
         choices=CAPTURE_MODES,
-        help="lossless: write while stepping, and wait where the disk is slower; memory: write after the last step "
+        help="lossless: write while stepping, and wait if the disk is slower; memory: write after the last step "
         f"(default: {_SIMULATED['capture']})",
     )
     how.add_argument(
         "--keep",
         metavar="failing[,within:M]",
-        help="write no states but those around the failures of the first 16 environments that become not finite, "
-        "overflow a buffer, or have a body further than M metres from their origin along an axis: 100 steps before "
-        "and 10 after (default: all states of all environments)",
+        help="write only the states from 100 steps before to 10 steps after a failure, of the first 16 environments "
+        "that fail. An environment fails if its state is not finite, a buffer overflows, or a body is further than M "
+        "metres from the environment's origin along an axis (default: all states of all environments)",
     )
     how.add_argument(
         "--view-env",
@@ -252,15 +254,20 @@ def parser() -> Parser:
         help="environment that viewers such as Foxglove and rerun show; repeatable, up to 4 times (default: 0)",
     )
     how.add_argument("--no-view", action="store_true", default=None, help="write nothing for viewers")
-    how.add_argument("--warmup", type=int, metavar="N", help=f"untimed steps first (default: {_SIMULATED['warmup']})")
     how.add_argument(
-        "--timed-steps", type=int, metavar="N", help=f"steps that are timed (default: {_SIMULATED['timed_steps']})"
+        "--warmup",
+        type=int,
+        metavar="N",
+        help=f"untimed steps first (default: {_SIMULATED['warmup']})",
+    )
+    how.add_argument(
+        "--timed-steps", type=int, metavar="N", help=f"number of timed steps (default: {_SIMULATED['timed_steps']})"
     )
     how.add_argument(
         "--compression",
         choices=("none", "lz4", "zstd"),
         default="none",
-        help="compression of the file's chunks (default: none)",
+        help="compression of the recordings (default: none)",
     )
     how.add_argument(
         "--out",
@@ -273,10 +280,9 @@ def parser() -> Parser:
     across.add_argument(
         "--ray",
         metavar="ADDRESS",
-        help="spread the runs over the Ray cluster there (HOST:PORT, auto), or over the GPUs of this machine (local); "
-        "see below",
+        help="make the runs on a Ray cluster (HOST:PORT or auto), or on all GPUs of this machine (local); see below",
     )
-    across.add_argument("--ray-resource", metavar="NAME", help="use only nodes with this resource of Ray's")
+    across.add_argument("--ray-resource", metavar="NAME", help="use only nodes with this Ray resource")
 
     real = p.add_argument_group("real trials (--sim real)")
     real.add_argument("--trials", type=Path, metavar="CSV", help="positions of the cubes: trial,cube,x,y[,z]")
@@ -285,7 +291,7 @@ def parser() -> Parser:
         "--sample-time",
         type=float,
         metavar="S",
-        help="when they were measured [s] (default: 5.0)",
+        help="time at which the positions were measured [s] (default: 5.0)",
     )
     p.show_first(
         "--list", "--setup", "--sim", "--scene", "--n-env", "--runs", "--option", "--determinism", "--phases",
@@ -308,21 +314,21 @@ def fill(arguments: argparse.Namespace) -> None:
     """Give what was not given its default; UsageError for what was given and would be ignored."""
     if arguments.replay is not None:
         own = {**_REPLAYED, **dict.fromkeys(SHORTHANDS, ())}
-        foreign, whose, doing = {**_SIMULATED, **_MEASURED}, "--sim", "--replay takes it from the recording"
+        foreign, whose, doing = {**_SIMULATED, **_MEASURED}, "--sim", "--replay takes this value from the recording"
     elif arguments.sim == REAL:
-        own, foreign, whose, doing = _MEASURED, _SIMULATED, "a simulator", f"--sim {REAL} has no use for it"
+        own, foreign, whose, doing = _MEASURED, _SIMULATED, "a simulator", f"--sim {REAL} does not use this option"
     else:
         own, foreign, whose = _SIMULATED, _MEASURED, f"--sim {REAL}"
-        doing = f"--sim {arguments.sim} has no use for it"
+        doing = f"--sim {arguments.sim} does not use this option"
     for name in foreign:
         if name not in own and getattr(arguments, name) is not None:
             raise UsageError(f"--{name.replace('_', '-')} is for {whose}; {doing}")
     if arguments.from_step is not None and arguments.replay is None:
-        raise UsageError("--from is a step of the recording that --replay names")
+        raise UsageError("--from needs --replay FILE: it is a step of that recording")
     if arguments.ray_resource is not None and arguments.ray is None:
-        raise UsageError("--ray-resource chooses nodes of a Ray cluster; say which cluster with --ray")
+        raise UsageError("--ray-resource needs --ray ADDRESS: it chooses nodes of that cluster")
     if arguments.sweep is not None and arguments.n_env is not None:
-        raise UsageError("--sweep says how many environments there are; leave --n-env out")
+        raise UsageError("--sweep and --n-env cannot be used together: --sweep sets the number of environments")
     for name, default in own.items():
         if getattr(arguments, name) is None:
             setattr(arguments, name, default)

@@ -221,7 +221,7 @@ def replay(arguments: argparse.Namespace, argv: tuple[str, ...]) -> int:
     with _maker(arguments, configuration, interpreter) as maker:
         code, results = record_set(request, arguments.runs, maker)
     if code and configuration.options.get("device", "cpu") not in ("cpu", "auto"):
-        say("where that device is not there, --option device=cpu replays on the CPU; the recording will say so")
+        say("if this machine does not have the recorded device, use --option device=cpu; the recording will store that")
     if arguments.json:
         _print_json(results)
     return code
@@ -270,15 +270,15 @@ def run(given: list[str]) -> int:
         arguments.replay is not None,
     )
     if sum(commands) > 1:
-        raise UsageError("--list, --setup, --sim and --replay are four commands; give one of them")
+        raise UsageError("use only one of --list, --setup, --sim and --replay")
     if arguments.python is not None and (arguments.list is not None or arguments.sim == REAL):
-        raise UsageError("--python is for the runs of a simulator, and for --setup")
+        raise UsageError(f"--python applies to runs of a simulator and to --setup, not to --list or --sim {REAL}")
     if arguments.list is not None:
         return _list(arguments.list, arguments.json)
     if arguments.setup is not None:
         return _set_up(arguments)
     if not arguments.sim and arguments.replay is None:
-        raise UsageError("say which simulator with --sim NAME; gsb-record --list shows them")
+        raise UsageError("no simulator given: use --sim NAME; gsb-record --list shows the simulators")
     fill(arguments)
     with shielded():
         from gpusimbench.recorder import clock

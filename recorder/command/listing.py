@@ -54,7 +54,7 @@ def about_environment(prepared: Prepared) -> Json:
 def environment_lines(environment: Json) -> list[str]:
     """The same for people: the folder on a line of its own, since a path may be of any length; then its packages."""
     versions = ", ".join(f"{name} {version}" for name, version in environment["versions"].items())
-    stale = "" if environment["current"] else "; of other requirements than this version's: set it up anew"
+    stale = "" if environment["current"] else "; outdated, made for other requirements: run --setup again"
     size = environment["size"] / 1e9
     return [
         f"environment: {environment['folder']} ({size:.2f} GB; Python {environment['python']}){stale}",

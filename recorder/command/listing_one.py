@@ -23,10 +23,10 @@ _WIDTH = 118
 
 
 _OPERATIONS = {
-    "snapshot": "save and restore all",
-    "some": "restore some envs",
-    "reset": "reset some envs",
-    "set_state": "set pose and velocity",
+    "snapshot": "save and restore the complete state",
+    "some": "restore some environments only",
+    "reset": "reset some environments only",
+    "set_state": "set positions and velocities",
 }
 """Those of StateClaims, in words."""
 
@@ -43,9 +43,7 @@ def list_one(name: str) -> Json:
     if name in scene_names():
         return {"scene": _scene(name, known)}
     names = [*simulators(), REAL, *scene_names()]
-    raise UsageError(
-        f"there is no simulator and no scene '{name}'; known: {', '.join(names)}{did_you_mean(name, names)}"
-    )
+    raise UsageError(f"no simulator or scene is called '{name}'; known: {', '.join(names)}{did_you_mean(name, names)}")
 
 
 def lines_of(known: Json) -> list[str]:
@@ -111,16 +109,16 @@ def _lines_of_simulator(about: Json) -> list[str]:
     if about["name"] == REAL:
         return lines
     if about["device_here"]:
-        lines.append(f"on this machine it steps on: {about['device_here']}")
+        lines.append(f"device on this machine: {about['device_here']}")
     if about["abilities"]:
         means = {ability.title: ability.meaning for ability in Ability}
         lines += ["", "abilities:", *_table([(title, means[title]) for title in about["abilities"]])]
     rows = [(f"{o['name']}={_shown(o['default'])}", f"{o['type']}: {o['meaning']}") for o in about["options"]]
-    lines += ["", "options, each with its default (--option NAME=VALUE):", *(_table(rows) or ["  none"])]
+    lines += ["", "options with defaults (--option NAME=VALUE):", *(_table(rows) or ["  none"])]
     rows = [(_OPERATIONS[name], claim) for name, claim in about["state"].items()]
-    lines += ["", "operations on its state, with these options:", *_table(rows)]
+    lines += ["", "operations on the state, with default options:", *_table(rows)]
     levels = [(level["level"], _level(level, about["device_here"])) for level in about["levels"]]
-    return [*lines, "", "levels of determinism (--determinism LEVEL):", *_table(levels)]
+    return [*lines, "", "determinism levels (--determinism LEVEL):", *_table(levels)]
 
 
 def _level(level: Json, device: str) -> str:

@@ -68,7 +68,7 @@ def test_a_set_that_follows_the_protocol() -> None:
     assert report.unchecked == ()
     fewer = check(files[:9], [PROTOCOL])
     assert [(f.rule.id, f.found) for f in fewer.findings if f.rule.level is Level.error] == [
-        ("runs", "found in 9 of 9 files, 10 are needed")
+        ("runs", "9 of 9 files meet this, 10 are needed")
     ]
     assert fewer.exit_code == ExitCode.GATE_FAILED
 
@@ -235,6 +235,16 @@ def test_the_protocol_knows_the_scenes() -> None:
         assert make_scene(name).dt == 0.01
 
 
+def test_every_rule_of_the_protocol_says_what_is_wrong(gsb_check: Command, small: Path) -> None:
+    """Print what is wrong and what to do of a broken rule, and not a sentence that reads as if the rule held."""
+    assert all(rule.broken and rule.broken != rule.requires for rule in PROTOCOL.rules)
+    said = " ".join(gsb_check("--protocol", small).stdout.split())
+    assert "error runs: The point has fewer than 10 complete runs; 1 of 1 files meet this, 10 are needed in" in said
+    assert "error timed-steps: Fewer than 1000 timed steps have clocks; found" in said
+    assert "Fix: Record without --timed-steps." in said
+    assert "At least 1000 steps are timed" not in said
+
+
 def test_damage_and_broken_rules_together(gsb_check: Command, tmp_path: Path) -> None:
     """Report a damaged file, one that breaks a rule and one that is no recording; damage decides the exit code."""
     good = whole(tmp_path, name="good.mcap")
@@ -341,9 +351,9 @@ def test_findings_of_one_rule_stand_together(gsb_check: Command, tmp_path: Path)
     short = " ".join(gsb_check("--rules", rules, *paths).stdout.split())
     assert short.count("error our-engine: ") == 1
     more = "; and 2 more findings of this rule (7.mcap, 8.mcap, 9.mcap)"
-    assert f"error our-engine: it is other-7{more} Required: The simulator is ours. Fix: Record with it." in short
+    assert f"error our-engine: found other-7{more} Required: The simulator is ours. Fix: Record with it." in short
     every = gsb_check("--rules", rules, "--all", *paths).stdout
-    assert all(f"error our-engine: it is other-{n}\n" in every for n in (7, 8, 9))
+    assert all(f"error our-engine: found other-{n}\n" in every for n in (7, 8, 9))
 
 
 def test_no_rule_applies(gsb_check: Command, tmp_path: Path) -> None:
@@ -400,7 +410,7 @@ def test_rules_of_ones_own(gsb_check: Command, tmp_path: Path) -> None:
     other = whole(tmp_path, simulator="other")
     done = gsb_check(path, other, "--rules", rules, "--rules", "integrity-1")
     assert done.returncode == ExitCode.GATE_FAILED
-    assert "error our-engine: it is other" in done.stdout
+    assert "error our-engine: found other" in done.stdout
 
 
 @pytest.mark.parametrize(

@@ -54,7 +54,7 @@ def test_one_engine(gsb_record: Command, entry: Entry) -> None:
         none = adapter.levels_without_effect.get(about["device_here"], {})
         assert level["effect_here"] == (level["level"] not in none)
     assert all(" ".join(claim.split()[:4]) in flat for claim in about["state"].values())
-    assert f"steps on: {about['device_here']}" in text
+    assert f"device on this machine: {about['device_here']}" in text
     assert flat.count("NO EFFECT on this machine") == sum(not level["effect_here"] for level in about["levels"])
     assert f"scenes: {', '.join(about['scenes'])}" in text
     # A path is as long as its owner made it, and stays on one line, so that it can be copied.

@@ -82,7 +82,7 @@ def _missing(value: tuple[str, ...], wanted: list[str]) -> str:
 
 
 def _it_is(value: Any) -> str:
-    return f"it is {show(value)}" if not isinstance(value, bool) else f"found: {'yes' if value else 'no'}"
+    return f"found {show(value)}"
 
 
 def _unless(holds: bool, found: str) -> tuple[str, ...]:
@@ -94,8 +94,8 @@ _SCALARS = (FactType.flag, FactType.number, FactType.text)
 FILE_PREDICATES: dict[str, FilePredicate] = {
     "empty": FilePredicate("there is none", (FactType.list,), _true, lambda value, _, __: tuple(value)),
     "present": FilePredicate(
-        "it is told", (FactType.text, FactType.list, FactType.object), _true,
-        lambda value, _, __: _unless(bool(value), "nothing is told"),
+        "it is recorded", (FactType.text, FactType.list, FactType.object), _true,
+        lambda value, _, __: _unless(bool(value), "nothing is recorded"),
     ),
     "equals": FilePredicate(
         "it is {}", _SCALARS, _scalar, lambda value, wanted, _: _unless(value == wanted, _it_is(value))
@@ -117,11 +117,11 @@ FILE_PREDICATES: dict[str, FilePredicate] = {
     ),
     "has": FilePredicate(
         "it has {}", (FactType.list,), _texts,
-        lambda value, wanted, _: _unless(not (missing := _missing(value, wanted)), f"not there: {missing}"),
+        lambda value, wanted, _: _unless(not (missing := _missing(value, wanted)), f"missing: {missing}"),
     ),
     "same_as": FilePredicate(
         "it is the same as {}", _SCALARS, _fact,
-        lambda value, name, other: _unless(value == other(name), f"it is {show(value)}, not {show(other(name))}"),
+        lambda value, name, other: _unless(value == other(name), f"found {show(value)}, not {show(other(name))}"),
     ),
 }  # fmt: skip
 """Predicates of rules that apply to a file."""
@@ -140,7 +140,7 @@ def _all_same(values: Mapping[str, Any], _: Any, __: Any) -> tuple[tuple[str, tu
         more = f"; and {len(findings) - _NAMED} more differ" if len(findings) > _NAMED else ""
         told = "; ".join(found for found, _ in findings[:_NAMED])
         return ((f"{told}{more}", tuple(dict.fromkeys(file for _, odd in findings for file in odd))),)
-    return _different(values, "it is ")
+    return _different(values, "found ")
 
 
 def _different(values: Mapping[str, Any], what: str) -> tuple[tuple[str, tuple[str, ...]], ...]:
@@ -173,7 +173,7 @@ def _all_distinct(values: Mapping[str, Any], _: Any, __: Any) -> tuple[tuple[str
 
 def _true_in(values: Mapping[str, Any], least: int, _: Any) -> tuple[tuple[str, tuple[str, ...]], ...]:
     count = sum(bool(value) for value in values.values())
-    return () if count >= least else ((f"found in {count} of {len(values)} files, {least} are needed", tuple(values)),)
+    return () if count >= least else ((f"{count} of {len(values)} files meet this, {least} are needed", tuple(values)),)
 
 
 def _determined_by(

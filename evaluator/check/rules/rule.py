@@ -48,6 +48,7 @@ class Rule:
     scenes     names of the scenes that it applies to; empty: all
     damage     a file that breaks it is damaged or has lost data
     requires   one sentence
+    broken     one sentence: what is wrong where the rule is broken; empty: what is found says so by itself
     why        one sentence
     do         what to do where it is broken
     """
@@ -62,6 +63,7 @@ class Rule:
     scenes: tuple[str, ...]
     damage: bool
     requires: str
+    broken: str
     why: str
     do: str
 
@@ -112,7 +114,7 @@ def parse_rules(text: str, source: str) -> RuleSet:
         raise UsageError(f"{source}: {error}") from None
 
 
-_KEYS = {"id", "level", "of", "fact", "must", "when", "scenes", "damage", "requires", "why", "do"}
+_KEYS = {"id", "level", "of", "fact", "must", "when", "scenes", "damage", "requires", "broken", "why", "do"}
 
 
 def _rule(record: Any, number: int) -> Rule:
@@ -144,6 +146,7 @@ def _rule(record: Any, number: int) -> Rule:
             scenes=tuple(_text({"scenes": scene}, "scenes") for scene in _list(record, "scenes")),
             damage=_flag(record, "damage"),
             requires=_text(record, "requires"),
+            broken=_text(record, "broken") if "broken" in record else "",
             why=_text(record, "why"),
             do=_text(record, "do"),
         )

@@ -28,8 +28,8 @@ def section(source: Source) -> Section | None:
     if evaluation.unmet.count:
         blocks.append(Text(f"Rules of {RULE_SET} that are not met (gsb-check --protocol names the files):"))
         found = sorted(evaluation.unmet.findings.items(), key=lambda one: (-one[1], one[0]))
-        required = {rule.id: rule.requires for rule in load_rules(RULE_SET).rules}
-        said = (f"{rule}, {plural(count, 'finding')}: {required.get(rule, '')}" for rule, count in found)
+        advice = {rule.id: f"{rule.broken} Fix: {rule.do}" for rule in load_rules(RULE_SET).rules}
+        said = (f"{rule}, {plural(count, 'finding')}: {advice.get(rule, '')}" for rule, count in found)
         blocks.append(Items(tuple(map(Item, said))))
     notes = [(note, "") for note in evaluation.notes] + [(note, label) for label, note in _notes(evaluation)]
     if listed := lines_of(notes):

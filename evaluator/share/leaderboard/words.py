@@ -19,7 +19,7 @@ from gpusimbench.evaluator.share.leaderboard.standing import Row
 
 _SHORT = 10
 _LONGEST = 100
-_YES_OR_NO = re.compile(r"^found: (yes|no) ")
+_YES_OR_NO = re.compile(r"^found (yes|no) ")
 
 
 def leaderboard_lines(board: Board) -> Iterator[str]:
@@ -71,18 +71,18 @@ def deviations(row: Row) -> list[str]:
 
 
 def unmet(row: Row) -> list[str]:
-    """Rules of protocol-1 that are not met: the sentence that each requires, and what was found in how many files."""
+    """Rules of protocol-1 that are not met: what is wrong, and what was found in how many files."""
     told: dict[str, list[str]] = {rule: [] for rule in row.result.timed.unmet.findings}
     for deviation in deviations(row):
         rule, _, found = deviation.partition(": ")
-        told.setdefault(rule, []).append(_YES_OR_NO.sub("not so ", found))
-    required = _required()
-    return [f"{required[rule]}: {', '.join(found)}" if found else required[rule] for rule, found in told.items()]
+        told.setdefault(rule, []).append(_YES_OR_NO.sub("", found))
+    broken = _broken()
+    return [f"{broken[rule]}: {', '.join(found)}" if found else broken[rule] for rule, found in told.items()]
 
 
 @cache
-def _required() -> dict[str, str]:
-    return {rule.id: rule.requires.rstrip(".") for rule in load_rules(PROTOCOL).rules}
+def _broken() -> dict[str, str]:
+    return {rule.id: rule.broken.rstrip(".") for rule in load_rules(PROTOCOL).rules}
 
 
 def unmet_in_short(row: Row) -> str:
