@@ -216,7 +216,10 @@ def _use_reference(run: Run) -> tuple[Reference | None, str]:
         return None, f"the reference {name} lost data: {run.dropouts[0]}"
     c = run.configuration
     measured = c.simulator == REAL
-    tosses = measured_tosses(Recording(run.path)) if measured else None
+    try:
+        tosses = measured_tosses(Recording(run.path)) if measured else None
+    except DamagedRecording as error:
+        return None, f"the reference {name} cannot be used: {error}"
     if not isinstance(run.positions, Missing):
         planar = run.positions.planar
     elif tosses:  # each has an end of its own, whatever the sample time is

@@ -91,7 +91,7 @@ TOSS_FACE = replace(
 )  # fmt: skip
 
 TOSS_REST = replace(
-    TOSS_POSITION, name="toss_rest", title="time to rest, less the measured", unit="s", direction=Direction.NEITHER,
+    TOSS_POSITION, name="toss_rest", title="error of time to rest", unit="s", direction=Direction.NEITHER,
     docs="time after which the cube stays slower than 3 cm/s and 0.3 rad/s, minus that of the measured toss; if the "
     "simulated cube still moves at the last measured row, the time of that row is used, a lower bound",
     method="time to rest less the measured one", of_group=_of("rest_time", 1.0),

@@ -16,10 +16,11 @@ from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.runs.positions import in_env_frame
 from gpusimbench.schemas import checks
 from gpusimbench.schemas.errors import DamagedRecording
-from gpusimbench.schemas.fields import BODY_FIELDS
 from gpusimbench.schemas.tosses import GROUP, TOSSES, TossSet
 
 _ALIKE = 1e-4  # of two first states [m, and of quaternions]: float32 far from the origin rounds to 8e-6 m
+_PARTS = ("position", "orientation", "linear_velocity", "angular_velocity")  # of a Motion, in its order
+_WIDTHS = {"position": 3, "orientation": 4, "linear_velocity": 3, "angular_velocity": 3}
 _HALF_STEP = 0.5  # gravity's share in a velocity that is a mean over the interval before
 
 
@@ -60,6 +61,8 @@ def measured_tosses(recording: Recording) -> MeasuredTosses | None:
     motion = _motion(recording, np.arange(c.steps + 1))
     if isinstance(motion, Missing):
         raise DamagedRecording(f"{recording.path}: {motion.reason}")
+    if not all(np.isfinite(getattr(motion, name)).all() for name in _PARTS):
+        raise DamagedRecording(f"{recording.path}: its tosses are not all finite")
     if max(known.rows) > len(motion.rows):
         raise DamagedRecording(
             f"{recording.path}: {TOSSES} has a toss of {max(known.rows)} rows, more than are recorded"
@@ -81,35 +84,41 @@ def errors_of(recording: Recording, measured: MeasuredTosses) -> TossErrors | Mi
     per_row = round(measured.dt / c.dt)
     if per_row < 1 or abs(per_row * c.dt / measured.dt - 1.0) > 1e-6:
         return Missing(f"its step, {c.dt:g} s, is no whole part of {measured.dt:g} s, the time between measured rows")
-    array = recording.state(GROUP, "position") if f"{GROUP}/position" in {f.name for f in recording.fields} else None
-    if array is None or not len(array):
-        return Missing("no states of the cube were recorded")
-    steps = array.steps[array.steps % per_row == 0]
+    begins = _motion(recording, np.zeros(1, dtype=np.int64))
+    if isinstance(begins, Missing):
+        return begins
+    matched = _matched(begins, measured)
+    if isinstance(matched, Missing):
+        return matched
+    tosses, envs = matched
+    steps = recording.state(GROUP, "position").steps
+    steps = steps[steps % per_row == 0]
+    steps = steps[steps // per_row < len(measured.motion.rows)]
     rows = steps // per_row
-    steps, rows = steps[rows < len(measured.motion.rows)], rows[rows < len(measured.motion.rows)]
-    if not len(rows) or rows[0] != 0:
-        return Missing("its first state was not recorded")
     if rows[-1] + _gap(rows) < max(measured.known.rows) - 1:
         return Missing(f"it ends after row {rows[-1]}, and the longest toss has {max(measured.known.rows)}")
-    motion = _motion(recording, steps, rows)
+    motion = _motion(recording, steps, rows, slice(0, int(envs.max()) + 1))
     if isinstance(motion, Missing):
         return motion
-    return _judged(motion, measured)
-
-
-def _judged(motion: Motion, measured: MeasuredTosses) -> TossErrors | Missing:
-    if not all(np.isfinite(a).all() for a in (motion.position, motion.orientation, motion.linear_velocity)):
+    if not all(np.isfinite(getattr(motion, name)).all() for name in _PARTS):
         return Missing("its states are not all finite")
-    begins = np.concatenate([motion.position[0], _upper(motion.orientation[0])], axis=1)
+    return toss_errors(
+        _of(motion, envs), _of(measured.motion, tosses), measured.counts[tosses], measured.cube, measured.dt
+    )
+
+
+def _matched(begins: Motion, measured: MeasuredTosses) -> tuple[NDArray[np.int64], NDArray[np.int64]] | Missing:
+    """Which tosses are repeated, ascending, and the first environment that begins as each."""
+    first = np.concatenate([begins.position[0], _upper(begins.orientation[0])], axis=1)
     known = np.concatenate([measured.motion.position[0], _upper(measured.motion.orientation[0])], axis=1)
-    apart, toss = KDTree(known).query(begins)
+    if not np.isfinite(first).all():
+        return Missing("its first states are not all finite")
+    apart, toss = KDTree(known).query(first)
     if apart.max() > _ALIKE:
         env = int(apart.argmax())
         return Missing(f"environment {env} begins as no toss of the reference: {apart[env]:.2g} from the nearest")
     tosses, envs = np.unique(toss, return_index=True)
-    return toss_errors(
-        _of(motion, envs), _of(measured.motion, tosses), measured.counts[tosses], measured.cube, measured.dt
-    )
+    return tosses, envs
 
 
 def _gap(rows: NDArray[np.int64]) -> int:
@@ -132,29 +141,33 @@ def _of(motion: Motion, envs: NDArray[np.int64]) -> Motion:
     )
 
 
-def _motion(recording: Recording, steps: NDArray[np.int64], rows: NDArray[np.int64] | None = None) -> Motion | Missing:
-    """The cube's states at some steps, positions in each environment's own frame."""
+def _motion(
+    recording: Recording,
+    steps: NDArray[np.int64],
+    rows: NDArray[np.int64] | None = None,
+    envs: slice = slice(None),
+) -> Motion | Missing:
+    """The cube's states at some steps, positions in each environment's own frame.
+
+    rows  numbers of the measured rows at those steps; None: the steps
+    envs  that are read
+    """
     fields = {field.field: field for field in recording.fields if field.group == GROUP}
-    if missing := [name for name in BODY_FIELDS if name not in fields]:
+    if missing := [name for name in _PARTS if name not in fields]:
         return Missing(f"{missing[0]} of {GROUP} was not recorded")
     found = {}
-    for name in BODY_FIELDS:
+    for name in _PARTS:
         array = recording.state(GROUP, name)
-        if array.shape[2] != 1:
-            return Missing(f"it has {array.shape[2]} bodies in {GROUP}, and a toss has one cube")
+        if array.shape[2:] != (1, _WIDTHS[name]):
+            return Missing(f"{name} has {array.shape[2]} bodies of {array.shape[3]} numbers; a toss has one cube")
         index = {step: at for at, step in enumerate(array.steps.tolist())}
         at = [index[step] for step in steps.tolist() if step in index]
-        if len(at) != len(steps):
+        if not at or len(at) != len(steps):
             return Missing(f"{name} was not recorded at the steps of the measured rows")
-        values = np.asarray(array)[at]
-        found[name] = in_env_frame(recording, fields[name], values) if name == "position" else values.astype(np.float64)
-    return Motion(
-        steps if rows is None else rows,
-        found["position"][:, :, 0],
-        found["orientation"][:, :, 0],
-        found["linear_velocity"][:, :, 0],
-        found["angular_velocity"][:, :, 0],
-    )
+        values = array.read(slice(at[0], at[-1] + 1), envs)[np.array(at) - at[0]]
+        local = in_env_frame(recording, fields[name], values, envs) if name == "position" else values
+        found[name] = local[:, :, 0].astype(np.float64)
+    return Motion(steps if rows is None else rows, *(found[name] for name in _PARTS))
 
 
 def _cube(recording: Recording) -> Cube:
@@ -164,6 +177,8 @@ def _cube(recording: Recording) -> Cube:
     if len(bodies) != 1:
         raise DamagedRecording(f"{recording.path}: the scene has {len(bodies)} bodies in {GROUP}; a toss has one cube")
     edge = checks.vector(_shape(bodies[0]).get("size"), 3, "the cube's size")[0]
+    if not 1e-9 < edge < 1e9:
+        raise DamagedRecording(f"{recording.path}: the cube's edge is {edge} m")
     mass = checks.number(bodies[0], "mass", 1e-9, 1e9)
     gravity = -checks.vector(scene.get("gravity"), 3, "gravity")[2]
     return Cube(edge, mass, mass * edge * edge / 6.0, gravity)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -29,6 +31,7 @@ from gpusimbench.evaluator.results.evaluate import evaluate_files
 from gpusimbench.evaluator.results.toss_metrics import TOSS_METRICS
 from gpusimbench.evaluator.runs.toss_motion import errors_of, measured_tosses
 from gpusimbench.evaluator.statistics.cases import FEWEST, mean_interval, paired
+from gpusimbench.recorder.trials.tosses import Tosses, read_tosses
 from tests.conftest import Command, recorded
 
 CUBE = Cube(edge=0.1, mass=0.4, inertia=0.4 * 0.01 / 6, gravity=9.81)
@@ -271,3 +274,33 @@ def test_interval(values: list[float]) -> None:
     assert mean_interval(values[: FEWEST - 1]) is None
     with pytest.raises(ValueError, match="shape"):
         mean_interval([values])
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda t: replace(t, position=np.full_like(t.position, np.nan)), "not all finite"),
+        (
+            lambda t: replace(t, known=replace(t.known, rows=(9999, *t.known.rows[1:]))),
+            "9999 rows, more than are recorded",
+        ),
+        (lambda t: replace(t, known=replace(t.known, rows=t.known.rows[1:])), "47 tosses, and the recording"),
+        (lambda t: replace(t, known=replace(t.known, length_scale=1e9)), "length_scale"),
+    ],
+    ids=["nan", "rows", "tosses", "scale"],
+)
+def test_a_reference_that_cannot_be(
+    change: Callable[[Tosses], Tosses], said: str, runs: dict[str, Path], tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch, gsb_record: Command, gsb_eval: Command,
+) -> None:  # fmt: skip
+    """Evaluate without a reference whose tosses contradict themselves, and say why."""
+    whole = read_tosses(None)
+    broken = change(whole)
+    monkeypatch.setattr(Tosses, "__len__", lambda self: len(whole.known.rows))
+    monkeypatch.setattr(Tosses, "steps", lambda self, scene: 441)
+    monkeypatch.setattr("gpusimbench.recorder.trials.reference.read_tosses", lambda path: broken)
+    assert gsb_record("--sim", "real", "--scene", "cube-toss", "--out", tmp_path).returncode == 0
+    done = gsb_eval(*tmp_path.glob("*.mcap"), runs["elliptic"])
+    assert done.returncode == 0, done.stderr
+    assert said in " ".join(done.stdout.split())
+    assert "cannot be used" in done.stdout
