@@ -216,7 +216,7 @@ def invariance(*, whole: bool = False) -> str:
     """What the results of each probed configuration depend on, as a Markdown table; `whole`: of whole probes alone."""
     asked = probed([Recording(path) for folder in PROBED for path in sorted(folder.glob("*.mcap"))])
     rows = [
-        [_probed_name(one.arms.key), _model(one.arms.key), *(_answer(finding) for finding in one.findings)]
+        [_probed_name(one.arms.key), _model(one.arms.key), *_answers(one.findings)]
         for one in asked
         if not whole or sum(finding.answer is not Answer.NOT_ASKED for finding in one.findings) > len(QUESTIONS) / 2
     ]
@@ -234,6 +234,11 @@ def _probed_name(key: GroupKey) -> str:
     given = json.loads(key.options)
     options = " ".join(str(given[name]) for name in _PLAIN if name in given)
     return f"{' '.join(filter(None, (key.simulator, options)))}, {key.determinism}"
+
+
+def _answers(findings: Sequence[Finding]) -> list[str]:
+    found = {finding.key: _answer(finding) for finding in findings}
+    return [found.get(question.key, _NONE) for question in QUESTIONS]
 
 
 def _answer(finding: Finding) -> str:

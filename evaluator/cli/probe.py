@@ -42,7 +42,7 @@ The recordings lie in --out; a probe that was interrupted goes on where it stopp
 --sim nothing is recorded: the answers are those of the recordings.
 
 exit codes:
-  0  answered; with --gate, every answer is yes but the last, which is no defect
+  0  answered; with --gate, every answer is yes, those about the device and about set states aside
   1  a run could not be recorded
   2  wrong usage
   3  a recording is damaged

@@ -36,6 +36,8 @@ class Arms:
     treated   as `varied`, by kind of intervention
     continued a run that saved a snapshot, and one that began with the snapshot in a process of its own
     repeated  runs of one treatment, of each that has several
+    runs      the first run of each treatment, by how it was treated in words
+    others    arms of the same simulator, version, scene, options and level that stepped on another device
     failed    why arms are missing, by how they were to be treated
     """
 
@@ -50,6 +52,8 @@ class Arms:
     continued: tuple[Recording, Recording] | None
     repeated: tuple[tuple[Recording, ...], ...]
     failed: dict[str, str]
+    runs: dict[str, Recording]
+    others: tuple[Arms, ...] = ()
 
     @property
     def version(self) -> str:
@@ -79,7 +83,19 @@ def arms_of(recordings: Sequence[Recording]) -> list[Arms]:
         if "capture" in c.phases and not given and recording.provenance.run_id not in seen:
             seen.add(recording.provenance.run_id)
             found.setdefault(_common(recording), []).append(recording)
-    return [_arms(key, alike) for key, alike in _without_followers(found).items()]
+    made = [_arms(key, alike) for key, alike in _without_followers(found).items()]
+    elsewhere: dict[GroupKey, list[Arms]] = {}
+    for arms in made:
+        elsewhere.setdefault(_anywhere(arms.key), []).append(arms)
+    return [
+        replace(arms, others=tuple(o for o in elsewhere[_anywhere(arms.key)] if o.key.device != arms.key.device))
+        for arms in made
+    ]
+
+
+def _anywhere(key: GroupKey) -> GroupKey:
+    """What arms of several devices have in common; drivers and switches follow from the device."""
+    return replace(key, device="", conditions="", switches="")
 
 
 def _common(recording: Recording) -> GroupKey:
@@ -140,6 +156,7 @@ def _arms(key: GroupKey, recordings: Sequence[Recording]) -> Arms:
         _continued(good),
         tuple(tuple(runs) for runs in by_treatment.values() if len(runs) > 1),
         {how: why for how, why in failed.items() if how not in map(_treatment, good)},
+        {how: runs[0] for how, runs in by_treatment.items()},
     )
 
 

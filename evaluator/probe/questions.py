@@ -79,6 +79,7 @@ class Question:
     ask     compares; Missing where the arms that it needs are not there
     attributable  a difference has to be told apart from that between runs
     gate    whether "no" is a defect: what decides an engine's next step is its own choice
+    asked_of_few  left out of the answers where it was not asked: most probes are of one device
     """
 
     key: str
@@ -86,6 +87,7 @@ class Question:
     ask: Callable[[Arms], Asked | Missing]
     attributable: bool = True
     gate: bool = True
+    asked_of_few: bool = False
 
 
 def probed(recordings: Sequence[Recording]) -> tuple[Probed, ...]:
@@ -98,7 +100,8 @@ def answers(arms: Arms) -> list[Finding]:
     noise = _runs(arms)
     varies = "" if isinstance(noise, Missing) or noise.found.first_step is None else _varies(noise.found)
     unknown = noise.reason if isinstance(noise, Missing) else ""
-    return [_answer(question, arms, varies, unknown) for question in QUESTIONS]
+    found = [(question, _answer(question, arms, varies, unknown)) for question in QUESTIONS]
+    return [one for question, one in found if not (question.asked_of_few and one.answer is Answer.NOT_ASKED)]
 
 
 def verdict_of(findings: Sequence[Finding]) -> str:
@@ -300,6 +303,30 @@ def _captured(arms: Arms) -> Asked | Missing:
     return Missing("needs a run with both phases, timed and capture, that passed the same steps")
 
 
+def _device(arms: Arms) -> Asked | Missing:
+    """Runs of the same treatment on other devices; only those of devices on which runs repeat themselves."""
+    found: list[Found | Missing] = []
+    devices: dict[str, None] = {}
+    differ: dict[str, None] = {}
+    for other in arms.others:
+        noise = _runs(other)
+        if not isinstance(noise, Missing) and noise.found.first_step is not None:
+            continue
+        for how in arms.runs.keys() & other.runs.keys():
+            run, twin = arms.runs[how], other.runs[how]
+            one = held(Pairs(run, twin, _same(range(run.configuration.n_env))))
+            if isinstance(one, Missing):
+                continue
+            found.append(one)
+            devices[other.key.device] = None
+            if one.first_step is not None:
+                differ[how] = None
+    if not found:
+        return Missing("needs the same runs on another device")
+    said = f"{len(found)} {'run' if len(found) == 1 else 'runs'} and the same on {', '.join(devices)}"
+    return _worst(found, said, f"differs with {', '.join(sorted(differ))}" if differ else "")
+
+
 def _first(runs: Sequence[Recording]) -> Recording | Missing:
     return runs[0] if runs else Missing("needs a run whose environments begin differently")
 
@@ -354,6 +381,7 @@ QUESTIONS = (
     Question("fresh", "a reset environment is as good as a fresh one", _fresh),
     Question("restored", "a restored state goes on as before", _restored),
     Question("process", "a snapshot goes on in another process as before", _process),
+    Question("device", "does not depend on the device", _device, gate=False, asked_of_few=True),
     Question("set", "positions and velocities are the whole state", _set, gate=False),
 )
 """In the order of the report."""

@@ -21,6 +21,7 @@ from gpusimbench.evaluator.probe.arms import arms_of
 from gpusimbench.evaluator.probe.pairs import Pairs, held
 from gpusimbench.evaluator.probe.plan import Arm, Plan, arm_of, interleaved
 from gpusimbench.evaluator.probe.questions import QUESTIONS, Answer, Finding, answers, verdict_of
+from gpusimbench.evaluator.probe.questions import probed as judged
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.render.document import Section
 from gpusimbench.evaluator.render.terminal import print_document
@@ -77,13 +78,15 @@ def _world(arm: Arm, planted: Planted | None) -> Callable[[NDArray[Any], int], N
 
 
 def _write(
-    folder: Path, arm: Arm, planted: Planted | None = None, switches: dict[str, Any] | None = None, **keywords: Any
-) -> Recording:
+    folder: Path, arm: Arm, planted: Planted | None = None, switches: dict[str, Any] | None = None,
+    also: Callable[[str, dict[str, Any]], None] = lambda name, record: None, **keywords: Any,
+) -> Recording:  # fmt: skip
     def treated(name: str, record: dict[str, Any]) -> None:
         if name == PROVENANCE:
             record["configuration"] |= {"initial": arm.initial, "intervention": arm.intervention}
         if name == SIMULATION:
             record["switches"] |= switches or {}
+        also(name, record)
 
     folder.mkdir(exist_ok=True)
     start = grid(arm.n_env, "float32")
@@ -118,7 +121,7 @@ ARMS = [arm for arm in PLAN.arms() if not arm.snapshot and not arm.continued]
 def test_nothing_planted(tmp_path: Path) -> None:
     """Answer yes to everything that was recorded, where nothing depends on anything."""
     found = _probe(tmp_path)
-    assert [q.key for q in QUESTIONS] == list(found)
+    assert [q.key for q in QUESTIONS if not q.asked_of_few] == list(found)
     others = {"capture", "process"}
     assert {key for key, finding in found.items() if finding.answer is Answer.YES} == found.keys() - others
     assert {found[key].answer for key in others} == {Answer.NOT_ASKED}
@@ -501,3 +504,34 @@ def test_two_commands_in_one_folder(command: str, arguments: list[str], tmp_path
         assert done.returncode == 1
         assert f"process {os.getpid()} on" in done.stderr
     assert list(tmp_path.iterdir()) == []
+
+
+def test_another_device(tmp_path: Path) -> None:
+    """Compare the same arms of two devices, and blame no device where its runs differ anyway."""
+
+    def of(folder: str, device: str, planted: dict[int, Planted] | None = None) -> list[Recording]:
+        def named(name: str, record: dict[str, Any]) -> None:
+            if name == SIMULATION:
+                record["device"] = device
+
+        return [
+            _write(tmp_path / folder, arm, (planted or {}).get(at), also=named)
+            for at, arm in enumerate(ARMS)
+            if at != 12
+        ]
+
+    here = of("here", "cpu a")
+    same = {one.arms.key.device: one for one in judged((*here, *of("same", "cpu b")))}
+    assert len(same) == 2
+    for one in same.values():
+        found = {finding.key: finding for finding in one.findings}["device"]
+        assert found.answer is Answer.YES
+        assert "11 runs and the same on cpu" in found.compared
+    away = of("away", "cpu c", {1: _moved(2, 5, 7), 11: _moved(2, 5, 7), 3: _moved(1, 5, 4)})
+    found = {f.key: f for f in judged((*here, *away))[0].findings}["device"]
+    assert found.answer is Answer.NO
+    assert found.found is not None
+    assert found.found.first_step == 4
+    assert found.detail == f"differs with 2 envs {ARMS[3].initial}, 4 envs {ARMS[1].initial}"
+    noisy = of("noisy", "cpu d", {1: _moved(2, 5, 7)})
+    assert "device" not in {finding.key for finding in judged((*here, *noisy))[0].findings}

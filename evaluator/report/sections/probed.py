@@ -22,7 +22,8 @@ _UNITS = {"m": (("m", 1.0), ("cm", 1e-2), ("mm", 1e-3), ("um", 1e-6), ("nm", 1e-
 
 _METHOD = (
     "Short runs that differ in one thing alone are compared bit by bit. Open: runs of the same configuration differ, "
-    "too, so that nothing can be said of the cause. The last question is no defect where its answer is no."
+    "too, so that nothing can be said of the cause. The last question, and that about the device, are no "
+    "defects where the answer is no."
 )
 
 
