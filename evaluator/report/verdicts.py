@@ -50,7 +50,8 @@ def usual(results: Results) -> list[GroupResult]:
 
 def _for_probe(result: GroupResult) -> bool:
     key = result.group.key
-    return bool(key.intervention or (key.initial and isinstance(result.metrics[FPS.name].value, Missing)))
+    own = key.initial and not key.initial.startswith("states:")  # states that a user gave are no probe's
+    return bool(key.intervention or (own and isinstance(result.metrics[FPS.name].value, Missing)))
 
 
 def repeats(results: Results) -> Cell:

@@ -240,6 +240,14 @@ def test_outputs(reference: Path, runs: dict[str, Path], tmp_path: Path, gsb_eva
     assert alone["groups"][0]["metrics"]["toss_position"]["value"] is None
 
 
+def test_beside_other_scenes(reference: Path, runs: dict[str, Path], small: Path, gsb_eval: Command) -> None:
+    """Show groups of tosses beside groups of other scenes, and compare each scene with its own reference alone."""
+    shown = gsb_eval(reference, runs["elliptic"], small, "--sample-time", "1").stdout
+    assert [line for line in shown.splitlines() if "cube-toss" in line and " cm " in line]
+    assert [line for line in shown.splitlines() if "inclined-collision" in line and " cm " not in line]
+    assert "that only gsb-probe needs" not in shown
+
+
 def test_paired() -> None:
     """Tell a shift of all cases from none, and be the negative of the other way round."""
     rng = np.random.default_rng(3)
