@@ -148,7 +148,8 @@ def _what(p: Provenance, s: Simulation | None) -> Iterator[tuple[str, str]]:
     digest = str(brief(s.scene.get("sha256", "")))[:12] if s else ""
     yield "scene", f"{c.scene} ({f'sha256 {digest}' if digest else 'without a description'})"
     if c.simulator == REAL:
-        yield "size", f"{plural(c.n_env, 'trial')}, measured at {c.dt:g} s"
+        times = f"every {c.dt:g} s, {c.steps + 1} times" if c.steps > 1 else f"at {c.dt:g} s"
+        yield "size", f"{plural(c.n_env, 'trial')}, measured {times}"
     else:
         yield "size", f"{plural(c.n_env, 'environment')}, dt {c.dt:g} s, seed {c.seed}"
         yield "protocol", "; ".join(_asked(c))

@@ -26,12 +26,15 @@ class Paired:
     ci95     by resampling cases; None for fewer than FEWEST
     p_value  that signs drawn at random give a mean as far from zero (sign-flip permutation test, two-sided)
     cases    that were compared
+    visible  smallest mean difference that so many cases show with 95 % probability at the 5 % level, from the spread
+             of the differences: (z_0.975 + z_0.95) SD / sqrt(cases), for normal means; 0 where there is no spread
     """
 
     mean: float
     ci95: tuple[float, float] | None
     p_value: float
     cases: int
+    visible: float
 
 
 def mean_interval(values: npt.ArrayLike, *, seed: int = 0) -> tuple[float, float] | None:
@@ -66,7 +69,7 @@ def paired(a: npt.ArrayLike, b: npt.ArrayLike, *, seed: int = 0) -> Paired:
     if not np.isfinite(difference).all():
         raise ValueError("values are not all finite")
     if not difference.any():
-        return Paired(0.0, mean_interval(difference, seed=seed), 1.0, len(difference))
+        return Paired(0.0, mean_interval(difference, seed=seed), 1.0, len(difference), 0.0)
     tested = stats.permutation_test(
         (difference,),
         np.mean,
@@ -75,4 +78,8 @@ def paired(a: npt.ArrayLike, b: npt.ArrayLike, *, seed: int = 0) -> Paired:
         vectorized=True,
         rng=np.random.default_rng(seed),
     )
-    return Paired(float(difference.mean()), mean_interval(difference, seed=seed), float(tested.pvalue), len(difference))
+    spread = float(difference.std(ddof=1)) if len(difference) > 1 else 0.0
+    visible = float(stats.norm.ppf(0.975) + stats.norm.ppf(0.95)) * spread / len(difference) ** 0.5
+    return Paired(
+        float(difference.mean()), mean_interval(difference, seed=seed), float(tested.pvalue), len(difference), visible
+    )

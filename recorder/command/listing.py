@@ -89,7 +89,7 @@ def _about(entry: Entry, scenes: list[Scene]) -> Json:
 def _about_real(scenes: list[Scene]) -> Json:
     return {
         "name": REAL,
-        "summary": "measured trials from a CSV file",
+        "summary": "measured trials: a CSV file, or the tosses of cube-toss",
         "installed": True,
         "install": "",
         "needs": "",

@@ -266,6 +266,19 @@ def test_paired() -> None:
             paired(*wrong)
 
 
+def test_visible() -> None:
+    """Reject a shift of the size that is called visible nearly always, and half of it much less often."""
+    rng = np.random.default_rng(7)
+    noise = [rng.normal(size=(2, 40)) for _ in range(60)]
+    size = float(np.mean([paired(*one).visible for one in noise]))
+    seen = [
+        sum(paired(a + shift, b, seed=at).p_value <= 0.05 for at, (a, b) in enumerate(noise)) / 60
+        for shift in (size, size / 2)
+    ]
+    assert seen[0] > 0.85
+    assert seen[1] < 0.75
+
+
 def test_false_alarms() -> None:
     """Reject exchangeable cases no more often than the level says."""
     rng = np.random.default_rng(5)

@@ -22,7 +22,8 @@ _LEGEND = (
     "Each simulated toss is compared with the measured toss from whose first state it began, at the measured rows.",
     "95 % intervals: tosses resampled.",
     "more than the first: mean over tosses of the error less that of the first group, toss by toss; p: sign-flip "
-    "permutation test, adjusted by Holm's method for all rows",
+    "permutation test, adjusted by Holm's method for all rows; visible: the smallest difference that these tosses show "
+    "with 95 % probability",
 )
 
 
@@ -83,7 +84,8 @@ def _more_than_first(order: Sequence[Ranked]) -> tuple[Column, Written]:
         low, high = one.against.ci95 or (None, None)
         span = "" if low is None or high is None else f"[{figure(low, 'cm')}, {figure(high, 'cm')}]"
         p = "p < 0.001" if one.adjusted < 0.001 else f"p = {one.adjusted:.2g}"
-        return Cell(figure(one.against.mean, "cm"), one.against.mean, one.against.ci95, span, (p,))
+        visible = f"visible from {figure(one.against.visible, 'cm')}"
+        return Cell(figure(one.against.mean, "cm"), one.against.mean, one.against.ci95, span, (p, visible))
 
     return Column("more than the first [cm]", "error of position less that of the first row, toss by toss"), cell
 
