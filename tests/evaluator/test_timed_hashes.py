@@ -118,5 +118,5 @@ def test_a_phase_that_is_not_there_is_named(tmp_path: Path) -> None:
     assert found.bit_identical
     rung = _verdict(found, whole, part).rungs[0]
     assert rung.holds is None
-    assert "with an original in every bit; not everything of the original was compared: state hashes of 2 of 2 " in rung.said
+    assert "in every bit; not everything of the original was compared: state hashes of 2 of 2 " in rung.said
     assert distinct([whole], [part]) == (1, 1, 1)

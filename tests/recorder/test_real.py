@@ -99,7 +99,7 @@ def test_bad_rows_are_named(gsb_record: Command, tmp_path: Path, text: str, mess
         (("--trials", "t.csv"), "--sim real needs --unit m or cm"),
         (("--trials", "missing.csv", "--unit", "m"), "cannot read missing.csv"),
         *(
-            ((*argument, "--trials", "missing.csv", "--unit", "m"), f"{argument[0]} is for a simulator; --sim real does not use")
+            ((*argument, "--trials", "missing.csv", "--unit", "m"), f"{argument[0]} is for a simulator; --sim real")
             for argument in (
                 ("--n-env", "16"),
                 ("--runs", "10"),
