@@ -566,7 +566,7 @@ def test_a_resource_without_a_cluster(tmp_path: Path) -> None:
     """Refuse to choose among the nodes of no cluster."""
     done = call("gsb-record", *TINY, "--ray-resource", "x", "--out", tmp_path)
     assert done.returncode == ExitCode.USAGE
-    assert "say which cluster with --ray" in done.stderr
+    assert "--ray-resource needs --ray ADDRESS" in done.stderr
 
 
 def test_no_room(nodes: Nodes, tmp_path: Path) -> None:
