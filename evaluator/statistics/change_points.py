@@ -146,8 +146,10 @@ def _divide(series: Floats, level: float) -> dict[int, float]:
         if freedom < 1:
             return found
         ranked = [(_p_value(c, total, freedom), c.cuts) for one in stretches for c in one.candidates]
-        p, cuts = min(ranked, default=(1.0, ()))
-        if not cuts or p > level:
+        if not ranked:
+            return found
+        p, cuts = min(ranked)
+        if p > level:
             return found
         found.update((cut, p) for cut in cuts if cut not in found)
 

@@ -150,12 +150,8 @@ def _rows(sets: npt.NDArray[np.float64], first: int, last: int, threads: int) ->
         def fill(row: int) -> None:
             distances_to_later(columns, row, result[row - first])
 
-        if threads > 1:
-            with ThreadPoolExecutor(threads) as pool:
-                list(pool.map(fill, range(first, last)))
-        else:
-            for row in range(first, last):
-                fill(row)
+        with ThreadPoolExecutor(threads) as pool:
+            list(pool.map(fill, range(first, last)))
     else:
         for row in range(first, last):
             _fill_with_scipy(unit, row, result[row - first])
