@@ -130,7 +130,7 @@ def test_depth() -> None:
 
 
 def test_rest() -> None:
-    """Date the rest from the last motion; one that moves until its end rests at its last row."""
+    """Date the rest from the last motion: the last row of a cube that never rests, the first of a cube that never moves."""
     motion = _flight(rows=10)
     motion.linear_velocity[:], motion.angular_velocity[:] = 0.0, 0.0
     motion.linear_velocity[:4, 0] = 0.05
@@ -138,6 +138,8 @@ def test_rest() -> None:
     motion.linear_velocity[:, 2] = 1.0
     within = np.ones((10, 3), dtype=bool)
     np.testing.assert_allclose(rest_times(motion, within, DT), [0.04, 0.07, 0.09])
+    motion.linear_velocity[:] = motion.angular_velocity[:] = 0.0
+    np.testing.assert_allclose(rest_times(motion, within, DT), 0.0)
 
 
 def test_floor() -> None:

@@ -163,3 +163,12 @@ def test_a_command_that_takes_long() -> None:
     assert done.returncode == 0, done.stderr
     assert done.stdout.startswith("{")
     assert done.stderr.splitlines()[0].startswith("gsb-check: checking recordings, ")
+
+
+def test_the_innermost_stage_is_told(clock: Clock, capsys: pytest.CaptureFixture[str]) -> None:
+    """Name the stage that is at work, not the stage that it is a part of."""
+    with Progress("gsb-x", live=False, clock=clock) as shown, stage("evaluating", 10), stage("reading", 100) as made:
+        clock.now += 30.0
+        made.advance()
+        shown.tick()
+    assert capsys.readouterr().err.startswith("gsb-x: reading: 1 of 100")
