@@ -142,7 +142,7 @@ def record(jobs: Path) -> None:
     from gpusimbench.recorder.run.run import Run
     from gpusimbench.schemas.configuration import RunConfiguration
     from gpusimbench.schemas.mcap.reader import Container
-    from gpusimbench.schemas.treatment import snapshot_name
+    from gpusimbench.schemas.treatment import GIVEN, snapshot_name
 
     for number, job in enumerate(json.loads(jobs.read_text())):
         path, c = Path(job["path"]), RunConfiguration.from_json(job["configuration"])
@@ -152,7 +152,7 @@ def record(jobs: Path) -> None:
         run = Run(
             c, path, run_id=f"{number:032x}", argv=(),
             created="2026-01-01T00:00:00Z", progress=lambda phase, done, of: None, log=lambda: b"",
-            given=given,
+            inputs={} if given is None else {GIVEN: given},
         )  # fmt: skip
         outcome = run.record()
         if outcome.status != "COMPLETE":

@@ -17,15 +17,16 @@ from gpusimbench.schemas.progress import Progress, stage
 from gpusimbench.schemas.provenance import REAL
 from gpusimbench.schemas.suggestion import did_you_mean
 from gpusimbench.schemas.text import block
+from gpusimbench.schemas.treatment import GIVEN
 
 if TYPE_CHECKING:
     from gpusimbench.recorder.environments.interpreter import Interpreter
     from gpusimbench.recorder.sets.series import Maker
 
 
-def configure(arguments: argparse.Namespace) -> tuple[RunConfiguration, bytes | None]:
-    """The configuration that the arguments ask for, and the states that --initial gives; UsageError where it cannot
-    be."""
+def configure(arguments: argparse.Namespace) -> tuple[RunConfiguration, dict[str, bytes]]:
+    """The configuration that the arguments ask for, and the files that its runs are given, by name; UsageError where it
+    cannot be."""
     with shielded():  # an import that is interrupted shows as one that is broken
         from gpusimbench.recorder.plan import check_dt, parse_snapshots, view_of
         from gpusimbench.recorder.run import initial, intervention, keep
@@ -80,7 +81,7 @@ def configure(arguments: argparse.Namespace) -> tuple[RunConfiguration, bytes | 
         snapshots=parse_snapshots(arguments.snapshot, steps),
     )
     check_configuration(configuration)
-    return configuration, given
+    return configuration, {} if given is None else {GIVEN: given}
 
 
 def check_configuration(configuration: RunConfiguration) -> None:
@@ -135,10 +136,10 @@ def record(arguments: argparse.Namespace, argv: tuple[str, ...]) -> int:
     points = () if arguments.sweep is None else parse_points(arguments.sweep)
     if points:
         arguments.n_env = points[0]
-    configuration, given = configure(arguments)
+    configuration, inputs = configure(arguments)
     interpreter = _interpreter(arguments, arguments.sim)
     out = arguments.out or OUT
-    request = Request(configuration, out, argv, quiet=arguments.json, end_killed=bool(points), given=given)
+    request = Request(configuration, out, argv, quiet=arguments.json, end_killed=bool(points), inputs=inputs)
     with _maker(arguments, configuration, interpreter) as maker:
         if points:
             code, results = record_sweep(request, Sweep(points, arguments.runs), maker)
@@ -200,7 +201,7 @@ def replay(arguments: argparse.Namespace, argv: tuple[str, ...]) -> int:
         timeout=arguments.timeout,
         compression=arguments.compression,
     )
-    c, given = begun(source, configuration, arguments.from_step)
+    c, inputs = begun(source, configuration, arguments.from_step)
     view = view_of(arguments.view_env, off=arguments.no_view, phases=c.phases, keep=c.keep)
     configuration = replace(c, view=view)
     try:
@@ -217,7 +218,7 @@ def replay(arguments: argparse.Namespace, argv: tuple[str, ...]) -> int:
     say(announcement(source, configuration))
     of = origin(source, configuration)
     out = arguments.out or OUT_OF_REPLAYS
-    request = Request(configuration, out, argv, quiet=arguments.json, replay_of=of, cage=source.cage, given=given)
+    request = Request(configuration, out, argv, quiet=arguments.json, replay_of=of, cage=source.cage, inputs=inputs)
     with _maker(arguments, configuration, interpreter) as maker:
         code, results = record_set(request, arguments.runs, maker)
     if code and configuration.options.get("device", "cpu") not in ("cpu", "auto"):

@@ -63,7 +63,7 @@ def _record(task: dict[str, Any], report: Callable[[dict[str, Any]], None], scra
         interrupted=(scratch / MARK).exists,
         reserved=True,
         replay_of=ReplayOf.from_json(of) if of else None,
-        given=Path(task["given"]).read_bytes() if task["given"] else None,
+        inputs={path.name: path.read_bytes() for path in Path(task["inputs"]).iterdir()} if task["inputs"] else {},
     )
     outcome = run.record()
     return {"status": outcome.status.lower(), "reason": outcome.reason, "cause": outcome.cause}

@@ -10,7 +10,7 @@ import subprocess
 import tempfile
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import nullcontext, suppress
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -25,7 +25,6 @@ from gpusimbench.recorder.run.pace import BETWEEN
 from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.errors import ExitCode, GsbError
 from gpusimbench.schemas.provenance import ReplayOf
-from gpusimbench.schemas.treatment import GIVEN
 from gpusimbench.schemas.writing import create, write_file
 
 Progress = Callable[[str, int, int], None]
@@ -130,14 +129,14 @@ def launch(
     interruptions: Interruptions,
     replay_of: ReplayOf | None = None,
     cage: Cage | None = None,
-    given: bytes | None = None,
+    inputs: Mapping[str, bytes] | None = None,
 ) -> Result:
     """Record one run in a fresh process, into `path`, whose name is reserved (recorder.plan.reserve).
 
     interpreter  that the process is of
     replay_of    the recording that the run is a replay of
     cage         what the run may take of this machine; None: anything
-    given        what it begins with, as of schemas.treatment.Given; None: it is not given
+    inputs       files that it is given, by the names that its recording attaches them under
 
     A run with a time limit that neither ends nor begins to end its recording within GRACE_S more is killed. So is one
     that passes a bound of its cage; nothing is left of that.
@@ -145,7 +144,7 @@ def launch(
     GsbError where no process can be started.
     """
     scratch = Path(tempfile.mkdtemp(prefix="gsb-run-"))
-    begins = _kept(given)
+    kept = _kept(inputs or {})
     task = {
         "configuration": configuration.to_json(),
         "path": str(path.absolute()),
@@ -154,28 +153,29 @@ def launch(
         "argv": list(argv),
         "scratch": str(scratch),
         "replay_of": asdict(replay_of) if replay_of else None,
-        "given": None if begins is None else str(begins),
+        "inputs": None if kept is None else str(kept),
     }
     try:
         end = _follow(task, scratch, interpreter, configuration.timeout, progress, interruptions, cage)
         said = "" if end.last else _last_line(scratch / _OUTPUT)
     finally:
         shutil.rmtree(scratch, ignore_errors=True)
-        if begins is not None:
-            shutil.rmtree(begins.parent, ignore_errors=True)
+        if kept is not None:
+            shutil.rmtree(kept, ignore_errors=True)
         left = release(path)
     if end.stopped and left:
         left.unlink(missing_ok=True)
     return _result(configuration, path, left, end, said, interrupted=interruptions.count > 0)
 
 
-def _kept(given: bytes | None) -> Path | None:
+def _kept(inputs: Mapping[str, bytes]) -> Path | None:
     # not in the scratch folder, whose files are the engine's log
-    if given is None:
+    if not inputs:
         return None
-    path = Path(tempfile.mkdtemp(prefix="gsb-given-")) / GIVEN
-    write_file(path, given, durable=False)
-    return path
+    folder = Path(tempfile.mkdtemp(prefix="gsb-inputs-"))
+    for name, data in inputs.items():
+        write_file(folder / name, data, durable=False)
+    return folder
 
 
 @dataclass

@@ -16,7 +16,7 @@ process, or a disk that takes no more bytes, leaves a recording without an end.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -56,6 +56,9 @@ from gpusimbench.schemas.provenance import (
 )
 from gpusimbench.schemas.treatment import GIVEN
 
+INPUTS = {GIVEN: MEDIA_TYPE}
+"""Files that a run may be given, and the media type of each."""
+
 Progress = Callable[[str, int, int], None]
 """Called with a phase, the steps done in it, and the steps that it has; with interruption.ENDING at the end."""
 
@@ -79,7 +82,7 @@ class Run:
     log          returns what the engine printed so far
     reserved     the .partial file of `path` is there already, empty, made for this run
     replay_of    the recording whose configuration it is
-    given        what the run begins with, where its configuration says that it was given (schemas.treatment.Given)
+    inputs       files that the run is given, by the names that its recording attaches them under (INPUTS)
     interrupted  whether the one who started this process has interrupted it: an engine that handles signals itself may
                  keep them from this process
     """
@@ -96,7 +99,7 @@ class Run:
         log: Callable[[], bytes],
         reserved: bool = False,
         replay_of: ReplayOf | None = None,
-        given: bytes | None = None,
+        inputs: Mapping[str, bytes] | None = None,
         interrupted: Callable[[], bool] = lambda: False,
     ) -> None:
         self._configuration = configuration
@@ -105,7 +108,7 @@ class Run:
         self._log = log
         self._provenance = Provenance(run_id, created, argv, configuration, replay_of=replay_of)
         self._reserved = reserved
-        self._given = given
+        self._inputs = inputs or {}
         self._interrupted = interrupted
 
     def record(self) -> Outcome:
@@ -187,8 +190,8 @@ class Run:
             sink.attach(PACKAGES, "text/plain", package_list().encode())
             if scene is not None:
                 sink.attach(SCENE, "application/json", scene.to_json().encode())
-            if self._given is not None:
-                sink.attach(GIVEN, MEDIA_TYPE, self._given)
+            for name, data in self._inputs.items():
+                sink.attach(name, INPUTS[name], data)
             sink.channel(topics.RUN_EVENT, "gsb.v1.Event")
             if configuration.view:
                 journal.shown_log = LogWriter(sink)
@@ -215,7 +218,7 @@ class Run:
                     determinism=configuration.determinism,
                 )
 
-            with Engine(new_simulator, configuration.initial, self._given) as engine:
+            with Engine(new_simulator, configuration.initial, self._inputs.get(GIVEN)) as engine:
                 with Phase(journal, memory, "init"):
                     self._progress("init", 0, 1)
                     description = journal.clocked("build", engine.start)

@@ -144,8 +144,8 @@ def replayed(
 
 def begun(
     source: Source, configuration: RunConfiguration, from_step: int | None
-) -> tuple[RunConfiguration, bytes | None]:
-    """How a replay begins: as the recording did, with what that was given, or at a snapshot that it has.
+) -> tuple[RunConfiguration, dict[str, bytes]]:
+    """How a replay begins, as the recording did or at a snapshot that it has, and the files that it is given for that.
 
     from_step  the snapshot's step; None: as the recording did
 
@@ -154,8 +154,8 @@ def begun(
     c, path = configuration, source.path
     if from_step is None:
         if drawn(c.initial) or not c.initial:
-            return c, None
-        return c, _attached(source, GIVEN)
+            return c, {}
+        return c, {GIVEN: _attached(source, GIVEN)}
     if from_step not in c.snapshots:
         has = ", ".join(map(str, c.snapshots)) or "none: gsb-record --snapshot STEP saves them"
         raise UsageError(f"{path} has no snapshot of step {from_step}; it has {has}")
@@ -169,7 +169,7 @@ def begun(
     data = _attached(source, snapshot_name(from_step))
     how = Given(hashlib.sha256(data).hexdigest(), from_step)
     later = tuple(step for step in c.snapshots if step > from_step)
-    return replace(c, initial=str(how), phases=("capture",), snapshots=later), data
+    return replace(c, initial=str(how), phases=("capture",), snapshots=later), {GIVEN: data}
 
 
 def _attached(source: Source, name: str) -> bytes:

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator, Sequence
+from collections.abc import Generator, Mapping, Sequence
 from contextlib import closing
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -36,7 +36,7 @@ class Request:
     replay_of      the recording that the runs are replays of
     end_killed     where a run has to be killed after its timeout, write a recording that says so
     cage           what a run may take of the machine; None: anything
-    given          what a run begins with, as of schemas.treatment.Given; None: it is not given
+    inputs         files that a run is given, by the names that its recording attaches them under
     """
 
     configuration: RunConfiguration
@@ -46,12 +46,12 @@ class Request:
     replay_of: ReplayOf | None = None
     end_killed: bool = False
     cage: Cage | None = None
-    given: bytes | None = None
+    inputs: Mapping[str, bytes] = field(default_factory=dict)
 
     def task(self, run: RunConfiguration) -> Task:
         """One of the runs, to be made now."""
         return Task.of(
-            run, self.argv, replay_of=self.replay_of, end_killed=self.end_killed, cage=self.cage, given=self.given
+            run, self.argv, replay_of=self.replay_of, end_killed=self.end_killed, cage=self.cage, inputs=self.inputs
         )
 
 

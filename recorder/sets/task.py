@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import uuid
 from base64 import b64decode, b64encode
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +28,7 @@ class Task:
     replay_of   the recording that it is a replay of
     end_killed  where it has to be killed after its timeout, write a recording that says so
     cage        what it may take of the machine; None: anything
-    given       what it begins with, as of schemas.treatment.Given; None: it is not given
+    inputs      files that it is given, by the names that its recording attaches them under
     """
 
     configuration: RunConfiguration
@@ -37,7 +38,7 @@ class Task:
     replay_of: ReplayOf | None = None
     end_killed: bool = False
     cage: Cage | None = None
-    given: bytes | None = None
+    inputs: Mapping[str, bytes] = field(default_factory=dict)
 
     @classmethod
     def of(
@@ -48,18 +49,18 @@ class Task:
         replay_of: ReplayOf | None = None,
         end_killed: bool = False,
         cage: Cage | None = None,
-        given: bytes | None = None,
+        inputs: Mapping[str, bytes] | None = None,
     ) -> Task:
         """A new run, created now."""
-        return cls(configuration, str(uuid.uuid4()), utc_now(), argv, replay_of, end_killed, cage, given)
+        return cls(configuration, str(uuid.uuid4()), utc_now(), argv, replay_of, end_killed, cage, inputs or {})
 
     def to_json(self) -> dict[str, Any]:
         """As plain JSON values."""
         of = asdict(self.replay_of) if self.replay_of else None
-        given = None if self.given is None else b64encode(self.given).decode()
+        inputs = {name: b64encode(data).decode() for name, data in self.inputs.items()}
         return {
             **asdict(self), "configuration": self.configuration.to_json(), "argv": list(self.argv), "replay_of": of,
-            "given": given,
+            "inputs": inputs,
         }  # fmt: skip
 
     @classmethod
@@ -74,7 +75,7 @@ class Task:
             ReplayOf.from_json(of) if of else None,
             record["end_killed"],
             Cage(**record["cage"]) if record["cage"] else None,
-            None if record["given"] is None else b64decode(record["given"]),
+            {name: b64decode(data) for name, data in record["inputs"].items()},
         )
 
 
@@ -94,7 +95,7 @@ def make(
         interruptions=interruptions,
         replay_of=task.replay_of,
         cage=task.cage,
-        given=task.given,
+        inputs=task.inputs,
     )
     if not (task.end_killed and result.died and result.cause == "TIMEOUT") or interruptions.count:
         return result

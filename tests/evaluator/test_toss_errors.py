@@ -130,7 +130,7 @@ def test_depth() -> None:
 
 
 def test_rest() -> None:
-    """Date the rest from the last motion: the last row of a cube that never rests, the first of a cube that never moves."""
+    """Date the rest from the last motion: the last row of a cube that never rests, the first of an idle cube."""
     motion = _flight(rows=10)
     motion.linear_velocity[:], motion.angular_velocity[:] = 0.0, 0.0
     motion.linear_velocity[:4, 0] = 0.05
