@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, replace
 from typing import Any
 
 from gpusimbench.schemas import checks
@@ -43,14 +43,15 @@ BODY_FIELDS = ("position", "orientation", "linear_velocity", "angular_velocity")
 class StateField:
     """One recorded array of a run, shape [step, env, item, width].
 
-    group       bodies that belong together: cubes, ball, robot
+    group       bodies or joints that belong together, such as cubes, bodies, joints
     field       a key of FIELD_KINDS
     dtype       "float32" or "float64": what the engine computes in
     items       names of the bodies or joints, in order
     components  names of the numbers of one item
-    unit        SI unit
+    unit        SI unit; where items differ in it, all of their units in words, such as "m or rad"
     frame       see FieldKind
     note        how the recorded number differs from what the engine returns; empty where it does not
+    item_units  SI unit of each item, in the order of the items, where they differ; empty where all are in `unit`
     """
 
     group: str
@@ -61,6 +62,7 @@ class StateField:
     unit: str
     frame: str
     note: str = ""
+    item_units: tuple[str, ...] = ()
 
     @property
     def name(self) -> str:
@@ -71,6 +73,11 @@ class StateField:
     def width(self) -> int:
         """Numbers per item."""
         return len(self.components)
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """SI unit of each item, in the order of the items."""
+        return self.item_units or (self.unit,) * len(self.items)
 
     def to_metadata(self) -> dict[str, str]:
         """The strings that a channel carries; lists are joined by commas."""
@@ -84,6 +91,7 @@ class StateField:
             "unit": self.unit,
             "frame": self.frame,
             "note": self.note,
+            **({"item_units": ",".join(self.item_units)} if self.item_units else {}),
         }
 
     @classmethod
@@ -92,15 +100,19 @@ class StateField:
         dtype = checks.text(record, "dtype")
         if dtype not in DTYPES:
             raise DamagedRecording(f"dtype is not one of {', '.join(DTYPES)}: {dtype[:20]!r}")
+        items, item_units = checks.texts(record, "items"), checks.texts(record, "item_units")
+        if item_units and len(item_units) != len(items):
+            raise DamagedRecording(f"item_units has {len(item_units)} units, and there are {len(items)} items")
         return cls(
             group=checks.text(record, "group"),
             field=checks.text(record, "field"),
             dtype=dtype,
-            items=checks.texts(record, "items"),
+            items=items,
             components=checks.texts(record, "components"),
             unit=checks.text(record, "unit"),
             frame=checks.text(record, "frame"),
             note=checks.text(record, "note", default=""),
+            item_units=item_units,
         )
 
 
@@ -125,7 +137,23 @@ def body_fields(
     )
 
 
-def joint_field(group: str, field: str, dtype: str, joints: tuple[str, ...]) -> StateField:
-    """Positions ("qpos") or velocities ("qvel") of hinges, one number a joint."""
-    units = {"qpos": "rad", "qvel": "rad/s"}
-    return StateField(group, field, dtype, joints, ("angle",), units[field], FIELD_KINDS[field].frame)
+def joint_field(
+    group: str, field: str, dtype: str, joints: tuple[str, ...], *, slides: Collection[str] = (), note: str = ""
+) -> StateField:
+    """Positions ("qpos") or velocities ("qvel") of hinges and slides, one number a joint.
+
+    slides  names of the joints that slide [m, m/s]; all others turn [rad, rad/s]
+    """
+    turns, moves = {"qpos": ("rad", "m"), "qvel": ("rad/s", "m/s")}[field]
+    kind, units = FIELD_KINDS[field], tuple(moves if joint in slides else turns for joint in joints)
+    if len(set(units)) > 1:
+        return StateField(group, field, dtype, joints, ("coordinate",), kind.unit, kind.frame, note, units)
+    component = "coordinate" if moves in units else "angle"
+    return StateField(group, field, dtype, joints, (component,), moves if moves in units else turns, kind.frame, note)
+
+
+def ball_fields(group: str, dtype: str, joints: tuple[str, ...]) -> tuple[StateField, ...]:
+    """Orientations and angular velocities of ball joints, in joint coordinates: of the child body in its parent."""
+    return tuple(
+        replace(body_field(group, field, dtype, joints), frame="joint") for field in ("orientation", "angular_velocity")
+    )
