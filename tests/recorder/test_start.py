@@ -138,8 +138,8 @@ def test_no_such_steps(text: str, tmp_path: Path) -> None:
 def test_a_snapshot_of_another_configuration(whole: Path, tmp_path: Path) -> None:
     """Refuse arrays that are not like the simulator's own before an engine gets them."""
     source = read_source(whole)
-    _, data = begun(source, source.configuration, 30)
-    assert data is not None
+    _, inputs = begun(source, source.configuration, 30)
+    data = inputs[GIVEN]
     other = arrays.encode({**arrays.decode("x", data), "qvel": np.zeros((3, 5))})
     simulator = find_simulator("mujoco").load()
     built = simulator(make_scene("inclined-collision"), n_env=3, dt=0.01, seed=0, options=simulator.Options())
