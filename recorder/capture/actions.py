@@ -24,9 +24,9 @@ def declare_actions(sink: Sink, actions: JointTargets, *, n_env: int) -> None:
     metadata = {
         "shape": "step,env,joint",
         "joints": ",".join(actions.joints),
-        "unit": "rad",
+        "unit": actions.unit,
         "dtype": "float32",
-        "meaning": "target position of each joint, held during the step",
+        "meaning": actions.meaning,
     }
     for start in range(0, n_env, env_block(n_env)):
         sink.channel(topics.action(actions.name, start), "gsb.v1.ActionBlock", metadata)

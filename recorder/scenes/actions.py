@@ -11,42 +11,52 @@ from numpy.typing import NDArray
 
 from gpusimbench.schemas.mix32 import GOLDEN32, mix32
 
-GRID_BITS = 13
-GRID = 2.0**-GRID_BITS
-"""Targets are whole multiples of this [rad]: every float32 operation that makes one is exact, whatever device does it
-and whether or not it fuses a multiplication with an addition."""
+GRID = 2.0**-13
+"""Angles of a robot's joints are whole multiples of this [rad]."""
 
 _WORD_BITS = 16  # of the random word that scales a range; a range of less than 2^16 steps keeps the product in 32 bits
+_RANGE_BITS = 15  # steps that a range is divided into, at most
+_MANTISSA_BITS = 24  # of a float32
 
 
 @dataclass(frozen=True)
 class JointTargets:
-    """A target position for each joint at each step, uniform within its limits (to within GRID).
+    """A number for each actuator at each step, uniform within its limits (to within its grid).
+
+    Numbers are whole multiples of a power of two, the actuator's grid: every float32 operation that makes one is exact,
+    whatever device does it and whether or not it fuses a multiplication with an addition.
 
     The generator is counter-based, in 32-bit wrapping integers, so that any step of any environment can be made
     anywhere, in any order, on any device:
 
         w = mix(seed_low + G);  w = mix(w + seed_high + G)
         w = mix(w + (env + 1) * G);  w = mix(w + (step + 1) * G);  w = mix(w + (joint + 1) * G)
-        target = (first[joint] + ((w >> 16) * count[joint] >> 16)) * GRID
+        target = (first[joint] + ((w >> 16) * count[joint] >> 16)) * grid[joint]
 
     with mix the finaliser of MurmurHash3 and G = 0x9E3779B9 (``schemas.mix32``).
 
     name          of the topic
-    joints        names, in the robot's order
-    lower, upper  limits [rad]
+    joints        names of joints or actuators, in the robot's order
+    lower, upper  limits [unit]; where both are the same, the number is that, in float32
+    grids         of each actuator [unit]; empty: GRID
+    unit          of the numbers
+    meaning       what an engine does with them
     """
 
     name: str
     joints: tuple[str, ...]
     lower: tuple[float, ...]
     upper: tuple[float, ...]
+    grids: tuple[float, ...] = ()
+    unit: str = "rad"
+    meaning: str = "target position of each joint, held during the step"
 
-    def grid(self) -> tuple[NDArray[np.int32], NDArray[np.uint32]]:
-        """`first` and `count` for each joint: the targets are GRID times first .. first + count - 1."""
-        first = np.array([math.ceil(x / GRID) for x in self.lower], dtype=np.int32)
-        last = np.array([math.floor(x / GRID) for x in self.upper], dtype=np.int32)
-        return first, (last - first + 1).astype(np.uint32)
+    def grid(self) -> tuple[NDArray[np.int32], NDArray[np.uint32], NDArray[np.float32]]:
+        """`first`, `count` and `grid` for each joint: the targets are grid times first .. first + count - 1."""
+        grids = self.grids or (GRID,) * len(self.joints)
+        first = np.array([math.ceil(x / grid) for x, grid in zip(self.lower, grids, strict=True)], dtype=np.int32)
+        last = np.array([math.floor(x / grid) for x, grid in zip(self.upper, grids, strict=True)], dtype=np.int32)
+        return first, (last - first + 1).astype(np.uint32), np.array(grids, dtype=np.float32)
 
     def seed_word(self, seed: int) -> int:
         """The word that `seed` begins the chain with, for generators on a device."""
@@ -67,19 +77,28 @@ class JointTargets:
         word = np.array([[[self.seed_word(seed)]]], dtype=np.uint32)
         for counter in counters:
             word = mix32(word + (counter + 1).astype(np.uint32) * golden)
-        first, count = self.grid()
+        first, count, grid = self.grid()
         index = (word >> np.uint32(32 - _WORD_BITS)) * count >> np.uint32(_WORD_BITS)
-        return (first + index.astype(np.int32)).astype(np.float32) * np.float32(GRID)
+        return (first + index.astype(np.int32)).astype(np.float32) * grid
 
     def describe(self, seed: int) -> str:
         """The generator with all that it depends on (JSON)."""
-        return json.dumps(
-            {
-                "generator": "murmur3-fmix32-grid13",
-                "name": self.name,
-                "seed": seed,
-                "joints": self.joints,
-                "lower": self.lower,
-                "upper": self.upper,
-            }
-        )
+        known = {"name": self.name, "seed": seed, "joints": self.joints, "lower": self.lower, "upper": self.upper}
+        if self.grids:
+            return json.dumps({"generator": "murmur3-fmix32", **known, "grids": self.grids})
+        return json.dumps({"generator": "murmur3-fmix32-grid13", **known})
+
+
+def grid_of(lower: float, upper: float) -> tuple[float, float, float]:
+    """A grid for a range, and the range in float32: the finest power of two that divides the range into at most 2^15
+    steps and on which whole multiples up to its ends are float32. ValueError for a range that is none."""
+    low, high = float(np.float32(lower)), float(np.float32(upper))
+    if not (math.isfinite(low) and math.isfinite(high) and low <= high):
+        raise ValueError(f"{lower} to {upper} is no range")
+    largest = max(abs(low), abs(high))
+    if largest == 0:
+        return GRID, 0.0, 0.0
+    exponent = math.frexp(largest)[1] - _MANTISSA_BITS
+    if low < high:
+        exponent = max(exponent, math.ceil(math.log2((high - low) / 2**_RANGE_BITS)))
+    return 2.0**exponent, low, high

@@ -65,8 +65,8 @@ class BodyFrame(MujocoC):
 
     def raw(self, state, qvel):
         state = list(state)
-        for k, (_, at) in enumerate(self._compiled._groups):
-            state[4 * k + 3] = qvel[..., at][..., 3:]
+        for k, part in enumerate(self._compiled.layout):
+            state[4 * k + 3] = qvel[..., part.at_qvel][..., 3:]
         return tuple(state)
 
 

@@ -14,7 +14,7 @@ from gpusimbench.recorder.scenes.base import Body, Box, Plane, Scene, Sphere
 from gpusimbench.recorder.scenes.emit.mjcf import emit_mjcf
 from gpusimbench.recorder.simulators.genesis.options import GenesisOptions
 from gpusimbench.recorder.simulators.genesis.sizes import Sizes
-from gpusimbench.recorder.simulators.mujoco.model import rotate_to_body
+from gpusimbench.recorder.simulators.mujoco.layout import rotate_to_body
 from gpusimbench.recorder.simulators.snapshot import Envs
 
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from gpusimbench.recorder.scenes.actions import GRID, JointTargets
+from gpusimbench.recorder.scenes.actions import JointTargets
 from gpusimbench.schemas.mix32 import GOLDEN32, mix32
 
 
@@ -20,7 +20,7 @@ def device_draw(actions: JointTargets, *, seed: int, n_env: int) -> Callable[[An
     import jax.numpy as jnp
 
     golden = np.uint32(GOLDEN32)
-    first, count = (jnp.asarray(numbers) for numbers in actions.grid())
+    first, count, grid = (jnp.asarray(numbers) for numbers in actions.grid())
 
     def draw(step: Any) -> Any:
         word: Any = jnp.uint32(actions.seed_word(seed))
@@ -29,6 +29,6 @@ def device_draw(actions: JointTargets, *, seed: int, n_env: int) -> Callable[[An
         for counter in (env, jnp.asarray(step, jnp.uint32), joint):
             word = mix32(word + (counter + np.uint32(1)) * golden)
         index = (word >> np.uint32(16)) * count >> np.uint32(16)
-        return (first + index.astype(jnp.int32)).astype(jnp.float32) * np.float32(GRID)
+        return (first + index.astype(jnp.int32)).astype(jnp.float32) * grid
 
     return draw

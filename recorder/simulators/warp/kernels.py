@@ -28,7 +28,7 @@ def draw_targets(
     step: wp.array(dtype=wp.int32),
     first: wp.array(dtype=wp.int32),
     count: wp.array(dtype=wp.uint32),
-    grid: float,
+    grid: wp.array(dtype=float),
     ctrl: wp.array2d(dtype=float),
 ):
     """The targets of recorder.scenes.actions.JointTargets at step step[0], into ctrl [env, joint]."""
@@ -37,7 +37,7 @@ def draw_targets(
     word = mix32(word + wp.uint32(step[0] + 1) * _GOLDEN)
     word = mix32(word + wp.uint32(joint + 1) * _GOLDEN)
     index = ((word >> wp.uint32(16)) * count[joint]) >> wp.uint32(16)
-    ctrl[env, joint] = float(first[joint] + wp.int32(index)) * grid
+    ctrl[env, joint] = float(first[joint] + wp.int32(index)) * grid[joint]
 
 
 @wp.kernel(enable_backward=False)

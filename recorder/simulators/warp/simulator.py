@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 
 from gpusimbench.recorder.abilities import BODIES, ROBOTS
 from gpusimbench.recorder.failure import Refused, cause_of
-from gpusimbench.recorder.scenes.actions import GRID
 from gpusimbench.recorder.scenes.emit.mjcf import deviations
 from gpusimbench.recorder.simulators.base import Description, Simulator, States
 from gpusimbench.recorder.simulators.counters import CONSTRAINT_ROWS, CONTACTS, SOLVER_ITERATIONS
@@ -120,8 +119,8 @@ class MujocoWarp(Simulator):
         self._row = wp.zeros(1, dtype=wp.int32)
         self._slots: Slots | None = None
         if self.scene.actions is not None:
-            first, count = self.scene.actions.grid()
-            self._first, self._count = wp.array(first, dtype=wp.int32), wp.array(count, dtype=wp.uint32)
+            kinds = (wp.int32, wp.uint32, wp.float32)
+            self._range = [wp.array(a, dtype=kind) for a, kind in zip(self.scene.actions.grid(), kinds, strict=True)]
         self._graphs: dict[str, Any] = {}
         self._counted: Evidence | None = None  # of the last states; None: to be counted when asked
         return Description(
@@ -248,7 +247,7 @@ class MujocoWarp(Simulator):
             wp.launch(
                 kernels.draw_targets,
                 dim=self._data.ctrl.shape,
-                inputs=[wp.uint32(seed_word), self._step_number, self._first, self._count, GRID],
+                inputs=[wp.uint32(seed_word), self._step_number, *self._range],
                 outputs=[self._data.ctrl],
             )
             wp.launch(kernels.advance, dim=1, inputs=[self._step_number])
