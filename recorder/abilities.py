@@ -31,6 +31,7 @@ class Ability(Enum):
     SLIDES = "slide joints", "joints that move along an axis"
     BALLS = "ball joints", "joints that turn about a point"
     ACTIONS = "actions", "a target for the position servo of every joint, at every step"
+    MODELS = "model files", "MJCF files of the user's own, with all that is in them"
     ENV_STARTS = "initial states per environment", "environments that do not all begin alike"
 
     def __init__(self, title: str, meaning: str) -> None:

@@ -49,6 +49,11 @@ def parse_options(simulator: str, kind: type, given: Mapping[str, str]) -> Any:
         raise UsageError(f"simulator '{simulator}': {error}") from None
 
 
+def names_of(kind: type) -> tuple[str, ...]:
+    """Names of the options of a dataclass."""
+    return tuple(field.name for field in fields(kind))
+
+
 def meanings(kind: type) -> dict[str, str]:
     """What each option of a dataclass means, from the tables in its docstring and those of its bases.
 

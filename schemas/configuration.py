@@ -50,6 +50,9 @@ class RunConfiguration:
     keep         which of the captured states are written, as of treatment.Keep; empty: all
     view         environments whose captured states are written as what viewers draw, too
     snapshots    captured steps after which the engine's whole state is saved, ascending
+    model        SHA-256 of the model's files, which the recording has attached; empty: the scene is a registered one
+    keyframe     of the model that environments begin in; empty without a model
+    actions      what the model's actuators are given; empty without a model
     """
 
     simulator: str
@@ -73,11 +76,19 @@ class RunConfiguration:
     intervention: str = ""
     snapshots: tuple[int, ...] = ()
     keep: str = ""
+    model: str = ""
+    keyframe: str = ""
+    actions: str = ""
 
     @property
     def option_words(self) -> list[str]:
         """The simulator's options as the command takes them, NAME=VALUE, sorted."""
         return sorted(f"{name}={value}" for name, value in self.options.items())
+
+    @property
+    def registered_scene(self) -> str | None:
+        """Name of the scene in the registry; None where the run brings a model of its own."""
+        return None if self.model else self.scene
 
     @property
     def first_step(self) -> int:
@@ -91,10 +102,10 @@ class RunConfiguration:
         return self.steps - self.first_step
 
     def to_json(self) -> dict[str, Any]:
-        """As plain JSON values; of the last four, what is empty is left out."""
+        """As plain JSON values; what is empty of those that came later is left out."""
         record = {**asdict(self), "phases": list(self.phases), "view": list(self.view)}
         record["snapshots"] = list(self.snapshots)
-        for name in ("initial", "intervention", "keep", "snapshots"):
+        for name in ("initial", "intervention", "keep", "snapshots", "model", "keyframe", "actions"):
             if not record[name]:
                 del record[name]
         return record
@@ -131,6 +142,9 @@ class RunConfiguration:
             initial=_treatment(record, "initial", parse_initial),
             intervention=_treatment(record, "intervention", Intervention.parse),
             keep=_treatment(record, "keep", Keep.parse),
+            model=checks.text(record, "model", default=""),
+            keyframe=checks.text(record, "keyframe", default=""),
+            actions=checks.text(record, "actions", default=""),
             snapshots=tuple(
                 sorted(
                     checks.whole({"snapshots": step}, "snapshots", 0, checks.MAX_COUNT)

@@ -24,6 +24,7 @@ class ReplayPlan:
     timeout  of each [s]; 0: none; None: by what the original took, see `within`
     options  NAME=VALUE, instead of what was recorded
     phases   comma separated; None: those that were recorded
+    models   whether the model files that recordings carry may be loaded
     """
 
     out: Path
@@ -32,6 +33,7 @@ class ReplayPlan:
     timeout: float | None = None
     options: tuple[str, ...] = ()
     phases: str | None = None
+    models: bool = False
 
     def within(self, ran: float) -> ReplayPlan:
         """The same with a time limit: 20 times what the original took [s], at least ten minutes, at most a day."""
@@ -48,6 +50,8 @@ class ReplayPlan:
             given += ["--timeout", f"{self.timeout:g}"]
         if self.phases is not None:
             given.append(f"--phases={self.phases}")
+        if self.models:
+            given.append("--allow-model")
         given += [f"--option={option}" for option in self.options]
         return given
 

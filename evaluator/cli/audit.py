@@ -99,6 +99,11 @@ def parser() -> argparse.ArgumentParser:
         help="time limit of each replay [s]; 0: none (default: 20 times the original)",
     )
     p.add_argument(
+        "--allow-model",
+        action="store_true",
+        help="replay recordings that carry a model file of their author's, which the engine's parser then reads",
+    )
+    p.add_argument(
         "--phases", metavar="LIST", help="phases to replay: timed, capture or both (default: those that were recorded)"
     )
     p.add_argument(
@@ -128,6 +133,7 @@ def run(arguments: argparse.Namespace, command: str) -> int:
         arguments.timeout,
         tuple(arguments.option),
         arguments.phases,
+        arguments.allow_model,
     )
     required = Level(arguments.require)
     checked = check_files(expand_paths(arguments.files))

@@ -54,11 +54,12 @@ def spots(nodes: Iterable[Node], *, gpu: bool, resource: str | None = None) -> l
 class Wanted:
     """What every run of a command is of.
 
+    scene   name of a registered scene; None: the runs bring their own
     python  interpreter on the nodes, as the user gave it; empty: the one that each node finds
     """
 
     simulator: str
-    scene: str
+    scene: str | None
     python: str = ""
 
 

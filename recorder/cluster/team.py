@@ -44,7 +44,7 @@ def team(
     entry = find_simulator(configuration.simulator)
     options = parse_options(configuration.simulator, entry.adapter().Options, configuration.options)
     named = "" if python is None else str(python if len(python.parts) == 1 else python.absolute())
-    wanted = Wanted(configuration.simulator, configuration.scene, named)
+    wanted = Wanted(configuration.simulator, configuration.registered_scene, named)
     with Cluster(address) as cluster:
         nodes = cluster.nodes()
         gpu = needs_gpu(configuration, entry.devices, getattr(options, "device", None), nodes)

@@ -67,7 +67,10 @@ _USAGE = """\
 
 
 _SIMULATED: dict[str, Any] = {
-    "scene": "inclined-collision",
+    "scene": None,
+    "model": None,
+    "keyframe": "",
+    "actions": "",
     "sweep": None,
     "n_env": None,
     "tosses": None,
@@ -98,17 +101,20 @@ _SIMULATED: dict[str, Any] = {
 }
 """Arguments that make sense for a simulator only, and what each is where it is not given."""
 
+SCENE = "inclined-collision"
+"""The scene where nothing says which."""
+
 N_ENV = 16
 """Environments where nothing says how many."""
 
 _MEASURED: dict[str, Any] = {
-    "scene": "inclined-collision", "tosses": None, "trials": None, "unit": None, "sample_time": None,
+    "scene": SCENE, "tosses": None, "trials": None, "unit": None, "sample_time": None,
 }  # fmt: skip
 """The same for real trials."""
 
 _REPLAYED: dict[str, Any] = {
     "runs": 1, "option": (), "timeout": 0.0, "phases": None, "view_env": (), "no_view": False, "from_step": None,
-    "ray": None, "ray_resource": None,
+    "ray": None, "ray_resource": None, "allow_model": False,
 }  # fmt: skip
 """The same for replays; and so are the options that are short for --option."""
 
@@ -154,7 +160,34 @@ def parser() -> Parser:
     what = p.add_argument_group("what is run")
     what.add_argument("--sim", metavar="NAME", help="simulator (see --list), or 'real' for measured trials")
     what.add_argument("--replay", type=Path, metavar="FILE", help="repeat the run of a recording; see below")
-    what.add_argument("--scene", metavar="NAME", help=f"scene; see --list (default: {_SIMULATED['scene']})")
+    what.add_argument("--scene", metavar="NAME", help=f"scene; see --list (default: {SCENE})")
+    what.add_argument(
+        "--model",
+        type=Path,
+        metavar="FILE.xml",
+        help="instead of --scene: a model file of your own, MJCF or URDF, with the files that it refers to; the "
+        "recording carries them",
+    )
+    what.add_argument(
+        "--actions",
+        metavar="none|random[:SPREAD]|keyframe",
+        help="with --model: controls of the actuators. random draws each control anew at each step, uniformly within "
+        "its range (SPREAD: the share of the range, about its middle); keyframe holds those of the keyframe (default: "
+        "random, if the model has actuators)",
+    )
+    what.add_argument(
+        "--keyframe",
+        metavar="NAME",
+        help="with --model: the keyframe that environments begin in, or none for the model's reference state "
+        "(default: the model's first keyframe, if it has one)",
+    )
+    what.add_argument(
+        "--allow-model",
+        action="store_true",
+        default=None,
+        help="with --replay: load the model files that the recording carries; they are a stranger's input to the "
+        "engine's parser",
+    )
     what.add_argument(
         "--n-env", type=int, metavar="N", help=f"number of environments (default: {N_ENV}; of cube-toss: one per toss)"
     )

@@ -8,7 +8,7 @@ from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
-from gpusimbench.recorder.command.arguments import N_ENV, OUT, OUT_OF_REPLAYS, SHORTHANDS, fill, parser
+from gpusimbench.recorder.command.arguments import N_ENV, OUT, OUT_OF_REPLAYS, SCENE, SHORTHANDS, fill, parser
 from gpusimbench.recorder.interruption import shielded
 from gpusimbench.recorder.output import flush, show, show_document
 from gpusimbench.schemas.configuration import RunConfiguration
@@ -21,6 +21,7 @@ from gpusimbench.schemas.treatment import GIVEN
 
 if TYPE_CHECKING:
     from gpusimbench.recorder.environments.interpreter import Interpreter
+    from gpusimbench.recorder.scenes.base import Scene
     from gpusimbench.recorder.sets.series import Maker
 
 
@@ -30,15 +31,16 @@ def configure(arguments: argparse.Namespace) -> tuple[RunConfiguration, dict[str
     with shielded():  # an import that is interrupted shows as one that is broken
         from gpusimbench.recorder.plan import check_dt, parse_snapshots, view_of
         from gpusimbench.recorder.run import initial, intervention, keep
-        from gpusimbench.recorder.scenes.registry import make_scene
+        from gpusimbench.recorder.scenes.model.scene import ModelScene
         from gpusimbench.recorder.sets.given import read_given
         from gpusimbench.recorder.trials.tosses import read_tosses
 
-    scene = make_scene(arguments.scene)
+    scene, inputs = _scene(arguments)
     dt = scene.dt if arguments.dt is None else arguments.dt
     check_dt(dt)
     phases = _phases(arguments.phases)
     begins, given = arguments.initial, None
+    model = scene if isinstance(scene, ModelScene) else None
     if arguments.tosses is not None and not scene.tosses:
         raise UsageError(f"--tosses is for scene cube-toss, not for {scene.name}")
     if arguments.tosses is not None and begins:
@@ -60,7 +62,7 @@ def configure(arguments: argparse.Namespace) -> tuple[RunConfiguration, dict[str
     steps = round(scene.sample_time / dt) if arguments.steps is None else arguments.steps
     configuration = RunConfiguration(
         simulator=arguments.sim,
-        scene=arguments.scene,
+        scene=scene.name,
         n_env=arguments.n_env,
         dt=dt,
         steps=steps,
@@ -79,24 +81,46 @@ def configure(arguments: argparse.Namespace) -> tuple[RunConfiguration, dict[str
         intervention=arguments.intervene and intervention.parse(arguments.intervene),
         keep=arguments.keep and keep.parse(arguments.keep),
         snapshots=parse_snapshots(arguments.snapshot, steps),
+        model=model.files_sha256 if model else "",
+        keyframe=model.keyframe if model else "",
+        actions=model.controls if model else "",
     )
-    check_configuration(configuration)
-    return configuration, {} if given is None else {GIVEN: given}
+    check_configuration(configuration, scene)
+    return configuration, inputs if given is None else {**inputs, GIVEN: given}
 
 
-def check_configuration(configuration: RunConfiguration) -> None:
+def _scene(arguments: argparse.Namespace) -> tuple[Scene, dict[str, bytes]]:
+    # what is simulated, and the files that it consists of, where it is a model of the user's own
+    with shielded():
+        from gpusimbench.recorder.scenes.model.closure import MODEL, pack
+        from gpusimbench.recorder.scenes.model.scene import model_scene, scene_name
+        from gpusimbench.recorder.scenes.registry import make_scene, scene_names
+
+    if arguments.model is None:
+        for name in ("keyframe", "actions"):
+            if getattr(arguments, name):
+                raise UsageError(f"--{name} is for a model file: --model FILE")
+        return make_scene(arguments.scene or SCENE), {}
+    if arguments.scene is not None:
+        raise UsageError("--model and --scene both say what is simulated; give one of them")
+    name = scene_name(arguments.model)
+    if name in scene_names():
+        name += "-model"
+    archive = pack(arguments.model)
+    return model_scene(name, archive, keyframe=arguments.keyframe, actions=arguments.actions), {MODEL: archive}
+
+
+def check_configuration(configuration: RunConfiguration, scene: Scene) -> None:
     """UsageError where no run can be made of it, whoever asks: a number, an option, a determinism level or a scene."""
     with shielded():
-        from gpusimbench.recorder.options import parse_options
         from gpusimbench.recorder.plan import check
         from gpusimbench.recorder.run import intervention, keep, start
-        from gpusimbench.recorder.scenes.registry import make_scene
         from gpusimbench.recorder.simulators.registry import find_simulator
 
     check(configuration)
     simulator = configuration.simulator
     adapter = find_simulator(simulator).adapter()
-    options = parse_options(simulator, adapter.Options, configuration.options)
+    options = adapter.parsed(simulator, scene, configuration.options)
     levels = adapter.determinism_levels
     if configuration.determinism not in levels:
         has = "; ".join(f"{level} ({meaning})" for level, meaning in levels.items())
@@ -104,7 +128,6 @@ def check_configuration(configuration: RunConfiguration) -> None:
         raise UsageError(
             f"simulator '{simulator}' has no determinism level '{configuration.determinism}'; it has: {has}{hint}"
         )
-    scene = make_scene(configuration.scene)
     if refusal := adapter.refusal(simulator, scene, options):
         raise UsageError(refusal)
     keep.check(configuration, scene)
@@ -166,7 +189,7 @@ def _maker(
         from gpusimbench.recorder.environments.choice import check_known
         from gpusimbench.recorder.sets.series import Here
     if interpreter is not None:
-        check_known(interpreter, configuration.simulator, configuration.scene)
+        check_known(interpreter, configuration.simulator, configuration.registered_scene)
         return nullcontext(Here(interpreter))
     with shielded():
         from gpusimbench.recorder.cluster.team import team
@@ -178,7 +201,7 @@ def replay(arguments: argparse.Namespace, argv: tuple[str, ...]) -> int:
     with shielded():
         from gpusimbench.recorder.environments.choice import check_known
         from gpusimbench.recorder.plan import check_runs, view_of
-        from gpusimbench.recorder.scenes.registry import make_scene
+        from gpusimbench.recorder.scenes.registry import scene_of
         from gpusimbench.recorder.sets.progress import say
         from gpusimbench.recorder.sets.replay import (
             announcement,
@@ -193,7 +216,7 @@ def replay(arguments: argparse.Namespace, argv: tuple[str, ...]) -> int:
         from gpusimbench.recorder.sets.series import Request, record_set
 
     check_runs(arguments.runs)
-    source = read_source(arguments.replay)
+    source = read_source(arguments.replay, allow_model=arguments.allow_model)
     configuration = replayed(
         source,
         options=_options(arguments),
@@ -205,11 +228,12 @@ def replay(arguments: argparse.Namespace, argv: tuple[str, ...]) -> int:
     view = view_of(arguments.view_env, off=arguments.no_view, phases=c.phases, keep=c.keep)
     configuration = replace(c, view=view)
     try:
-        check_scene(source, make_scene(configuration.scene))
-        check_configuration(configuration)
+        scene = scene_of(configuration, inputs)
+        check_scene(source, scene)
+        check_configuration(configuration, scene)
         interpreter = _interpreter(arguments, configuration.simulator)
         if interpreter is not None:
-            check_known(interpreter, configuration.simulator, configuration.scene)
+            check_known(interpreter, configuration.simulator, configuration.registered_scene)
         check_room(source, arguments.runs, arguments.out or OUT_OF_REPLAYS)
     except UsageError as error:
         said = shown(str(error))

@@ -19,20 +19,24 @@ from gpusimbench.recorder.scenes.registry import make_scene
 from gpusimbench.recorder.simulators.registry import find_simulator
 from gpusimbench.schemas.errors import UsageError
 try:
-    make_scene(sys.argv[2])
     find_simulator(sys.argv[1]).load()
+    for scene in sys.argv[2:]:
+        make_scene(scene)
 except UsageError as error:
     sys.exit(str(error))
 """
 
 
-def check_known(interpreter: Interpreter, simulator: str, scene: str) -> None:
-    """UsageError where another Python lacks a third party's simulator or scene that this one has."""
-    if interpreter.own or (simulator in {entry.name for entry in BUILT_IN} and scene in SCENES):
+def check_known(interpreter: Interpreter, simulator: str, scene: str | None) -> None:
+    """UsageError where another Python lacks a third party's simulator or scene that this one has.
+
+    scene  name of a registered scene; None: the run brings its own
+    """
+    if interpreter.own or (simulator in {entry.name for entry in BUILT_IN} and (scene is None or scene in SCENES)):
         return
     with tempfile.TemporaryDirectory(prefix="gsb-code-") as folder:
         done = subprocess.run(
-            interpreter.command("-c", _KNOWS, simulator, scene),
+            interpreter.command("-c", _KNOWS, simulator, *filter(None, [scene])),
             env=interpreter.environment(Path(folder)), capture_output=True, text=True,
         )  # fmt: skip
     if done.returncode:

@@ -32,15 +32,15 @@ def states(
 
     No body is moved, so that none penetrates another.
     """
-    found = []
+    found, limits = [], scene.joint_limits()
     for place, (layout, array) in enumerate(zip(fields, first, strict=True)):
         if layout.field not in ("linear_velocity", "qpos"):
             found.append(array.copy())
             continue
         given = array + draw(initial, seed, place, array.shape).astype(array.dtype)
-        if layout.field == "qpos" and scene.robot is not None:
-            limits = np.array([(joint.lower, joint.upper) for joint in scene.robot.joints()], dtype=array.dtype)
-            given = np.clip(given, limits[:, :1], limits[:, 1:])
+        if layout.field == "qpos" and layout.group in limits:
+            bounds = np.array(limits[layout.group], dtype=array.dtype)
+            given = np.clip(given, bounds[:, :1], bounds[:, 1:])
         found.append(given.astype(array.dtype))
     return tuple(found)
 

@@ -37,7 +37,7 @@ def check(configuration: RunConfiguration, scene: Scene) -> None:
         raise UsageError(f"{whose} goes together with neither --snapshot nor --from")
     if c.intervention and Intervention.parse(c.intervention).kind != "poison":
         raise UsageError(f"{whose} goes together with --intervene poison@STEP alone, not with {c.intervention}")
-    if Keep.parse(c.keep).within is not None and not scene.moving():
+    if Keep.parse(c.keep).within is not None and not scene.groups():
         raise UsageError(
             f"{whose}: scene '{scene.name}' has no free bodies, whose positions could leave bounds; use --keep failing"
         )

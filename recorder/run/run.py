@@ -25,7 +25,6 @@ from gpusimbench.recorder.capture.memory import MemoryWriter
 from gpusimbench.recorder.capture.sink import Sink
 from gpusimbench.recorder.capture.view import LogWriter
 from gpusimbench.recorder.failure import Interrupted, TimedOut, cause_of
-from gpusimbench.recorder.options import parse_options
 from gpusimbench.recorder.probes.gpu import Gpus
 from gpusimbench.recorder.probes.host import describe_host, numeric_environment, peak_rss_bytes
 from gpusimbench.recorder.probes.memory import MemorySampler
@@ -38,7 +37,8 @@ from gpusimbench.recorder.run.journal import Journal, Phase
 from gpusimbench.recorder.run.pace import COMPILE, REBUILD
 from gpusimbench.recorder.run.timed_phase import warm_up_and_time
 from gpusimbench.recorder.scenes.base import Scene
-from gpusimbench.recorder.scenes.registry import make_scene
+from gpusimbench.recorder.scenes.model import closure
+from gpusimbench.recorder.scenes.registry import scene_of
 from gpusimbench.recorder.simulators.base import Description, Simulator
 from gpusimbench.recorder.simulators.registry import find_simulator
 from gpusimbench.schemas import FORMAT, topics
@@ -56,7 +56,7 @@ from gpusimbench.schemas.provenance import (
 )
 from gpusimbench.schemas.treatment import GIVEN
 
-INPUTS = {GIVEN: MEDIA_TYPE}
+INPUTS = {GIVEN: MEDIA_TYPE, closure.MODEL: closure.MEDIA_TYPE}
 """Files that a run may be given, and the media type of each."""
 
 Progress = Callable[[str, int, int], None]
@@ -172,9 +172,9 @@ class Run:
             trouble: GsbError | None = None
             scene: Scene | None = None
             try:
-                scene = make_scene(configuration.scene)
+                scene = scene_of(configuration, self._inputs)
                 adapter = find_simulator(configuration.simulator).load()
-                options = parse_options(configuration.simulator, adapter.Options, configuration.options)
+                options = adapter.parsed(configuration.simulator, scene, configuration.options)
                 apply_environment(adapter.environment(options, configuration.determinism))
             except GsbError as error:
                 trouble = error  # raised once the recording says what it is of

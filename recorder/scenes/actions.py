@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,9 +23,9 @@ _MANTISSA_BITS = 24  # of a float32
 
 @dataclass(frozen=True)
 class JointTargets:
-    """A number for each actuator at each step, uniform within its limits (to within its grid).
+    """A target position for each joint at each step, uniform within its limits (to within its grid).
 
-    Numbers are whole multiples of a power of two, the actuator's grid: every float32 operation that makes one is exact,
+    Targets are whole multiples of a power of two, the joint's grid: every float32 operation that makes one is exact,
     whatever device does it and whether or not it fuses a multiplication with an addition.
 
     The generator is counter-based, in 32-bit wrapping integers, so that any step of any environment can be made
@@ -36,24 +38,26 @@ class JointTargets:
     with mix the finaliser of MurmurHash3 and G = 0x9E3779B9 (``schemas.mix32``).
 
     name          of the topic
-    joints        names of joints or actuators, in the robot's order
-    lower, upper  limits [unit]; where both are the same, the number is that, in float32
-    grids         of each actuator [unit]; empty: GRID
-    unit          of the numbers
+    joints        names, in the robot's order
+    lower, upper  limits [unit]
+    unit          of the targets
     meaning       what an engine does with them
     """
+
+    unit: ClassVar[str] = "rad"
+    meaning: ClassVar[str] = "target position of each joint, held during the step"
 
     name: str
     joints: tuple[str, ...]
     lower: tuple[float, ...]
     upper: tuple[float, ...]
-    grids: tuple[float, ...] = ()
-    unit: str = "rad"
-    meaning: str = "target position of each joint, held during the step"
+
+    def _grids(self) -> tuple[float, ...]:
+        return (GRID,) * len(self.joints)
 
     def grid(self) -> tuple[NDArray[np.int32], NDArray[np.uint32], NDArray[np.float32]]:
         """`first`, `count` and `grid` for each joint: the targets are grid times first .. first + count - 1."""
-        grids = self.grids or (GRID,) * len(self.joints)
+        grids = self._grids()
         first = np.array([math.ceil(x / grid) for x, grid in zip(self.lower, grids, strict=True)], dtype=np.int32)
         last = np.array([math.floor(x / grid) for x, grid in zip(self.upper, grids, strict=True)], dtype=np.int32)
         return first, (last - first + 1).astype(np.uint32), np.array(grids, dtype=np.float32)
@@ -83,22 +87,51 @@ class JointTargets:
 
     def describe(self, seed: int) -> str:
         """The generator with all that it depends on (JSON)."""
-        known = {"name": self.name, "seed": seed, "joints": self.joints, "lower": self.lower, "upper": self.upper}
-        if self.grids:
-            return json.dumps({"generator": "murmur3-fmix32", **known, "grids": self.grids})
-        return json.dumps({"generator": "murmur3-fmix32-grid13", **known})
+        return json.dumps({"generator": "murmur3-fmix32-grid13", **self._known(seed)})
+
+    def _known(self, seed: int) -> dict[str, Any]:
+        return {"name": self.name, "seed": seed, "joints": self.joints, "lower": self.lower, "upper": self.upper}
 
 
-def grid_of(lower: float, upper: float) -> tuple[float, float, float]:
-    """A grid for a range, and the range in float32: the finest power of two that divides the range into at most 2^15
-    steps and on which whole multiples up to its ends are float32. ValueError for a range that is none."""
-    low, high = float(np.float32(lower)), float(np.float32(upper))
-    if not (math.isfinite(low) and math.isfinite(high) and low <= high):
+@dataclass(frozen=True)
+class Controls(JointTargets):
+    """A number for each actuator of a model at each step, whatever the actuator makes of it.
+
+    joints        names of the actuators
+    lower, upper  limits, which are float32; where both are the same, the number is that
+    grids         of each actuator, as of grid_of
+    """
+
+    unit = "of the actuator"
+    meaning = "control of each actuator, held during the step"
+
+    grids: tuple[float, ...]
+
+    @classmethod
+    def within(cls, name: str, ranges: Mapping[str, tuple[float, float]]) -> Controls:
+        """Numbers within these ranges, by the names of the actuators; ValueError for a range that is none."""
+        found = [(float(np.float32(low)), float(np.float32(high))) for low, high in ranges.values()]
+        grids = tuple(grid_of(low, high) for low, high in found)
+        lower, upper = tuple(low for low, _ in found), tuple(high for _, high in found)
+        return cls(name, tuple(ranges), lower, upper, grids)
+
+    def _grids(self) -> tuple[float, ...]:
+        return self.grids
+
+    def describe(self, seed: int) -> str:
+        """See JointTargets.describe."""
+        return json.dumps({"generator": "murmur3-fmix32", **self._known(seed), "grids": self.grids})
+
+
+def grid_of(lower: float, upper: float) -> float:
+    """The finest power of two that divides a range into at most 2^15 steps, and of which the multiples within the range
+    are float32. ValueError for a range that is none."""
+    if not (math.isfinite(lower) and math.isfinite(upper) and lower <= upper):
         raise ValueError(f"{lower} to {upper} is no range")
-    largest = max(abs(low), abs(high))
+    largest = max(abs(lower), abs(upper))
     if largest == 0:
-        return GRID, 0.0, 0.0
+        return GRID
     exponent = math.frexp(largest)[1] - _MANTISSA_BITS
-    if low < high:
-        exponent = max(exponent, math.ceil(math.log2((high - low) / 2**_RANGE_BITS)))
-    return 2.0**exponent, low, high
+    if lower < upper:
+        exponent = max(exponent, math.ceil(math.log2((upper - lower) / 2**_RANGE_BITS)))
+    return 2.0**exponent

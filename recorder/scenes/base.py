@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, fields, is_dataclass
 from typing import Any
 
@@ -272,6 +273,21 @@ class Scene:
             needs.add(Ability.ENV_STARTS)
         return frozenset(needs)
 
+    def options(self, given: Mapping[str, str], known: Collection[str]) -> Mapping[str, str]:
+        """Options of a simulator as text: those that the user gave, and what else the scene has to say.
+
+        known  names of all options of the simulator
+
+        UsageError for an option that does not go with the scene.
+        """
+        return given
+
+    def joint_limits(self) -> dict[str, tuple[tuple[float, float], ...]]:
+        """Lower and upper limits of joints [rad or m], by group of the state and in its order."""
+        if self.robot is None:
+            return {}
+        return {"robot": tuple((joint.lower, joint.upper) for joint in self.robot.joints())}
+
     def to_json(self) -> str:
         """As the text that a recording carries; shapes are tagged with their kind."""
         return json.dumps(_plain(self), indent=1, sort_keys=True) + "\n"
@@ -298,7 +314,8 @@ def _ability_for(body: Body) -> Ability:
 def _plain(value: Any) -> Any:
     """Dataclasses as dictionaries, shapes tagged with their kind, what is absent left out."""
     if is_dataclass(value):
-        record = {f.name: _plain(getattr(value, f.name)) for f in fields(value)}
+        described = [f.name for f in fields(value) if f.metadata.get("described", True)]
+        record = {name: _plain(getattr(value, name)) for name in described}
         if isinstance(value, Shape):
             record["kind"] = type(value).__name__.lower()
         return {name: item for name, item in record.items() if item is not None}

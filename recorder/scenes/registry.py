@@ -6,7 +6,8 @@ is a callable without arguments that returns the Scene of that name.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import hashlib
+from collections.abc import Callable, Mapping
 from importlib import metadata
 
 from gpusimbench.recorder.plugins import in_words
@@ -15,6 +16,7 @@ from gpusimbench.recorder.scenes.cube_toss import cube_toss
 from gpusimbench.recorder.scenes.franka import franka
 from gpusimbench.recorder.scenes.free_fall import free_fall
 from gpusimbench.recorder.scenes.inclined_collision import inclined_collision
+from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.errors import UsageError
 from gpusimbench.schemas.suggestion import did_you_mean
 
@@ -51,6 +53,23 @@ def make_scene(name: str) -> Scene:
         made = f"a Scene named '{scene.name}'" if isinstance(scene, Scene) else f"a {type(scene).__name__}"
         raise UsageError(f"scene '{name}' of {owner} has to be a Scene of that name, and is {made}")
     return scene
+
+
+def scene_of(configuration: RunConfiguration, inputs: Mapping[str, bytes]) -> Scene:
+    """The scene that a run was asked for: a registered one, or the model whose files it is given.
+
+    UsageError as of make_scene and model_scene, and where the files are not those that the configuration names.
+    """
+    if not configuration.model:
+        return make_scene(configuration.scene)
+    from gpusimbench.recorder.scenes.model.closure import MODEL
+    from gpusimbench.recorder.scenes.model.scene import model_scene
+
+    archive = inputs.get(MODEL, b"")
+    if hashlib.sha256(archive).hexdigest() != configuration.model:
+        raise UsageError("the model's files are not there, or are not those that the configuration names")
+    c = configuration
+    return model_scene(c.scene, archive, keyframe=c.keyframe, actions=c.actions)
 
 
 def _added() -> dict[str, metadata.EntryPoint]:

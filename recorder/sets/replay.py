@@ -17,6 +17,7 @@ from gpusimbench.recorder.plan import free_bytes
 from gpusimbench.recorder.probes.host import memory_bytes
 from gpusimbench.recorder.process.cage import Cage, gib
 from gpusimbench.recorder.scenes.base import Scene
+from gpusimbench.recorder.scenes.model.closure import MODEL
 from gpusimbench.recorder.sets.finished import outcome_of, run_end
 from gpusimbench.recorder.sets.traces import check_traces, content_bytes, least_memory, peak_bytes, ran_s
 from gpusimbench.schemas.checks import Budget
@@ -62,19 +63,21 @@ class Source:
     digests: Mapping[str, str]
 
 
-def read_source(path: Path) -> Source:
+def read_source(path: Path, *, allow_model: bool = False) -> Source:
     """What a recording says of itself.
+
+    allow_model  the model files that it carries may be loaded
 
     RecordingError where the file is damaged, UsageError where what it holds is nothing that can be replayed.
     """
     try:
-        return _read(Container(path), path)
+        return _read(Container(path), path, allow_model)
     except RecordingError as error:
         said = shown(str(error))
         raise type(error)(said if str(path) in said else f"{path}: {said}") from None
 
 
-def _read(container: Container, path: Path) -> Source:
+def _read(container: Container, path: Path, allow_model: bool) -> Source:
     end = run_end(container)
     if end is None:
         raise DamagedRecording("incomplete: a run that has no end cannot be replayed")
@@ -87,6 +90,11 @@ def _read(container: Container, path: Path) -> Source:
     c = provenance.configuration
     if c.simulator == REAL:
         raise UsageError(f"{path} holds measured trials: no simulator can replay them")
+    if c.model and not allow_model:
+        raise UsageError(
+            f"{path} carries a model file of its author's, which the engine would parse; add --allow-model where you "
+            "trust its author"
+        )
     if status not in ("complete", "invalid"):
         why = shown(end.reason) or "it does not say why"
         raise UsageError(f"{path} cannot be replayed: its run {status}, so that it shows no whole run: {why}")
@@ -152,10 +160,11 @@ def begun(
     UsageError where there is no such snapshot, DamagedRecording where what is attached is not what it was.
     """
     c, path = configuration, source.path
+    model = {MODEL: _attached(source, MODEL)} if c.model else {}
     if from_step is None:
         if drawn(c.initial) or not c.initial:
-            return c, {}
-        return c, {GIVEN: _attached(source, GIVEN)}
+            return c, model
+        return c, {**model, GIVEN: _attached(source, GIVEN)}
     if from_step not in c.snapshots:
         has = ", ".join(map(str, c.snapshots)) or "none: gsb-record --snapshot STEP saves them"
         raise UsageError(f"{path} has no snapshot of step {from_step}; it has {has}")
@@ -169,7 +178,7 @@ def begun(
     data = _attached(source, snapshot_name(from_step))
     how = Given(hashlib.sha256(data).hexdigest(), from_step)
     later = tuple(step for step in c.snapshots if step > from_step)
-    return replace(c, initial=str(how), phases=("capture",), snapshots=later), {GIVEN: data}
+    return replace(c, initial=str(how), phases=("capture",), snapshots=later), {**model, GIVEN: data}
 
 
 def _attached(source: Source, name: str) -> bytes:

@@ -14,6 +14,7 @@ environment variables that ``environment`` asks for are set.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from typing import Any, ClassVar
 
@@ -21,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gpusimbench.recorder.abilities import Ability, listed, titles
+from gpusimbench.recorder.options import names_of, parse_options
 from gpusimbench.recorder.scenes.base import Scene
 from gpusimbench.recorder.simulators.captured import Captured, Held, States
 from gpusimbench.recorder.simulators.evidence import Evidence
@@ -91,6 +93,15 @@ class Simulator(ABC):
         self.seed = seed
         self.options = options
         self.determinism = determinism
+
+    @classmethod
+    def parsed(cls, name: str, scene: Scene, given: Mapping[str, str]) -> Any:
+        """Options from text, those that the scene itself has to say included; UsageError as of parse_options.
+
+        name  of the simulator
+        """
+        takes_models = Ability.MODELS in cls.abilities
+        return parse_options(name, cls.Options, scene.options(given, names_of(cls.Options)) if takes_models else given)
 
     @classmethod
     def withheld(cls, options: Any) -> dict[Ability, str]:

@@ -68,13 +68,14 @@ def measure(compiled: MjcfModel, *, dt: float, seed: int) -> Need:
 
 
 class BoundingSpheres:
-    """Pairs of geoms of different bodies of a mujoco.MjModel; a plane overlaps with everything."""
+    """Pairs of geoms of different bodies of a mujoco.MjModel that may collide; a plane overlaps with everything."""
 
     def __init__(self, model: object) -> None:
         body = np.asarray(model.geom_bodyid)  # type: ignore[attr-defined]
         radius = np.asarray(model.geom_rbound)  # type: ignore[attr-defined]
+        kind, with_ = np.asarray(model.geom_contype), np.asarray(model.geom_conaffinity)  # type: ignore[attr-defined]
         one, other = np.triu_indices(len(body), k=1)
-        apart = body[one] != body[other]
+        apart = (body[one] != body[other]) & (((kind[one] & with_[other]) | (kind[other] & with_[one])) != 0)
         self._one, self._other = one[apart], other[apart]
         unbounded = (radius[self._one] == 0) | (radius[self._other] == 0)
         self._reach = np.where(unbounded, np.inf, radius[self._one] + radius[self._other])

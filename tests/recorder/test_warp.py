@@ -56,20 +56,20 @@ def test_targets_are_drawn_on_the_device(seed: int, step: int, n_env: int) -> No
     """Make on the device, bit for bit, the targets that the scene defines."""
     import warp as wp
 
-    from gpusimbench.recorder.scenes.actions import GRID
     from gpusimbench.recorder.simulators.warp import kernels
 
     actions = franka().actions
     assert actions is not None
-    first, count = actions.grid()
+    first, count, grid = actions.grid()
     ctrl = wp.zeros((n_env, len(first)), dtype=float, device="cpu")
     word = wp.uint32(actions.seed_word(seed))
     arrays = [
         wp.array([step], dtype=wp.int32, device="cpu"),
         wp.array(first, dtype=wp.int32, device="cpu"),
         wp.array(count, dtype=wp.uint32, device="cpu"),
+        wp.array(grid, dtype=wp.float32, device="cpu"),
     ]
-    wp.launch(kernels.draw_targets, dim=ctrl.shape, inputs=[word, *arrays, GRID], outputs=[ctrl], device="cpu")
+    wp.launch(kernels.draw_targets, dim=ctrl.shape, inputs=[word, *arrays], outputs=[ctrl], device="cpu")
     expected = actions.draw(seed, n_env=n_env, first_step=step, n_step=1)[0]
     assert ctrl.numpy().tobytes() == expected.tobytes()
 

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from numpy.typing import NDArray
 
-from gpusimbench.recorder.abilities import BODIES, ROBOTS
-from gpusimbench.recorder.scenes.emit.mjcf import deviations
+from gpusimbench.recorder.abilities import BODIES, ROBOTS, Ability
 from gpusimbench.recorder.simulators.base import Description, States
 from gpusimbench.recorder.simulators.jax import runtime as jax_runtime
 from gpusimbench.recorder.simulators.jax.simulator import JaxSimulator, Physics
@@ -28,7 +27,7 @@ class MjxSimulator(JaxSimulator):
     covers        what one timed call runs
     """
 
-    abilities = BODIES | ROBOTS
+    abilities = BODIES | ROBOTS | {Ability.MODELS}
     name: ClassVar[str]
     distribution: ClassVar[str]
     covers: ClassVar[str]
@@ -51,7 +50,7 @@ class MjxSimulator(JaxSimulator):
                 "mjx": metadata.version("mujoco-mjx"),
                 "mujoco": metadata.version("mujoco"),
             },
-            deviations=deviations(self.scene),
+            deviations=model.compiled.deviations,
             fields=model.compiled.fields("float32"),
             timing_covers=(
                 f"{self.covers}, until the device is done; {actions}overflow bits are gathered on the device after "

@@ -11,33 +11,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gpusimbench.recorder.scenes.base import Scene
-from gpusimbench.recorder.scenes.emit.mjcf import emit_mjcf
+from gpusimbench.recorder.scenes.emit.mjcf import deviations, emit_mjcf
+from gpusimbench.recorder.scenes.model.contents import choices, keyframe_of, moving
+from gpusimbench.recorder.scenes.model.scene import BALLS, BODIES, JOINTS, ModelScene, compiled
 from gpusimbench.recorder.simulators.base import States
-from gpusimbench.recorder.simulators.mujoco.layout import FreeBodies, Joints, Part, rotate_to_body
+from gpusimbench.recorder.simulators.mujoco.layout import Balls, FreeBodies, Joints, Part, rotate_to_body
 from gpusimbench.recorder.simulators.mujoco.options import GEOM_ATTRIBUTES, OPTION_ATTRIBUTES, MjcfOptions
 from gpusimbench.schemas.errors import UsageError
 from gpusimbench.schemas.fields import StateField
+from gpusimbench.schemas.provenance import Deviation
 
 KNOWS_AUTORESET = hasattr(mujoco.mjtDisableBit, "mjDSBL_AUTORESET")
 """Whether this release can be told not to reset a state that went bad; older ones always do, with a warning."""
 
 _QVEL = 6  # of a free joint: linear velocity in the world frame 3, angular velocity in the body's frame 3
-
-_CHOICES: dict[str, dict[str, int]] = {
-    "integrator": {
-        "Euler": mujoco.mjtIntegrator.mjINT_EULER,
-        "RK4": mujoco.mjtIntegrator.mjINT_RK4,
-        "implicit": mujoco.mjtIntegrator.mjINT_IMPLICIT,
-        "implicitfast": mujoco.mjtIntegrator.mjINT_IMPLICITFAST,
-    },
-    "cone": {"elliptic": mujoco.mjtCone.mjCONE_ELLIPTIC, "pyramidal": mujoco.mjtCone.mjCONE_PYRAMIDAL},
-    "solver": {
-        "Newton": mujoco.mjtSolver.mjSOL_NEWTON,
-        "CG": mujoco.mjtSolver.mjSOL_CG,
-        "PGS": mujoco.mjtSolver.mjSOL_PGS,
-    },
-}
-"""The values that MJCF has for an option, and MuJoCo's number of each."""
 
 
 @dataclass(frozen=True)
@@ -61,8 +48,13 @@ class MjcfModel:
 
     @property
     def attachments(self) -> dict[str, tuple[str, bytes]]:
-        """The model as a recording carries it."""
-        return {"scene.xml": ("application/xml", self.xml.encode())}
+        """The model as a recording carries it; files of the user's own are attached as they are."""
+        return {} if isinstance(self.scene, ModelScene) else {"scene.xml": ("application/xml", self.xml.encode())}
+
+    @property
+    def deviations(self) -> tuple[Deviation, ...]:
+        """What MuJoCo does otherwise than the scene says; nothing, where the scene is MuJoCo's own language."""
+        return () if isinstance(self.scene, ModelScene) else deviations(self.scene)
 
     def fields(self, dtype: str) -> tuple[StateField, ...]:
         """Layout of the state."""
@@ -113,14 +105,14 @@ class MjcfModel:
         model = self.model
         found: dict[str, Any] = {
             name: next(word for word, number in words.items() if number == getattr(model.opt, name))
-            for name, words in _CHOICES.items()
+            for name, words in choices().items()
         }
         for name in ("iterations", "ls_iterations", "tolerance", "impratio"):
             found[name] = getattr(model.opt, name)
-        # every geom has the defaults
-        found["solref"] = _text(model.geom_solref[0])
-        found["solimp"] = _text(model.geom_solimp[0])
-        found["condim"] = int(model.geom_condim[0])
+        if not isinstance(self.scene, ModelScene):  # every geom has the defaults
+            found["solref"] = _text(model.geom_solref[0])
+            found["solimp"] = _text(model.geom_solimp[0])
+            found["condim"] = int(model.geom_condim[0])
         for name, value in found.items():
             wanted = getattr(asked, name)
             if name in ("solref", "solimp"):
@@ -137,6 +129,8 @@ def compile_scene(
 
     numerics  custom numbers that engines read from the model, such as MJX's max_geom_pairs
     """
+    if isinstance(scene, ModelScene):
+        return _compile_files(scene, dt=dt, options=options, numerics=numerics or {})
     xml = emit_mjcf(
         scene,
         dt=dt,
@@ -161,6 +155,30 @@ def compile_scene(
         layout.append(robot)
         qpos0[robot.at_qpos[:, 0]] = scene.robot.start
     return MjcfModel(scene, xml, model, qpos0, qvel0, tuple(layout))
+
+
+def _compile_files(scene: ModelScene, *, dt: float, options: MjcfOptions, numerics: dict[str, str]) -> MjcfModel:
+    _, model = compiled(scene.archive, numerics)
+    model.opt.timestep = dt
+    numbers = choices()
+    for name in OPTION_ATTRIBUTES:
+        value = getattr(options, name)
+        setattr(model.opt, name, numbers[name][value] if name in numbers else value)
+    if KNOWS_AUTORESET:
+        model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
+    _, key = keyframe_of(model, scene.keyframe)
+    qpos0, qvel0 = (model.qpos0, np.zeros(model.nv)) if key is None else (key.qpos, key.qvel)
+    kinds = mujoco.mjtJoint
+    slides = frozenset(joint.name for joint in scene.joints if joint.slides)
+    free, balls = moving(model, kinds.mjJNT_FREE), moving(model, kinds.mjJNT_BALL)
+    single = moving(model, kinds.mjJNT_HINGE, kinds.mjJNT_SLIDE)
+    parts: list[Part] = [
+        FreeBodies.of(model, BODIES, free.names, free.joints),
+        Joints.of(model, JOINTS, single.names, single.joints, slides=slides),
+        Balls.of(model, BALLS, balls.names, balls.joints),
+    ]
+    layout = tuple(part for part in parts if part.names)
+    return MjcfModel(scene, "", model, qpos0.copy(), qvel0.copy(), layout)
 
 
 def _text(values: Iterable[float]) -> str:

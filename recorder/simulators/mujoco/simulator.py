@@ -13,8 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gpusimbench.recorder.abilities import BODIES, ROBOTS
-from gpusimbench.recorder.scenes.emit.mjcf import deviations
+from gpusimbench.recorder.abilities import BODIES, ROBOTS, Ability
 from gpusimbench.recorder.simulators.base import Description, Simulator, States
 from gpusimbench.recorder.simulators.counters import CONSTRAINT_ROWS, CONTACTS
 from gpusimbench.recorder.simulators.evidence import Evidence
@@ -47,7 +46,7 @@ class MujocoC(Simulator):
     """N environments on MuJoCo C."""
 
     Options = MujocoOptions
-    abilities = BODIES | ROBOTS
+    abilities = BODIES | ROBOTS | {Ability.MODELS}
     across_releases = {"stepping": "mj_step"}
 
     def build(self) -> Description:
@@ -78,7 +77,7 @@ class MujocoC(Simulator):
             device="cpu",
             options={**compiled.in_force(options, "mujoco"), "threads": threads, **stepping},
             switches=switches,
-            deviations=deviations(self.scene),
+            deviations=compiled.deviations,
             fields=compiled.fields("float64"),
             timing_covers=self._worlds.timing_covers,
             attachments=compiled.attachments,

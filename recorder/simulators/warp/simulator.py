@@ -16,9 +16,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gpusimbench.recorder.abilities import BODIES, ROBOTS
+from gpusimbench.recorder.abilities import BODIES, ROBOTS, Ability
 from gpusimbench.recorder.failure import Refused, cause_of
-from gpusimbench.recorder.scenes.emit.mjcf import deviations
 from gpusimbench.recorder.simulators.base import Description, Simulator, States
 from gpusimbench.recorder.simulators.counters import CONSTRAINT_ROWS, CONTACTS, SOLVER_ITERATIONS
 from gpusimbench.recorder.simulators.evidence import Evidence
@@ -73,7 +72,7 @@ class MujocoWarp(Simulator):
     """N environments, the worlds of one mujoco_warp.Data."""
 
     Options = WarpOptions
-    abilities = BODIES | ROBOTS
+    abilities = BODIES | ROBOTS | {Ability.MODELS}
     timing_interval = 10
     draws_actions = True
     blocks_ahead = 2
@@ -138,7 +137,7 @@ class MujocoWarp(Simulator):
                 "warp": wp.config.version,
                 "mujoco": version("mujoco"),
             },
-            deviations=deviations(self.scene),
+            deviations=compiled.deviations,
             fields=compiled.fields("float32"),
             timing_covers=self._covers(),
             attachments=compiled.attachments,
@@ -164,14 +163,22 @@ class MujocoWarp(Simulator):
         return f"{how}, {self.timing_interval} steps between two synchronisations{drawn}; nothing is copied"
 
     def _try(self, work: Callable[[], Any]) -> Any:
-        # what the engine does not do under a determinism level is an outcome, not a crash
+        # what the engine does not do, under a determinism level or for a model, is an outcome, not a crash
         try:
             return work()
         except (RuntimeError, ValueError, NotImplementedError) as error:
-            if self.determinism == "default" or cause_of(error) == "DEVICE_MEMORY":
-                raise
             text = " ".join(str(error).split())
-            raise Refused(f"MuJoCo Warp refuses determinism '{self.determinism}' for this scene: {text}") from None
+            if cause_of(error) == "DEVICE_MEMORY":
+                raise
+            if self.determinism != "default":
+                asked = f"determinism '{self.determinism}' for this scene"
+                raise Refused(f"MuJoCo Warp refuses {asked}: {text}") from None
+            if isinstance(error, NotImplementedError):
+                raise Refused(
+                    f"MuJoCo Warp does not take this scene: {text}; an option of the solver can be given instead of "
+                    "the model's, such as --option solver=Newton"
+                ) from None
+            raise
 
     def _new_data(self, n_env: int) -> Any:
         import mujoco_warp as mjw
