@@ -1,0 +1,313 @@
+"""Model files of the user's own: their closure, what is recorded of them, replays, and what is refused."""
+
+from __future__ import annotations
+
+import io
+import math
+import zipfile
+from importlib.util import find_spec
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
+
+from gpusimbench import open_recording
+from gpusimbench.recorder.scenes.actions import Controls, grid_of
+from gpusimbench.recorder.scenes.model.closure import MODEL, pack, unpack
+from gpusimbench.recorder.scenes.model.scene import compiled, model_scene
+from gpusimbench.schemas.errors import DamagedRecording, ExitCode, UsageError
+from gpusimbench.schemas.mcap.reader import Container
+from tests.conftest import call
+
+WALKER = Path(__file__).parents[1] / "models" / "walker.xml"
+_SHORT = ("--n-env", "2", "--runs", "1", "--steps", "60", "--timed-steps", "5", "--warmup", "2", "--no-view")
+_UP = "../" * 40
+
+
+def _record(folder: Path, *arguments: object, sim: str = "mujoco") -> Path:
+    done = call("gsb-record", "--sim", sim, *_SHORT, *arguments, "--out", folder)
+    assert done.returncode == 0, done.stderr
+    (path,) = folder.glob("*.mcap")
+    return path
+
+
+def _gymnasium_models() -> list[Path]:
+    found = find_spec("gymnasium")
+    assets = Path(str(found.origin)).parent / "envs" / "mujoco" / "assets" if found else Path("nowhere")
+    return sorted(assets.glob("*.xml"))
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The walker on MuJoCo C: a recording."""
+    return _record(tmp_path_factory.mktemp("model"), "--model", WALKER)
+
+
+def test_the_closure(tmp_path: Path) -> None:
+    """Pack the model's own file first and all that it refers to, the same bytes each time, and unpack them again."""
+    data = pack(WALKER)
+    assert data == pack(WALKER)
+    with zipfile.ZipFile(io.BytesIO(data)) as archive:
+        assert archive.namelist() == ["walker.xml", "meshes/foot.obj", "parts/defaults.xml"]
+    main = unpack(data, tmp_path)
+    assert main.read_bytes() == WALKER.read_bytes()
+    assert pack(main) == data
+
+
+@pytest.mark.parametrize("path", [WALKER, *_gymnasium_models()], ids=lambda path: path.stem)
+def test_all_that_mujoco_reads(path: Path) -> None:
+    """Pack at least the files that MuJoCo itself lists, and compile the same model from them."""
+    with zipfile.ZipFile(io.BytesIO(pack(path))) as archive:
+        packed = {archive.getinfo(name).CRC for name in archive.namelist()}
+    listed = mujoco.mju_getXMLDependencies(str(path))
+    assert {zipfile.crc32(Path(file).read_bytes()) for file in listed} <= packed  # type: ignore[attr-defined]
+    alone, whole = compiled(pack(path))[1], mujoco.MjModel.from_xml_path(str(path))
+    for name in ("body_mass", "body_inertia", "jnt_axis", "geom_size", "actuator_ctrlrange", "qpos0"):
+        assert np.array_equal(getattr(alone, name), getattr(whole, name)), name
+
+
+def test_files_above_the_model(tmp_path: Path) -> None:
+    """Keep the folders that a path with ".." needs, and nothing of where they lie on this machine."""
+    (tmp_path / "robots" / "a").mkdir(parents=True)
+    (tmp_path / "meshes").mkdir()
+    (tmp_path / "meshes" / "foot.obj").write_bytes((WALKER.parent / "meshes" / "foot.obj").read_bytes())
+    path = tmp_path / "robots" / "a" / "robot.xml"
+    path.write_text(
+        '<mujoco><compiler meshdir="../../meshes"/><asset><mesh name="foot" file="foot.obj"/></asset><worldbody><body>'
+        '<joint/><geom type="mesh" mesh="foot"/></body></worldbody></mujoco>'
+    )
+    data = pack(path)
+    with zipfile.ZipFile(io.BytesIO(data)) as archive:
+        assert archive.namelist() == ["robots/a/robot.xml", "meshes/foot.obj"]
+    assert compiled(data)[1].nmesh == 1
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("<mujoco", "is no XML"),
+        ('<!DOCTYPE a [<!ENTITY b SYSTEM "/etc/passwd">]><mujoco>&b;</mujoco>', "has a DOCTYPE"),
+        ('<mujoco><asset><mesh file="gone.obj"/></asset></mujoco>', "no such file"),
+        ('<mujoco><asset><mesh file="/etc/hostname"/></asset></mujoco>', "by paths relative to itself"),
+        ('<robot><mesh filename="package://robot/foot.obj"/></robot>', "by paths relative to itself"),
+    ],
+)
+def test_no_closure(text: str, said: str, tmp_path: Path) -> None:
+    """Say which file a model refers to that a recording cannot carry."""
+    (tmp_path / "robot.xml").write_text(text)
+    with pytest.raises(UsageError, match=said):
+        pack(tmp_path / "robot.xml")
+
+
+def _archive(**files: str) -> bytes:
+    stream = io.BytesIO()
+    with zipfile.ZipFile(stream, "w") as archive:
+        for name, text in files.items():
+            archive.writestr(name, text)
+    return stream.getvalue()
+
+
+@pytest.mark.parametrize(
+    ("data", "said"),
+    [
+        (b"", "no archive"),
+        (_archive(), "has no files"),
+        (_archive(**{"../robot.xml": "<mujoco/>"}), "outside it"),
+        (_archive(**{"/tmp/robot.xml": "<mujoco/>"}), "outside it"),
+        (_archive(**{"a/../../robot.xml": "<mujoco/>"}), "outside it"),
+        (_archive(**{"C:robot.xml": "<mujoco/>"}), "outside it"),
+        (_archive(**{"robot.xml": "<mujoco/>", "robot.xml/a": ""}), "no archive of files"),
+        (_archive(**{"robot.xml": '<mujoco><include file="../../etc/hostname"/></mujoco>'}), "no such file|outside"),
+        (
+            _archive(**{"a/robot.xml": f'<mujoco><asset><mesh file="{_UP}etc/hostname"/></asset></mujoco>'}),
+            "outs",
+        ),
+        (_archive(**{"robot.xml": "<mujoco/>"})[:-30], "no archive"),
+    ],
+)
+def test_hostile_archives(data: bytes, said: str, tmp_path: Path) -> None:
+    """Write nothing outside the folder, and let MuJoCo read nothing that lies elsewhere."""
+    with pytest.raises(DamagedRecording, match=said):
+        unpack(data, tmp_path / "inside")
+    assert not {path.name for path in tmp_path.iterdir()} - {"inside"}
+
+
+def test_the_layout(recording: Path) -> None:
+    """Lay states out by the names of bodies and joints, each in its unit, beginning in the first keyframe."""
+    read = open_recording(recording)
+    items = {field.name: field.items for field in read.simulation.fields}
+    assert items["bodies/position"] == ("trunk", "crate")
+    assert items["joints/qpos"] == ("left_hip", "right_hip", "right_shin", "joint5")
+    assert items["balls/orientation"] == ("left_ankle",)
+    units = {field.name: field.units for field in read.simulation.fields}
+    assert units["joints/qpos"] == ("rad", "rad", "m", "rad")
+    assert units["joints/qvel"] == ("rad/s", "rad/s", "m/s", "rad/s")
+    np.testing.assert_array_equal(read.state("bodies", "position")[0, 1], [[0, 0, 0.6], [0.6, 0.2, 0.1]])
+    np.testing.assert_array_equal(read.state("joints", "qpos")[0, 0, :, 0], [0.2, -0.2, 0, 0])
+    assert (read.configuration.scene, read.configuration.keyframe) == ("walker", "crouched")
+    assert read.configuration.actions == "random:1.0"
+    assert read.configuration.dt == 0.004
+
+
+def test_the_states_are_mujocos(recording: Path) -> None:
+    """Record, bit for bit, what a loop over mj_step gives with the recorded actions and the solver of the file."""
+    read = open_recording(recording)
+    drawn = Controls.within("controls", {"left": (-8, 8), "right": (-0.6, 0.4), "shin": (-1, 1), "spread": (-2, 2)})
+    actions = drawn.draw(0, n_env=2, first_step=0, n_step=60)
+    model = mujoco.MjModel.from_xml_path(str(WALKER))
+    assert (model.opt.iterations, read.simulation.options["iterations"]) == (20, 20)
+    for env in range(2):
+        data = mujoco.MjData(model)
+        mujoco.mj_resetDataKeyframe(model, data, 0)
+        for step in range(60):
+            data.ctrl[:] = actions[step, env]
+            mujoco.mj_step(model, data)
+            np.testing.assert_array_equal(read.state("bodies", "position")[step + 1, env, 0], data.qpos[:3])
+            np.testing.assert_array_equal(read.state("balls", "orientation")[step + 1, env, 0], data.qpos[8:12])
+            hips = data.qpos[[7, 12]]
+            np.testing.assert_array_equal(read.state("joints", "qpos")[step + 1, env, :2, 0], hips)
+
+
+def test_a_replay(recording: Path, tmp_path: Path) -> None:
+    """Replay the model that a recording carries, bit for bit, where the user allows it and not otherwise."""
+    done = call("gsb-record", "--replay", recording, "--out", tmp_path)
+    assert done.returncode == ExitCode.USAGE
+    assert "add --allow-model" in done.stderr
+    done = call("gsb-record", "--replay", recording, "--allow-model", "--out", tmp_path)
+    assert done.returncode == 0, done.stderr
+    (again,) = tmp_path.glob("*.mcap")
+    assert call("gsb-diff", recording, again).stdout.startswith("The two recordings are bit-identical")
+    assert Container(again).attachment(MODEL) == pack(WALKER)
+
+
+def test_a_snapshot(tmp_path: Path) -> None:
+    """Go on in the middle of a run of a model, with the same bits."""
+    whole = _record(tmp_path / "whole", "--model", WALKER, "--snapshot", "30", "--phases", "capture")
+    done = call("gsb-record", "--replay", whole, "--allow-model", "--from", "30", "--out", tmp_path / "rest")
+    assert done.returncode == 0, done.stderr
+    (rest,) = (tmp_path / "rest").glob("*.mcap")
+    first, second = open_recording(whole), open_recording(rest)
+    np.testing.assert_array_equal(first.state("joints", "qpos")[30:], second.state("joints", "qpos")[:])
+
+
+def test_initial_states_of_their_own(tmp_path: Path) -> None:
+    """Draw angles within the limits of the model's joints, and speeds of its free bodies."""
+    read = open_recording(_record(tmp_path, "--model", WALKER, "--initial", "random:3"))
+    angles = read.state("joints", "qpos")[0, :, :, 0]
+    assert (np.abs(angles[:, :2]) <= math.radians(60)).all()
+    assert (np.abs(angles[:, 2]) <= 0.05).all()
+    assert (angles[0] != angles[1]).any()
+    assert (read.state("bodies", "linear_velocity")[0] != 0).any()
+
+
+def test_actions_that_are_held(tmp_path: Path) -> None:
+    """Hold the controls of a keyframe to the last bit of a float32."""
+    path = _record(tmp_path, "--model", WALKER, "--actions", "keyframe")
+    topics = [topic for topic in Container(path).channels if topic.startswith("/action/controls/")]
+    assert topics
+    assert open_recording(path).configuration.actions == "keyframe"
+    values = {"a": 0.5, "b": 0.1, "c": 0.0, "d": -1e-30}
+    held = Controls.within("controls", {name: (value, value) for name, value in values.items()})
+    drawn = held.draw(7, n_env=2, first_step=3, n_step=2)
+    np.testing.assert_array_equal(drawn, np.broadcast_to(np.float32([0.5, 0.1, 0.0, -1e-30]), drawn.shape))
+
+
+@given(
+    lower=st.floats(-(2.0**66), 2.0**66, width=32),
+    upper=st.floats(-(2.0**66), 2.0**66, width=32),
+    seed=st.integers(0, 2**64 - 1),
+)
+def test_controls_stay_within_their_range(lower: float, upper: float, seed: int) -> None:
+    """Draw exact multiples of a power of two within any range, and near both of its ends."""
+    assume(lower <= upper and (lower == upper or upper - lower > 1e-30))
+    drawn = Controls.within("controls", {"a": (lower, upper)}).draw(seed, n_env=50, first_step=0, n_step=20).ravel()
+    grid = grid_of(lower, upper)
+    assert math.frexp(grid)[0] == 0.5
+    assert (drawn >= np.float32(lower)).all()
+    assert (drawn <= np.float32(upper)).all()
+    assert (np.remainder(drawn.astype(np.float64), grid) == 0).all()
+    if upper - lower > 1e-6 * max(abs(lower), abs(upper)):
+        assert drawn.min() <= lower + 0.1 * (upper - lower)
+        assert drawn.max() >= upper - 0.1 * (upper - lower)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("sim", ["warp", "mjx"])
+def test_another_engine(sim: str, recording: Path, tmp_path: Path) -> None:
+    """Record the same model on another engine: the same layout and actions, states that agree at first."""
+    path = _record(tmp_path, "--model", WALKER, "--steps", "3", sim=sim)
+    read, c = open_recording(path), open_recording(recording)
+    assert [(f.name, f.items, f.units) for f in read.simulation.fields] == [
+        (f.name, f.items, f.units) for f in c.simulation.fields
+    ]
+    np.testing.assert_allclose(read.state("joints", "qpos")[3], c.state("joints", "qpos")[3], atol=2e-4)
+    np.testing.assert_allclose(read.state("bodies", "position")[3], c.state("bodies", "position")[3], atol=2e-4)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (("--scene", "franka"), "give one of them"),
+        (("--keyframe", "crouchd"), "no keyframe 'crouchd'; it has crouched, turned, none; did you mean 'crouched'?"),
+        (("--actions", "wild"), "--actions is none, random"),
+        (("--actions", "random:1.5"), "--actions is none, random"),
+        (("--keyframe", "none", "--actions", "keyframe"), "environments begin in none"),
+        (("--option", "condim=4"), "the geoms of walker.xml have their own"),
+    ],
+)
+def test_arguments_that_cannot_be(arguments: tuple[str, ...], said: str, tmp_path: Path) -> None:
+    """Refuse before a run begins, and say what there is."""
+    done = call("gsb-record", "--sim", "mujoco", "--model", WALKER, *arguments, "--out", tmp_path)
+    assert done.returncode == ExitCode.USAGE
+    assert said in done.stderr
+    assert not list(tmp_path.iterdir())
+
+
+def test_engines_that_take_no_models(tmp_path: Path) -> None:
+    """Name the ability that an engine lacks."""
+    done = call("gsb-record", "--sim", "newton", "--model", WALKER, "--out", tmp_path)
+    assert done.returncode == ExitCode.USAGE
+    assert "simulator 'newton' cannot simulate scene 'walker': it has no model files" in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("<mujoco/>", "has no joint"),
+        ("<mujoco><worldbody><body><joint/></body></worldbody></mujoco>", "does not compile robot.xml"),
+        (
+            '<mujoco><worldbody><body name="a,b"><freejoint/><geom size=".1"/></body></worldbody></mujoco>',
+            "a name with a comma in it",
+        ),
+        (
+            '<mujoco><worldbody><body mocap="true" name="m"><geom size=".1"/></body><body><freejoint/><geom size=".1"/>'
+            '</body></worldbody><keyframe><key mpos="1 0 0"/></keyframe></mujoco>',
+            "moves mocap bodies",
+        ),
+    ],
+)
+def test_models_that_cannot_be(text: str, said: str, tmp_path: Path) -> None:
+    """Say what of a model a recording cannot hold, or MuJoCo's own message."""
+    path = tmp_path / "robot.xml"
+    path.write_text(text)
+    with pytest.raises(UsageError, match=said):
+        model_scene("robot", pack(path))
+
+
+def test_a_model_named_like_a_scene(tmp_path: Path) -> None:
+    """Tell a file called franka.xml from the registered scene."""
+    path = tmp_path / "franka.xml"
+    path.write_text('<mujoco><worldbody><body><joint/><geom size=".1"/></body></worldbody></mujoco>')
+    made = _record(tmp_path / "out", "--model", path)
+    assert open_recording(made).configuration.scene == "franka-model"
+
+
+@pytest.mark.parametrize("command", ["gsb-info", "gsb-check", "gsb-eval"])
+def test_what_is_said_of_it(command: str, recording: Path) -> None:
+    """Inspect, check and evaluate a recording of a model."""
+    done = call(command, recording)
+    assert done.returncode == 0, done.stderr
+    assert "walker" in done.stdout or command == "gsb-check"
