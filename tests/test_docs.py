@@ -103,7 +103,8 @@ def test_the_tutorial(tmp_path: Path) -> None:
 @pytest.mark.parametrize("page", sorted((ROOT / "docs" / "how-to").glob("*.md")), ids=lambda page: page.stem)
 def test_the_how_tos(page: Path, tmp_path: Path) -> None:
     """Do what a page of instructions says in a folder that has the sample recordings."""
-    (tmp_path / "recordings").symlink_to(ROOT / "recordings")
+    for name in ("recordings", "examples"):
+        (tmp_path / name).symlink_to(ROOT / name)
     assert walk(page, tmp_path, {}) > 0
 
 

@@ -22,7 +22,7 @@ from gpusimbench.schemas.errors import DamagedRecording, ExitCode, UsageError
 from gpusimbench.schemas.mcap.reader import Container
 from tests.conftest import call
 
-WALKER = Path(__file__).parents[1] / "models" / "walker.xml"
+WALKER = Path(__file__).parents[2] / "examples" / "walker" / "walker.xml"
 _SHORT = ("--n-env", "2", "--runs", "1", "--steps", "60", "--timed-steps", "5", "--warmup", "2", "--no-view")
 _UP = "../" * 40
 
