@@ -11,6 +11,7 @@ RUN_END = "/run/end"
 RUN_DROPOUT = "/run/dropout"
 RUN_FAILING = "/run/failing"
 MEMORY_HOST = "/memory/host"
+HARDWARE_HOST = "/hardware/host"
 
 VIEW = "view"
 """No group of states has this name: /state/view/... is what viewers draw, which is made of states (schemas.view)."""
@@ -137,3 +138,8 @@ def action_stream(phase: str) -> str:
 def gpu_memory(device: int, source: str) -> str:
     """Topic of one memory source ("device", "process" or "allocator") of a GPU."""
     return f"/memory/gpu{device}/{source}"
+
+
+def gpu_hardware(device: int) -> str:
+    """Topic of the clock rates and the like of a GPU."""
+    return f"/hardware/gpu{device}"

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
+from gpusimbench.evaluator.check.hardware import Hardware, hardware_of
 from gpusimbench.evaluator.check.integrity import Integrity
 from gpusimbench.evaluator.check.integrity.problem import Kind
 from gpusimbench.evaluator.check.integrity.scan import Scan, Stream
@@ -103,6 +104,7 @@ class Inspection:
     phases       that began and ended, with their durations [s]
     clocks       phases that have clocks, with how many intervals of how many steps
     not_timed    why there is no throughput; the same for `not_captured`
+    hardware     clock rates and the like by where they are of: host, gpu0, ...
     co_tenants   other processes on the device; None where the simulator did not step on a GPU
     counters     names by phase
     hashes       steps with state hashes, by phase
@@ -128,6 +130,7 @@ class Inspection:
     captured: Rate | None = None
     not_captured: str = ""
     memory: dict[str, Memory] = field(default_factory=dict)
+    hardware: dict[str, Hardware] = field(default_factory=dict)
     co_tenants: CoTenancy | None = None
     peak_rss_bytes: int | None = None
     arrays: tuple[Array, ...] = ()
@@ -210,6 +213,7 @@ def _streams(recording: Recording, scan: Scan) -> dict[str, Any]:
         "captured": captured,
         "not_captured": not_captured,
         "memory": read(lambda: _memory(recording), dict[str, Memory]()),
+        "hardware": read(lambda: hardware_of(recording), dict[str, Hardware]()),
         "co_tenants": read(lambda: _co_tenants(recording), None),
         "arrays": tuple(array for array in map(state, recording.fields) if array is not None),
         "actions": tuple(_action(recording, scan, name) for name in recording.action_names),

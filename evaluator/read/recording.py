@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from gpusimbench.evaluator.read.actions import action_names, apart_by_design, read_actions
 from gpusimbench.evaluator.read.failing import Failing, LastStates, read_failing, read_last_states
+from gpusimbench.evaluator.read.hardware import HardwareTrace, read_hardware
 from gpusimbench.evaluator.read.messages import MAX_END_BYTES, Messages
 from gpusimbench.evaluator.read.state_array import StateArray
 from gpusimbench.evaluator.read.step_evidence import (
@@ -153,6 +154,11 @@ class Recording:
     def memory(self) -> dict[str, MemoryTrace]:
         """Memory readings by source: "host", "gpu0/device", "gpu0/process", "gpu0/allocator", ..."""
         return read_memory(self._messages)
+
+    @cached_property
+    def hardware(self) -> dict[str, HardwareTrace]:
+        """Clock rates, power, temperature and load by where they are of: "host", "gpu0", ..."""
+        return read_hardware(self._messages)
 
     @cached_property
     def counts(self) -> dict[str, dict[str, StepCounts]]:

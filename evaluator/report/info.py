@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import fields, is_dataclass
 from typing import Any
 
+from gpusimbench.evaluator.check.hardware import Hardware
 from gpusimbench.evaluator.check.inspection import Array, CoTenancy, Inspection, Memory, Rate
 from gpusimbench.evaluator.check.integrity.problem import REMARKS, Kind
 from gpusimbench.evaluator.json_values import brief, dump, plain
@@ -212,6 +213,8 @@ def _how_long(found: Inspection) -> Iterator[tuple[str, str]]:
         )
     for source, memory in found.memory.items():
         yield "memory", _memory(source, memory)
+    for source, hardware in found.hardware.items():
+        yield "hardware", f"{source}: {_hardware(hardware)}"
     if found.co_tenants:
         yield "co-tenants", _co_tenants(found.co_tenants)
 
@@ -235,6 +238,33 @@ def _memory(source: str, memory: Memory) -> str:
     total = f" of {_bytes(memory.total)}" if memory.total else ""
     what = _SOURCES.get(source.rpartition("/")[2], "")
     return f"{source}{f' ({what})' if what else ''}: {baseline}, peak {_bytes(memory.peak)}{total}"
+
+
+_QUANTITIES = {
+    "sm_clock_mhz": ("SM clock", "MHz", 1.0),
+    "memory_clock_mhz": ("memory clock", "MHz", 1.0),
+    "power_mw": ("power", "W", 1e-3),
+    "temperature_c": ("temperature", "°C", 1.0),
+    "utilisation_percent": ("utilisation", "%", 1.0),
+    "other_processes": ("other processes", "", 1.0),
+    "cpu_clock_mhz": ("CPU clock", "MHz", 1.0),
+    "other_cpus": ("other processes", "CPUs", 1.0),
+}
+"""Fields of a reading in words, with a unit and the factor to it."""
+
+
+def _hardware(found: Hardware) -> str:
+    gap = "" if found.longest_gap_s is None else f", at most {found.longest_gap_s:.2g} s apart"
+    over = f"of the timed phase{gap}" if found.timed else "of all phases"
+    parts = [f"{plural(found.timed or found.readings, 'reading')} {over}"]
+    for name, (least, mean, most) in found.values.items():
+        word, unit, factor = _QUANTITIES[name]
+        spread = "" if least == most else f" ({least * factor:.4g} to {most * factor:.4g})"
+        parts.append(f"{word} {mean * factor:.4g}{f' {unit}' if unit else ''}{spread}")
+    if found.reasons is not None:
+        held = ", ".join(f"{reason} in {share:.0%}" for reason, share in found.reasons.items())
+        parts.append(f"reasons for lower clocks: {held or 'none'}")
+    return "; ".join([*parts, *(f"not known: {why}" for why in found.not_known)])
 
 
 def _inside(found: Inspection) -> Iterator[tuple[str, str]]:

@@ -33,6 +33,7 @@ def demands(recording: Recording) -> Iterator[Callable[[], object]]:
     """
     yield lambda: recording.timing
     yield lambda: recording.memory
+    yield lambda: recording.hardware
     yield lambda: recording.counts
     yield lambda: recording.overflows
     yield lambda: recording.action_streams

@@ -139,6 +139,35 @@ class Gpus:
             return None
         return int(info.reserved)
 
+    def hardware(self, index: int) -> tuple[dict[str, int], dict[str, str]]:
+        """How fast a GPU could run at this moment, by field of a HardwareSample; and by field why it is not known."""
+        nvml, handle = self._nvml, self._handles[index]
+        queries: dict[str, Callable[[], int]] = {
+            "sm_clock_mhz": lambda: nvml.nvmlDeviceGetClockInfo(handle, nvml.NVML_CLOCK_SM),
+            "memory_clock_mhz": lambda: nvml.nvmlDeviceGetClockInfo(handle, nvml.NVML_CLOCK_MEM),
+            "power_mw": lambda: nvml.nvmlDeviceGetPowerUsage(handle),
+            "temperature_c": lambda: nvml.nvmlDeviceGetTemperature(handle, nvml.NVML_TEMPERATURE_GPU),
+            "throttle_reasons": lambda: self._throttle_reasons(handle),
+            "utilisation_percent": lambda: nvml.nvmlDeviceGetUtilizationRates(handle).gpu,
+        }
+        told, not_known = dict[str, int](), dict[str, str]()
+        for name, query in queries.items():
+            try:
+                told[name] = int(query())
+            except nvml.NVMLError as error:
+                not_known[name] = f"NVML: {error}"
+            except AttributeError as error:
+                not_known[name] = f"not in this version of the bindings: {error}"
+        return told, not_known
+
+    def _throttle_reasons(self, handle: Any) -> int:
+        # older bindings have the older name alone, and older drivers answer to it alone
+        nvml = self._nvml
+        try:
+            return int(nvml.nvmlDeviceGetCurrentClocksEventReasons(handle))
+        except (nvml.NVMLError, AttributeError):
+            return int(nvml.nvmlDeviceGetCurrentClocksThrottleReasons(handle))
+
     def processes(self, index: int, *, before_engine: bool) -> Processes:
         """What NVML attributes to the processes on the device, at this moment.
 

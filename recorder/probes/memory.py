@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 
 from gpusimbench.recorder.probes.gpu import Gpus
+from gpusimbench.recorder.probes.sampling import Sampler
 from gpusimbench.schemas import topics
 from gpusimbench.schemas.messages import enum_values
 
@@ -35,76 +35,35 @@ class Reading:
     reserved_bytes: int | None = None
 
 
-class MemorySampler:
+class MemorySampler(Sampler[Reading]):
     """Reads host and GPU memory at 100 Hz while running, and at checkpoints when told to.
 
-    A reading that fails is counted, and the next is tried: one lost reading neither ends the run nor the sampling.
-
-    allocator     of the engine on GPU 0: bytes in use and their peak; read at checkpoints alone, since engines do not
-                  promise that another thread may ask
-    failures      readings that failed
-    last_failure  why the last of them did; empty when there were none
+    allocator  of the engine on GPU 0: bytes in use and their peak; read at checkpoints alone, since engines do not
+               promise that another thread may ask
     """
 
     def __init__(self, gpus: Gpus) -> None:
         import psutil
 
+        super().__init__("memory", INTERVAL_S)
         self._process = psutil.Process()
         self._host_total = psutil.virtual_memory().total
         self._gpus = gpus
         self._sources = enum_values("gsb.v1.MemorySource")
-        self._readings: list[Reading] = []
-        self._lock = threading.Lock()
-        self._stop = threading.Event()
-        self._thread = threading.Thread(target=self._loop, name="memory-sampler", daemon=True)
-        self.phase = ""
         self.allocator: Callable[[], tuple[int, int] | None] | None = None
-        self.failures = 0
-        self.last_failure = ""
-
-    def start(self) -> None:
-        """Begin sampling."""
-        self._thread.start()
-
-    def stop(self) -> None:
-        """End sampling; readings can still be taken."""
-        self._stop.set()
-        if self._thread.is_alive():
-            self._thread.join()
 
     def checkpoint(self, name: str) -> None:
         """Read every source now, under the name of a checkpoint of the protocol."""
-        self._read(name)
-
-    def read_now(self) -> None:
-        """Read every source now."""
-        self._read("")
-
-    def take(self) -> list[Reading]:
-        """The readings since the last call, in order of time."""
         with self._lock:
-            readings, self._readings = self._readings, []
-        return readings
+            self._read(name)
 
-    def _loop(self) -> None:
-        while not self._stop.wait(INTERVAL_S):
-            self._read("")
-
-    def _read(self, checkpoint: str) -> None:
-        with self._lock:
-            now = time.perf_counter_ns()
-            self._try("host", partial(self._read_host, now, checkpoint))
-            for index in range(len(self._gpus)):
-                self._try(f"gpu{index}", partial(self._read_gpu, index, now, checkpoint))
-            if checkpoint and self.allocator is not None and len(self._gpus):
-                self._try("allocator", partial(self._read_allocator, self.allocator, now, checkpoint))
-
-    def _try(self, source: str, read: Callable[[], None]) -> None:
-        try:
-            read()
-        except Exception as error:  # whatever a driver raises: the thread must go on
-            self.failures += 1
-            self.last_failure = f"{source}: {type(error).__name__}: {' '.join(str(error).split())}"
+    def _read(self, checkpoint: str = "") -> None:
+        now = time.perf_counter_ns()
+        self._try("host", partial(self._read_host, now, checkpoint))
+        for index in range(len(self._gpus)):
+            self._try(f"gpu{index}", partial(self._read_gpu, index, now, checkpoint))
+        if checkpoint and self.allocator is not None and len(self._gpus):
+            self._try("allocator", partial(self._read_allocator, self.allocator, now, checkpoint))
 
     def _read_host(self, now: int, checkpoint: str) -> None:
         used = self._process.memory_info().rss

@@ -3,7 +3,7 @@
     baseline   nothing of the engine exists yet; memory is read
     init       the simulator is built; what it says of itself is written
     warmup     steps that are excluded from throughput; the first pays for compilation
-    timed      nothing is recorded but clocks and memory
+    timed      nothing is recorded but clocks, memory and clock rates of the hardware
     capture    a fresh simulator; the full state of every environment, or the last states of those that fail
 
 Validity gates are asked after the warm-up, after the timed phase and after the capture. What the engine counts
@@ -21,13 +21,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from gpusimbench.recorder import clock, interruption
-from gpusimbench.recorder.capture.memory import MemoryWriter
 from gpusimbench.recorder.capture.sink import Sink
 from gpusimbench.recorder.capture.view import LogWriter
+from gpusimbench.recorder.capture.watch import Watch
 from gpusimbench.recorder.failure import Interrupted, TimedOut, cause_of
 from gpusimbench.recorder.probes.gpu import Gpus
 from gpusimbench.recorder.probes.host import describe_host, numeric_environment, peak_rss_bytes
-from gpusimbench.recorder.probes.memory import MemorySampler
 from gpusimbench.recorder.probes.software import describe_software, package_list
 from gpusimbench.recorder.run.capture_phase import CapturePhase
 from gpusimbench.recorder.run.engine import Engine
@@ -196,13 +195,13 @@ class Run:
             if configuration.view:
                 journal.shown_log = LogWriter(sink)
 
-        memory = MemoryWriter(sink, MemorySampler(gpus), len(gpus))
+        watch = Watch(sink, gpus)
         try:
-            with Phase(journal, memory, "baseline"):
+            with Phase(journal, watch, "baseline"):
                 for problem in filter(None, (clock.problem(), *gpus.problems)):
                     journal.event("NOTE", problem)
-                memory.checkpoint("baseline")
-                memory.start()
+                watch.checkpoint("baseline")
+                watch.start()
 
             if trouble or scene is None:
                 raise trouble or GsbError("no scene")
@@ -219,38 +218,38 @@ class Run:
                 )
 
             with Engine(new_simulator, configuration.initial, self._inputs.get(GIVEN)) as engine:
-                with Phase(journal, memory, "init"):
+                with Phase(journal, watch, "init"):
                     self._progress("init", 0, 1)
                     description = journal.clocked("build", engine.start)
                     self._write_description(sink, built, description)
-                    memory.use_allocator(engine.simulator.allocator_bytes)
+                    watch.use_allocator(engine.simulator.allocator_bytes)
                     self._progress(COMPILE, 0, 1)
                     journal.compile(
                         engine.simulator, configuration.phases[0] if len(configuration.phases) == 1 else "timed"
                     )
-                    memory.checkpoint("post-init")
+                    watch.checkpoint("post-init")
                 if "timed" in configuration.phases:
-                    warm_up_and_time(journal, memory, engine.simulator, description, configuration, self._progress)
-                    memory.checkpoint("final")
+                    warm_up_and_time(journal, watch, engine.simulator, description, configuration, self._progress)
+                    watch.checkpoint("final")
                 if "capture" in configuration.phases and not journal.problems:
                     if "timed" in configuration.phases:
-                        memory.use_allocator(None)
+                        watch.use_allocator(None)
                         self._progress(REBUILD, 0, 1)
                         engine.start()
                         self._progress(COMPILE, 0, 1)
                         journal.compile(engine.simulator, "capture")
-                    with Phase(journal, memory, "capture"):
+                    with Phase(journal, watch, "capture"):
                         captured.run(engine.simulator, description)
                 if "timed" not in configuration.phases:
-                    memory.checkpoint("final")
-                memory.drain()
+                    watch.checkpoint("final")
+                watch.drain()
         except DataLost:
-            memory.stop()  # the file takes nothing more
+            watch.stop()  # the file takes nothing more
             raise
         except BaseException:
-            _end_memory(journal, memory)
+            _end_watch(journal, watch)
             raise
-        _end_memory(journal, memory)
+        _end_watch(journal, watch)
 
     def _write_description(self, sink: Sink, scene: Scene, description: Description) -> None:
         timed = "timed" in self._configuration.phases
@@ -260,9 +259,9 @@ class Run:
             sink.attach(name, media_type, data)
 
 
-def _end_memory(journal: Journal, memory: MemoryWriter) -> None:
-    memory.stop()
-    if failed := memory.failures():
+def _end_watch(journal: Journal, watch: Watch) -> None:
+    watch.stop()
+    for failed in watch.failures():
         journal.event("NOTE", failed)
 
 

@@ -1,8 +1,9 @@
 """The warm-up and the timed phase: steps between clock readings, and nothing else.
 
 Between two clock readings lies what the simulator says of it (Description.timing_covers). From the first reading to the
-last, memory is sampled as well, at 100 Hz from another thread; nothing is written, drawn or reported meanwhile, and
-Python collects no garbage. An interval has `timing_interval` steps; the last may have fewer.
+last, memory is sampled as well, at 100 Hz, and clock rates of the hardware at 5 Hz, both from other threads; nothing is
+written, drawn or reported meanwhile, and Python collects no garbage. An interval has `timing_interval` steps; the last
+may have fewer.
 """
 
 from __future__ import annotations
@@ -15,20 +16,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gpusimbench.recorder.capture.evidence import EvidenceWriter
-from gpusimbench.recorder.capture.memory import MemoryWriter
 from gpusimbench.recorder.capture.states import declare_fingerprints, write_fingerprints
+from gpusimbench.recorder.capture.watch import Watch
 from gpusimbench.recorder.run.given_actions import given, write_applied
 from gpusimbench.recorder.run.journal import Journal, Phase
 from gpusimbench.recorder.simulators.base import Description, Simulator
 from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.fingerprint import fingerprint
 
-_SAMPLED = "memory is sampled from another thread at 100 Hz"
+_SAMPLED = "memory is sampled from another thread at 100 Hz, clock rates from another at 5 Hz"
 
 
 def warm_up_and_time(
     journal: Journal,
-    memory: MemoryWriter,
+    watch: Watch,
     simulator: Simulator,
     description: Description,
     configuration: RunConfiguration,
@@ -40,18 +41,18 @@ def warm_up_and_time(
     interval = simulator.timing_interval
     counted = EvidenceWriter(sink, description, "timed", dt=configuration.dt, stride=max(1, steps))
     # The whole warm-up's clocks are kept too: its first step shows what compilation costs.
-    with Phase(journal, memory, "warmup"):
+    with Phase(journal, watch, "warmup"):
         simulator.prepare(given(simulator, configuration, 0, warmup))
         progress("warmup", 0, warmup)
         clocks = _step(simulator, warmup, interval)
         hashes = [fingerprint(simulator.state())]
-        memory.checkpoint("post-warmup")
+        watch.checkpoint("post-warmup")
     journal.timing("warmup", clocks, 0, interval, covers)
     if warmup:
         journal.count(simulator.evidence(), counted, warmup)
     journal.ask_gates(simulator)
     simulator.prepare(given(simulator, configuration, warmup, steps))
-    with Phase(journal, memory, "timed"):
+    with Phase(journal, watch, "timed"):
         progress("timed", 0, steps)  # and not again before the last step: throughput counts what lies between
         clocks = _step(simulator, steps, interval)
     state = simulator.state()

@@ -13,10 +13,9 @@ import pytest
 
 from gpusimbench import open_recording
 from gpusimbench.evaluator.runs.validation import verify
-from gpusimbench.recorder.capture.memory import MemoryWriter
 from gpusimbench.recorder.capture.sink import Sink
+from gpusimbench.recorder.capture.watch import Watch
 from gpusimbench.recorder.probes.gpu import Gpus, Processes
-from gpusimbench.recorder.probes.memory import MemorySampler
 from gpusimbench.recorder.probes.software import package_list
 from gpusimbench.recorder.run.environment import apply_environment
 from gpusimbench.schemas.configuration import RunConfiguration
@@ -183,7 +182,7 @@ def test_co_tenants_are_recorded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     monkeypatch.setitem(sys.modules, "pynvml", nvml)
     with Gpus(hidden=True) as gpus:
         sink = Sink(tmp_path / "run.mcap", compression="none")
-        writer = MemoryWriter(sink, MemorySampler(gpus), 1)
+        writer = Watch(sink, gpus)
         writer.enter("baseline")
         writer.checkpoint("baseline")
         writer.enter("timed")

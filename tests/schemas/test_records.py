@@ -39,6 +39,11 @@ _WIRE = {
         "source": 1, "device": 2, "monotonic_ns": 3, "used_bytes": 4, "total_bytes": 5, "phase": 6, "checkpoint": 7,
         "other_processes": 8, "other_bytes": 9, "reserved_bytes": 10,
     },
+    "HardwareSample": {
+        "device": 1, "monotonic_ns": 2, "phase": 3, "sm_clock_mhz": 4, "memory_clock_mhz": 5, "power_mw": 6,
+        "temperature_c": 7, "throttle_reasons": 8, "utilisation_percent": 9, "other_processes": 10,
+        "cpu_clock_mhz": 11, "other_cpus": 12, "not_known": 13,
+    },
     "Event": {"kind": 1, "phase": 2, "monotonic_ns": 3, "unix_ns": 4, "text": 5},
     "FingerprintBlock": {"first_step": 1, "steps": 2, "stride": 3, "env_start": 4, "envs": 5, "hashes": 6},
     "StepCounts": {"first_step": 1, "stride": 2, "mean": 3, "p95": 4, "max": 5},

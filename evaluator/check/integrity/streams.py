@@ -39,10 +39,12 @@ def _event_clock(recording: Recording, problems: Problems) -> None:
         problems.add(Kind.clock, "the clock of /run/event runs backwards")
 
 
-def _memory_clocks(recording: Recording, problems: Problems) -> None:
-    for source, trace in recording.memory.items():
-        if (np.diff(trace.time_ns) < 0).any():
-            problems.add(Kind.clock, f"the clock of /memory/{source} runs backwards")
+def _sampled_clocks(recording: Recording, problems: Problems) -> None:
+    memory = {f"/memory/{source}": trace.time_ns for source, trace in recording.memory.items()}
+    hardware = {f"/hardware/{source}": trace.time_ns for source, trace in recording.hardware.items()}
+    for topic, times in (memory | hardware).items():
+        if (np.diff(times) < 0).any():
+            problems.add(Kind.clock, f"the clock of {topic} runs backwards")
 
 
 def _phases(recording: Recording, problems: Problems) -> None:
@@ -164,7 +166,7 @@ def _dropouts(recording: Recording, problems: Problems) -> None:
 
 
 _CHECKS: dict[Kind, tuple[Callable[[Recording, Problems], None], ...]] = {
-    Kind.clock: (_event_clock, _memory_clocks, _phases),
+    Kind.clock: (_event_clock, _sampled_clocks, _phases),
     Kind.fingerprint: (_fingerprints,),
     Kind.observer: (_observer,),
     Kind.contradiction: (_status, _gates, _intervals, _states, _scene),

@@ -1,0 +1,76 @@
+"""What the readings of the hardware come to: of the timed phase, or of the whole run where nothing was timed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from gpusimbench.evaluator.metrics.throttling import reasons_of, throttled_share
+from gpusimbench.evaluator.read.hardware import HardwareTrace
+from gpusimbench.evaluator.read.recording import Recording
+
+_MASK = "throttle_reasons"
+
+
+@dataclass(frozen=True)
+class Hardware:
+    """Readings of the host or of a GPU.
+
+    readings      of all phases
+    timed         how many of them are of the timed phase
+    longest_gap_s longest time within the timed phase without a reading [s]; None where nothing was timed
+    values        least, mean and largest of each field, of the timed phase, or of all phases where nothing was timed
+    reasons       share of the same readings by each reason for lower clocks; None where the GPU does not tell reasons
+    not_known     what readings lack and why
+    """
+
+    readings: int
+    timed: int
+    longest_gap_s: float | None
+    values: dict[str, tuple[float, float, float]]
+    reasons: dict[str, float] | None
+    not_known: tuple[str, ...]
+
+
+def hardware_of(recording: Recording) -> dict[str, Hardware]:
+    """By where the readings are of: "host", "gpu0", ..."""
+    return {source: _summary(recording, trace) for source, trace in recording.hardware.items()}
+
+
+def stepping_on(recording: Recording) -> str:
+    """Where the readings of what the simulator stepped on are of: "host" or "gpu0"."""
+    return "host" if recording.simulation is None or recording.simulation.device == "cpu" else "gpu0"
+
+
+def longest_gap_s(recording: Recording) -> float | None:
+    """The longest time within the timed phase without a reading of what the simulator stepped on [s].
+
+    All of the phase where nothing was sampled; None where nothing was timed.
+    """
+    timing = recording.timing.get("timed")
+    if timing is None:
+        return None
+    trace = recording.hardware.get(stepping_on(recording))
+    return trace.longest_gap_s(int(timing.start_ns[0]), int(timing.end_ns[-1])) if trace else timing.elapsed_s
+
+
+def timed_throttled_share(recording: Recording) -> float | None:
+    """Share of the timed phase's readings in which heat or power held the GPU's clocks down; None where no reading
+    tells."""
+    trace = recording.hardware.get(stepping_on(recording))
+    return throttled_share(trace.of(_MASK, "timed")) if trace else None
+
+
+def _summary(recording: Recording, trace: HardwareTrace) -> Hardware:
+    timing = recording.timing.get("timed")
+    timed = sum(phase == "timed" for phase in trace.phase)
+    values, masks = {}, list[float]()
+    for name, column in trace.values.items():
+        told = trace.of(name, "timed") if timed else [value for value in column if value is not None]
+        if name == _MASK:
+            masks = told
+        elif told:
+            values[name] = (min(told), sum(told) / len(told), max(told))
+    gap = trace.longest_gap_s(int(timing.start_ns[0]), int(timing.end_ns[-1])) if timing else None
+    return Hardware(
+        len(trace.time_ns), timed, gap, values, reasons_of(masks) if _MASK in trace.values else None, trace.not_known
+    )

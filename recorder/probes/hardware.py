@@ -1,0 +1,70 @@
+"""Clock rates, power, temperature and load during a run, from a thread of their own."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from functools import partial
+
+from gpusimbench.recorder.probes.cpu import Cpus
+from gpusimbench.recorder.probes.gpu import Gpus
+from gpusimbench.recorder.probes.memory import BASELINE
+from gpusimbench.recorder.probes.sampling import Sampler
+from gpusimbench.schemas import topics
+
+INTERVAL_S = 0.2
+
+
+@dataclass(frozen=True)
+class HardwareReading:
+    """One reading of the host or of a GPU: the content of a HardwareSample, and its topic.
+
+    values     by field of the message; what was not told is left out
+    not_known  one sentence for each field that is left out, in the first reading that it is true of
+    """
+
+    topic: str
+    device: int
+    monotonic_ns: int
+    phase: str
+    values: dict[str, float]
+    not_known: tuple[str, ...]
+
+
+class HardwareSampler(Sampler[HardwareReading]):
+    """Reads the host and the GPUs at 5 Hz while running, and when told to."""
+
+    def __init__(self, gpus: Gpus, cpus: Cpus | None = None) -> None:
+        super().__init__("hardware", INTERVAL_S)
+        self._gpus = gpus
+        self._cpus = cpus or Cpus()
+        self._cpus.other_cpus()  # from here on the load is counted
+        self._said: dict[tuple[str, str], str] = {}
+
+    def _read(self) -> None:
+        self._try("host", self._read_host)
+        for index in range(len(self._gpus)):
+            self._try(f"gpu{index}", partial(self._read_gpu, index))
+
+    def _read_host(self) -> None:
+        now = time.perf_counter_ns()
+        found = {"cpu_clock_mhz": self._cpus.clock_mhz(), "other_cpus": self._cpus.other_cpus()}
+        told = {name: value for name, value in found.items() if not isinstance(value, str)}
+        self._add(topics.HARDWARE_HOST, 0, now, told, {n: v for n, v in found.items() if isinstance(v, str)})
+
+    def _read_gpu(self, index: int) -> None:
+        now = time.perf_counter_ns()
+        found, not_known = self._gpus.hardware(index)
+        told: dict[str, float] = dict(found)
+        others = self._gpus.processes(index, before_engine=self.phase == BASELINE).others
+        if others is None:
+            not_known["other_processes"] = "NVML does not tell the recording process from others"
+        else:
+            told["other_processes"] = others
+        self._add(topics.gpu_hardware(index), index, now, told, not_known)
+
+    def _add(self, topic: str, device: int, now: int, told: dict[str, float], not_known: dict[str, str]) -> None:
+        fresh = {name: why for name, why in not_known.items() if self._said.get((topic, name)) != why}
+        self._said.update({(topic, name): why for name, why in fresh.items()})
+        reasons = tuple(f"{name}: {why}" for name, why in fresh.items())
+        self._readings.append(HardwareReading(topic, device, now, self.phase, told, reasons))
