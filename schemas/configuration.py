@@ -53,6 +53,8 @@ class RunConfiguration:
     model        SHA-256 of the model's files, which the recording has attached; empty: the scene is a registered one
     keyframe     of the model that environments begin in; empty without a model
     actions      what the model's actuators are given; empty without a model
+    fitted       options whose values were fitted to measured motions, by name, each with which these were, such as
+                 "even tosses"
     """
 
     simulator: str
@@ -79,6 +81,7 @@ class RunConfiguration:
     model: str = ""
     keyframe: str = ""
     actions: str = ""
+    fitted: dict[str, str] = field(default_factory=dict)
 
     @property
     def option_words(self) -> list[str]:
@@ -105,7 +108,7 @@ class RunConfiguration:
         """As plain JSON values; what is empty of those that came later is left out."""
         record = {**asdict(self), "phases": list(self.phases), "view": list(self.view)}
         record["snapshots"] = list(self.snapshots)
-        for name in ("initial", "intervention", "keep", "snapshots", "model", "keyframe", "actions"):
+        for name in ("initial", "intervention", "keep", "snapshots", "model", "keyframe", "actions", "fitted"):
             if not record[name]:
                 del record[name]
         return record
@@ -151,6 +154,7 @@ class RunConfiguration:
                     for step in checks.items(record, "snapshots")
                 )
             ),
+            fitted=checks.text_map(record, "fitted"),
         )
         if made.captured_steps < 1:
             raise DamagedRecording(f"it begins at step {made.first_step} and ends at step {made.steps}")

@@ -39,10 +39,11 @@ def test_documents_show_what_the_files_say(tables: Any, evaluation: Any) -> None
 def test_rules_not_met_are_counted(evaluation: Any) -> None:
     """Count as gsb-check --protocol does, over the whole set and over its groups."""
     assert evaluation.unmet.findings == {
-        "timed-steps": 80, "runs": 74, "warm-up": 24, "sample-step": 3, "same-engine": 1,
+        "clocks-sampled": 142, "runs": 74, "timed-seconds": 57, "work-evidence": 38, "window-begin": 24,
+        "contacts-at-the-end": 18, "sample-step": 3, "same-engine": 1, "same-window": 1,
     }  # fmt: skip
-    assert evaluation.unmet.count == 182
-    assert sum(result.timed.unmet.count for result in evaluation.results) == 182
+    assert evaluation.unmet.count == 358
+    assert sum(result.timed.unmet.count for result in evaluation.results) == 362  # one window, five groups
 
 
 def test_prices_are_those_of_levels(evaluation: Any) -> None:

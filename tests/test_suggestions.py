@@ -32,7 +32,7 @@ DOZEN = 12
         (("gsb-record", "--setup", "gensis"), "'genesis'"),
         (("gsb-eval", FILE, "--refrence=x.mcap"), "'--reference'"),
         (("gsb-eval", FILE, "--format", "parket", "--tables", "t"), "'parquet'"),
-        (("gsb-check", FILE, "--rules", "protocol"), "'protocol-1'"),
+        (("gsb-check", FILE, "--rules", "protocol"), "'protocol-2'"),
         (("gsb-compare", FILE, FILE, "--gate", "memry"), "'memory'"),
         (("gsb-audit", FILE, "--require", "bit-identicall"), "'bit-identical'"),
         (("gsb-view", FILE, "--with", "foxgolve"), "'foxglove'"),

@@ -1,7 +1,7 @@
 """Which rules of the benchmark's protocol recordings do not meet: the errors of ``gsb-check --protocol``.
 
-Rules of one file are asked while the file is open. Rules of a point are asked of what is left of the files then. Rules
-of the whole set find copies, which count once before anything is asked here.
+Rules of one file are asked while the file is open. Rules of a point and of the whole set are asked of what is left of
+the files then. Copies count once before anything is asked here.
 """
 
 from __future__ import annotations
@@ -15,11 +15,9 @@ from typing import cast
 from gpusimbench.evaluator.check.integrity import Integrity
 from gpusimbench.evaluator.check.integrity.problem import Problems
 from gpusimbench.evaluator.check.rules.findings import check, points
-from gpusimbench.evaluator.check.rules.rule import Level, RuleSet, Scope, load_rules
+from gpusimbench.evaluator.check.rules.rule import PROTOCOL, Level, RuleSet, Scope, load_rules
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.runs.run import Run
-
-RULE_SET = "protocol-1"
 
 
 @dataclass(frozen=True)
@@ -57,6 +55,11 @@ class Protocol:
             )
             for name, members in points(shells)
         ]
+        names = {one.path: one.provenance.run_id for one in recordings}
+        self._points += [
+            (frozenset(names[path] for path in finding.files), {finding.rule.id: 1})
+            for finding in check(shells, [_rules(Scope.set)]).findings
+        ]
         self.whole = self.of(recordings)
 
     def of(self, recordings: Iterable[Run]) -> Unmet:
@@ -72,7 +75,7 @@ class Protocol:
 
 @cache
 def _rules(scope: Scope) -> RuleSet:
-    everything = load_rules(RULE_SET)
+    everything = load_rules(PROTOCOL)
     return replace(everything, rules=tuple(r for r in everything.rules if r.of is scope and r.level is Level.error))
 
 

@@ -21,12 +21,14 @@ exit codes:
   4  a rule is broken
 
 rules:
-  integrity-1, the default, is for any recording. --protocol adds protocol-1, for runs of the benchmark: warm-up, timed
-  steps, number of runs, one machine and one version a point. --rules takes a shipped set by its name, or a file.
+  integrity-1, the default, is for any recording. --protocol adds the newest protocol, protocol-2, for runs of the
+  benchmark: timed steps, evidence of work, clock rates, number of runs, one machine and one version a point. --rules
+  takes a shipped set by its name, such as protocol-1 for older recordings, or a file.
 
 examples:
   gsb-check recordings/*.mcap
   gsb-check --protocol submission/*.mcap --json findings.json
+  gsb-check --rules integrity-1 --rules protocol-1 recordings/h200/*.mcap
   gsb-check --list-rules
 """
 
@@ -42,7 +44,7 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument(
         "files", nargs="*", type=place, metavar="FILE", help="recordings (.mcap), folders of them, or addresses"
     )
-    p.add_argument("--protocol", action="store_true", help="check the benchmark's protocol as well as integrity")
+    p.add_argument("--protocol", action="store_true", help="check the newest protocol of the benchmark as well")
     p.add_argument(
         "--rules",
         action="append",
@@ -61,14 +63,14 @@ def parser() -> argparse.ArgumentParser:
 def run(arguments: argparse.Namespace, command: str) -> int:
     """Check and print; returns the exit code."""
     from gpusimbench.evaluator.check.rules.findings import check
-    from gpusimbench.evaluator.check.rules.rule import SHIPPED, load_rules
+    from gpusimbench.evaluator.check.rules.rule import PROTOCOL, SHIPPED, load_rules
     from gpusimbench.evaluator.render.terminal import print_document
     from gpusimbench.evaluator.report.check_document import check_document, rules_document
     from gpusimbench.evaluator.report.check_json import dump_check, dump_rules
 
     check_target(arguments.json)
     names = arguments.rules or (SHIPPED if arguments.list_rules else ["integrity-1"])
-    names = list(dict.fromkeys([*names, *(["protocol-1"] if arguments.protocol else [])]))
+    names = list(dict.fromkeys([*names, *([PROTOCOL] if arguments.protocol else [])]))
     rule_sets = [load_rules(name) for name in names]
     if arguments.list_rules:
         if arguments.json:

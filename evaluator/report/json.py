@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from typing import Any
 
+from gpusimbench.evaluator.check.rules.rule import PROTOCOL
 from gpusimbench.evaluator.json_values import dump, values_of
 from gpusimbench.evaluator.metrics.memory_model import MemoryModel
 from gpusimbench.evaluator.missing import known, why_missing
@@ -55,7 +56,7 @@ def to_json(evaluation: Evaluation) -> dict[str, Any]:
         },
         "compared": [contender_record(contender) for contender in comparison.contenders],
         "guidelines": [vars(g) for g in comparison.guidelines],
-        "protocol_1": {"findings": evaluation.unmet.count, "by_rule": dict(evaluation.unmet.findings)},
+        "protocol": {"rules": PROTOCOL, "findings": evaluation.unmet.count, "by_rule": dict(evaluation.unmet.findings)},
         "price_list": [family_record(family) for family in evaluation.price_list],
         "probes": [probe_record(one) for one in evaluation.probed],
         "capability": [capability_record(row) for row in capability(evaluation.sweeps, evaluation.results)],

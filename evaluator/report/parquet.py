@@ -34,7 +34,7 @@ _METRICS = {
     **_KEY, "metric": "String", "value": "Float64", "unit": "String", "direction": "String", "sd": "Float64",
     "low": "Float64", "high": "Float64", "n": "Int64", "exactness": "String", "method": "String", "why_not": "String",
     "first_timed_step": "Int64", "last_timed_step": "Int64", "shortest_timed_s": "Float64", "cone": "String",
-    "iterations": "String", "tolerance": "String", "protocol_1_findings": "Int64",
+    "iterations": "String", "tolerance": "String", "protocol_findings": "Int64",
     "floor": "Float64", "p_value": "Float64",
 }  # fmt: skip
 
@@ -109,7 +109,7 @@ def _timed(work: TimedWork) -> dict[str, Any]:
         "last_timed_step": max((window.last for window in work.windows), default=None),
         "shortest_timed_s": work.seconds[0] if work.seconds else None,
         **{name: work.settings.get(name) or None for name in SETTINGS},
-        "protocol_1_findings": work.unmet.count,
+        "protocol_findings": work.unmet.count,
     }
 
 

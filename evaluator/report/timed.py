@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from gpusimbench.evaluator.check.rules.rule import PROTOCOL
 from gpusimbench.evaluator.render.numbers import NONE
 from gpusimbench.evaluator.report import words
 from gpusimbench.evaluator.results.result import GroupResult
@@ -64,10 +65,10 @@ def unmet(work: TimedWork) -> str:
 _STEPS = Column("timed steps", steps)
 _SECONDS = Column("seconds timed", seconds)
 _SETTINGS = Column(", ".join(SETTINGS), settings)
-_UNMET = Column("protocol-1 rules not met", unmet)
+_UNMET = Column(f"{PROTOCOL} rules not met", unmet)
 
 
-LEGEND = "protocol-1 rules not met: how many rules, and how often; gsb-check --protocol names them"
+LEGEND = f"{PROTOCOL} rules not met: how many rules, and how often; gsb-check --protocol names them"
 """What the last column counts."""
 
 ALL = (_STEPS, _SECONDS, _SETTINGS, _UNMET)
@@ -94,7 +95,7 @@ def beside(work: TimedWork) -> list[str]:
         lines.append(", ".join(f"{name} {value}" for name, value in work.settings.items() if value))
     if work.unmet.findings:
         rules = len(work.unmet.findings)
-        lines.append(f"{rules} {'rule' if rules == 1 else 'rules'} of protocol-1 not met")
+        lines.append(f"{rules} {'rule' if rules == 1 else 'rules'} of {PROTOCOL} not met")
     return lines
 
 
@@ -165,7 +166,7 @@ def of_sides(base: TimedWork, head: TimedWork) -> list[str]:
             f"solver settings ({', '.join(SETTINGS)}) differ: base has {settings(base)}; head has {settings(head)}"
         )
     if base.unmet.findings.keys() != head.unmet.findings.keys():
-        lines.append(f"rules of protocol-1 that are not met: {_rules(base)} in base, {_rules(head)} in head")
+        lines.append(f"rules of {PROTOCOL} that are not met: {_rules(base)} in base, {_rules(head)} in head")
     return lines
 
 
@@ -180,8 +181,8 @@ def timed_record(work: TimedWork) -> dict[str, Any]:
         "seconds": list(work.seconds) if work.seconds else None,
         "under_1_s": work.short,
         "settings": {name: work.settings.get(name) or None for name in SETTINGS},
-        "protocol_1_not_met": dict(work.unmet.findings),
-        "protocol_1_findings": work.unmet.count,
+        "protocol_not_met": dict(work.unmet.findings),
+        "protocol_findings": work.unmet.count,
     }
 
 

@@ -9,7 +9,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from gpusimbench.evaluator.check.protocol import RULE_SET, Protocol, Unmet, unmet_by_file
+from gpusimbench.evaluator.check.protocol import Protocol, Unmet, unmet_by_file
+from gpusimbench.evaluator.check.rules.rule import PROTOCOL
 from gpusimbench.evaluator.compute.work import HERE, Work
 from gpusimbench.evaluator.metrics.tosses import TossErrors
 from gpusimbench.evaluator.missing import Missing, known
@@ -92,7 +93,7 @@ def evaluate(
     protocol = Protocol(distinct)
     if protocol.whole.count:
         notes.append(
-            f"the recordings break rules of {RULE_SET} {_times(protocol.whole.count)}: gsb-check --protocol names them"
+            f"the recordings break rules of {PROTOCOL} {_times(protocol.whole.count)}: gsb-check --protocol names them"
         )
     found = [
         _evaluate_group(

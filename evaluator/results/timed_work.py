@@ -50,7 +50,7 @@ class TimedWork:
     windows   of its runs, each once; empty where none was timed
     seconds   shortest and longest timed phase of its runs [s]; None where none was timed
     settings  by name of SETTINGS, the value in force as text; empty where the engine states none
-    unmet     rules of protocol-1 that its recordings do not meet
+    unmet     rules of the protocol that its recordings do not meet
     """
 
     windows: tuple[Window, ...] = ()

@@ -82,6 +82,7 @@ _SIMULATED: dict[str, Any] = {
     "backend": (),
     "solver": (),
     "device": (),
+    "fitted": (),
     "initial": "",
     "intervene": "",
     "snapshot": "",
@@ -212,6 +213,13 @@ def parser() -> Parser:
     what.add_argument("--option", action="append", metavar="NAME=VALUE", help="option of the simulator; repeatable")
     for name, meaning in SHORTHANDS.items():
         what.add_argument(f"--{name}", action="append", metavar="X", help=f"{meaning}: short for --option {name}=X")
+    what.add_argument(
+        "--fitted",
+        action="append",
+        metavar="NAME=DATA",
+        help="state that the value of this --option was fitted, and to what, such as solref=even tosses; repeatable "
+        "(default: nothing was fitted)",
+    )
     what.add_argument(
         "--initial",
         metavar="random:SPREAD|FILE",

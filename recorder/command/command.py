@@ -84,6 +84,7 @@ def configure(arguments: argparse.Namespace) -> tuple[RunConfiguration, dict[str
         model=model.files_sha256 if model else "",
         keyframe=model.keyframe if model else "",
         actions=model.controls if model else "",
+        fitted=_fitted(arguments),
     )
     check_configuration(configuration, scene)
     return configuration, inputs if given is None else {**inputs, GIVEN: given}
@@ -142,6 +143,19 @@ def _options(arguments: argparse.Namespace) -> dict[str, str]:
         from gpusimbench.recorder.options import split_options
     shorthands = [f"{name}={value}" for name in SHORTHANDS for value in getattr(arguments, name)]
     return split_options([*arguments.option, *shorthands])
+
+
+def _fitted(arguments: argparse.Namespace) -> dict[str, str]:
+    fitted = dict[str, str]()
+    options = _options(arguments)
+    for text in arguments.fitted:
+        name, _, data = (part.strip() for part in text.partition("="))
+        if not data:
+            raise UsageError(f"--fitted takes an option and what it was fitted to, as solref=even tosses, not '{text}'")
+        if name not in options:
+            raise UsageError(f"--fitted {name}: give its value as well, with --option {name}=VALUE")
+        fitted[name] = data
+    return fitted
 
 
 def _phases(text: str) -> tuple[str, ...]:

@@ -223,4 +223,4 @@ def whole(folder: Path, *, change: Callable[[str, dict[str, Any]], None] | None 
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(Sink, "attach", with_packages)
-        return write_recording(folder, grid(2), **{"change": edited, **keywords})
+        return write_recording(folder, keywords.pop("final", grid(2)), **{"change": edited, **keywords})

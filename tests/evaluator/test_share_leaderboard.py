@@ -148,8 +148,8 @@ def test_rules_that_are_not_met_are_said_in_words(runs: Path, tmp_path: Path) ->
     write(runs, grid(2), timed_steps=7)
     made(tmp_path, runs)
     page = (tmp_path / "board" / "index.html").read_text()
-    assert re.search(r"<small>protocol-1 not met: .*timed steps.*</small>", page)
-    assert re.search(r"Fewer than 1000 timed steps have clocks: found 7 \(1 of 1\)", page)
+    assert re.search(r"<small>protocol-2 not met: .*timed steps.*</small>", page)
+    assert re.search(r"Fewer than 100 timed steps have clocks: found 7 \(1 of 1\)", page)
 
 
 def test_damaged_recordings_are_left_out(runs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -87,7 +87,7 @@ def test_tables_say_what_was_timed(shown: Callable[[Evaluation], str], tmp_path:
     recorded(tmp_path)
     told = " ".join(shown(evaluated(tmp_path)).replace("&lt;", "<").split())
     assert [one for one in SAID if one not in told] == []
-    assert "protocol-1" in told
+    assert "protocol-2" in told
 
 
 @pytest.mark.parametrize("shown", [text, lambda e: render_html(e, published=False, command="")], ids=["text", "html"])
@@ -117,12 +117,16 @@ def test_programs_get_the_same(tmp_path: Path) -> None:
     assert short["windows"] == [{"first_step": 20, "last_step": 120, "steps": 100}]
     assert (short["seconds"], short["under_1_s"]) == ([0.5, 0.75], True)
     assert short["settings"] == {"cone": "pyramidal", "iterations": "7", "tolerance": "1e-06"}
-    assert short["protocol_1_not_met"].keys() - long["protocol_1_not_met"].keys() == {"timed-steps", "warm-up"}
+    assert short["protocol_not_met"].keys() - long["protocol_not_met"].keys() == {
+        "timed-seconds",
+        "window-begin",
+        "same-window",
+    }
     table = frames(found)[METRICS]
     speeds = {row["simulator"]: row for row in table.to_dicts() if row["metric"] == "fps"}
     assert (speeds["short"]["first_timed_step"], speeds["short"]["last_timed_step"]) == (20, 120)
     assert speeds["short"]["shortest_timed_s"] == 0.5
-    assert speeds["long"]["protocol_1_findings"] == long["protocol_1_findings"]
+    assert speeds["long"]["protocol_findings"] == long["protocol_findings"]
 
 
 def test_sweeps_and_their_charts_say_it(tmp_path: Path) -> None:
@@ -160,7 +164,7 @@ def test_cards_say_it(tmp_path: Path) -> None:
     recorded(tmp_path)
     assert share(["card", str(tmp_path), *WORDS]) == 0
     card = (tmp_path / "README.md").read_text()
-    assert "| timed steps | seconds timed | cone, iterations, tolerance | protocol-1 rules not met |" in card
+    assert "| timed steps | seconds timed | cone, iterations, tolerance | protocol-2 rules not met |" in card
     assert "20 to 120 (100)" in card
     assert "NOT comparable by throughput" in card
 
@@ -207,7 +211,7 @@ def test_what_is_short_never_looks_long(seconds: tuple[float, float]) -> None:
 def test_rules_not_met_are_those_of_gsb_check(which: str, tmp_path: Path) -> None:
     """Count the errors of gsb-check --protocol, rule by rule, and lose none between the groups."""
     paths = SMALL if which == "shipped" else recorded(tmp_path, status="FAILED", reason="it broke")
-    report = check([examine(path) for path in paths], [load_rules("protocol-1")])
+    report = check([examine(path) for path in paths], [load_rules("protocol-2")])
     errors = [f for f in report.findings if f.rule.level is Level.error and f.rule.of is not Scope.set]
     assert errors
     found = evaluate_files(paths)
@@ -220,4 +224,4 @@ def test_the_command_says_how_often(tmp_path: Path, capsys: pytest.CaptureFixtur
     paths = recorded(tmp_path)
     assert evaluate([*map(str, paths), "--no-cache"]) == 0
     count = evaluate_files(paths).unmet.count
-    assert f"rules of protocol-1 {count} times" in " ".join(capsys.readouterr().out.split())
+    assert f"rules of protocol-2 {count} times" in " ".join(capsys.readouterr().out.split())

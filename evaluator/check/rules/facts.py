@@ -7,136 +7,65 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from dataclasses import dataclass
-from enum import Enum
 from typing import Any
 
+from gpusimbench.evaluator.check import hardware, work
 from gpusimbench.evaluator.check.integrity import Integrity
 from gpusimbench.evaluator.check.integrity.problem import Kind
+from gpusimbench.evaluator.check.rules.fact import (
+    Fact,
+    FactType,
+    NotThere,
+    Unknown,
+    configuration_of,
+    provenance_of,
+    recording_of,
+    scene_of,
+    simulation_of,
+)
+from gpusimbench.evaluator.check.rules.work_facts import WORK_FACTS
 from gpusimbench.evaluator.json_values import brief
-from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.schemas import checks
-from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.errors import NUMBERS_OF_A_STRANGER, GsbError
-from gpusimbench.schemas.provenance import PACKAGES, PROVENANCE, REAL, SCENE, SIMULATION, Provenance, Simulation
-
-
-class FactType(Enum):
-    """What a fact's value is in Python."""
-
-    flag = bool
-    number = float
-    text = str
-    list = tuple
-    object = dict
-
-
-@dataclass(frozen=True)
-class Unknown:
-    """Stands for the value of a fact that a file does not give."""
-
-    reason: str
-
-
-class _NotThere(Exception):
-    pass
-
-
-@dataclass(frozen=True)
-class Fact:
-    """Something that is true of one file.
-
-    meaning  one sentence; of numbers with their unit
-    read     raises _NotThere, or an error of the file, where it cannot be told
-    """
-
-    type: FactType
-    meaning: str
-    read: Callable[[Integrity], Any]
+from gpusimbench.schemas.provenance import PACKAGES, REAL
 
 
 def fact_of(name: str, file: Integrity) -> Any:
     """The value of a fact, or Unknown."""
     try:
         return FACTS[name].read(file)
-    except (_NotThere, GsbError) as error:
+    except (NotThere, GsbError) as error:
         return Unknown(str(error))
     except NUMBERS_OF_A_STRANGER as error:
         return Unknown(str(error) or type(error).__name__)
 
 
-def _recording(file: Integrity) -> Recording:
-    if file.recording is None:
-        raise _NotThere(file.not_opened)
-    return file.recording
-
-
-def _provenance(file: Integrity) -> Provenance:
-    if file.provenance is None:
-        raise _NotThere(file.not_opened or f"{PROVENANCE} cannot be read")
-    if file.doubtful(PROVENANCE):
-        raise _NotThere(f"{PROVENANCE} is not what was recorded")
-    return file.provenance
-
-
-def _configuration(file: Integrity) -> RunConfiguration:
-    return _provenance(file).configuration
-
-
-def _simulation(file: Integrity) -> Simulation:
-    if file.simulation is None:
-        raise _NotThere("the run ended before its simulator was built")
-    if file.doubtful(SIMULATION):
-        raise _NotThere(f"{SIMULATION} is not what was recorded")
-    return file.simulation
-
-
-def _scene(file: Integrity) -> dict[str, Any]:
-    if file.scan is None and file.recording is not None:
-        return file.recording.scene
-    if file.scan is None or SCENE not in file.scan.attachments:
-        raise _NotThere(f"there is no {SCENE}")
-    if file.doubtful(SCENE):
-        raise _NotThere(f"{SCENE} is not what was recorded")
-    if file.recording is not None:
-        return file.recording.scene
-    return checks.load(SCENE, bytes(file.scan.attachments[SCENE]))
-
-
 def _sample_step_recorded(file: Integrity) -> bool:
-    recording = _recording(file)
-    step = round(checks.number(_scene(file), "sample_time", 0, 1e9) / _configuration(file).dt)
+    recording = recording_of(file)
+    step = round(checks.number(scene_of(file), "sample_time", 0, 1e9) / configuration_of(file).dt)
     arrays = [recording.state(field.group, field.field) for field in recording.fields]
     return bool(arrays) and all(step in array.steps for array in arrays)
 
 
-def _steps_made(file: Integrity, phase: str, asked: int) -> int:
-    recording = _recording(file)
-    if recording.status != "complete":
-        return asked
-    timing = recording.timing.get(phase)
-    return min(asked, len(timing.start_ns) * timing.steps_per_interval) if timing else 0
-
-
 def _checkpoints(file: Integrity, source: str) -> tuple[str, ...]:
-    trace = _recording(file).memory.get(source)
+    trace = recording_of(file).memory.get(source)
     return tuple(dict.fromkeys(name for name in trace.checkpoint if name)) if trace else ()
 
 
 def _timed_readings(file: Integrity) -> int:
-    recording = _recording(file)
+    recording = recording_of(file)
     trace = recording.memory.get("gpu0/device" if recording.provenance.gpus else "host")
     return sum(phase == "timed" for phase in trace.phase) if trace else 0
 
 
 def _phases(file: Integrity) -> tuple[str, ...]:
-    events = _recording(file).events
+    events = recording_of(file).events
     ended = {event.phase for event in events if event.kind == "PHASE_END"}
     return tuple(event.phase for event in events if event.kind == "PHASE_BEGIN" and event.phase in ended)
 
 
 def _missing(file: Integrity) -> tuple[str, ...]:
-    provenance = _provenance(file)
+    provenance = provenance_of(file)
     recorder = provenance.software.get("recorder")
     said = {
         "run_id": provenance.run_id,
@@ -157,7 +86,7 @@ def _missing(file: Integrity) -> tuple[str, ...]:
 
 
 def _machine(file: Integrity) -> dict[str, Any]:
-    host = _provenance(file).host
+    host = provenance_of(file).host
     return {
         key: brief(host.get(key))
         for key in ("cpu", "cores", "usable_threads", "memory_bytes", "system", "kernel", "libc")
@@ -166,12 +95,12 @@ def _machine(file: Integrity) -> dict[str, Any]:
 
 def _gpus(file: Integrity) -> dict[str, Any]:
     keys = ("name", "driver", "memory_bytes", "ecc", "mig", "power_limit_mw")
-    gpus = _provenance(file).gpus
+    gpus = provenance_of(file).gpus
     return {f"gpu{i}.{key}": brief(gpu.get(key)) for i, gpu in enumerate(gpus) for key in keys}
 
 
 def _software(file: Integrity) -> dict[str, Any]:
-    software = _provenance(file).software
+    software = provenance_of(file).software
     packages, recorder = software.get("packages"), software.get("recorder")
     told = {
         "python": software.get("python"),
@@ -184,11 +113,11 @@ def _software(file: Integrity) -> dict[str, Any]:
 def _environment(file: Integrity) -> dict[str, Any]:
     # which of several equal GPUs is used is told by the GPU
     ignored = ("CUDA_VISIBLE_DEVICES", "NVIDIA_VISIBLE_DEVICES")
-    return {name: value for name, value in _provenance(file).environment.items() if name not in ignored}
+    return {name: value for name, value in provenance_of(file).environment.items() if name not in ignored}
 
 
 def _engine(file: Integrity) -> dict[str, Any]:
-    simulation = _simulation(file)
+    simulation = simulation_of(file)
     return {
         "version": simulation.version,
         "device": simulation.device,
@@ -200,18 +129,18 @@ def _engine(file: Integrity) -> dict[str, Any]:
 
 def _asked(file: Integrity) -> dict[str, Any]:
     of_the_run = ("run_index", "view")
-    return {name: value for name, value in _configuration(file).to_json().items() if name not in of_the_run}
+    return {name: value for name, value in configuration_of(file).to_json().items() if name not in of_the_run}
 
 
 def _recorder(file: Integrity) -> dict[str, Any]:
-    recorder = _provenance(file).software.get("recorder")
+    recorder = provenance_of(file).software.get("recorder")
     return recorder if isinstance(recorder, dict) else {}
 
 
 def _modified(file: Integrity) -> bool:
     modified = _recorder(file).get("modified")
     if modified is None:
-        raise _NotThere("the recording does not tell whether the recorder's checkout had changes")
+        raise NotThere("the recording does not tell whether the recorder's checkout had changes")
     return bool(modified)
 
 
@@ -219,7 +148,7 @@ def _problems(kind: Kind) -> Fact:
     def read(file: Integrity) -> tuple[str, ...]:
         found = file.of(kind)
         if not found and (reason := file.problems.skipped(kind)):
-            raise _NotThere(reason)
+            raise NotThere(reason)
         return found
 
     return Fact(FactType.list, f"{kind.value}: each of them", read)
@@ -227,7 +156,7 @@ def _problems(kind: Kind) -> Fact:
 
 def _content_hash(file: Integrity) -> str:
     if file.end is None:
-        raise _NotThere("there is no end record")
+        raise NotThere("there is no end record")
     return str(file.end.content_hash)
 
 
@@ -247,35 +176,26 @@ _ASKED = {
 
 
 def _field(name: str) -> Callable[[Integrity], Any]:
-    return lambda file: getattr(_configuration(file), name)
+    return lambda file: getattr(configuration_of(file), name)
 
 
 FACTS: dict[str, Fact] = {
+    **WORK_FACTS,
     **{f"problems.{kind.name}": _problems(kind) for kind in Kind},
     **{name: Fact(type_, meaning, _field(name)) for name, (type_, meaning) in _ASKED.items()},
-    "warmup_made": Fact(
-        FactType.number,
-        "steps of the warm-up that have clocks; of a run that is not complete, those that were asked for",
-        lambda f: _steps_made(f, "warmup", _configuration(f).warmup),
-    ),
-    "timed_steps_made": Fact(
-        FactType.number,
-        "steps of the timed phase that have clocks; of a run that is not complete, those that were asked for",
-        lambda f: _steps_made(f, "timed", _configuration(f).timed_steps),
-    ),
     "asked_phases": Fact(
-        FactType.list, "phases that were asked for: timed, capture", lambda f: tuple(_configuration(f).phases)
+        FactType.list, "phases that were asked for: timed, capture", lambda f: tuple(configuration_of(f).phases)
     ),
     "phases": Fact(FactType.list, "phases that began and ended", _phases),
     "asked": Fact(FactType.object, "all that was asked of the run but its number", _asked),
-    "status": Fact(FactType.text, "complete, failed, invalid or incomplete", lambda f: _recording(f).status),
-    "complete": Fact(FactType.flag, "the run is complete and no data was lost", lambda f: _recording(f).usable),
-    "run_id": Fact(FactType.text, "unique name of the run", lambda f: _provenance(f).run_id),
+    "status": Fact(FactType.text, "complete, failed, invalid or incomplete", lambda f: recording_of(f).status),
+    "complete": Fact(FactType.flag, "the run is complete and no data was lost", lambda f: recording_of(f).usable),
+    "run_id": Fact(FactType.text, "unique name of the run", lambda f: provenance_of(f).run_id),
     "content_hash": Fact(FactType.text, "identity of the content, by the end record", _content_hash),
     "scene_sha256": Fact(
-        FactType.text, "hash of the scene's description", lambda f: str(brief(_simulation(f).scene.get("sha256", "")))
+        FactType.text, "hash of the scene's description", lambda f: str(brief(simulation_of(f).scene.get("sha256", "")))
     ),
-    "scene_dt": Fact(FactType.number, "step of the scene [s]", lambda f: checks.number(_scene(f), "dt", 0, 1e9)),
+    "scene_dt": Fact(FactType.number, "step of the scene [s]", lambda f: checks.number(scene_of(f), "dt", 0, 1e9)),
     "sample_step_recorded": Fact(
         FactType.flag, "the state at the scene's sample time is in the file", _sample_step_recorded
     ),
@@ -305,18 +225,23 @@ FACTS: dict[str, Fact] = {
 def _built(file: Integrity) -> bool:
     # unknown of a file whose description may be in what cannot be read
     if file.simulation is None and file.recording is None:
-        raise _NotThere(file.not_opened)
+        raise NotThere(file.not_opened)
     return file.simulation is not None
 
 
 CONDITIONS: dict[str, tuple[str, Callable[[Integrity], bool]]] = {
-    "simulated": ("the run is no measurement", lambda f: _configuration(f).simulator != REAL),
-    "measured": ("these are real trials", lambda f: _configuration(f).simulator == REAL),
-    "timed": ("a timed phase was asked for", lambda f: "timed" in _configuration(f).phases),
-    "captured": ("a capture phase was asked for", lambda f: "capture" in _configuration(f).phases),
-    "complete": ("the run is complete by its own word", lambda f: _recording(f).status == "complete"),
+    "simulated": ("the run is no measurement", lambda f: configuration_of(f).simulator != REAL),
+    "measured": ("these are real trials", lambda f: configuration_of(f).simulator == REAL),
+    "timed": ("a timed phase was asked for", lambda f: "timed" in configuration_of(f).phases),
+    "captured": ("a capture phase was asked for", lambda f: "capture" in configuration_of(f).phases),
+    "complete": ("the run is complete by its own word", lambda f: recording_of(f).status == "complete"),
+    "counted": ("contacts are counted in the timed phase", lambda f: work.contacts(recording_of(f)) is not None),
+    "throttling-known": (
+        "the GPU tells in the timed phase why its clocks are not higher",
+        lambda f: hardware.timed_throttled_share(recording_of(f)) is not None,
+    ),
     "built": ("the simulator was built", _built),
-    "on-gpu": ("the simulator steps on a GPU", lambda f: _built(f) and _simulation(f).device not in ("cpu", "real")),
+    "on-gpu": ("the simulator steps on a GPU", lambda f: _built(f) and simulation_of(f).device not in ("cpu", "real")),
 }
 """What a rule can be limited to, by name, each with its meaning."""
 
@@ -325,7 +250,7 @@ def applies(name: str, file: Integrity) -> bool | Unknown:
     """Whether a condition is met."""
     try:
         return CONDITIONS[name][1](file)
-    except (_NotThere, GsbError) as error:
+    except (NotThere, GsbError) as error:
         return Unknown(str(error))
 
 

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from gpusimbench.evaluator.check.integrity import Integrity
-from gpusimbench.evaluator.check.rules.facts import Unknown, applies, fact_of, point_of
+from gpusimbench.evaluator.check.rules.fact import Unknown
+from gpusimbench.evaluator.check.rules.facts import applies, fact_of, point_of
 from gpusimbench.evaluator.check.rules.predicates import FILE_PREDICATES, SET_PREDICATES
 from gpusimbench.evaluator.check.rules.rule import Level, Rule, RuleSet, Scope
 from gpusimbench.schemas.errors import ExitCode

@@ -7,11 +7,12 @@ sets is asked of the values of several files and answers with the files that bre
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from gpusimbench.evaluator.check.rules.facts import FACTS, FactType, Unknown
+from gpusimbench.evaluator.check.rules.fact import FactType, Unknown
+from gpusimbench.evaluator.check.rules.facts import FACTS
 
 _SHOWN = 3
 _NAMED = 6
@@ -176,17 +177,36 @@ def _true_in(values: Mapping[str, Any], least: int, _: Any) -> tuple[tuple[str, 
     return () if count >= least else ((f"{count} of {len(values)} files meet this, {least} are needed", tuple(values)),)
 
 
-def _determined_by(
+def _by_key(
     values: Mapping[str, Any], name: str, other: Callable[[str, str], Any]
-) -> tuple[tuple[str, tuple[str, ...]], ...]:
+) -> Iterator[tuple[Any, dict[str, Any]]]:
+    # the values of files that have the same value of another fact, with that value
     by_key: dict[str, dict[str, Any]] = {}
+    keys: dict[str, Any] = {}
     for file, value in values.items():
         if not isinstance(key := other(file, name), Unknown):
             by_key.setdefault(repr(key), {})[file] = value
+            keys[repr(key)] = key
+    return ((keys[key], found) for key, found in by_key.items())
+
+
+def _determined_by(
+    values: Mapping[str, Any], name: str, other: Callable[[str, str], Any]
+) -> tuple[tuple[str, tuple[str, ...]], ...]:
     return tuple(
         (f"{len(found)} files with one {name} have different ones", tuple(found))
-        for found in by_key.values()
+        for _, found in _by_key(values, name, other)
         if len({repr(value) for value in found.values()}) > 1
+    )
+
+
+def _same_for_each(
+    values: Mapping[str, Any], name: str, other: Callable[[str, str], Any]
+) -> tuple[tuple[str, tuple[str, ...]], ...]:
+    return tuple(
+        finding
+        for key, found in _by_key(values, name, other)
+        for finding in _different(found, f"of {name} {show(key)}: ")
     )
 
 
@@ -197,5 +217,8 @@ SET_PREDICATES: dict[str, SetPredicate] = {
     "all_distinct": SetPredicate("no two files have the same", _SCALARS, _true, _all_distinct),
     "true_in": SetPredicate("so in at least {} files", (FactType.flag,), lambda a: type(a) is int and a >= 1, _true_in),
     "determined_by": SetPredicate("files with the same {} have the same", _SCALARS, _fact, _determined_by),
+    "same_for_each": SetPredicate(
+        "files with the same {} have the same; those that stand out break it", _SCALARS, _fact, _same_for_each
+    ),
 }
 """Predicates of rules that apply to several files."""

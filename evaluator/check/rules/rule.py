@@ -14,7 +14,10 @@ from gpusimbench.evaluator.check.rules.predicates import FILE_PREDICATES, SET_PR
 from gpusimbench.schemas.errors import UsageError
 from gpusimbench.schemas.suggestion import did_you_mean
 
-SHIPPED = ("integrity-1", "protocol-1")
+PROTOCOL = "protocol-2"
+"""The newest version of the benchmark's protocol: what is asked for where no version is named."""
+
+SHIPPED = ("integrity-1", "protocol-1", PROTOCOL)
 """Rule sets that come with the package."""
 
 _MAX_BYTES = 1 << 20
@@ -105,13 +108,28 @@ def parse_rules(text: str, source: str) -> RuleSet:
     except (tomllib.TOMLDecodeError, RecursionError) as error:
         raise UsageError(f"{source} is not TOML: {error}") from None
     try:
-        _only(record, {"name", "title", "rules"}, "the rule set")
+        _only(record, {"name", "title", "rules", "extends", "without"}, "the rule set")
         rules = tuple(_rule(one, number) for number, one in enumerate(_list(record, "rules"), start=1))
         if len({rule.id for rule in rules}) < len(rules):
             raise UsageError("two rules have the same id")
-        return RuleSet(_text(record, "name"), _text(record, "title"), rules)
+        return RuleSet(_text(record, "name"), _text(record, "title"), _extended(record, rules))
     except UsageError as error:
         raise UsageError(f"{source}: {error}") from None
+
+
+def _extended(record: dict[str, Any], rules: tuple[Rule, ...]) -> tuple[Rule, ...]:
+    # the rules of the set that this set extends, each replaced by the rule here that has its id; then those here
+    without = [_text({"without": name}, "without") for name in _list(record, "without")]
+    if "extends" not in record:
+        if without:
+            raise UsageError("without is of a rule set that extends another")
+        return rules
+    base = load_rules(_one_of(record, "extends", SHIPPED)).rules
+    if unknown := sorted(set(without) - {rule.id for rule in base}):
+        raise UsageError(f"without names {unknown[0]}, which {record['extends']} does not have")
+    here = {rule.id: rule for rule in rules}
+    kept = tuple(here.pop(rule.id, rule) for rule in base if rule.id not in without)
+    return (*kept, *here.values())
 
 
 _KEYS = {"id", "level", "of", "fact", "must", "when", "scenes", "damage", "requires", "broken", "why", "do"}

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
-from gpusimbench.evaluator.check.protocol import RULE_SET
+from gpusimbench.evaluator.check.rules.rule import PROTOCOL
 from gpusimbench.evaluator.missing import known
 from gpusimbench.evaluator.render.cells import estimate
 from gpusimbench.evaluator.render.document import (
@@ -107,7 +107,7 @@ def _state_of_the_set(evaluation: Evaluation) -> Item:
                      "figure")  # fmt: skip
     if count := evaluation.unmet.count:
         rules = len(evaluation.unmet.findings)
-        parts.append(f"{plural(rules, 'rule')} of {RULE_SET} not met ({plural(count, 'finding')})")
+        parts.append(f"{plural(rules, 'rule')} of {PROTOCOL} not met ({plural(count, 'finding')})")
     if not parts:
         return Item("Every file was read, every run is complete, and every rule of the protocol is met.", Tone.GOOD)
     return Item(f"What is wrong with this set: {'; '.join(parts)}.", Tone.WARNING, link="problems")

@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from pathlib import Path
 
-from gpusimbench.evaluator.check.protocol import RULE_SET
-from gpusimbench.evaluator.check.rules.rule import load_rules
+from gpusimbench.evaluator.check.rules.rule import PROTOCOL, load_rules
 from gpusimbench.evaluator.render.document import Block, Cell, Item, Items, Row, Section, Text, Tone, table
 from gpusimbench.evaluator.render.numbers import plural
 from gpusimbench.evaluator.report.sections.rows import lines_of
@@ -26,9 +25,9 @@ def section(source: Source) -> Section | None:
             table("problems", "Files that are in no figure, or that lost data", ["file", "what is wrong", "why"], rows)
         )
     if evaluation.unmet.count:
-        blocks.append(Text(f"Rules of {RULE_SET} that are not met (gsb-check --protocol names the files):"))
+        blocks.append(Text(f"Rules of {PROTOCOL} that are not met (gsb-check --protocol names the files):"))
         found = sorted(evaluation.unmet.findings.items(), key=lambda one: (-one[1], one[0]))
-        advice = {rule.id: f"{rule.broken} Fix: {rule.do}" for rule in load_rules(RULE_SET).rules}
+        advice = {rule.id: f"{rule.broken} Fix: {rule.do}" for rule in load_rules(PROTOCOL).rules}
         said = (f"{rule}, {plural(count, 'finding')}: {advice.get(rule, '')}" for rule, count in found)
         blocks.append(Items(tuple(map(Item, said))))
     notes = [(note, "") for note in evaluation.notes] + [(note, label) for label, note in _notes(evaluation)]
@@ -40,7 +39,7 @@ def section(source: Source) -> Section | None:
     if rows:
         parts.append(f"{plural(len({row.cells[0].text for row in rows}), 'file')} with problems")
     if evaluation.unmet.count:
-        parts.append(f"{plural(evaluation.unmet.count, 'finding')} of {RULE_SET}")
+        parts.append(f"{plural(evaluation.unmet.count, 'finding')} of {PROTOCOL}")
     title = "What is wrong with this set" if parts else "Notes on this set"
     if notes:
         parts.append(plural(len(notes), "note"))

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 from gpusimbench.evaluator.check.integrity import examine
 from gpusimbench.evaluator.check.rules.findings import Report, check
-from gpusimbench.evaluator.check.rules.rule import Level, Scope, load_rules
+from gpusimbench.evaluator.check.rules.rule import PROTOCOL, Level, Scope, load_rules
 from gpusimbench.schemas.location import Place
 
-INTEGRITY, PROTOCOL = "integrity-1", "protocol-1"
+INTEGRITY = "integrity-1"
 
 WHOLE, BROKEN, DAMAGED = "whole", "broken", "damaged"
 """Outcomes: every rule of INTEGRITY holds; one is broken; the file is damaged, or a rule could not be asked."""

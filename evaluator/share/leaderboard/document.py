@@ -83,7 +83,7 @@ def _row(row: Row) -> dict[str, Any]:
         "sweep_ends": row.sweep.ends if row.sweep else None,
         **{name: _metric(metrics[name]) for name in ("distinct_envs", "distinct_runs", "regime_published")},
         "gates": list(row.gates),
-        "protocol_1": words.deviations(row),
+        "protocol": words.deviations(row),
         "reproduction": row.reproduction,
         "recordings": [vars(entry) for entry in row.entries],
     }

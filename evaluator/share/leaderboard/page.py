@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
+from gpusimbench.evaluator.check.rules.rule import PROTOCOL
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.render.cells import estimate, missing
 from gpusimbench.evaluator.render.document import (
@@ -185,7 +186,7 @@ def _settings(key: str, of: Sequence[Standing]) -> Table:
         solver = [f"{name} {value}" for name, value in work.settings.items() if value]
         said = (_lines(solver), _lines(words.settings(row)), _lines(words.unmet(row)))
         rows.append(Row((Cell(row.name, notes=(f"{row.key.n_env:,} envs",)), *said), _facets(row)))
-    return table(key, "", ("simulator", "solver", "switches in force", "rules of protocol-1 that are not met"), rows)
+    return table(key, "", ("simulator", "solver", "switches in force", f"rules of {PROTOCOL} that are not met"), rows)
 
 
 def _lines(said: Sequence[str]) -> Cell:
@@ -269,7 +270,7 @@ def _explained() -> Iterator[str]:
     yield "Repeats itself, envs alike: whether state hashes of runs, or of environments, differ at any captured step."
     yield (
         "Whole means that all of a file was read: every CRC, every digest, the content hash, clocks, hashes and states "
-        "against each other. A rule of protocol-1 that is not met stands below it: the row has numbers of steps or a "
+        f"against each other. A rule of {PROTOCOL} that is not met stands below it: the row has numbers of steps or a "
         "machine of its own, and not those of the benchmark."
     )
     yield (

@@ -7,12 +7,12 @@ import re
 from collections.abc import Iterator
 from functools import cache
 
-from gpusimbench.evaluator.check.rules.rule import load_rules
+from gpusimbench.evaluator.check.rules.rule import PROTOCOL, load_rules
 from gpusimbench.evaluator.render import numbers
 from gpusimbench.evaluator.render.numbers import plural
 from gpusimbench.evaluator.report import timed
 from gpusimbench.evaluator.report import words as report_words
-from gpusimbench.evaluator.share.dataset.checkup import BROKEN, PROTOCOL
+from gpusimbench.evaluator.share.dataset.checkup import BROKEN
 from gpusimbench.evaluator.share.leaderboard.board import Board
 from gpusimbench.evaluator.share.leaderboard.reproduction import Reproduction
 from gpusimbench.evaluator.share.leaderboard.standing import Row
@@ -62,7 +62,7 @@ def checked(row: Row) -> str:
 
 
 def deviations(row: Row) -> list[str]:
-    """Rules of protocol-1 that recordings break, each once, with how many do."""
+    """Rules of the protocol that recordings break, each once, with how many do."""
     found: dict[str, int] = {}
     for entry in row.entries:
         for deviation in entry.deviations:
@@ -71,7 +71,7 @@ def deviations(row: Row) -> list[str]:
 
 
 def unmet(row: Row) -> list[str]:
-    """Rules of protocol-1 that are not met: what is wrong, and what was found in how many files."""
+    """Rules of the protocol that are not met: what is wrong, and what was found in how many files."""
     told: dict[str, list[str]] = {rule: [] for rule in row.result.timed.unmet.findings}
     for deviation in deviations(row):
         rule, _, found = deviation.partition(": ")
@@ -88,7 +88,7 @@ def _broken() -> dict[str, str]:
 def unmet_in_short(row: Row) -> str:
     """The same as names of rules; empty where all are met."""
     rules = ", ".join(rule.replace("-", " ") for rule in row.result.timed.unmet.findings)
-    return f"protocol-1 not met: {rules}" if rules else ""
+    return f"{PROTOCOL} not met: {rules}" if rules else ""
 
 
 def reproduced(found: Reproduction) -> str:

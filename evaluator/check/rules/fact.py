@@ -1,0 +1,91 @@
+"""What a fact is, and the parts of an examined file that facts are read from."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import Enum
+from typing import Any
+
+from gpusimbench.evaluator.check.integrity import Integrity
+from gpusimbench.evaluator.read.recording import Recording
+from gpusimbench.schemas import checks
+from gpusimbench.schemas.configuration import RunConfiguration
+from gpusimbench.schemas.provenance import PROVENANCE, SCENE, SIMULATION, Provenance, Simulation
+
+
+class FactType(Enum):
+    """What a fact's value is in Python."""
+
+    flag = bool
+    number = float
+    text = str
+    list = tuple
+    object = dict
+
+
+@dataclass(frozen=True)
+class Unknown:
+    """Stands for the value of a fact that a file does not give."""
+
+    reason: str
+
+
+class NotThere(Exception):
+    """A file does not give what a fact is read from; the message is the reason."""
+
+
+@dataclass(frozen=True)
+class Fact:
+    """Something that is true of one file.
+
+    meaning  one sentence; of numbers with their unit
+    read     raises NotThere, or an error of the file, where it cannot be told
+    """
+
+    type: FactType
+    meaning: str
+    read: Callable[[Integrity], Any]
+
+
+def recording_of(file: Integrity) -> Recording:
+    """The recording, opened."""
+    if file.recording is None:
+        raise NotThere(file.not_opened)
+    return file.recording
+
+
+def provenance_of(file: Integrity) -> Provenance:
+    """What the file says of who made it, where and with what."""
+    if file.provenance is None:
+        raise NotThere(file.not_opened or f"{PROVENANCE} cannot be read")
+    if file.doubtful(PROVENANCE):
+        raise NotThere(f"{PROVENANCE} is not what was recorded")
+    return file.provenance
+
+
+def configuration_of(file: Integrity) -> RunConfiguration:
+    """What was asked of the run."""
+    return provenance_of(file).configuration
+
+
+def simulation_of(file: Integrity) -> Simulation:
+    """What the simulator said of itself."""
+    if file.simulation is None:
+        raise NotThere("the run ended before its simulator was built")
+    if file.doubtful(SIMULATION):
+        raise NotThere(f"{SIMULATION} is not what was recorded")
+    return file.simulation
+
+
+def scene_of(file: Integrity) -> dict[str, Any]:
+    """The scene's description."""
+    if file.scan is None and file.recording is not None:
+        return file.recording.scene
+    if file.scan is None or SCENE not in file.scan.attachments:
+        raise NotThere(f"there is no {SCENE}")
+    if file.doubtful(SCENE):
+        raise NotThere(f"{SCENE} is not what was recorded")
+    if file.recording is not None:
+        return file.recording.scene
+    return checks.load(SCENE, bytes(file.scan.attachments[SCENE]))

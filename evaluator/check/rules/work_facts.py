@@ -1,0 +1,107 @@
+"""Facts of the work that was done: which steps were timed, what shows that they did it, and with which parameters."""
+
+from __future__ import annotations
+
+from gpusimbench.evaluator.check import hardware, work
+from gpusimbench.evaluator.check.integrity import Integrity
+from gpusimbench.evaluator.check.rules.fact import (
+    Fact,
+    FactType,
+    NotThere,
+    configuration_of,
+    recording_of,
+    simulation_of,
+)
+
+
+def _steps_made(file: Integrity, phase: str, asked: int) -> int:
+    recording = recording_of(file)
+    if recording.status != "complete":
+        return asked
+    timing = recording.timing.get(phase)
+    return min(asked, len(timing.start_ns) * timing.steps_per_interval) if timing else 0
+
+
+def _window(file: Integrity) -> str:
+    c = configuration_of(file)
+    return f"steps {c.warmup:,} to {c.warmup + c.timed_steps:,}"
+
+
+def _timed_seconds(file: Integrity) -> float:
+    timing = recording_of(file).timing.get("timed")
+    if timing is None:
+        raise NotThere("the timed phase has no clocks")
+    return timing.elapsed_s
+
+
+def _known(value: float | None, otherwise: str) -> float:
+    if value is None:
+        raise NotThere(otherwise)
+    return value
+
+
+def _fitted(file: Integrity) -> tuple[str, ...]:
+    return tuple(f"{name} on {tosses}" for name, tosses in configuration_of(file).fitted.items())
+
+
+WORK_FACTS: dict[str, Fact] = {
+    "warmup_made": Fact(
+        FactType.number,
+        "steps of the warm-up that have clocks; of a run that is not complete, those that were asked for",
+        lambda f: _steps_made(f, "warmup", configuration_of(f).warmup),
+    ),
+    "timed_steps_made": Fact(
+        FactType.number,
+        "steps of the timed phase that have clocks; of a run that is not complete, those that were asked for",
+        lambda f: _steps_made(f, "timed", configuration_of(f).timed_steps),
+    ),
+    "timed_window": Fact(FactType.text, "timed steps of the scene, as they were asked for", _window),
+    "timed_seconds": Fact(FactType.number, "duration of the timed phase [s]", _timed_seconds),
+    "timed_counters": Fact(
+        FactType.list,
+        "what is counted at the begin and the end of the timed phase",
+        lambda f: work.counters(recording_of(f)),
+    ),
+    "timed_counters_missing": Fact(
+        FactType.list,
+        "what the engine counts, but not in the timed phase",
+        lambda f: work.counters_missing(recording_of(f)),
+    ),
+    "timed_contacts": Fact(
+        FactType.number,
+        "contacts of an environment at the last timed step, on average",
+        lambda f: _known(work.contacts(recording_of(f)), "contacts are not counted"),
+    ),
+    "timed_state_changes": Fact(
+        FactType.flag,
+        "every environment's state hash at the end of the timed phase differs from that at its begin",
+        lambda f: work.state_changes(recording_of(f)),
+    ),
+    "timed_actions_change": Fact(
+        FactType.flag,
+        "the actions of the last timed step differ from those of the first",
+        lambda f: work.actions_change(recording_of(f)),
+    ),
+    "timed_unsampled_s": Fact(
+        FactType.number,
+        "longest time of the timed phase without a reading of the clocks of what the simulator steps on [s]",
+        lambda f: _known(hardware.longest_gap_s(recording_of(f)), "the timed phase has no clocks"),
+    ),
+    "timed_throttled_share": Fact(
+        FactType.number,
+        "share of the timed phase's readings in which heat or power held the GPU's clocks down",
+        lambda f: _known(hardware.timed_throttled_share(recording_of(f)), "no reading tells why clocks are not higher"),
+    ),
+    "given_start": Fact(
+        FactType.flag,
+        "environments begin in states that were given or drawn",
+        lambda f: bool(configuration_of(f).initial),
+    ),
+    "fitted": Fact(FactType.list, "options that were fitted to tosses, and to which", _fitted),
+    "facts_not_honoured": Fact(
+        FactType.list,
+        "friction, mass, edge or inertia that the engine has another value of",
+        lambda f: work.facts_not_honoured(simulation_of(f)),
+    ),
+}
+"""By name."""

@@ -1,0 +1,278 @@
+"""protocol-2: a throughput is that of the scene's own window, of steps that did work, on hardware that could run."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from gpusimbench.evaluator.check.integrity import examine
+from gpusimbench.evaluator.check.rules.findings import check
+from gpusimbench.evaluator.check.rules.rule import PROTOCOL, Scope, load_rules, parse_rules
+from gpusimbench.recorder.scenes.registry import make_scene
+from gpusimbench.schemas.errors import ExitCode, UsageError
+from gpusimbench.schemas.messages import message_class
+from gpusimbench.schemas.provenance import PROVENANCE, SIMULATION
+from tests.conftest import call, recorded
+from tests.evaluator.damaged import whole
+from tests.synthetic import Shown, cubes_field
+
+RULES = load_rules(PROTOCOL)
+OLDER = load_rules("protocol-1")
+NEW = {rule.id for rule in RULES.rules} - {rule.id for rule in OLDER.rules}
+MACHINE = {"runs", "timed-seconds", "recorder-known", "recorder-unmodified"}
+"""Rules that the runs of this file break because they are few, or because of the machine and the checkout."""
+
+
+def broken(*paths: Path) -> set[str]:
+    """Rules of protocol-2 that files break."""
+    report = check([examine(path) for path in paths], [RULES])
+    assert not report.unchecked, report.unchecked
+    return {finding.rule.id for finding in report.findings}
+
+
+def _hardware(times_s: Iterable[float], source: str, **values: Any) -> tuple[tuple[str, str, Any], ...]:
+    sample = message_class("gsb.v1.HardwareSample")
+    return tuple(
+        (f"/hardware/{source}", "gsb.v1.HardwareSample", sample(monotonic_ns=round(t * 1e9), phase="timed", **values))
+        for t in times_s
+    )
+
+
+def _hashes(begin: list[int], end: list[int]) -> tuple[tuple[str, str, Any], ...]:
+    block = message_class("gsb.v1.FingerprintBlock")(
+        first_step=100, steps=2, stride=1000, env_start=0, envs=2, hashes=[*begin, *end]
+    )
+    return (("/fingerprint/timed", "gsb.v1.FingerprintBlock", block),)
+
+
+def _actions(first: str, last: str) -> dict[str, Any]:
+    stream = message_class("gsb.v1.ActionStream")(envs=2, steps=1000, first_sha256=first * 64, last_sha256=last * 64)
+    return {"timed": stream}
+
+
+_ENDS = {"contacts": np.full((2, 2), 27)}
+_HASHED = _hashes([1, 2], [3, 4])
+_SAMPLED = _hardware((0.0, 0.9, 1.8), "host", other_cpus=0.0)
+
+
+def run(
+    folder: Path,
+    *,
+    counts: dict[str, Any] = _ENDS,
+    hashes: tuple[Any, ...] = _HASHED,
+    hardware: tuple[Any, ...] = _SAMPLED,
+    streams: dict[str, Any] | None = None,
+    asked: dict[str, Any] | None = None,
+    declared: tuple[str, ...] = (),
+    deviations: tuple[dict[str, str], ...] = (),
+    **keywords: Any,
+) -> Path:
+    """A run of two environments, timed for 2 s over steps 100 to 1,100, that meets the new rules but where told."""
+
+    def change(name: str, record: dict[str, Any]) -> None:
+        if name == PROVENANCE:
+            record["configuration"] |= asked or {}
+        if name == SIMULATION:
+            record["counters"] += [{"name": counter, "meaning": "x"} for counter in declared]
+            record["deviations"] += deviations
+
+    shown = Shown(counts={"timed": counts}, streams=streams or {}, raw=(*hashes, *hardware))
+    said = {"scene": "free-fall", "dt": 0.01, "warmup": 100, "timed_steps": 1000, "elapsed_s": 2.0}
+    scene = make_scene({**said, **keywords}["scene"])
+    field = cubes_field("float64") if scene.moving() else None
+    return whole(folder, final=None, n_env=2, shown=shown, change=change, field=field, **{**said, **keywords})
+
+
+_TOSS = {
+    "scene": "cube-toss",
+    "dt": 1 / 148,
+    "warmup": 10,
+    "timed_steps": 100,
+    "asked": {"phases": ["timed", "capture"]},
+}
+_FRICTION = {"parameter": "cube.static_friction", "wanted": "0.18", "used": "0.2", "reason": "x"}
+_BROKEN: dict[str, dict[str, Any]] = {
+    "own-start": {"asked": {"initial": "states:" + "0" * 64}},
+    "outcome-of-tosses": {**_TOSS, "asked": {"phases": ["timed"]}},
+    "window-begin": {"warmup": 1000},
+    "window-begin-of-a-toss": {**_TOSS, "warmup": 100},
+    "timed-steps": {"timed_steps": 99},
+    "window-end": {"timed_steps": 1001},
+    "window-end-of-a-toss": {**_TOSS, "timed_steps": 101},
+    "timed-seconds": {"elapsed_s": 0.99},
+    "work-evidence": {"counts": {}},
+    "declared-evidence": {"declared": ("solver_iterations",)},
+    "contacts-at-the-end": {"counts": {"contacts": np.array([[27, 27], [1, 0]])}},
+    "not-frozen": {"hashes": _hashes([1, 2], [1, 4])},
+    "actions-go-on": {"scene": "franka", "streams": _actions("a", "a")},
+    "clocks-sampled": {"hardware": _hardware((0.2, 0.9, 1.95), "host", other_cpus=0.0)},
+    "no-throttling": {
+        "gpu_bytes": (1, 2),
+        "hardware": (
+            *_hardware((0.0, 0.5), "gpu0", throttle_reasons=0x1),
+            *_hardware((1.0, 1.5), "gpu0", throttle_reasons=0x5),
+        ),
+    },
+    "closed-division": {**_TOSS, "asked": {"fitted": {"solref": "even tosses"}}},
+    "given-facts": {**_TOSS, "deviations": (_FRICTION,)},
+}
+_HELD: dict[str, dict[str, Any]] = {
+    "outcome-of-tosses": _TOSS,
+    "window-begin-of-a-toss": _TOSS,
+    "window-end-of-a-toss": _TOSS,
+    "closed-division": _TOSS,
+    "given-facts": {**_TOSS, "deviations": ({**_FRICTION, "used": "0.180"},)},
+    "declared-evidence": {"counts": {**_ENDS, "solver_iterations": np.full((2, 2), 3)}},
+    "actions-go-on": {"scene": "franka", "streams": _actions("a", "b")},
+    "clocks-sampled": {"hardware": _hardware((0.9, 1.8), "host", other_cpus=0.0)},
+    "no-throttling": {
+        "gpu_bytes": (1, 2),
+        "hardware": _hardware((0.0, 0.5, 1.0, 1.5), "gpu0", throttle_reasons=0x1),
+    },
+}
+_OTHERWISE = {
+    "not-frozen": {"hashes": ()},
+    "actions-go-on": {"scene": "franka"},
+    "clocks-sampled": {"hardware": ()},
+    "work-evidence": {"counts": {"contacts": np.full((1, 2), 27)}},
+}
+"""Other ways to break a rule: what should show the work is not in the file."""
+
+
+@pytest.mark.parametrize("rule", _BROKEN)
+def test_each_new_rule(rule: str, tmp_path: Path) -> None:
+    """Break each rule alone, and hold it where nothing but that is otherwise."""
+    assert rule in broken(run(tmp_path, **_BROKEN[rule]))
+    assert rule not in broken(run(tmp_path, **_HELD.get(rule, {})))
+    if rule in _OTHERWISE:
+        assert rule in broken(run(tmp_path, **_OTHERWISE[rule]))
+
+
+def test_every_new_rule_is_tested_and_says_what_is_wrong() -> None:
+    """Have a case for every rule that protocol-1 does not have, and of every rule say what is wrong and what to do."""
+    assert set(_BROKEN) - {"timed-steps"} | {"same-window"} == NEW
+    assert all(rule.broken and rule.broken != rule.requires and rule.do.endswith(".") for rule in RULES.rules)
+    for rule in RULES.rules:
+        if rule.id == "scene-unchanged":
+            assert {make_scene(name).sha256() for name in rule.scenes} == set(rule.argument)
+
+
+def test_a_reading_of_another_gpu_is_none(tmp_path: Path) -> None:
+    """Ask for readings of what the simulator steps on: of a run on a GPU, those of the host are not enough."""
+    assert "clocks-sampled" in broken(run(tmp_path, gpu_bytes=(1, 2)))
+    assert "clocks-sampled" in broken(run(tmp_path, hardware=_hardware((0.0, 0.9, 1.8), "gpu0", sm_clock_mhz=1)))
+
+
+def test_one_window_for_all(tmp_path: Path) -> None:
+    """Ask all simulators for the same window of a scene, and name the windows; scenes do not mix."""
+    same = [run(tmp_path, simulator=name) for name in ("a", "b")]
+    arms = run(tmp_path, scene="franka", timed_steps=200, streams=_actions("a", "b"))
+    other = run(tmp_path, simulator="c", timed_steps=200)
+    assert "same-window" not in broken(*same, arms)
+    (found,) = (
+        f for f in check([examine(p) for p in (*same, arms, other)], [RULES]).findings if f.rule.id == "same-window"
+    )
+    assert found.found == "of scene free-fall: steps 100 to 1,100 in 2 files, steps 100 to 300 in 1 file"
+    assert found.files == (other,)
+
+
+# What genesis-world#181 disputes: a throughput that is timed over a world at rest. Recreated with MuJoCo C: the same
+# scene, timed over its own window, and once everything has come to rest.
+_SCENE = ("--sim", "mujoco", "--scene", "free-fall", "--n-env", 16, "--runs", 1, "--timed-steps", 100)
+
+
+def _steps_of(name: str) -> Path:
+    how: dict[str, tuple[object, ...]] = {
+        "honest": ("--phases", "timed"),
+        "at rest": ("--phases", "timed", "--warmup", 600),
+        "states": ("--phases", "capture", "--steps", 600, "--stride", 600, "--no-view"),
+    }
+    (path,) = recorded(*_SCENE, *how[name])
+    return path
+
+
+def test_an_honest_run_passes() -> None:
+    """Hold every rule of a file for a run of MuJoCo C that is timed over the scene's window."""
+    assert broken(_steps_of("honest")) - MACHINE == set()
+
+
+def test_a_world_at_rest_is_rejected(tmp_path: Path) -> None:
+    """Reject a run that is timed after everything has come to rest, whichever way it got there."""
+    at_rest = _steps_of("at rest")
+    assert broken(at_rest) - MACHINE == {"window-begin"}
+    assert {"window-begin", "same-window"} <= broken(at_rest, _steps_of("honest"))
+    begun = call(
+        "gsb-record", *_SCENE, "--phases", "timed", "--initial", f"{_steps_of('states')}@600", "--out", tmp_path
+    )
+    assert begun.returncode == 0, begun.stderr
+    path = Path(begun.stdout.strip())
+    assert broken(path) - MACHINE == {"own-start"}
+    said = call("gsb-check", "--protocol", path)
+    assert said.returncode == ExitCode.GATE_FAILED
+    assert "error own-start: Environments begin in a state that was given or drawn" in " ".join(said.stdout.split())
+
+
+def test_the_newest_protocol_is_the_default(tmp_path: Path) -> None:
+    """Ask protocol-2 where no version is named, and protocol-1 where it is."""
+    path = run(tmp_path)
+    assert "protocol-2" in call("gsb-check", "--protocol", path).stdout.splitlines()[0]
+    older = call("gsb-check", "--rules", "integrity-1", "--rules", "protocol-1", path).stdout.splitlines()
+    assert "protocol-1" in " ".join(older[:2])
+
+
+def test_what_was_fitted_is_recorded(tmp_path: Path) -> None:
+    """Store which options were fitted to what, and refuse a statement that cannot be meant."""
+    toss = ("--sim", "mujoco", "--scene", "cube-toss", "--n-env", 1, "--runs", 1, "--phases", "capture", "--steps", 5)
+    solref = ("--option", "solref=0.01 1")
+    done = call("gsb-record", *toss, *solref, "--fitted", "solref=even tosses", "--out", tmp_path)
+    (finding,) = (f for f in check([examine(done.stdout.strip())], [RULES]).findings if f.rule.id == "closed-division")
+    assert finding.found == "solref on even tosses"
+    for arguments, message in (
+        (("--fitted", "solref=even tosses"), "give its value as well, with --option solref=VALUE"),
+        ((*solref, "--fitted", "solref"), "takes an option and what it was fitted to"),
+    ):
+        refused = call("gsb-record", *toss, *arguments, "--out", tmp_path)
+        assert (refused.returncode, message in refused.stderr) == (ExitCode.USAGE, True), refused.stderr
+
+
+_EXTENDS = """
+name = "mine-1"
+title = "what our laboratory asks for"
+extends = "protocol-1"
+without = ["dt", "runs"]
+
+[[rules]]
+id = "timed-steps"
+level = "warning"
+fact = "timed_steps"
+must = { at_least = 3 }
+requires = "Three steps."
+why = "We say so."
+do = "Time three."
+"""
+
+
+def test_a_set_that_extends_another() -> None:
+    """Take the rules of the extended set in their order, replaced by id, without those that are named."""
+    found = parse_rules(_EXTENDS, "mine.toml").rules
+    assert [rule.id for rule in found] == [rule.id for rule in OLDER.rules if rule.id not in ("dt", "runs")]
+    assert next(rule.argument for rule in found if rule.id == "timed-steps") == 3
+    assert {rule.of for rule in found} == set(Scope)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (('"protocol-1"', '"protocol-9"'), "extends is one of"),
+        (('"dt", ', '"dty", '), "without names dty, which protocol-1 does not have"),
+        (('extends = "protocol-1"', ""), "without is of a rule set that extends another"),
+    ],
+)
+def test_an_extension_that_cannot_be(change: tuple[str, str], message: str) -> None:
+    """Say what is wrong with what is extended, or left out."""
+    with pytest.raises(UsageError, match=message):
+        parse_rules(_EXTENDS.replace(*change), "mine.toml")
