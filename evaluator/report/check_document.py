@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 from gpusimbench.evaluator.check.integrity.problem import Kind
-from gpusimbench.evaluator.check.rules.facts import CONDITIONS, FACTS, FactType
+from gpusimbench.evaluator.check.rules.fact import FactType
+from gpusimbench.evaluator.check.rules.facts import CONDITIONS, FACTS
 from gpusimbench.evaluator.check.rules.findings import Checked, Finding, Report, Unchecked
 from gpusimbench.evaluator.check.rules.predicates import FILE_PREDICATES, SET_PREDICATES
 from gpusimbench.evaluator.check.rules.rule import Level, Rule, RuleSet, Scope
