@@ -19,6 +19,7 @@ from gpusimbench.recorder.scenes.registry import make_scene
 from gpusimbench.recorder.simulators.base import Description
 from gpusimbench.recorder.simulators.evidence import Evidence
 from gpusimbench.schemas import topics
+from gpusimbench.schemas.blocks import encode_fingerprints
 from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.fields import StateField, body_field
 from gpusimbench.schemas.messages import message_class
@@ -59,6 +60,14 @@ class Shown:
     buffers: tuple[Buffer, ...] = ()
     streams: dict[str, Any] = field(default_factory=dict)
     raw: tuple[tuple[str, str, Any], ...] = ()
+
+    def proving(self, n_env: int, warmup: int, timed_steps: int) -> Shown:
+        """The same with contacts at both ends of the timed phase, and hashes of states that differ."""
+        begin = np.arange(n_env, dtype=np.uint64)
+        block = encode_fingerprints(np.stack([begin, begin + np.uint64(n_env)]), first_step=warmup, stride=timed_steps)
+        hashes = (topics.fingerprint("timed"), "gsb.v1.FingerprintBlock", block)
+        counts = {"timed": {"contacts": np.full((2, n_env), 27)}, **self.counts}
+        return replace(self, counts=counts, raw=(*self.raw, hashes))
 
     def counters(self) -> tuple[Counter, ...]:
         """Counters that are declared."""
@@ -128,6 +137,7 @@ def write_recording(
     whole: bool = False,
     cpu: str = "test",
     replay_of: ReplayOf | None = None,
+    proven: bool = False,
 ) -> Path:
     """A recording whose cubes lie still until the last step and end at `final` [m], shape [env, 27, 3].
 
@@ -143,9 +153,13 @@ def write_recording(
     built      False: the run ended before its simulator was there, and says nothing of it
     change     called with the name and content of each JSON attachment; may change it in place, or return other text
     whole      says all that the rules of integrity-1 ask of provenance
+    proven     its throughput meets the protocol's rules: 100 warm-up steps, contacts, states that change while timing
     path_of    called with the initial positions and a step before the last; returns the positions then
     """
     n_env = n_env if final is None else len(final)
+    if proven:
+        warmup = warmup or 100
+        shown = shown.proving(n_env, warmup, timed_steps)
     dtype = "float32" if final is None else str(final.dtype)
     field = field or cubes_field(dtype)
     phases = tuple(name for name, there in (("timed", elapsed_s), ("capture", final is not None)) if there)
@@ -267,7 +281,7 @@ def write_sweep(
     """
     written = []
     for n_env in sizes:
-        counted = Shown(counts={"timed": {"contacts": np.full((1, n_env), contacts)}})
+        counted = Shown(counts={"timed": {"contacts": np.full((2, n_env), contacts)}})
         for run in range(runs):
             failed = n_env == fails
             outcome: dict[str, Any] = (

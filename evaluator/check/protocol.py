@@ -19,6 +19,13 @@ from gpusimbench.evaluator.check.rules.rule import PROTOCOL, Level, RuleSet, Sco
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.runs.run import Run
 
+OF_THROUGHPUT = (
+    "own-start", "window-begin", "window-begin-of-a-toss", "timed-steps", "window-end", "window-end-of-a-toss",
+    "timed-seconds", "work-evidence", "declared-evidence", "contacts-at-the-end", "not-frozen", "actions-go-on",
+)  # fmt: skip
+"""Rules on the timed window and on evidence of work: a throughput whose recordings break such a rule is no merit.
+Throughputs of different windows are ranked apart anyway."""
+
 
 @dataclass(frozen=True)
 class Unmet:
@@ -33,6 +40,13 @@ class Unmet:
     def count(self) -> int:
         """Findings of all rules, as ``gsb-check --protocol`` counts errors."""
         return sum(self.findings.values())
+
+    @property
+    def of_throughput(self) -> str:
+        """Why a throughput of these recordings is no merit, in words; empty where nothing speaks against it."""
+        wrong = [sentence.rstrip(".") for rule, sentence in _sentences().items() if rule in self.findings]
+        text = "; ".join(f"{sentence[0].lower()}{sentence[1:]}" for sentence in wrong)
+        return f"{PROTOCOL} not met: {text}" if text else ""
 
 
 def unmet_by_file(recording: Recording) -> tuple[str, ...]:
@@ -71,6 +85,12 @@ class Protocol:
             if members & run_ids:
                 count.update(findings)
         return Unmet(dict(count))
+
+
+@cache
+def _sentences() -> dict[str, str]:
+    broken = {rule.id: rule.broken for rule in load_rules(PROTOCOL).rules}
+    return {rule: broken[rule] for rule in OF_THROUGHPUT}
 
 
 @cache

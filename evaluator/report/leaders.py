@@ -32,7 +32,8 @@ class Fastest:
     """Of the simulators that were timed over the same steps of one scene on one device: the fastest, and the next.
 
     scene, device  of all of them
-    first, second  of them no run is INVALID and no check of mechanics broken, in any scene; None where nobody is left
+    first, second  of them no run is INVALID and no check of mechanics broken, in any scene, and their throughput meets
+                   the protocol's rules on the timed window and on evidence of work; None where nobody is left
     faster         groups of other simulators with a higher throughput that are not named first, each with the reason
     otherwise      simulators that were timed over other steps, which cannot be compared
     remarks        what must be known to compare the two
@@ -58,7 +59,9 @@ def fastest(results: Sequence[GroupResult]) -> Iterator[Fastest]:
         windows = [window_key(r.group.key, r.timed) for r in found]
         usual = most_common(windows)
         alike = [r for r, window in zip(found, windows, strict=True) if window == usual]
-        faults = {r.label: "; ".join(faults_anywhere(r, results)) for r in alike}
+        faults = {
+            r.label: "; ".join(filter(None, (*faults_anywhere(r, results), r.timed.unmet.of_throughput))) for r in alike
+        }
         if len({r.group.key.simulator for r in alike}) < 2:
             continue
         sound = _best([r for r in alike if not faults[r.label]], scene, device)

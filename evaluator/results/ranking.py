@@ -241,8 +241,9 @@ def _contender(
         if result is None:
             why_not[axis] = _NO_SWEEP if axis not in _DISTANCES else "no group of it ran under the shared conditions"
             return None
-        if axis is Axis.THROUGHPUT and result.label in timed_otherwise:
-            why_not[axis] = timed_otherwise[result.label]
+        missed = timed_otherwise.get(result.label) or result.timed.unmet.of_throughput
+        if axis is Axis.THROUGHPUT and missed:
+            why_not[axis] = missed
             return None
         metric = result.metrics[memory if axis is Axis.MEMORY and memory in GPU_MEMORY else _name_on(axis)]
         if isinstance(metric.value, Missing):

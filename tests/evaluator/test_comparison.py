@@ -26,8 +26,10 @@ def need(found: Comparison, name: str) -> Guideline:
 def test_a_warm_up_of_its_own_is_no_reason_to_be_left_out(tmp_path: Path) -> None:
     """Compare distances whatever was timed, throughputs of the same timed steps alone; let both be reproducible."""
     for run in range(2):
-        for simulator, warmup, seconds in (("a", 100, 2.0), ("b", 100, 3.0), ("quick", 20, 0.1)):
-            write_recording(tmp_path, grid(2), simulator=simulator, run=run, warmup=warmup, elapsed_s=seconds)
+        for simulator, warmup, seconds in (("a", 100, 2.0), ("b", 100, 3.0), ("quick", 20, 1.1)):
+            write_recording(
+                tmp_path, grid(2), simulator=simulator, run=run, warmup=warmup, elapsed_s=seconds, proven=True
+            )
     found = compared(tmp_path)
     assert [c.figures.name for c in found.contenders] == ["a", "b", "quick"]
     quick = found.contenders[2]
@@ -42,8 +44,8 @@ def test_what_is_wrong_in_another_scene_bars_a_pick(tmp_path: Path) -> None:
     """Bar an engine that is INVALID in a scene that is not compared; not another of its levels or options."""
     for run in range(2):
         for options in ({}, {"solver": "b"}):
-            write_recording(tmp_path, grid(2), simulator="wrong", run=run, elapsed_s=0.1, options=options)
-        write_recording(tmp_path, grid(2), simulator="right", run=run, elapsed_s=2.0)
+            write_recording(tmp_path, grid(2), simulator="wrong", run=run, elapsed_s=1.1, options=options, proven=True)
+        write_recording(tmp_path, grid(2), simulator="right", run=run, elapsed_s=2.0, proven=True)
     write_recording(
         tmp_path, None, simulator="wrong", scene="free-fall", n_env=64, status="INVALID", cause="NOT_FINITE",
         reason="a state is not finite", environment={"SOME": "variable"},

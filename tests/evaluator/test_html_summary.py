@@ -25,12 +25,12 @@ def evaluate(folder: Path) -> Evaluation:
     """A slow simulator whose bits agree, a fast one whose do not, a faster one that is invalid, an instrument."""
     rng = np.random.default_rng(1)
     for run in range(2):
-        write_recording(folder, grid(2), run=run, simulator="slow", elapsed_s=4.0, name=f"a{run}.mcap")
+        write_recording(folder, grid(2), run=run, simulator="slow", elapsed_s=4.0, name=f"a{run}.mcap", proven=True)
         final = grid(2) + rng.uniform(0.0, 1e-4, size=(2, 27, 3))
-        write_recording(folder, final, run=run, simulator="fast", elapsed_s=1.0, name=f"b{run}.mcap")
+        write_recording(folder, final, run=run, simulator="fast", elapsed_s=1.0, name=f"b{run}.mcap", proven=True)
         write_recording(
             folder, grid(2), run=run, simulator="wrong", elapsed_s=0.1, status="INVALID", cause="BUFFER",
-            reason="dropped", name=f"c{run}.mcap",
+            reason="dropped", name=f"c{run}.mcap", proven=True,
         )  # fmt: skip
         write_recording(
             folder, grid(2), run=run, simulator="control", elapsed_s=0.1, switches={"instrument": True},
@@ -80,10 +80,11 @@ def test_the_page_begins_with_them(tmp_path: Path) -> None:
 def test_faults_in_any_scene_bar_a_first_place(tmp_path: Path) -> None:
     """Name nobody first whose cubes sank, here or in another scene, and say who was faster and why it is not named."""
     for simulator, speed in (("fast", 4e5), ("slow", 1e5)):
-        write_sweep(tmp_path, (64, 128), simulator=simulator, scene="free-fall", speed=speed)
+        write_sweep(tmp_path, (512, 1024), simulator=simulator, scene="free-fall", speed=speed, proven=True)
         final = grid(2)
         final[:, :9, 2] = -1.0 if simulator == "fast" else 0.03
-        write_recording(tmp_path, final, simulator=simulator, gpu_bytes=(0, 10**9), elapsed_s=1.0 + (speed > 2e5))
+        seconds = 1.0 + (speed > 2e5)
+        write_recording(tmp_path, final, simulator=simulator, gpu_bytes=(0, 10**9), elapsed_s=seconds, proven=True)
     found = {one.scene: one for one in fastest(evaluate_files(sorted(tmp_path.glob("*.mcap"))).results)}
     swept, collided = found["free-fall"], found["inclined-collision"]
     assert swept.first is not None and collided.first is not None  # noqa: PT018
@@ -98,7 +99,7 @@ def test_faults_in_any_scene_bar_a_first_place(tmp_path: Path) -> None:
 def test_nobody_is_named_where_all_are_wrong(tmp_path: Path) -> None:
     """Name nobody first where every simulator is INVALID in some scene."""
     for simulator in ("one", "two"):
-        write_recording(tmp_path, grid(2), simulator=simulator)
+        write_recording(tmp_path, grid(2), simulator=simulator, proven=True)
         write_recording(
             tmp_path, None, simulator=simulator, scene="free-fall", status="INVALID", cause="BUFFER", reason="dropped"
         )
@@ -110,11 +111,27 @@ def test_nobody_is_named_where_all_are_wrong(tmp_path: Path) -> None:
 def test_other_timed_steps_are_not_ranked(tmp_path: Path) -> None:
     """Rank among the steps that most were timed over, and name the others beside it."""
     for simulator, warmup, seconds in (("a", 100, 2.0), ("b", 100, 3.0), ("quick", 20, 0.1)):
-        write_recording(tmp_path, grid(2), simulator=simulator, warmup=warmup, elapsed_s=seconds)
+        write_recording(tmp_path, grid(2), simulator=simulator, warmup=warmup, elapsed_s=seconds, proven=True)
     (found,) = fastest(evaluate_files(sorted(tmp_path.glob("*.mcap"))).results)
     assert found.first is not None and found.second is not None  # noqa: PT018
     assert (found.first.result.label, found.second.result.label) == ("a", "b")
     assert found.otherwise == (("quick", "steps 20 to 1,020"),)
+
+
+def test_an_idle_world_is_not_the_fastest(tmp_path: Path) -> None:
+    """Name nobody first whose throughput is that of another window or has no evidence of work, and say why."""
+    write_recording(tmp_path, grid(2), simulator="honest", elapsed_s=4.0, proven=True)
+    write_recording(tmp_path, grid(2), simulator="unproven", elapsed_s=2.0, warmup=100)
+    write_recording(tmp_path, grid(2), simulator="quick", elapsed_s=0.5, proven=True)
+    evaluation = evaluate_files(sorted(tmp_path.glob("*.mcap")))
+    (found,) = fastest(evaluation.results)
+    assert found.first is not None
+    assert (found.first.result.label, found.second) == ("honest", None)
+    why = {speed.result.label: reason for speed, reason in found.faster}
+    assert why["quick"] == "protocol-2 not met: the timed phase takes less than 1 s"
+    assert why["unproven"].startswith("protocol-2 not met: contacts are not counted at the begin and the end")
+    text = render_html(evaluation, published=False, command="")
+    assert "protocol-2 not met: the timed phase takes less than 1 s" in text
 
 
 @pytest.mark.parametrize("runs", [1, 3])

@@ -23,6 +23,7 @@ from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.render.scripts import script
 from gpusimbench.evaluator.share.dataset import checkup
 from gpusimbench.evaluator.share.leaderboard import gathering
+from gpusimbench.schemas.errors import ExitCode
 from gpusimbench.schemas.provenance import ReplayOf
 from tests.conftest import call
 from tests.evaluator.test_share_card import HOSTILE
@@ -52,7 +53,7 @@ def runs(tmp_path: Path) -> Path:
 
 def write(folder: Path, final: Any = None, **keywords: Any) -> Path:
     """A recording that keeps every rule of integrity-1."""
-    return write_recording(folder, final, **{"whole": True, **keywords})
+    return write_recording(folder, final, **{"whole": True, "proven": True, **keywords})
 
 
 def test_places_are_by_throughput_within_scene_and_device(runs: Path, tmp_path: Path) -> None:
@@ -83,8 +84,8 @@ def test_a_shared_gpu_is_marked(runs: Path, tmp_path: Path) -> None:
 
 def test_a_sweep_has_one_place(runs: Path, tmp_path: Path) -> None:
     """Give a simulator the place of the point at which it is fastest, with N_env^max and why it ends."""
-    write_sweep(runs, (16, 64, 256, 1024), runs=1, fails=1024, whole=True, simulator="swept")
-    write(runs, simulator="one", n_env=16, elapsed_s=16.0, gpu_bytes=(10, 20))
+    write_sweep(runs, (16, 64, 256, 1024), runs=1, speed=1e4, fails=1024, whole=True, proven=True, simulator="swept")
+    write(runs, simulator="one", n_env=16, elapsed_s=160.0, gpu_bytes=(10, 20))
     document = made(tmp_path, runs)
     found = rows(document)
     assert [row["simulator"] for row in found.values() if row["place"]] == ["swept", "one"]
@@ -144,9 +145,16 @@ def test_an_engine_that_is_wrong_elsewhere_has_no_place(runs: Path, tmp_path: Pa
 
 
 def test_rules_that_are_not_met_are_said_in_words(runs: Path, tmp_path: Path) -> None:
-    """Name the rules of the protocol beside a place, and say below what they require and what was found."""
+    """Name the rules of the protocol beside a row, and say below what they require and what was found.
+
+    A throughput that misses the rules on its window or on evidence of work has no place, and the reason stands there.
+    """
     write(runs, grid(2), timed_steps=7)
-    made(tmp_path, runs)
+    write(runs, grid(2), simulator="unproven", timed_steps=7, proven=False, warmup=100)
+    document = made(tmp_path, runs, code=ExitCode.NOTHING_COMPARABLE)
+    reasons = {row["simulator"]: row["no_place"] for row in rows(document).values()}
+    assert reasons["synthetic"] == "protocol-2 not met: fewer than 100 timed steps have clocks"
+    assert "clocks; contacts are not counted" in reasons["unproven"]
     page = (tmp_path / "board" / "index.html").read_text()
     assert re.search(r"<small>protocol-2 not met: .*timed steps.*</small>", page)
     assert re.search(r"Fewer than 100 timed steps have clocks: found 7 \(1 of 1\)", page)
@@ -262,7 +270,7 @@ def test_a_real_replay_counts(small: Path, tmp_path: Path) -> None:
     """Record, replay with the recorder, and find the original reproduced."""
     done = call("gsb-record", "--replay", small, "--out", tmp_path / "replays")
     assert done.returncode == 0, done.stderr
-    document = made(tmp_path, small, tmp_path / "replays")
+    document = made(tmp_path, small, tmp_path / "replays", code=ExitCode.NOTHING_COMPARABLE)  # its window is its own
     (row,) = rows(document).values()
     assert row["reproduction"]["reproduced"] == 1
     assert [entry["replay_of"] for entry in row["recordings"]].count("") == 1
@@ -348,8 +356,9 @@ def test_what_is_known_is_not_checked_again(runs: Path, tmp_path: Path, monkeypa
 @pytest.mark.slow
 def test_the_commands_of_the_page(tmp_path: Path) -> None:
     """Run every command that docs/dataset.md shows, on a recording that ships."""
-    (tmp_path / "recordings").mkdir()
-    shutil.copy(ROOT / "recordings" / "mujoco-amd-r0.mcap", tmp_path / "recordings")
+    for name in ("mujoco-amd-r0.mcap", "h200/warp-inclined-collision-n16-r0.mcap"):
+        (tmp_path / "recordings" / name).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(ROOT / "recordings" / name, tmp_path / "recordings" / name)
     lines = commands(ROOT / "docs" / "dataset.md")
     assert len(lines) >= 5
     for line in lines:

@@ -74,7 +74,7 @@ def _firsts(sections: Sequence[Section]) -> Table:
         rows.append(Row((where, _leader(first), _leader(second), _barred(section)), {"scene": section.scene}))
     columns = (
         "scene, device", f"fastest [{FPS.unit}]", "next",
-        Column("without a place", "rows that are INVALID, failed, break a rule, or break mechanics in any scene"),
+        Column("without a place", "rows that are INVALID, failed, break mechanics in any scene, or break a rule"),
     )  # fmt: skip
     return table("first", "Who is first", columns, rows)
 
@@ -264,7 +264,8 @@ def _explained() -> Iterator[str]:
     yield (
         "A run that is INVALID, or that breaks a rule of integrity-1, leaves its row without a place, and so do states "
         "that break a check of mechanics, which is made where states were captured. Either holds for the same engine "
-        "in every scene. Runs that failed are named."
+        "in every scene. Runs that failed are named. A throughput that breaks a rule of "
+        f"{PROTOCOL} on the timed window or on evidence of work has no place: the world may have been at rest."
     )
     yield "Intervals are 95 %, over runs. Without an interval there are too few runs, and two places may be one."
     yield "Repeats itself, envs alike: whether state hashes of runs, or of environments, differ at any captured step."

@@ -213,8 +213,9 @@ def _no_place(result: GroupResult, results: Sequence[GroupResult], entries: Sequ
     fps = result.metrics["fps"]
     if isinstance(fps.value, Missing):
         return fps.value.reason
-    elsewhere = faults_anywhere(result, results)
-    return f"{ELSEWHERE}: {'; '.join(elsewhere)}" if elsewhere else ""
+    if elsewhere := faults_anywhere(result, results):
+        return f"{ELSEWHERE}: {'; '.join(elsewhere)}"
+    return result.timed.unmet.of_throughput
 
 
 def _gates(result: GroupResult, entries: Sequence[Entry]) -> list[str]:
