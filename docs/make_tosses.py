@@ -13,7 +13,6 @@ from pathlib import Path
 
 from gpusimbench.evaluator.missing import known
 from gpusimbench.evaluator.render.numbers import figure, interval
-from gpusimbench.evaluator.report.sections.tosses import Ranked, ranked
 from gpusimbench.evaluator.results.evaluate import evaluate_files
 from gpusimbench.evaluator.results.toss_metrics import (
     TOSS_DEPTH,
@@ -22,6 +21,7 @@ from gpusimbench.evaluator.results.toss_metrics import (
     TOSS_POSITION,
     TOSS_ROTATION,
 )
+from gpusimbench.evaluator.results.toss_ranking import Ranked, ranked
 
 PAGE = Path(__file__).resolve().parent / "how-to" / "cube-toss.md"
 BEGIN, END = "<!-- tosses: docs/make_tosses.py -->", "<!-- end of tosses -->"

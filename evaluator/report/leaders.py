@@ -10,6 +10,7 @@ from gpusimbench.evaluator.report import timed
 from gpusimbench.evaluator.results.faults import faults_anywhere
 from gpusimbench.evaluator.results.result import GroupResult
 from gpusimbench.evaluator.results.timed_work import most_common, window_key
+from gpusimbench.evaluator.results.toss_ranking import ranked
 from gpusimbench.evaluator.runs.groups import is_instrument
 
 
@@ -33,7 +34,8 @@ class Fastest:
 
     scene, device  of all of them
     first, second  of them no run is INVALID and no check of mechanics broken, in any scene, and their throughput meets
-                   the protocol's rules on the timed window and on evidence of work; None where nobody is left
+                   the protocol's rules on the timed window and on evidence of work; where errors against measured
+                   tosses are known, theirs cannot be told apart from the smallest; None where nobody is left
     faster         groups of other simulators with a higher throughput that are not named first, each with the reason
     otherwise      simulators that were timed over other steps, which cannot be compared
     remarks        what must be known to compare the two
@@ -59,11 +61,12 @@ def fastest(results: Sequence[GroupResult]) -> Iterator[Fastest]:
         windows = [window_key(r.group.key, r.timed) for r in found]
         usual = most_common(windows)
         alike = [r for r, window in zip(found, windows, strict=True) if window == usual]
-        faults = {
-            r.label: "; ".join(filter(None, (*faults_anywhere(r, results), r.timed.unmet.of_throughput))) for r in alike
-        }
+        faults = {r.label: speaks_against(r, results) for r in alike}
         if len({r.group.key.simulator for r in alike}) < 2:
             continue
+        # where errors against tosses are known: among those that cannot be told apart from the most accurate
+        accurate = ranked([r for r in alike if not faults[r.label]])
+        faults |= {one.result.label: one.less_accurate for one in accurate if one.less_accurate}
         sound = _best([r for r in alike if not faults[r.label]], scene, device)
         wrong = _best([r for r in alike if faults[r.label]], scene, device)
         first, second = (*sound, None, None)[:2]
@@ -76,6 +79,11 @@ def fastest(results: Sequence[GroupResult]) -> Iterator[Fastest]:
             tuple((r.label, r.timed.said) for r, window in zip(found, windows, strict=True) if window != usual),
             tuple(line for line in timed.remarks(s.result for s in sound[:2]) if line != timed.LEGEND),
         )
+
+
+def speaks_against(result: GroupResult, results: Sequence[GroupResult]) -> str:
+    """Why a throughput is not named, in words; empty where nothing speaks against it."""
+    return "; ".join(filter(None, (*faults_anywhere(result, results), result.timed.unmet.of_throughput)))
 
 
 def _best(results: Sequence[GroupResult], scene: str, device: str) -> list[Speed]:

@@ -26,9 +26,13 @@ from gpusimbench.evaluator.metrics.tosses import (
 )
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.read.recording import Recording
-from gpusimbench.evaluator.report.sections.tosses import ranked
+from gpusimbench.evaluator.report.html import render_html
+from gpusimbench.evaluator.report.leaders import fastest
+from gpusimbench.evaluator.report.sections.scatter import pictures
+from gpusimbench.evaluator.results.cost_metrics import FPS
 from gpusimbench.evaluator.results.evaluate import evaluate_files
-from gpusimbench.evaluator.results.toss_metrics import TOSS_METRICS
+from gpusimbench.evaluator.results.toss_metrics import TOSS_METRICS, TOSS_POSITION
+from gpusimbench.evaluator.results.toss_ranking import beaten_by, ranked
 from gpusimbench.evaluator.runs.toss_motion import errors_of, measured_tosses
 from gpusimbench.evaluator.statistics.cases import FEWEST, mean_interval, paired
 from gpusimbench.recorder.trials.tosses import Tosses, read_tosses
@@ -200,6 +204,35 @@ def test_a_wrong_cone_is_seen(reference: Path, runs: dict[str, Path]) -> None:
         assert not isinstance(value.value, Missing)
         assert value.ci95 is not None
         assert value.ci95[0] <= value.value <= value.ci95[1]
+
+
+def test_fastest_at_equal_accuracy() -> None:
+    """Name the fastest whose error the tosses do not tell from the smallest, and beside it who is faster and errs more.
+
+    The recordings are those that ship, which were not timed: throughputs are given to them here.
+    """
+    folder = Path(__file__).resolve().parents[2] / "recordings" / "cube-toss"
+    names = ("real", "mujoco", "warp", "sapien", "mjx")
+    found = evaluate_files([path for name in names for path in sorted(folder.glob(f"{name}-*.mcap"))])
+    speeds = {"mujoco": 1e5, "warp": 2e5, "sapien": 3e5, "mjx": 4e5}
+    timed = [
+        replace(r, metrics={**r.metrics, FPS.name: replace(r.metrics[FPS.name], value=speeds[r.group.key.simulator])})
+        for r in found.results
+    ]
+    (one,) = fastest(timed)
+    assert one.first is not None
+    assert one.second is not None
+    assert (one.first.result.group.key.simulator, one.second.result.group.key.simulator) == ("warp", "mujoco")
+    why = {speed.result.group.key.simulator: reason for speed, reason in one.faster}
+    assert why.keys() == {"sapien", "mjx"}
+    assert all(reason.startswith("less accurate: error of position ") for reason in why.values())
+    assert beaten_by(ranked(timed))[one.first.result.label] == ""
+    evaluation = replace(found, results=tuple(timed))
+    text = render_html(evaluation, published=False, command="")
+    assert f"Fastest at equal accuracy: {one.first.result.label}, 200,000 env-steps/s" in text
+    assert "is faster and no less accurate" in text
+    drawn = next(p for p in pictures(evaluation) if "cube-toss" in p.caption or "cube-toss" in str(p))
+    assert TOSS_POSITION.titled in str(drawn)
 
 
 def test_order_does_not_matter(reference: Path, runs: dict[str, Path], tmp_path: Path, gsb_record: Command) -> None:

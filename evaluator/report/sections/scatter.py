@@ -16,6 +16,7 @@ from gpusimbench.evaluator.results.evaluation import Evaluation
 from gpusimbench.evaluator.results.faults import faults_anywhere
 from gpusimbench.evaluator.results.metric import Estimate
 from gpusimbench.evaluator.results.result import GroupResult
+from gpusimbench.evaluator.results.toss_metrics import TOSS_POSITION
 from gpusimbench.evaluator.runs.groups import is_instrument
 from gpusimbench.evaluator.runs.labels import labels, options_given
 
@@ -34,7 +35,9 @@ def pictures(evaluation: Evaluation) -> Iterator[Figure]:
 
 
 def _distance(results: Sequence[GroupResult]) -> str:
-    """The distance that the scene is drawn with: to the reference where any group has that, else between runs."""
+    """The distance that the scene is drawn with: the first of these that any group has, or the last."""
+    if any(_known(r.metrics[TOSS_POSITION.name]) for r in results):
+        return TOSS_POSITION.name
     return "w1_real" if any(_known(r.metrics["w1_real"]) for r in results) else "w1_run_to_run"
 
 

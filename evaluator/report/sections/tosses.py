@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 
-from gpusimbench.evaluator.missing import Missing, known
+from gpusimbench.evaluator.missing import known
 from gpusimbench.evaluator.render.document import EMPTY, Block, Cell, Column, Section, Text
 from gpusimbench.evaluator.render.numbers import figure, plural
+from gpusimbench.evaluator.report.leaders import fastest, speaks_against
 from gpusimbench.evaluator.report.sections.rows import Reasons
 from gpusimbench.evaluator.report.sections.values import Written, column_of, of_groups
 from gpusimbench.evaluator.report.source import Source
+from gpusimbench.evaluator.results.cost_metrics import FPS
 from gpusimbench.evaluator.results.details import OverTosses
 from gpusimbench.evaluator.results.metric import Table
 from gpusimbench.evaluator.results.result import GroupResult
 from gpusimbench.evaluator.results.toss_metrics import TOSS_POSITION, TOSS_ROTATION
-from gpusimbench.evaluator.statistics.cases import Paired, paired
-from gpusimbench.evaluator.statistics.families import holm
+from gpusimbench.evaluator.results.toss_ranking import Ranked, beaten_by, ranked
 
 _LEGEND = (
     "Each simulated toss is compared with the measured toss from whose first state it began, at the measured rows.",
@@ -25,34 +25,6 @@ _LEGEND = (
     "permutation test, adjusted by Holm's method for all rows; visible: the smallest difference that these tosses show "
     "with 95 % probability",
 )
-
-
-@dataclass(frozen=True)
-class Ranked:
-    """A group that was compared with measured tosses.
-
-    against   of its errors of position with those of the most accurate group; None of that group, and where the two
-              were not compared with the same tosses
-    adjusted  p value after Holm's adjustment for all groups
-    """
-
-    result: GroupResult
-    against: Paired | None
-    adjusted: float | None
-
-
-def ranked(results: Sequence[GroupResult]) -> list[Ranked]:
-    """Groups with errors against tosses, the smallest mean error of position first."""
-    found = [r for r in results if known(r.metrics[TOSS_POSITION.name].value) is not None]
-    found.sort(key=lambda r: known(r.metrics[TOSS_POSITION.name].value) or 0.0)
-    if not found:
-        return []
-    first = _per_toss(found[0])
-    compared = {
-        r.label: paired(_per_toss(r), first) for r in found[1:] if len(_per_toss(r)) == len(first)
-    }  # fmt: skip
-    adjusted = dict(zip(compared, holm([one.p_value for one in compared.values()]), strict=True))
-    return [Ranked(r, compared.get(r.label), adjusted.get(r.label)) for r in found]
 
 
 def section(source: Source) -> Section | None:
@@ -65,12 +37,19 @@ def section(source: Source) -> Section | None:
     metrics = source.columns(Table.REALITY)
     columns = [column_of(metric, reasons) for metric in metrics]
     columns.insert(1, _more_than_first(order))
+    against = {one.result.label: speaks_against(one.result, source.evaluation.results) for one in order}
+    front = beaten_by([one for one in order if not against[one.result.label]])
+    if front:
+        columns += [column_of(FPS, reasons), _on_the_front(order, front, against)]
     blocks: list[Block] = [
         of_groups("tosses", "Errors against measured tosses", [one.result for one in order], columns, reasons, _LEGEND),
         Text(_floor(best)),
     ]
     error = known(best.metrics[TOSS_POSITION.name].value) or 0.0
     said = f"{plural(len(order), 'group')}; smallest error of position: {best.label}, {figure(error, 'cm')} cm"
+    if quick := _fastest_at_equal_accuracy(source):
+        blocks.append(Text(quick))
+        said += f"; {quick[0].lower()}{quick[1:].rstrip('.')}"
     return Section("tosses", "Accuracy: measured tosses", tuple(blocks), said, folded=True)
 
 
@@ -90,6 +69,30 @@ def _more_than_first(order: Sequence[Ranked]) -> tuple[Column, Written]:
     return Column("more than the first [cm]", "error of position less that of the first row, toss by toss"), cell
 
 
+def _on_the_front(
+    order: Sequence[Ranked], front: Mapping[str, str], against: Mapping[str, str]
+) -> tuple[Column, Written]:
+    found = {one.result.label: one for one in order}
+
+    def cell(result: GroupResult) -> Cell:
+        if result.label not in front:
+            return Cell("not ranked", notes=(against[result.label],)) if against[result.label] else EMPTY
+        better = f"{front[result.label]} is faster and no less accurate" if front[result.label] else ""
+        accuracy = found[result.label].less_accurate or "as accurate as the best"
+        return Cell("no" if better else "yes", notes=tuple(filter(None, (better, accuracy))))
+
+    return Column("on the front", "whether no other group is both faster and no less accurate"), cell
+
+
+def _fastest_at_equal_accuracy(source: Source) -> str:
+    said = []
+    for one in fastest(source.evaluation.results):
+        if one.first and known(one.first.result.metrics[TOSS_POSITION.name].value) is not None:
+            device = one.device or "an unnamed device"
+            said.append(f"{one.first.result.label}, {one.first.fps:,.0f} {FPS.unit} on {device}")
+    return f"Fastest at equal accuracy: {'; '.join(said)}." if said else ""
+
+
 def _floor(result: GroupResult) -> str:
     """What the measurement itself leaves."""
     parts = []
@@ -102,8 +105,3 @@ def _floor(result: GroupResult) -> str:
         "contact, which begins with the measured first state. An error that is not much larger says nothing of a "
         "simulator."
     )
-
-
-def _per_toss(result: GroupResult) -> tuple[float, ...]:
-    found = result.metrics[TOSS_POSITION.name]
-    return () if isinstance(found.value, Missing) else found.of(OverTosses).per_toss
