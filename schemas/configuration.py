@@ -8,7 +8,7 @@ from typing import Any
 
 from gpusimbench.schemas import checks
 from gpusimbench.schemas.errors import DamagedRecording
-from gpusimbench.schemas.treatment import Given, Initial, Intervention, Keep, parse_initial
+from gpusimbench.schemas.treatment import Given, Initial, Intervention, Keep, Vary, parse_initial
 
 OPTIONAL_PHASES = ("timed", "capture")
 """Phases that a run can leave out; "warmup" belongs to "timed"."""
@@ -46,6 +46,7 @@ class RunConfiguration:
     timeout      the run is ended after so many seconds; 0: never
     capture      one of CAPTURE_MODES
     initial      how environments begin, as of treatment.Initial or Given; empty: in the scene's first state
+    vary         which of their parameters differ, as of treatment.Vary; empty: none
     intervention what is done to their state on the way, as of treatment.Intervention; empty: nothing
     keep         which of the captured states are written, as of treatment.Keep; empty: all
     view         environments whose captured states are written as what viewers draw, too
@@ -79,6 +80,7 @@ class RunConfiguration:
     model: str = ""
     keyframe: str = ""
     actions: str = ""
+    vary: str = ""
 
     @property
     def option_words(self) -> list[str]:
@@ -89,6 +91,11 @@ class RunConfiguration:
     def registered_scene(self) -> str | None:
         """Name of the scene in the registry; None where the run brings a model of its own."""
         return None if self.model else self.scene
+
+    @property
+    def varied(self) -> dict[str, float]:
+        """The spread of each quantity that differs from environment to environment."""
+        return dict(Vary.parse(self.vary).spreads) if self.vary else {}
 
     @property
     def first_step(self) -> int:
@@ -105,7 +112,7 @@ class RunConfiguration:
         """As plain JSON values; what is empty of those that came later is left out."""
         record = {**asdict(self), "phases": list(self.phases), "view": list(self.view)}
         record["snapshots"] = list(self.snapshots)
-        for name in ("initial", "intervention", "keep", "snapshots", "model", "keyframe", "actions"):
+        for name in ("initial", "vary", "intervention", "keep", "snapshots", "model", "keyframe", "actions"):
             if not record[name]:
                 del record[name]
         return record
@@ -140,6 +147,7 @@ class RunConfiguration:
             capture=checks.text(record, "capture", default=CAPTURE_MODES[0]),
             view=tuple(checks.whole({"view": env}, "view", 0, n_env - 1) for env in checks.items(record, "view")),
             initial=_treatment(record, "initial", parse_initial),
+            vary=_treatment(record, "vary", Vary.parse),
             intervention=_treatment(record, "intervention", Intervention.parse),
             keep=_treatment(record, "keep", Keep.parse),
             model=checks.text(record, "model", default=""),
@@ -157,7 +165,9 @@ class RunConfiguration:
         return made
 
 
-def _treatment(record: dict[str, Any], name: str, parse: Callable[[str], Initial | Given | Intervention | Keep]) -> str:
+def _treatment(
+    record: dict[str, Any], name: str, parse: Callable[[str], Initial | Given | Vary | Intervention | Keep]
+) -> str:
     text = checks.text(record, name, default="")
     try:
         return text and str(parse(text))
