@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -29,6 +30,7 @@ from gpusimbench.schemas.location import place
 from tests.conftest import Command, call
 from tests.forging import forge
 
+ROOT = Path(__file__).resolve().parents[2]
 VARY = "mass:0.3,friction:0.3"
 _SHORT = ("--sim", "mujoco", "--steps", "60", "--warmup", "10", "--timed-steps", "50", "--no-view")
 
@@ -235,3 +237,28 @@ def test_no_parameters(text: str, gsb_probe: Command) -> None:
     done = gsb_probe("--sim", "mujoco", "--vary", text)
     assert done.returncode == 2
     assert "--vary takes mass:SPREAD, friction:SPREAD, size:SPREAD" in done.stderr
+
+
+@pytest.mark.slow
+def test_a_mix_up_of_parameters_is_found(gsb_probe: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Find that all environments have the masses of the first one, which shows where environments change slots, and
+    only of environments whose masses differ."""
+    info = tmp_path / "broken-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: broken\nVersion: 1.0\n")
+    (info / "entry_points.txt").write_text(
+        "[gsb.simulators]\nfirst-masses = tests.recorder.broken_adapters:FirstEnvsMasses\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(map(str, (tmp_path, ROOT, ROOT / "src"))))
+    found = {}
+    for vary in ((), ("--vary", "mass:0.3")):
+        target = tmp_path / f"{len(vary)}.json"
+        done = gsb_probe(
+            "--sim", "first-masses", "--n-env", "4", "--numbers", "2", "--steps", "150", "--stride", "50", *vary,
+            "--out", tmp_path / f"arms-{len(vary)}", "--json", target,
+        )  # fmt: skip
+        assert done.returncode == 0, done.stderr
+        (probe,) = json.loads(target.read_text())["probes"]
+        found[vary[1:]] = {one["key"] for one in probe["answers"] if one["answer"] == Answer.NO} - {"set"}
+    assert found == {(): set(), ("mass:0.3",): {"slot"}}

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from gpusimbench.recorder.abilities import VARIED
+from gpusimbench.recorder.abilities import VARIED, listed, titles
 from gpusimbench.recorder.conformance.checks.agreement import differences, expect_repeatable
 from gpusimbench.recorder.conformance.scene import DT, N_STEP, G
 from gpusimbench.recorder.conformance.subject import SEED, Subject
@@ -67,10 +67,10 @@ def varied_scene() -> Scene:
 def varied_envs_are_those_of_their_scenes(subject: Subject) -> None:
     """Move an environment with parameters of its own as one of a scene that is written with them: to the bit, or, where
     compiled code rounds a varied parameter otherwise than a constant, within a tenth of a millimetre."""
-    offered = subject.adapter.offered(subject.options)
+    offered = subject.adapter.offered(subject.options) - subject.adapter.withheld(subject.options).keys()
     spreads = [f"{name}:{_SPREADS[name]}" for name, ability in VARIED.items() if ability in offered]
     if not spreads:
-        raise NotApplicable("the adapter has no parameters per environment")
+        raise NotApplicable(f"with these options the adapter has no {listed(titles(VARIED.values()))}")
     scene = varied_scene()
     variation = vary.variation(",".join(spreads), scene, n_env=_ENVS, seed=SEED)
     assert variation is not None
