@@ -60,7 +60,7 @@ def refusal(name: str, adapter: type[Simulator], options: object, scene: Scene, 
         return f"simulator '{name}' cannot do --vary {text} with these options: {_instead(lacking, withheld)}"
     for quantity in asked:
         if not varied_items(scene, quantity):
-            return f"--vary {text}: scene '{scene.name}' has no free bodies, whose {quantity} could vary"
+            return f"--vary {text}: scene '{scene.name}' describes no body or robot whose {quantity} could vary"
     return ""
 
 

@@ -240,7 +240,7 @@ def test_a_snapshot_continued(gsb_record: Command, tmp_path: Path) -> None:
     [
         (("--sim", "genesis", "--vary", "mass:0.1"), "'genesis' cannot do --vary mass:0.1: it has no masses per env"),
         (("--sim", "physx", "--vary", "mass:0.1,size:0.1"), "no masses per environment or sizes per environment"),
-        (("--sim", "mujoco", "--scene", "franka", "--vary", "size:0.1"), "'franka' has no free bodies, whose size"),
+        (("--sim", "mujoco", "--scene", "franka", "--vary", "size:0.1"), "describes no body or robot whose size"),
         (("--sim", "mujoco", "--n-env", "2", "--vary", "mass:0.1,but:2"), "with ,but:E, an environment, not"),
     ],
 )  # fmt: skip
