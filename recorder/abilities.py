@@ -34,6 +34,10 @@ class Ability(Enum):
     MODELS = "model files", "MJCF files of the user's own, with all that is in them"
     ENV_STARTS = "initial states per environment", "environments that do not all begin alike"
 
+    VARIED_MASS = "masses per environment", "bodies and links whose masses differ from environment to environment"
+    VARIED_FRICTION = "frictions per environment", "surfaces whose friction differs from environment to environment"
+    VARIED_SIZE = "sizes per environment", "free bodies whose sizes differ from environment to environment"
+
     def __init__(self, title: str, meaning: str) -> None:
         self.title = title
         self.meaning = meaning
@@ -46,6 +50,10 @@ BODIES = frozenset(
 
 ROBOTS = frozenset({Ability.FIXED_BASE, Ability.ROBOT_AMONG_BODIES, Ability.HINGES, Ability.ACTIONS})
 """Robots on fixed bases, driven by actions, alone or among free bodies."""
+
+
+VARIED = {"mass": Ability.VARIED_MASS, "friction": Ability.VARIED_FRICTION, "size": Ability.VARIED_SIZE}
+"""What each of schemas.treatment.QUANTITIES needs to differ from environment to environment."""
 
 
 def titles(abilities: Iterable[Ability]) -> list[str]:

@@ -8,7 +8,7 @@ from typing import Any
 
 from gpusimbench.schemas import checks
 from gpusimbench.schemas.errors import DamagedRecording
-from gpusimbench.schemas.treatment import Given, Initial, Intervention, Keep, parse_initial
+from gpusimbench.schemas.treatment import Given, Initial, Intervention, Keep, Vary, parse_initial
 
 OPTIONAL_PHASES = ("timed", "capture")
 """Phases that a run can leave out; "warmup" belongs to "timed"."""
@@ -20,6 +20,9 @@ MAX_ENVS = 1 << 24
 
 MAX_VIEW = 4
 """Environments that a recording has a view of, at most."""
+
+_LATER = ("initial", "vary", "intervention", "keep", "snapshots", "model", "keyframe", "actions", "fitted")
+"""Values that came later than the others; what is empty of them is left out of the JSON."""
 
 EPOCH_NS = 1_000_000_000
 """log_time of simulated time zero: zero itself reads as "no time" in some tools."""
@@ -46,6 +49,7 @@ class RunConfiguration:
     timeout      the run is ended after so many seconds; 0: never
     capture      one of CAPTURE_MODES
     initial      how environments begin, as of treatment.Initial or Given; empty: in the scene's first state
+    vary         which of their parameters differ, as of treatment.Vary; empty: none
     intervention what is done to their state on the way, as of treatment.Intervention; empty: nothing
     keep         which of the captured states are written, as of treatment.Keep; empty: all
     view         environments whose captured states are written as what viewers draw, too
@@ -82,6 +86,7 @@ class RunConfiguration:
     keyframe: str = ""
     actions: str = ""
     fitted: dict[str, str] = field(default_factory=dict)
+    vary: str = ""
 
     @property
     def option_words(self) -> list[str]:
@@ -92,6 +97,11 @@ class RunConfiguration:
     def registered_scene(self) -> str | None:
         """Name of the scene in the registry; None where the run brings a model of its own."""
         return None if self.model else self.scene
+
+    @property
+    def varied(self) -> dict[str, float]:
+        """The spread of each quantity that differs from environment to environment."""
+        return dict(Vary.parse(self.vary).spreads) if self.vary else {}
 
     @property
     def first_step(self) -> int:
@@ -105,10 +115,10 @@ class RunConfiguration:
         return self.steps - self.first_step
 
     def to_json(self) -> dict[str, Any]:
-        """As plain JSON values; what is empty of those that came later is left out."""
+        """As plain JSON values."""
         record = {**asdict(self), "phases": list(self.phases), "view": list(self.view)}
         record["snapshots"] = list(self.snapshots)
-        for name in ("initial", "intervention", "keep", "snapshots", "model", "keyframe", "actions", "fitted"):
+        for name in _LATER:
             if not record[name]:
                 del record[name]
         return record
@@ -143,6 +153,7 @@ class RunConfiguration:
             capture=checks.text(record, "capture", default=CAPTURE_MODES[0]),
             view=tuple(checks.whole({"view": env}, "view", 0, n_env - 1) for env in checks.items(record, "view")),
             initial=_treatment(record, "initial", parse_initial),
+            vary=_treatment(record, "vary", Vary.parse),
             intervention=_treatment(record, "intervention", Intervention.parse),
             keep=_treatment(record, "keep", Keep.parse),
             model=checks.text(record, "model", default=""),
@@ -161,7 +172,9 @@ class RunConfiguration:
         return made
 
 
-def _treatment(record: dict[str, Any], name: str, parse: Callable[[str], Initial | Given | Intervention | Keep]) -> str:
+def _treatment(
+    record: dict[str, Any], name: str, parse: Callable[[str], Initial | Given | Vary | Intervention | Keep]
+) -> str:
     text = checks.text(record, name, default="")
     try:
         return text and str(parse(text))

@@ -1,7 +1,8 @@
-"""How a run differs from a plain one: how environments begin, what is done to them on the way, what is kept of them.
+"""How a run differs from a plain one: how environments begin, which parameters they have, what is done to them on the
+way, what is kept of them.
 
 Each is a short text in a RunConfiguration. A probe asks whether something matters that should not, by runs that differ
-in one of the first two.
+in one of the first three.
 """
 
 from __future__ import annotations
@@ -12,6 +13,16 @@ from dataclasses import dataclass
 MOST_SPREAD = 3.0
 """Of initial states [m/s or rad]."""
 
+MOST_METRES = 1e9
+"""Of the bounds of environments."""
+
+VARIED_SPREAD = 0.9
+"""Of parameters that vary, at most: every factor is above zero."""
+
+VARIED = "varied.npz"
+"""Attachment with the factors of parameters that vary, as of schemas.arrays: QUANTITY [env, item] and QUANTITY/items,
+the names of bodies, links or the robot."""
+
 GIVEN = "initial.npz"
 """Attachment with the states that a run was given to begin with, as of schemas.arrays."""
 
@@ -20,10 +31,8 @@ SNAPSHOT = re.compile(r"snapshot-(\d{1,12})\.npz")
 
 _NUMBER = r"[0-9.eE+-]+"
 _INITIAL = re.compile(rf"random:(?P<spread>{_NUMBER})(?:,(?:shift:(?P<shift>\d{{1,8}})|but:(?P<but>\d{{1,8}})))?")
+_VARIED = re.compile(rf"(?P<name>[a-z]+):(?P<value>{_NUMBER})")
 _GIVEN = re.compile(r"(?:states|snapshot:(?P<step>\d{1,12})):(?P<sha256>[0-9a-f]{64})")
-MOST_METRES = 1e9
-"""Of the bounds of environments."""
-
 _KEEP = re.compile(rf"failing(?:,within:(?P<within>{_NUMBER}))?")
 _INTERVENTION = re.compile(r"(?P<kind>[a-z]+)@(?P<step>\d{1,9})(?:\+(?P<more>\d{1,9}))?")
 
@@ -99,6 +108,56 @@ def initial_words(text: str) -> str:
 def snapshot_name(step: int) -> str:
     """Of the attachment with the snapshot after that step."""
     return f"snapshot-{step}.npz"
+
+
+QUANTITIES = {
+    "mass": "of each moving body and link, with its moments of inertia",
+    "friction": "both coefficients of the surface of each moving body, and of a robot",
+    "size": "of each free body, about its centre; the mass stays, the moments of inertia are those of the larger solid",
+}
+"""Parameters that may vary from environment to environment, and what a factor of each scales."""
+
+
+@dataclass(frozen=True)
+class Vary:
+    """Parameters that are drawn for each environment (recorder.run.vary): "mass:SPREAD,friction:SPREAD,size:SPREAD",
+    at least one of them.
+
+    spreads  by quantity, in the order of QUANTITIES: each factor is within 1 +- spread
+    shift    environment e has the parameters that environment e + shift has without it, modulo their number: ",shift:K"
+    but      all environments but this one have other parameters than without it: ",but:E"; None: all as without it
+    """
+
+    spreads: tuple[tuple[str, float], ...]
+    shift: int = 0
+    but: int | None = None
+
+    @classmethod
+    def parse(cls, text: str) -> Vary:
+        """From the text; ValueError where it is none."""
+        given: dict[str, str] = {}
+        for part in text.split(","):
+            found = _VARIED.fullmatch(part)
+            if not found or found["name"] in given:
+                raise ValueError(text)
+            given[found["name"]] = found["value"]
+        places = {name: given.pop(name) for name in ("shift", "but") if name in given}
+        spreads = {name: float(given.pop(name)) for name in QUANTITIES if name in given}
+        if given or not spreads or len(places) > 1 or not all(word.isdecimal() for word in places.values()):
+            raise ValueError(text)
+        if not all(0 < spread <= VARIED_SPREAD for spread in spreads.values()):
+            raise ValueError(text)
+        but = int(places["but"]) if "but" in places else None
+        return cls(tuple(spreads.items()), int(places.get("shift", 0)), but)
+
+    @property
+    def usual(self) -> Vary:
+        """The same, every environment in its own place and with its own parameters."""
+        return Vary(self.spreads)
+
+    def __str__(self) -> str:
+        tail = f",shift:{self.shift}" if self.shift else "" if self.but is None else f",but:{self.but}"
+        return ",".join(f"{name}:{spread!r}" for name, spread in self.spreads) + tail
 
 
 KINDS = {

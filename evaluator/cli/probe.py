@@ -16,6 +16,7 @@ from gpusimbench.schemas.location import place
 from gpusimbench.schemas.parser import Parser
 from gpusimbench.schemas.progress import each, sizes
 from gpusimbench.schemas.text import line, show
+from gpusimbench.schemas.treatment import QUANTITIES, VARIED_SPREAD, Vary
 
 if TYPE_CHECKING:
     from gpusimbench.evaluator.probe.plan import Arm, Plan
@@ -85,6 +86,11 @@ def parser() -> Parser:
         "--spread", type=float, default=_SPREAD, metavar="S",
         help="of initial states that differ [m/s or rad] (default: %(default)s)",
     )  # fmt: skip
+    p.add_argument(
+        "--vary", default="", metavar="NAME:SPREAD[,NAME:SPREAD]",
+        help="parameters that differ from environment to environment, such as mass:0.1,friction:0.2; see gsb-record "
+        "--help-all. An environment keeps its own when it changes slot (default: none)",
+    )  # fmt: skip
     p.add_argument("--seed", type=int, default=0, metavar="N", help="of what is drawn (default: %(default)s)")
     p.add_argument("--quick", action="store_true", help="fewer steps and numbers of environments")
     p.add_argument("--out", type=Path, default=_OUT, metavar="DIR", help="of the recordings (default: %(default)s/)")
@@ -134,7 +140,23 @@ def _check(arguments: argparse.Namespace) -> None:
         value = getattr(arguments, name)
         if value is not None and value < (1 if name == "n_env" else 30):
             raise UsageError(f"--{name.replace('_', '-')} is at least {1 if name == 'n_env' else 30}, not {value}")
+    arguments.vary = arguments.vary and _vary(arguments.vary)
     check_target(arguments.json)
+
+
+def _vary(text: str) -> str:
+    # in the order in which recordings have it; gsb-record says of each simulator what it can vary
+    try:
+        found = Vary.parse(text)
+        if found != found.usual:
+            raise ValueError(text)
+    except ValueError:
+        quantities = ", ".join(f"{name}:SPREAD" for name in QUANTITIES)
+        raise UsageError(
+            f"--vary takes {quantities}, separated by commas, each at most once, with spreads up to "
+            f"{VARIED_SPREAD:g}, not '{text}'"
+        ) from None
+    return str(found)
 
 
 def _given(arguments: argparse.Namespace) -> list[Place]:
@@ -290,6 +312,7 @@ def _plans(arguments: argparse.Namespace) -> list[Plan]:
                 _numbers(arguments, device or "cpu"),
                 arguments.spread,
                 arguments.stride,
+                arguments.vary,
             )
             for level in wanted
         ]

@@ -10,10 +10,12 @@ from dataclasses import dataclass, replace
 
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.runs.groups import GroupKey, key_of
+from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.treatment import (
     Given,
     Initial,
     Intervention,
+    Vary,
     drawn,
     initial_words,
     parse_initial,
@@ -26,7 +28,7 @@ class Arms:
     """What was recorded of one configuration.
 
     key       what all arms have in common; of others than these its number of environments, treatment and what follows
-              from them are empty
+              from them are empty. Where parameters vary, an environment keeps its own when it changes slot
     n_env     of the arms that are compared with each other
     plain     environments that begin alike, and are left alone
     varied    environments that begin differently, and are left alone; `spread` as in their configurations
@@ -66,6 +68,7 @@ def name_of(arms: Arms) -> str:
     key = arms.key
     level = "" if key.determinism == "default" else f", determinism {key.determinism}"
     options = "".join(f", {name}={value}" for name, value in json.loads(key.options).items())
+    options += f", vary {key.vary}" if key.vary else ""
     return f"{key.simulator} {key.version}{level}{options} on {key.device}, {key.scene}"
 
 
@@ -80,7 +83,7 @@ def arms_of(recordings: Sequence[Recording]) -> list[Arms]:
         c = recording.configuration
         how = parse_initial(c.initial) if c.initial else None
         given = isinstance(how, Given) and how.step is None  # which no arm is
-        if "capture" in c.phases and not given and recording.provenance.run_id not in seen:
+        if "capture" in c.phases and not given and _together(c) and recording.provenance.run_id not in seen:
             seen.add(recording.provenance.run_id)
             found.setdefault(_common(recording), []).append(recording)
     made = [_arms(key, alike) for key, alike in _without_followers(found).items()]
@@ -98,10 +101,20 @@ def _anywhere(key: GroupKey) -> GroupKey:
     return replace(key, device="", conditions="", switches="")
 
 
+def _together(c: RunConfiguration) -> bool:
+    # whether parameters of environments that vary change slots as their initial states do
+    if not c.vary:
+        return True
+    vary, initial = Vary.parse(c.vary), drawn(c.initial)
+    return (vary.shift, vary.but) == ((initial.shift, initial.but) if initial else (0, None))
+
+
 def _common(recording: Recording) -> GroupKey:
     options = json.dumps(recording.configuration.options, sort_keys=True)
+    key = key_of(recording)
+    vary = str(Vary.parse(key.vary).usual) if key.vary else ""
     return replace(
-        key_of(recording), n_env=0, initial="", intervention="", warmup=0, timed_steps=0, layout="", origins="",
+        key, n_env=0, initial="", vary=vary, intervention="", warmup=0, timed_steps=0, layout="", origins="",
         options=options,
     )  # fmt: skip
 

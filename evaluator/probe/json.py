@@ -28,6 +28,7 @@ def probe_record(probed: Probed) -> dict[str, Any]:
         "scene": key.scene,
         "determinism": key.determinism,
         "options": key.options,
+        "vary": key.vary,
         "seed": key.seed,
         "n_env": arms.n_env,
         "numbers": sorted(arms.by_number),

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 from gpusimbench.schemas.configuration import RunConfiguration
-from gpusimbench.schemas.treatment import Initial, Intervention
+from gpusimbench.schemas.treatment import Initial, Intervention, Vary, drawn
 
 CONFIRMED = 2
 """Further runs of arms that differ."""
@@ -73,6 +73,8 @@ class Plan:
     n_env    environments of the usual runs
     numbers  other numbers of environments
     spread   of initial states that differ [m/s or rad]
+    vary     parameters that differ from environment to environment, as of a RunConfiguration, for environments in
+             their usual slots; empty: none. They change slots where initial states do, and are others where those are
     stride   of the recorded states, which divides `steps`; hashes are recorded at every step. Of runs with more than
              MANY times as many environments as the usual ones, only the first and the last state are recorded
     """
@@ -87,6 +89,7 @@ class Plan:
     numbers: tuple[int, ...]
     spread: float
     stride: int = 1
+    vary: str = ""
 
     def arms(self) -> Iterator[Arm]:
         """All runs, in order: those that are alike come first and last, so that a drift of the machine shows."""
@@ -125,12 +128,19 @@ class Plan:
 
     def has(self, c: RunConfiguration) -> bool:
         """Whether a run is an arm of this plan."""
-        found = (c.simulator, c.scene, c.determinism, c.seed, c.steps, c.stride, c.option_words)
+        found = (c.simulator, c.scene, c.determinism, c.seed, c.steps, c.stride, c.option_words, c.vary)
         asked = (
             self.simulator, self.scene, self.determinism, self.seed, self.steps, self._stride(c.n_env),
-            sorted(self.options),
+            sorted(self.options), self._varied(c.initial),
         )  # fmt: skip
         return found == asked and arm_of(c) in {*self.arms(), self.priced}
+
+    def _varied(self, begins: str) -> str:
+        # parameters of environments that begin so
+        initial = drawn(begins)
+        if not self.vary or initial is None:
+            return self.vary
+        return str(Vary(Vary.parse(self.vary).spreads, initial.shift, initial.but))
 
     def _stride(self, n_env: int) -> int:
         return self.steps if n_env > MANY * self.n_env else self.stride
@@ -148,6 +158,7 @@ class Plan:
         given += ["--n-env", str(arm.n_env), "--runs", "1", "--steps", str(self.steps), "--seed", str(self.seed)]
         given += ["--stride", str(self._stride(arm.n_env))]
         given += ["--initial", arm.initial] if arm.initial else []
+        given += ["--vary", self._varied(arm.initial)] if self.vary else []
         given += ["--intervene", arm.intervention] if arm.intervention else []
         given += ["--snapshot", str(arm.snapshot)] if arm.snapshot else []
         # the timed phase passes the step at which the capture ends, so that both have a hash of it

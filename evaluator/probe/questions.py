@@ -154,6 +154,8 @@ def _runs(arms: Arms) -> Asked | Missing:
 
 def _envs(arms: Arms) -> Asked | Missing:
     """Environment 0 with all others of a run in which all begin alike."""
+    if arms.key.vary:
+        return Missing(f"environments differ by --vary {arms.key.vary}")
     if not arms.plain:
         return Missing("needs a run whose environments begin alike")
     if arms.n_env < 2:
@@ -180,7 +182,7 @@ def _numbers(arms: Arms) -> Asked | Missing:
     parts += [
         f"not with {how.partition(' ')[0]}: {shorten(why, _WHY, placeholder=' ...')}" for how, why in others.items()
     ]
-    return _worst(found, f"{arms.n_env} environments and {listed} of the same initial states", "; ".join(parts))
+    return _worst(found, f"{arms.n_env} environments and {listed} of the same {_begun(arms)}", "; ".join(parts))
 
 
 def _other_number(how: str, n_env: int) -> bool:
@@ -197,7 +199,7 @@ def _slots(arms: Arms) -> Asked | Missing:
         return Missing("needs a run whose initial states are in other slots")
     shift = Initial.parse(arms.shifted.configuration.initial).shift
     pairs = tuple(((env + shift) % arms.n_env, env) for env in range(arms.n_env))
-    return _told(held(Pairs(base, arms.shifted, pairs)), f"the same initial states, {shift} slots further")
+    return _told(held(Pairs(base, arms.shifted, pairs)), f"the same {_begun(arms)}, {shift} slots further")
 
 
 def _neighbours(arms: Arms) -> Asked | Missing:
@@ -209,7 +211,8 @@ def _neighbours(arms: Arms) -> Asked | Missing:
         return Missing("needs a run in which all environments but one begin otherwise")
     kept = Initial.parse(arms.but.configuration.initial).but
     assert kept is not None
-    return _told(held(Pairs(base, arms.but, ((kept, kept),))), f"environment {kept} among neighbours of other states")
+    other = f"environment {kept} among neighbours of other {_begun(arms)}"
+    return _told(held(Pairs(base, arms.but, ((kept, kept),))), other)
 
 
 def _poison(arms: Arms) -> Asked | Missing:
@@ -329,6 +332,11 @@ def _device(arms: Arms) -> Asked | Missing:
 
 def _first(runs: Sequence[Recording]) -> Recording | Missing:
     return runs[0] if runs else Missing("needs a run whose environments begin differently")
+
+
+def _begun(arms: Arms) -> str:
+    """What differs between environments, and goes with them into other slots."""
+    return "initial states and parameters" if arms.key.vary else "initial states"
 
 
 def _treated(arms: Arms, kind: str) -> tuple[Recording, Intervention] | Missing:

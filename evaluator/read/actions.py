@@ -18,6 +18,8 @@ def apart_by_design(actions: tuple[str, ...], configuration: RunConfiguration) -
     """
     if actions:
         return "the environments were given different actions, so they differ by design"
+    if configuration.vary:
+        return f"environments differ by --vary {configuration.vary}"
     if configuration.initial:
         return "the environments began in different states, so they differ by design"
     if configuration.intervention.startswith(("reset@", "poison@")):

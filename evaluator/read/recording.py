@@ -36,6 +36,7 @@ from gpusimbench.evaluator.read.streams import (
     read_memory,
     read_timing,
 )
+from gpusimbench.evaluator.read.varied import Factors, factors_of
 from gpusimbench.schemas import checks, topics
 from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.digest import ContentDigest, content_hash
@@ -49,6 +50,7 @@ from gpusimbench.schemas.messages import enum_values
 from gpusimbench.schemas.progress import moved
 from gpusimbench.schemas.provenance import PROVENANCE, SCENE, SIMULATION, Provenance, Simulation
 from gpusimbench.schemas.source import Source
+from gpusimbench.schemas.treatment import VARIED
 
 _DIGEST_SHARE = 0.5  # of the time that a file takes to be read and verified
 _HASHING = 4  # threads that compute digests of different fields
@@ -211,6 +213,15 @@ class Recording:
             return {}
         try:
             return checks.load(SCENE, text, self._json)
+        except DamagedRecording as error:
+            raise DamagedRecording(f"{self.path}: {error}") from None
+
+    @cached_property
+    def varied(self) -> dict[str, Factors]:
+        """The factors of parameters that differ from environment to environment, by quantity ("mass", ...); empty where
+        none do."""
+        try:
+            return factors_of(self.configuration, self.attachment(VARIED))
         except DamagedRecording as error:
             raise DamagedRecording(f"{self.path}: {error}") from None
 

@@ -22,6 +22,7 @@ from gpusimbench.schemas.configuration import MAX_VIEW, RunConfiguration
 from gpusimbench.schemas.errors import GsbError
 from gpusimbench.schemas.location import Place
 from gpusimbench.schemas.provenance import REAL, Provenance, Simulation
+from gpusimbench.schemas.treatment import VARIED, initial_words
 
 SCHEMA_VERSION = 1
 
@@ -35,8 +36,8 @@ _LONGEST = 600
 
 
 _FIRST = (
-    "status", "integrity", "CAUTION", "sha256", "recorded", "simulator", "scene", "size", "protocol", "determinism",
-    "machine", "gpu 0", "throughput", "states", "failed", "not read", "gate", "LOST",
+    "status", "integrity", "CAUTION", "sha256", "recorded", "simulator", "scene", "size", "varied", "protocol",
+    "determinism", "machine", "gpu 0", "throughput", "states", "failed", "not read", "gate", "LOST",
 )  # fmt: skip
 """What is said without --all."""
 
@@ -153,6 +154,10 @@ def _what(p: Provenance, s: Simulation | None) -> Iterator[tuple[str, str]]:
         yield "size", f"{plural(c.n_env, 'trial')}, measured {times}"
     else:
         yield "size", f"{plural(c.n_env, 'environment')}, dt {c.dt:g} s, seed {c.seed}"
+        if c.initial:
+            yield "initial", f"{initial_words(c.initial)}: environments do not begin in the scene's first state"
+        if c.vary:
+            yield "varied", f"{c.vary}: factors of each environment, in {VARIED}"
         yield "protocol", "; ".join(_asked(c))
         yield "determinism", c.determinism + (" (the engine as it ships)" if c.determinism == "default" else "")
     given = c.options

@@ -142,7 +142,8 @@ def comparable(run: Run) -> tuple[Any, ...]:
     """What two runs must have in common for their states to be compared by bits."""
     c, simulation = run.configuration, run.simulation
     scene = simulation.scene.get("sha256") if simulation else None
-    return (str(scene), c.n_env, c.dt, c.seed if run.apart_by_design else 0, c.initial, c.intervention, run.fields)
+    seed = c.seed if run.apart_by_design else 0
+    return (str(scene), c.n_env, c.dt, seed, c.initial, c.vary, c.intervention, run.fields)
 
 
 def _capture_effect(metric: Metric, group: GroupRuns) -> Estimate:

@@ -57,6 +57,7 @@ class GroupKey:
     warmup, timed_steps protocol of the throughput phase, 0 where it was left out
     determinism         level that was asked for
     initial             how environments begin, empty for all alike
+    vary                which of their parameters differ, empty for none
     intervention        what is done to their state on the way, empty for nothing
     keep                which states are written, empty for all
     options             of the engine in force, JSON; as asked where the run ended before the engine said them
@@ -85,6 +86,7 @@ class GroupKey:
     initial: str = ""
     intervention: str = ""
     keep: str = ""
+    vary: str = ""
 
 
 @dataclass(frozen=True)
@@ -167,6 +169,7 @@ def key_of(recording: Described) -> GroupKey:
         initial=c.initial,
         intervention=c.intervention,
         keep=c.keep,
+        vary=c.vary,
     )
 
 
@@ -241,7 +244,8 @@ def precisions(key: GroupKey) -> list[str]:
 
 
 def _order(key: GroupKey) -> tuple[Any, ...]:
-    settings = (key.determinism, key.initial, key.intervention, key.keep, key.n_env, key.dt, key.switches, key.options)
+    treated = (key.initial, key.vary, key.intervention, key.keep)
+    settings = (key.determinism, *treated, key.n_env, key.dt, key.switches, key.options)
     return (key.scene, key.simulator == REAL, key.simulator, key.version, *settings)
 
 

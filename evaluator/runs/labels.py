@@ -19,7 +19,7 @@ _SHOWN_SETTINGS = 4
 _SHOWN_LENGTH = 60
 
 _ATTRIBUTES = (
-    "version", "device", "scene_hash", "n_env", "dt", "seed", "determinism", "initial", "intervention", "keep",
+    "version", "device", "scene_hash", "n_env", "dt", "seed", "determinism", "initial", "vary", "intervention", "keep",
 )  # fmt: skip
 _PROTOCOL = ("warmup", "timed_steps")
 

@@ -36,6 +36,8 @@ def count_sunk(recording: Recording) -> Sunk | Missing:
     field = next((f for f in recording.fields if f.name == f"{GROUP}/position"), None)
     if field is None:
         return Missing(f"no positions of {GROUP} were recorded")
+    if "size" in recording.configuration.varied:
+        return Missing("sizes of cubes differ from environment to environment (--vary)")
     array = recording.state(GROUP, "position")
     if len(array) < 2:
         return no_states(recording)

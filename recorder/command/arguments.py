@@ -84,6 +84,7 @@ _SIMULATED: dict[str, Any] = {
     "device": (),
     "fitted": (),
     "initial": "",
+    "vary": "",
     "intervene": "",
     "snapshot": "",
     "determinism": "default",
@@ -227,6 +228,12 @@ def parser() -> Parser:
         "drawn within +-SPREAD of the scene's. FILE.mcap or FILE.mcap@STEP takes positions and velocities from a step "
         "of a recording (default: its first), also of another simulator. FILE.npz has arrays named GROUP/FIELD "
         "(default: the scene's initial state in all environments)",
+    )
+    what.add_argument(
+        "--vary",
+        metavar="NAME:SPREAD[,NAME:SPREAD]",
+        help="parameters that differ from environment to environment: mass:0.1,friction:0.2,size:0.05 multiplies each "
+        "moving body's by a factor of its own in each environment, drawn within 1+-SPREAD (default: none)",
     )
     what.add_argument(
         "--tosses",

@@ -30,7 +30,7 @@ def configure(arguments: argparse.Namespace) -> tuple[RunConfiguration, dict[str
     cannot be."""
     with shielded():  # an import that is interrupted shows as one that is broken
         from gpusimbench.recorder.plan import check_dt, parse_snapshots, view_of
-        from gpusimbench.recorder.run import initial, intervention, keep
+        from gpusimbench.recorder.run import initial, intervention, keep, vary
         from gpusimbench.recorder.scenes.model.scene import ModelScene
         from gpusimbench.recorder.sets.given import read_given
         from gpusimbench.recorder.trials.tosses import read_tosses
@@ -78,6 +78,7 @@ def configure(arguments: argparse.Namespace) -> tuple[RunConfiguration, dict[str
         capture=arguments.capture,
         view=view_of(arguments.view_env, off=arguments.no_view, phases=phases, keep=arguments.keep),
         initial=begins,
+        vary=arguments.vary and vary.parse(arguments.vary, arguments.n_env),
         intervention=arguments.intervene and intervention.parse(arguments.intervene),
         keep=arguments.keep and keep.parse(arguments.keep),
         snapshots=parse_snapshots(arguments.snapshot, steps),
@@ -115,7 +116,7 @@ def check_configuration(configuration: RunConfiguration, scene: Scene) -> None:
     """UsageError where no run can be made of it, whoever asks: a number, an option, a determinism level or a scene."""
     with shielded():
         from gpusimbench.recorder.plan import check
-        from gpusimbench.recorder.run import intervention, keep, start
+        from gpusimbench.recorder.run import intervention, keep, start, vary
         from gpusimbench.recorder.simulators.registry import find_simulator
 
     check(configuration)
@@ -133,6 +134,8 @@ def check_configuration(configuration: RunConfiguration, scene: Scene) -> None:
         raise UsageError(refusal)
     keep.check(configuration, scene)
     if refusal := start.refusal(simulator, adapter, options, configuration.initial, configuration.snapshots):
+        raise UsageError(refusal)
+    if refusal := vary.refusal(simulator, adapter, options, scene, configuration.vary):
         raise UsageError(refusal)
     if refusal := intervention.refusal(simulator, adapter, options, configuration.intervention):
         raise UsageError(refusal)
@@ -222,6 +225,7 @@ def replay(arguments: argparse.Namespace, argv: tuple[str, ...]) -> int:
             begun,
             check_room,
             check_scene,
+            check_varied,
             origin,
             read_source,
             replayed,
@@ -245,6 +249,7 @@ def replay(arguments: argparse.Namespace, argv: tuple[str, ...]) -> int:
         scene = scene_of(configuration, inputs)
         check_scene(source, scene)
         check_configuration(configuration, scene)
+        check_varied(source, configuration, scene)
         interpreter = _interpreter(arguments, configuration.simulator)
         if interpreter is not None:
             check_known(interpreter, configuration.simulator, configuration.registered_scene)

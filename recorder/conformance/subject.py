@@ -22,6 +22,7 @@ from gpusimbench.recorder.options import parse_options
 from gpusimbench.recorder.run.environment import apply_environment
 from gpusimbench.recorder.scenes.base import Scene
 from gpusimbench.recorder.scenes.registry import SCENES
+from gpusimbench.recorder.scenes.variation import Variation
 from gpusimbench.recorder.simulators.base import Captured, Description, Simulator, States
 from gpusimbench.recorder.simulators.captured import RING_BLOCKS
 from gpusimbench.recorder.simulators.evidence import Evidence
@@ -125,14 +126,21 @@ class Subject:
         return cls(entry.load(), name=name, options=options, determinism=determinism, entry=entry)
 
     @contextmanager
-    def built(self, scene: Scene, *, n_env: int = N_ENV) -> Iterator[tuple[Simulator, Description]]:
-        """A fresh build of a scene, at its step; closed at the end. NotApplicable where it needs a missing ability."""
+    def built(
+        self, scene: Scene, *, n_env: int = N_ENV, variation: Variation | None = None
+    ) -> Iterator[tuple[Simulator, Description]]:
+        """A fresh build of a scene, at its step; closed at the end. NotApplicable where it needs a missing ability.
+
+        variation  parameters of each environment; None: the scene's
+        """
         if refusal := self.adapter.refusal(self.name, scene, self.options):
             raise NotApplicable(refusal)
         simulator = self.adapter(
             scene, n_env=n_env, dt=scene.dt, seed=SEED, options=self.options, determinism=self.determinism
         )
         try:
+            if variation is not None:
+                simulator.vary(variation)
             yield simulator, simulator.build()
         finally:
             simulator.close()

@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from numpy.typing import NDArray
 
+from gpusimbench.recorder.run import draws
+from gpusimbench.recorder.run.draws import GRID
 from gpusimbench.recorder.scenes.base import Scene
 from gpusimbench.recorder.simulators.base import States
 from gpusimbench.schemas.errors import UsageError
 from gpusimbench.schemas.fields import StateField
-from gpusimbench.schemas.mix32 import GOLDEN32, mix32
 from gpusimbench.schemas.treatment import MOST_SPREAD, Initial
-
-GRID = 2.0**-13
-"""What is added is a whole multiple of this [m/s or rad], so that the sum with zero is exact in either precision."""
 
 _STREAM = 0x494E4954  # tells these words from those of actions, which the same seed draws
 
@@ -46,31 +42,9 @@ def states(
 
 
 def draw(initial: Initial, seed: int, field: int, shape: tuple[int, ...]) -> NDArray[np.float64]:
-    """What is added to a field of this shape [env, item, width], the `field`-th of the layout.
-
-    The generator is counter-based, in 32-bit wrapping integers:
-
-        w = mix(mix(mix(seed_low + G) + seed_high + G) + stream)
-        w = mix(w + (field + 1) * G), and the same with the environment, the item and the component
-        added = ((w >> 16) * (2 k + 1) >> 16) - k, times GRID, with k = floor(spread / GRID)
-
-    with mix the finaliser of MurmurHash3, G = 0x9E3779B9 (``schemas.mix32``) and stream 0x494E4954. Environment e
-    counts as (e + shift) modulo their number; with `but`, all others than that one have the stream plus 1.
-    """
-    n_env, *inner = shape
-    envs = (np.arange(n_env) + initial.shift) % n_env
-    stream = np.full(n_env, _STREAM, dtype=np.uint32)
-    if initial.but is not None:
-        stream[np.arange(n_env) != initial.but] += np.uint32(1)
-    golden, most = np.uint32(GOLDEN32), math.floor(initial.spread / GRID)
-    word = np.array([seed & 0xFFFFFFFF], dtype=np.uint32)
-    word = mix32(mix32(word + golden) + np.uint32((seed >> 32) & 0xFFFFFFFF) + golden)
-    word = mix32(mix32(word + stream) + np.array([field + 1], dtype=np.uint32) * golden)
-    word = mix32(word + (envs + 1).astype(np.uint32) * golden)
-    for count in inner:
-        word = mix32(word[..., None] + np.arange(1, count + 1, dtype=np.uint32) * golden)
-    index = (word >> np.uint32(16)) * np.uint32(2 * most + 1) >> np.uint32(16)
-    return np.asarray((index.astype(np.int64) - most) * GRID, dtype=np.float64)
+    """What is added to a field of this shape [env, item, width], the `field`-th of the layout: drawn as
+    ``recorder.run.draws`` says, with the stream 0x494E4954."""
+    return draws.draw(initial, initial.spread, seed=seed, stream=_STREAM, field=field, shape=shape)
 
 
 def parse(text: str, n_env: int) -> str:

@@ -28,6 +28,7 @@ from gpusimbench.recorder.failure import Interrupted, TimedOut, cause_of
 from gpusimbench.recorder.probes.gpu import Gpus
 from gpusimbench.recorder.probes.host import describe_host, numeric_environment, peak_rss_bytes
 from gpusimbench.recorder.probes.software import describe_software, package_list
+from gpusimbench.recorder.run import vary
 from gpusimbench.recorder.run.capture_phase import CapturePhase
 from gpusimbench.recorder.run.engine import Engine
 from gpusimbench.recorder.run.environment import apply_environment
@@ -38,6 +39,7 @@ from gpusimbench.recorder.run.timed_phase import warm_up_and_time
 from gpusimbench.recorder.scenes.base import Scene
 from gpusimbench.recorder.scenes.model import closure
 from gpusimbench.recorder.scenes.registry import scene_of
+from gpusimbench.recorder.scenes.variation import Variation
 from gpusimbench.recorder.simulators.base import Description, Simulator
 from gpusimbench.recorder.simulators.registry import find_simulator
 from gpusimbench.schemas import FORMAT, topics
@@ -53,7 +55,7 @@ from gpusimbench.schemas.provenance import (
     Provenance,
     ReplayOf,
 )
-from gpusimbench.schemas.treatment import GIVEN
+from gpusimbench.schemas.treatment import GIVEN, VARIED
 
 INPUTS = {GIVEN: MEDIA_TYPE, closure.MODEL: closure.MEDIA_TYPE}
 """Files that a run may be given, and the media type of each."""
@@ -170,6 +172,7 @@ class Run:
             interruption.expire_after(configuration.timeout)
             trouble: GsbError | None = None
             scene: Scene | None = None
+            varied: Variation | None = None
             try:
                 scene = scene_of(configuration, self._inputs)
                 adapter = find_simulator(configuration.simulator).load()
@@ -189,6 +192,9 @@ class Run:
             sink.attach(PACKAGES, "text/plain", package_list().encode())
             if scene is not None:
                 sink.attach(SCENE, "application/json", scene.to_json().encode())
+                varied = vary.variation(configuration.vary, scene, n_env=configuration.n_env, seed=configuration.seed)
+                if varied is not None:
+                    sink.attach(VARIED, MEDIA_TYPE, vary.attachment(varied))
             for name, data in self._inputs.items():
                 sink.attach(name, INPUTS[name], data)
             sink.channel(topics.RUN_EVENT, "gsb.v1.Event")
@@ -208,7 +214,7 @@ class Run:
             built = scene
 
             def new_simulator() -> Simulator:
-                return adapter(
+                simulator = adapter(
                     built,
                     n_env=configuration.n_env,
                     dt=configuration.dt,
@@ -216,6 +222,9 @@ class Run:
                     options=options,
                     determinism=configuration.determinism,
                 )
+                if varied is not None:
+                    simulator.vary(varied)
+                return simulator
 
             with Engine(new_simulator, configuration.initial, self._inputs.get(GIVEN)) as engine:
                 with Phase(journal, watch, "init"):

@@ -16,6 +16,7 @@ from pathlib import Path
 from gpusimbench.recorder.plan import free_bytes
 from gpusimbench.recorder.probes.host import memory_bytes
 from gpusimbench.recorder.process.cage import Cage, gib
+from gpusimbench.recorder.run.vary import attachment, variation
 from gpusimbench.recorder.scenes.base import Scene
 from gpusimbench.recorder.scenes.model.closure import MODEL
 from gpusimbench.recorder.sets.finished import outcome_of, run_end
@@ -27,7 +28,7 @@ from gpusimbench.schemas.errors import DamagedRecording, RecordingError, UsageEr
 from gpusimbench.schemas.fields import StateField
 from gpusimbench.schemas.mcap.reader import Container
 from gpusimbench.schemas.provenance import LOGGED, PROVENANCE, REAL, SCENE, SIMULATION, Provenance, ReplayOf, Simulation
-from gpusimbench.schemas.treatment import GIVEN, Given, drawn, initial_words, snapshot_name
+from gpusimbench.schemas.treatment import GIVEN, VARIED, Given, drawn, initial_words, snapshot_name
 
 """What recordings of programs that are no adapter (recorder.log) say of their fresh start."""
 
@@ -212,6 +213,14 @@ def check_scene(source: Source, scene: Scene) -> None:
         )
 
 
+def check_varied(source: Source, configuration: RunConfiguration, scene: Scene) -> None:
+    """UsageError where environments would have other parameters here than the recording says that they had."""
+    c = configuration
+    drawn_here = variation(c.vary, scene, n_env=c.n_env, seed=c.seed)
+    if drawn_here is not None and _attached(source, VARIED) != attachment(drawn_here):
+        raise UsageError(f"{source.path} cannot be replayed: --vary {c.vary} draws other parameters here than it has")
+
+
 def check_room(source: Source, runs: int, folder: Path) -> None:
     """UsageError where this machine has not the memory or the disk for what the recording asks for, at the least."""
     may, why = source.cage.memory(memory_bytes())
@@ -241,7 +250,11 @@ def announcement(source: Source, configuration: RunConfiguration) -> str:
     given = "".join(f", {name}={value}" for name, value in c.options.items())
     level = "" if c.determinism == "default" else f", determinism {c.determinism}"
     initial = c.initial and f"initial {initial_words(c.initial)}"
-    begins = "".join(f", {text}" for text in (initial, c.intervention, c.keep and f"keep {c.keep}") if text)
+    begins = "".join(
+        f", {text}"
+        for text in (initial, c.vary and f"vary {c.vary}", c.intervention, c.keep and f"keep {c.keep}")
+        if text
+    )
     took = "" if source.ran_s is None or source.ran_s > 1e9 else f"; a run took {source.ran_s:.1f} s there"
     line = (
         f"replay of run {source.run_id[:8]}, content {source.content_hash[:12]}: {c.simulator}{given}{level}, "

@@ -1,11 +1,12 @@
 """The contract of a simulator adapter. This page is all that an engine must provide.
 
-An adapter holds N identical environments of one scene. The recorder calls, in this order: the constructor, ``build``
-once, ``compile`` once, then ``prepare``, ``step`` or ``states``, ``evidence`` and ``gates`` any number of times,
-``close``; where only failing environments are kept, ``flight`` instead of ``states``. A capture that needs a fresh
-start gets a new instance, so nothing has to be reset for it. ``snapshot``, ``restore``, ``reset`` and ``set_state``
-come between steps, where ``state_claims`` offers them; ``set_state`` may come right after ``build`` too, and gives
-environments initial states of their own.
+An adapter holds N identical environments of one scene. The recorder calls, in this order: the constructor, ``vary``
+where environments are to differ in their parameters (abilities VARIED_MASS, ...), ``build`` once, ``compile`` once,
+then ``prepare``, ``step`` or ``states``, ``evidence`` and ``gates`` any number of times, ``close``; where only failing
+environments are kept, ``flight`` instead of ``states``. A capture that needs a fresh start gets a new instance, so
+nothing has to be reset for it. ``snapshot``, ``restore``, ``reset`` and ``set_state`` come between steps, where
+``state_claims`` offers them; ``set_state`` may come right after ``build`` too, and gives environments initial states of
+their own.
 
 Importing an adapter's module must be cheap and must not touch a device: engines are imported in ``build``, when the
 environment variables that ``environment`` asks for are set.
@@ -24,6 +25,7 @@ from numpy.typing import NDArray
 from gpusimbench.recorder.abilities import Ability, listed, titles
 from gpusimbench.recorder.options import names_of, parse_options
 from gpusimbench.recorder.scenes.base import Scene
+from gpusimbench.recorder.scenes.variation import Variation
 from gpusimbench.recorder.simulators.captured import Captured, Held, States
 from gpusimbench.recorder.simulators.evidence import Evidence
 from gpusimbench.recorder.simulators.flight import Flight, HostFlight, Watch
@@ -93,6 +95,15 @@ class Simulator(ABC):
         self.seed = seed
         self.options = options
         self.determinism = determinism
+        self.variation: Variation | None = None
+
+    def vary(self, variation: Variation) -> None:
+        """Take the parameters of each environment, before ``build``, as far as the abilities go that are offered.
+
+        Environment e is to move as an environment of the scene ``variation.of(self.scene, e)`` does. ``build`` finds
+        them in ``self.variation``.
+        """
+        self.variation = variation
 
     @classmethod
     def parsed(cls, name: str, scene: Scene, given: Mapping[str, str]) -> Any:

@@ -16,7 +16,7 @@ from gpusimbench.recorder.simulators.mujoco.model import MjcfModel
 _PROTOCOL_STEPS = 1100  # warm-up and timed steps
 _PILOT_ENVS = 16  # of a scene whose environments are given different actions
 _MARGIN = 1.1  # over one trajectory that all environments repeat
-_MARGIN_OF_SAMPLE = 2.0  # over a sample of trajectories, of which many more will be run
+_MARGIN_OF_SAMPLE = 2.0  # over a sample of trajectories, of which many more, or others, will be run
 _ROUND = 32
 
 
@@ -54,8 +54,11 @@ class Need:
         return f"{needed} needed by {what} in {self.steps} steps, times {self.margin:g}, to a multiple of {_ROUND}"
 
 
-def measure(compiled: MjcfModel, *, dt: float, seed: int) -> Need:
-    """Count what the scene needs over the protocol's steps, or its sample time where that is longer."""
+def measure(compiled: MjcfModel, *, dt: float, seed: int, varied: bool = False) -> Need:
+    """Count what the scene needs over the protocol's steps, or its sample time where that is longer.
+
+    varied  environments will have other parameters than the scene; how many there are makes no difference here
+    """
     steps = max(_PROTOCOL_STEPS, round(compiled.scene.sample_time / dt))
     drawn = compiled.scene.actions is not None
     envs = _PILOT_ENVS if drawn else 1
@@ -64,7 +67,7 @@ def measure(compiled: MjcfModel, *, dt: float, seed: int) -> Need:
     for data in compiled.rollout(n_step=steps, seed=seed, n_env=envs):
         contacts, rows = max(contacts, data.ncon), max(rows, data.nefc)
         pairs = max(pairs, overlapping.count(data.geom_xpos))
-    return Need(contacts, rows, pairs, steps, envs, _MARGIN_OF_SAMPLE if drawn else _MARGIN)
+    return Need(contacts, rows, pairs, steps, envs, _MARGIN_OF_SAMPLE if drawn or varied else _MARGIN)
 
 
 class BoundingSpheres:

@@ -449,3 +449,37 @@ class SaysNotWhatIsMissing(MujocoC):
     @classmethod
     def state_claims(cls, options):
         return replace(super().state_claims(options), reset=Claim(Extent.PARTIAL))
+
+
+class FirstEnvsMasses(MujocoC):
+    """Gives all environments the masses of the first one."""
+
+    def vary(self, variation):
+        first = variation.alike(0).factors["mass"]
+        super().vary(replace(variation, factors={**variation.factors, "mass": first}))
+
+
+class MassesAlone(MujocoC):
+    """Gives environments masses and leaves what follows from them, such as the inverse weights of constraints."""
+
+    def build(self):
+        description = super().build()
+        common = self._compiled.model
+        for model in self._worlds._batch._models or ():
+            for name in ("body_invweight0", "dof_invweight0", "body_inertia"):
+                getattr(model, name)[:] = getattr(common, name)
+        return description
+
+
+class FirstEnvsSizes(MujocoC):
+    """Gives all environments the sizes of the first one."""
+
+    def vary(self, variation):
+        super().vary(replace(variation, factors={**variation.factors, "size": variation.alike(0).factors["size"]}))
+
+
+class AllAlike(MujocoC):
+    """Takes parameters per environment, and builds the scene as it is."""
+
+    def vary(self, variation):
+        pass

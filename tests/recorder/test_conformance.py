@@ -96,6 +96,18 @@ BROKEN = [
     (broken.LosesItsStart, "set_state_is_shown", "linear_velocity after set_state: expected"),
     (broken.SetsNothingElse, "set_state_starts_afresh", "earlier steps leave traces behind set_state"),
     (broken.ClaimsTooMuch, "claims_are_kept", r"snapshot is claimed to be complete, and there is no snapshot\(\)"),
+    (
+        broken.FirstEnvsMasses,
+        "varied_envs_are_those_of_their_scenes",
+        "'left' of environment 1, which has parameters of",
+    ),
+    (
+        broken.FirstEnvsSizes,
+        "varied_envs_are_those_of_their_scenes",
+        "of environment 1, which has parameters of its own",
+    ),
+    (broken.MassesAlone, "varied_envs_are_those_of_their_scenes", "of environment 0, which has parameters of its own"),
+    (broken.AllAlike, "varied_envs_are_those_of_their_scenes", "of environment 0, which has parameters of its own"),
     (broken.SaysNotWhatIsMissing, "claims_are_kept", "reset is partial: say why"),
 ]
 
@@ -224,9 +236,9 @@ def test_few_builds() -> None:
             check(subject)
         except NotApplicable:
             continue
-    assert built.count("conformance") == 3
-    assert sorted(set(built)) == ["conformance", "cube-toss", "franka", "free-fall", "inclined-collision"]
-    assert len(built) == 3 + 4 + 1
+    assert (built.count("conformance"), built.count("varied")) == (3, 3)
+    assert sorted(set(built)) == ["conformance", "cube-toss", "franka", "free-fall", "inclined-collision", "varied"]
+    assert len(built) == 3 + 4 + 1 + 3
 
 
 def test_a_build_that_fails_is_not_tried_again() -> None:

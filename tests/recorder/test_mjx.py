@@ -18,7 +18,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gpusimbench.recorder.failure import Refused
+from gpusimbench.recorder.run.vary import refusal, variation
 from gpusimbench.recorder.scenes.franka import franka
+from gpusimbench.recorder.scenes.registry import make_scene
 from gpusimbench.recorder.simulators.registry import find_simulator
 from gpusimbench.schemas.errors import UsageError
 from tests.recorder.engines import PAIR, bits, build, counts, cubes, make
@@ -288,3 +290,43 @@ def test_first_state_is_the_scenes() -> None:
     for layout, array in zip(description.fields, simulator.state(), strict=True):
         assert array.dtype == np.float32
         assert np.allclose(array, getattr(body, layout.field), atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("scene", "vary"), [("inclined-collision", "mass:0.1,friction:0.2,size:0.05"), ("franka", "mass:0.1,friction:0.2")]
+)
+def test_parameters_of_an_environment_are_those_of_its_own_model(scene: str, vary: str) -> None:
+    """Have in an environment's row of the batched model what MJX makes of the model of that environment alone."""
+    import jax
+    from mujoco import mjx
+
+    from gpusimbench.recorder.simulators.mjx.varied import batched, model_fields
+    from gpusimbench.recorder.simulators.mujoco.model import compile_scene
+    from gpusimbench.recorder.simulators.mujoco.options import MjcfOptions
+    from gpusimbench.recorder.simulators.mujoco.varied import compile_varied
+
+    made, options = make_scene(scene), MjcfOptions(cone="pyramidal")
+    drawn = variation(vary, made, n_env=3, seed=0)
+    assert drawn is not None
+    common = compile_scene(made, dt=made.dt, options=options).model
+    models = compile_varied(made, drawn, n_env=3, dt=made.dt, options=options)
+    varied = model_fields(common, models)
+    assert {"body_mass", "body_inertia", "dof_invweight0", "geom_friction", "stat.meaninertia"} <= varied.keys()
+    whole, axes = batched(mjx.put_model(common), varied)
+    assert {axis for axis in jax.tree.leaves(axes, is_leaf=lambda x: x is None) if axis is not None} == {0}
+    taken = [jax.tree_util.keystr(path) for path, _ in jax.tree_util.tree_leaves_with_path(axes)]
+    assert sorted(taken) == sorted(f".{name}" for name in varied)
+    for env in (0, 2):
+        alone = dict(jax.tree_util.tree_leaves_with_path(mjx.put_model(models[env])))
+        for path, leaf in jax.tree_util.tree_leaves_with_path(whole):
+            own = leaf[env] if jax.tree_util.keystr(path) in taken else leaf
+            assert np.array_equal(np.asarray(own), np.asarray(alone[path])), jax.tree_util.keystr(path)
+
+
+def test_parameters_vary_with_jax_alone() -> None:
+    """Name the implementation that can vary parameters, where another was asked for."""
+    adapter = find_simulator("mjx").adapter()
+    scene = make_scene("inclined-collision")
+    assert not refusal("mjx", adapter, adapter.Options(), scene, "mass:0.1")
+    said = refusal("mjx", adapter, adapter.Options(impl="warp"), scene, "mass:0.1,size:0.1")
+    assert said.endswith("it has no masses per environment or sizes per environment: use --impl jax")

@@ -11,9 +11,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gpusimbench import open_recording
+from gpusimbench.recorder.run.vary import variation
 from gpusimbench.recorder.scenes.franka import franka
 from gpusimbench.recorder.scenes.inclined_collision import inclined_collision
-from gpusimbench.schemas.errors import UsageError
+from gpusimbench.recorder.simulators.registry import find_simulator
+from gpusimbench.recorder.simulators.warp.worlds import model_fields
+from gpusimbench.schemas.errors import GsbError, UsageError
 from tests.conftest import Command
 from tests.recorder import engines
 from tests.recorder.engines import PAIR
@@ -151,3 +154,36 @@ def test_a_device_that_is_not_there() -> None:
     """Name the devices that can be asked for."""
     with pytest.raises(UsageError, match="device"):
         build(PAIR, device="cuda:7")
+
+
+def test_parameters_of_worlds() -> None:
+    """Have of each world what MuJoCo compiles of its scene, also what it derives from masses and sizes."""
+    from gpusimbench.recorder.simulators.mujoco.options import MjcfOptions
+    from gpusimbench.recorder.simulators.mujoco.varied import compile_varied
+
+    scene = inclined_collision()
+    drawn = variation("mass:0.1,friction:0.2,size:0.05", scene, n_env=3, seed=1)
+    assert drawn is not None
+    adapter = find_simulator("warp").load()
+    simulator = adapter(scene, n_env=3, dt=scene.dt, seed=1, options=adapter.Options(device="cpu"))
+    simulator.vary(drawn)
+    simulator.build()
+    models = compile_varied(scene, drawn, n_env=3, dt=scene.dt, options=MjcfOptions())
+    for name in (
+        "body_mass", "body_inertia", "body_subtreemass", "body_invweight0", "dof_invweight0", "geom_friction",
+        "geom_size", "geom_aabb", "geom_rbound",
+    ):  # fmt: skip
+        found = getattr(simulator._model, name).numpy()
+        wanted = np.array([getattr(model, name) for model in models], dtype=np.float32)
+        assert np.array_equal(found.reshape(wanted.shape), wanted), name
+    simulator.close()
+
+
+def test_a_field_that_worlds_share() -> None:
+    """Refuse models that differ in what MuJoCo Warp has once for all worlds."""
+    import mujoco
+
+    text = '<mujoco><worldbody><body><joint range="0 1"/><geom size="1" condim="{}"/></body></worldbody></mujoco>'
+    models = [mujoco.MjModel.from_xml_string(text.format(condim)) for condim in (3, 4)]
+    with pytest.raises(GsbError, match="MuJoCo Warp has one 'geom_condim' for all worlds"):
+        model_fields(models[0], models)

@@ -11,6 +11,7 @@ from gpusimbench.evaluator.check.integrity.problem import Kind, Problems
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.runs.validation import demands
 from gpusimbench.schemas.configuration import RunConfiguration
+from gpusimbench.schemas.errors import DamagedRecording
 from gpusimbench.schemas.provenance import LOGGED, REAL, SCENE
 from gpusimbench.schemas.treatment import Intervention
 
@@ -160,6 +161,15 @@ def _scene(recording: Recording, problems: Problems) -> None:
         problems.add(Kind.contradiction, f"{SCENE} is not the scene that simulation.json has the hash of")
 
 
+def _varied(recording: Recording, problems: Problems) -> None:
+    if recording.attachment(SCENE) is None:
+        return  # a run that failed before it knew its scene
+    try:
+        _ = recording.varied
+    except DamagedRecording as error:
+        problems.add(Kind.contradiction, str(error).removeprefix(f"{recording.path}: "))
+
+
 def _dropouts(recording: Recording, problems: Problems) -> None:
     for lost in recording.dropouts:
         problems.add(Kind.dropout, lost)
@@ -169,7 +179,7 @@ _CHECKS: dict[Kind, tuple[Callable[[Recording, Problems], None], ...]] = {
     Kind.clock: (_event_clock, _sampled_clocks, _phases),
     Kind.fingerprint: (_fingerprints,),
     Kind.observer: (_observer,),
-    Kind.contradiction: (_status, _gates, _intervals, _states, _scene),
+    Kind.contradiction: (_status, _gates, _intervals, _states, _scene, _varied),
     Kind.dropout: (_dropouts,),
 }
 """Comparisons by the kind that each finds; one that cannot be read to its end leaves the others as they are."""

@@ -56,6 +56,7 @@ def _blocks(number: int, result: GroupResult) -> Iterator[Block]:
         "simulator": key.simulator, "scene": key.scene, "envs": key.n_env, "dt [s]": key.dt, "seed": key.seed,
         "warm-up steps": key.warmup, "timed steps": key.timed_steps, "determinism": key.determinism,
         **({"initial states": initial_words(key.initial)} if key.initial else {}),
+        **({"varied parameters": key.vary} if key.vary else {}),
         **({"intervention": key.intervention} if key.intervention else {}),
         **({"states kept": key.keep} if key.keep else {}),
         "options": recordings[0].configuration.options if recordings else {},

@@ -61,7 +61,11 @@ def _facts(recording: Recording, envs: tuple[tuple[int, int], ...], sank: Sunk |
         return world
     c = recording.configuration
     setting = Setting(walk, world, c.dt, c.stride, _sample_time(recording), c.initial)
-    return {**_of_states(setting), Check.SANK: _sank(count_sunk(recording) if sank is None else sank)}
+    found = _of_states(setting)
+    if c.vary:
+        why = Missing(f"environments have other parameters than the scene, by which it is checked (--vary {c.vary})")
+        found = {check: fact if check is Check.FINITE else why for check, fact in found.items()}
+    return {**found, Check.SANK: _sank(count_sunk(recording) if sank is None else sank)}
 
 
 def check_described(recording: Recording) -> None:

@@ -56,6 +56,7 @@ from gpusimbench.recorder.conformance.checks.state import (
     set_state_is_shown,
     set_state_starts_afresh,
 )
+from gpusimbench.recorder.conformance.checks.varied import varied_envs_are_those_of_their_scenes
 from gpusimbench.recorder.conformance.subject import Subject
 
 Check = Callable[[Subject], None]
@@ -97,6 +98,7 @@ CHECKS: tuple[Check, ...] = (
     restoring_some_leaves_others,
     set_state_is_shown,
     set_state_starts_afresh,
+    varied_envs_are_those_of_their_scenes,
     run_is_recorded_whole,
     recording_says_what_it_is_of,
     timed_steps_lead_where_captured_ones_do,

@@ -91,11 +91,13 @@ class Caps:
         return {MAX_GEOM_PAIRS: str(self.max_geom_pairs), MAX_CONTACT_POINTS: str(self.max_contact_points)}
 
 
-def choose(compiled: MjcfModel, *, dt: float, seed: int, max_geom_pairs: int, max_contact_points: int) -> Caps:
+def choose(
+    compiled: MjcfModel, *, dt: float, seed: int, max_geom_pairs: int, max_contact_points: int, varied: bool = False
+) -> Caps:
     """Limits as given, 0 standing for what MuJoCo C is seen to need, with a margin (``buffer_sizes``)."""
     pairs_by, contacts_by = "asked for", "asked for"
     if not (max_geom_pairs and max_contact_points):
-        need = measure(compiled, dt=dt, seed=seed)
+        need = measure(compiled, dt=dt, seed=seed, varied=varied)
         if not max_geom_pairs:
             candidates = _most_candidates(compiled, need, seed)
             max_geom_pairs, pairs_by = need.size(candidates), f"bounding spheres: {need.sized_by(candidates)}"
@@ -144,12 +146,13 @@ def _most_candidates(compiled: MjcfModel, need: Need, seed: int) -> int:
 
 
 def _gaps(centres: Any, radii: NDArray[np.floating], pairs: NDArray[np.int64], numbers: Any) -> Any:
-    """Distances between bounding spheres [m], [..., pair], negative where they overlap; centres [..., geom, 3].
+    """Distances between bounding spheres [m], [..., pair], negative where they overlap; centres [..., geom, 3], radii
+    [..., geom].
 
     numbers  numpy or jax.numpy
     """
     apart = centres[..., pairs[:, 1], :] - centres[..., pairs[:, 0], :]
-    reach = radii[pairs[:, 0]] + radii[pairs[:, 1]]
+    reach = radii[..., pairs[:, 0]] + radii[..., pairs[:, 1]]
     return numbers.linalg.norm(apart, axis=-1) - reach.astype(np.float32)
 
 
@@ -157,13 +160,14 @@ class Certificate:
     """Counts on the device what the limits did to the last step.
 
     model  mujoco.MjModel with the limits in it
+    radii  of the geoms' bounding spheres [m], [env, geom]; None: the model's
     """
 
     counter: Counter = CANDIDATE_PAIRS
 
-    def __init__(self, model: Any, caps: Caps) -> None:
+    def __init__(self, model: Any, caps: Caps, radii: NDArray[np.floating] | None = None) -> None:
         groups = pair_groups(model)
-        self._radii = model.geom_rbound
+        self._radii = model.geom_rbound if radii is None else radii
         self._limit = caps.max_geom_pairs
         self._groups = [group.pairs for group in groups if group.limited]
         slots: dict[int, int] = {}

@@ -9,9 +9,11 @@ from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gpusimbench.recorder.failure import Refused
 from gpusimbench.recorder.scenes.base import Scene
+from gpusimbench.recorder.scenes.variation import Variation
 from gpusimbench.recorder.simulators.counters import CANDIDATE_PAIRS, CONSTRAINT_ROWS, CONTACTS, SOLVER_ITERATIONS
 from gpusimbench.recorder.simulators.jax.block import OVERFLOW
 from gpusimbench.recorder.simulators.jax.runtime import JaxOptions
@@ -79,6 +81,7 @@ class MjxModel:
     sizes          arguments of mjx.make_data
     buffers, counters, overflow_bits  as in a Description
     count          a batched mjx.Data -> counts and bits of its last step (``jax_simulator.Physics.count``)
+    varied         fields of mjx.Model that differ from environment to environment, as of mjx.varied
     """
 
     compiled: Any
@@ -88,6 +91,7 @@ class MjxModel:
     counters: tuple[Counter, ...]
     overflow_bits: tuple[OverflowBit, ...]
     count: Callable[[Any], dict[str, Any]] = field(repr=False)
+    varied: dict[str, NDArray[Any]] = field(default_factory=dict, repr=False)
 
     def options(self, asked: MjxOptions, simulator: str) -> dict[str, Any]:
         """All options in force."""
@@ -116,8 +120,17 @@ class MjxModel:
         return data.replace(qpos=qpos, qvel=qvel)
 
 
-def load(scene: Scene, *, n_env: int, dt: float, seed: int, options: MjxOptions, impl: str) -> MjxModel:
-    """Compile a scene for MJX and size its buffers on MuJoCo C."""
+def load(
+    scene: Scene,
+    *,
+    n_env: int,
+    dt: float,
+    seed: int,
+    options: MjxOptions,
+    impl: str,
+    variation: Variation | None = None,
+) -> MjxModel:
+    """Compile a scene for MJX and size its buffers on MuJoCo C; parameters vary with impl=jax alone."""
     from gpusimbench.recorder.simulators.mujoco.model import compile_scene
 
     physics = options.physics(impl)
@@ -125,6 +138,8 @@ def load(scene: Scene, *, n_env: int, dt: float, seed: int, options: MjxOptions,
     if impl == "warp":
         return _for_warp(compiled, n_env=n_env, dt=dt, seed=seed, options=options)
     from gpusimbench.recorder.simulators.mjx import caps as mjx_caps
+    from gpusimbench.recorder.simulators.mjx.varied import model_fields
+    from gpusimbench.recorder.simulators.mujoco.varied import compile_varied
 
     caps = mjx_caps.choose(
         compiled,
@@ -132,9 +147,14 @@ def load(scene: Scene, *, n_env: int, dt: float, seed: int, options: MjxOptions,
         seed=seed,
         max_geom_pairs=options.max_geom_pairs,
         max_contact_points=options.max_contact_points,
+        varied=variation is not None,
     )
     limited = compile_scene(scene, dt=dt, options=physics, numerics=caps.numerics)
-    certificate = mjx_caps.Certificate(limited.model, caps)
+    varied: dict[str, NDArray[Any]] = {}
+    if variation is not None:
+        models = compile_varied(scene, variation, n_env=n_env, dt=dt, options=physics, numerics=caps.numerics)
+        varied = model_fields(limited.model, models)
+    certificate = mjx_caps.Certificate(limited.model, caps, varied.get("geom_rbound"))
     return MjxModel(
         limited,
         impl,
@@ -143,6 +163,7 @@ def load(scene: Scene, *, n_env: int, dt: float, seed: int, options: MjxOptions,
         counters=(CONTACTS, CONSTRAINT_ROWS, CANDIDATE_PAIRS),
         overflow_bits=mjx_caps.BITS,
         count=lambda data: _count_jax(data, certificate, elliptic=physics.cone == "elliptic"),
+        varied=varied,
     )
 
 

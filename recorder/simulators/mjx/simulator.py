@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from typing import Any
 
+from gpusimbench.recorder.abilities import VARIED, Ability
 from gpusimbench.recorder.simulators.jax.simulator import Physics
 from gpusimbench.recorder.simulators.mjx import physics as mjx_physics
 from gpusimbench.recorder.simulators.mjx.physics import MjxModel, MjxOptions
 from gpusimbench.recorder.simulators.mjx.stepper import MjxSimulator
+from gpusimbench.recorder.simulators.mjx.varied import batched
 
 
 class Mjx(MjxSimulator):
@@ -17,14 +19,20 @@ class Mjx(MjxSimulator):
     name = "mjx"
     distribution = "mujoco-mjx"
     covers = "a compiled loop (jax.lax.fori_loop) of vmapped mjx.step over all environments"
+    abilities = MjxSimulator.abilities | frozenset(VARIED.values())
+
+    @classmethod
+    def withheld(cls, options: Any) -> dict[Ability, str]:
+        """See Simulator.withheld."""
+        return {} if options.impl == "jax" else dict.fromkeys(VARIED.values(), "--impl jax")
 
     def _physics_of(self, model: MjxModel, device: Any) -> Physics:
         import jax
         import jax.numpy as jnp
         from mujoco import mjx
 
-        model_on_device = model.put(device)
-        step = jax.vmap(mjx.step, (None, 0))
+        model_on_device, axes = batched(model.put(device), model.varied) if model.varied else (model.put(device), None)
+        step = jax.vmap(mjx.step, (axes, 0))
 
         def initial(qpos: Any, qvel: Any) -> Any:
             one = model.first_data(device, jnp.asarray(qpos[0]), jnp.asarray(qvel[0]))

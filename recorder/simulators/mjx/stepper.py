@@ -36,7 +36,13 @@ class MjxSimulator(JaxSimulator):
         impl = self._implementation()
         with mjx_physics.refusals(impl):
             model = self._model = mjx_physics.load(
-                self.scene, n_env=self.n_env, dt=self.dt, seed=self.seed, options=self.options, impl=impl
+                self.scene,
+                n_env=self.n_env,
+                dt=self.dt,
+                seed=self.seed,
+                options=self.options,
+                impl=impl,
+                variation=self.variation,
             )
             physics = self._physics_of(model, device)
         actions = "" if self.scene.actions is None else "the actions of each step are made in it; "

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gpusimbench.recorder.abilities import BODIES, ROBOTS, Ability
+from gpusimbench.recorder.abilities import BODIES, ROBOTS, VARIED, Ability
 from gpusimbench.recorder.simulators.base import Description, Simulator, States
 from gpusimbench.recorder.simulators.counters import CONSTRAINT_ROWS, CONTACTS
 from gpusimbench.recorder.simulators.evidence import Evidence
@@ -46,7 +46,7 @@ class MujocoC(Simulator):
     """N environments on MuJoCo C."""
 
     Options = MujocoOptions
-    abilities = BODIES | ROBOTS | {Ability.MODELS}
+    abilities = BODIES | ROBOTS | {Ability.MODELS, *VARIED.values()}
     across_releases = {"stepping": "mj_step"}
 
     def build(self) -> Description:
@@ -54,13 +54,17 @@ class MujocoC(Simulator):
         import mujoco
 
         from gpusimbench.recorder.simulators.mujoco.model import KNOWS_AUTORESET, compile_scene
+        from gpusimbench.recorder.simulators.mujoco.varied import compile_varied
         from gpusimbench.recorder.simulators.mujoco.worlds import BatchWorlds, make_worlds
 
         options: MujocoOptions = self.options
         compiled = self._compiled = compile_scene(self.scene, dt=self.dt, options=options)
         self._warnings = [mujoco.mjtWarning(kind).name for kind in range(int(mujoco.mjtWarning.mjNWARNING))]
         threads = options.threads or len(os.sched_getaffinity(0))
-        self._worlds = make_worlds(options.stepping, compiled.model, self.n_env, threads)
+        models = [compiled.model] * self.n_env
+        if self.variation is not None:
+            models = compile_varied(self.scene, self.variation, n_env=self.n_env, dt=self.dt, options=options)
+        self._worlds = make_worlds(options.stepping, models, threads)
         self._worlds.write("qpos", compiled.qpos0)
         self._worlds.write("qvel", compiled.qvel0)
         self._counts: NDArray[np.int64] | None = None  # of the last states; None: to be counted when asked

@@ -22,7 +22,7 @@ from gpusimbench.schemas.errors import UsageError
 
 
 class Worlds(ABC):
-    """n_env environments of one model, in its reset state.
+    """Environments of one model, or of a model each, in the reset state, which all models have in common.
 
     timing_covers  what ``step`` does, as a recording says it
     """
@@ -61,10 +61,12 @@ class BatchWorlds(Worlds):
     timing_covers = "Batch.step of all environments on all threads; no state is copied, nothing is drawn"
     state_names = STATE_COMPONENTS
 
-    def __init__(self, model: Any, n_env: int, threads: int) -> None:
+    def __init__(self, models: Sequence[Any], threads: int) -> None:
         from mujoco.batch import Batch
 
-        self._batch = Batch(model, nsim=n_env, nthread=threads)
+        self._batch = Batch(models[0], nsim=len(models), nthread=threads)
+        if any(model is not models[0] for model in models):
+            self._batch.set_models(models)
         self._batch.reset()
         self._bound = {name: self._batch.bind(name) for name in (*STATE_COMPONENTS, "ncon", "nefc")}
 
@@ -94,11 +96,12 @@ class SeparateWorlds(Worlds):
 
     timing_covers = "mj_step of each environment, on all threads; no state is copied, nothing is drawn"
 
-    def __init__(self, model: Any, n_env: int, threads: int) -> None:
-        self._model = model
-        self._data = [mujoco.MjData(model) for _ in range(n_env)]
-        count = min(threads, n_env)
-        self._shares = [self._data[k::count] for k in range(count)]
+    def __init__(self, models: Sequence[Any], threads: int) -> None:
+        self._models = models
+        self._data = [mujoco.MjData(model) for model in models]
+        count = min(threads, len(models))
+        pairs = list(zip(models, self._data, strict=True))
+        self._shares = [pairs[k::count] for k in range(count)]
         self._pool = ThreadPoolExecutor(count - 1) if count > 1 else None  # the caller's thread takes the first share
 
     @property
@@ -113,14 +116,14 @@ class SeparateWorlds(Worlds):
         for other in others:
             other.result()
 
-    def _advance(self, share: list[Any], n_step: int) -> None:
-        for data in share:
-            mujoco.mj_step(self._model, data, n_step)  # without Python's lock
+    def _advance(self, share: list[tuple[Any, Any]], n_step: int) -> None:
+        for model, data in share:
+            mujoco.mj_step(model, data, n_step)  # without Python's lock
 
     def reset(self, envs: Envs) -> None:
         """See Worlds.reset."""
         for env in self._chosen(envs):
-            mujoco.mj_resetData(self._model, self._data[env])
+            mujoco.mj_resetData(self._models[env], self._data[env])
 
     def read(self, name: str) -> NDArray[Any]:
         """See Worlds.read."""
@@ -145,10 +148,11 @@ class SeparateWorlds(Worlds):
         return list(range(len(self._data))) if envs is None else [int(env) for env in envs]
 
 
-def make_worlds(stepping: str, model: Any, n_env: int, threads: int) -> Worlds:
-    """Environments that are stepped in that way; UsageError where this release of MuJoCo does not have it."""
+def make_worlds(stepping: str, models: Sequence[Any], threads: int) -> Worlds:
+    """An environment of each model, which may be the same one, stepped in that way; UsageError where this release of
+    MuJoCo does not have it."""
     there = find_spec("mujoco.batch") is not None
     if stepping == "batch" and not there:
         raise UsageError(f"stepping=batch: MuJoCo {mujoco.__version__} has no mujoco.batch; use stepping=mj_step")
     kind = BatchWorlds if there and stepping != "mj_step" else SeparateWorlds
-    return kind(model, n_env, threads)
+    return kind(models, threads)

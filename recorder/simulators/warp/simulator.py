@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gpusimbench.recorder.abilities import BODIES, ROBOTS, Ability
+from gpusimbench.recorder.abilities import BODIES, ROBOTS, VARIED, Ability
 from gpusimbench.recorder.failure import Refused, cause_of
 from gpusimbench.recorder.simulators.base import Description, Simulator, States
 from gpusimbench.recorder.simulators.counters import CONSTRAINT_ROWS, CONTACTS, SOLVER_ITERATIONS
@@ -72,7 +72,7 @@ class MujocoWarp(Simulator):
     """N environments, the worlds of one mujoco_warp.Data."""
 
     Options = WarpOptions
-    abilities = BODIES | ROBOTS | {Ability.MODELS}
+    abilities = BODIES | ROBOTS | {Ability.MODELS, *VARIED.values()}
     timing_interval = 10
     draws_actions = True
     blocks_ahead = 2
@@ -101,15 +101,22 @@ class MujocoWarp(Simulator):
 
         from gpusimbench.recorder.simulators.buffer_sizes import measure
         from gpusimbench.recorder.simulators.mujoco.model import compile_scene
+        from gpusimbench.recorder.simulators.mujoco.varied import compile_varied
 
         compiled = self._compiled = compile_scene(self.scene, dt=self.dt, options=options)
-        need = measure(compiled, dt=self.dt, seed=self.seed)
+        need = measure(compiled, dt=self.dt, seed=self.seed, varied=self.variation is not None)
         self._nconmax = options.nconmax or need.size(need.pool)
         self._njmax = options.njmax or need.size(need.rows)
         self._fatal = sum(int(bit) for bit in mjw.OverflowType if bit.name not in (*_HARMLESS, "NONE", "ALL"))
         # the engine never resets a world that went bad, and does not know the flag that forbids it
         compiled.model.opt.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
-        self._model = self._try(lambda: mjw.put_model(compiled.model))
+        varied = {}
+        if self.variation is not None:
+            models = compile_varied(self.scene, self.variation, n_env=self.n_env, dt=self.dt, options=options)
+            varied = worlds.model_fields(compiled.model, models)
+        self._model = self._try(lambda: mjw.put_model(compiled.model, batch_sizes=dict.fromkeys(varied, self.n_env)))
+        for name, array in varied.items():
+            getattr(self._model, name).assign(array)
         self._model.opt.warn_overflow = 0  # the bits are recorded; printing them at every step would fill the log
         if bits:
             self._model.opt.deterministic = sum(int(mjw.DeterminismType[bit]) for bit in bits)

@@ -1,8 +1,9 @@
-"""The state of worlds in a mujoco_warp.Data: saved, assigned and reset, all of them or some."""
+"""The state of worlds in a mujoco_warp.Data: saved, assigned and reset, all of them or some; the parameters of each."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import fields
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,9 @@ from numpy.typing import NDArray
 
 from gpusimbench.recorder.simulators.mujoco.options import STATE_COMPONENTS
 from gpusimbench.recorder.simulators.snapshot import Envs
+from gpusimbench.schemas.errors import GsbError
+
+_OF_SLEEP = ("dof_length",)  # weights of velocities when bodies fall asleep, which no scene lets them
 
 
 def kept(data: Any) -> dict[str, NDArray[Any]]:
@@ -37,3 +41,20 @@ def reset(model: Any, data: Any, envs: Envs) -> None:
     bits = data.overflow.numpy().copy()
     mjw.reset_data(model, data, wp.array(chosen, dtype=bool))
     data.overflow.assign(bits)
+
+
+def model_fields(model: Any, models: Sequence[Any]) -> dict[str, NDArray[Any]]:
+    """Fields of mujoco_warp.Model that differ between the mujoco.MjModels of worlds, [world, ...], by name.
+
+    GsbError where a field differs of which MuJoCo Warp has no copy for each world.
+    """
+    import mujoco_warp as mjw
+
+    from gpusimbench.recorder.simulators.mujoco.varied import varied_fields
+
+    known: dict[str, tuple[Any, ...]] = {field.name: getattr(field.type, "shape", ()) for field in fields(mjw.Model)}
+    found = {name: array for name, array in varied_fields(model, models).items() if known.get(name)}
+    own = {name: array for name, array in found.items() if known[name][0] == "*"}
+    if shared := sorted(found.keys() - own.keys() - {*_OF_SLEEP}):
+        raise GsbError(f"MuJoCo Warp has one '{shared[0]}' for all worlds, and with these parameters it differs")
+    return own
