@@ -148,7 +148,11 @@ def _what(p: Provenance, s: Simulation | None) -> Iterator[tuple[str, str]]:
     c = p.configuration
     yield "simulator", f"{c.simulator} {s.version} on {s.device}" if s else f"{c.simulator}, which was never built"
     digest = str(brief(s.scene.get("sha256", "")))[:12] if s else ""
-    yield "scene", f"{c.scene} ({f'sha256 {digest}' if digest else 'without a description'})"
+    model = ""
+    if c.model:
+        begins = f"begins in keyframe {c.keyframe}" if c.keyframe != "none" else "begins in the reference state"
+        model = f"; a model file, which is attached; {begins}; actions {c.actions}"
+    yield "scene", f"{c.scene} ({f'sha256 {digest}' if digest else 'without a description'}){model}"
     if c.simulator == REAL:
         times = f"every {c.dt:g} s, {c.steps + 1} times" if c.steps > 1 else f"at {c.dt:g} s"
         yield "size", f"{plural(c.n_env, 'trial')}, measured {times}"
