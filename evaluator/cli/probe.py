@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import argparse
+import hashlib
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from gpusimbench.evaluator.cli.arguments import local_name
+from gpusimbench.evaluator.cli.arguments import local_name, local_path
 from gpusimbench.evaluator.cli.entry import complain, enter, new_parser
 from gpusimbench.evaluator.cli.json_target import check_target, write_json
 from gpusimbench.schemas.errors import DataLost, ExitCode, NothingComparable, UsageError
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
 
 _OUT = Path("probe")
 _SPREAD = 0.1
+_SCENE = "inclined-collision"
 _STEPS, _QUICK_STEPS = 300, 150
 _NUMBERS = {"cpu": (1, 2, 64), "cuda": (1, 2, 64, 256, 1024, 4096)}
 _QUICK_NUMBERS = (1, 2, 64)
@@ -53,6 +55,7 @@ exit codes:
 examples:
   gsb-probe --sim mujoco --quick
   gsb-probe --sim mjx,warp --determinism default,run-to-run --out invariance
+  gsb-probe --sim mujoco --model robot.xml --quick
   gsb-probe invariance --all
 """
 
@@ -67,7 +70,11 @@ def parser() -> Parser:
     )
     p.add_argument("files", nargs="*", type=place, metavar="FILE", help="recordings of a probe, or folders of them")
     p.add_argument("--sim", metavar="NAME[,NAME]", help="simulators to probe; see gsb-record --list")
-    p.add_argument("--scene", default="inclined-collision", metavar="NAME", help="(default: %(default)s)")
+    p.add_argument("--scene", metavar="NAME", help=f"(default: {_SCENE})")
+    p.add_argument(
+        "--model", type=local_path, metavar="FILE.xml",
+        help="instead of --scene: a model file of your own, as of gsb-record; its actuators are given no actions",
+    )  # fmt: skip
     p.add_argument(
         "--determinism", default="default", metavar="LEVEL[,LEVEL]",
         help="levels to probe, or all that have an effect on this machine's device (default: %(default)s)",
@@ -98,8 +105,8 @@ def parser() -> Parser:
     p.add_argument("--gate", action="store_true", help="end with 4 where an answer is no, and with 5 where one is open")
     p.add_argument("--json", type=local_name, metavar="FILE", help="write the answers as JSON; - for standard output")
     p.show_first(
-        "--sim", "--scene", "--determinism", "--option", "--n-env", "--numbers", "--quick", "--out", "--all", "--gate",
-        "--json",
+        "--sim", "--scene", "--model", "--determinism", "--option", "--n-env", "--numbers", "--quick", "--out", "--all",
+        "--gate", "--json",
     )  # fmt: skip
     return p
 
@@ -136,6 +143,8 @@ def run(arguments: argparse.Namespace, command: str) -> int:
 def _check(arguments: argparse.Namespace) -> None:
     if bool(arguments.sim) == bool(arguments.files):
         raise UsageError("name simulators to probe with --sim, or recordings of a probe, not both and not neither")
+    if arguments.scene is not None and arguments.model is not None:
+        raise UsageError("--model and --scene both say what is simulated; give one of them")
     for name in ("n_env", "steps"):
         value = getattr(arguments, name)
         if value is not None and value < (1 if name == "n_env" else 30):
@@ -283,10 +292,14 @@ def _there(out: Path, plan: Plan) -> list[Recording]:
 
 
 def _plans(arguments: argparse.Namespace) -> list[Plan]:
-    from gpusimbench.evaluator.compute.recorder import about
-    from gpusimbench.evaluator.probe.plan import Plan
+    from gpusimbench.evaluator.compute.recorder import about, as_path
+    from gpusimbench.evaluator.probe.plan import Model, Plan
+    from gpusimbench.schemas.model_files import pack
 
     plans = []
+    model = None
+    if arguments.model is not None:
+        model = Model(as_path(arguments.model), hashlib.sha256(pack(arguments.model)).hexdigest())
     for name in filter(None, (part.strip() for part in arguments.sim.split(","))):
         known = about(name)
         chosen = dict(option.partition("=")[::2] for option in arguments.option)
@@ -303,7 +316,7 @@ def _plans(arguments: argparse.Namespace) -> list[Plan]:
         plans += [
             Plan(
                 name,
-                arguments.scene,
+                arguments.scene or _SCENE,
                 level,
                 tuple(arguments.option),
                 arguments.seed,
@@ -313,6 +326,7 @@ def _plans(arguments: argparse.Namespace) -> list[Plan]:
                 arguments.spread,
                 arguments.stride,
                 arguments.vary,
+                model,
             )
             for level in wanted
         ]

@@ -65,6 +65,19 @@ def arm_of(c: RunConfiguration) -> Arm:
 
 
 @dataclass(frozen=True)
+class Model:
+    """A model file that is probed in place of a registered scene. Its actuators are given no actions: those of an
+    environment belong to its slot, and would be the cause of what a change of slots shows.
+
+    path    of the file, as gsb-record takes it
+    sha256  of its files, as of a RunConfiguration
+    """
+
+    path: str
+    sha256: str
+
+
+@dataclass(frozen=True)
 class Plan:
     """The probe of one simulator at one level of determinism.
 
@@ -77,6 +90,7 @@ class Plan:
              their usual slots; empty: none. They change slots where initial states do, and are others where those are
     stride   of the recorded states, which divides `steps`; hashes are recorded at every step. Of runs with more than
              MANY times as many environments as the usual ones, only the first and the last state are recorded
+    model    a model file in place of the scene; None: the scene is a registered one
     """
 
     simulator: str
@@ -90,6 +104,7 @@ class Plan:
     spread: float
     stride: int = 1
     vary: str = ""
+    model: Model | None = None
 
     def arms(self) -> Iterator[Arm]:
         """All runs, in order: those that are alike come first and last, so that a drift of the machine shows."""
@@ -128,9 +143,10 @@ class Plan:
 
     def has(self, c: RunConfiguration) -> bool:
         """Whether a run is an arm of this plan."""
-        found = (c.simulator, c.scene, c.determinism, c.seed, c.steps, c.stride, c.option_words, c.vary)
+        scene, wanted = (c.model, self.model.sha256) if self.model else (c.registered_scene, self.scene)
+        found = (c.simulator, scene, c.determinism, c.seed, c.steps, c.stride, c.option_words, c.vary)
         asked = (
-            self.simulator, self.scene, self.determinism, self.seed, self.steps, self._stride(c.n_env),
+            self.simulator, wanted, self.determinism, self.seed, self.steps, self._stride(c.n_env),
             sorted(self.options), self._varied(c.initial),
         )  # fmt: skip
         return found == asked and arm_of(c) in {*self.arms(), self.priced}
@@ -151,9 +167,10 @@ class Plan:
         saved  the recording with the snapshot that a continued arm begins with
         """
         if arm.continued:
-            given = ["--replay", saved, "--from", str(arm.continued)]
+            given = ["--replay", saved, "--from", str(arm.continued), *(["--allow-model"] if self.model else [])]
             return [*given, "--no-view", "--compression", "zstd", "--out", out]
-        given = ["--sim", self.simulator, "--scene", self.scene, "--determinism", self.determinism]
+        scene = ["--model", self.model.path, "--actions", "none"] if self.model else ["--scene", self.scene]
+        given = ["--sim", self.simulator, *scene, "--determinism", self.determinism]
         given += [f"--option={option}" for option in self.options]
         given += ["--n-env", str(arm.n_env), "--runs", "1", "--steps", str(self.steps), "--seed", str(self.seed)]
         given += ["--stride", str(self._stride(arm.n_env))]

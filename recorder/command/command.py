@@ -94,9 +94,9 @@ def configure(arguments: argparse.Namespace) -> tuple[RunConfiguration, dict[str
 def _scene(arguments: argparse.Namespace) -> tuple[Scene, dict[str, bytes]]:
     # what is simulated, and the files that it consists of, where it is a model of the user's own
     with shielded():
-        from gpusimbench.recorder.scenes.model.closure import MODEL, pack
-        from gpusimbench.recorder.scenes.model.scene import model_scene, scene_name
+        from gpusimbench.recorder.scenes.model.scene import model_scene
         from gpusimbench.recorder.scenes.registry import make_scene, scene_names
+        from gpusimbench.schemas.model_files import MODEL, pack, scene_name
 
     if arguments.model is None:
         for name in ("keyframe", "actions"):
@@ -105,9 +105,7 @@ def _scene(arguments: argparse.Namespace) -> tuple[Scene, dict[str, bytes]]:
         return make_scene(arguments.scene or SCENE), {}
     if arguments.scene is not None:
         raise UsageError("--model and --scene both say what is simulated; give one of them")
-    name = scene_name(arguments.model)
-    if name in scene_names():
-        name += "-model"
+    name = scene_name(arguments.model, scene_names())
     archive = pack(arguments.model)
     return model_scene(name, archive, keyframe=arguments.keyframe, actions=arguments.actions), {MODEL: archive}
 

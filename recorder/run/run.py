@@ -37,12 +37,11 @@ from gpusimbench.recorder.run.journal import Journal, Phase
 from gpusimbench.recorder.run.pace import COMPILE, REBUILD
 from gpusimbench.recorder.run.timed_phase import warm_up_and_time
 from gpusimbench.recorder.scenes.base import Scene
-from gpusimbench.recorder.scenes.model import closure
 from gpusimbench.recorder.scenes.registry import scene_of
 from gpusimbench.recorder.scenes.variation import Variation
 from gpusimbench.recorder.simulators.base import Description, Simulator
 from gpusimbench.recorder.simulators.registry import find_simulator
-from gpusimbench.schemas import FORMAT, topics
+from gpusimbench.schemas import FORMAT, model_files, topics
 from gpusimbench.schemas.arrays import MEDIA_TYPE
 from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.errors import DataLost, GsbError
@@ -57,7 +56,7 @@ from gpusimbench.schemas.provenance import (
 )
 from gpusimbench.schemas.treatment import GIVEN, VARIED
 
-INPUTS = {GIVEN: MEDIA_TYPE, closure.MODEL: closure.MEDIA_TYPE}
+INPUTS = {GIVEN: MEDIA_TYPE, model_files.MODEL: model_files.MEDIA_TYPE}
 """Files that a run may be given, and the media type of each."""
 
 Progress = Callable[[str, int, int], None]

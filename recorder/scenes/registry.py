@@ -62,8 +62,8 @@ def scene_of(configuration: RunConfiguration, inputs: Mapping[str, bytes]) -> Sc
     """
     if not configuration.model:
         return make_scene(configuration.scene)
-    from gpusimbench.recorder.scenes.model.closure import MODEL
     from gpusimbench.recorder.scenes.model.scene import model_scene
+    from gpusimbench.schemas.model_files import MODEL
 
     archive = inputs.get(MODEL, b"")
     if hashlib.sha256(archive).hexdigest() != configuration.model:

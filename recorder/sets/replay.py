@@ -18,7 +18,6 @@ from gpusimbench.recorder.probes.host import memory_bytes
 from gpusimbench.recorder.process.cage import Cage, gib
 from gpusimbench.recorder.run.vary import attachment, variation
 from gpusimbench.recorder.scenes.base import Scene
-from gpusimbench.recorder.scenes.model.closure import MODEL
 from gpusimbench.recorder.sets.finished import outcome_of, run_end
 from gpusimbench.recorder.sets.traces import check_traces, content_bytes, least_memory, peak_bytes, ran_s
 from gpusimbench.schemas.checks import Budget
@@ -27,6 +26,7 @@ from gpusimbench.schemas.digest import attachment_name, content_hash
 from gpusimbench.schemas.errors import DamagedRecording, RecordingError, UsageError
 from gpusimbench.schemas.fields import StateField
 from gpusimbench.schemas.mcap.reader import Container
+from gpusimbench.schemas.model_files import MODEL
 from gpusimbench.schemas.provenance import LOGGED, PROVENANCE, REAL, SCENE, SIMULATION, Provenance, ReplayOf, Simulation
 from gpusimbench.schemas.treatment import GIVEN, VARIED, Given, drawn, initial_words, snapshot_name
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import math
+import shutil
 import zipfile
 from importlib.util import find_spec
 from pathlib import Path
@@ -16,10 +17,10 @@ from hypothesis import strategies as st
 
 from gpusimbench import open_recording
 from gpusimbench.recorder.scenes.actions import Controls, grid_of
-from gpusimbench.recorder.scenes.model.closure import MODEL, pack, unpack
 from gpusimbench.recorder.scenes.model.scene import compiled, model_scene
 from gpusimbench.schemas.errors import DamagedRecording, ExitCode, UsageError
 from gpusimbench.schemas.mcap.reader import Container
+from gpusimbench.schemas.model_files import MODEL, pack, unpack
 from tests.conftest import call
 
 WALKER = Path(__file__).parents[2] / "examples" / "walker" / "walker.xml"
@@ -312,3 +313,20 @@ def test_what_is_said_of_it(command: str, recording: Path) -> None:
     assert done.returncode == 0, done.stderr
     assert "walker" in done.stdout or command == "gsb-check"
     assert "begins in keyframe crouched; actions random:1.0" in " ".join(done.stdout.split()) or command != "gsb-info"
+
+
+@pytest.mark.slow
+def test_a_probe(tmp_path: Path) -> None:
+    """Ask of a model what results depend on; go on in its folder, and begin anew where the model's files are others."""
+    asked = ("--sim", "mujoco", "--quick", "--steps", "30", "--n-env", "3", "--numbers", "1,4", "--out", tmp_path)
+    done = call("gsb-probe", "--model", WALKER, *asked, "--gate")
+    assert done.returncode == 0, done.stdout + done.stderr
+    made = sorted(tmp_path.glob("*.mcap"))
+    assert {open_recording(path).configuration.actions for path in made} == {"none"}
+    assert call("gsb-probe", "--model", WALKER, *asked).returncode == 0
+    assert sorted(tmp_path.glob("*.mcap")) == made
+    shutil.copytree(WALKER.parent, tmp_path / "heavier")
+    heavier = tmp_path / "heavier" / "walker.xml"
+    heavier.write_text(heavier.read_text().replace('mass="3"', 'mass="4"'))
+    assert call("gsb-probe", "--model", heavier, *asked).returncode == 0
+    assert len(sorted(tmp_path.glob("*.mcap"))) == 2 * len(made)

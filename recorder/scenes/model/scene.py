@@ -11,7 +11,6 @@ everything else from the files. State is laid out in MuJoCo's order of bodies an
 from __future__ import annotations
 
 import hashlib
-import re
 import tempfile
 from collections import Counter
 from collections.abc import Collection, Mapping
@@ -21,9 +20,9 @@ from typing import Any
 
 from gpusimbench.recorder.abilities import Ability
 from gpusimbench.recorder.scenes.base import Scene
-from gpusimbench.recorder.scenes.model.closure import unpack
 from gpusimbench.recorder.scenes.model.contents import NO_KEYFRAME, controls_of, keyframe_of, moving, solver_options
 from gpusimbench.schemas.errors import UsageError
+from gpusimbench.schemas.model_files import unpack
 
 BODIES, JOINTS, BALLS = "bodies", "joints", "balls"
 """Groups of the state."""
@@ -56,7 +55,7 @@ class ModelScene(Scene):
     free_bodies    bodies on free joints, in order
     joints         hinges and slides, in order
     balls          ball joints, in order
-    archive        the files (recorder.scenes.model.closure); the description leaves them out
+    archive        the files (schemas.model_files); the description leaves them out
     solver         options of the solver, as the model has them; the description leaves them out
     """
 
@@ -89,11 +88,6 @@ class ModelScene(Scene):
         unlimited = float("-inf"), float("inf")
         limits = [(j.lower, j.upper) if j.lower is not None and j.upper is not None else unlimited for j in self.joints]
         return {JOINTS: tuple(limits)}
-
-
-def scene_name(path: Path) -> str:
-    """What the scene of a model file is called: the file's name, in characters that file names have everywhere."""
-    return re.sub(r"[^A-Za-z0-9_.-]+", "-", path.stem).strip("-.") or "model"
 
 
 def compiled(archive: bytes, numerics: Mapping[str, str] | None = None) -> tuple[str, Any]:

@@ -10,9 +10,10 @@ from __future__ import annotations
 
 import io
 import os
+import re
 import xml.etree.ElementTree as ET
 import zipfile
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 
@@ -31,6 +32,15 @@ MAX_BYTES = 256 << 20
 
 _FILES = ("file", "fileright", "fileleft", "fileup", "filedown", "filefront", "fileback", "filename")
 _FOLDERS = ("meshdir", "texturedir", "assetdir")  # of <compiler>
+
+
+def scene_name(path: Path, taken: Collection[str]) -> str:
+    """What the scene of a model file is called: the file's name, in characters that file names have everywhere.
+
+    taken  names of registered scenes
+    """
+    name = re.sub(r"[^A-Za-z0-9_.-]+", "-", path.stem).strip("-.") or "model"
+    return f"{name}-model" if name in taken else name
 
 
 def pack(path: Path) -> bytes:
