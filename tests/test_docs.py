@@ -110,7 +110,7 @@ def test_the_how_tos(page: Path, tmp_path: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "page", ["README.md", "docs/recording.md", pytest.param("docs/scale.md", marks=pytest.mark.alone)]
+    "page", ["README.md", "docs/recording.md", "docs/timing.md", pytest.param("docs/scale.md", marks=pytest.mark.alone)]
 )
 def test_commands_of_a_page(page: str, tmp_path: Path) -> None:
     """Run every command of a page in a folder that has the sample recordings."""

@@ -232,7 +232,7 @@ def test_radar_and_guidelines(gsb_eval: Command, tmp_path: Path) -> None:
     """Compare simulators of one scene: the faster is best in throughput, and no number is made up."""
     for name, elapsed in (("fast", 1.0), ("slow", 2.0)):
         for run in range(2):
-            write_recording(tmp_path, grid(2), simulator=name, run=run, elapsed_s=elapsed)
+            write_recording(tmp_path, grid(2), simulator=name, run=run, elapsed_s=elapsed, proven=True)
     document = evaluate(gsb_eval, *tmp_path.glob("*.mcap"))
     assert document["radar"]["fast"]["throughput"] == 1.0
     assert document["radar"]["slow"]["throughput"] == 0.0
