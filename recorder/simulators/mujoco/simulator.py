@@ -61,10 +61,8 @@ class MujocoC(Simulator):
         compiled = self._compiled = compile_scene(self.scene, dt=self.dt, options=options)
         self._warnings = [mujoco.mjtWarning(kind).name for kind in range(int(mujoco.mjtWarning.mjNWARNING))]
         threads = options.threads or len(os.sched_getaffinity(0))
-        models = [compiled.model] * self.n_env
-        if self.variation is not None:
-            models = compile_varied(self.scene, self.variation, n_env=self.n_env, dt=self.dt, options=options)
-        self._worlds = make_worlds(options.stepping, models, threads)
+        models = compile_varied(self.scene, self.variation, n_env=self.n_env, dt=self.dt, options=options)
+        self._worlds = make_worlds(options.stepping, models or [compiled.model] * self.n_env, threads)
         self._worlds.write("qpos", compiled.qpos0)
         self._worlds.write("qvel", compiled.qvel0)
         self._counts: NDArray[np.int64] | None = None  # of the last states; None: to be counted when asked

@@ -17,14 +17,16 @@ from gpusimbench.recorder.simulators.mujoco.options import MjcfOptions
 
 def compile_varied(
     scene: Scene,
-    variation: Variation,
+    variation: Variation | None,
     *,
     n_env: int,
     dt: float,
     options: MjcfOptions,
     numerics: dict[str, str] | None = None,
 ) -> list[Any]:
-    """A mujoco.MjModel for each environment; arguments as of compile_scene."""
+    """A mujoco.MjModel for each environment, none where no parameter varies; arguments as of compile_scene."""
+    if variation is None:
+        return []
     scenes = (variation.of(scene, env) for env in range(n_env))
     return [compile_scene(one, dt=dt, options=options, numerics=numerics).model for one in scenes]
 

@@ -110,13 +110,8 @@ class MujocoWarp(Simulator):
         self._fatal = sum(int(bit) for bit in mjw.OverflowType if bit.name not in (*_HARMLESS, "NONE", "ALL"))
         # the engine never resets a world that went bad, and does not know the flag that forbids it
         compiled.model.opt.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
-        varied = {}
-        if self.variation is not None:
-            models = compile_varied(self.scene, self.variation, n_env=self.n_env, dt=self.dt, options=options)
-            varied = worlds.model_fields(compiled.model, models)
-        self._model = self._try(lambda: mjw.put_model(compiled.model, batch_sizes=dict.fromkeys(varied, self.n_env)))
-        for name, array in varied.items():
-            getattr(self._model, name).assign(array)
+        models = compile_varied(self.scene, self.variation, n_env=self.n_env, dt=self.dt, options=options)
+        self._model = self._try(lambda: worlds.put_model(compiled.model, models))
         self._model.opt.warn_overflow = 0  # the bits are recorded; printing them at every step would fill the log
         if bits:
             self._model.opt.deterministic = sum(int(mjw.DeterminismType[bit]) for bit in bits)

@@ -43,6 +43,18 @@ def reset(model: Any, data: Any, envs: Envs) -> None:
     data.overflow.assign(bits)
 
 
+def put_model(model: Any, models: Sequence[Any]) -> Any:
+    """A mujoco.MjModel as a mujoco_warp.Model; with `models`, one of each world, what differs between these has an axis
+    of worlds."""
+    import mujoco_warp as mjw
+
+    varied = model_fields(model, models)
+    put = mjw.put_model(model, batch_sizes=dict.fromkeys(varied, len(models)))
+    for name, array in varied.items():
+        getattr(put, name).assign(array)
+    return put
+
+
 def model_fields(model: Any, models: Sequence[Any]) -> dict[str, NDArray[Any]]:
     """Fields of mujoco_warp.Model that differ between the mujoco.MjModels of worlds, [world, ...], by name.
 
