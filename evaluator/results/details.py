@@ -170,6 +170,22 @@ class BetweenRuns(Details):
 
 
 @dataclass(frozen=True)
+class JointsBetweenEnvs(OverRuns):
+    """Of a distance in joint space between environments: how many joints it is the root mean square of."""
+
+    joints: int = 0
+
+
+@dataclass(frozen=True)
+class JointsBetweenRuns(Details):
+    """The same between runs; see BetweenRuns."""
+
+    n_run: int = 0
+    joints: int = 0
+    interval_why_not: str = ""
+
+
+@dataclass(frozen=True)
 class ToReference(OverRuns):
     """Of W1 to the reference.
 
@@ -293,7 +309,7 @@ class Growth(OverRuns):
 
 @dataclass(frozen=True)
 class OffTheBoard(Details):
-    """Of cubes off the board: how many of how many in all, by run, and environments with any."""
+    """Of bodies off the board: how many of how many in all, by run, and environments with any."""
 
     total: int = 0
     of: int = 0

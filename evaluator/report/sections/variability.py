@@ -33,12 +33,13 @@ from gpusimbench.evaluator.results.metric import Estimate, Metric, Table
 from gpusimbench.evaluator.results.result import GroupResult
 
 _BITS = "Bits: classes of equal states, and the strongest level of equality"
-_OTHERS = "Cubes that were lost, growth of differences, and what capturing changed"
+_OTHERS = "Bodies that were lost, growth of differences, and what capturing changed"
 _DISTANCES = "Distances W1 between planar positions, in cm"
 _LEGEND = (
-    "W1 compares where cubes lie seen from above, whichever cube lies where: cubes that swapped places, or that differ "
-    "in height or angle only, are at distance 0. Only the counts of distinct environments and runs compare all bits.",
-    "clamped: each cube beside the board is put at its nearest edge, so that flight after a fall does not count",
+    "W1 compares where bodies lie seen from above, whichever body lies where: bodies that swapped places, or that "
+    "differ in height or angle only, are at distance 0. Only the counts of distinct environments and runs compare all "
+    "bits.",
+    "clamped: each body beside the board is put at its nearest edge, so that flight after a fall does not count",
     f"{words.EXCHANGED}: W1 of the first two runs (or of the first run and the reference), its mean with whole "
     "environments exchanged between them at random, and the share of exchanges that give as much",
     "0 alone is an exact zero; published tables round, and their 0.00 can hide up to 0.005 cm",
