@@ -139,3 +139,5 @@ JOINT_METRICS = (
     *_made("cm", "slide", "sliding joints", "sliding joints"),
 )
 """Of joints that turn, and of joints that slide: between environments, between runs."""
+
+BETWEEN_ENVS, BETWEEN_RUNS = JOINT_METRICS[::2], JOINT_METRICS[1::2]

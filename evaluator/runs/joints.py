@@ -17,10 +17,7 @@ from gpusimbench.evaluator.runs.outcome import joint_fields
 from gpusimbench.evaluator.runs.positions import no_states
 from gpusimbench.schemas.fields import StateField
 
-NO_JOINTS = Missing(
-    'no joints were recorded: the distance in joint space needs a group with the field "qpos", or of ball joints with '
-    '"orientation"'
-)
+NO_JOINTS = Missing('no joints were recorded (needs a group with the field "qpos", or ball joints with "orientation")')
 
 _ROUND = 1e-3  # by which the length of a quaternion may differ from 1
 

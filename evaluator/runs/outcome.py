@@ -27,10 +27,7 @@ from gpusimbench.schemas import checks
 from gpusimbench.schemas.errors import DamagedRecording
 from gpusimbench.schemas.fields import StateField
 
-NO_BODIES = Missing(
-    "no positions of free bodies were recorded: W1 compares positions in metres, and needs a group of bodies with the "
-    'field "position"'
-)
+NO_BODIES = Missing('no positions of free bodies were recorded (W1 needs a group with the field "position")')
 
 
 def outcome_of(recording: Recording) -> tuple[StateField, ...] | Missing:

@@ -10,6 +10,7 @@ import numpy as np
 from gpusimbench.evaluator.compute.work import Work
 from gpusimbench.evaluator.metrics.variability import sampling_step
 from gpusimbench.evaluator.runs.known_files import read_all
+from gpusimbench.evaluator.runs.outcome import joint_fields, positional
 from gpusimbench.evaluator.runs.reader import Reader, Unreadable
 from gpusimbench.evaluator.runs.run import Run
 from gpusimbench.schemas.location import Place
@@ -36,9 +37,17 @@ class Sampled:
 def notes_on(shorter: Mapping[str, float], time: float, runs: Sequence[Run]) -> list[str]:
     """What is to be said of each scene that is compared at another time than `time` [s]; see Sampled."""
     return [
-        f"{scene}: positions are compared at {at:g} s, {_why(at, time, [r for r in runs if _scene(r) == scene])}"
+        f"{scene}: {_what(ours)} are compared at {at:g} s, {_why(at, time, ours)}"
         for scene, at in shorter.items()
+        for ours in [[run for run in runs if _scene(run) == scene]]
     ]
+
+
+def _what(runs: Sequence[Run]) -> str:
+    joints = any(joint_fields(run.fields) for run in runs)
+    if not joints:
+        return "positions"
+    return "positions and joints" if any(positional(run.fields) for run in runs) else "joints"
 
 
 def _why(at: float, time: float, runs: Sequence[Run]) -> str:

@@ -29,12 +29,18 @@ from gpusimbench.evaluator.results.identity_metrics import (
     EQUALITY_RUNS,
     identical,
 )
+from gpusimbench.evaluator.results.joint_metrics import JOINT_METRICS
 from gpusimbench.evaluator.results.metric import Estimate, Metric, Table
 from gpusimbench.evaluator.results.result import GroupResult
 
 _BITS = "Bits: classes of equal states, and the strongest level of equality"
 _OTHERS = "Bodies that were lost, growth of differences, and what capturing changed"
 _DISTANCES = "Distances W1 between planar positions, in cm"
+_JOINTS = "Distances in joint space: angles in rad, sliding joints in cm"
+_JOINTS_LEGEND = (
+    "root mean square over the joints of the difference of two environments, or of the same environment of two runs; "
+    "hinges and ball joints are in one number, sliding joints in another",
+)
 _LEGEND = (
     "W1 compares where bodies lie seen from above, whichever body lies where: bodies that swapped places, or that "
     "differ in height or angle only, are at distance 0. Only the counts of distinct environments and runs compare all "
@@ -54,6 +60,7 @@ def section(source: Source) -> Section | None:
     bits, apart, others = Reasons(), Reasons(), Reasons()
     distances = [W1_PARALLEL, W1_RUN_TO_RUN, *([W1_REAL] if source.evaluation.reference else [])]
     told = {DISTINCT_ENVS, DISTINCT_RUNS, EQUALITY_ENVS, EQUALITY_RUNS, REGIME, W1_PARALLEL, W1_RUN_TO_RUN, W1_REAL}
+    told |= set(JOINT_METRICS)
     rest = [m for m in source.columns(Table.VARIABILITY) if m not in told and not m.name.endswith(SUFFIX)]
     of_bits = [
         _distinct(DISTINCT_ENVS, EQUALITY_ENVS, bits),
@@ -64,6 +71,7 @@ def section(source: Source) -> Section | None:
     blocks: list[Block] = [
         of_groups("variability-bits", _BITS, results, of_bits, bits, list(types_of(results))),
         of_groups("variability-distances", _DISTANCES, results, [*_apart(distances, apart)], apart, _LEGEND),
+        *_of_joints(results),
         of_groups("variability-others", _OTHERS, results, of_others, others),
     ]
     if not source.evaluation.reference:
@@ -74,6 +82,14 @@ def section(source: Source) -> Section | None:
     if not compared:
         said = "no group has several runs whose bits can be compared"
     return Section("variability", "Variability", tuple(blocks), said, folded=True)
+
+
+def _of_joints(results: Sequence[GroupResult]) -> Iterator[Block]:
+    """Distances in joint space, where a group has any."""
+    if any(known(r.metrics[metric.name].value) is not None for r in results for metric in JOINT_METRICS):
+        reasons = Reasons()
+        columns = [column_of(metric, reasons) for metric in JOINT_METRICS]
+        yield of_groups("variability-joints", _JOINTS, results, columns, reasons, _JOINTS_LEGEND)
 
 
 def _distinct(counted: Metric, level: Metric, reasons: Reasons) -> tuple[Column, Written]:
