@@ -66,8 +66,8 @@ class Found:
     first_step    first step of a at which anything differs, by state hashes where both have them; None: nowhere
     first         the first recorded number; None where no recorded state differs
     max_ulp       largest distance of any recorded number
-    max_distance  largest distance of two positions [m]; where there are none, of two joint angles [rad]; where there are
-                  none of those either, of two sliding joints [m]
+    max_distance  largest distance of two positions [m]; without positions, of two joint angles [rad]; without both, of
+                  two sliding joints [m]
     at_step       step of a of that
     curve         (step of a, largest distance at it), of each recorded state
     unit          "m" or "rad"

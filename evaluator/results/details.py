@@ -295,6 +295,15 @@ class SpreadCurve:
 
 
 @dataclass(frozen=True)
+class AngleCurve:
+    """The same of hinges [rad], where there are no bodies."""
+
+    step: tuple[int, ...]
+    rms_rad: tuple[float | None, ...]
+    largest_rad: tuple[float | None, ...]
+
+
+@dataclass(frozen=True)
 class Growth(OverRuns):
     """Of the rate at which distances grow, by run: doubling times [s], R squared, window of the fit [s].
 
@@ -304,7 +313,7 @@ class Growth(OverRuns):
     doubling_time_s: tuple[float | None, ...] = ()
     r_squared: tuple[float, ...] = ()
     window_s: tuple[tuple[float, float], ...] = ()
-    curve: SpreadCurve | None = None
+    curve: SpreadCurve | AngleCurve | None = None
 
 
 @dataclass(frozen=True)

@@ -21,6 +21,7 @@ from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.results.evaluate import evaluate_files
 from gpusimbench.evaluator.runs.outcome import outcome_of
 from gpusimbench.evaluator.runs.positions import sample_positions
+from gpusimbench.evaluator.runs.spread import spread
 from gpusimbench.recorder.log import RecordingWriter
 from gpusimbench.recorder.scenes.registry import make_scene
 from gpusimbench.schemas.errors import DamagedRecording, UsageError
@@ -325,6 +326,32 @@ def test_names_of_a_hostile_user_are_text(tmp_path: Path) -> None:
     done = call("gsb-diff", *runs(tmp_path, hostile(), 2))
     assert HOSTILE[0] in done.stdout
     assert "\x1b" not in done.stdout
+
+
+def test_joints_come_apart(tmp_path: Path) -> None:
+    """Follow hinges [rad], or slides [m] without a hinge, against the formulas over all pairs of environments."""
+    for layout, unit in (
+        (cart_pole(), "rad"),
+        (Layout("rail", (joint_field("joints", "qpos", "float64", ("a", "b"), slides=("a", "b")),)), "m"),
+    ):
+        path = write(tmp_path, layout, simulator=layout.scene)
+        found = spread(open_recording(path))
+        assert not isinstance(found, Missing)
+        values = states(layout)[0][..., 0][:, :, [1] if unit == "rad" else [0, 1]]
+        apart = values[:, :, None] - values[:, None]
+        pairs = np.triu_indices(layout.n_env, k=1)
+        rms = np.sqrt((apart[:, pairs[0], pairs[1]] ** 2).mean(axis=(1, 2)))
+        assert (found.unit, found.bodies, found.groups) == (unit, False, ("joints",))
+        assert np.allclose(np.array(found.rms, dtype=np.float64), rms, rtol=1e-9, atol=0)
+        assert np.allclose(np.array(found.largest, dtype=np.float64), np.abs(apart[:, :, 0]).max(axis=(1, 2)), atol=0)
+        page = call("gsb-eval", path, "--html", tmp_path / f"of-{layout.scene}", "--no-cache")
+        assert page.returncode == 0, page.stderr
+        told = (tmp_path / f"of-{layout.scene}" / "index.html").read_text(encoding="utf-8")
+        assert f"envs 1 m{unit} apart at [s]" in told
+        assert "the largest distance of a joint from where it is in environment 0" in told
+    body = spread(open_recording(write(tmp_path, humanoid(3), simulator="humanoid")))
+    assert not isinstance(body, Missing)
+    assert (body.unit, body.bodies, body.groups) == ("m", True, ("bodies",))
 
 
 def test_reference_without_bodies(tmp_path: Path) -> None:
