@@ -95,6 +95,9 @@ def evaluate(
         notes.append(
             f"the recordings break rules of {PROTOCOL} {_times(protocol.whole.count)}: gsb-check --protocol names them"
         )
+    if protocol.elsewhere:
+        named = ", ".join(protocol.elsewhere)
+        notes.append(f"{RULE_SET} is for the benchmark's own scenes, and is not asked of {named}")
     found = [
         _evaluate_group(
             g, label, protocol.of(g.recordings), targets.get(g.key.scene) or Missing(why_not), times[g.key.scene], work
