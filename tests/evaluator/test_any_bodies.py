@@ -354,6 +354,18 @@ def test_joints_come_apart(tmp_path: Path) -> None:
     assert (body.unit, body.bodies, body.groups) == ("m", True, ("bodies",))
 
 
+def test_the_protocol_is_for_the_benchmark(tmp_path: Path) -> None:
+    """Ask a user's own scene for no rule of the benchmark, and say so; ask the benchmark's beside it."""
+    own = write(tmp_path, pendulum())
+    evaluation = evaluate([own])
+    assert evaluation.unmet.count == 0
+    assert "protocol-1 is for the benchmark's own scenes, and is not asked of pendulum" in evaluation.notes
+    printed = call("gsb-eval", own, "--all").stdout
+    assert "Every file was read, and every run is complete." in printed
+    beside = evaluate([own, ROOT / "recordings" / "mujoco-amd-r0.mcap"])
+    assert beside.unmet.count == evaluate([ROOT / "recordings" / "mujoco-amd-r0.mcap"]).unmet.count > 0
+
+
 def test_reference_without_bodies(tmp_path: Path) -> None:
     """Say that a recording without bodies is no reference for positions."""
     files = runs(tmp_path, pendulum(), 3)
