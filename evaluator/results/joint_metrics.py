@@ -71,8 +71,14 @@ def _between_envs(unit: str, group: GroupRuns) -> list[float | Missing]:
     if isinstance(spaces, Missing):
         return [spaces] * len(group.runs)
     scale = _UNITS[unit][1]
-    found = {id(run): distance_between_envs(s).mean * scale for run, s in zip(runs, spaces, strict=True)}
+    distinct = {_bits(space): space for space in spaces}  # identical runs are computed once
+    means = {bits: distance_between_envs(space).mean * scale for bits, space in distinct.items()}
+    found = {id(run): means[_bits(space)] for run, space in zip(runs, spaces, strict=True)}
     return [found.get(id(run), Missing("the sample step was not recorded")) for run in group.runs]
+
+
+def _bits(space: JointSpace) -> tuple[bytes, bytes]:
+    return space.coordinates.tobytes(), space.balls.tobytes()
 
 
 def _parallel(metric: Metric, group: GroupRuns) -> Estimate:

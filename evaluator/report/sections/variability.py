@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 from gpusimbench.evaluator.metrics.regime import REGIME_MEANING
 from gpusimbench.evaluator.missing import Missing, known
-from gpusimbench.evaluator.render.document import Block, Cell, Column, Section, Text, Tone
+from gpusimbench.evaluator.render.document import Block, Cell, Column, Section, Table, Text, Tone, items
 from gpusimbench.evaluator.render.numbers import NONE, distance, mean_sd, plural
 from gpusimbench.evaluator.report import words
 from gpusimbench.evaluator.report.sections.rows import Reasons
@@ -30,7 +31,8 @@ from gpusimbench.evaluator.results.identity_metrics import (
     identical,
 )
 from gpusimbench.evaluator.results.joint_metrics import JOINT_METRICS
-from gpusimbench.evaluator.results.metric import Estimate, Metric, Table
+from gpusimbench.evaluator.results.metric import Estimate, Metric
+from gpusimbench.evaluator.results.metric import Table as TableOf
 from gpusimbench.evaluator.results.result import GroupResult
 
 _BITS = "Bits: classes of equal states, and the strongest level of equality"
@@ -61,7 +63,7 @@ def section(source: Source) -> Section | None:
     distances = [W1_PARALLEL, W1_RUN_TO_RUN, *([W1_REAL] if source.evaluation.reference else [])]
     told = {DISTINCT_ENVS, DISTINCT_RUNS, EQUALITY_ENVS, EQUALITY_RUNS, REGIME, W1_PARALLEL, W1_RUN_TO_RUN, W1_REAL}
     told |= set(JOINT_METRICS)
-    rest = [m for m in source.columns(Table.VARIABILITY) if m not in told and not m.name.endswith(SUFFIX)]
+    rest = [m for m in source.columns(TableOf.VARIABILITY) if m not in told and not m.name.endswith(SUFFIX)]
     of_bits = [
         _distinct(DISTINCT_ENVS, EQUALITY_ENVS, bits),
         _distinct(DISTINCT_RUNS, EQUALITY_RUNS, bits),
@@ -70,9 +72,11 @@ def section(source: Source) -> Section | None:
     of_others = [column_of(m, others) if m not in (LEFT_BOARD, SANK) else _cubes(m, others) for m in rest]
     blocks: list[Block] = [
         of_groups("variability-bits", _BITS, results, of_bits, bits, list(types_of(results))),
-        of_groups("variability-distances", _DISTANCES, results, [*_apart(distances, apart)], apart, _LEGEND),
+        *_or_why_not(
+            of_groups("variability-distances", _DISTANCES, results, [*_apart(distances, apart)], apart), _LEGEND
+        ),
         *_of_joints(results),
-        of_groups("variability-others", _OTHERS, results, of_others, others),
+        *_or_why_not(of_groups("variability-others", _OTHERS, results, of_others, others)),
     ]
     if not source.evaluation.reference:
         blocks.append(Text(f"No distance to real trials: {source.evaluation.reference_note}."))
@@ -82,6 +86,14 @@ def section(source: Source) -> Section | None:
     if not compared:
         said = "no group has several runs whose bits can be compared"
     return Section("variability", "Variability", tuple(blocks), said, folded=True)
+
+
+def _or_why_not(found: Table, legend: Sequence[str] = ()) -> Iterator[Block]:
+    """A table with its legend; where no group has anything in it, the reasons alone."""
+    if len(found.columns) > 1:
+        yield replace(found, legend=(*legend, *found.legend))
+    elif found.legend:
+        yield items(*found.legend)
 
 
 def _of_joints(results: Sequence[GroupResult]) -> Iterator[Block]:
