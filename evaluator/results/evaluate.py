@@ -97,7 +97,7 @@ def evaluate(
         )
     if protocol.elsewhere:
         named = ", ".join(protocol.elsewhere)
-        notes.append(f"{RULE_SET} is for the benchmark's own scenes, and is not asked of {named}")
+        notes.append(f"{PROTOCOL} is for the benchmark's own scenes, and is not asked of {named}")
     found = [
         _evaluate_group(
             g, label, protocol.of(g.recordings), targets.get(g.key.scene) or Missing(why_not), times[g.key.scene], work

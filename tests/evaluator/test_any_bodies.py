@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from gpusimbench import compare, diff, evaluate, open_recording
+from gpusimbench.evaluator.check.rules.rule import PROTOCOL
 from gpusimbench.evaluator.metrics.joints import (
     JointSpace,
     distance_between_envs,
@@ -359,7 +360,7 @@ def test_the_protocol_is_for_the_benchmark(tmp_path: Path) -> None:
     own = write(tmp_path, pendulum())
     evaluation = evaluate([own])
     assert evaluation.unmet.count == 0
-    assert "protocol-1 is for the benchmark's own scenes, and is not asked of pendulum" in evaluation.notes
+    assert f"{PROTOCOL} is for the benchmark's own scenes, and is not asked of pendulum" in evaluation.notes
     printed = call("gsb-eval", own, "--all").stdout
     assert "Every file was read, and every run is complete." in printed
     beside = evaluate([own, ROOT / "recordings" / "mujoco-amd-r0.mcap"])
