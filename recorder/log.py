@@ -170,6 +170,15 @@ class RecordingWriter:
         if len({field.name for field in s.fields}) < len(s.fields):
             raise UsageError("two fields have the same group and name")
         for field in s.fields:
+            if topics.parse_state(topics.state(field.group, field.field, 0)) is None:
+                raise UsageError(
+                    f"a group and a field are named by small letters, digits and _, no group is named {topics.VIEW}: "
+                    f"not {field.group!r}, {field.field!r}"
+                )
+            if not field.items or not field.components:
+                raise UsageError(f"{field.name} has no items or no components")
+            if field.item_units and len(field.item_units) != len(field.items):
+                raise UsageError(f"{field.name} has {len(field.item_units)} units, and {len(field.items)} items")
             if len(set(field.items)) < len(field.items):
                 raise UsageError(f"two items of {field.name} have the same name")
         if c.run_index < 0:

@@ -21,9 +21,11 @@ from gpusimbench.evaluator.metrics.variability import sampling_step
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.runs.groups import Group
+from gpusimbench.evaluator.runs.outcome import OutcomeArray, outcome_of
 from gpusimbench.evaluator.runs.positions import sample_positions
 from gpusimbench.evaluator.runs.validation import verify
 from gpusimbench.schemas.errors import DamagedRecording, NothingComparable, UsageError
+from gpusimbench.schemas.fields import StateField
 from gpusimbench.schemas.location import Location
 from gpusimbench.schemas.progress import each
 from gpusimbench.schemas.provenance import REAL
@@ -175,10 +177,13 @@ def _open(replay: Made) -> Recording:
 
 
 def law_of(originals: Sequence[Recording], replays: Sequence[Recording]) -> LawTest | str:
-    """The test of one law over planar positions of the cubes at the sample time, or why there is none."""
-    time = _sample_time(originals[0])
+    """The test of one law over planar positions of the outcome's bodies at the sample time, or why there is none."""
+    outcome = outcome_of(originals[0])
+    if isinstance(outcome, Missing):
+        return outcome.reason
+    time = _sample_time(originals[0], outcome)
     if time is None:
-        return "no positions of cubes were captured, and the test needs them"
+        return "no positions were captured, and the test needs them"
     sides: list[list[npt.NDArray[np.float64]]] = []
     for side in (originals, replays):
         sides.append([])
@@ -188,18 +193,16 @@ def law_of(originals: Sequence[Recording], replays: Sequence[Recording]) -> LawT
                 return f"{recording.path.name}: {positions.reason}"
             sides[-1].append(positions.planar)
     if len({run.shape for side in sides for run in side}) > 1:
-        return "the replays have a different number of environments or cubes"
+        return "the replays have a different number of environments or bodies"
     try:
         return same_law(*sides, time=time)
     except ValueError as error:
         return str(error)
 
 
-def _sample_time(recording: Recording) -> float | None:
+def _sample_time(recording: Recording, outcome: Sequence[StateField]) -> float | None:
     # the scene's own, where it was recorded; else the last recorded step's
-    if not any(field.name == "cubes/position" for field in recording.fields):
-        return None
-    steps, dt = recording.state("cubes", "position").steps, recording.configuration.dt
+    steps, dt = OutcomeArray(recording, outcome).steps, recording.configuration.dt
     if not len(steps):
         return None
     wanted = recording.scene.get("sample_time")

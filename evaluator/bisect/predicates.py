@@ -80,8 +80,8 @@ def first_number(a: Recording, b: Recording) -> str:
 def _apart(found: Difference) -> str:
     # how far bodies get, or joints where there are no bodies
     if isinstance(found.growth, Missing):
-        angles = [field for field in found.compared.fields if field.field.endswith("/qpos") and field.max_distance]
-        return "".join(f"; joints up to {amount(field.max_distance, field.unit)} apart" for field in angles)
+        joints = [field for field in found.compared.fields if "/qpos" in field.field and field.max_distance]
+        return "".join(f"; joints up to {amount(field.max_distance, field.unit)} apart" for field in joints)
     rows = [(d, t) for d, t in zip(found.growth.largest, found.growth.times, strict=True) if d]
     if not rows:
         return ""

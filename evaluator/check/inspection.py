@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any, TypeVar
@@ -290,9 +291,15 @@ def _state(recording: Recording, scan: Scan, described: StateField) -> Array:
         numbers *= size
     streams = [scan.streams[topic] for topic in topics.states_of(scan.streams, described.group, described.field)]
     return Array(
-        described.name, array.shape, described.dtype, described.unit, described.frame, described.note, numbers,
+        described.name, array.shape, described.dtype, _unit(described), described.frame, described.note, numbers,
         sum(s.bytes for s in streams), tuple(sorted({e for s in streams for e in s.encodings})),
     )  # fmt: skip
+
+
+def _unit(field: StateField) -> str:
+    if not field.item_units:
+        return field.unit
+    return ", ".join(f"{unit} ({count})" for unit, count in Counter(field.item_units).items())
 
 
 def _action(recording: Recording, scan: Scan, name: str) -> Array:

@@ -26,6 +26,8 @@ OF_THROUGHPUT = (
 """Rules on the timed window and on evidence of work: a throughput whose recordings break such a rule is no merit.
 Throughputs of different windows are ranked apart anyway."""
 
+_SCENE = "scene"  # the rule that the scene is one of the benchmark's
+
 
 @dataclass(frozen=True)
 class Unmet:
@@ -56,7 +58,11 @@ def unmet_by_file(recording: Recording) -> tuple[str, ...]:
 
 
 class Protocol:
-    """The rules that a set of recordings does not meet, for the whole set and for groups of it."""
+    """The rules that a set of recordings does not meet, for the whole set and for groups of it.
+
+    whole      of the recordings whose scenes are the benchmark's
+    elsewhere  names of the other scenes, for which the protocol is not made
+    """
 
     def __init__(self, recordings: Sequence[Run]) -> None:
         shells = [_shell(cast(Recording, one)) for one in recordings]  # a point's facts are those that a summary has
@@ -74,7 +80,8 @@ class Protocol:
             (frozenset(names[path] for path in finding.files), {finding.rule.id: 1})
             for finding in check(shells, [_rules(Scope.set)]).findings
         ]
-        self.whole = self.of(recordings)
+        self.whole = self.of(one for one in recordings if _SCENE not in one.unmet)
+        self.elsewhere = tuple(dict.fromkeys(one.configuration.scene for one in recordings if _SCENE in one.unmet))
 
     def of(self, recordings: Iterable[Run]) -> Unmet:
         """What some of the recordings do not meet: rules of each file, and of the points that they belong to."""

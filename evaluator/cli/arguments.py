@@ -27,8 +27,8 @@ def add_sample_time(parser: argparse.ArgumentParser) -> None:
         "--sample-time",
         type=float,
         metavar="S",
-        help="simulated time at which positions are compared [s] (default: 5.0; for a scene whose recordings all end "
-        "before, the last time that all of them have)",
+        help="simulated time at which positions and joints are compared [s] (default: what the scene names, 5.0 for "
+        "the built-in ones; where it names none, or all recordings end before, the last time that all of them have)",
     )
 
 

@@ -107,7 +107,8 @@ def parser() -> argparse.ArgumentParser:
     )
     p.add_argument(
         "--outcome", type=float, default=0.01, metavar="CM",
-        help="smallest change of where cubes end that counts (default: %(default)s)",
+        help="smallest change of where bodies end that counts; of joint angles, in hundredths of a radian "
+        "(default: %(default)s)",
     )  # fmt: skip
     p.add_argument(
         "--expect-same",

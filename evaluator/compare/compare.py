@@ -6,13 +6,13 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 from gpusimbench.evaluator.check.protocol import Protocol
-from gpusimbench.evaluator.compare.distances import distances, has_cubes
+from gpusimbench.evaluator.compare.distances import distances, has_positions, joint_distances
 from gpusimbench.evaluator.compare.finding import FAILING, Change, Finding, Question, Settings
 from gpusimbench.evaluator.compare.matching import Pair, check_across, match
 from gpusimbench.evaluator.compare.measures import compared_by
 from gpusimbench.evaluator.compare.mechanics import compare_mechanics
 from gpusimbench.evaluator.compare.numbers import compare_numbers
-from gpusimbench.evaluator.compare.outcome import compare_outcomes, compare_spread
+from gpusimbench.evaluator.compare.outcome import JOINT_OUTCOMES, compare_outcomes, compare_spread
 from gpusimbench.evaluator.compare.sameness import all_alike, compare_bits, compare_determinism
 from gpusimbench.evaluator.compare.schedule import Schedule, schedule
 from gpusimbench.evaluator.compare.sides import Side
@@ -21,6 +21,7 @@ from gpusimbench.evaluator.compute.work import Work
 from gpusimbench.evaluator.report import timed
 from gpusimbench.evaluator.results.aggregate import Runs
 from gpusimbench.evaluator.results.group_runs import GroupRuns
+from gpusimbench.evaluator.results.joint_metrics import JOINT_METRICS
 from gpusimbench.evaluator.results.metric import Axis
 from gpusimbench.evaluator.results.metrics import METRICS
 from gpusimbench.evaluator.results.timed_work import TimedWork, timed_work
@@ -186,14 +187,19 @@ def _draft(pair: Pair, protocols: Sequence[Protocol], settings: Settings, work: 
     for axis in (Axis.THROUGHPUT, Axis.MEMORY, Axis.BUILD):
         numbers(axis)
     add(Axis.PHYSICS, *compare_mechanics(base, head, certain=all_alike(one) and all_alike(other)))
-    between, applies = distances(base, head, work), has_cubes(base, head)
+    between, applies = distances(base, head, work), has_positions(base, head)
+    joints = {unit: joint_distances(base, head, unit) for unit in JOINT_OUTCOMES}
     add(Axis.PHYSICS, compare_outcomes(between, settings, applies=applies))
+    for unit, asked in JOINT_OUTCOMES.items():
+        add(Axis.PHYSICS, compare_outcomes(joints[unit], settings, applies=True, asked=asked))
     add(Axis.VALIDITY, compare_validity(pair))
     numbers(Axis.VALIDITY)
     numbers(Axis.VARIABILITY)
     for metric in METRICS.values():
         if metric.axis is Axis.VARIABILITY and metric.values is None:
-            add(Axis.VARIABILITY, compare_spread(metric, between, settings, applies=applies))
+            of_joints = metric in JOINT_METRICS
+            found = joints[metric.unit] if of_joints else between
+            add(Axis.VARIABILITY, compare_spread(metric, found, settings, applies=applies or of_joints))
     add(Axis.DETERMINISM, *compare_determinism(one, other))
     add(Axis.BITS, compare_bits(base, head))
     timed_base, timed_head = (

@@ -143,7 +143,7 @@ class Settings:
 
     alpha        chance of any false alarm among the statistical comparisons of an invocation
     threshold    smallest relative change that matters: 0.05 is a factor of 1.05, up or down
-    outcome_cm   smallest change of where cubes end that matters [cm]
+    outcome_cm   smallest change of where bodies end that matters [cm]; of joint angles as many hundredths of a radian
     gates        axes that decide
     expect_same  base and head are claimed to be one thing: every difference counts, whatever its axis and direction
     """
@@ -153,6 +153,10 @@ class Settings:
     outcome_cm: float = 0.01
     gates: frozenset[Axis] = DEFAULT_GATES
     expect_same: bool = False
+
+    def least_outcome(self, unit: str) -> float:
+        """Smallest change of where bodies or joints end that matters, in "cm" or "rad": 0.1 mm and 0.1 mrad."""
+        return self.outcome_cm / 100.0 if unit == "rad" else self.outcome_cm
 
     def matters(self, one: float, other: float) -> bool:
         """Whether two positive amounts are apart by more than the threshold, whichever is taken for the other's."""

@@ -161,7 +161,8 @@ def _values(metric: Metric, side: GroupRuns) -> Sequence[float | Missing]:
 
 def matters(metric: Metric, base: float, head: float, settings: Settings) -> bool:
     """Whether two values of a metric, in its base unit, are apart by more than what counts."""
-    least = {"B": _LEAST_BYTES, "cm": settings.outcome_cm}.get(metric.base_unit, 0.0)
+    unit = metric.base_unit
+    least = _LEAST_BYTES if unit == "B" else settings.least_outcome(unit) if unit in ("cm", "rad") else 0.0
     return settings.matters(base, head) and abs(head - base) >= least
 
 

@@ -1,4 +1,4 @@
-"""Where the cubes end: whether head's runs lie apart from base's, and whether they vary as much among themselves."""
+"""Where bodies and joints end: whether head's runs lie apart from base's, and whether they vary as much."""
 
 from __future__ import annotations
 
@@ -10,15 +10,36 @@ from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.results.metric import Axis, Metric
 from gpusimbench.evaluator.statistics.exchange import Shift, compare_distances, compare_within, least_p
 
-_NAME, _TITLE = "outcome", "where cubes end, W1"
-_METHOD = "W1 between the pooled planar positions of two runs at the sample step"
+
+@dataclass(frozen=True)
+class _Question:
+    """What is asked of a distance between runs: its name and title, and how it is called."""
+
+    name: str
+    title: str
+    method: str
+    short: str
+
+
+W1 = _Question(
+    "outcome", "where bodies end, W1", "W1 between the pooled planar positions of two runs at the sample step", "W1"
+)
+_JOINTS = "root mean square over joints of the difference between two runs at the sample step, mean over environments"
+JOINT_OUTCOMES = {
+    "rad": _Question("outcome_joint_angles", "where joints end, angles", _JOINTS, "distance"),
+    "cm": _Question("outcome_joint_slides", "where sliding joints end", _JOINTS, "distance"),
+}
+"""By the unit of the distance."""
+
 _FEW = "needs at least two complete runs on each side"
 
 
 def compare_outcomes(
-    found: Distances | Missing | None, settings: Settings, *, applies: bool
+    found: Distances | Missing | None, settings: Settings, *, applies: bool, asked: _Question = W1
 ) -> Finding | Question | None:
-    """W1 between runs of base and of head, beside W1 between runs of one side; None where no states were captured.
+    """Distance between runs of base and of head, beside that between runs of one side.
+
+    None where no states were captured, or neither side has what the distance is of.
 
     Where all runs of each side are bit-identical, as far as positions at the sample step go, the two outcomes are
     compared as they are; otherwise whole runs are exchanged.
@@ -26,20 +47,20 @@ def compare_outcomes(
     if found is None:
         return None
     if isinstance(found, Missing):
-        return not_compared(Axis.PHYSICS, _NAME, _TITLE, found.reason, applies=applies)
+        return not_compared(Axis.PHYSICS, asked.name, asked.title, found.reason, applies=applies)
     finding = Finding(
-        Axis.PHYSICS, _NAME, _TITLE, Change.SAME, unit="cm", n=found.n, method=f"{_METHOD}{_bounds(found)}",
-        said=_apart(found),
+        Axis.PHYSICS, asked.name, asked.title, Change.SAME, unit=found.unit, n=found.n,
+        method=f"{asked.method}{_bounds(found)}", said=_apart(found),
     )  # fmt: skip
     if all(found.alike):
         if found.same:
             return replace(finding, note="bit-identical in every run at the sample step")
         if min(found.n) > 1:
-            change = Change.CHANGED if found.matrix_cm[0, -1] > settings.outcome_cm else Change.SMALL
+            change = Change.CHANGED if found.matrix[0, -1] > settings.least_outcome(found.unit) else Change.SMALL
             return replace(finding, change=change, note="the runs of each side are bit-identical at the sample step")
     if min(found.n) < 2:
-        return not_compared(Axis.PHYSICS, _NAME, _TITLE, _FEW)
-    return _Outcome(found, finding, settings)
+        return not_compared(Axis.PHYSICS, asked.name, asked.title, _FEW)
+    return _Outcome(found, finding, settings, asked)
 
 
 def compare_spread(
@@ -63,7 +84,7 @@ def compare_spread(
     )  # fmt: skip
     if all(found.alike):
         return replace(finding, note="the runs of each side are bit-identical at the sample step")
-    return _Spread(found, finding, settings)
+    return _Spread(found, finding, settings, W1)
 
 
 @dataclass(frozen=True)
@@ -73,21 +94,27 @@ class _Exchanged:
     found: Distances
     finding: Finding
     settings: Settings
+    asked: _Question
 
     @property
     def least_p(self) -> float:
         """See Question."""
         return least_p(self.found.head, [0] * sum(self.found.n))
 
+    @property
+    def _least(self) -> float:
+        return self.settings.least_outcome(self.found.unit)
+
 
 class _Outcome(_Exchanged):
     def __call__(self, level: float, *, able: bool) -> tuple[Finding, Finding]:
         """See Question."""
-        found = compare_distances(self.found.matrix_cm, self.found.head)
+        found = compare_distances(self.found.matrix, self.found.head)
         shown = replace(
             _tested(self.finding, found),
-            change=Change.CHANGED if found.difference > self.settings.outcome_cm else Change.SMALL,
-            note=f"W1 between runs of different sides minus W1 between runs of one side: {found.difference:.3g} cm",
+            change=Change.CHANGED if found.difference > self._least else Change.SMALL,
+            note=f"{self.asked.short} between runs of different sides minus {self.asked.short} between runs of one "
+            f"side: {found.difference:.3g} {self.found.unit}",
         )
         return shown, replace(shown, change=Change.UNCLEAR, left_open=() if able else (Change.CHANGED,))
 
@@ -95,9 +122,9 @@ class _Outcome(_Exchanged):
 class _Spread(_Exchanged):
     def __call__(self, level: float, *, able: bool) -> tuple[Finding, Finding]:
         """See Question."""
-        found = compare_within(self.found.matrix_cm, self.found.head)
+        found = compare_within(self.found.matrix, self.found.head)
         base, head = self.finding.base or 0.0, self.finding.head or 0.0
-        large = self.settings.matters(base, head) and abs(head - base) >= self.settings.outcome_cm
+        large = self.settings.matters(base, head) and abs(head - base) >= self._least
         change = judged(self.finding.direction, rises=head > base)
         shown = replace(_tested(self.finding, found), change=change if large else Change.SMALL)
         left = () if able else (Change.REGRESSION, Change.IMPROVEMENT)
@@ -119,10 +146,10 @@ def _bounds(found: Distances) -> str:
 
 
 def _apart(found: Distances) -> tuple[str, str]:
-    """Mean distance within each side, and between the two [cm]."""
+    """Mean distance within each side, and between the two."""
     base, head = (
         "" if one is None else f"{one:.3g} within {side}"
         for one, side in zip(found.within(), ("base", "head"), strict=True)
     )
-    between = f"{found.matrix_cm[: found.n[0], found.n[0] :].mean():.3g} between them"
+    between = f"{found.matrix[: found.n[0], found.n[0] :].mean():.3g} between them"
     return base, f"{head}, {between}" if head else between

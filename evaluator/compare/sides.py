@@ -39,7 +39,7 @@ def read_sides(
     sampled = read_sampled(wanted, reader, work, chosen=chosen)
     read = dict(zip(wanted, sampled.files, strict=True))
     one, other = (_side([read[place] for place in places]) for places in (base, head))
-    one = replace(one, notes=(*one.notes, *notes_on(sampled.shorter, sampled.time)))
+    one = replace(one, notes=(*one.notes, *notes_on(sampled.shorter, sampled.time, (*one.files, *other.files))))
     ours = {file.provenance.run_id: file for file in one.files}
     for file in other.files:
         if same := ours.get(file.provenance.run_id):

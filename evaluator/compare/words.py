@@ -190,8 +190,8 @@ def settings_line(result: Result) -> str:
 
 
 def _threshold(finding: Finding, result: Result) -> str:
-    if finding.unit == "cm":
-        return f"{result.settings.outcome_cm:g} cm"
+    if finding.unit in ("cm", "rad"):
+        return f"{result.settings.least_outcome(finding.unit):g} {finding.unit}"
     amounts = [finding.base, finding.head]
     if finding.ci95 and finding.base is not None:
         amounts += [finding.base * end for end in finding.ci95]

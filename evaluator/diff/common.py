@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 
 import numpy as np
@@ -20,12 +20,14 @@ _TOLERANCE = 1e-9
 
 @dataclass(frozen=True)
 class CommonField:
-    """A field that both sides have.
+    """A field that both sides have, or the items of it that have one unit.
 
     a, b                    as each describes it
     items, components       names of what both have, in the order of a
     items_a, components_a   where they are in a; of b likewise
     basis                   what counts as different
+    only                    unit of the items, where the field's items have several; empty where they have one
+    undivided               whether the parts of the field together leave nothing out
     """
 
     a: StateField
@@ -37,15 +39,24 @@ class CommonField:
     components_a: NDArray[np.int64]
     components_b: NDArray[np.int64]
     basis: Basis
+    only: str = ""
+    undivided: bool = False
 
     @property
     def name(self) -> str:
-        """ "group/field"."""
-        return self.a.name
+        """ "group/field", and the unit of a part."""
+        return f"{self.a.name} [{self.only}]" if self.only else self.a.name
+
+    @property
+    def unit(self) -> str:
+        """Of the numbers."""
+        return self.only or self.a.unit
 
     @property
     def whole(self) -> bool:
         """Whether nothing of either side's field is left out or in another order."""
+        if self.only:
+            return self.undivided
         return self.a.items == self.b.items == self.items and self.a.components == self.b.components == self.components
 
     @property
@@ -80,13 +91,15 @@ def common_fields(a: Selection, b: Selection) -> tuple[tuple[CommonField, ...], 
             if not len(of_a) == len(of_b) == len(of_both):
                 left_out.append(f"{field.name}: {len(of_both)} {what} in common, of {len(of_a)} in a, {len(of_b)} in b")
         if shared.items and shared.components:
-            found.append(shared)
+            found += _by_unit(shared)
     left_out += [f"{name}: only in b" for name in theirs]
     return tuple(found), left_out
 
 
 def _why_not(a: StateField, b: StateField) -> str:
-    if a.unit != b.unit:
+    units = dict(zip(b.items, b.units, strict=True))
+    same = [units[item] == unit for item, unit in zip(a.items, a.units, strict=True) if item in units]
+    if same and not any(same):
         return f"in {a.unit} in a, in {b.unit} in b"
     if a.frame != b.frame and {a.frame, b.frame} != {"world", "env"}:
         return f"in frame {a.frame} in a, {b.frame} in b"
@@ -97,7 +110,7 @@ def _why_not(a: StateField, b: StateField) -> str:
 
 
 def _common(a: StateField, b: StateField, left: Selection, right: Selection) -> CommonField:
-    items_a, items_b = _matched(a.items, b.items)
+    items_a, items_b = _matched(list(zip(a.items, a.units, strict=True)), list(zip(b.items, b.units, strict=True)))
     components_a, components_b = _matched(a.components, b.components)
     if (left.offsets(a) != right.offsets(b)).any():
         basis = Basis.LOCAL
@@ -109,7 +122,25 @@ def _common(a: StateField, b: StateField, left: Selection, right: Selection) -> 
     )  # fmt: skip
 
 
-def _matched(a: Sequence[str], b: Sequence[str]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def _by_unit(field: CommonField) -> list[CommonField]:
+    """The parts of a field whose items differ in their units; the field itself where they do not."""
+    units = [field.a.units[item] for item in field.items_a]
+    if len(set(units)) == 1 and not field.a.item_units:
+        return [field]
+    parts = []
+    for unit in dict.fromkeys(units):
+        at = np.flatnonzero([other == unit for other in units])
+        items = tuple(field.items[i] for i in at)
+        parts.append(
+            replace(
+                field, items=items, items_a=field.items_a[at], items_b=field.items_b[at], only=unit,
+                undivided=field.whole,
+            )
+        )  # fmt: skip
+    return parts
+
+
+def _matched(a: Sequence[object], b: Sequence[object]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     at = {name: index for index, name in enumerate(b)}
     pairs = [(index, at[name]) for index, name in enumerate(a) if name in at]
     both = np.array(pairs, dtype=np.int64).reshape(-1, 2)

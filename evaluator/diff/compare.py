@@ -99,7 +99,7 @@ def _compare(a: Selection, b: Selection) -> Difference:
         bodies_of_other_envs=bodies is not None and bodies.any_env and not bodies.in_env,
         first=first,
         max_ulp=max((f.max_ulp for f in walked.fields if f.max_ulp is not None), default=None),
-        growth=walked.growth or Missing(remarks.no_growth(fields)),
+        growth=walked.growth or Missing(remarks.no_growth(fields, states=bool(len(states)))),
         splits=_splits(agreement, classes, no_classes, by_hashes=hashes is not None),
         settings=() if one_recording else differing_settings(a.recording, b.recording),
         copies=not one_recording and a.recording.provenance.run_id == b.recording.provenance.run_id,

@@ -122,7 +122,7 @@ class Tally:
         # zero where nothing differs, and no distance where what differs is not finite
         nothing = 0.0 if self._finite and not self._different else None
         return FieldDifference(
-            field.name, field.a.unit, field.basis, self._numbers, self._different, self._zeros, self._payloads,
+            field.name, field.unit, field.basis, self._numbers, self._different, self._zeros, self._payloads,
             self._not_finite, self._first_step, self._first_ulp, self._max_ulp,
             nothing if self._max_distance is None else self._max_distance, self._negated,
         )  # fmt: skip
@@ -138,7 +138,7 @@ def number(how: Pairing, a: NDArray[Any], b: NDArray[Any], at: tuple[int, ...]) 
     if field.basis is not Basis.LOCAL:
         ulp = int(ulp_distance(*one_dtype(np.array([one]), np.array([other])))[0])
     return Number(
-        field.name, field.items[at[-2]], field.components[at[-1]], field.a.unit, field.basis,
+        field.name, field.items[at[-2]], field.components[at[-1]], field.unit, field.basis,
         str(one), str(other), _hex(one), _hex(other), ulp,
         abs(apart) if np.isfinite(apart) else None, limit if limit is None or np.isfinite(limit) else None,
         bool(np.broadcast_to(how.negated(a, b), np.broadcast_shapes(a.shape, b.shape))[at]),

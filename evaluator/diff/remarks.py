@@ -44,10 +44,12 @@ def nothing(a: Selection, b: Selection, fields: Fields, no_hashes: str) -> str:
     )
 
 
-def no_growth(fields: Fields) -> str:
-    """Why distances cannot be told."""
+def no_growth(fields: Fields, *, states: bool) -> str:
+    """Why distances cannot be told; `states` says whether any common state was recorded."""
     if not any(field.is_position for field in fields):
-        return "no positions of bodies were recorded by both"
+        joints = states and any(field.a.field == "qpos" for field in fields)
+        more = " (of joints, the table of fields has the largest differences)" if joints else ""
+        return f"no positions of bodies were recorded by both{more}"
     return "no states of a common step were recorded"
 
 

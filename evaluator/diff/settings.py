@@ -48,6 +48,8 @@ def _told(recording: Recording) -> Iterator[tuple[str, str]]:
             yield f"state.{field.name}", ", ".join(part for part in about if part)
             yield f"state.{field.name}.items", ", ".join(field.items)
             yield f"state.{field.name}.components", ", ".join(field.components)
+            if field.item_units:
+                yield f"state.{field.name}.units", ", ".join(field.item_units)
         yield "env_origins", _text(simulation.env_origins)
         for deviation in simulation.deviations:
             yield f"deviation.{deviation.parameter}", f"{deviation.used} instead of {deviation.wanted}"

@@ -11,7 +11,15 @@ from numpy.typing import NDArray
 
 from gpusimbench.evaluator.player.classes import Changes, Compared, changes, compared, representatives
 from gpusimbench.evaluator.player.labels import Labels, labels_of
-from gpusimbench.evaluator.player.poses import Items, Surroundings, items_of, recorded_steps, surroundings
+from gpusimbench.evaluator.player.poses import (
+    Items,
+    Surroundings,
+    hidden_groups,
+    items_of,
+    nothing_shown,
+    recorded_steps,
+    surroundings,
+)
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.schemas.errors import NothingComparable, UsageError
 
@@ -99,9 +107,7 @@ def make_clip(
     for recording, steps in zip(recordings, rows, strict=True):
         if not steps.size:
             why = f": {recording.status}: {recording.reason}" if recording.reason else ""
-            raise NothingComparable(
-                f"{recording.path} holds no states of bodies or joints; there is nothing to show{why}"
-            )
+            raise NothingComparable(f"{recording.path} {nothing_shown(recording)}{why}")
     among = compared(recordings)
     chosen = _chosen(recordings, among, envs)
     seen, not_compared = _changes(among, chosen)
@@ -245,7 +251,10 @@ def _notes(
         notes.append(f"{around.left_out} shapes of the scene are not drawn: there are too many")
     shapeless = sum(body not in around.bodies for body in tracks[0].items.bodies)
     if shapeless:
-        notes.append(f"{shapeless} bodies have no known shape and are shown as dots")
+        one = "1 body has no known shape and is shown as a dot"
+        notes.append(one if shapeless == 1 else f"{shapeless} bodies have no known shape and are shown as dots")
+    if hidden := hidden_groups(recordings[0]):
+        notes.append(f"not shown: {', '.join(hidden)} (joints, and scene.json describes no robot that they move)")
     for recording in recordings:
         if recording.status != "complete":
             notes.append(f"recording {recording.path.name} is {recording.status}: {recording.reason}")

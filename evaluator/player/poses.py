@@ -66,6 +66,21 @@ def recorded_steps(recording: Recording) -> NDArray[np.int64]:
     return steps
 
 
+def nothing_shown(recording: Recording) -> str:
+    """Why a recording without steps to show has none: a clause behind its name."""
+    captured = any(len(recording.state(field.group, field.field)) for field in recording.fields)
+    if not captured or _motion(recording, 0).fields:
+        return "holds no states of bodies or joints; there is nothing to show"
+    groups = ", ".join(dict.fromkeys(field.group for field in recording.fields))
+    return f"holds states of {groups}, of which no place follows: scene.json describes no robot that they move"
+
+
+def hidden_groups(recording: Recording) -> list[str]:
+    """Groups of which nothing is shown: they have no positions, and no robot in the scene that their joints move."""
+    shown = {part.group for part in _motion(recording, 0).parts}
+    return [group for group in dict.fromkeys(f.group for f in recording.fields) if group not in shown]
+
+
 def items_of(recording: Recording, env: int, rows: Sequence[range]) -> Items:
     """The items of an environment at some rows, range after range.
 

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from gpusimbench.evaluator.player.poses import hidden_groups, nothing_shown
 from gpusimbench.evaluator.player.view_writer import Shown, ViewWriter
 from gpusimbench.evaluator.read.copying import LIBRARY
 from gpusimbench.evaluator.read.recording import Recording
@@ -66,7 +67,7 @@ def write_view(source: Path, path: Path, *, envs: Sequence[int], rate: float, sp
     rows = _rows(recording, views[0].motion, rate)
     times = _times(recording, views[0].motion, rows)
     if not times:
-        raise UsageError(f"{source} holds no states of bodies or joints; there is nothing to show")
+        raise UsageError(f"{source} {nothing_shown(recording)}")
     shown = tuple((view, _frames(recording, view, rows)) for view in views)
     with new_file(path) as target:
         writer = ViewWriter(McapWriter(target.stream, profile="", library=LIBRARY, compression="zstd"))
@@ -143,10 +144,8 @@ def _notes(recording: Recording, shown: Sequence[Shown], solids: Sequence[Solid]
     bare = [part.name for part in parts if part.name not in drawn]
     if bare:
         notes.append(f"no shape in the scene for {', '.join(bare[:5])}: only frames are shown")
-    moving = {part.group for part in parts}
-    for group in dict.fromkeys(field.group for field in recording.fields):
-        if group not in moving:
-            notes.append(f"the group {group} has no positions, and no robot that its joints belong to: it is not shown")
+    for group in hidden_groups(recording):
+        notes.append(f"the group {group} has no positions, and no robot that its joints belong to: it is not shown")
     if len({view.place for view, _ in shown}) < len(shown):
         notes.append("environments at the same place are drawn into each other; --spread puts them side by side")
     return notes

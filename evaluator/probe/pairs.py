@@ -66,7 +66,8 @@ class Found:
     first_step    first step of a at which anything differs, by state hashes where both have them; None: nowhere
     first         the first recorded number; None where no recorded state differs
     max_ulp       largest distance of any recorded number
-    max_distance  largest distance of two positions [m], or of two joint angles [rad] where there are no positions
+    max_distance  largest distance of two positions [m]; without positions, of two joint angles [rad]; without both, of
+                  two sliding joints [m]
     at_step       step of a of that
     curve         (step of a, largest distance at it), of each recorded state
     unit          "m" or "rad"
@@ -98,16 +99,15 @@ def held(pairs: Pairs) -> Found | Missing:
     first: First | None = None
     most_ulp, most, at_step = 0, 0.0, 0
     curve: list[tuple[int, float]] = []
-    unit = "m" if any(field.field == "position" for field in pairs.a.fields) else "rad"
-    measured = "position" if unit == "m" else "qpos"
+    unit, measured = _measured(pairs.a.fields)
     for rows in states.blocks():
         distance = np.zeros(len(rows))
         found: list[First] = []
         for field in pairs.a.fields:
             a, b = states.read(field, rows)
             mask = differs(a, b)
-            if field.field == measured:
-                distance = np.maximum(distance, _distance(a, b))
+            if items := measured.get(field.name):
+                distance = np.maximum(distance, _distance(a[:, :, items], b[:, :, items]))
             if not mask.any():
                 continue
             apart |= mask.any(axis=(0, 2, 3))
@@ -134,6 +134,18 @@ def held(pairs: Pairs) -> Found | Missing:
         unit,
         (pairs.a.path, pairs.b.path),
     )
+
+
+def _measured(fields: Sequence[StateField]) -> tuple[str, dict[str, list[int]]]:
+    """The unit of distances, and by the name of a field the items that they are of; never of two units."""
+    places = {f.name: list(range(len(f.items))) for f in fields if f.field == "position"}
+    if places:
+        return "m", places
+    for unit in ("rad", "m"):
+        of_unit = {f.name: [i for i, u in enumerate(f.units) if u == unit] for f in fields if f.field == "qpos"}
+        if any(of_unit.values()):
+            return unit, of_unit
+    return "rad", {}
 
 
 def _level(first_step: int | None, first: First | None, ulp: int, distance: float) -> Level:

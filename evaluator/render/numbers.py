@@ -25,6 +25,8 @@ def figure(value: float, unit: str) -> str:
         return f"{value:,.0f}"
     if unit == "s":
         return seconds(value)
+    if unit == "rad":
+        return f"{value:.3g}"
     if unit in ("GB", "MB"):
         return f"{value:.2f}"
     if value == round(value):

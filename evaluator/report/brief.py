@@ -17,6 +17,7 @@ from gpusimbench.evaluator.results.cost_metrics import FPS
 from gpusimbench.evaluator.results.evaluation import Evaluation
 from gpusimbench.evaluator.results.group_metrics import W1_PARALLEL, W1_REAL, W1_RUN_TO_RUN
 from gpusimbench.evaluator.results.identity_metrics import DISTINCT_RUNS, identical
+from gpusimbench.evaluator.results.joint_metrics import JOINT_METRICS
 from gpusimbench.evaluator.results.metric import Axis
 from gpusimbench.evaluator.results.metrics import METRICS
 from gpusimbench.evaluator.results.result import GroupResult
@@ -68,7 +69,7 @@ def _one(result: GroupResult) -> Facts:
     ]
     apart = [
         (metric.titled, _line(estimate(result.metrics[metric.name])))
-        for metric in (W1_PARALLEL, W1_RUN_TO_RUN)
+        for metric in (W1_PARALLEL, W1_RUN_TO_RUN, *JOINT_METRICS)
         if known(result.metrics[metric.name].value)
     ]
     one_more = another_run(result)

@@ -147,9 +147,9 @@ def _spread(one: RunSpread) -> dict[str, Any]:
         "recorded_steps": len(found.steps),
         "first_apart_s": float(times[apart[0]]) if len(apart) else None,
         "reaches_limit_s": first_reaching(times, largest, FIT_LIMIT_M),
-        "limit_m": FIT_LIMIT_M,
-        "largest_at_end_m": found.largest[-1],
-        "rms_at_end_m": found.rms[-1],
+        f"limit_{found.unit}": FIT_LIMIT_M,
+        f"largest_at_end_{found.unit}": found.largest[-1],
+        f"rms_at_end_{found.unit}": found.rms[-1],
         "fit": found.fit or None,
         "no_fit": why_missing(found.fit),
     }

@@ -13,6 +13,7 @@ from gpusimbench.evaluator.results.cost_metrics import FPS
 from gpusimbench.evaluator.results.fidelity import Verdict
 from gpusimbench.evaluator.results.group_metrics import REGIME, W1_PARALLEL, W1_REAL, W1_RUN_TO_RUN
 from gpusimbench.evaluator.results.identity_metrics import DISTINCT_ENVS, DISTINCT_RUNS, identical
+from gpusimbench.evaluator.results.joint_metrics import BETWEEN_ENVS, BETWEEN_RUNS
 from gpusimbench.evaluator.results.metric import Metric
 from gpusimbench.evaluator.results.result import GroupResult
 from gpusimbench.evaluator.results.toss_metrics import TOSS_FACE, TOSS_POSITION, TOSS_ROTATION
@@ -56,12 +57,12 @@ def _for_probe(result: GroupResult) -> bool:
 
 def repeats(results: Results) -> Cell:
     """Whether all runs of a group have the same bits."""
-    return _identity(results, DISTINCT_RUNS, W1_RUN_TO_RUN, "runs")
+    return _identity(results, DISTINCT_RUNS, (W1_RUN_TO_RUN, *BETWEEN_RUNS), "runs")
 
 
 def alike(results: Results) -> Cell:
     """Whether all environments of a run have the same bits."""
-    return _identity(results, DISTINCT_ENVS, W1_PARALLEL, "envs")
+    return _identity(results, DISTINCT_ENVS, (W1_PARALLEL, *BETWEEN_ENVS), "envs")
 
 
 def valid(results: Results) -> Cell:
@@ -119,13 +120,15 @@ def real(results: Results) -> Cell:
 QUESTIONS = (
     Question(
         "repeats itself",
-        "yes: all runs of a configuration have the same bits at every step; no: largest W1 between runs",
+        "yes: all runs of a configuration have the same bits at every step; no: largest W1 between runs, or "
+        "distance in joint space",
         repeats,
         "repeats",
     ),
     Question(
         "envs alike",
-        "yes: all environments of a run have the same bits at every step; no: largest W1 between envs",
+        "yes: all environments of a run have the same bits at every step; no: largest W1 between envs, or "
+        "distance in joint space",
         alike,
     ),
     Question("valid", "yes: no run dropped contacts or constraints, as far as the engine reports it", valid),
@@ -136,8 +139,11 @@ QUESTIONS = (
 TO_REFERENCE = Question("distance to the reference", "W1 to the reference at the sample time, best to worst", real)
 
 
-def _identity(results: Results, counted: Metric, apart: Metric, what: str) -> Cell:
-    """Yes or no by bits at the default level, with how many and how far apart; then the levels at which it is yes."""
+def _identity(results: Results, counted: Metric, apart: Sequence[Metric], what: str) -> Cell:
+    """Yes or no by bits at the default level, with how many and how far apart; then the levels at which it is yes.
+
+    apart  distances, of which the first that any group has is shown
+    """
     usual = [r for r in results if r.group.key.determinism == _DEFAULT] or list(results)
     claims = [(r, identical(r.metrics[counted.name])) for r in usual]
     compared = [(r, claim.holds) for r, claim in claims if claim.holds is not None]
@@ -151,12 +157,16 @@ def _identity(results: Results, counted: Metric, apart: Metric, what: str) -> Ce
     if not differ:
         how = f"all {n} {what}" if len(compared) == 1 else f"all {len(compared)} groups"
         return Cell("yes", notes=(how, *notes), tone=Tone.GOOD)
-    far = [found for r in differ if (found := known(r.metrics[apart.name].value)) is not None]
-    said = f"no, {max(far):.3g} cm" if far else "no"
+    said = next((f"no, {far:.3g} {m.unit}" for m in apart if (far := _farthest(differ, m)) is not None), "no")
     if len(compared) > 1:
         return Cell(said, notes=(f"{len(differ)} of {len(compared)} groups", *notes), tone=Tone.BAD)
     value = known(differ[0].metrics[counted.name].value) or 0.0
     return Cell(said, notes=(f"{value:.0f} distinct of {n}", *notes), tone=Tone.BAD)
+
+
+def _farthest(results: Results, metric: Metric) -> float | None:
+    values = [found for r in results if (found := known(r.metrics[metric.name].value)) is not None]
+    return max(values, default=None)
 
 
 def _levels(results: Results, counted: Metric) -> list[str]:

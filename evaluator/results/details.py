@@ -170,6 +170,22 @@ class BetweenRuns(Details):
 
 
 @dataclass(frozen=True)
+class JointsBetweenEnvs(OverRuns):
+    """Of a distance in joint space between environments: how many joints it is the root mean square of."""
+
+    joints: int = 0
+
+
+@dataclass(frozen=True)
+class JointsBetweenRuns(Details):
+    """The same between runs; see BetweenRuns."""
+
+    n_run: int = 0
+    joints: int = 0
+    interval_why_not: str = ""
+
+
+@dataclass(frozen=True)
 class ToReference(OverRuns):
     """Of W1 to the reference.
 
@@ -279,6 +295,15 @@ class SpreadCurve:
 
 
 @dataclass(frozen=True)
+class AngleCurve:
+    """The same of hinges [rad], where there are no bodies."""
+
+    step: tuple[int, ...]
+    rms_rad: tuple[float | None, ...]
+    largest_rad: tuple[float | None, ...]
+
+
+@dataclass(frozen=True)
 class Growth(OverRuns):
     """Of the rate at which distances grow, by run: doubling times [s], R squared, window of the fit [s].
 
@@ -288,12 +313,12 @@ class Growth(OverRuns):
     doubling_time_s: tuple[float | None, ...] = ()
     r_squared: tuple[float, ...] = ()
     window_s: tuple[tuple[float, float], ...] = ()
-    curve: SpreadCurve | None = None
+    curve: SpreadCurve | AngleCurve | None = None
 
 
 @dataclass(frozen=True)
 class OffTheBoard(Details):
-    """Of cubes off the board: how many of how many in all, by run, and environments with any."""
+    """Of bodies off the board: how many of how many in all, by run, and environments with any."""
 
     total: int = 0
     of: int = 0

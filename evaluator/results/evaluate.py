@@ -86,7 +86,7 @@ def evaluate(
     groups = [g for g in group(distinct) if not g.measured]
     targets, target, why_not, reference_note = _targets(reference, measured, [g.key.scene for g in groups], notes)
     times = {g.key.scene: (shorter or {}).get(g.key.scene, sample_time) for g in groups}
-    notes += notes_on({scene: time for scene, time in times.items() if time != sample_time}, sample_time)
+    notes += notes_on({scene: time for scene, time in times.items() if time != sample_time}, sample_time, distinct)
     if len({g.key.dt for g in groups}) > 1:
         notes.append("the recordings differ in dt, which changes the outcome: each dt is a group of its own")
     names = labels([g.key for g in groups], options_given(distinct))
@@ -95,6 +95,9 @@ def evaluate(
         notes.append(
             f"the recordings break rules of {PROTOCOL} {_times(protocol.whole.count)}: gsb-check --protocol names them"
         )
+    if protocol.elsewhere:
+        named = ", ".join(protocol.elsewhere)
+        notes.append(f"{PROTOCOL} is for the benchmark's own scenes, and is not asked of {named}")
     found = [
         _evaluate_group(
             g, label, protocol.of(g.recordings), targets.get(g.key.scene) or Missing(why_not), times[g.key.scene], work
@@ -288,7 +291,7 @@ def _warnings(result: GroupResult) -> list[str]:
         details = sank.of(SunkCubes)
         mean = f"{sank.value:.3g} of {details.cubes}"
         notes.append(
-            f"cubes through the floor: {mean} per env by step {details.last_step}, the first at step "
+            f"bodies through the floor: {mean} per env by step {details.last_step}, the first at step "
             f"{details.first_step}"
         )
     if any(len(applied.sha256) > 1 for applied in result.validity.actions):

@@ -69,7 +69,7 @@ def _sunk(result: GroupResult) -> str:
     details = sank.of(SunkCubes)
     if sank.value < 0.1:  # few enough to be counted one by one
         return f"{details.total:,} of {details.of:,} cubes sank"
-    return f"{sank.value:.3g} of {details.of // sank.n} cubes per env sank"
+    return f"{sank.value:.3g} of {details.of // sank.n} bodies per env sank"
 
 
 def _broken(result: GroupResult) -> str:

@@ -1,4 +1,4 @@
-"""Metrics of where the cubes of a group are at the sample step: W1 between environments, runs and to a reference."""
+"""Metrics of where the bodies of a group are at the sample step: W1 between environments, runs and to a reference."""
 
 from __future__ import annotations
 
@@ -179,7 +179,7 @@ def _left_board(metric: Metric, group: GroupRuns) -> Estimate:
         return missing(metric, NO_RUN)
     board = runs[0].board
     if board is None:
-        return missing(metric, "this scene has no board to leave")
+        return missing(metric, "scene.json names no board (a fixed box) that bodies could leave")
     if why_not := no_positions(runs):
         return missing(metric, why_not)
     spatial = [r.positions.spatial for r in runs if r.positions]
@@ -281,7 +281,7 @@ W1_PARALLEL = Metric(
 
 W1_RUN_TO_RUN = Metric(
     "w1_run_to_run", "W1 between runs", "cm", Direction.LOWER,
-    "run-to-run variability: mean and SD of W1 over all pairs of runs, where the cubes of all environments of a run "
+    "run-to-run variability: mean and SD of W1 over all pairs of runs, where the bodies of all environments of a run "
     "are one set. `runs` and `classes`: indices of the runs, and their classes of equal bits, in the matrix's order",
     method="W1 between the pooled planar positions of two runs", published=True,
     table=Table.VARIABILITY, of_group=_run_to_run,
@@ -297,18 +297,18 @@ W1_REAL = Metric(
 )  # fmt: skip
 
 LEFT_BOARD = Metric(
-    "left_board", "cubes off the board", "cubes per env", Direction.LOWER,
-    "cubes beside or below the board at the sample step; see [cubes that left the board](#cubes-that-left-the-board). "
-    "`total`: all such cubes; `envs_with_any`: environments with such a cube",
-    method="cubes whose centre is beside or below the board at the sample step",
+    "left_board", "bodies off the board", "bodies per env", Direction.LOWER,
+    "bodies beside or below the board at the sample step; see [cubes that left the board](#cubes-that-left-the-board). "
+    "`total`: all such bodies; `envs_with_any`: environments with such a body",
+    method="bodies whose centre is beside or below the board at the sample step",
     table=Table.VARIABILITY, of_group=_left_board,
 )  # fmt: skip
 
 SANK = Metric(
-    "sank", "cubes sunk", "cubes per env", Direction.LOWER,
-    "cubes that went through the board or the ground by the last captured step; see "
+    "sank", "bodies sunk", "bodies per env", Direction.LOWER,
+    "bodies that went through the board or the ground by the last captured step; see "
     "[through the floor](#through-the-floor)",
-    method="cubes that are wholly beneath a level surface that they went through, at the last captured step",
+    method="bodies that are wholly beneath a level surface that they went through, at the last captured step",
     table=Table.VARIABILITY, of_group=_sank,
 )  # fmt: skip
 

@@ -79,7 +79,7 @@ class GroupRuns:
         """
         board = self.runs[0].board if self.runs else None
         if board is None or isinstance(self.planar, Missing):
-            return Missing("this scene has no board")
+            return Missing("scene.json names no board (a fixed box)")
         moved = clamped(self.planar, board)
         reference = self.reference
         if isinstance(reference, Reference):

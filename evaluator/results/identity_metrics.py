@@ -17,6 +17,7 @@ from gpusimbench.evaluator.read.failing import ONLY_FAILING
 from gpusimbench.evaluator.results.aggregate import NO_RUN, Runs
 from gpusimbench.evaluator.results.claims import Claim
 from gpusimbench.evaluator.results.details import (
+    AngleCurve,
     Changed,
     DistinctEnvs,
     DistinctRuns,
@@ -220,7 +221,9 @@ def _growth(group: GroupRuns) -> Growth:
         doubling_time_s=tuple(fit.doubling_time for fit in fitted),
         r_squared=tuple(fit.r_squared for fit in fitted),
         window_s=tuple((fit.begin, fit.end) for fit in fitted),
-        curve=SpreadCurve(tuple(first.steps), tuple(first.rms), tuple(first.largest)),
+        curve=(SpreadCurve if first.unit == "m" else AngleCurve)(
+            tuple(first.steps), tuple(first.rms), tuple(first.largest)
+        ),
     )
 
 
@@ -302,7 +305,8 @@ EQUALITY_RUNS = Metric(
 DIVERGENCE_RATE = Metric(
     "divergence_rate", "divergence rate of envs", "1/s", Direction.LOWER,
     "rate of an exponential fitted to the largest distance of a body from the same body in environment 0, from the "
-    "first nonzero distance up to 1 mm; mean over runs, with the curve of one run. A run has no rate if R squared of "
+    "first nonzero distance up to 1 mm (without bodies, to the largest difference of a hinge, up to 1 mrad); mean over "
+    "runs, with the curve of one run. A run has no rate if R squared of "
     f"its fit is below {MIN_R_SQUARED:g}: [`divergence`](#divergence) has the fit",
     method="rate of an exponential through the largest distance of a body from environment 0, from the first that is "
     f"not zero up to {FIT_LIMIT_M * _MM_PER_M:g} mm",

@@ -14,6 +14,7 @@ from gpusimbench.evaluator.results.identity_metrics import (
     EQUALITY_ENVS,
     EQUALITY_RUNS,
 )
+from gpusimbench.evaluator.results.joint_metrics import JOINT_METRICS
 from gpusimbench.evaluator.results.metric import Metric, Table
 from gpusimbench.evaluator.results.toss_metrics import TOSS_METRICS
 
@@ -25,6 +26,7 @@ METRICS: dict[str, Metric] = {
         W1_RUN_TO_RUN,
         W1_REAL,
         *CLAMPED,
+        *JOINT_METRICS,
         DISTINCT_ENVS,
         DISTINCT_RUNS,
         EQUALITY_ENVS,

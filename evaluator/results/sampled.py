@@ -40,8 +40,8 @@ def left_out(runs: Runs) -> list[str]:
             found.setdefault(why_missing(run.positions), []).append(at)
     others = "run" if len(used) == 1 else f"{len(used)} runs"
     return [
-        f"{named([runs[at] for at in places])} left out of W1, equality, published type and cubes off the board, which "
-        f"are those of the other {others}: {why}"
+        f"{named([runs[at] for at in places])} left out of W1, equality, published type and bodies off the board, "
+        f"which are those of the other {others}: {why}"
         for why, places in found.items()
     ]
 

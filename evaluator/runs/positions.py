@@ -1,4 +1,4 @@
-"""Where the cubes are at the sample step, as every positional metric needs it."""
+"""Where the bodies of the outcome are at the sample step, as every positional metric needs it."""
 
 from __future__ import annotations
 
@@ -13,11 +13,10 @@ from gpusimbench.evaluator.metrics.variability import sampling_step
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.read.failing import ONLY_FAILING
 from gpusimbench.evaluator.read.recording import Recording
+from gpusimbench.evaluator.runs.outcome import OutcomeArray, outcome_of
 from gpusimbench.schemas.errors import DamagedRecording
 from gpusimbench.schemas.fields import StateField
 from gpusimbench.schemas.provenance import REAL
-
-GROUP = "cubes"
 
 
 def no_states(recording: Recording) -> Missing:
@@ -27,12 +26,12 @@ def no_states(recording: Recording) -> Missing:
     return Missing("no states were recorded (the capture phase was left out or not reached)")
 
 
-_FAR_M = 1e6  # a cube that far away belongs to a simulation that blew up
+_FAR_M = 1e6  # a body that far away belongs to a simulation that blew up
 
 
 @dataclass(frozen=True)
 class Positions:
-    """Positions of the cubes at the sample step, kept as recorded: half of what they take in float64.
+    """Positions of the bodies of the outcome at the sample step, kept as recorded: half of what they take in float64.
 
     recorded  as recorded [m], [env, item, component]
     origins   to be subtracted [m], [env, component]; None where the coordinates are relative to them already
@@ -61,15 +60,15 @@ class Positions:
 
 
 def sample_positions(recording: Recording, sample_time: float) -> Positions | Missing:
-    """Positions at step round(sample_time / dt), or the reason why there are none.
+    """Positions at step round(sample_time / dt), or the reason why there are none; see evaluator.runs.outcome.
 
     Origins are subtracted behind the recording, in float64, from coordinates of the world frame: before it, that would
     have cost bits. Coordinates that are declared relative to the env's origin already are left as they are.
     """
-    field = next((f for f in recording.fields if f.name == f"{GROUP}/position"), None)
-    if field is None:
-        return Missing(f"no positions of {GROUP} were recorded")
-    array = recording.state(GROUP, "position")
+    fields = outcome_of(recording)
+    if isinstance(fields, Missing):
+        return fields
+    array = OutcomeArray(recording, fields)
     if not len(array):
         return no_states(recording)
     dt = recording.configuration.dt
@@ -84,20 +83,13 @@ def sample_positions(recording: Recording, sample_time: float) -> Positions | Mi
             f"step {step} ({sample_time:g} s) was not recorded; recorded are steps {array.steps[0]} to {last} "
             f"({last * dt:g} s)"
         )
-    positions = Positions(recorded, _origins(recording, field), step * dt)
+    positions = Positions(recorded, _origins(recording, array.field), step * dt)
     planar = positions.planar
     if not np.isfinite(positions.recorded).all():
         return Missing("positions at the sample step are not finite")
     if np.abs(planar).max() > _FAR_M:
         return Missing(f"positions at the sample step are beyond {_FAR_M / 1000:g} km: the simulation blew up")
     return positions
-
-
-def was_recorded(recording: Recording, sample_time: float) -> bool:
-    """Whether the step of `sample_positions` was recorded, whatever the positions are."""
-    if f"{GROUP}/position" not in {field.name for field in recording.fields}:
-        return False
-    return sampling_step(sample_time, recording.configuration.dt) in recording.state(GROUP, "position").steps
 
 
 def in_env_frame(

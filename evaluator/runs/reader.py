@@ -13,6 +13,7 @@ import numpy as np
 from gpusimbench.evaluator.metrics.capture import changes_states
 from gpusimbench.evaluator.metrics.cotenants import CoTenants, cotenants
 from gpusimbench.evaluator.metrics.levels import Verdict, verdict
+from gpusimbench.evaluator.metrics.variability import sampling_step
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.read.failing import ONLY_FAILING
 from gpusimbench.evaluator.read.recording import Recording
@@ -20,14 +21,16 @@ from gpusimbench.evaluator.read.scene import board_of, extent_of_trials
 from gpusimbench.evaluator.read.stamp import stamp_of
 from gpusimbench.evaluator.read.step_evidence import Overflows, StepCounts
 from gpusimbench.evaluator.read.streams import Fingerprints
+from gpusimbench.evaluator.runs.joints import sample_joints
 from gpusimbench.evaluator.runs.memory import allocator_peak, gpu_memory, host_memory
+from gpusimbench.evaluator.runs.outcome import outcome_of
 from gpusimbench.evaluator.runs.physics.measure import physics_of
-from gpusimbench.evaluator.runs.positions import GROUP, Positions, sample_positions, was_recorded
+from gpusimbench.evaluator.runs.positions import Positions, sample_positions
 from gpusimbench.evaluator.runs.run import BitSummary, CountSummary, OverflowSummary, Run
 from gpusimbench.evaluator.runs.spread import spread
 from gpusimbench.evaluator.runs.state_hashes import Histories, histories_of
 from gpusimbench.evaluator.runs.sunk_cubes import count_sunk
-from gpusimbench.evaluator.runs.validation import NOT_TIMED, check_overflow, elapsed_of, verify
+from gpusimbench.evaluator.runs.validation import LONGEST_S, NOT_TIMED, check_overflow, elapsed_of, verify
 from gpusimbench.schemas.errors import NUMBERS_OF_A_STRANGER, DamagedRecording, GsbError
 from gpusimbench.schemas.location import Place
 from gpusimbench.schemas.provenance import REAL
@@ -108,6 +111,7 @@ def _described(recording: Recording) -> Run:
         action_streams=recording.action_streams,
         failing=recording.failing,
         board=board,
+        named_time=_named_time(recording),
     )
 
 
@@ -134,7 +138,8 @@ def _measured(run: Run, recording: Recording, sample_time: float) -> Run:
         histories=histories,
         observed=_observed(captured, recording.fingerprints("timed")),
         positions=positions,
-        reached=isinstance(positions, Positions) or was_recorded(recording, sample_time),
+        joints=sample_joints(recording, sample_time),
+        reached=_reached(recording, sample_time),
         doubt=_doubt(recording, positions),
         equality=_equality(positions, histories),
         spread=spread(recording),
@@ -143,6 +148,17 @@ def _measured(run: Run, recording: Recording, sample_time: float) -> Run:
         timed_from=timing["timed"].first_step if "timed" in timing else NOT_TIMED,
         cotenants=cotenants(gpu) if gpu else CoTenants(),
     )
+
+
+def _named_time(recording: Recording) -> float | None:
+    found = recording.scene.get("sample_time") if recording.usable else None
+    return float(found) if isinstance(found, (int, float)) and 0 < found <= LONGEST_S else None
+
+
+def _reached(recording: Recording, sample_time: float) -> bool:
+    fields = recording.fields[:1]  # all have the same rows
+    step = sampling_step(sample_time, recording.configuration.dt)
+    return any(step in recording.state(field.group, field.field).steps for field in fields)
 
 
 def _counted(counts: StepCounts) -> CountSummary:
@@ -182,7 +198,8 @@ def _equality(positions: Positions | Missing, histories: Histories | Missing) ->
 def _doubt(recording: Recording, positions: Positions | Missing) -> UnitDoubt | None:
     if recording.configuration.simulator != REAL or isinstance(positions, Missing):
         return None
-    extent = extent_of_trials(recording, GROUP)
+    fields = outcome_of(recording)
+    extent = None if isinstance(fields, Missing) else extent_of_trials(recording, fields[0].group)
     options = recording.simulation.options if recording.simulation else {}
     unit, names = str(options.get("unit", "m")), options.get("trials")
     if extent is None or unit not in METRES or recording.attachment(TOSSES) is not None:

@@ -13,6 +13,7 @@ from gpusimbench.evaluator.read.actions import apart_by_design
 from gpusimbench.evaluator.read.failing import Failing
 from gpusimbench.evaluator.read.stamp import Stamp
 from gpusimbench.evaluator.read.step_evidence import ActionStream
+from gpusimbench.evaluator.runs.joints import JointSample
 from gpusimbench.evaluator.runs.physics.facts import PhysicsFacts
 from gpusimbench.evaluator.runs.positions import Positions
 from gpusimbench.evaluator.runs.spread import Spread
@@ -79,6 +80,7 @@ class Run:
     action_streams  what each phase applied, by phase
     failing         environments that failed, where the states of these alone were kept
     board           of the scene; None without one, and where its description cannot be read
+    named_time      sample time that the scene names [s]; None where it names none
     unmet           rules of the benchmark's protocol that the file breaks by itself
     stamp           of the file before it was read, where it was read
 
@@ -96,8 +98,9 @@ class Run:
     stalled_s   part of that in which the engine stood still until states were written [s]
     histories   of the captured states by bits
     observed    whether capturing changed the states, by the hashes of steps that timed and capture phase both passed
-    positions   at the sample step
-    reached     whether the sample step was recorded at all, whatever the positions are
+    positions   of the bodies of the outcome at the sample step
+    joints      at the sample step
+    reached     whether the sample step was recorded at all, whatever the states are
     doubt       what speaks against the unit of real trials; None where nothing does, and of simulations
     equality    of the environments, by bits and at the sample step
     spread      how the environments move apart
@@ -121,6 +124,7 @@ class Run:
     action_streams: dict[str, ActionStream] = field(default_factory=dict)
     failing: Failing | None = None
     board: Board | None = None
+    named_time: float | None = None
     unmet: tuple[str, ...] = ()
     stamp: Stamp | Missing = Missing("the file was not read for good")
     elapsed_s: float | Missing = NOT_MEASURED
@@ -134,6 +138,7 @@ class Run:
     histories: Histories | Missing = NOT_MEASURED
     observed: bool | Missing = NOT_MEASURED
     positions: Positions | Missing = NOT_MEASURED
+    joints: JointSample | Missing = NOT_MEASURED
     reached: bool = False
     doubt: UnitDoubt | None = None
     equality: Verdict | Missing = NOT_MEASURED

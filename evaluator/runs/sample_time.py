@@ -10,12 +10,13 @@ import numpy as np
 from gpusimbench.evaluator.compute.work import Work
 from gpusimbench.evaluator.metrics.variability import sampling_step
 from gpusimbench.evaluator.runs.known_files import read_all
+from gpusimbench.evaluator.runs.outcome import joint_fields, positional
 from gpusimbench.evaluator.runs.reader import Reader, Unreadable
 from gpusimbench.evaluator.runs.run import Run
 from gpusimbench.schemas.location import Place
 
 DEFAULT_S = 5.0
-"""Of every scene whose recordings are that long [s]."""
+"""Of scenes that are the benchmark's, and before a recording was read [s]."""
 
 
 @dataclass(frozen=True)
@@ -24,7 +25,8 @@ class Sampled:
 
     files    in the order in which they were asked for
     time     of every scene that is not in `shorter` [s]
-    shorter  by scene, the last time that all of its recordings have, where none of them reaches `time` [s]
+    shorter  by scene, the time of those that have another [s]: the one that the scene names, where a recording has it,
+             else the last that all of its recordings have
     """
 
     files: tuple[Run | Unreadable, ...]
@@ -32,40 +34,76 @@ class Sampled:
     shorter: Mapping[str, float] = field(default_factory=dict)
 
 
-def notes_on(shorter: Mapping[str, float], time: float) -> list[str]:
-    """What is to be said of each scene whose recordings all end before a time [s]; see Sampled."""
+def notes_on(shorter: Mapping[str, float], time: float, runs: Sequence[Run]) -> list[str]:
+    """What is to be said of each scene that is compared at another time than `time` [s]; see Sampled."""
     return [
-        f"{scene}: positions are compared at {at:g} s, the last time that all its recordings have; none has {time:g} s"
+        f"{scene}: {_what(ours)} are compared at {at:g} s, {_why(at, time, ours)}"
         for scene, at in shorter.items()
+        for ours in [[run for run in runs if _scene(run) == scene]]
     ]
 
 
+def _what(runs: Sequence[Run]) -> str:
+    joints = any(joint_fields(run.fields) for run in runs)
+    if not joints:
+        return "positions"
+    return "positions and joints" if any(positional(run.fields) for run in runs) else "joints"
+
+
+def _why(at: float, time: float, runs: Sequence[Run]) -> str:
+    if any(run.named_time == at for run in runs):
+        return "the sample time of the scene"
+    last = "the last time that all its recordings have"
+    if any(run.named_time is not None for run in runs):
+        return f"{last}; none has {time:g} s"
+    return f"{last}; scene.json names no sample time"
+
+
 def read_sampled(places: Sequence[Place], reader: Reader, work: Work, *, chosen: bool) -> Sampled:
-    """Read files, and those of scenes whose recordings all end before the reader's sample time at one that they have.
+    """Read files, and those of scenes with another sample time than the reader's at that one.
 
     chosen  the user has named the reader's sample time, and no other is taken
     """
     files = dict(zip(places, read_all(places, reader, work), strict=True))
-    shorter = {} if chosen else _shorter([file for file in files.values() if isinstance(file, Run)])
-    for time in set(shorter.values()):
+    others = {} if chosen else _others([file for file in files.values() if isinstance(file, Run)], reader.sample_time)
+    for time in set(others.values()):
         again = [
             place
             for place, file in files.items()
-            if isinstance(file, Run) and file.usable and shorter.get(file.configuration.scene) == time
+            if isinstance(file, Run) and file.usable and others.get(_scene(file)) == time
         ]
         files.update(zip(again, read_all(again, replace(reader, sample_time=time), work), strict=True))
-    return Sampled(tuple(files[place] for place in places), reader.sample_time, shorter)
+    return Sampled(tuple(files[place] for place in places), reader.sample_time, others)
 
 
-def _shorter(runs: Sequence[Run]) -> dict[str, float]:
+def _others(runs: Sequence[Run], time: float) -> dict[str, float]:
+    """By scene, the sample time where it is not `time` [s]."""
     with_states = [run for run in runs if run.usable and (run.reached or run.histories)]
-    scenes = dict.fromkeys(run.configuration.scene for run in with_states)
     found = {}
-    for scene in scenes:
-        of_scene = [run for run in with_states if run.configuration.scene == scene]
-        if not any(run.reached for run in of_scene) and (time := last_common_time(of_scene)):
-            found[scene] = time
+    for scene in dict.fromkeys(map(_scene, with_states)):
+        of_scene = [run for run in with_states if _scene(run) == scene]
+        wanted = _named(of_scene) or last_common_time(of_scene)
+        if wanted is not None and wanted != time:
+            found[scene] = wanted
     return found
+
+
+def _named(runs: Sequence[Run]) -> float | None:
+    """The time that the scene names, where all of its recordings name the same, and one of them has it [s]."""
+    named = {run.named_time for run in runs}
+    (time,) = named if len(named) == 1 else (None,)
+    return time if time is not None and any(_has(run, time) for run in runs) else None
+
+
+def _has(run: Run, time: float) -> bool:
+    if not run.histories:  # measured trials have no hashes, and one time
+        return run.reached
+    step = sampling_step(time, run.configuration.dt)
+    return step % run.configuration.stride == 0 and step in run.histories.steps
+
+
+def _scene(run: Run) -> str:
+    return run.configuration.scene
 
 
 def last_common_time(runs: Sequence[Run]) -> float | None:

@@ -1,9 +1,9 @@
-"""How the environments of one run move apart, step by step, from its recorded positions."""
+"""How the environments of one run move apart, step by step: its bodies, or its joints where it has no bodies."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +12,7 @@ from gpusimbench.evaluator.metrics.divergence import FIT_LIMIT_M, GrowthFit, fit
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.read.state_array import StateArray
+from gpusimbench.evaluator.runs.outcome import joint_fields, positional
 from gpusimbench.evaluator.runs.positions import check_format, no_states
 from gpusimbench.schemas.errors import DamagedRecording
 from gpusimbench.schemas.fields import StateField
@@ -28,18 +29,20 @@ _BLOCK_ENVS = 64
 class Spread:
     """Distances between the environments of one run.
 
-    groups           whose positions were followed
+    groups           whose positions or joints were followed
+    unit             of the distances: "m" of bodies and of sliding joints, "rad" of hinges
     n_env            environments
     steps, times     recorded steps, and their simulated times [s]; at most MAX_STEPS
     rms              root mean square distance of a body between two environments, over all pairs of environments and
-                     all bodies [m]; None where a position is not finite
-    largest          largest distance of a body from where it is in environment 0 [m]; no two environments lie further
-                     apart than twice that. None likewise
+                     all bodies; None where a position is not finite. Of joints likewise
+    largest          largest distance of a body or joint from where it is in environment 0; no two environments lie
+                     further apart than twice that. None likewise
     not_finite_from  first of the steps with a position that is not finite; None where all are
     resolution       largest difference that storing one place at two origins can make [m], which counts as none; None
                      where all environments have one origin
-    fit              exponential through `largest`, up to FIT_LIMIT_M
+    fit              exponential through `largest`, up to FIT_LIMIT_M (of hinges as many radians)
     rows_read        of the file; rows at which all state hashes agree are not read
+    bodies           whether it is of bodies, and not of joints
     """
 
     groups: tuple[str, ...]
@@ -52,6 +55,8 @@ class Spread:
     resolution: float | None
     fit: GrowthFit | Missing
     rows_read: int
+    unit: str = "m"
+    bodies: bool = True
 
 
 def spread(recording: Recording) -> Spread | Missing:
@@ -66,14 +71,21 @@ def spread(recording: Recording) -> Spread | Missing:
     so that one pass over the environments gives it, in memory that does not grow with them. The largest distance is
     what the growth is fitted to, as in gsb-diff: the root mean square of many equal environments and one that left them
     is small however far that one is.
+
+    Where no positions were recorded, hinges are followed in the same way, or sliding joints where there are none: never
+    both, since their units differ.
     """
     if recording.apart_by_design:
         return Missing(recording.apart_by_design)
-    fields = [f for f in recording.fields if f.field == "position" and f.items]
-    if not fields:
-        return Missing("no positions were recorded")
+    fields, unit = list(positional(recording.fields)), "m"
     for field in fields:
         check_format(recording, field)
+    bodies = bool(fields)
+    items: list[list[int] | None] = [None] * len(fields)
+    if not bodies:
+        fields, items, unit = _joints(recording)
+    if not fields:
+        return Missing("neither positions of bodies nor joint coordinates were recorded")
     n_env = recording.configuration.n_env
     if n_env < 2:
         return Missing("needs at least two environments")
@@ -84,12 +96,22 @@ def spread(recording: Recording) -> Spread | Missing:
     if any(not np.array_equal(a.steps, steps) for a in arrays):
         raise DamagedRecording(f"{recording.path}: the state fields have different rows")
     rows = np.arange(0, len(steps), -(-len(steps) // MAX_STEPS))
-    sums = [_Sums(recording, f, a, rows) for f, a in zip(fields, arrays, strict=True)]
+    sums = [_Sums(recording, f, a, rows, of) for f, a, of in zip(fields, arrays, items, strict=True)]
     wanted = _differing(recording, steps, rows)
     for some in _chunks(rows[wanted], len(steps), first_alone=int(steps[0]) == 0):
         for each in sums:
             each.read(some)
-    return _result(recording, fields, steps[rows], sums, int(wanted.sum()))
+    return replace(_result(recording, fields, steps[rows], sums, int(wanted.sum())), unit=unit, bodies=bodies)
+
+
+def _joints(recording: Recording) -> tuple[list[StateField], list[list[int] | None], str]:
+    """Fields of joints of one unit, the places of these in each field, and the unit."""
+    fields = [field for field in joint_fields(recording.fields) if field.field == "qpos"]
+    for unit in ("rad", "m"):
+        found = [(f, [i for i, of in enumerate(f.units) if of == unit]) for f in fields]
+        if some := [(f, at) for f, at in found if at]:
+            return [f for f, _ in some], [at for _, at in some], unit
+    return [], [], ""
 
 
 class _Sums:
@@ -101,12 +123,15 @@ class _Sums:
     resolution    largest that storing at two origins can make of one place [m]; None with one origin
     """
 
-    def __init__(self, recording: Recording, field: StateField, array: StateArray, rows: NDArray[np.int64]) -> None:
+    def __init__(
+        self, recording: Recording, field: StateField, array: StateArray, rows: NDArray[np.int64], of: list[int] | None
+    ) -> None:
+        self._of = of
         self._recording, self._field, self._array, self._rows = recording, field, array, rows
         simulation = recording.simulation
         origins = simulation.env_origins if simulation and field.frame == "world" else ()
         self._origins = np.array(origins) if len(set(origins)) > 1 else None
-        self.bodies = len(field.items)
+        self.bodies = len(field.items) if of is None else len(of)
         self.pair_squares = np.zeros(len(rows))
         self.largest = np.zeros(len(rows))
         self.resolution = 0.0 if self._origins is not None else None
@@ -121,10 +146,11 @@ class _Sums:
         row_bytes = (end - begin) * block * items * width * self._array.dtype.itemsize
         envs = block * max(1, _READ_BYTES // max(row_bytes, 1))
         zero = self._array.read(slice(begin, end), slice(0, 1))[some - begin]
-        squares, vectors = np.zeros(len(some)), np.zeros((len(some), items, width))
+        squares, vectors = np.zeros(len(some)), np.zeros((len(some), self.bodies, width))
         for first in range(0, n_env, envs):
             part = self._array.read(slice(begin, end), slice(first, first + envs))[some - begin]
             apart = self._apart(part, zero, first)
+            apart = apart if self._of is None else apart[:, :, self._of]
             with np.errstate(invalid="ignore", over="ignore"):
                 squared = (apart**2).sum(axis=-1)
                 squares += squared.sum(axis=(1, 2))

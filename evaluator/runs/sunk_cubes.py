@@ -10,7 +10,8 @@ from gpusimbench.evaluator.metrics.lost_cubes import Sinking, may_have_sunk
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.read.scene import radius_of, supports_of
-from gpusimbench.evaluator.runs.positions import GROUP, in_env_frame, no_states
+from gpusimbench.evaluator.runs.outcome import OutcomeArray, outcome_of
+from gpusimbench.evaluator.runs.positions import in_env_frame, no_states
 
 _ROW_BYTES = 16 << 20  # of positions read at a time
 
@@ -33,30 +34,30 @@ class Sunk:
 
 def count_sunk(recording: Recording) -> Sunk | Missing:
     """Count the sunk cubes of each environment; Missing says why they cannot be counted."""
-    field = next((f for f in recording.fields if f.name == f"{GROUP}/position"), None)
-    if field is None:
-        return Missing(f"no positions of {GROUP} were recorded")
+    fields = outcome_of(recording)
+    if isinstance(fields, Missing):
+        return fields
     if "size" in recording.configuration.varied:
-        return Missing("sizes of cubes differ from environment to environment (--vary)")
-    array = recording.state(GROUP, "position")
+        return Missing("sizes of bodies differ from environment to environment (--vary)")
+    array = OutcomeArray(recording, fields)
     if len(array) < 2:
         return no_states(recording)
     supports = supports_of(recording)
     if not supports:
-        return Missing("this scene has no level surface to go through")
-    last = in_env_frame(recording, field, array[-1])
+        return Missing("scene.json describes no level surface (a fixed plane or box) that bodies could go through")
+    last = in_env_frame(recording, array.field, array.at_step(int(array.steps[-1])))
     if last.shape[-1] < 3:
         return Missing("heights were not recorded")
     n_env, cubes = last.shape[:2]
     last_step = int(array.steps[-1])
-    radius = radius_of(recording, GROUP)
+    radius = max(radius_of(recording, field.group) for field in fields)
     if not may_have_sunk(last, supports, radius):
         return Sunk((0,) * n_env, cubes, last_step, None)
-    following = Sinking(in_env_frame(recording, field, array[0]), supports, radius)
+    following = Sinking(in_env_frame(recording, array.field, array.at_step(int(array.steps[0]))), supports, radius)
     count = max(1, _ROW_BYTES // last.nbytes)
     for begin in range(1, len(array), count):
-        for row in array.read(slice(begin, begin + count), slice(None)):
-            following.feed(in_env_frame(recording, field, row))
+        for row in array.read(slice(begin, begin + count)):
+            following.feed(in_env_frame(recording, array.field, row))
     found = following.sank
     first = int(array.steps[following.since[found].min()]) if found.any() else None
     return Sunk(tuple(np.count_nonzero(found, axis=1).tolist()), cubes, last_step, first)

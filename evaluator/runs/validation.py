@@ -14,15 +14,17 @@ from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.read.failing import KINDS, ONLY_FAILING, LastStates
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.read.scene import board_of, radius_of, supports_of
+from gpusimbench.evaluator.runs.outcome import outcome_of, positional
 from gpusimbench.evaluator.runs.physics.measure import check_described
-from gpusimbench.evaluator.runs.positions import GROUP, check_format
+from gpusimbench.evaluator.runs.positions import check_format
 from gpusimbench.schemas import checks
 from gpusimbench.schemas.errors import NUMBERS_OF_A_STRANGER, DamagedRecording
 from gpusimbench.schemas.fingerprint import fingerprint
 from gpusimbench.schemas.view.motion import Motion
 from gpusimbench.schemas.view.shapes import solids_of
 
-_LONGEST = 1e9  # [s]
+LONGEST_S = 1e9
+"""Of a time that a scene names [s]."""
 
 
 def demands(recording: Recording) -> Iterator[Callable[[], object]]:
@@ -51,7 +53,10 @@ def demands(recording: Recording) -> Iterator[Callable[[], object]]:
     yield recording.check_metadata
     yield lambda: _described(recording)
     yield lambda: board_of(recording)
-    yield lambda: (supports_of(recording), radius_of(recording, GROUP))
+    yield lambda: supports_of(recording)
+    for group in dict.fromkeys(field.group for field in positional(recording.fields)):
+        yield lambda group=group: radius_of(recording, group)  # type: ignore[misc]
+    yield lambda: outcome_of(recording)
     yield lambda: check_described(recording)
     yield lambda: _drawn(recording)
     if recording.usable:
@@ -143,7 +148,7 @@ def _described(recording: Recording) -> None:
             checks.text(scene, name, default="")
         for name in ("dt", "sample_time"):
             if name in scene:
-                checks.number(scene, name, 0, _LONGEST)
+                checks.number(scene, name, 0, LONGEST_S)
         if "gravity" in scene:
             checks.vector(scene["gravity"], 3, "gravity")
         for name in ("parameters", "robot", "actions"):

@@ -360,7 +360,7 @@ def test_other_numbers_of_cubes(tmp_path: Path, capsys: pytest.CaptureFixture[st
         outcome = finding(document, "outcome")
         assert (outcome["change"], outcome["why_not"]) == (
             "not compared",
-            "the runs have different numbers of environments or cubes",
+            "the runs have different numbers of environments or bodies",
         )
 
 

@@ -129,7 +129,7 @@ def test_faults_of_other_scenes_stand_beside_speed(tmp_path: Path) -> None:
         write_recording(tmp_path, final, simulator="warp", options={"solver": solver}, gpu_bytes=(0, 10**9))
     evaluation = evaluate_files(sorted(tmp_path.glob("*.mcap")))
     rows = capability(evaluation.sweeps, evaluation.results)
-    sunk = ("inclined-collision: 9 of 27 cubes per env sank",)
+    sunk = ("inclined-collision: 9 of 27 bodies per env sank",)
     assert [(row.label, row.elsewhere) for row in rows] == [("warp [solver=a]", ()), ("warp [solver=b]", sunk)]
     assert sunk[0] in render_html(evaluation, published=False, command="c")
     assert [one["elsewhere"] for one in to_json(evaluation)["capability"]] == [[], list(sunk)]

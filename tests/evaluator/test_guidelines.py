@@ -121,12 +121,12 @@ def barred(name: str, **why: str) -> list[SimulatorResult]:
 def test_sunk_cubes_bar_a_pick() -> None:
     """Pick the runner-up of a simulator that is barred, and show who was barred and why."""
     sound = row(PUBLISHED, "large parallelism with simple agents")
-    found = row(barred("Madrona", barred="9 of 27 cubes per env sank"), "large parallelism with simple agents")
+    found = row(barred("Madrona", barred="9 of 27 bodies per env sank"), "large parallelism with simple agents")
     assert sound.pick == "Madrona"
     assert found.pick == "Isaac Lab"  # whose N_env^max is the largest of what is left
     assert found.evidence is not None
-    assert "barred: Madrona (N_env^max 262144, 4.811e+05 FPS): 9 of 27 cubes per env sank" in found.evidence
-    assert found.barred == ("Madrona (N_env^max 262144, 4.811e+05 FPS): 9 of 27 cubes per env sank",)
+    assert "barred: Madrona (N_env^max 262144, 4.811e+05 FPS): 9 of 27 bodies per env sank" in found.evidence
+    assert found.barred == ("Madrona (N_env^max 262144, 4.811e+05 FPS): 9 of 27 bodies per env sank",)
 
 
 def test_bars_of_loose_bodies_and_of_robots_are_two() -> None:

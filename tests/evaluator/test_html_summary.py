@@ -91,7 +91,7 @@ def test_faults_in_any_scene_bar_a_first_place(tmp_path: Path) -> None:
     assert (swept.first.result.group.key.simulator, swept.second) == ("slow", None)
     ((speed_of, why),) = swept.faster
     assert speed_of.result.group.key.simulator == "fast"
-    assert "9 of 27 cubes per env sank (inclined-collision)" in why
+    assert "9 of 27 bodies per env sank (inclined-collision)" in why
     assert collided.first.result.group.key.simulator == "slow"
     assert collided.faster == ()  # it is slower there
 

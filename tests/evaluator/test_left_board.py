@@ -122,11 +122,11 @@ def test_one_cube_of_many_is_shown(few: Evaluation) -> None:
 
     stream = io.StringIO()
     print_all(few, stream)
-    assert "cubes off the board [cubes per env]" in " ".join(stream.getvalue().split())
+    assert "bodies off the board [bodies per env]" in " ".join(stream.getvalue().split())
     assert "<small>in 1 of 24 envs</small>" in render_html(few, published=False, command="")
     made = tables_of(few)
     (row,) = rows_of(made["variability-others"]).values()
-    assert row["cubes off the board [cubes per env]"].text == "0.04"
+    assert row["bodies off the board [bodies per env]"].text == "0.04"
     (row,) = rows_of(made["variability-distances"]).values()
     clamped = [cell.text for title, cell in row.items() if title.startswith("clamped W1")]
     assert len(clamped) == 3
@@ -169,7 +169,7 @@ def test_no_board_no_clamping(tmp_path: Path) -> None:
     """Say that a scene without a board has none, and keep the published value."""
     (result,) = evaluate_files([write_recording(tmp_path, grid(2), scene="free-fall")]).results
     assert result.metrics["w1_parallel"].value == 0
-    assert result.metrics["w1_parallel_clamped"].value == Missing("this scene has no board")
+    assert result.metrics["w1_parallel_clamped"].value == Missing("scene.json names no board (a fixed box)")
     assert json.dumps(to_json(evaluate_files([])))
 
 
@@ -178,4 +178,4 @@ def test_no_board_no_clamping(tmp_path: Path) -> None:
 )
 def test_no_count_is_rounded_to_nothing(value: float, shown: str) -> None:
     """Round a mean count, and never to 0.00."""
-    assert figure(value, "cubes per env") == shown
+    assert figure(value, "bodies per env") == shown

@@ -190,7 +190,7 @@ def test_sunk_cubes_are_a_fault(tmp_path: Path) -> None:
         write_recording(tmp_path, final, options={"which": number})
     sound, bad = (faults(r) for r in evaluate_files(sorted(tmp_path.glob("*.mcap"))).results)
     assert not sound.sunk
-    assert bad.sunk == "2.5 of 27 cubes per env sank"
+    assert bad.sunk == "2.5 of 27 bodies per env sank"
     assert bad.sunk in str(bad)
 
 

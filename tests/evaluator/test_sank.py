@@ -96,7 +96,7 @@ def test_cubes_through_the_floor(tmp_path: Path, scene: str, left: float | None)
         "total": 3, "of": 54, "cubes": 27, "per_run": (3,), "last_step": 6, "first_step": 3
     }  # fmt: skip
     (result,) = evaluate_files([path]).results
-    assert "cubes through the floor: 1.5 of 27 per env by step 6, the first at step 3" in result.notes
+    assert "bodies through the floor: 1.5 of 27 per env by step 6, the first at step 3" in result.notes
 
 
 def test_a_fall_over_the_edge_is_not_sinking(tmp_path: Path) -> None:

@@ -102,7 +102,7 @@ def test_shipped_recordings(shipped: Figure) -> None:
     rows = list(csv.DictReader(io.StringIO(to_csv(shipped.numbers.titles, shipped.numbers.rows), newline="")))
     assert [float(r["W1 between runs [cm]"]) for r in rows if r["group"].startswith("mujoco")] == [0.0, 0.0, 0.0]
     [brax] = [r for r in rows if r["group"] == "brax"]
-    assert "cubes per env sank" in brax["what speaks against it"]
+    assert "bodies per env sank" in brax["what speaks against it"]
     figure = ET.fromstring(str(shipped.svg))
     assert sum("nothing" in e.get("class", "").split() for e in figure.iter()) == 1
     assert {"mujoco", "brax", "exactly 0"} <= set(texts(figure))

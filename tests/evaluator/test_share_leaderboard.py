@@ -116,7 +116,7 @@ def test_who_has_no_place(runs: Path, tmp_path: Path) -> None:
     assert "1 of 2 runs INVALID: buffer overflow" in why["invalid"]
     assert "integrity-1" in why["unsaid"]
     assert "no memory" in why["failed"]
-    assert "cubes through the floor, per env (27 of 27)" in why["sunk"]
+    assert "bodies through the floor, per env (27 of 27)" in why["sunk"]
     assert "timed phase" in why["untimed"]
     assert "instrument" in why["control"]
     page = (tmp_path / "board" / "index.html").read_text()
@@ -141,7 +141,7 @@ def test_an_engine_that_is_wrong_elsewhere_has_no_place(runs: Path, tmp_path: Pa
     (free_fall,) = (section for section in document["sections"] if section["scene"] == "free-fall")
     assert [(row["simulator"], row["place"]) for row in free_fall["rows"]] == [("right", 1), ("wrong", None)]
     top = (tmp_path / "board" / "index.html").read_text().partition("</table>")[0]
-    assert "wrong (1 row): elsewhere 27 of 27 cubes per env sank (inclined-collision)" in top
+    assert "wrong (1 row): elsewhere 27 of 27 bodies per env sank (inclined-collision)" in top
 
 
 def test_rules_that_are_not_met_are_said_in_words(runs: Path, tmp_path: Path) -> None:

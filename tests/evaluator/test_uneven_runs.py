@@ -46,7 +46,7 @@ def test_a_short_run_is_left_out_by_name(tmp_path: Path) -> None:
     assert metrics["equality_runs"].of(Equality).text == "different"
     assert metrics["distinct_runs"].value == 2
     assert metrics["distinct_runs"].n == 3
-    note = "run 2 (cut.mcap) left out of W1, equality, published type and cubes off the board"
+    note = "run 2 (cut.mcap) left out of W1, equality, published type and bodies off the board"
     assert any(one.startswith(note) for one in to_json(found)["groups"][0]["notes"])
     assert note in text_of(found)
     assert "step 5 (5 s) was not recorded" in text_of(found)

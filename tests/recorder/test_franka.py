@@ -226,6 +226,6 @@ def test_a_recording_of_the_arm(gsb_record: Command, gsb_eval: Command, tmp_path
     (group,) = json.loads(evaluated.stdout)["groups"]
     changed = group["metrics"]["capture_changes_states"]
     assert (changed["value"], changed["n"]) == (0, 2), "the timed phase had the same actions"
-    assert "no positions of cubes were recorded" in evaluated.stdout
+    assert "no positions of free bodies were recorded" in evaluated.stdout
     why = group["metrics"]["distinct_envs"]["why_not"]
     assert why.startswith("the environments were given different actions")

@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-from gpusimbench.evaluator.compare.distances import distances, has_cubes
+from gpusimbench.evaluator.compare.distances import distances, has_positions, joint_distances
 from gpusimbench.evaluator.compare.finding import DIFFERENT, FAILING, Change, Finding, Settings
 from gpusimbench.evaluator.compare.history.curves import Curve, Shift, curves_of, searched
 from gpusimbench.evaluator.compare.history.points import Point, Points
 from gpusimbench.evaluator.compare.history.series import Entry, Series, series_of
 from gpusimbench.evaluator.compare.matching import Pair
 from gpusimbench.evaluator.compare.mechanics import compare_mechanics
-from gpusimbench.evaluator.compare.outcome import compare_outcomes
+from gpusimbench.evaluator.compare.outcome import JOINT_OUTCOMES, compare_outcomes
 from gpusimbench.evaluator.compare.sameness import all_alike, compare_bits, compare_determinism
 from gpusimbench.evaluator.compare.validity import compare_validity
 from gpusimbench.evaluator.compute.work import Work
@@ -174,7 +174,11 @@ def _certain(before: Entry, after: Entry, settings: Settings, work: Work) -> Ite
         if certain:
             # all runs of a point end at the same bits: two speak for all
             ends = one.runs[:2], other.runs[:2]
-            found.append(compare_outcomes(distances(*ends, work), settings, applies=has_cubes(*ends)))
+            found.append(compare_outcomes(distances(*ends, work), settings, applies=has_positions(*ends)))
+            found += [
+                compare_outcomes(joint_distances(*ends, unit), settings, applies=True, asked=asked)
+                for unit, asked in JOINT_OUTCOMES.items()
+            ]
         found += [*compare_determinism(one, other), compare_bits(one.runs, other.runs)]
     yield from (item for item in found if isinstance(item, Finding))
 

@@ -25,7 +25,7 @@ _ZERO = 22.0  # height of the strip of exact zeros
 _SIDE, _LOW = _WIDTH - _LEFT - _RIGHT, _HEIGHT - _BOTTOM
 _FLOOR = _LOW - _ZERO  # of the logarithmic axis
 _INSET = 8.0  # of the time axis within the frame, for the marks at its ends
-_UNITS = ((1.0, "m"), (1e-3, "mm"), (1e-6, "µm"), (1e-9, "nm"), (1e-12, "pm"), (1e-15, "fm"))
+_UNITS = ((1.0, ""), (1e-3, "m"), (1e-6, "µ"), (1e-9, "n"), (1e-12, "p"), (1e-15, "f"))
 _FEW = 20  # points that are marked one by one
 
 Scale = Callable[[float], float]
@@ -38,8 +38,8 @@ class Curve:
     index    of its colour and dash
     label    for those who point at it
     times    [s], shape [step]
-    largest  distance of a body from environment 0 [m], NaN where it is not finite, shape [step]
-    rms      over all pairs of environments [m], likewise
+    largest  distance of a body or joint from environment 0 [m or rad], NaN where it is not finite, shape [step]
+    rms      over all pairs of environments, likewise
     fit      exponential through `largest`; None where there is none
     """
 
@@ -60,11 +60,12 @@ def shown_rows(curve: Curve) -> NDArray[np.int64]:
     return np.unique(np.append(spread, np.argmax(curve.largest > 0)))
 
 
-def divergence_chart(curves: Sequence[Curve], *, onset: float | None, name: str) -> str:
+def divergence_chart(curves: Sequence[Curve], *, onset: float | None, name: str, unit: str = "m") -> str:
     """Largest distance as a line, root mean square as a thin one; empty where nothing is above zero.
 
     onset  time at which the first bit differs between two environments [s], by hashes; None where that is not known
     name   of the group, for the picture's label
+    unit   of the distances: "m" or "rad"
     """
     values = np.concatenate([part for c in curves for part in (c.largest, c.rms)])
     positive = values[np.isfinite(values) & (values > 0)]
@@ -93,7 +94,7 @@ def divergence_chart(curves: Sequence[Curve], *, onset: float | None, name: str)
         *(element("line", x1=_LEFT, x2=_LEFT + _SIDE, y1=at, y2=at, class_="faint") for _, at in rows),
         *(_window(fitted.fit, x) if fitted and fitted.fit else ()),
         axis.frame(_LEFT, _TOP, _SIDE, _LOW - _TOP),
-        *(axis.left(_LEFT, at, _length(v)) for v, at in rows),
+        *(axis.left(_LEFT, at, _amount(v, unit)) for v, at in rows),
         text("exactly 0", _LEFT - 7, _LOW - _ZERO / 2 + 4, class_="end"),
         *(axis.bottom(at, _LOW, axis.tick_label(t)) for t, at in columns),
         text("simulated time [s]", _LEFT + _SIDE / 2, _LOW + 34, class_="mid"),
@@ -103,11 +104,11 @@ def divergence_chart(curves: Sequence[Curve], *, onset: float | None, name: str)
     )
 
 
-def _length(metres: float) -> str:
-    for size, unit in _UNITS:
-        if metres >= size * 0.999:
-            return f"{metres / size:.3g} {unit}"
-    return f"{metres:.0e} m"
+def _amount(value: float, unit: str) -> str:
+    for size, prefix in _UNITS:
+        if value >= size * 0.999:
+            return f"{value / size:.3g} {prefix}{unit}"
+    return f"{value:.0e} {unit}"
 
 
 def _curve(curve: Curve, x: Scale, y: Scale) -> str:

@@ -22,7 +22,7 @@ from gpusimbench.evaluator.results.reference import Reference
 from gpusimbench.evaluator.results.result import GroupResult, Map
 
 _HOW = (
-    "Where cubes lie at t = {time:g} s, all environments and runs of a group together, each environment in its own "
+    "Where bodies lie at t = {time:g} s, all environments and runs of a group together, each environment in its own "
     "frame. Colour: the number of positions in a hexagon {width} cm wide; all maps of this scene share scale and "
     "extent. Empty hexagons are not drawn. Bars at the top and the right: share of a group's positions in strips along "
     "x and y, on one scale for all maps. Shaded with a dashed edge: the board."

@@ -37,7 +37,6 @@ from gpusimbench.evaluator.results.result import GroupResult, RunSpread
 
 _MM = 1e3
 _UNKNOWN = "not known: "
-_CURVES = ("run", "simulated time [s]", "largest distance [m]", "rms distance [m]")
 _BRANCHES = ("lowest", "left", "at step", "simulated time [s]", "left together", "stayed together", "that stayed")
 
 
@@ -47,7 +46,7 @@ class Onset:
 
     envs, runs  first step and time at which the first bit differs; "never", or why it is not known
     doubling    median time in which the largest distance doubles [s], or a dash with the reason in `no_doubling`
-    to_1mm      earliest time of a run at which it reaches 1 mm [s]; a dash where it never does
+    to_1mm      earliest time of a run at which it reaches 1 mm, or 1 mrad of hinges [s]; a dash where it never does
     """
 
     result: GroupResult
@@ -93,7 +92,8 @@ def _of_group(number: int, result: GroupResult, found: Sequence[Figure]) -> Sect
 
 
 def _table(onsets: Sequence[Onset]) -> Table:
-    limit, reasons = f"{FIT_LIMIT_M * _MM:g} mm", Reasons()
+    units = sorted({s.spread.unit for one in onsets for s in one.result.spreads if s.spread} or {"m"})
+    limit, reasons = " or ".join(f"{FIT_LIMIT_M * _MM:g} m{unit}" for unit in units), Reasons()
     columns = (
         Column("group"),
         Column("envs: first bit differs", "by hashes of the whole state at every captured step; the first of all runs"),
@@ -186,15 +186,27 @@ def _growth(result: GroupResult, key: str) -> Figure:
         return Figure(label, f"No curve: {why_not}.", None)
     step = _distinct(result, "distinct_envs").first_difference_step
     onset = None if step is None else step * result.group.key.dt
-    svg = chart.divergence_chart(curves, onset=onset, name=result.label)
+    unit, what = _followed(result)
+    svg = chart.divergence_chart(curves, onset=onset, name=result.label, unit=unit)
     if not svg:
-        return Figure(label, "No curve: no recorded position differs between environments.", None)
+        differs = "recorded position" if what == "body" else "coordinate of a joint"
+        return Figure(label, f"No curve: no {differs} differs between environments.", None)
     rows = [
         (c.label, *(round(float(v), 12) if np.isfinite(v) else None for v in (c.times[i], c.largest[i], c.rms[i])))
         for c in curves
         for i in chart.shown_rows(c)
     ]
-    return Figure(label, _said(result, curves), Markup(svg), key, Numbers(_CURVES, rows), _about(result))
+    return Figure(label, _said(result, curves), Markup(svg), key, Numbers(_columns(unit), rows), _about(result))
+
+
+def _columns(unit: str) -> tuple[str, ...]:
+    return ("run", "simulated time [s]", f"largest distance [{unit}]", f"rms distance [{unit}]")
+
+
+def _followed(result: GroupResult) -> tuple[str, str]:
+    """The unit of the distances of a group, and what they are of."""
+    first = next((s.spread for s in result.spreads if s.spread), None)
+    return ("m", "body") if first is None or first.bodies else (first.unit, "joint")
 
 
 def _about(result: GroupResult) -> str:
@@ -217,10 +229,11 @@ def _curves(result: GroupResult) -> Iterator[chart.Curve]:
 
 
 def _said(result: GroupResult, curves: Sequence[chart.Curve]) -> str:
+    what = _followed(result)[1]
     points, ends = len(curves[0].times), [float(c.largest[-1]) for c in curves if np.isfinite(c.largest[-1])]
     thick, thin = ("Filled", "Open") if points < chart.LINE_FROM else ("Thick", "Thin")
     said = [
-        f"{thick}: the largest distance of a body from where it is in environment 0. {thin}: root mean square, all "
+        f"{thick}: the largest distance of a {what} from where it is in environment 0. {thin}: root mean square, all "
         "pairs."
     ]
     fits = [c for c in curves if c.fit]
@@ -232,10 +245,10 @@ def _said(result: GroupResult, curves: Sequence[chart.Curve]) -> str:
             f"window from {one.begin:g} to {one.end:g} s (R² {one.r_squared:.2f}, {one.points} points)."
         )
     elif points < chart.LINE_FROM:
-        said.append(f"Positions were recorded at {points} steps: too few for a line, and for a growth rate.")
+        said.append(f"States were recorded at {points} steps: too few for a line, and for a growth rate.")
     elif why_not := why_missing(result.metrics["divergence_rate"].value):
         said.append(f"No growth rate: {why_not.removeprefix('no rate: ')}.")
-    if ends and max(ends) > 1:
+    if ends and max(ends) > 1 and any(run.board for run in result.group.recordings):
         said.append("A body that left the board falls on, which makes distances of metres.")
     return " ".join(said)
 

@@ -11,7 +11,7 @@ from gpusimbench.evaluator.report.sections.rows import Reasons
 from gpusimbench.evaluator.report.source import Source
 
 _HOW = (
-    "Each pick follows from its rule and from these recordings, and from nothing else. INVALID runs, cubes that went "
+    "Each pick follows from its rule and from these recordings, and from nothing else. INVALID runs, bodies that went "
     "through the floor and broken checks of mechanics, in any scene, bar a pick, however good its figures are."
 )
 _NAMED = 6

@@ -233,7 +233,7 @@ def _beside(figure: Printed, result: GroupResult, metric: Estimate) -> Printed:
     fell, clamped = (known(result.metrics[name].value) for name in ("left_board", metric.name + SUFFIX))
     if not fell or clamped is None:
         return figure
-    said = f"clamped to the board: {numbers.distance(clamped)}; {numbers.figure(fell, '')} cubes off it per env"
+    said = f"clamped to the board: {numbers.distance(clamped)}; {numbers.figure(fell, '')} bodies off it per env"
     return replace(figure, note="; ".join(part for part in (figure.note, said) if part))
 
 

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 from gpusimbench.evaluator.metrics.regime import REGIME_MEANING
 from gpusimbench.evaluator.missing import Missing, known
-from gpusimbench.evaluator.render.document import Block, Cell, Column, Section, Text, Tone
+from gpusimbench.evaluator.render.document import Block, Cell, Column, Section, Table, Text, Tone, items
 from gpusimbench.evaluator.render.numbers import NONE, distance, mean_sd, plural
 from gpusimbench.evaluator.report import words
 from gpusimbench.evaluator.report.sections.rows import Reasons
@@ -29,16 +30,24 @@ from gpusimbench.evaluator.results.identity_metrics import (
     EQUALITY_RUNS,
     identical,
 )
-from gpusimbench.evaluator.results.metric import Estimate, Metric, Table
+from gpusimbench.evaluator.results.joint_metrics import JOINT_METRICS
+from gpusimbench.evaluator.results.metric import Estimate, Metric
+from gpusimbench.evaluator.results.metric import Table as TableOf
 from gpusimbench.evaluator.results.result import GroupResult
 
 _BITS = "Bits: classes of equal states, and the strongest level of equality"
-_OTHERS = "Cubes that were lost, growth of differences, and what capturing changed"
+_OTHERS = "Bodies that were lost, growth of differences, and what capturing changed"
 _DISTANCES = "Distances W1 between planar positions, in cm"
+_JOINTS = "Distances in joint space: angles in rad, sliding joints in cm"
+_JOINTS_LEGEND = (
+    "root mean square over the joints of the difference of two environments, or of the same environment of two runs; "
+    "hinges and ball joints are in one number, sliding joints in another",
+)
 _LEGEND = (
-    "W1 compares where cubes lie seen from above, whichever cube lies where: cubes that swapped places, or that differ "
-    "in height or angle only, are at distance 0. Only the counts of distinct environments and runs compare all bits.",
-    "clamped: each cube beside the board is put at its nearest edge, so that flight after a fall does not count",
+    "W1 compares where bodies lie seen from above, whichever body lies where: bodies that swapped places, or that "
+    "differ in height or angle only, are at distance 0. Only the counts of distinct environments and runs compare all "
+    "bits.",
+    "clamped: each body beside the board is put at its nearest edge, so that flight after a fall does not count",
     f"{words.EXCHANGED}: W1 of the first two runs (or of the first run and the reference), its mean with whole "
     "environments exchanged between them at random, and the share of exchanges that give as much",
     "0 alone is an exact zero; published tables round, and their 0.00 can hide up to 0.005 cm",
@@ -53,7 +62,8 @@ def section(source: Source) -> Section | None:
     bits, apart, others = Reasons(), Reasons(), Reasons()
     distances = [W1_PARALLEL, W1_RUN_TO_RUN, *([W1_REAL] if source.evaluation.reference else [])]
     told = {DISTINCT_ENVS, DISTINCT_RUNS, EQUALITY_ENVS, EQUALITY_RUNS, REGIME, W1_PARALLEL, W1_RUN_TO_RUN, W1_REAL}
-    rest = [m for m in source.columns(Table.VARIABILITY) if m not in told and not m.name.endswith(SUFFIX)]
+    told |= set(JOINT_METRICS)
+    rest = [m for m in source.columns(TableOf.VARIABILITY) if m not in told and not m.name.endswith(SUFFIX)]
     of_bits = [
         _distinct(DISTINCT_ENVS, EQUALITY_ENVS, bits),
         _distinct(DISTINCT_RUNS, EQUALITY_RUNS, bits),
@@ -62,8 +72,11 @@ def section(source: Source) -> Section | None:
     of_others = [column_of(m, others) if m not in (LEFT_BOARD, SANK) else _cubes(m, others) for m in rest]
     blocks: list[Block] = [
         of_groups("variability-bits", _BITS, results, of_bits, bits, list(types_of(results))),
-        of_groups("variability-distances", _DISTANCES, results, [*_apart(distances, apart)], apart, _LEGEND),
-        of_groups("variability-others", _OTHERS, results, of_others, others),
+        *_or_why_not(
+            of_groups("variability-distances", _DISTANCES, results, [*_apart(distances, apart)], apart), _LEGEND
+        ),
+        *_of_joints(results),
+        *_or_why_not(of_groups("variability-others", _OTHERS, results, of_others, others)),
     ]
     if not source.evaluation.reference:
         blocks.append(Text(f"No distance to real trials: {source.evaluation.reference_note}."))
@@ -73,6 +86,22 @@ def section(source: Source) -> Section | None:
     if not compared:
         said = "no group has several runs whose bits can be compared"
     return Section("variability", "Variability", tuple(blocks), said, folded=True)
+
+
+def _or_why_not(found: Table, legend: Sequence[str] = ()) -> Iterator[Block]:
+    """A table with its legend; where no group has anything in it, the reasons alone."""
+    if len(found.columns) > 1:
+        yield replace(found, legend=(*legend, *found.legend))
+    elif found.legend:
+        yield items(*found.legend)
+
+
+def _of_joints(results: Sequence[GroupResult]) -> Iterator[Block]:
+    """Distances in joint space, where a group has any."""
+    if any(known(r.metrics[metric.name].value) is not None for r in results for metric in JOINT_METRICS):
+        reasons = Reasons()
+        columns = [column_of(metric, reasons) for metric in JOINT_METRICS]
+        yield of_groups("variability-joints", _JOINTS, results, columns, reasons, _JOINTS_LEGEND)
 
 
 def _distinct(counted: Metric, level: Metric, reasons: Reasons) -> tuple[Column, Written]:

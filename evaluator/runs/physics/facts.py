@@ -37,7 +37,7 @@ class Check(Enum):
     DEPTH_EVER = ("depth_ever", "depth in fixed bodies, ever", "m")
     PAIR_REST = ("pair_depth_at_rest", "depth in each other, at the end", "m")
     PAIR_EVER = ("pair_depth_ever", "depth in each other, ever (at least)", "m")
-    SANK = ("sank", "cubes through the floor, per env", "")
+    SANK = ("sank", "bodies through the floor, per env", "")
     END_SPEED = ("end_speed", "fastest cube on the floor at the end", "m/s", False)
     END_SPIN = ("end_spin", "fastest spin of a cube on the floor at the end", "rad/s", False)
     JOINT_LIMIT = ("joint_limit", "joint angle beyond its limits", "rad")

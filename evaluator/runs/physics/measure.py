@@ -7,12 +7,13 @@ import numpy.typing as npt
 
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.read.recording import Recording
+from gpusimbench.evaluator.runs.outcome import joint_fields, positional
 from gpusimbench.evaluator.runs.physics.balance import Balance
 from gpusimbench.evaluator.runs.physics.depth import Depths
 from gpusimbench.evaluator.runs.physics.ending import end_facts
 from gpusimbench.evaluator.runs.physics.facts import Check, Fact, Facts, PhysicsFacts, measured
 from gpusimbench.evaluator.runs.physics.fall import fall_facts
-from gpusimbench.evaluator.runs.physics.robot import GROUP, limits_of, robot_facts
+from gpusimbench.evaluator.runs.physics.joints import joint_facts, limits_of
 from gpusimbench.evaluator.runs.physics.setting import Setting
 from gpusimbench.evaluator.runs.physics.slides import Slides
 from gpusimbench.evaluator.runs.physics.slope import slope_facts
@@ -47,8 +48,11 @@ def physics_of(recording: Recording, sank: Sunk | Missing | None = None) -> Phys
 def _facts(recording: Recording, envs: tuple[tuple[int, int], ...], sank: Sunk | Missing | None) -> Facts | Missing:
     if recording.configuration.simulator == REAL:
         return Missing("these are measured trials, with one row each")
-    if any(f.group == GROUP and f.field == "qpos" for f in recording.fields):
-        return robot_facts(recording) if len(recording.state(GROUP, "qpos")) else no_states(recording)
+    if joint_fields(recording.fields):
+        if not len(recording.state(*_first(recording))):
+            return no_states(recording)
+        bodies = {Check.SANK: _sank(count_sunk(recording) if sank is None else sank)}
+        return {**joint_facts(recording), **(bodies if positional(recording.fields) else {})}
     if recording.configuration.intervention.startswith(("reset@", "poison@")):
         return Missing("some environments were changed on the way")
     walk = Walk(recording, envs)
@@ -68,13 +72,17 @@ def _facts(recording: Recording, envs: tuple[tuple[int, int], ...], sank: Sunk |
     return {**found, Check.SANK: _sank(count_sunk(recording) if sank is None else sank)}
 
 
+def _first(recording: Recording) -> tuple[str, str]:
+    field = joint_fields(recording.fields)[0]
+    return field.group, field.field
+
+
 def check_described(recording: Recording) -> None:
     """Read what mechanics needs of the scene; DamagedRecording where a part of it is unreadable."""
     if recording.configuration.simulator == REAL:
         return
-    joints = next((f for f in recording.fields if f.group == GROUP and f.field == "qpos"), None)
-    if joints is not None:
-        limits_of(recording, joints.items)
+    if joint_fields(recording.fields):
+        limits_of(recording)
         return
     walk = Walk(recording, drawn_envs(recording.configuration.n_env))
     if walk.groups and not isinstance(world_of(recording, walk.items), Missing):

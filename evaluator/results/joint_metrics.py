@@ -1,0 +1,149 @@
+"""Variability in joint space: the counterpart of W1 for robots, whose joints no published distance compares.
+
+Angles [rad] and travel [cm] have metrics of their own and never are in one number.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gpusimbench.evaluator.metrics.joints import (
+    MAX_ENVS,
+    JointSpace,
+    distance_between_envs,
+    distances_between_runs,
+)
+from gpusimbench.evaluator.metrics.variability import CM_PER_M
+from gpusimbench.evaluator.missing import Missing
+from gpusimbench.evaluator.results.aggregate import NO_RUN, Runs, differ, ends_of
+from gpusimbench.evaluator.results.details import JointsBetweenEnvs, JointsBetweenRuns
+from gpusimbench.evaluator.results.group_runs import GroupRuns
+from gpusimbench.evaluator.results.metric import Axis, Direction, Estimate, Metric, Table, missing, over_runs
+from gpusimbench.evaluator.results.sampled import named
+from gpusimbench.evaluator.runs.joints import Joints
+from gpusimbench.evaluator.runs.run import Run
+from gpusimbench.evaluator.statistics.jackknife import jackknife_pair_mean
+
+_UNITS: dict[str, tuple[Callable[[Run], Joints | Missing], float]] = {
+    "rad": (lambda run: run.joints if isinstance(run.joints, Missing) else run.joints.turning, 1.0),
+    "cm": (lambda run: run.joints if isinstance(run.joints, Missing) else run.joints.sliding, CM_PER_M),
+}
+"""By the unit of a metric: the joints of a run that it is of, and how many of the unit are one of theirs."""
+
+
+def joint_spaces(runs: Runs, unit: str) -> list[JointSpace] | Missing:
+    """The joints of all runs at the sample step, or why they cannot be compared.
+
+    unit  of the metric: "rad" for hinges and ball joints, "cm" for slides
+    """
+    if not runs:
+        return Missing(NO_RUN)
+    of, _ = _UNITS[unit]
+    found = [of(run) for run in runs]
+    for run, one in zip(runs, found, strict=True):
+        if isinstance(one, Missing):
+            alike = all(isinstance(other, Missing) and other.reason == one.reason for other in found)
+            return one if alike else Missing(f"{named([run])}: {one.reason}")
+    joints = [one for one in found if isinstance(one, Joints)]
+    if len({(one.names, len(one.space)) for one in joints}) > 1:
+        return Missing("the runs have different joints or numbers of environments")
+    return [one.space for one in joints]
+
+
+def run_distances(spaces: list[JointSpace], unit: str) -> NDArray[np.float64]:
+    """Distances between runs in the unit of the metric, shape [run, run]; see metrics.joints."""
+    return distances_between_runs(spaces) * _UNITS[unit][1]
+
+
+def _between_envs(unit: str, group: GroupRuns) -> list[float | Missing]:
+    """Of every run; a run that did not record the sample step has none."""
+    runs = group.at_sample
+    spaces = joint_spaces(runs, unit)
+    if not isinstance(spaces, Missing) and runs[0].apart_by_design:
+        spaces = Missing(runs[0].apart_by_design)
+    if not isinstance(spaces, Missing) and len(spaces[0]) < 2:
+        spaces = Missing("needs at least two environments")
+    if isinstance(spaces, Missing):
+        return [spaces] * len(group.runs)
+    scale = _UNITS[unit][1]
+    distinct = {_bits(space): space for space in spaces}  # identical runs are computed once
+    means = {bits: distance_between_envs(space).mean * scale for bits, space in distinct.items()}
+    found = {id(run): means[_bits(space)] for run, space in zip(runs, spaces, strict=True)}
+    return [found.get(id(run), Missing("the sample step was not recorded")) for run in group.runs]
+
+
+def _bits(space: JointSpace) -> tuple[bytes, bytes]:
+    return space.coordinates.tobytes(), space.balls.tobytes()
+
+
+def _parallel(metric: Metric, group: GroupRuns) -> Estimate:
+    estimate = over_runs(metric, group)
+    if isinstance(estimate.value, Missing) or group.runs[0].configuration.n_env <= MAX_ENVS:
+        return estimate
+    return replace(estimate, exactness="sampled", method=f"{estimate.method}; {MAX_ENVS} environments drawn by seed")
+
+
+def _joints(unit: str, group: GroupRuns) -> JointsBetweenEnvs:
+    spaces = joint_spaces(group.at_sample, unit)
+    return JointsBetweenEnvs(joints=0 if isinstance(spaces, Missing) else spaces[0].joints)
+
+
+def _run_to_run(metric: Metric, group: GroupRuns) -> Estimate:
+    runs = group.at_sample
+    spaces = joint_spaces(runs, metric.unit)
+    if isinstance(spaces, Missing):
+        return missing(metric, spaces.reason)
+    if len(runs) < 2:
+        return missing(metric, "needs at least two complete runs")
+    matrix = run_distances(spaces, metric.unit)
+    pairs = matrix[np.triu_indices(len(runs), k=1)]
+    interval = jackknife_pair_mean(matrix)
+    bounds, no_interval = ends_of(interval, len(runs), spread=differ(pairs))
+    offset = pairs - pairs[0]  # equal pairs have exactly that value
+    return Estimate(
+        metric,
+        float(pairs[0] + offset.mean()),
+        n=len(pairs),
+        sd=float(offset.std(ddof=1)) if len(pairs) > 1 else None,
+        ci95=bounds,
+        method=f"{metric.method}, mean and SD over pairs of runs; interval: {interval.method}",
+        details=JointsBetweenRuns(n_run=len(runs), joints=spaces[0].joints, interval_why_not=no_interval),
+    )
+
+
+def _made(unit: str, name: str, what: str, joints: str) -> tuple[Metric, Metric]:
+    of = f"root mean square over {joints}"
+    return (
+        Metric(
+            f"joint_{name}_parallel", f"{what} between envs", unit, Direction.LOWER,
+            f"the counterpart of `w1_parallel` in joint space: {of} of the difference between two environments at the "
+            "sample step; mean over all pairs of environments of a run, then over runs; see "
+            "[joint space](#joint-space)",
+            method=f"{of} of the difference between two environments, mean over pairs", table=Table.VARIABILITY,
+            values=partial(_between_envs, unit), details=partial(_joints, unit), of_group=_parallel,
+            interval="delete-one-run jackknife", optional=True, axis=Axis.VARIABILITY,
+        ),
+        Metric(
+            f"joint_{name}_run_to_run", f"{what} between runs", unit, Direction.LOWER,
+            f"the counterpart of `w1_run_to_run` in joint space: {of} of the difference between the same environment "
+            "of two runs at the sample step, mean over environments; mean and SD over all pairs of runs; see "
+            "[joint space](#joint-space)",
+            method=f"{of} of the difference between the same environment of two runs, mean over environments",
+            table=Table.VARIABILITY, of_group=_run_to_run,
+            interval="delete-one-run jackknife of a mean over pairs", optional=True, axis=Axis.VARIABILITY,
+        ),
+    )  # fmt: skip
+
+
+JOINT_METRICS = (
+    *_made("rad", "angle", "joint angles", "hinges and ball joints"),
+    *_made("cm", "slide", "sliding joints", "sliding joints"),
+)
+"""Of joints that turn, and of joints that slide: between environments, between runs."""
+
+BETWEEN_ENVS, BETWEEN_RUNS = JOINT_METRICS[::2], JOINT_METRICS[1::2]
