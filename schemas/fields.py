@@ -9,6 +9,9 @@ from typing import Any
 from gpusimbench.schemas import checks
 from gpusimbench.schemas.errors import DamagedRecording
 
+UNKNOWN = "unknown"
+"""The unit of numbers of which nothing tells a unit."""
+
 
 @dataclass(frozen=True)
 class FieldKind:
@@ -66,8 +69,8 @@ class StateField:
 
     @property
     def name(self) -> str:
-        """ "group/field", unique within a recording."""
-        return f"{self.group}/{self.field}"
+        """ "group/field", unique within a recording; the field alone where it is of no group, as arrays may be."""
+        return f"{self.group}/{self.field}" if self.group else self.field
 
     @property
     def width(self) -> int:
