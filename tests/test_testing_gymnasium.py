@@ -174,3 +174,10 @@ def test_a_wrapper_that_mixes_environments() -> None:
     normalised = gymnasium.wrappers.vector.NormalizeObservation
     text = failure(assert_batch_invariant, lambda n: normalised(carts(n, "NextStep")), steps=20, numbers=(2, 4))
     assert text.startswith("2 envs and the same 2 among 4 differ first at step 0, in env 0: observation[0]: ")
+
+
+def test_starts_that_come_from_one_generator() -> None:
+    """Find that an environment of arrays starts elsewhere among others, as the how-to says; it does repeat itself."""
+    assert_deterministic(lambda: gymnasium.make_vec("CartPole-v1", num_envs=2), STEPS)
+    text = failure(assert_batch_invariant, lambda n: gymnasium.make_vec("CartPole-v1", num_envs=n), steps=2)
+    assert text.startswith("1 env alone and the same env among 16 differ first at step 0: observation[")
