@@ -6,10 +6,10 @@ from collections.abc import Sequence
 from itertools import groupby
 
 from gpusimbench.evaluator.diff.result import Change
-from gpusimbench.schemas.fields import UNKNOWN
+from gpusimbench.schemas.fields import DIMENSIONLESS, UNKNOWN
 
 NONE = "-"
-WITHOUT_UNIT = ("unit quaternion", UNKNOWN)
+WITHOUT_UNIT = ("unit quaternion", UNKNOWN, DIMENSIONLESS)
 """Units that are not written behind a number."""
 
 _BARS = "▁▂▃▄▅▆▇█"

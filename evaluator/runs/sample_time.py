@@ -12,6 +12,7 @@ from gpusimbench.evaluator.metrics.variability import sampling_step
 from gpusimbench.evaluator.runs.known_files import read_all
 from gpusimbench.evaluator.runs.reader import Reader, Unreadable
 from gpusimbench.evaluator.runs.run import Run
+from gpusimbench.schemas.fields import ENV
 from gpusimbench.schemas.location import Place
 
 DEFAULT_S = 5.0
@@ -58,7 +59,9 @@ def read_sampled(places: Sequence[Place], reader: Reader, work: Work, *, chosen:
 
 
 def _shorter(runs: Sequence[Run]) -> dict[str, float]:
-    with_states = [run for run in runs if run.usable and (run.reached or run.histories)]
+    # arrays of a task have no positions, and so no time at which these are compared
+    bodies = [run for run in runs if any(field.group != ENV for field in run.fields) or not run.fields]
+    with_states = [run for run in bodies if run.usable and (run.reached or run.histories)]
     scenes = dict.fromkeys(run.configuration.scene for run in with_states)
     found = {}
     for scene in scenes:

@@ -12,7 +12,7 @@ from gpusimbench.evaluator.diff.array_sections import arrays_document
 from gpusimbench.evaluator.diff.arrays import Rows, compare_arrays
 from gpusimbench.evaluator.render.terminal import print_document
 from gpusimbench.schemas.errors import UsageError
-from gpusimbench.testing.arrays import leaves, mapped, on_host
+from gpusimbench.schemas.trees import leaves, mapped, on_host
 from gpusimbench.testing.stepping import drawn_actions, stepped
 
 if TYPE_CHECKING:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import shutil
 from collections.abc import Mapping
-from itertools import count, product
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -15,11 +15,10 @@ from numpy.typing import NDArray
 from gpusimbench.evaluator.diff.arrays import Rows
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.recorder.log import RecordingWriter
+from gpusimbench.recorder.vector.fields import NO_STEP, field_of, recorded_dtype
 from gpusimbench.schemas import __version__
-from gpusimbench.schemas.fields import UNKNOWN, StateField
 from gpusimbench.testing.assertions import Differs
 
-_GROUP = "env"
 _LONGEST = 150  # characters of a file's name
 _STEP_S = 1.0  # time steps of environments are not known
 
@@ -69,7 +68,10 @@ def _free(folder: Path, name: str) -> tuple[Path, Path]:
 
 def _write(path: Path, side: Mapping[str, Rows], *, test: str, index: int) -> None:
     recorded = [_recorded(rows) for rows in side.values()]
-    fields = [_field(key, rows, array) for (key, rows), array in zip(side.items(), recorded, strict=True)]
+    fields = [
+        field_of(name, rows.values.dtype, rows.values.shape[2:], *([NO_STEP] if rows.first else []))
+        for name, rows in side.items()
+    ]
     steps, n_env = recorded[0].shape[:2]
     with RecordingWriter(
         path, simulator="gpusimbench.testing", version=__version__, scene=test, n_env=n_env, dt=_STEP_S,
@@ -80,19 +82,6 @@ def _write(path: Path, side: Mapping[str, Rows], *, test: str, index: int) -> No
 
 
 def _recorded(rows: Rows) -> NDArray[Any]:
-    """[step, env, 1, component] from step 0 on."""
-    values = rows.values
-    single = np.can_cast(values.dtype, np.float32)
-    flat = values.astype(np.float32 if single else np.float64).reshape(*values.shape[:2], 1, -1)
-    return np.concatenate([np.zeros((rows.first, *flat.shape[1:]), dtype=flat.dtype), flat])
-
-
-def _field(name: str, rows: Rows, recorded: NDArray[Any]) -> StateField:
-    notes = []
-    if rows.values.dtype != recorded.dtype:
-        notes.append(f"recorded from {rows.values.dtype}")
-    if rows.first:
-        notes.append("there is no such number at step 0, where 0 stands for it")
-    components = tuple("_".join(map(str, at)) for at in product(*map(range, rows.values.shape[2:])))
-    field = re.sub(r"[^a-z0-9]+", "_", name.lower()).strip("_") or "array"
-    return StateField(_GROUP, field, str(recorded.dtype), ("",), components, UNKNOWN, UNKNOWN, "; ".join(notes))
+    """[step, env, ...] from step 0 on."""
+    values = rows.values.astype(recorded_dtype(rows.values.dtype))
+    return np.concatenate([np.zeros((rows.first, *values.shape[1:]), dtype=values.dtype), values])

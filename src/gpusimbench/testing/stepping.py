@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gpusimbench.evaluator.diff.arrays import Rows
+from gpusimbench.recorder.vector.modes import FINAL, Mode, mode_of, with_final
 from gpusimbench.schemas.errors import UsageError
-from gpusimbench.testing.arrays import leaves, mapped, on_host
+from gpusimbench.schemas.trees import leaves, mapped, on_host
 
 _STEPPED = ("observation", "reward", "terminated", "truncated")
-FINAL = "final_observation"
 
 
 def drawn_actions(env: Any, steps: int, seed: int) -> list[Any]:
@@ -98,8 +98,7 @@ class _Gymnasium:
     def __init__(self, env: Any) -> None:
         self._env = env
         self._alone = not any(hasattr(part, "num_envs") for part in (env, getattr(env, "unwrapped", None)))
-        mode = (getattr(env, "metadata", None) or {}).get("autoreset_mode", "")
-        self._mode = "" if self._alone else str(getattr(mode, "value", mode)).lower().replace("_", "")
+        self._mode = Mode.NONE if self._alone else mode_of(env)
 
     def batch(self, tree: Any) -> Any:
         """A tree of one environment with the axis that it lacks."""
@@ -115,32 +114,11 @@ class _Gymnasium:
         observation, reward, terminated, truncated, info = returned
         found = dict(zip(_STEPPED, map(self.batch, (observation, reward, terminated, truncated)), strict=True))
         done = on_host(found["terminated"], "terminated") | on_host(found["truncated"], "truncated")
-        if self._alone or self._mode == "disabled":
+        if self._alone or self._mode is Mode.DISABLED:
             found[FINAL] = deepcopy(found["observation"])
             if done.any():
                 options = {} if self._alone else {"options": {"reset_mask": done}}
                 found["observation"] = self.batch(self._env.reset(**options)[0])
-        elif self._mode == "samestep":
+        elif self._mode is Mode.SAME_STEP:
             found |= with_final(found["observation"], info, done)
         return found
-
-
-def with_final(observation: Any, info: Mapping[str, Any], done: NDArray[np.bool_]) -> dict[str, NDArray[Any]]:
-    """Observations, and in the environments that are done those with which their episodes ended, by name.
-
-    info  its "final_obs" are such observations, each of one environment, or arrays of all environments
-
-    UsageError where there are none.
-    """
-    before = {name: on_host(value, name) for name, value in leaves(observation, FINAL)}
-    if not done.any():
-        return before
-    final = info.get("final_obs", info.get(FINAL))
-    if final is None:
-        raise UsageError("an episode ended in a step that begins the next one, and info has no final_obs")
-    by_env = isinstance(final, np.ndarray) and final.dtype == object
-    for env in np.flatnonzero(done):
-        for name, value in leaves(final[env] if by_env else final, FINAL):
-            array = on_host(value, name)
-            before[name][env] = array if by_env else array[env]
-    return before

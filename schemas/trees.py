@@ -26,7 +26,7 @@ def on_host(value: Any, name: str) -> NDArray[Any]:
     array = np.array(value)
     if array.dtype.kind not in _KINDS or array.dtype.itemsize > _LARGEST:
         raise UsageError(
-            f"{name} is {array.dtype}; arrays of real numbers or truth values, of at most 8 bytes each, are compared"
+            f"{name} is {array.dtype}; arrays of real numbers or truth values, of at most 8 bytes each, are taken"
         )
     return array
 
