@@ -2,10 +2,10 @@
 
 usage: python -m benchmarks.wrap_overhead [--task HalfCheetah-v5] [--n-env 64] [--steps 200] [--rounds 9]
 
-Both vectors live in this process, begin with one seed and are given the same actions, drawn before. A round steps each
-of them in turn, the bare one first in every second round, and gives one ratio; the end of the recording counts as well.
-On a machine that is busy with other things, the ratio of CPU times is the steadier one.
-The last observations of both are the same, bit for bit.
+Both vectors live in this process, begin with one seed and are given the same actions, drawn before. Each step is made
+by both, one after the other, in an order that changes from step to step, so that whatever else the machine does meets
+both. A round gives one ratio, of the time of all steps and of closing. The beginning of the recording, in which host and
+software are described once, is in the first step, and is told apart. The last observations are the same, bit for bit.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ import argparse
 import os
 import tempfile
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -23,14 +24,39 @@ import numpy as np
 from benchmarks.machine import machine, spread
 from gpusimbench import open_recording, wrap
 
+Times = np.ndarray[Any, np.dtype[np.float64]]
 
-def seconds(envs: Any, actions: list[Any]) -> tuple[float, float, Any]:
-    """Time of all steps and of closing, by the clock and of the process on all cores [s]; the last observations."""
+
+def timed(function: Callable[[], Any]) -> tuple[Times, Any]:
+    """What it takes by the clock, and of the process on all cores [s], shape [2]; and what it returns."""
     begin, worked = time.perf_counter(), time.process_time()
-    for action in actions:
-        observation = envs.step(action)[0]
-    envs.close()
-    return time.perf_counter() - begin, time.process_time() - worked, observation
+    returned = function()
+    return np.array([time.perf_counter() - begin, time.process_time() - worked]), returned
+
+
+def one_round(task: str, n_env: int, steps: int, path: Path, seed: int) -> tuple[list[Times], float]:
+    """Times of the bare and of the wrapped vector, without the first step; how much longer that of the wrapped was."""
+    pair = [gymnasium.make_vec(task, num_envs=n_env, vectorization_mode="sync") for _ in range(2)]
+    pair[1] = wrap(pair[1], path, steps=steps)
+    for envs in pair:
+        envs.reset(seed=seed)
+    pair[0].action_space.seed(seed)
+    spent, firsts = [np.zeros(2), np.zeros(2)], [0.0, 0.0]
+    last: list[Any] = [None, None]
+    for step in range(steps):
+        action = pair[0].action_space.sample()
+        for which in (0, 1) if step % 2 else (1, 0):
+            took, returned = timed(lambda envs=pair[which]: envs.step(action))  # type: ignore[misc]
+            last[which] = returned[0]
+            if step:
+                spent[which] += took
+            else:
+                firsts[which] = took[0]
+    for which in (0, 1):
+        spent[which] += timed(pair[which].close)[0]
+    assert np.array_equal(*last)
+    assert open_recording(path).status == "complete"
+    return spent, firsts[1] - firsts[0]
 
 
 def main() -> None:
@@ -41,30 +67,22 @@ def main() -> None:
     p.add_argument("--steps", type=int, default=200)
     p.add_argument("--rounds", type=int, default=9)
     a = p.parse_args()
-    ratios, of_work, bare_s, sizes = [], [], [], []
+    found, began, sizes = [], [], []
     with tempfile.TemporaryDirectory() as name:
         os.chdir(name)  # where MuJoCo logs that a task's model is old
         for number in range(a.rounds):
             path = Path(f"{number}.mcap")
-            envs = [gymnasium.make_vec(a.task, num_envs=a.n_env, vectorization_mode="sync") for _ in range(2)]
-            envs[1] = wrap(envs[1], path, steps=a.steps)
-            for one in envs:
-                one.reset(seed=number)
-            envs[0].action_space.seed(number)
-            actions = [envs[0].action_space.sample() for _ in range(a.steps)]
-            order = (0, 1) if number % 2 else (1, 0)
-            found = {which: seconds(envs[which], actions) for which in order}
-            assert np.array_equal(found[0][2], found[1][2])
-            assert open_recording(path).status == "complete"
-            ratios.append(found[1][0] / found[0][0])
-            of_work.append(found[1][1] / found[0][1])
-            bare_s.append(found[0][0])
+            spent, beginning = one_round(a.task, a.n_env, a.steps, path, number)
+            found.append(spent)
+            began.append(beginning)
             sizes.append(path.stat().st_size / 1e6)
+        os.chdir("/")
     print(f"machine           {machine()}")
     print(f"steps             {a.task}, {a.n_env} envs, {a.steps} steps, {a.rounds} rounds")
-    print(f"bare [ms / step]  {spread([s / a.steps * 1e3 for s in bare_s])}")
-    print(f"wrapped / bare    {spread(ratios)}")
-    print(f"of CPU time       {spread(of_work)}")
+    print(f"bare [ms / step]  {spread([bare[0] / (a.steps - 1) * 1e3 for bare, _ in found])}")
+    print(f"wrapped / bare    {spread([wrapped[0] / bare[0] for bare, wrapped in found])}")
+    print(f"of CPU time       {spread([wrapped[1] / bare[1] for bare, wrapped in found])}")
+    print(f"beginning [s]     {spread(began)}")
     print(f"recording [MB]    {spread(sizes, 1)}")
 
 
