@@ -4,8 +4,9 @@ usage: python -m benchmarks.wrap_overhead [--task HalfCheetah-v5] [--n-env 64] [
 
 Both vectors live in this process, begin with one seed and are given the same actions, drawn before. Each step is made
 by both, one after the other, in an order that changes from step to step, so that whatever else the machine does meets
-both. A round gives one ratio, of the time of all steps and of closing. The beginning of the recording, in which host and
-software are described once, is in the first step, and is told apart. The last observations are the same, bit for bit.
+both. A round gives one ratio, of the time of all steps and of closing. The beginning of the recording, in which host
+and software are described once, is in the first step, and is told apart. The last observations are the same, bit for
+bit.
 """
 
 from __future__ import annotations
@@ -27,10 +28,10 @@ from gpusimbench import open_recording, wrap
 Times = np.ndarray[Any, np.dtype[np.float64]]
 
 
-def timed(function: Callable[[], Any]) -> tuple[Times, Any]:
+def timed(function: Callable[..., Any], *arguments: Any) -> tuple[Times, Any]:
     """What it takes by the clock, and of the process on all cores [s], shape [2]; and what it returns."""
     begin, worked = time.perf_counter(), time.process_time()
-    returned = function()
+    returned = function(*arguments)
     return np.array([time.perf_counter() - begin, time.process_time() - worked]), returned
 
 
@@ -46,7 +47,7 @@ def one_round(task: str, n_env: int, steps: int, path: Path, seed: int) -> tuple
     for step in range(steps):
         action = pair[0].action_space.sample()
         for which in (0, 1) if step % 2 else (1, 0):
-            took, returned = timed(lambda envs=pair[which]: envs.step(action))  # type: ignore[misc]
+            took, returned = timed(pair[which].step, action)
             last[which] = returned[0]
             if step:
                 spent[which] += took

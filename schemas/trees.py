@@ -14,16 +14,20 @@ _KINDS = "fiub"
 _LARGEST = 8
 
 
-def on_host(value: Any, name: str) -> NDArray[Any]:
+def on_host(value: Any, name: str, *, copy: bool = True) -> NDArray[Any]:
     """A copy of an array of any library (numpy, torch, JAX, Warp) on any device, or of a number; name is for the error.
+
+    copy  also of what is in the host's memory already
 
     UsageError where it is not of real numbers or truth values, of at most 8 bytes each.
     """
-    if hasattr(value, "detach"):  # torch
+    if isinstance(value, np.ndarray):
+        pass
+    elif hasattr(value, "detach"):  # torch
         value = value.detach().cpu()
     elif not hasattr(value, "__array__") and callable(getattr(value, "numpy", None)):  # Warp
         value = value.numpy()
-    array = np.array(value)
+    array = np.array(value) if copy else np.asarray(value)
     if array.dtype.kind not in _KINDS or array.dtype.itemsize > _LARGEST:
         raise UsageError(
             f"{name} is {array.dtype}; arrays of real numbers or truth values, of at most 8 bytes each, are taken"

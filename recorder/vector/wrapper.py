@@ -41,9 +41,9 @@ class Recorded(gymnasium.vector.VectorWrapper):  # type: ignore[misc]
         self._start: tuple[Row, Any] | None = None  # observations of the first reset, and its seed
         self._log: RecordingWriter | None = None
         self._ended = False
-        self._names: tuple[str, ...] = ()
-        self._row: Row = {}  # not yet among the rows
-        self._rows: list[Row] = []
+        self._block: Row = {}  # rows that are not written yet, [row, env, ...]
+        self._dtypes: dict[str, np.dtype[Any]] = {}  # of what is put into it
+        self._filled = 0  # of them; a reset may still replace what the last of them says
         self._made = 0  # steps
 
     def reset(self, *, seed: Any = None, options: Any = None) -> Any:
@@ -51,7 +51,7 @@ class Recorded(gymnasium.vector.VectorWrapper):  # type: ignore[misc]
         mask = (options or {}).get("reset_mask")  # which Gymnasium takes out of the options
         observation, info = self.env.reset(seed=seed, options=options)
         if not self._ended:
-            self._recording(lambda: self._reset(_arrays(observation, "observation"), seed, mask))
+            self._recording(lambda: self._reset(observation, seed, mask))
         return observation, info
 
     def step(self, actions: Any) -> Any:
@@ -61,7 +61,7 @@ class Recorded(gymnasium.vector.VectorWrapper):  # type: ignore[misc]
         given = _arrays(actions, "action")  # before the environment may change them
         if self._log is None:
             self._begin(given)
-        self._recording(self._next_row)
+        self._recording(self._make_room)
         returned = self._recording(lambda: self.env.step(actions))
         self._recording(lambda: self._stepped(given, *returned))
         return returned
@@ -92,13 +92,13 @@ class Recorded(gymnasium.vector.VectorWrapper):  # type: ignore[misc]
             self._end(error)
             raise
 
-    def _reset(self, seen: Row, seed: Any, mask: Any) -> None:
+    def _reset(self, observation: Any, seed: Any, mask: Any) -> None:
         if self._log is None:
-            self._start = seen, seed
+            self._start = _arrays(observation, "observation"), seed
             return
         every = np.ones(self.num_envs, dtype=np.bool_)
         self._ledger.reset(every if mask is None else on_host(mask, "reset_mask").astype(np.bool_))
-        self._row |= {**seen, **self._counts()}
+        self._put(self._filled - 1, {**_arrays(observation, "observation", copy=False), **self._counts()})
 
     def _begin(self, actions: Row) -> None:
         if self._start is None:
@@ -107,7 +107,7 @@ class Recorded(gymnasium.vector.VectorWrapper):  # type: ignore[misc]
         given = {name: np.zeros_like(array) for name, array in actions.items()}
         of_step = {"reward": np.zeros(n_env), **{name: np.zeros(n_env, dtype=np.bool_) for name in _FLAGS}}
         facts = {"stepped": np.zeros(n_env, dtype=np.bool_), **self._counts()}
-        self._row = {**given, **seen, **of_step, **_final(seen), **facts}
+        row = {**given, **seen, **of_step, **_final(seen), **facts}
         known = {*_FLAGS, *facts}
         fields = [
             field_of(
@@ -117,9 +117,8 @@ class Recorded(gymnasium.vector.VectorWrapper):  # type: ignore[misc]
                 *([_NO_STEP] if name in given or name in of_step else []),
                 unit=DIMENSIONLESS if name in known else UNKNOWN,
             )
-            for name, array in self._row.items()
+            for name, array in row.items()
         ]
-        self._names = tuple(self._row)
         options = {"autoreset_mode": self._mode.value}
         if not isinstance(seed, Integral):
             options["seeds"] = "not given" if seed is None else ", ".join(map(str, seed))
@@ -130,9 +129,14 @@ class Recorded(gymnasium.vector.VectorWrapper):  # type: ignore[misc]
         )  # fmt: skip
         log.__enter__()
         self._log = log
+        rows = min(_ROWS, self._steps + 1)
+        self._block = {name: np.empty((rows, *array.shape), recorded_dtype(array.dtype)) for name, array in row.items()}
+        self._dtypes = {name: array.dtype for name, array in row.items()}
+        self._put(0, row)
+        self._filled = 1
 
     def _stepped(self, given: Row, observation: Any, reward: Any, terminated: Any, truncated: Any, info: Any) -> None:
-        seen = _arrays(observation, "observation")
+        seen = _arrays(observation, "observation", copy=False)
         flags = {name: on_host(array, name) for name, array in zip(_FLAGS, (terminated, truncated), strict=True)}
         done = flags["terminated"] | flags["truncated"]
         last = with_final(observation, info, done) if self._mode is Mode.SAME_STEP else _final(seen)
@@ -140,38 +144,39 @@ class Recorded(gymnasium.vector.VectorWrapper):  # type: ignore[misc]
         if began.any():  # which ignored their actions
             for array in given.values():
                 array[began] = 0
-        of_step = {"reward": on_host(reward, "reward").astype(np.float64), **flags, "stepped": ~began}
-        self._row = {**given, **seen, **of_step, **last, **self._counts()}
+        of_step = {"reward": on_host(reward, "reward", copy=False), **flags, "stepped": ~began}
+        self._put(self._filled, {**given, **seen, **of_step, **last, **self._counts()})
+        self._filled += 1
         self._made += 1
         if self._made == self._steps:
             self._end(None)
 
     def _counts(self) -> Row:
-        return {"episode": self._ledger.episode.copy(), "episode_step": self._ledger.step.copy()}
+        return {"episode": self._ledger.episode, "episode_step": self._ledger.step}
 
-    def _next_row(self) -> None:
-        self._rows.append(self._row)
-        self._row = {}
-        if len(self._rows) == _ROWS:
+    def _put(self, at: int, row: Row) -> None:
+        for name, array in row.items():
+            column = self._block[name]
+            if array.dtype != self._dtypes[name] and recorded_dtype(array.dtype) > column.dtype:
+                raise UsageError(f"{name} is {array.dtype}, and was recorded as {column.dtype} before")
+            if array.shape != column.shape[1:]:
+                raise UsageError(f"{name} has shape {array.shape}, and had {column.shape[1:]} before")
+            column[at] = array
+
+    def _make_room(self) -> None:
+        if self._filled == _ROWS:
             self._write()
 
     def _write(self) -> None:
-        rows, self._rows = self._rows, []
+        rows, self._filled = self._filled, 0
         if rows and self._log is not None:
-            fields = self._log.fields
-            columns = [np.stack([row[name] for row in rows]) for name in self._names]
-            for array, field in zip(columns, fields, strict=True):
-                if recorded_dtype(array.dtype) > np.dtype(field.dtype):
-                    raise UsageError(f"{field.field} is {array.dtype}, and was recorded as {field.dtype} before")
-            self._log.append(*(array.astype(field.dtype) for array, field in zip(columns, fields, strict=True)))
+            self._log.append(*(column[:rows] for column in self._block.values()))
 
     def _end(self, error: BaseException | None) -> None:
         if self._ended or self._log is None:
             return
         self._ended = True
         try:
-            if self._row:
-                self._next_row()
             self._write()
         except Exception as second:
             error = error or second
@@ -180,8 +185,8 @@ class Recorded(gymnasium.vector.VectorWrapper):  # type: ignore[misc]
             self._log.__exit__(type(error) if error else None, error, None)
 
 
-def _arrays(tree: Any, name: str) -> Row:
-    return {found: on_host(value, found) for found, value in leaves(tree, name)}
+def _arrays(tree: Any, name: str, *, copy: bool = True) -> Row:
+    return {found: on_host(value, found, copy=copy) for found, value in leaves(tree, name)}
 
 
 def _final(seen: Row) -> Row:
