@@ -18,6 +18,7 @@ SCRIPTS = (
     ("archive",),
     ("transport",),
     ("transport_large",),
+    ("wrap_overhead",),
     ("engine_best", "--sim", "warp", "--n-env", "64", "--steps", "50"),
 )
 

@@ -15,6 +15,7 @@ clocks of steps come from the program (``clocks``), memory is not read.
 
 from __future__ import annotations
 
+import math
 import sys
 import uuid
 from collections.abc import Mapping, Sequence
@@ -38,7 +39,7 @@ from gpusimbench.recorder.scenes.base import Scene
 from gpusimbench.schemas import topics
 from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.errors import DamagedRecording, DataLost, UsageError
-from gpusimbench.schemas.fields import StateField
+from gpusimbench.schemas.fields import ENV, StateField
 from gpusimbench.schemas.mcap.writer import COMPRESSIONS
 from gpusimbench.schemas.messages import message_class
 from gpusimbench.schemas.provenance import (
@@ -67,7 +68,8 @@ class RecordingWriter:
     scene          a description, or a name where there is none; cubes and boards are found only in a description
     n_env, dt      environments, and the step [s]
     steps          captured after the first state
-    fields         layout of the state, as recorder.simulators.base.Description has it (schemas.fields.body_field)
+    fields         layout of the state, as recorder.simulators.base.Description has it (schemas.fields.body_field);
+                   observations, actions, rewards and flags are arrays (schemas.fields.array_field)
     device         "cpu", or the name of the GPU that steps
     stride         every how many steps a state is recorded; divides `steps`
     warmup         steps before the timed ones
@@ -237,9 +239,15 @@ class RecordingWriter:
         except DamagedRecording:
             return None
 
+    @property
+    def fields(self) -> tuple[StateField, ...]:
+        """Layout of the state."""
+        return self._simulation.fields
+
     def append(self, *arrays: ArrayLike) -> None:
         """The state after one step, or after several: one array a field, [env, item, width] or with a step axis first.
 
+        An array of environments (schemas.fields.array_field) is given in its own shape, [env, ...] or [step, env, ...].
         The very first is the state at step 0. Numbers are recorded as they are, so that the dtype is the field's.
         UsageError for other shapes, another dtype, and more states than were announced.
         """
@@ -268,6 +276,10 @@ class RecordingWriter:
         shape = (self._configuration.n_env, len(field.items), field.width)
         if array.dtype != field.dtype:
             raise UsageError(f"{field.name} is {array.dtype}, and was announced as {field.dtype}")
+        if field.group == ENV and array.ndim and array.shape[-3:] != shape:
+            lead = 1 if array.shape[0] == shape[0] and math.prod(array.shape[1:]) == field.width else 2
+            if array.shape[lead - 1 : lead] == shape[:1] and math.prod(array.shape[lead:]) == field.width:
+                array = array.reshape(*array.shape[:lead], 1, field.width)
         if array.shape[-3:] != shape or array.ndim not in (3, 4):
             raise UsageError(
                 f"{field.name} has shape {array.shape}, not [env, item, width] = {shape}, or with steps first"

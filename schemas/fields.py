@@ -4,10 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
+from itertools import product
 from typing import Any
 
 from gpusimbench.schemas import checks
 from gpusimbench.schemas.errors import DamagedRecording
+
+UNKNOWN = "unknown"
+"""The unit of numbers of which nothing tells a unit."""
 
 
 @dataclass(frozen=True)
@@ -34,6 +38,12 @@ FIELD_KINDS = {
     "qvel": FieldKind((), "m/s or rad/s", "joint"),
 }
 
+DIMENSIONLESS = "1"
+"""The unit of flags and counts."""
+
+ENV = "env"
+"""The group of arrays of environments: observations, actions, rewards, and whatever else is no state of bodies."""
+
 DTYPES = ("float32", "float64")
 
 BODY_FIELDS = ("position", "orientation", "linear_velocity", "angular_velocity")
@@ -43,10 +53,10 @@ BODY_FIELDS = ("position", "orientation", "linear_velocity", "angular_velocity")
 class StateField:
     """One recorded array of a run, shape [step, env, item, width].
 
-    group       bodies or joints that belong together, such as cubes, bodies, joints
-    field       a key of FIELD_KINDS
+    group       bodies or joints that belong together, such as cubes, bodies, joints; ENV for arrays of environments
+    field       a key of FIELD_KINDS; the array's name in the group ENV
     dtype       "float32" or "float64": what the engine computes in
-    items       names of the bodies or joints, in order
+    items       names of the bodies or joints, in order; one empty name in the group ENV
     components  names of the numbers of one item
     unit        SI unit; where items differ in it, all of their units in words, such as "m or rad"
     frame       see FieldKind
@@ -66,8 +76,8 @@ class StateField:
 
     @property
     def name(self) -> str:
-        """ "group/field", unique within a recording."""
-        return f"{self.group}/{self.field}"
+        """ "group/field", unique within a recording; the field alone where it is of no group, as arrays may be."""
+        return f"{self.group}/{self.field}" if self.group else self.field
 
     @property
     def width(self) -> int:
@@ -157,3 +167,17 @@ def ball_fields(group: str, dtype: str, joints: tuple[str, ...]) -> tuple[StateF
     return tuple(
         replace(body_field(group, field, dtype, joints), frame="joint") for field in ("orientation", "angular_velocity")
     )
+
+
+def array_field(
+    name: str, dtype: str, shape: tuple[int, ...] = (), *, unit: str = UNKNOWN, note: str = ""
+) -> StateField:
+    """An array of each environment that is no state of bodies: an observation, an action, a reward, a flag.
+
+    name   lower-case letters, digits and underscores
+    dtype  "float32" or "float64"; flags are 0 and 1
+    shape  of the array of one environment; numbers are named by their indices, joined by underscores
+    unit   where all its numbers have one
+    """
+    components = tuple("_".join(map(str, at)) for at in product(*map(range, shape)))
+    return StateField(ENV, name, dtype, ("",), components, unit, UNKNOWN, note)

@@ -13,6 +13,7 @@ from gpusimbench.evaluator.check.integrity.problem import Kind
 from gpusimbench.evaluator.check.integrity.scan import Scan, Stream
 from gpusimbench.evaluator.metrics.cotenants import Sign, cotenants
 from gpusimbench.evaluator.metrics.throughput import frames_per_second
+from gpusimbench.evaluator.read.episodes import EpisodeCounts, count_episodes
 from gpusimbench.evaluator.read.failing import Failing
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.runs.memory import gpu_memory
@@ -111,6 +112,7 @@ class Inspection:
     hashes       steps with state hashes, by phase
     failing      environments that failed; None where the states of all were kept
     overflowed   buffers and limits that were run into; None where the engine does not tell
+    episodes     of the environments of a task; None where the recording has none, or they cannot be read
     view         environments that viewers show of the file, as it is
     """
 
@@ -142,6 +144,7 @@ class Inspection:
     failing: Failing | None = None
     overflowed: tuple[str, ...] | None = None
     dropouts: tuple[str, ...] = ()
+    episodes: EpisodeCounts | None = None
     view: tuple[int, ...] = ()
     attachments: dict[str, int] = field(default_factory=dict)
     doubtful: tuple[str, ...] = ()
@@ -224,6 +227,7 @@ def _streams(recording: Recording, scan: Scan) -> dict[str, Any]:
         "gates": read(lambda: tuple(f"{e.phase}: {e.text}" for e in recording.events if e.kind == "GATE"), _NONE),
         "overflowed": read(lambda: _overflowed(recording), None),
         "dropouts": read(lambda: recording.dropouts, _NONE),
+        "episodes": read(lambda: count_episodes(recording), None),
         "view": tuple(sorted(_shown(scan))),
     }
     return {**said, "unread": tuple(unread)}

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from gpusimbench.evaluator.diff import words
 from gpusimbench.evaluator.diff.classes import classes_of
-from gpusimbench.evaluator.diff.result import Contacts, Difference, Divergence, Growth, Number, Side
-from gpusimbench.evaluator.diff.verdict import apart, pair_of, place_of, step_of
+from gpusimbench.evaluator.diff.result import Contacts, Difference, Divergence, Growth, Side
+from gpusimbench.evaluator.diff.verdict import both_of, pair_of, step_of
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.render.document import Facts, facts
 
@@ -76,18 +76,9 @@ def _where(found: Difference, first: Divergence) -> Pairs:
     return [
         *pairs,
         ("fields", fields),
-        ("items", words.shortened(state.items, _ITEMS)),
-        ("first number", _number(state.number)),
+        *([("items", words.shortened(state.items, _ITEMS))] if any(state.items) else []),
+        ("first number", both_of(state.number)),
     ]
-
-
-def _number(number: Number) -> str:
-    unit = "" if number.unit == "unit quaternion" else f" {number.unit}"
-    values = f"{number.a} and {number.b}{unit} ({number.hex_a}, {number.hex_b})"
-    resolution = ""
-    if number.resolution is not None:
-        resolution = f", resolution {words.amount(number.resolution, number.unit)}"
-    return f"{place_of(number)}: {values}: {apart(number)}{resolution}"
 
 
 def _contacts(found: Difference, first: Divergence) -> Pairs:

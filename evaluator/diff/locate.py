@@ -2,40 +2,77 @@
 
 from __future__ import annotations
 
-import numpy as np
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
 
-from gpusimbench.evaluator.diff.numbers import number
-from gpusimbench.evaluator.diff.result import StateDifference
+import numpy as np
+from numpy.typing import NDArray
+
+from gpusimbench.evaluator.diff.numbers import Pairing, number
+from gpusimbench.evaluator.diff.result import Number, StateDifference
 from gpusimbench.evaluator.diff.selection import Selection
 from gpusimbench.evaluator.diff.states import CommonStates
 from gpusimbench.evaluator.metrics.divergence import first_true
+
+
+@dataclass(frozen=True)
+class Found:
+    """What differs at one step.
+
+    pair    first pair of environments that differs, counted from 0
+    pairs   how many differ
+    fields  names of the fields that differ in any pair
+    items   names of the bodies or joints that differ in the first
+    number  the first pair of numbers that differ: lowest pair of environments, then field, item and component
+    """
+
+    pair: int
+    pairs: int
+    fields: tuple[str, ...]
+    items: tuple[str, ...]
+    number: Number
+
+
+def locate(sides: Sequence[tuple[Pairing, NDArray[Any], NDArray[Any]]]) -> Found:
+    """Where the numbers of one step differ; something must.
+
+    sides  of each field how it is compared, and its numbers on both sides, [1, env, item, component]
+    """
+    masks = [how.differs(a, b) for how, a, b in sides]
+    pairs = np.stack([mask[0].any(axis=(1, 2)) for mask in masks])
+    pair = int(np.argmax(pairs.any(axis=0)))
+    items: dict[str, None] = {}
+    for (how, _, _), mask in zip(sides, masks, strict=True):
+        items |= dict.fromkeys(how.field.items[i] for i in np.flatnonzero(mask[0, pair].any(axis=-1)))
+    index = int(np.argmax(pairs[:, pair]))
+    at = first_true(masks[index][0, pair])
+    assert at is not None  # the pair differs in this field
+    return Found(
+        pair=pair,
+        pairs=int(np.count_nonzero(pairs.any(axis=0))),
+        fields=tuple(how.field.name for (how, _, _), mask in zip(sides, masks, strict=True) if mask.any()),
+        items=tuple(items),
+        number=number(*sides[index], (0, pair, *at)),
+    )
 
 
 def state_difference(states: CommonStates, row: int, a: Selection, b: Selection) -> StateDifference:
     """What differs at a common step, of which something does; `row` counts the common steps from 0."""
     rows = slice(row, row + 1)
     there = [index for index in range(len(states.fields)) if states.has(index, rows).all()]
-    fields = [states.fields[index] for index in there]
-    masks = [how.differs(*states.read(index, rows)) for index, how in zip(there, fields, strict=True)]
-    pairs = np.stack([mask[0].any(axis=(1, 2)) for mask in masks])
-    pair = int(np.argmax(pairs.any(axis=0)))
-    items: dict[str, None] = {}
-    for how, mask in zip(fields, masks, strict=True):
-        items |= dict.fromkeys(how.field.items[i] for i in np.flatnonzero(mask[0, pair].any(axis=-1)))
-    index = int(np.argmax(pairs[:, pair]))
-    at = first_true(masks[index][0, pair])
-    assert at is not None  # the pair differs in this field
+    found = locate([(states.fields[index], *states.read(index, rows)) for index in there])
     step = int(states.steps_a[row])
-    env_a, env_b = envs_of(pair, a, b)
+    env_a, env_b = envs_of(found.pair, a, b)
     return StateDifference(
         step=step,
         time=step * a.recording.configuration.dt,
         env_a=env_a,
         env_b=env_b,
-        envs=int(np.count_nonzero(pairs.any(axis=0))),
-        fields=tuple(how.field.name for how, mask in zip(fields, masks, strict=True) if mask.any()),
-        items=tuple(items),
-        number=number(fields[index], *states.read(there[index], rows), (0, pair, *at)),
+        envs=found.pairs,
+        fields=found.fields,
+        items=found.items,
+        number=found.number,
     )
 
 

@@ -135,7 +135,9 @@ def number(how: Pairing, a: NDArray[Any], b: NDArray[Any], at: tuple[int, ...]) 
     limit = None if field.basis is Basis.BITS else float(how.resolution(a, b)[at])
     one, other = (np.broadcast_to(side, np.broadcast_shapes(a.shape, b.shape))[at] for side in (a, b))
     ulp = None
-    if field.basis is not Basis.LOCAL:
+    if one.dtype.kind != "f":
+        apart = float(abs(int(one) - int(other)))  # beyond 2^53, float64 does not have them all
+    elif field.basis is not Basis.LOCAL:
         ulp = int(ulp_distance(*one_dtype(np.array([one]), np.array([other])))[0])
     return Number(
         field.name, field.items[at[-2]], field.components[at[-1]], field.unit, field.basis,

@@ -142,12 +142,12 @@ class StepRange:
 class Number:
     """A pair of numbers that differ.
 
-    field, item, component  where
-    unit                    of the values
+    field, item, component  where; no item where the field is an array of something else than bodies or joints
+    unit                    of the values; "unknown" where nothing tells it
     basis                   see Basis
     a, b                    as recorded: the shortest decimal text that gives the same number again
     hex_a, hex_b            their bits
-    ulp                     distance in units in the last place; None where the basis is LOCAL
+    ulp                     distance in units in the last place; None where the basis is LOCAL, and of whole numbers
     distance                |a - b| [unit], without the environments' origins; None where one is not finite
     resolution              what `distance` had to exceed [unit]; None where the basis is BITS
     other_sign              the two are of quaternions with b = -a: the same rotation

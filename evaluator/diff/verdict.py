@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from gpusimbench.evaluator.diff import words
 from gpusimbench.evaluator.diff.result import Difference, Divergence, Number, Verdict
+from gpusimbench.evaluator.diff.words import WITHOUT_UNIT
 from gpusimbench.evaluator.render.document import Text, Tone
 
 
@@ -55,8 +56,20 @@ def apart(number: Number) -> str:
 
 
 def place_of(number: Number) -> str:
-    """Field, body and component of a number."""
+    """Field, body and component of a number; of an array without bodies, such as "observation[5]"."""
+    if not number.item:
+        return f"{number.field}[{number.component}]" if number.component else number.field
     return f"{number.field} of {words.short(number.item)}, {words.short(number.component)}"
+
+
+def both_of(number: Number) -> str:
+    """A pair of numbers: where, both values, their bits, and how far they are apart."""
+    unit = "" if number.unit in WITHOUT_UNIT else f" {number.unit}"
+    values = f"{number.a} and {number.b}{unit} ({number.hex_a}, {number.hex_b})"
+    resolution = ""
+    if number.resolution is not None:
+        resolution = f", resolution {words.amount(number.resolution, number.unit)}"
+    return f"{place_of(number)}: {values}: {apart(number)}{resolution}"
 
 
 def _who(found: Difference) -> str:

@@ -6,8 +6,12 @@ from collections.abc import Sequence
 from itertools import groupby
 
 from gpusimbench.evaluator.diff.result import Change
+from gpusimbench.schemas.fields import DIMENSIONLESS, UNKNOWN
 
 NONE = "-"
+WITHOUT_UNIT = ("unit quaternion", UNKNOWN, DIMENSIONLESS)
+"""Units that are not written behind a number."""
+
 _BARS = "▁▂▃▄▅▆▇█"
 
 
@@ -27,7 +31,7 @@ def amount(value: float | None, unit: str) -> str:
     """A difference with its unit; lengths in the unit that suits them."""
     if value is None or unit == "m":
         return length(value)
-    return "0" if value == 0 else f"{value:.3g} {'' if unit == 'unit quaternion' else unit}".rstrip()
+    return "0" if value == 0 else f"{value:.3g} {'' if unit in WITHOUT_UNIT else unit}".rstrip()
 
 
 def ulps(count: int | None) -> str:

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from gpusimbench.evaluator.missing import Missing
 
-_WORDS = {2: np.uint16, 4: np.uint32, 8: np.uint64}
+_WORDS = {1: np.uint8, 2: np.uint16, 4: np.uint32, 8: np.uint64}
 
 FIT_LIMIT_M = 1e-3
 """Beyond a millimetre, bodies have met others that they would not have met."""
@@ -19,19 +20,19 @@ MIN_FIT_POINTS = 5
 """A line through fewer points says nothing of whether it is one."""
 
 
-def as_words(values: npt.NDArray[np.floating]) -> npt.NDArray[np.unsignedinteger]:
-    """The bits of floating-point numbers as unsigned integers of their size, shape as given.
+def as_words(values: npt.NDArray[Any]) -> npt.NDArray[np.unsignedinteger]:
+    """The bits of real numbers, or of truth values, as unsigned integers of their size, shape as given.
 
     Raises:
-        ValueError: the numbers are not of 2, 4 or 8 bytes.
+        ValueError: they are something else, or not of 1, 2, 4 or 8 bytes.
     """
     word = _WORDS.get(values.dtype.itemsize)
-    if values.dtype.kind != "f" or word is None:
-        raise ValueError(f"numbers must be floating-point, of 2, 4 or 8 bytes, not {values.dtype}")
+    if values.dtype.kind not in "fiub" or word is None:
+        raise ValueError(f"numbers must be real, of 1, 2, 4 or 8 bytes, not {values.dtype}")
     return np.ascontiguousarray(values).view(word).reshape(values.shape)
 
 
-def differs(a: npt.NDArray[np.floating], b: npt.NDArray[np.floating]) -> npt.NDArray[np.bool_]:
+def differs(a: npt.NDArray[Any], b: npt.NDArray[Any]) -> npt.NDArray[np.bool_]:
     """Where two arrays of one dtype have other bits, shape as broadcast.
 
     Bits, not values: -0.0 differs from 0.0, and NaNs are equal only with the same payload.
@@ -168,6 +169,8 @@ def first_reaching(times: npt.NDArray[np.float64], distances: npt.NDArray[np.flo
 
 def _ordered(values: npt.NDArray[np.floating]) -> npt.NDArray[np.unsignedinteger]:
     # monotone in totalOrder: negative numbers in reverse below, the others above
+    if values.dtype.kind != "f":
+        raise ValueError(f"numbers must be floating-point, not {values.dtype}")
     words = as_words(values)
     sign = words.dtype.type(1) << words.dtype.type(8 * words.dtype.itemsize - 1)
     return np.asarray(np.where(words & sign, ~words, words | sign))

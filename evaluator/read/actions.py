@@ -9,13 +9,17 @@ from gpusimbench.evaluator.read.messages import Messages
 from gpusimbench.schemas import topics
 from gpusimbench.schemas.blocks import decode_action
 from gpusimbench.schemas.configuration import RunConfiguration
+from gpusimbench.schemas.fields import ENV, StateField
 
 
-def apart_by_design(actions: tuple[str, ...], configuration: RunConfiguration) -> str:
+def apart_by_design(actions: tuple[str, ...], fields: tuple[StateField, ...], configuration: RunConfiguration) -> str:
     """Why the environments of a run differ whatever its engine does; empty where they should be alike.
 
     actions  names of the recorded action streams
+    fields   that were recorded
     """
+    if any(field.group == ENV for field in fields):
+        return "seeds and actions of environments differ by design"
     if actions:
         return "the environments were given different actions, so they differ by design"
     if configuration.vary:

@@ -134,7 +134,7 @@ class Recording:
     @property
     def apart_by_design(self) -> str:
         """Why the environments differ whatever the engine does; empty where they should be alike."""
-        return apart_by_design(self.action_names, self.configuration)
+        return apart_by_design(self.action_names, self.fields, self.configuration)
 
     def actions(self, name: str) -> NDArray[np.floating]:
         """An action stream, shape [step, env, action]; row i leads from the state of step i to the next.

@@ -78,9 +78,24 @@ def _one(result: GroupResult) -> Facts:
         ("recorded", f"{key.scene}, {key.n_env} envs, {runs}, {key.device or 'no device'}"),
         *answers,
         *([("one run more", one_more)] if one_more else []),
+        *([("episodes", said)] if (said := _episodes(result)) else []),
         *apart,
         *figures[:4],
     )
+
+
+def _episodes(result: GroupResult) -> str:
+    runs = [run.episodes for run in result.group.complete if not isinstance(run.episodes, Missing)]
+    ended = sum(run.ended for run in runs)
+    if not runs:
+        return ""
+    if not ended:
+        return f"none ended within the {plural(sum(run.steps for run in runs), 'recorded step')}"
+    length, total = (
+        sum(value * run.ended for run, value in zip(runs, values, strict=True) if value is not None) / ended
+        for values in ([run.mean_length for run in runs], [run.mean_return for run in runs])
+    )
+    return f"{ended:,} ended in {plural(len(runs), 'run')}, mean length {length:.4g} steps, mean return {total:.4g}"
 
 
 def _several(evaluation: Evaluation) -> Iterator[Block]:

@@ -11,6 +11,7 @@ from gpusimbench.evaluator.check.inspection import Array, CoTenancy, Inspection,
 from gpusimbench.evaluator.check.integrity.problem import REMARKS, Kind
 from gpusimbench.evaluator.json_values import brief, dump, plain
 from gpusimbench.evaluator.metrics.cotenants import Presence
+from gpusimbench.evaluator.read.episodes import EpisodeCounts
 from gpusimbench.evaluator.read.failing import ONLY_FAILING
 from gpusimbench.evaluator.render.document import Block, Cell, Document, Facts, Table, Text, Tone, table
 from gpusimbench.evaluator.render.numbers import plural
@@ -37,7 +38,7 @@ _LONGEST = 600
 
 _FIRST = (
     "status", "integrity", "CAUTION", "sha256", "recorded", "simulator", "scene", "size", "varied", "protocol",
-    "determinism", "machine", "gpu 0", "throughput", "states", "failed", "not read", "gate", "LOST",
+    "determinism", "machine", "gpu 0", "throughput", "states", "episodes", "failed", "not read", "gate", "LOST",
 )  # fmt: skip
 """What is said without --all."""
 
@@ -157,7 +158,7 @@ def _what(p: Provenance, s: Simulation | None) -> Iterator[tuple[str, str]]:
         times = f"every {c.dt:g} s, {c.steps + 1} times" if c.steps > 1 else f"at {c.dt:g} s"
         yield "size", f"{plural(c.n_env, 'trial')}, measured {times}"
     else:
-        yield "size", f"{plural(c.n_env, 'environment')}, dt {c.dt:g} s, seed {c.seed}"
+        yield "size", f"{plural(c.n_env, 'environment')}, dt {c.dt:g} s, {_seed(c)}"
         if c.initial:
             yield "initial", f"{initial_words(c.initial)}: environments do not begin in the scene's first state"
         if c.vary:
@@ -234,6 +235,11 @@ def _rate(rate: Rate) -> str:
     return f"{rate.env_steps_per_s:,.0f} env-steps/s: {window}, in {rate.seconds:.4g} s{short}"
 
 
+def _seed(configuration: RunConfiguration) -> str:
+    seeds = configuration.options.get("seeds")
+    return f"seed {configuration.seed}" if seeds is None else f"seeds {seeds}"
+
+
 def _co_tenants(found: CoTenancy) -> str:
     if found.signs:
         return f"another process was on the GPU ({described(found.signs)})"
@@ -276,6 +282,13 @@ def _hardware(found: Hardware) -> str:
     return "; ".join([*parts, *(f"not known: {why}" for why in found.not_known)])
 
 
+def _episodes(counts: EpisodeCounts) -> str:
+    said = f"{counts.ended:,} ended ({counts.terminated:,} terminated, {counts.truncated:,} truncated)"
+    if counts.ended:
+        said += f", mean length {counts.mean_length:.4g} steps, mean return {counts.mean_return:.4g}"
+    return f"{said}; {counts.cut:,} cut by a reset or the end of the recording"
+
+
 def _inside(found: Inspection) -> Iterator[tuple[str, str]]:
     recorded = [array for array in found.arrays if array.shape[0]]
     if recorded:
@@ -287,6 +300,8 @@ def _inside(found: Inspection) -> Iterator[tuple[str, str]]:
         failing = found.provenance is not None and found.provenance.configuration.keep
         fields = ", ".join(array.name for array in found.arrays)
         yield "states", ONLY_FAILING if failing else f"none; {fields} could be captured"
+    if found.episodes is not None:
+        yield "episodes", _episodes(found.episodes)
     if found.failing and found.provenance:
         yield "failed", counted(found.failing, found.provenance.configuration.n_env)
     for array in found.actions:

@@ -15,6 +15,7 @@ from gpusimbench.evaluator.metrics.cotenants import CoTenants, cotenants
 from gpusimbench.evaluator.metrics.levels import Verdict, verdict
 from gpusimbench.evaluator.metrics.variability import sampling_step
 from gpusimbench.evaluator.missing import Missing
+from gpusimbench.evaluator.read.episodes import count_episodes
 from gpusimbench.evaluator.read.failing import ONLY_FAILING
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.read.scene import board_of, extent_of_trials
@@ -147,6 +148,7 @@ def _measured(run: Run, recording: Recording, sample_time: float) -> Run:
         physics=physics_of(recording, sunk),
         timed_from=timing["timed"].first_step if "timed" in timing else NOT_TIMED,
         cotenants=cotenants(gpu) if gpu else CoTenants(),
+        episodes=count_episodes(recording) or Missing("no episodes of a task were recorded"),
     )
 
 

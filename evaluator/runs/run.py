@@ -10,6 +10,7 @@ from gpusimbench.evaluator.metrics.lost_cubes import Board
 from gpusimbench.evaluator.metrics.memory import Checkpoints, GpuMemory
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.read.actions import apart_by_design
+from gpusimbench.evaluator.read.episodes import EpisodeCounts
 from gpusimbench.evaluator.read.failing import Failing
 from gpusimbench.evaluator.read.stamp import Stamp
 from gpusimbench.evaluator.read.step_evidence import ActionStream
@@ -108,6 +109,7 @@ class Run:
     physics     how far the states keep to mechanics
     timed_from  steps of the scene that were made before the first timed one
     cotenants   other processes on that device, as far as the recordings it was read with tell
+    episodes    of the environments of a task, counted
     """
 
     path: Place
@@ -147,6 +149,7 @@ class Run:
     physics: PhysicsFacts = PhysicsFacts("", 0, (), NOT_MEASURED)
     timed_from: int | Missing = NOT_MEASURED
     cotenants: CoTenants = CoTenants()
+    episodes: EpisodeCounts | Missing = NOT_MEASURED
 
     @property
     def configuration(self) -> RunConfiguration:
@@ -156,7 +159,7 @@ class Run:
     @property
     def apart_by_design(self) -> str:
         """Why the environments differ whatever the engine does; empty where they should be alike."""
-        return apart_by_design(self.action_names, self.configuration)
+        return apart_by_design(self.action_names, self.fields, self.configuration)
 
     @property
     def fields(self) -> tuple[StateField, ...]:

@@ -13,6 +13,7 @@ from gpusimbench.evaluator.runs.known_files import read_all
 from gpusimbench.evaluator.runs.outcome import joint_fields, positional
 from gpusimbench.evaluator.runs.reader import Reader, Unreadable
 from gpusimbench.evaluator.runs.run import Run
+from gpusimbench.schemas.fields import ENV
 from gpusimbench.schemas.location import Place
 
 DEFAULT_S = 5.0
@@ -78,7 +79,9 @@ def read_sampled(places: Sequence[Place], reader: Reader, work: Work, *, chosen:
 
 def _others(runs: Sequence[Run], time: float) -> dict[str, float]:
     """By scene, the sample time where it is not `time` [s]."""
-    with_states = [run for run in runs if run.usable and (run.reached or run.histories)]
+    # arrays of a task have no positions, and so no time at which these are compared
+    bodies = [run for run in runs if any(field.group != ENV for field in run.fields) or not run.fields]
+    with_states = [run for run in bodies if run.usable and (run.reached or run.histories)]
     found = {}
     for scene in dict.fromkeys(map(_scene, with_states)):
         of_scene = [run for run in with_states if _scene(run) == scene]

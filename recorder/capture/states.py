@@ -286,7 +286,8 @@ class StateWriter:
             wrong[:, np.isin(piece.first_env + np.arange(wrong.shape[1]), list(self._may_fail))] = False
             if wrong.any():
                 row, env, item, _ = (int(i) for i in np.argwhere(wrong)[0])
-                found.append((piece.first_row + row, piece.first_env + env, f"{field.name} of {field.items[item]}"))
+                where = f"{field.name} of {field.items[item]}" if field.items[item] else field.name
+                found.append((piece.first_row + row, piece.first_env + env, where))
         return fingerprint(piece.states), found
 
     def _digest(self, index: int, columns: Sequence[States]) -> None:

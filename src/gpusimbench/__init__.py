@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     from gpusimbench.recorder.log import RecordingWriter
     from gpusimbench.recorder.scenes.base import Scene
     from gpusimbench.recorder.simulators.base import Simulator
+    from gpusimbench.recorder.vector.wrap import wrap
     from gpusimbench.schemas.location import Place
 
     Where = str | Path | Place
@@ -60,13 +61,15 @@ __all__ = [
     "evaluate",
     "open_recording",
     "verify",
+    "wrap",
 ]
 
-# classes of the recorder, which is imported when one of them is asked for: evaluating needs none of it
+# names of the recorder, which is imported when one of them is asked for: evaluating needs none of it
 _LATER = {
     "RecordingWriter": "gpusimbench.recorder.log",
     "Scene": "gpusimbench.recorder.scenes.base",
     "Simulator": "gpusimbench.recorder.simulators.base",
+    "wrap": "gpusimbench.recorder.vector.wrap",
 }
 
 

@@ -70,7 +70,16 @@ def test_ulps_at_the_edges() -> None:
     with pytest.raises(ValueError, match="one dtype"):
         ulp_distance(np.zeros(1, np.float32), np.zeros(1))
     with pytest.raises(ValueError, match="floating-point"):
-        differs(np.zeros(1, np.int32), np.zeros(1, np.int32))
+        ulp_distance(np.zeros(1, np.int32), np.zeros(1, np.int32))
+    with pytest.raises(ValueError, match="real, of 1, 2, 4 or 8 bytes, not complex64"):
+        differs(np.zeros(1, np.complex64), np.zeros(1, np.complex64))
+
+
+@pytest.mark.parametrize("dtype", ["bool", "int8", "uint16", "int32", "int64"])
+def test_numbers_that_are_not_floating_point_have_bits_too(dtype: str) -> None:
+    """Tell whole numbers and truth values apart by their bits."""
+    a, b = np.array([0, 1, 1, 0]).astype(dtype), np.array([0, 1, 0, 1]).astype(dtype)
+    assert differs(a, b).tolist() == [False, False, True, True]
 
 
 @given(st.floats(-1e3, 1e3), st.floats(-1e5, 1e5), st.floats(-1e5, 1e5))

@@ -16,7 +16,7 @@ from gpusimbench.evaluator.runs.validation import verify
 from gpusimbench.recorder.log import RecordingWriter
 from gpusimbench.recorder.scenes.registry import make_scene
 from gpusimbench.schemas.errors import DataLost, UsageError
-from gpusimbench.schemas.fields import body_field
+from gpusimbench.schemas.fields import array_field, body_field
 from tests.conftest import Command
 from tests.synthetic import metrics_of
 
@@ -267,3 +267,27 @@ def test_an_interruption_leaves_a_good_file(tmp_path: Path, seconds: float) -> N
         recording = open_recording(path)
         verify(recording)
         assert recording.status == "failed"
+
+
+def test_arrays_that_are_no_states_of_bodies(tmp_path: Path) -> None:
+    """Log observations, rewards and flags under their names, in their own shape, one step or many at a time."""
+    fields = (array_field("observation", "float64", (2, 3)), array_field("reward", "float32", unit="1"))
+    seen = np.arange(5 * 4 * 2 * 3, dtype=np.float64).reshape(5, 4, 2, 3)
+    reward = np.arange(20, dtype=np.float32).reshape(5, 4)
+    with RecordingWriter(
+        tmp_path / "a.mcap", simulator="mine", version="1", scene="task", n_env=4, dt=0.1, steps=4, fields=fields
+    ) as log:
+        log.append(seen[0], reward[0])
+        log.append(seen[1:4], reward[1:4])
+        with pytest.raises(UsageError, match="not .env, item, width. = .4, 1, 6."):
+            log.append(seen[4, :3], reward[4])
+        log.append(seen[4].reshape(4, 1, 6), reward[4])
+    recording = open_recording(tmp_path / "a.mcap")
+    assert recording.status == "complete"
+    assert np.array_equal(recording.state("env", "observation")[:].reshape(seen.shape), seen)
+    assert np.array_equal(recording.state("env", "reward")[:, :, 0, 0], reward)
+    described = {field.field: (field.unit, field.components, field.items) for field in recording.fields}
+    assert described == {
+        "observation": ("unknown", ("0_0", "0_1", "0_2", "1_0", "1_1", "1_2"), ("",)),
+        "reward": ("1", ("",), ("",)),
+    }

@@ -5,9 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from ballistic.adapter import Ballistic, Options
+from ballistic.engine import World
 from ballistic.scenes import EDGE, dice_drop
 
 from gpusimbench.recorder.conformance import CHECKS, NotApplicable, Subject
+from gpusimbench.testing import assert_batch_invariant, assert_deterministic
 
 
 @pytest.fixture(scope="session")
@@ -42,3 +44,34 @@ def test_dice_stay_above_the_table():
     simulator.build()
     lowest = min(simulator.states(1)[0][..., 2].min() for _ in range(60))
     assert lowest > EDGE / 2 * 0.8
+
+
+class Dice:
+    """n worlds with dice that are thrown; world i by the seed plus i."""
+
+    def __init__(self, n_env):
+        self.n_env = n_env
+
+    def reset(self, seed):
+        self.world = World(dice_drop(), self.n_env)
+        for env in range(self.n_env):
+            self.world.velocity[env, : self.world.moving] += np.random.default_rng(seed + env).uniform(-1, 1, 3)
+        return self.state()
+
+    def step(self, action):
+        self.world.step(0.01, substeps=40)
+        return self.state()
+
+    def state(self):
+        world = self.world
+        return {"position": world.position, "orientation": world.orientation, "velocity": world.velocity}
+
+
+def test_the_engine_repeats_itself():
+    """Throw dice twice and get the same bits."""
+    assert_deterministic(lambda: Dice(2), steps=40)
+
+
+def test_worlds_do_not_feel_each_other():
+    """Throw the same dice in one world, and beside others, and get the same bits."""
+    assert_batch_invariant(Dice, steps=40, numbers=(1, 2, 3))

@@ -1,0 +1,91 @@
+"""What gpusimbench.wrap costs: calls of step of a wrapped vector environment beside those of a bare one, in turn.
+
+usage: python -m benchmarks.wrap_overhead [--task HalfCheetah-v5] [--n-env 64] [--steps 200] [--rounds 9]
+
+Both vectors live in this process, begin with one seed and are given the same actions, drawn before. Each step is made
+by both, one after the other, in an order that changes from step to step, so that whatever else the machine does meets
+both. A round gives one ratio, of the time of all steps and of closing. The beginning of the recording, in which host
+and software are described once, is in the first step, and is told apart. The last observations are the same, bit for
+bit.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+
+from benchmarks.machine import machine, spread
+from gpusimbench import open_recording, wrap
+
+Times = np.ndarray[Any, np.dtype[np.float64]]
+
+
+def timed(function: Callable[..., Any], *arguments: Any) -> tuple[Times, Any]:
+    """What it takes by the clock, and of the process on all cores [s], shape [2]; and what it returns."""
+    begin, worked = time.perf_counter(), time.process_time()
+    returned = function(*arguments)
+    return np.array([time.perf_counter() - begin, time.process_time() - worked]), returned
+
+
+def one_round(task: str, n_env: int, steps: int, path: Path, seed: int) -> tuple[list[Times], float]:
+    """Times of the bare and of the wrapped vector, without the first step; how much longer that of the wrapped was."""
+    pair = [gymnasium.make_vec(task, num_envs=n_env, vectorization_mode="sync") for _ in range(2)]
+    pair[1] = wrap(pair[1], path, steps=steps)
+    for envs in pair:
+        envs.reset(seed=seed)
+    pair[0].action_space.seed(seed)
+    spent, firsts = [np.zeros(2), np.zeros(2)], [0.0, 0.0]
+    last: list[Any] = [None, None]
+    for step in range(steps):
+        action = pair[0].action_space.sample()
+        for which in (0, 1) if step % 2 else (1, 0):
+            took, returned = timed(pair[which].step, action)
+            last[which] = returned[0]
+            if step:
+                spent[which] += took
+            else:
+                firsts[which] = took[0]
+    for which in (0, 1):
+        spent[which] += timed(pair[which].close)[0]
+    assert np.array_equal(*last)
+    assert open_recording(path).status == "complete"
+    return spent, firsts[1] - firsts[0]
+
+
+def main() -> None:
+    """Measure and print."""
+    p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    p.add_argument("--task", default="HalfCheetah-v5")
+    p.add_argument("--n-env", type=int, default=64)
+    p.add_argument("--steps", type=int, default=200)
+    p.add_argument("--rounds", type=int, default=9)
+    a = p.parse_args()
+    found, began, sizes = [], [], []
+    with tempfile.TemporaryDirectory() as name:
+        os.chdir(name)  # where MuJoCo logs that a task's model is old
+        for number in range(a.rounds):
+            path = Path(f"{number}.mcap")
+            spent, beginning = one_round(a.task, a.n_env, a.steps, path, number)
+            found.append(spent)
+            began.append(beginning)
+            sizes.append(path.stat().st_size / 1e6)
+        os.chdir("/")
+    print(f"machine           {machine()}")
+    print(f"steps             {a.task}, {a.n_env} envs, {a.steps} steps, {a.rounds} rounds")
+    print(f"bare [ms / step]  {spread([bare[0] / (a.steps - 1) * 1e3 for bare, _ in found])}")
+    print(f"wrapped / bare    {spread([wrapped[0] / bare[0] for bare, wrapped in found])}")
+    print(f"of CPU time       {spread([wrapped[1] / bare[1] for bare, wrapped in found])}")
+    print(f"beginning [s]     {spread(began)}")
+    print(f"recording [MB]    {spread(sizes, 1)}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,143 @@
+"""Episodes of recorded environments: what happened between two resets, whichever way these were made."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gpusimbench.evaluator.read.recording import Recording
+from gpusimbench.schemas.errors import DamagedRecording
+from gpusimbench.schemas.fields import ENV
+
+_FLAGS = ("terminated", "truncated")
+NEEDED = ("reward", *_FLAGS, "stepped", "episode", "episode_step")
+"""Fields, beside observations, without which a recording has no episodes."""
+
+
+@dataclass(frozen=True)
+class Episode:
+    """One episode of one environment, of T steps.
+
+    env, number   of the environment, and of the episode in it, from 0
+    observations  by name, [T + 1, ...] as recorded: of the reset, and of every step, the last one included
+    actions       by name, [T, ...]
+    rewards       [T]
+    terminated, truncated  whether it ended so; neither where it was cut by a reset, or by the end of the recording
+    """
+
+    env: int
+    number: int
+    observations: dict[str, NDArray[Any]]
+    actions: dict[str, NDArray[Any]]
+    rewards: NDArray[np.floating]
+    terminated: bool
+    truncated: bool
+
+    def __len__(self) -> int:
+        return len(self.rewards)
+
+    @property
+    def ended(self) -> bool:
+        """Whether the task ended it."""
+        return self.terminated or self.truncated
+
+
+@dataclass(frozen=True)
+class EpisodeCounts:
+    """Episodes of all environments.
+
+    steps        that were made
+    terminated, truncated  episodes that ended so; both where both flags were set
+    ended        episodes that the task ended
+    cut          episodes with a step that it did not: a reset, or the end of the recording, cut them
+    mean_length  of those that ended [step]; None where none did
+    mean_return  sum of their rewards, mean [unit of the reward]; None where none ended
+    """
+
+    steps: int
+    terminated: int
+    truncated: int
+    ended: int
+    cut: int
+    mean_length: float | None
+    mean_return: float | None
+
+
+def has_episodes(recording: Recording) -> bool:
+    """Whether a recording has what episodes are made of."""
+    return {f"{ENV}/{name}" for name in NEEDED} <= {field.name for field in recording.fields}
+
+
+def episodes(recording: Recording) -> Iterator[Episode]:
+    """The episodes of every environment in order of environments; those without a step are left out.
+
+    Read one environment at a time. DamagedRecording where episodes are not numbered as they are recorded.
+    """
+    names = [field.field for field in recording.fields if field.group == ENV]
+    for env in range(recording.configuration.n_env):
+        yield from _of_env(recording, env, names)
+
+
+def count_episodes(recording: Recording) -> EpisodeCounts | None:
+    """How many episodes there are, and how long they were; None where a recording has none to count.
+
+    DamagedRecording where an episode has a number that it cannot have.
+    """
+    if not has_episodes(recording):
+        return None
+    arrays = [recording.state(ENV, name) for name in NEEDED]
+    rows = min(len(array) for array in arrays)  # of a file that was cut short, some have more
+    columns = {name: array[:rows, :, 0, 0] for name, array in zip(NEEDED, arrays, strict=True)}
+    stepped = columns["stepped"][1:] != 0
+    terminated, truncated = ((columns[flag][1:] != 0) & stepped for flag in _FLAGS)
+    number = columns["episode"][:-1].astype(np.float64)
+    if not ((number >= 0) & (number <= len(number)) & (number == np.floor(number))).all():
+        raise DamagedRecording(f"{recording.path}: episodes are not numbered from 0 on, at most one a step")
+    env = np.broadcast_to(np.arange(number.shape[1]), number.shape)
+    key = (env * (len(number) + 1) + number.astype(np.int64))[stepped]
+    of_episode, at = np.unique(key, return_inverse=True)
+    lengths = np.bincount(at, minlength=len(of_episode))
+    returns = np.bincount(at, weights=columns["reward"][1:][stepped].astype(np.float64), minlength=len(of_episode))
+    ended = np.unique(at[(terminated | truncated)[stepped]])
+    return EpisodeCounts(
+        steps=int(np.count_nonzero(stepped)),
+        terminated=int(np.count_nonzero(terminated)),
+        truncated=int(np.count_nonzero(truncated)),
+        ended=len(ended),
+        cut=len(of_episode) - len(ended),
+        mean_length=float(lengths[ended].mean()) if len(ended) else None,
+        mean_return=float(returns[ended].mean()) if len(ended) else None,
+    )
+
+
+def _of_env(recording: Recording, env: int, names: list[str]) -> Iterator[Episode]:
+    arrays = {name: recording.state(ENV, name) for name in names}
+    rows_of_all = min(len(array) for array in arrays.values())
+    columns = {name: array[:rows_of_all, env, 0] for name, array in arrays.items()}
+    stepped = np.flatnonzero(columns["stepped"][1:, 0]) + 1  # rows that a step led to, each from the row before it
+    if not stepped.size:
+        return
+    numbers = columns["episode"][stepped - 1, 0]
+    starts = np.flatnonzero(np.diff(numbers, prepend=numbers[0] - 1))
+    for begin, end in zip(starts, [*starts[1:], len(stepped)], strict=True):
+        rows = stepped[begin:end]
+        at = columns["episode_step"][rows - 1, 0]
+        if (np.diff(rows) != 1).any() or (at != np.arange(len(rows))).any():
+            raise DamagedRecording(f"{recording.path}: the steps of an episode of environment {env} are not in order")
+        last = rows[-1]
+        yield Episode(
+            env=env,
+            number=int(numbers[begin]),
+            observations={
+                name: np.concatenate([array[rows[:1] - 1], columns[f"final_{name}"][rows]])
+                for name, array in columns.items()
+                if name.startswith("observation") and f"final_{name}" in columns
+            },
+            actions={name: array[rows] for name, array in columns.items() if name.startswith("action")},
+            rewards=columns["reward"][rows, 0],
+            **{flag: bool(columns[flag][last, 0]) for flag in _FLAGS},
+        )

@@ -1,0 +1,1 @@
+"""Vector environments of others, recorded as they are stepped."""

@@ -1,0 +1,29 @@
+"""Arrays that environments return, as fields of a recording."""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+import numpy as np
+
+from gpusimbench.schemas.fields import UNKNOWN, StateField, array_field
+
+NO_STEP = "at step 0, which no step of the environment leads to, 0 stands for it"
+
+
+def recorded_dtype(dtype: np.dtype[Any]) -> np.dtype[Any]:
+    """The dtype in which numbers are recorded: float32 where that has them all, float64 otherwise."""
+    return np.dtype(np.float32 if np.can_cast(dtype, np.float32) else np.float64)
+
+
+def field_of(name: str, dtype: np.dtype[Any], shape: tuple[int, ...], *notes: str, unit: str = UNKNOWN) -> StateField:
+    """The field of an array [env, ...]: its name as a recording has it, and what becomes of its numbers.
+
+    shape  of the array of one environment
+    notes  on its numbers
+    """
+    recorded = recorded_dtype(dtype)
+    told = [f"recorded from {dtype}"] if recorded != dtype else []
+    plain = re.sub(r"[^a-z0-9]+", "_", name.lower()).strip("_") or "array"
+    return array_field(plain, str(recorded), shape, unit=unit, note="; ".join([*told, *notes]))

@@ -1,0 +1,53 @@
+"""Any Gymnasium vector environment, recorded in one line."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from gpusimbench.recorder.vector.modes import Mode, mode_of
+from gpusimbench.schemas.errors import UsageError
+
+if TYPE_CHECKING:
+    from gpusimbench.recorder.vector.wrapper import Recorded
+
+
+def wrap(envs: Any, path: str | Path, *, steps: int, dt: float | None = None) -> Recorded:
+    """Record a Gymnasium VectorEnv while it is used: the same interface, and a file.
+
+    envs   the vector environment, of Gymnasium 1.0 or later
+    path   of the recording, which must not exist, in a folder that does
+    steps  calls of step that are recorded; then the recording is complete, and further calls are only passed on
+    dt     simulated time of a step [s]; None: what the task says of it (dt, step_dt, or render_fps of its metadata)
+
+    Row 0 is the reset, row k the k-th call of step, of every environment:
+    action, observation (that the next action is for), reward, terminated, truncated, final_observation (what step
+    returned, before a reset replaced it), episode and episode_step (of the observation), and whether a step was made at
+    all, since a call of step that begins the next episode makes none. The autoreset mode is read from the metadata of
+    the environment. Units are unknown. Recordings of fewer steps end as failed when the environment is closed.
+
+    Returns the wrapped environment. Raises UsageError where steps or dt cannot be, or dt or the autoreset mode is not
+    known.
+    """
+    from gpusimbench.recorder.vector.wrapper import Recorded
+
+    told = dt if dt is not None else next(_told(envs), None)
+    if told is None:
+        raise UsageError("the environment does not say what simulated time a step takes: give dt [s]")
+    if steps < 1:
+        raise UsageError(f"at least 1 step is recorded, not {steps}")
+    if mode_of(envs) is Mode.NONE:
+        raise UsageError("the environment does not say when it is reset: its metadata need an autoreset_mode")
+    return Recorded(envs, path, steps=steps, dt=float(told))
+
+
+def _told(envs: Any) -> Iterator[float]:
+    # of the vector, and of its first environment where that lives in this process
+    whole = envs.unwrapped
+    for env in (whole, *(one.unwrapped for one in getattr(whole, "envs", ())[:1])):
+        for name in ("dt", "step_dt"):
+            if isinstance(value := getattr(env, name, None), (int, float)) and value > 0:
+                yield value
+    if fps := (envs.metadata or {}).get("render_fps"):
+        yield 1 / fps

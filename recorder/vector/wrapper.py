@@ -1,0 +1,199 @@
+"""A Gymnasium vector environment that is recorded as it is stepped."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from numbers import Integral
+from pathlib import Path
+from typing import Any, Self
+
+import gymnasium
+import numpy as np
+from numpy.typing import NDArray
+
+from gpusimbench.recorder.log import RecordingWriter
+from gpusimbench.recorder.vector.fields import field_of, recorded_dtype
+from gpusimbench.recorder.vector.ledger import Ledger
+from gpusimbench.recorder.vector.modes import FINAL, Mode, mode_of, with_final
+from gpusimbench.schemas.errors import UsageError
+from gpusimbench.schemas.fields import DIMENSIONLESS, UNKNOWN
+from gpusimbench.schemas.trees import leaves, on_host
+
+_ROWS = 50  # that are handed to the writer at a time
+_FLAGS = ("terminated", "truncated")
+_NO_STEP = "0 stands for it where no step was made: at step 0, and where a call of step began the next episode"
+
+Row = dict[str, NDArray[Any]]
+
+
+class Recorded(gymnasium.vector.VectorWrapper):  # type: ignore[misc]
+    """See gpusimbench.wrap, which makes it.
+
+    What a step returned becomes a row of the recording when the next step begins: until then, a reset by the user may
+    replace its observations.
+    """
+
+    def __init__(self, envs: Any, path: str | Path, *, steps: int, dt: float) -> None:
+        super().__init__(envs)
+        self._path, self._steps, self._dt = path, steps, dt
+        self._mode = mode_of(envs)
+        self._ledger = Ledger(self.num_envs, self._mode)
+        self._start: tuple[Row, Any] | None = None  # observations of the first reset, and its seed
+        self._log: RecordingWriter | None = None
+        self._ended = False
+        self._block: Row = {}  # rows that are not written yet, [row, env, ...]
+        self._dtypes: dict[str, np.dtype[Any]] = {}  # of what is put into it
+        self._filled = 0  # of them; a reset may still replace what the last of them says
+        self._made = 0  # steps
+
+    def reset(self, *, seed: Any = None, options: Any = None) -> Any:
+        """See VectorEnv.reset."""
+        mask = (options or {}).get("reset_mask")  # which Gymnasium takes out of the options
+        observation, info = self.env.reset(seed=seed, options=options)
+        if not self._ended:
+            self._recording(lambda: self._reset(observation, seed, mask))
+        return observation, info
+
+    def step(self, actions: Any) -> Any:
+        """See VectorEnv.step. The first step begins the recording, since it tells what actions are."""
+        if self._ended:
+            return self.env.step(actions)
+        given = _arrays(actions, "action")  # before the environment may change them
+        if self._log is None:
+            self._begin(given)
+        self._recording(self._make_room)
+        returned = self._recording(lambda: self.env.step(actions))
+        self._recording(lambda: self._stepped(given, *returned))
+        return returned
+
+    def close(self, **keywords: Any) -> Any:
+        """See VectorEnv.close. A recording of fewer steps than were asked for ends as failed, and says so."""
+        try:
+            self._end(None)
+        finally:
+            self.env.close(**keywords)
+
+    def __enter__(self) -> Self:
+        """Itself."""
+        return self
+
+    def __exit__(self, kind: Any, error: BaseException | None, trace: Any) -> None:
+        """Close the environment, and end the recording; an error is its reason."""
+        try:
+            self._end(error)
+        finally:
+            self.close()
+
+    def _recording(self, function: Callable[[], Any]) -> Any:
+        # an error of the environment, or of the recording, is the recording's end
+        try:
+            return function()
+        except BaseException as error:
+            self._end(error)
+            raise
+
+    def _reset(self, observation: Any, seed: Any, mask: Any) -> None:
+        if self._log is None:
+            self._start = _arrays(observation, "observation"), seed
+            return
+        every = np.ones(self.num_envs, dtype=np.bool_)
+        self._ledger.reset(every if mask is None else on_host(mask, "reset_mask").astype(np.bool_))
+        self._put(self._filled - 1, {**_arrays(observation, "observation", copy=False), **self._counts()})
+
+    def _begin(self, actions: Row) -> None:
+        if self._start is None:
+            raise UsageError("a vector environment is reset before it is stepped")
+        (seen, seed), n_env = self._start, self.num_envs
+        given = {name: np.zeros_like(array) for name, array in actions.items()}
+        of_step = {"reward": np.zeros(n_env), **{name: np.zeros(n_env, dtype=np.bool_) for name in _FLAGS}}
+        facts = {"stepped": np.zeros(n_env, dtype=np.bool_), **self._counts()}
+        row = {**given, **seen, **of_step, **_final(seen), **facts}
+        known = {*_FLAGS, *facts}
+        fields = [
+            field_of(
+                name,
+                array.dtype,
+                array.shape[1:],
+                *([_NO_STEP] if name in given or name in of_step else []),
+                unit=DIMENSIONLESS if name in known else UNKNOWN,
+            )
+            for name, array in row.items()
+        ]
+        options = {"autoreset_mode": self._mode.value}
+        if not isinstance(seed, Integral):
+            options["seeds"] = "not given" if seed is None else ", ".join(map(str, seed))
+        log = RecordingWriter(
+            self._path, simulator="gymnasium", version=gymnasium.__version__, scene=_name(self.env), n_env=n_env,
+            dt=self._dt, steps=self._steps, fields=fields, seed=int(seed) if isinstance(seed, Integral) else 0,
+            options=options, view=(),
+        )  # fmt: skip
+        log.__enter__()
+        self._log = log
+        rows = min(_ROWS, self._steps + 1)
+        self._block = {name: np.empty((rows, *array.shape), recorded_dtype(array.dtype)) for name, array in row.items()}
+        self._dtypes = {name: array.dtype for name, array in row.items()}
+        self._put(0, row)
+        self._filled = 1
+
+    def _stepped(self, given: Row, observation: Any, reward: Any, terminated: Any, truncated: Any, info: Any) -> None:
+        seen = _arrays(observation, "observation", copy=False)
+        flags = {name: on_host(array, name) for name, array in zip(_FLAGS, (terminated, truncated), strict=True)}
+        done = flags["terminated"] | flags["truncated"]
+        last = with_final(observation, info, done) if self._mode is Mode.SAME_STEP else _final(seen)
+        began = self._ledger.stepped(done)
+        if began.any():  # which ignored their actions
+            for array in given.values():
+                array[began] = 0
+        of_step = {"reward": on_host(reward, "reward", copy=False), **flags, "stepped": ~began}
+        self._put(self._filled, {**given, **seen, **of_step, **last, **self._counts()})
+        self._filled += 1
+        self._made += 1
+        if self._made == self._steps:
+            self._end(None)
+
+    def _counts(self) -> Row:
+        return {"episode": self._ledger.episode, "episode_step": self._ledger.step}
+
+    def _put(self, at: int, row: Row) -> None:
+        for name, array in row.items():
+            column = self._block[name]
+            if array.dtype != self._dtypes[name] and recorded_dtype(array.dtype) > column.dtype:
+                raise UsageError(f"{name} is {array.dtype}, and was recorded as {column.dtype} before")
+            if array.shape != column.shape[1:]:
+                raise UsageError(f"{name} has shape {array.shape}, and had {column.shape[1:]} before")
+            column[at] = array
+
+    def _make_room(self) -> None:
+        if self._filled == _ROWS:
+            self._write()
+
+    def _write(self) -> None:
+        rows, self._filled = self._filled, 0
+        if rows and self._log is not None:
+            self._log.append(*(column[:rows] for column in self._block.values()))
+
+    def _end(self, error: BaseException | None) -> None:
+        if self._ended or self._log is None:
+            return
+        self._ended = True
+        try:
+            self._write()
+        except Exception as second:
+            error = error or second
+            raise
+        finally:
+            self._log.__exit__(type(error) if error else None, error, None)
+
+
+def _arrays(tree: Any, name: str, *, copy: bool = True) -> Row:
+    return {found: on_host(value, found, copy=copy) for found, value in leaves(tree, name)}
+
+
+def _final(seen: Row) -> Row:
+    return {name.replace("observation", FINAL, 1): array for name, array in seen.items()}
+
+
+def _name(envs: Any) -> str:
+    whole = envs.unwrapped
+    told = getattr(getattr(envs, "spec", None), "id", "")
+    return told or type(next(iter(getattr(whole, "envs", ())), whole).unwrapped).__name__
