@@ -20,8 +20,12 @@ from gpusimbench.evaluator.results.identity_metrics import DISTINCT_RUNS, identi
 from gpusimbench.evaluator.results.metric import Axis
 from gpusimbench.evaluator.results.metrics import METRICS
 from gpusimbench.evaluator.results.result import GroupResult
+from gpusimbench.evaluator.runs.labels import labels, options_given
 
 _NOTES = 2
+_PLACE = ("scene", "device")
+"""What names a table where there are several."""
+
 MORE = "Everything: gsb-eval --all. A report with figures: gsb-eval --html DIR."
 
 
@@ -84,24 +88,25 @@ def _one(result: GroupResult) -> Facts:
 
 def _several(evaluation: Evaluation) -> Iterator[Block]:
     results = usual(evaluation.results)
-    scenes = len({r.group.key.scene for r in results}) > 1
     questions = [*QUESTIONS, *([TO_REFERENCE] if evaluation.reference else [])]
-    titles = ["", *(["scene"] if scenes else []), "envs x runs", *(q.brief or q.title for q in questions), FPS.unit]
-    yield table(
-        "groups",
-        "",
-        titles,
-        [
+    titles = ["", "envs x runs", *(q.brief or q.title for q in questions), FPS.unit]
+    given = options_given(run for r in results for run in r.group.recordings)
+    several = len({r.group.key.scene for r in results}) > 1
+    named = labels([r.group.key for r in results], given, beside=("n_env", *(_PLACE if several else ())))
+    rows: dict[str, list[list[Cell | str]]] = {}
+    for result, name in zip(results, named, strict=True):
+        key = result.group.key
+        place = f"{key.scene} on {key.device or 'no device'}" if several else ""
+        rows.setdefault(place, []).append(
             [
-                r.label,
-                *([r.group.key.scene] if scenes else []),
-                f"{r.group.key.n_env} x {len(r.group.complete)}",
-                *(_text(q.answer([r])) for q in questions),
-                _text(estimate(r.metrics[FPS.name])),
+                name,
+                f"{key.n_env:,} x {len(result.group.complete)}",
+                *(_text(q.answer([result])) for q in questions),
+                _text(estimate(result.metrics[FPS.name])),
             ]
-            for r in results
-        ],
-    )
+        )
+    for place in rows:
+        yield table("groups", place, titles, rows[place]).without_empty_columns()
     if hidden := len(evaluation.results) - len(results):
         yield Text(f"{plural(hidden, 'group')} of runs that only gsb-probe needs: --all", Tone.QUIET)
     for asked in evaluation.probed:

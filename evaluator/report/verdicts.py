@@ -133,7 +133,9 @@ QUESTIONS = (
 )
 """Asked of every simulator."""
 
-TO_REFERENCE = Question("distance to the reference", "W1 to the reference at the sample time, best to worst", real)
+TO_REFERENCE = Question(
+    "distance to the reference", "W1 to the reference at the sample time, best to worst", real, "distance"
+)
 
 
 def _identity(results: Results, counted: Metric, apart: Metric, what: str) -> Cell:

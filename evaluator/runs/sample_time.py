@@ -35,7 +35,8 @@ class Sampled:
 def notes_on(shorter: Mapping[str, float], time: float) -> list[str]:
     """What is to be said of each scene whose recordings all end before a time [s]; see Sampled."""
     return [
-        f"{scene}: positions are compared at {at:g} s, the last time that all its recordings have; none has {time:g} s"
+        f"{scene}: positions are compared at {at:.4g} s, the last time that all its recordings have; "
+        f"none has {time:g} s"
         for scene, at in shorter.items()
     ]
 

@@ -31,7 +31,7 @@ def section(source: Source) -> Section | None:
         reasons.legend,
     )
     picked = sum(bool(one.pick) for one in found)
-    said = f"a pick for {picked or 'none'} of {plural(len(found), 'need')}"
+    said = f"a simulator is named for {picked or 'none'} of {plural(len(found), 'need')}"
     return Section("guidelines", "Which simulator for which need", (Text(_HOW), shown), said, folded=True)
 
 
