@@ -28,7 +28,7 @@ from gpusimbench.evaluator.render.numbers import plural
 from gpusimbench.evaluator.report.leaders import Fastest, Speed, fastest
 from gpusimbench.evaluator.report.sections import probed, scatter
 from gpusimbench.evaluator.report.source import Source
-from gpusimbench.evaluator.report.verdicts import QUESTIONS, TO_REFERENCE, usual
+from gpusimbench.evaluator.report.verdicts import NOT_COMPARED, QUESTIONS, TO_REFERENCE, usual
 from gpusimbench.evaluator.results.cost_metrics import FPS
 from gpusimbench.evaluator.results.evaluation import Evaluation
 from gpusimbench.evaluator.results.result import GroupResult
@@ -39,6 +39,9 @@ _DEPENDS = (
     ("same in any slot", "yes: the same initial state has the same bits in another slot, where probed", "slot"),
 )
 """Title, meaning and question of gsb-probe that the first screen answers, where any run was made for it."""
+
+_DISTANCE = 4
+"""Column of a scatter's numbers that has the distance."""
 
 _HOW_TO_READ = (
     "Lines: 95 % intervals. Hollow: INVALID, or mechanics broken. Shaded strip: exactly 0. A mark without a name is "
@@ -88,7 +91,18 @@ def _matrix(evaluation: Evaluation) -> Table:
             for name, _, head, results in rows
         ],
     )
-    return replace(matrix, compact=len(rows) > _ROOMY)
+    return replace(_without_unasked(matrix), compact=len(rows) > _ROOMY)
+
+
+def _without_unasked(matrix: Table) -> Table:
+    """The table without the columns in which no simulator has an answer, where there are several simulators."""
+    kept = [
+        i
+        for i in range(len(matrix.columns))
+        if len(matrix.rows) == 1 or not all(row.cells[i].text == NOT_COMPARED for row in matrix.rows)
+    ]
+    rows = tuple(replace(row, cells=tuple(row.cells[i] for i in kept)) for row in matrix.rows)
+    return replace(matrix, columns=tuple(matrix.columns[i] for i in kept), rows=rows)
 
 
 def _depends(name: str, evaluation: Evaluation) -> Iterator[Cell]:
@@ -124,10 +138,15 @@ def _state_of_the_set(evaluation: Evaluation) -> Item:
 
 def _scatter(evaluation: Evaluation) -> Iterator[Figure]:
     """The figure of the scene in which most groups have both a speed and a distance, in fewer words."""
-    drawn = [one for one in scatter.pictures(evaluation) if one.svg and len(one.numbers.rows) > 1]
+    drawn = [one for one in scatter.pictures(evaluation) if one.svg and _apart(one)]
     if drawn:
         most = max(drawn, key=lambda one: len(one.numbers.rows))
         yield replace(most, caption=_HOW_TO_READ)
+
+
+def _apart(one: Figure) -> bool:
+    """Whether it shows several groups, of which any is away from exactly zero."""
+    return len(one.numbers.rows) > 1 and any(row[_DISTANCE] for row in one.numbers.rows)
 
 
 def _fastest_table(results: Sequence[GroupResult]) -> Iterator[Table]:
