@@ -106,7 +106,8 @@ def _several(evaluation: Evaluation) -> Iterator[Block]:
             ]
         )
     for place in rows:
-        yield table("groups", place, titles, rows[place]).without_empty_columns()
+        shown = table("groups", place, titles, rows[place])
+        yield shown.without_empty_columns() if several else shown
     if hidden := len(evaluation.results) - len(results):
         yield Text(f"{plural(hidden, 'group')} of runs that only gsb-probe needs: --all", Tone.QUIET)
     for asked in evaluation.probed:
