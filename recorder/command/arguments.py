@@ -196,7 +196,7 @@ def parser() -> Parser:
     what.add_argument(
         "--sweep",
         metavar="A..B[:F]",
-        help="instead of --n-env: record A, A*F, A*F*F... and B environments, powers of two (F: 2); see below",
+        help="instead of --n-env: record A, A*F, A*F*F... and B environments, powers of two (F: 2)",
     )
     what.add_argument(
         "--runs",
