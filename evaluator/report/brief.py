@@ -93,11 +93,11 @@ def _several(evaluation: Evaluation) -> Iterator[Block]:
     given = options_given(run for r in results for run in r.group.recordings)
     several = len({r.group.key.scene for r in results}) > 1
     named = labels([r.group.key for r in results], given, beside=("n_env", *(_PLACE if several else ())))
-    rows: dict[str, list[list[Cell | str]]] = {}
+    tables: dict[str, list[list[Cell | str]]] = {}
     for result, name in zip(results, named, strict=True):
         key = result.group.key
         place = f"{key.scene} on {key.device or 'no device'}" if several else ""
-        rows.setdefault(place, []).append(
+        tables.setdefault(place, []).append(
             [
                 name,
                 f"{key.n_env:,} x {len(result.group.complete)}",
@@ -105,8 +105,8 @@ def _several(evaluation: Evaluation) -> Iterator[Block]:
                 _text(estimate(result.metrics[FPS.name])),
             ]
         )
-    for place in rows:
-        shown = table("groups", place, titles, rows[place])
+    for place, rows in tables.items():
+        shown = table("groups", place, titles, rows)
         yield shown.without_empty_columns() if several else shown
     if hidden := len(evaluation.results) - len(results):
         yield Text(f"{plural(hidden, 'group')} of runs that only gsb-probe needs: --all", Tone.QUIET)
@@ -115,8 +115,8 @@ def _several(evaluation: Evaluation) -> Iterator[Block]:
     for one in fastest(results):
         if one.first:
             device = one.device or "an unnamed device"
-            named = f"{one.first.result.label}, {one.first.fps:,.0f} env-steps/s"
-            yield Text(f"Fastest valid simulator in {one.scene} on {device}: {named}")
+            fps = f"{one.first.result.label}, {one.first.fps:,.0f} env-steps/s"
+            yield Text(f"Fastest valid simulator in {one.scene} on {device}: {fps}")
 
 
 def _troubles(evaluation: Evaluation) -> Iterator[Text]:

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from itertools import islice
 from typing import Any
 
-from gpusimbench.evaluator.missing import Missing
+from gpusimbench.evaluator.missing import Missing, known
 from gpusimbench.evaluator.render.document import (
     EMPTY,
     Block,
@@ -149,8 +149,8 @@ def _place(recording: Run) -> str:
 
 
 def _methods(number: int, result: GroupResult) -> Table:
-    known = [found for found in result.metrics.values() if not isinstance(found.value, Missing)]
-    return table(f"metrics-{number}", "", _TITLES, [_method(found) for found in known])
+    computed = [found for found in result.metrics.values() if not isinstance(found.value, Missing)]
+    return table(f"metrics-{number}", "", _TITLES, [_method(found) for found in computed])
 
 
 def _not_computed(result: GroupResult) -> Iterator[Block]:
@@ -168,7 +168,9 @@ def _method(found: Estimate) -> Row:
     bounds = Cell(interval(found)) if found.ci95 else EMPTY
     how = "; ".join([found.method, *_more(found)])
     n = Cell(str(found.n), float(found.n))
-    return Row((name, Cell(mean_sd(found), found.value), unit, bounds, n, better, Cell(found.exactness), Cell(how)))
+    return Row(
+        (name, Cell(mean_sd(found), known(found.value)), unit, bounds, n, better, Cell(found.exactness), Cell(how))
+    )
 
 
 def _more(found: Estimate) -> Iterator[str]:
