@@ -67,7 +67,7 @@ def parser() -> Parser:
     p.add_argument("--bad", metavar="VERSION", help="later release, which differs")
     p.add_argument(
         "--predicate", default="states", metavar="NAME",
-        help="states, gsb-compare or a COMMAND: in which way releases differ; see below (default: %(default)s)",
+        help="states, gsb-compare or a COMMAND: in which way releases differ; see --help-all (default: %(default)s)",
     )  # fmt: skip
     p.add_argument("--package", metavar="NAME", help="what pip installs (default: the name of the simulator)")
     p.add_argument(

@@ -97,7 +97,7 @@ def _formats(text: str) -> tuple[str, ...]:
 def run(arguments: argparse.Namespace, command: str) -> int:
     """Evaluate and print; returns the exit code."""
     from gpusimbench.evaluator.check.protocol import unmet_by_file
-    from gpusimbench.evaluator.read.addresses import expand
+    from gpusimbench.evaluator.read.addresses import expand, left_below
     from gpusimbench.evaluator.results.evaluate import evaluate
     from gpusimbench.evaluator.runs.reader import Reader
     from gpusimbench.evaluator.runs.run import Run
@@ -130,6 +130,8 @@ def run(arguments: argparse.Namespace, command: str) -> int:
     recordings = [f for f in files if isinstance(f, Run)]
     for failure in evaluation.unreadable:
         complain("gsb-eval", str(failure.error))
+    for said in left_below(arguments.files):
+        show(line(f"gsb-eval: {said}"), error=True)
     if not evaluation.results:
         if len(evaluation.unreadable) == 1:
             return int(evaluation.unreadable[0].error.exit_code)

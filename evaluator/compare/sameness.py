@@ -96,7 +96,10 @@ def _bound(name: str, alike: Estimate, change: Change) -> str:
     if name != "distinct_runs" or change is Change.SAME:
         return ""
     below: Any = 1 - 0.05 ** (1 / (alike.n - 1))
-    return f"{alike.n} bit-identical runs: another one differs in some bit with a probability below {below:.0%} (95 %)"
+    return (
+        f"{alike.n} bit-identical runs: another one differs in some bit with a probability below {100 * below:.0f} % "
+        "(95 % confidence)"
+    )
 
 
 def _said(metric: Estimate) -> str:

@@ -90,7 +90,7 @@ def _distances(found: Difference, times: tuple[float, float]) -> list[str]:
         parts.append(element("line", x1=_LEFT, x2=_LEFT + _SIDE, y1=y(tick), y2=y(tick), class_="faint"))
         parts.append(axis.left(_LEFT, y(tick), f"{tick:g}"))
     for size, name in _MARKS:
-        parts.append(text(name, _LEFT + _SIDE - 4, y(size) - 3, class_="small end"))
+        parts.append(text(name, _LEFT + _SIDE - 4, y(size) - 3, class_="small end over"))
     for index, (name, values) in enumerate(series):
         points = [(_x(t, times), y(d)) for t, d in zip(growth.times, values, strict=True) if d]
         if points:
@@ -99,7 +99,7 @@ def _distances(found: Difference, times: tuple[float, float]) -> list[str]:
         place = _LEFT + 10, _TOP + 16 + 16 * index
         parts.append(lines.path(index, f"M{number(place[0])} {number(place[1])}h26"))
         parts.append(lines.mark(index, place[0] + 13, place[1]))
-        parts.append(text(name, place[0] + 34, place[1] + 4, class_="small"))
+        parts.append(text(name, place[0] + 34, place[1] + 4, class_="small over"))
     return [frame, *parts, text("distance [m]", 14, _TOP + _UPPER / 2, class_="mid", rotate=-90)]
 
 

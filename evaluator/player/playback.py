@@ -15,7 +15,7 @@ from gpusimbench.evaluator.runs.run import Run
 from gpusimbench.schemas.errors import NUMBERS_OF_A_STRANGER, GsbError
 from gpusimbench.schemas.progress import each
 
-BUDGET_BYTES = 6_000_000
+BUDGET_BYTES = 2_000_000
 """Of all clips of a page, as text."""
 
 _CLIP_BYTES = 500_000

@@ -149,7 +149,7 @@ def _runs(arms: Arms) -> Asked | Missing:
         return asked
     agreed = sum(not isinstance(one, Missing) for one in found)
     below = upper_bound_of_none(agreed)
-    return asked._replace(detail=f"one more run differs with a probability below {below:.0%} (95 %)")
+    return asked._replace(detail=f"one more run differs with a probability below {100 * below:.0f} % (95 % confidence)")
 
 
 def _envs(arms: Arms) -> Asked | Missing:

@@ -15,6 +15,8 @@ from gpusimbench.schemas.errors import GsbError, Unreachable, UsageError
 from gpusimbench.schemas.location import Location, Place
 from gpusimbench.schemas.writing import write_pieces
 
+_NAMED = 6
+
 MAX_FILES = 10_000
 """An address that stands for more files is refused."""
 
@@ -38,6 +40,22 @@ def expand(places: Sequence[Place], *, copies: bool = False) -> list[Place]:
         else:
             found += _expanded(given)
     return found if copies else list(dict.fromkeys(found))
+
+
+def left_below(places: Sequence[Place]) -> list[str]:
+    """A sentence for each folder among these with recordings in folders below it that are not given themselves."""
+    folders = [place for place in places if isinstance(place, Path) and place.is_dir()]
+    given = {folder.resolve() for folder in folders}
+    said = []
+    for folder in folders:
+        below = [path for path in folder.glob("*/*.mcap") if path.parent.resolve() not in given]
+        if names := sorted({path.parent.name for path in below}):
+            more = ", ..." if len(names) > _NAMED else ""
+            said.append(
+                f"{folder} stands for the recordings directly in it; {len(below)} more are in folders below it, to be "
+                f"named as well: {', '.join(names[:_NAMED])}{more}"
+            )
+    return said
 
 
 def expand_paths(paths: Sequence[Path]) -> list[Path]:

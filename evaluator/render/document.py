@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 
 from markupsafe import Markup
@@ -97,6 +97,7 @@ class Table:
     key      names its file and its place in a page; letters, digits and hyphens
     caption  what it shows
     legend   what must be known to read it, a line each
+    compact  a row a line where there is room: of the notes of a cell only the first is shown, the others are hidden
     """
 
     key: str
@@ -104,6 +105,7 @@ class Table:
     columns: tuple[Column, ...]
     rows: tuple[Row, ...]
     legend: tuple[str, ...] = ()
+    compact: bool = False
 
     def __post_init__(self) -> None:
         assert all(len(row.cells) == len(self.columns) for row in self.rows), f"table {self.key}: a row of other length"
@@ -112,7 +114,7 @@ class Table:
         """The table without the columns, the first aside, in which every cell is a dash."""
         kept = [i for i in range(len(self.columns)) if not i or any(row.cells[i].text != NONE for row in self.rows)]
         rows = tuple(Row(tuple(row.cells[i] for i in kept), row.facets) for row in self.rows)
-        return Table(self.key, self.caption, tuple(self.columns[i] for i in kept), rows, self.legend)
+        return replace(self, columns=tuple(self.columns[i] for i in kept), rows=rows)
 
 
 def table(

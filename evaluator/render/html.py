@@ -145,7 +145,7 @@ def _table(block: Table) -> Markup:
     )
     rows = (
         Markup("<tr{}>{}</tr>").format(
-            _data(row.facets), _EMPTY.join(_cell(one, i, numeric[i]) for i, one in enumerate(row.cells))
+            _data(row.facets), _EMPTY.join(_cell(one, i, numeric[i], block.compact) for i, one in enumerate(row.cells))
         )
         for row in block.rows
     )
@@ -156,9 +156,10 @@ def _table(block: Table) -> Markup:
         legend = Markup('\n<ul class="legend">{}</ul>').format(lines)
     name = block.caption or block.key.replace("-", " ")
     return Markup(
-        '<div class="table" role="region" tabindex="0" aria-label="{}"><table>\n{}<thead><tr>{}</tr></thead>\n'
+        '<div class="table{}" role="region" tabindex="0" aria-label="{}"><table>\n{}<thead><tr>{}</tr></thead>\n'
         "<tbody>\n{}\n</tbody></table></div>{}"
     ).format(
+        Markup(" compact") if block.compact else _EMPTY,
         _text(name),
         caption,
         _EMPTY.join(heads),
@@ -167,11 +168,13 @@ def _table(block: Table) -> Markup:
     )
 
 
-def _cell(said: Cell, index: int, numeric: bool) -> Markup:
+def _cell(said: Cell, index: int, numeric: bool, compact: bool) -> Markup:
     classes = " ".join([*(["num"] if numeric else []), *([] if said.tone is Tone.PLAIN else [said.tone.value])])
     attributes = Markup(' class="{}"').format(classes) if classes else _EMPTY
     if said.value is not None:
         attributes += Markup(' data-v="{}"').format(f"{said.value:.9g}")
+    if compact and len(said.lines) > 1:
+        attributes += Markup(' title="{}"').format(_text("; ".join(said.lines)))
     name = "th scope=row" if index == 0 else "td"
     return Markup("<{}{}>{}</{}>").format(Markup(name), attributes, _said(said), Markup(name[:2]))
 

@@ -39,8 +39,11 @@ _SIDEWAYS = 22
 _HEAD = 32
 _GAP = 2
 _LEAST = 10
-_NAME = 48
-"""Characters of a row's name that stand on one line where the name has as many."""
+_NAME = 64
+"""Characters of a row's name that stand on one line where the name has as many and there is room."""
+
+_WRAPPED = 40
+"""Characters to which names are wrapped before other columns are."""
 
 _MOST_SIDEWAYS = 4
 _LONGEST_NAME = 32
@@ -173,6 +176,9 @@ def _keep_words_whole(made: RichTable, titles: Sequence[str], rows: Sequence[Seq
     space = width - _GAP * len(titles)
     first = made.columns[0].width or _LEAST
     if first + sum(whole) <= space:
+        return
+    if space - sum(whole) >= min(first, _WRAPPED):  # a name in two lines reads better than a number in two
+        made.columns[0].width = space - sum(whole)
         return
     made.columns[0].width = first = max(_LEAST, min(first, space - sum(least)))
     room = max(0, space - first - sum(least))

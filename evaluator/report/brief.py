@@ -21,8 +21,12 @@ from gpusimbench.evaluator.results.joint_metrics import JOINT_METRICS
 from gpusimbench.evaluator.results.metric import Axis
 from gpusimbench.evaluator.results.metrics import METRICS
 from gpusimbench.evaluator.results.result import GroupResult
+from gpusimbench.evaluator.runs.labels import labels, options_given
 
 _NOTES = 2
+_PLACE = ("scene", "device")
+"""What names a table where there are several."""
+
 MORE = "Everything: gsb-eval --all. A report with figures: gsb-eval --html DIR."
 
 
@@ -100,24 +104,26 @@ def _episodes(result: GroupResult) -> str:
 
 def _several(evaluation: Evaluation) -> Iterator[Block]:
     results = usual(evaluation.results)
-    scenes = len({r.group.key.scene for r in results}) > 1
     questions = [*QUESTIONS, *([TO_REFERENCE] if evaluation.reference else [])]
-    titles = ["", *(["scene"] if scenes else []), "envs x runs", *(q.brief or q.title for q in questions), FPS.unit]
-    yield table(
-        "groups",
-        "",
-        titles,
-        [
+    titles = ["", "envs x runs", *(q.brief or q.title for q in questions), FPS.unit]
+    given = options_given(run for r in results for run in r.group.recordings)
+    several = len({r.group.key.scene for r in results}) > 1
+    named = labels([r.group.key for r in results], given, beside=("n_env", *(_PLACE if several else ())))
+    tables: dict[str, list[list[Cell | str]]] = {}
+    for result, name in zip(results, named, strict=True):
+        key = result.group.key
+        place = f"{key.scene} on {key.device or 'no device'}" if several else ""
+        tables.setdefault(place, []).append(
             [
-                r.label,
-                *([r.group.key.scene] if scenes else []),
-                f"{r.group.key.n_env} x {len(r.group.complete)}",
-                *(_text(q.answer([r])) for q in questions),
-                _text(estimate(r.metrics[FPS.name])),
+                name,
+                f"{key.n_env:,} x {len(result.group.complete)}",
+                *(_text(q.answer([result])) for q in questions),
+                _text(estimate(result.metrics[FPS.name])),
             ]
-            for r in results
-        ],
-    )
+        )
+    for place, rows in tables.items():
+        shown = table("groups", place, titles, rows)
+        yield shown.without_empty_columns() if several else shown
     if hidden := len(evaluation.results) - len(results):
         yield Text(f"{plural(hidden, 'group')} of runs that only gsb-probe needs: --all", Tone.QUIET)
     for asked in evaluation.probed:
@@ -125,8 +131,8 @@ def _several(evaluation: Evaluation) -> Iterator[Block]:
     for one in fastest(results):
         if one.first:
             device = one.device or "an unnamed device"
-            named = f"{one.first.result.label}, {one.first.fps:,.0f} env-steps/s"
-            yield Text(f"Fastest valid simulator in {one.scene} on {device}: {named}")
+            fps = f"{one.first.result.label}, {one.first.fps:,.0f} env-steps/s"
+            yield Text(f"Fastest valid simulator in {one.scene} on {device}: {fps}")
 
 
 def _troubles(evaluation: Evaluation) -> Iterator[Text]:

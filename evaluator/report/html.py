@@ -8,6 +8,7 @@ from gpusimbench.evaluator.player.playback import Playback, playback_of
 from gpusimbench.evaluator.render.html import render_page
 from gpusimbench.evaluator.report.document import report
 from gpusimbench.evaluator.report.source import Source
+from gpusimbench.evaluator.report.verdicts import usual
 from gpusimbench.evaluator.results.evaluation import Evaluation
 from gpusimbench.schemas.writing import write_files
 
@@ -22,7 +23,7 @@ def write_html(evaluation: Evaluation, folder: Path, *, published: bool, command
         evaluation,
         published=published,
         command=command,
-        playback=playback_of(Source(evaluation, published, command).shown),
+        playback=playback_of(usual(Source(evaluation, published, command).shown)),
     )
     page = folder / "index.html"
     write_files({page: text})

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from gpusimbench.evaluator.check.rules.rule import PROTOCOL
-from gpusimbench.evaluator.render.numbers import NONE
+from gpusimbench.evaluator.render.numbers import NONE, plural
 from gpusimbench.evaluator.report import words
 from gpusimbench.evaluator.results.result import GroupResult
 from gpusimbench.evaluator.results.timed_work import (
@@ -133,19 +133,24 @@ def remarks(results: Iterable[GroupResult], *, named: Callable[[GroupResult], st
 
 
 def incomparable(results: Iterable[GroupResult]) -> list[str]:
-    """Which rows were timed over other steps than most, in one line; none where all were timed over the same."""
-    return _incomparable([(r.label, r.timed) for r in results if r.timed.windows])
+    """Which rows were timed over other steps than most, in one line; none where all were timed over the same.
+
+    Many are counted instead of named.
+    """
+    return _incomparable([(r.label, r.timed) for r in results if r.timed.windows], counted=True)
 
 
-def _incomparable(rows: Sequence[tuple[str, TimedWork]]) -> list[str]:
+def _incomparable(rows: Sequence[tuple[str, TimedWork]], *, counted: bool = False) -> list[str]:
     by_window: dict[tuple[Window, ...], list[str]] = {}
     for name, work in rows:
         by_window.setdefault(work.windows, []).append(name)
     if len(by_window) < 2:
         return []
     usual = most_common([work.windows for _, work in rows])
-    others = [f"{_of(w)}: {_listed(list(dict.fromkeys(names)))}" for w, names in by_window.items() if w != usual]
-    told = f"{'; '.join(others)}; {_of(usual)}: all others"
+    others = {window: list(dict.fromkeys(names)) for window, names in by_window.items() if window != usual}
+    counted = counted and sum(map(len, others.values())) >= _NAMED
+    said = [f"{_of(w)}: {plural(len(n), 'group') if counted else _listed(n)}" for w, n in others.items()]
+    told = f"{'; '.join(said)}; {_of(usual)}: all others"
     return [f"NOT comparable by throughput: the rows were timed over other steps of the scene: {told}"]
 
 

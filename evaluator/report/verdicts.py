@@ -21,6 +21,8 @@ from gpusimbench.evaluator.results.toss_metrics import TOSS_FACE, TOSS_POSITION,
 Results = Sequence[GroupResult]
 
 _DEFAULT = "default"
+NOT_COMPARED = "not compared"
+"""The answer where nothing could be compared."""
 
 
 @dataclass(frozen=True)
@@ -112,7 +114,7 @@ def real(results: Results) -> Cell:
     found = tossed or [r.metrics[W1_REAL.name] for r in results]
     values = sorted(value for one in found if (value := known(one.value)) is not None)
     if not values:
-        return Cell("not compared", tone=Tone.QUIET)
+        return Cell(NOT_COMPARED, tone=Tone.QUIET)
     span = distance(values[0]) if values[0] == values[-1] else f"{distance(values[0])} to {distance(values[-1])}"
     return Cell(f"{span} cm", values[0])
 
@@ -136,7 +138,9 @@ QUESTIONS = (
 )
 """Asked of every simulator."""
 
-TO_REFERENCE = Question("distance to the reference", "W1 to the reference at the sample time, best to worst", real)
+TO_REFERENCE = Question(
+    "distance to the reference", "W1 to the reference at the sample time, best to worst", real, "distance"
+)
 
 
 def _identity(results: Results, counted: Metric, apart: Sequence[Metric], what: str) -> Cell:
@@ -151,7 +155,7 @@ def _identity(results: Results, counted: Metric, apart: Sequence[Metric], what: 
     if not compared:
         reasons = {claim.why_not for _, claim in claims}
         why = reasons.pop() if len(reasons) == 1 else ""
-        return Cell("not compared", notes=(*([words.shortened(why, 80)] if why else []), *notes), tone=Tone.QUIET)
+        return Cell(NOT_COMPARED, notes=(*([words.shortened(why, 80)] if why else []), *notes), tone=Tone.QUIET)
     differ = [r for r, holds in compared if not holds]
     n = compared[0][0].metrics[counted.name].n
     if not differ:

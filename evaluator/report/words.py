@@ -197,7 +197,8 @@ def alike(again: Resampled) -> str:
 def another(again: Resampled) -> str:
     """What is not excluded where all runs of a published type are alike: that another run differs."""
     how = "in some bit" if again.agreement == "bits" else "by 0.01 cm"
-    return f"another run differs {how} with a probability below {again.run_differs_below:.0%} (95 %)"
+    below = 100 * (1.0 if again.run_differs_below is None else again.run_differs_below)
+    return f"another run differs {how} with a probability below {below:.0f} % (95 % confidence)"
 
 
 def floor_of(metric: Estimate) -> Floor:

@@ -61,4 +61,4 @@ class Evaluation:
     def sampled(self) -> str:
         """When positions are compared, in words: each time of any scene, such as "t = 1 and 5 s"."""
         times = sorted({self.sampled_at(result.group.key.scene) for result in self.results} or {self.sample_time})
-        return f"t = {' and '.join(f'{time:g}' for time in times)} s"
+        return f"t = {' and '.join(f'{time:.4g}' for time in times)} s"

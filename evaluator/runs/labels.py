@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import re
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import Any
 
 from gpusimbench.evaluator.runs.groups import Described, GroupKey, precisions
@@ -21,7 +21,6 @@ _SHOWN_LENGTH = 60
 _ATTRIBUTES = (
     "version", "device", "scene_hash", "n_env", "dt", "seed", "determinism", "initial", "vary", "intervention", "keep",
 )  # fmt: skip
-_PROTOCOL = ("warmup", "timed_steps")
 
 _MEANINGS = (
     ("XLA_PYTHON_CLIENT", "how JAX reserves memory of the GPU; memory is not comparable"),
@@ -42,22 +41,29 @@ def options_given(recordings: Iterable[Described]) -> Given:
     return found
 
 
-def labels(keys: Sequence[GroupKey], given: Given = NONE_GIVEN) -> list[str]:
+def labels(keys: Sequence[GroupKey], given: Given = NONE_GIVEN, *, beside: Collection[str] = ()) -> list[str]:
     """A short unique name for each key: the simulator, and what tells it from its others in the same scene.
 
     What was asked for comes first: version, device, size and time of the scene, determinism, and options that a user
     gave to this simulator; then the precision of the states. Where these leave two keys alike, settings that nobody
-    chose, then environment variables and versions of packages, and last the protocol of the throughput phase tell them
-    apart, as far as needed: what else differs of these stands in `footnotes`. The scene is named where a simulator
+    chose, then the protocol of the throughput phase, and last environment variables and versions of packages tell them
+    apart, as few as that needs: what else differs of these stands in `footnotes`. The scene is named where a simulator
     would have the same name in two scenes, or a bare name in one of several; then for all its groups of that scene.
+
+    beside  attributes of keys that stand beside every label, such as n_env in a column of its own: labels leave them
+            out, and are unique together with them
     """
-    parts = [_parts(key, keys, given.get(key.simulator, frozenset())) for key in keys]
-    scenes = _scenes_to_name(keys, parts)
+    parts = [_parts(key, keys, given.get(key.simulator, frozenset()), beside) for key in keys]
+    scenes = set() if "scene" in beside else _scenes_to_name(keys, parts)
     named = []
     for key, found in zip(keys, parts, strict=True):
         shown = [key.scene, *found] if (key.simulator, key.scene) in scenes else found
         named.append(f"{key.simulator} [{', '.join(shown)}]" if shown else key.simulator)
-    return [label if named.count(label) == 1 else f"{label} #{i + 1}" for i, label in enumerate(named)]
+    seen = Counter((label, *(getattr(key, n) for n in beside)) for label, key in zip(named, keys, strict=True))
+    return [
+        label if seen[label, *(getattr(key, n) for n in beside)] == 1 else f"{label} #{i + 1}"
+        for i, (label, key) in enumerate(zip(named, keys, strict=True))
+    ]
 
 
 def footnotes(keys: Sequence[GroupKey]) -> list[tuple[str, ...]]:
@@ -74,11 +80,11 @@ def footnotes(keys: Sequence[GroupKey]) -> list[tuple[str, ...]]:
     ]
 
 
-def _parts(key: GroupKey, keys: Sequence[GroupKey], given: frozenset[str]) -> list[str]:
+def _parts(key: GroupKey, keys: Sequence[GroupKey], given: frozenset[str], beside: Collection[str]) -> list[str]:
     # a run that failed before it was built knows only what was asked, and would make every default stand out
     rivals = [k for k in keys if _rivals(key, k) and (k.version or not key.version)]
     telling = [name for name in _ATTRIBUTES if any(getattr(key, name) != getattr(rival, name) for rival in rivals)]
-    parts = [_shown(name, key) for name in telling if getattr(key, name) != ""]
+    parts = [_shown(name, key) for name in telling if name not in beside and getattr(key, name) != ""]
     chosen = _chosen(key, given)
     parts += _changed(chosen, [_chosen(rival, given) for rival in rivals])
     alike = [
@@ -87,11 +93,11 @@ def _parts(key: GroupKey, keys: Sequence[GroupKey], given: frozenset[str]) -> li
     if any(precisions(rival) not in ([], precisions(key)) for rival in alike):
         parts += precisions(key)
         alike = [rival for rival in alike if precisions(rival) in ([], precisions(key))]
-    for settings in (_settings, _conditions):
-        changed = _changed(settings(key), [settings(rival) for rival in alike])
-        parts += _limited(changed)
+    parts += _limited(_changed(_settings(key), [_settings(rival) for rival in alike]))
+    alike = [rival for rival in alike if _settings(rival) == _settings(key)]
+    for settings in (_protocol, _conditions):
+        parts += _fewest(settings(key), [settings(rival) for rival in alike])
         alike = [rival for rival in alike if settings(rival) == settings(key)]
-    parts += [f"{n}={getattr(key, n)}" for n in _PROTOCOL if any(getattr(r, n) != getattr(key, n) for r in alike)]
     if "version" in telling and not key.version:
         parts.append("never built")
     return parts
@@ -138,6 +144,16 @@ def _changed(own: Mapping[str, Any], others: Sequence[Mapping[str, Any]]) -> lis
     return [_setting(n, own.get(n, "unset")) for n in sorted(names, key=lambda n: (n not in own, n))]
 
 
+def _fewest(own: Mapping[str, Any], others: Sequence[Mapping[str, Any]]) -> list[str]:
+    """As many settings as tell it from all others, in order of their names, those that it has before the others."""
+    left, told = [other for other in others if other != own], []
+    for name in sorted(set(own).union(*left), key=lambda name: (name not in own, name)):
+        if any(other.get(name) != own.get(name) for other in left):
+            told.append(_setting(name, own.get(name, "unset")))
+            left = [other for other in left if other.get(name) == own.get(name)]
+    return told
+
+
 def _setting(name: str, value: Any) -> str:
     text = f"{name}={value}"
     return text if len(text) <= _SHOWN_LENGTH else f"{text[: _SHOWN_LENGTH - 3]}..."
@@ -150,6 +166,10 @@ def _chosen(key: GroupKey, given: frozenset[str]) -> dict[str, Any]:
 def _settings(key: GroupKey) -> dict[str, Any]:
     # options before switches, as they are named
     return {**json.loads(key.switches or "{}"), **json.loads(key.options)}
+
+
+def _protocol(key: GroupKey) -> dict[str, Any]:
+    return {"timed_steps": key.timed_steps, "warmup": key.warmup}
 
 
 def _conditions(key: GroupKey) -> dict[str, Any]:

@@ -38,7 +38,7 @@ class Sampled:
 def notes_on(shorter: Mapping[str, float], time: float, runs: Sequence[Run]) -> list[str]:
     """What is to be said of each scene that is compared at another time than `time` [s]; see Sampled."""
     return [
-        f"{scene}: {_what(ours)} are compared at {at:g} s, {_why(at, time, ours)}"
+        f"{scene}: {_what(ours)} are compared at {at:.4g} s, {_why(at, time, ours)}"
         for scene, at in shorter.items()
         for ours in [[run for run in runs if _scene(run) == scene]]
     ]

@@ -161,7 +161,7 @@ def parser() -> Parser:
 
     what = p.add_argument_group("what is run")
     what.add_argument("--sim", metavar="NAME", help="simulator (see --list), or 'real' for measured trials")
-    what.add_argument("--replay", type=Path, metavar="FILE", help="repeat the run of a recording; see below")
+    what.add_argument("--replay", type=Path, metavar="FILE", help="repeat the run of a recording")
     what.add_argument("--scene", metavar="NAME", help=f"scene; see --list (default: {SCENE})")
     what.add_argument(
         "--model",
@@ -196,7 +196,7 @@ def parser() -> Parser:
     what.add_argument(
         "--sweep",
         metavar="A..B[:F]",
-        help="instead of --n-env: record A, A*F, A*F*F... and B environments, powers of two (F: 2); see below",
+        help="instead of --n-env: record A, A*F, A*F*F... and B environments, powers of two (F: 2)",
     )
     what.add_argument(
         "--runs",
@@ -328,7 +328,7 @@ def parser() -> Parser:
     across.add_argument(
         "--ray",
         metavar="ADDRESS",
-        help="make the runs on a Ray cluster (HOST:PORT or auto), or on all GPUs of this machine (local); see below",
+        help="make the runs on a Ray cluster (HOST:PORT or auto), or on all GPUs of this machine (local)",
     )
     across.add_argument("--ray-resource", metavar="NAME", help="use only nodes with this Ray resource")
 

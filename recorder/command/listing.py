@@ -28,13 +28,14 @@ def list_all() -> Json:
 
 
 def text_of(known: Json) -> str:
-    """The same for people."""
+    """The same for people, in short: two or three lines a simulator."""
     lines = ["simulators"]
     for about in known["simulators"]:
         lines.append(f"  {about['name']:<20} {about['summary']}")
-        lines += [f"{'':<23}{line}" for line in details(about)]
+        lines += [f"{'':<23}{line}" for line in _in_short(about, len(known["scenes"]))]
     lines.append("scenes")
     lines += [f"  {scene['name']:<20} {scene['summary'] or scene['problem']}" for scene in known["scenes"]]
+    lines.append("gsb-record --list NAME shows a simulator's options and determinism levels, or what a scene needs.")
     return "\n".join(lines)
 
 
@@ -126,7 +127,13 @@ def _adapter(entry: Entry) -> tuple[type[Simulator] | None, str]:
 
 
 def details(about: Json) -> list[str]:
-    """Where a simulator is installed, its devices, precision, scenes and levels, a line each."""
+    """Where a simulator is installed, its devices, precision and scenes, a line each."""
+    lines = _where(about)
+    lines += [f"{what}: {', '.join(about[what])}" for what in ("devices", "precision", "scenes") if about[what]]
+    return lines + [f"not {scene}: it has no {listed(missing)}" for scene, missing in about["missing_for"].items()]
+
+
+def _where(about: Json) -> list[str]:
     lines = []
     if about["installed"]:
         lines.append(f"needs {about['needs']}" if about["needs"] else "installed")
@@ -136,6 +143,12 @@ def details(about: Json) -> list[str]:
         lines[-1:] = [f"{''.join(lines[-1:])}, but {about['problem']}".removeprefix(", ")]
     if about["environment"] is not None:
         lines += environment_lines(about["environment"])
-    lines += [f"{what}: {', '.join(about[what])}" for what in ("devices", "precision", "scenes") if about[what]]
-    lines += [f"not {scene}: it has no {listed(missing)}" for scene, missing in about["missing_for"].items()]
-    return lines + [f"--determinism {level}: {meaning}" for level, meaning in about["determinism"].items()]
+    return lines
+
+
+def _in_short(about: Json, scenes: int) -> list[str]:
+    """Where it is installed; then its devices and scenes; then its levels, where it has any beside the default."""
+    able = "all" if len(about["scenes"]) == scenes else ", ".join(about["scenes"])
+    told = [f"{what}: {said}" for what, said in (("devices", ", ".join(about["devices"])), ("scenes", able)) if said]
+    levels = [f"determinism levels: {', '.join(about['determinism'])}"] if len(about["determinism"]) > 1 else []
+    return [*_where(about), *(["; ".join(told)] if told else []), *levels]

@@ -105,7 +105,7 @@ def _scene(name: str, known: Json) -> Json:
 
 
 def _lines_of_simulator(about: Json) -> list[str]:
-    lines = [f"{about['name']}: {about['summary']}", *details({**about, "determinism": {}})]
+    lines = [f"{about['name']}: {about['summary']}", *details(about)]
     if about["name"] == REAL:
         return lines
     if about["device_here"]:

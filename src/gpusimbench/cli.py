@@ -62,12 +62,9 @@ Without a verb, gsb says what can be done next with what is in the present folde
 too: gsb eval is gsb-eval. Its options: gsb VERB --help, and gsb VERB --help-all.
 
 exit codes:
-  0  as of the verb's command; without a verb: it was said what to do next
-  1  as of the verb's command
+  0  success; what else it means, and what 3, 4 and 5 mean, depends on the verb: gsb VERB --help-all
+  1  something could not be written or started
   2  there is no such verb, or wrong usage of the verb's command
-  3  as of the verb's command
-  4  as of the verb's command
-  5  as of the verb's command
 
 examples:
   gsb

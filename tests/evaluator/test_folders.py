@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from gpusimbench import evaluate
-from gpusimbench.evaluator.read.addresses import expand, expand_paths
+from gpusimbench.evaluator.read.addresses import expand, expand_paths, left_below
 from gpusimbench.schemas.errors import UsageError
 from tests.conftest import call
 
@@ -48,6 +48,14 @@ def test_a_folder_without_recordings(folder: Path, tmp_path: Path) -> None:
     shutil.copytree(folder / "below", tmp_path / "runs")
     with pytest.raises(UsageError, match=rf"there are some in {tmp_path / 'runs'}: name that folder"):
         expand([tmp_path])
+
+
+def test_what_a_folder_leaves_below(folder: Path) -> None:
+    """Say how many recordings below a folder are not read, and where, unless their folder is given too."""
+    (said,) = left_below([folder])
+    assert "1 more are in folders below it, to be named as well: below" in said
+    assert left_below([folder, folder / "below"]) == left_below([folder / "below", AMD[0]]) == []
+    assert "to be named as well: below" in call("gsb-eval", folder).stderr
 
 
 @pytest.mark.parametrize("name", ["eval", "check", "info"])

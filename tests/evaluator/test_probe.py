@@ -128,7 +128,7 @@ def test_nothing_planted(tmp_path: Path) -> None:
     assert verdict_of(list(found.values())) == "10 of 10 answers are yes"
     assert evidence(found["number"]) == "bit-identical: 7 pairs, 31 steps"
     # two runs agreed with the first of their arm: 1 - 0.05^(1/2)
-    assert evidence(found["runs"]).endswith("one more run differs with a probability below 78% (95 %)")
+    assert evidence(found["runs"]).endswith("one more run differs with a probability below 78 % (95 % confidence)")
     assert evidence(found["fresh"]) == f"bit-identical: 2 pairs, {PLAN.steps - AT} steps"
 
 

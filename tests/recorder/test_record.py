@@ -262,7 +262,8 @@ def test_list(gsb_record: Command) -> None:
     assert text.returncode == 0
     assert "mujoco" in text.stdout
     assert "free-fall" in text.stdout
-    assert "scenes: inclined-collision, free-fall, franka" in text.stdout
+    assert "devices: cpu; scenes: all" in text.stdout
+    assert "devices: cuda, cpu; scenes: inclined-collision, free-fall, cube-toss" in text.stdout  # of brax
     record = json.loads(gsb_record("--list", "--json").stdout)
     assert record["schema_version"] == 1
     known = {s["name"]: s for s in record["simulators"]}
@@ -271,7 +272,7 @@ def test_list(gsb_record: Command) -> None:
     assert known["mujoco"]["precision"] == ["float64"]
     assert known["mujoco"]["scenes"] == [s["name"] for s in record["scenes"]]
     assert known["mujoco"]["determinism"] == {"default": "the engine as it ships"}
-    assert "--determinism default: the engine as it ships" in text.stdout
+    assert "determinism levels: default, no-autotune, exclude-nondeterministic, run-to-run" in text.stdout
 
 
 @pytest.mark.parametrize(

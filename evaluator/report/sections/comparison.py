@@ -41,7 +41,7 @@ def section(source: Source) -> Section | None:
         return None
     contenders = compared.contenders
     drawn = panels(contenders)
-    barred = lines_of([(f"† earns no pick: {why}", c.figures.name) for c in contenders if (why := bars(c))])
+    barred = lines_of([(f"† not recommended: {why}", c.figures.name) for c in contenders if (why := bars(c))])
     empty = [Item(f"{one.label}: {one.caption}") for one in drawn if not one.svg]
     blocks: list[Block] = [Text(_HOW), Gallery(tuple(one for one in drawn if one.svg), 28)]
     blocks += [barred] if barred else []
@@ -66,7 +66,7 @@ def section(source: Source) -> Section | None:
 def _summary(contenders: Sequence[Contender]) -> str:
     barred = sum(bool(bars(c)) for c in contenders)
     said = f"{len(contenders)} groups that ran under the same conditions"
-    return f"{said}; {barred} of them {'earns' if barred == 1 else 'earn'} no pick" if barred else said
+    return f"{said}; {barred} of them {'is' if barred == 1 else 'are'} not recommended" if barred else said
 
 
 def _values(contenders: Sequence[Contender], of: Radar) -> Table:

@@ -25,14 +25,14 @@ def section(source: Source) -> Section | None:
     reasons = Reasons()
     shown = table(
         "guidelines",
-        "Which for which need",
-        ["need, and the rule", "pick, and who comes next", "best first", "not picked"],
+        "The best simulator for each need",
+        ["need, and the rule", "recommended, and the next best", "best first", "not recommended"],
         [(_need(one), _pick(one), _ranking(one), _others(one, reasons)) for one in found],
         reasons.legend,
     )
     picked = sum(bool(one.pick) for one in found)
-    said = f"a pick for {picked or 'none'} of {plural(len(found), 'need')}"
-    return Section("guidelines", "Which simulator for which need", (Text(_HOW), shown), said, folded=True)
+    said = f"a simulator is named for {picked or 'none'} of {plural(len(found), 'need')}"
+    return Section("guidelines", "The best simulator for each need", (Text(_HOW), shown), said, folded=True)
 
 
 def _need(one: Guideline) -> Cell:
@@ -41,7 +41,7 @@ def _need(one: Guideline) -> Cell:
 
 def _pick(one: Guideline) -> Cell:
     if not one.pick:
-        return Cell("no pick", notes=(one.reason or "",), tone=Tone.QUIET)
+        return Cell("none", notes=(one.reason or "",), tone=Tone.QUIET)
     following = (
         f"next: {one.runner_up}" if one.runner_up else f"no other {'is ranked' if one.unranked else 'qualifies'}"
     )

@@ -28,7 +28,7 @@ from gpusimbench.evaluator.render.numbers import plural
 from gpusimbench.evaluator.report.leaders import Fastest, Speed, fastest
 from gpusimbench.evaluator.report.sections import probed, scatter
 from gpusimbench.evaluator.report.source import Source
-from gpusimbench.evaluator.report.verdicts import QUESTIONS, TO_REFERENCE, usual
+from gpusimbench.evaluator.report.verdicts import NOT_COMPARED, QUESTIONS, TO_REFERENCE, usual
 from gpusimbench.evaluator.results.cost_metrics import FPS
 from gpusimbench.evaluator.results.evaluation import Evaluation
 from gpusimbench.evaluator.results.result import GroupResult
@@ -40,14 +40,25 @@ _DEPENDS = (
 )
 """Title, meaning and question of gsb-probe that the first screen answers, where any run was made for it."""
 
+_DISTANCE = 4
+"""Column of a scatter's numbers that has the distance."""
+
+_HOW_TO_READ = (
+    "Lines: 95 % intervals. Hollow: INVALID, or mechanics broken. Shaded strip: exactly 0. A mark without a name is "
+    "another group of the simulator with its shape and colour. †: timed or run in another way than others."
+)
+
+_ROOMY = 4
+"""Simulators at most, for whom every cell of the first screen has a line for each of its notes."""
+
 
 def overview(source: Source) -> tuple[Block, ...]:
     """The blocks of the first screen."""
     evaluation = source.evaluation
-    right: list[Block] = [*_scatter(evaluation), *_fastest_table(evaluation.results)]
-    left: list[Block] = [_matrix(evaluation), *_speed_alone(evaluation.results)]
-    blocks = (Beside((tuple(left), tuple(right))),) if right else tuple(left)
-    return (Items((_state_of_the_set(evaluation),)), *blocks)
+    figure, fastest_table = tuple(_scatter(evaluation)), tuple(_fastest_table(evaluation.results))
+    below: list[Block] = [Beside((figure, fastest_table))] if figure and fastest_table else [*figure, *fastest_table]
+    speed = _speed_alone(evaluation.results)
+    return (Items((_state_of_the_set(evaluation),)), _matrix(evaluation), *speed, *below)
 
 
 def asked_of(evaluation: Evaluation) -> str:
@@ -70,16 +81,28 @@ def _matrix(evaluation: Evaluation) -> Table:
     asked = [Column(title, meaning) for title, meaning, _ in _DEPENDS] if evaluation.probed else []
     names = dict.fromkeys(r.group.key.simulator for r in evaluation.results)
     rows = [_engine(name, usual([r for r in evaluation.results if r.group.key.simulator == name])) for name in names]
-    rows.sort(key=lambda row: row[1])
-    return table(
+    rows.sort(key=lambda row: (row[1], row[0]))
+    matrix = table(
         "simulators",
-        "What each simulator did",
+        "What each simulator did" if len(rows) > 1 else "",
         ["simulator", *(one.column for one in questions), *asked],
         [
             Row((head, *(one.answer(results) for one in questions), *_depends(name, evaluation)), {"simulator": name})
             for name, _, head, results in rows
         ],
     )
+    return replace(_without_unasked(matrix), compact=len(rows) > _ROOMY)
+
+
+def _without_unasked(matrix: Table) -> Table:
+    """The table without the columns in which no simulator has an answer, where there are several simulators."""
+    kept = [
+        i
+        for i in range(len(matrix.columns))
+        if len(matrix.rows) == 1 or not all(row.cells[i].text == NOT_COMPARED for row in matrix.rows)
+    ]
+    rows = tuple(replace(row, cells=tuple(row.cells[i] for i in kept)) for row in matrix.rows)
+    return replace(matrix, columns=tuple(matrix.columns[i] for i in kept), rows=rows)
 
 
 def _depends(name: str, evaluation: Evaluation) -> Iterator[Cell]:
@@ -117,10 +140,15 @@ def _state_of_the_set(evaluation: Evaluation) -> Item:
 
 def _scatter(evaluation: Evaluation) -> Iterator[Figure]:
     """The figure of the scene in which most groups have both a speed and a distance, in fewer words."""
-    drawn = [one for one in scatter.pictures(evaluation) if one.svg and len(one.numbers.rows) > 1]
+    drawn = [one for one in scatter.pictures(evaluation) if one.svg and _apart(one)]
     if drawn:
         most = max(drawn, key=lambda one: len(one.numbers.rows))
-        yield replace(most, caption="Lines: 95 % intervals. Hollow: INVALID, or mechanics broken. Strip: exactly 0.")
+        yield replace(most, caption=_HOW_TO_READ)
+
+
+def _apart(one: Figure) -> bool:
+    """Whether it shows several groups, of which any is away from exactly zero."""
+    return len(one.numbers.rows) > 1 and any(row[_DISTANCE] for row in one.numbers.rows)
 
 
 def _fastest_table(results: Sequence[GroupResult]) -> Iterator[Table]:

@@ -12,7 +12,8 @@ from gpusimbench.evaluator.report.source import Source
 _HOW = (
     "Environments of a group over simulated time, all its complete runs together. Environments whose states were "
     "bit-identical at every step so far have one colour: colours split where bits split. One environment of each class "
-    "is shown, those that split off first; groups that part first come first."
+    "is shown, those that split off first; groups that part first come first. Groups that only "
+    "gsb-probe needs are left out."
 )
 
 

@@ -6,13 +6,15 @@ from collections.abc import Iterator, Mapping
 from itertools import islice
 from typing import Any
 
-from gpusimbench.evaluator.missing import Missing
+from gpusimbench.evaluator.missing import Missing, known
 from gpusimbench.evaluator.render.document import (
     EMPTY,
     Block,
     Cell,
     Code,
     Facts,
+    Item,
+    Items,
     Row,
     Section,
     Table,
@@ -32,25 +34,28 @@ from gpusimbench.schemas.treatment import initial_words
 _DEPTH = 3
 _ROWS = 1000  # of a record of a stranger, and items of a list in it
 _CHARACTERS = 10_000  # of a text in it
+_Machines = dict[str, tuple[str, str]]
+"""Label of the first group that was made at a place, and the key of the section that describes it, by the place."""
+
 _TITLES = ("metric", "value", "unit", "95 % interval", "n", "better", "exactness", "method")
 
 
 def section(source: Source) -> Section | None:
     """None where no group is left."""
-    found = [(result, _of_group(number, result)) for number, result in enumerate(source.evaluation.results)]
+    machines: _Machines = {}
+    found = [(result, _of_group(number, result, machines)) for number, result in enumerate(source.evaluation.results)]
     if not found:
         return None
     said = f"machine, software, options and methods of {plural(len(found), 'group')}"
     return Section("provenance", "Provenance", by_simulator("provenance", found), said, folded=True)
 
 
-def _of_group(number: int, result: GroupResult) -> Section:
-    return Section(
-        f"provenance-{number}", result.label, tuple(_blocks(number, result)), folded=True, facets=facets(result)
-    )
+def _of_group(number: int, result: GroupResult, machines: _Machines) -> Section:
+    blocks = tuple(_blocks(number, result, machines))
+    return Section(f"provenance-{number}", result.label, blocks, folded=True, facets=facets(result))
 
 
-def _blocks(number: int, result: GroupResult) -> Iterator[Block]:
+def _blocks(number: int, result: GroupResult, machines: _Machines) -> Iterator[Block]:
     key, recordings = result.group.key, result.group.recordings
     asked = {
         "simulator": key.simulator, "scene": key.scene, "envs": key.n_env, "dt [s]": key.dt, "seed": key.seed,
@@ -74,24 +79,35 @@ def _blocks(number: int, result: GroupResult) -> Iterator[Block]:
         yield _records(number, "Options in force", simulation.options)
         yield _records(number, "Switches in force", simulation.switches)
     for index, (runs, recording) in enumerate(_origins(result)):
-        yield from _origin(f"{number}-{index}", runs, recording)
-    yield Section(f"methods-{number}", "Every metric, and how it was computed", (_methods(number, result),))
+        yield _origin(f"{number}-{index}", runs, recording, result.label, machines)
+    parts = (_methods(number, result), *_not_computed(result))
+    yield Section(f"methods-{number}", "Every metric, and how it was computed", parts)
 
 
-def _origin(number: str, runs: str, recording: Run) -> Iterator[Block]:
-    found = recording.provenance
-    parts: list[Block] = [_records(number, "Host", found.host)]
-    parts += [_records(number, f"GPU {index}", gpu) for index, gpu in enumerate(found.gpus)]
-    if not found.gpus:
-        parts.append(Text("No GPU."))
-    parts += [
-        _records(number, "Software", found.software),
-        _records(number, "Environment variables", found.environment),
-        Text("Recorded by:"),
-        Code((_shortened(" ".join(found.argv)),)),
-    ]
+def _origin(number: str, runs: str, recording: Run, label: str, machines: _Machines) -> Section:
+    """Where some runs of a group were made: in full once, and by a link where it is the place of a group before."""
     title = f"Machine and software of {'runs' if ',' in runs else 'run'} {runs}"
-    yield Section(key_of("machine", number, runs), title, tuple(parts))
+    key, place = key_of("machine", number, runs), _place(recording)
+    parts: list[Block] = []
+    if place in machines:
+        before, its_key = machines[place]
+        parts.append(Items((Item(f"The same as of {before}", link=its_key),)))
+    else:
+        machines[place] = (label, key)
+        parts += _machine(number, recording)
+    parts += [Text("Recorded by:"), Code((_shortened(" ".join(recording.provenance.argv)),))]
+    return Section(key, title, tuple(parts))
+
+
+def _machine(number: str, recording: Run) -> Iterator[Block]:
+    found = recording.provenance
+    yield _records(number, "Host", found.host)
+    for index, gpu in enumerate(found.gpus):
+        yield _records(number, f"GPU {index}", gpu)
+    if not found.gpus:
+        yield Text("No GPU.")
+    yield _records(number, "Software", found.software)
+    yield _records(number, "Environment variables", found.environment)
 
 
 def _records(number: int | str, caption: str, record: Mapping[str, Any]) -> Section:
@@ -123,24 +139,38 @@ def _origins(result: GroupResult) -> list[tuple[str, Run]]:
     """One recording for each machine and software that the group's runs come from, with those runs' indices."""
     alike: dict[str, list[Run]] = {}
     for recording in result.group.recordings:
-        p = recording.provenance
-        alike.setdefault(repr((p.host, p.gpus, p.software, p.environment)), []).append(recording)
+        alike.setdefault(_place(recording), []).append(recording)
     return [(", ".join(str(r.configuration.run_index) for r in runs), runs[0]) for runs in alike.values()]
 
 
+def _place(recording: Run) -> str:
+    found = recording.provenance
+    return repr((found.host, found.gpus, found.software, found.environment))
+
+
 def _methods(number: int, result: GroupResult) -> Table:
-    return table(f"metrics-{number}", "", _TITLES, [_method(found) for found in result.metrics.values()])
+    computed = [found for found in result.metrics.values() if not isinstance(found.value, Missing)]
+    return table(f"metrics-{number}", "", _TITLES, [_method(found) for found in computed])
+
+
+def _not_computed(result: GroupResult) -> Iterator[Block]:
+    """The reasons why metrics have no value, each with the names of its metrics."""
+    names: dict[str, list[str]] = {}
+    for found in result.metrics.values():
+        if isinstance(found.value, Missing):
+            names.setdefault(found.value.reason, []).append(found.name)
+    if names:
+        yield Items(tuple(Item(f"{', '.join(those)} not computed: {why}") for why, those in names.items()))
 
 
 def _method(found: Estimate) -> Row:
     name, unit, better = Cell(found.name, code=True), Cell(found.unit or EMPTY.text), Cell(found.metric.direction.value)
-    if isinstance(found.value, Missing):
-        why = f"not computed: {found.value.reason}"
-        return Row((name, EMPTY, unit, EMPTY, EMPTY, better, Cell(found.exactness), Cell(why)))
     bounds = Cell(interval(found)) if found.ci95 else EMPTY
     how = "; ".join([found.method, *_more(found)])
     n = Cell(str(found.n), float(found.n))
-    return Row((name, Cell(mean_sd(found), found.value), unit, bounds, n, better, Cell(found.exactness), Cell(how)))
+    return Row(
+        (name, Cell(mean_sd(found), known(found.value)), unit, bounds, n, better, Cell(found.exactness), Cell(how))
+    )
 
 
 def _more(found: Estimate) -> Iterator[str]:

@@ -94,4 +94,7 @@ def _summary(results: list[GroupResult]) -> str:
     found = [one.first for one in fastest(results) if one.first]
     if not found:
         return "mean ± SD of each group"
-    return "fastest in " + "; ".join(f"{one.scene}: {one.result.label}, {one.fps:,.0f} {FPS.unit}" for one in found)
+    return "fastest in " + "; ".join(
+        f"{one.scene}: {one.result.group.key.simulator}, {one.fps:,.0f} {FPS.unit} on {one.result.group.key.device}"
+        for one in found
+    )

@@ -37,7 +37,7 @@ class CalibrationOptions:
     entropy   what a run that differs from others draws: run (anew in each process), build (anew in each build), or
               hexadecimal digits after the point of a number from 0 to 1
     fault     planted for gsb-probe, in regime identical, of the size `ulps`: none, number, slot, neighbours, poison,
-              bystanders, fresh, restored, set or capture (calibration/faults.py says what each does)
+              bystanders, fresh, restored, process, set or capture (calibration/faults.py says what each does)
     device    auto, cpu or cuda (the first GPU that CUDA shows)
 
     Without a shift in metres or ulps, the cause of differences is rounding.
@@ -69,7 +69,10 @@ class CalibrationOptions:
         if self.fault not in FAULTS:
             raise ValueError(f"fault is one of {', '.join(FAULTS)}, not '{self.fault}'")
         if self.fault != "none" and (self.regime != "identical" or not self.ulps):
-            raise ValueError("a fault is planted in regime identical, with its size in ulps")
+            raise ValueError(
+                f"fault={self.fault} needs regime=identical and a size in ulps of at least 1: add "
+                f"{'' if self.regime == 'identical' else '--option regime=identical '}--option ulps={self.ulps or 4}"
+            )
         if self.moves and self.fault == "none" and self.regime not in (*BY_ENV, *BY_RUN):
             raise ValueError(f"shift and ulps move nothing in regime {self.regime}")
         if not self.moves and not self.contacts and self.regime in ("order", "run-order", "atomics"):
