@@ -16,7 +16,7 @@ from hypothesis.extra.numpy import arrays
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial.distance import cdist
 
-from gpusimbench.evaluator.transport.kd_tree import LEAF, build, lift_planes, set_planes
+from gpusimbench.evaluator.transport.kd_tree import DEPTH, LEAF, Tree, build, lift_planes, search, set_planes
 from gpusimbench.evaluator.transport.large import SAME_POINTS, Certified, certified_wasserstein1
 from gpusimbench.evaluator.transport.multiscale import COARSEST, RATIO, Solution, solve
 
@@ -323,3 +323,43 @@ def test_planes_rise_with_their_prices() -> None:
         if k >= tree.first:
             assert lowest == pytest.approx(0.0, abs=1e-12)
     assert (tree.nodes[:, 6] > before).all()
+
+
+def searched(tree: Tree, prices: np.ndarray, place: np.ndarray, guess: int, slack: float) -> tuple[int, float, float]:
+    """What a search from a place returns: a point, its distance plus price, a bound on that of the others."""
+    return search(
+        *place, guess, slack, tree.points, prices, tree.begin, tree.end, tree.nodes, tree.first,
+        np.empty(DEPTH, np.int32), np.empty(DEPTH),
+    )  # fmt: skip
+
+
+@SOME
+@given(pairs(COORDINATE, 60), st.integers(-1, 59), st.sampled_from([0.0, 0.5]), st.integers(0, 2**32 - 1))
+def test_a_search_finds_the_least_of_all(sets: np.ndarray, guess: int, slack: float, seed: int) -> None:
+    """Find what looking at every point finds, to within the slack, and a bound that holds for all other points."""
+    tree = build(sets[0])
+    prices = np.random.default_rng(seed).normal(size=len(tree.points))
+    set_planes(tree.points, prices, tree.begin, tree.end, tree.nodes)
+    for place in sets[1][:5]:
+        values = np.hypot(*(tree.points - place).T) + prices
+        best, least, other = searched(tree, prices, place, min(guess, len(prices) - 1), slack)
+        assert least == pytest.approx(values[best], rel=1e-12)
+        assert least <= values.min() + slack + 1e-12
+        assert other <= np.delete(values, best).min(initial=np.inf) + 1e-12
+        assert other >= values.min() - 1e-12 or slack
+
+
+def test_a_search_leaves_out_what_cannot_be_least() -> None:
+    """Read no price of a point whose leaf is bounded to be worse: it may say anything."""
+    points = np.random.default_rng(10).uniform(0.0, 1.0, size=(64, 2)) + np.repeat(
+        [[0.0, 0.0], [100.0, 0.0]], 32, axis=0
+    )
+    tree = build(points)
+    prices = np.zeros(64)
+    set_planes(tree.points, prices, tree.begin, tree.end, tree.nodes)
+    far = tree.points[:, 0] > 50
+    values = np.hypot(*tree.points.T)
+    prices[far] = -1000.0
+    best, least, other = searched(tree, prices, np.zeros(2), -1, 0.0)
+    assert (best, least) == (values.argmin(), pytest.approx(values.min()))
+    assert least <= other <= np.sort(values)[1] + 1e-12

@@ -102,9 +102,12 @@ def test_provenance_round_trip() -> None:
     """Return what was written, and ignore keys of a later version."""
     provenance = Provenance(
         "id", "2026-01-01T00:00:00Z", ("gsb-record", "--sim"), _configuration(options={"cone": "elliptic"}),
-        host={"cpu": "x"}, gpus=({"name": "g"},), software={"python": "3"}, environment={"XLA_FLAGS": "-x"},
+        host={"cpu": "Modèle x"}, gpus=({"name": "g"},), software={"python": "3"}, environment={"XLA_FLAGS": "-x"},
     )  # fmt: skip
-    assert Provenance.from_json(provenance.to_json()) == provenance
+    text = provenance.to_json()
+    assert Provenance.from_json(text) == provenance
+    assert text == json.dumps(json.loads(text), indent=1, sort_keys=True, ensure_ascii=False) + "\n"
+    assert "Modèle" in text
     later = {**json.loads(provenance.to_json()), "added_later": 1}
     later["configuration"]["added_later"] = [2]
     assert Provenance.from_json(json.dumps(later)) == provenance

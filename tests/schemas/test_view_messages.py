@@ -138,6 +138,8 @@ def test_things_of_one_name() -> None:
     frames = [t.child_frame_id for t in transforms]
     assert frames[:3] == ["env0", "env0/a", "env0/a#1"]
     assert len(set(frames)) == len(frames) == 6
+    origin = transforms[0].translation
+    assert (origin.x, origin.y, origin.z) == (0, 0, 0), "an env without an origin is where its states say"
     assert all(t.parent_frame_id == "env0" for t in transforms[1:])
     entities = view.scene().message.entities
     assert len({entity.id for entity in entities}) == len(entities) == 7

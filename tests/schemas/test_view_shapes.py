@@ -7,7 +7,7 @@ import math
 import pytest
 
 from gpusimbench.schemas.view.foxglove import entity
-from gpusimbench.schemas.view.shapes import Shape
+from gpusimbench.schemas.view.shapes import Link, Shape, links_of, solids_of
 
 UPRIGHT = (1.0, 0.0, 0.0, 0.0)
 LYING = (math.sqrt(0.5), 0.0, math.sqrt(0.5), 0.0)  # z to x
@@ -49,3 +49,11 @@ def test_a_box_and_a_ball() -> None:
     assert [size(box) for box in drawn.cubes] == [(1.0, 2.0, 3.0)]
     assert [size(ball) for ball in drawn.spheres] == [(0.5, 0.5, 0.5)]
     assert (drawn.frame_id, drawn.id, drawn.frame_locked) == ("frame", "name", True)
+
+
+def test_what_a_scene_leaves_out() -> None:
+    """Put bodies and links without a pose at the origin of their frame, upright."""
+    box = {"kind": "box", "size": [1, 2, 3]}
+    (wall,) = solids_of({"bodies": [{"name": "wall", "shape": box}]})
+    assert wall.shapes == (Shape("box", (1.0, 2.0, 3.0), (0.0, 0.0, 0.0), UPRIGHT),)
+    assert links_of({"robot": {"links": [{"name": "hand"}]}}) == (Link("hand", "", (0.0, 0.0, 0.0), UPRIGHT, ""),)
