@@ -10,6 +10,8 @@ from typing import Any
 
 import pytest
 
+from gpusimbench.evaluator.compare.finding import Change, Finding
+from gpusimbench.evaluator.compare.mechanics import compare_mechanics
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.render.document import Document
 from gpusimbench.evaluator.render.terminal import print_document
@@ -126,3 +128,17 @@ def test_what_mechanics_does_not_demand_is_shown_apart() -> None:
     assert "BROKEN" not in text
     record = fidelity_record(found)["checks"]["end_spin"]
     assert (record["demanded"], record["verdict"], record["broken"]) == (False, "still moving", 1)
+
+
+def test_mechanics_that_one_side_alone_tells() -> None:
+    """Leave mechanics open where one side says nothing of them, and out where neither does."""
+    captured, silent_run = SimpleNamespace(phases=("capture",)), replace(run(2.4), facts=Missing("no states"))
+    told, silent = (  # as much of a run as is read
+        [SimpleNamespace(configuration=captured, physics=one)] for one in (run(2.4), silent_run)
+    )
+    for base, head, applies in (
+        (told, silent, True), (silent, told, True), ([], told, True), (told, [], True), (silent, silent, False),
+    ):  # fmt: skip
+        (found,) = compare_mechanics(base, head, certain=True)  # type: ignore[arg-type]
+        assert isinstance(found, Finding)
+        assert (found.change, found.applies) == (Change.NOT_COMPARED, applies)

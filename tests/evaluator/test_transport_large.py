@@ -295,14 +295,15 @@ def test_boxes_are_those_of_their_points() -> None:
     assert np.diff(np.searchsorted(tree.leaf, np.arange(tree.first, 2 * tree.first + 2))).max() <= LEAF
 
 
-def test_planes_follow_prices_that_rise_evenly() -> None:
-    """Find the slope of prices that are a plane, and touch the lowest price with it."""
+@pytest.mark.parametrize(("slope", "found"), [((0.3, -0.5), (0.3, -0.5)), ((-3.0, 4.0), (-0.6, 0.8))])
+def test_planes_follow_prices_that_rise_evenly(slope: tuple[float, float], found: tuple[float, float]) -> None:
+    """Find the slope of prices that are a plane, at most 1, and touch the lowest price with it."""
     points = np.random.default_rng(8).uniform(2.0, 3.0, size=(60, 2))
     tree = build(points)
-    prices = 0.3 * tree.points[:, 0] - 0.5 * tree.points[:, 1]
+    prices = tree.points @ np.array(slope)
     set_planes(tree.points, prices, tree.begin, tree.end, tree.nodes)
     for begin, end, node in zip(tree.begin, tree.end, tree.nodes, strict=True):
-        assert node[4:6] == pytest.approx([0.3, -0.5], abs=0.02)
+        assert node[4:6] == pytest.approx(found, abs=0.02)
         below = prices[begin:end] - (node[6] + (tree.points[begin:end] - node[:2]) @ node[4:6])
         assert below.min() == pytest.approx(0.0, abs=1e-12)
 

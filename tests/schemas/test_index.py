@@ -53,3 +53,19 @@ def test_no_record_lies_upon_another(tmp_path: Path) -> None:
         path.write_bytes(data[:told] + struct.pack("<Q", place) + data[told + 8 :])
         with pytest.raises(DamagedRecording, match=f"places a record at byte {place},"):
             read_index(open_source(path))
+
+
+@pytest.mark.parametrize("place", [-1, -8, -8 - 20 - 9, -8 - 20 - 8])
+def test_a_file_that_does_not_end_as_it_should_has_no_index(tmp_path: Path, place: int) -> None:
+    """Take no index from a file with another byte in the magic at its end, or in the head of its footer."""
+    path = tmp_path / "one.mcap"
+    with path.open("wb") as stream:
+        writer = Writer(stream, enable_crcs=False)
+        writer.start()
+        writer.add_message(writer.register_channel("/n", "json", 0), 0, b"{}", 0)
+        writer.finish()
+    assert read_index(open_source(path)) is not None
+    data = bytearray(path.read_bytes())
+    data[place] ^= 1
+    path.write_bytes(data)
+    assert read_index(open_source(path)) is None
