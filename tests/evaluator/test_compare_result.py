@@ -1,0 +1,158 @@
+"""The verdict of a whole comparison, from its findings: exit code, sentence and headline."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from gpusimbench.evaluator.compare import words
+from gpusimbench.evaluator.compare.compare import Compared, Result
+from gpusimbench.evaluator.compare.finding import Change, Finding, Settings
+from gpusimbench.evaluator.results.metric import Axis, Direction
+from gpusimbench.schemas.errors import ExitCode
+
+GATED = Settings(gates=frozenset({Axis.THROUGHPUT, Axis.MEMORY, Axis.VALIDITY}))
+ONE = Settings(gates=GATED.gates, expect_same=True)
+UNREAD: Any = object()
+
+
+def finding(change: Change, axis: Axis = Axis.THROUGHPUT, name: str = "fps", **more: Any) -> Finding:
+    """A finding that has a title of its own."""
+    return Finding(axis, name, f"title of {name}", change, Direction.HIGHER, **more)
+
+
+def runs_ended(change: Change = Change.SAME) -> Finding:
+    """How runs ended."""
+    return finding(change, Axis.VALIDITY, "complete_runs")
+
+
+def result(*configurations: list[Finding], settings: Settings = GATED, **more: Any) -> Result:
+    """A result of configurations with these findings."""
+    unused: Any = None
+    compared = tuple(Compared(unused, unused, tuple(findings), (), ()) for findings in configurations)
+    return Result(
+        compared, **{"alone": (), "unreadable": (), "settings": settings, "tests": 0, "lost": 0, "notes": (), **more}
+    )
+
+
+NOTHING = "NOTHING COMPARED: in some configuration, base and head share no quantity of an axis that has a gate"
+FINE, WORSE, OPEN = (
+    finding(Change.SAME),
+    finding(Change.REGRESSION),
+    finding(Change.UNCLEAR, left_open=(Change.REGRESSION,)),
+)
+CASES = [
+    (
+        "fine",
+        result([FINE]),
+        ExitCode.OK,
+        "PASSED: no sign that head is worse than base in 1 configuration",
+        "NO REGRESSION found in 1 configuration",
+    ),
+    (
+        "gained",
+        result([FINE], [finding(Change.IMPROVEMENT, Axis.BITS), FINE], alone=(("base", "a", "b"),)),
+        ExitCode.OK,
+        "PASSED: no sign that head is worse than base in 2 configurations; "
+        "head is better in bits; 1 configuration without a partner",
+        "NO REGRESSION found in 2 configurations; improved: bits; 1 configuration without a partner",
+    ),
+    (
+        "worse",
+        result([WORSE, FINE, finding(Change.CHANGED, Axis.MEMORY)]),
+        ExitCode.GATE_FAILED,
+        "FAILED: head is worse than base in throughput, memory (2 findings in 1 configuration)",
+        "REGRESSION: throughput, memory (2 findings in 1 configuration)",
+    ),
+    (
+        "changed",
+        result([finding(Change.CHANGED)]),
+        ExitCode.GATE_FAILED,
+        "FAILED: head differs from base in throughput (1 finding in 1 configuration)",
+        "CHANGED: throughput (1 finding in 1 configuration)",
+    ),
+    (
+        "worse and open",
+        result([WORSE], [finding(Change.UNCLEAR, Axis.MEMORY, left_open=(Change.REGRESSION,))], lost=1),
+        ExitCode.GATE_FAILED,
+        "FAILED: head is worse than base in throughput (1 finding in 2 configurations); not decided: memory",
+        "REGRESSION: throughput (1 finding in 2 configurations); not decided: memory",
+    ),
+    (
+        "lost",
+        result([FINE], lost=1),
+        ExitCode.DATA_LOST,
+        "PASSED: no sign that head is worse than base in 1 configuration",
+        "NO REGRESSION found in 1 configuration",
+    ),
+    (
+        "unreadable",
+        result([FINE], unreadable=(("base", UNREAD),)),
+        ExitCode.DATA_LOST,
+        "PASSED: no sign that head is worse than base in 1 configuration",
+        "NO REGRESSION found in 1 configuration",
+    ),
+    (
+        "open",
+        result([OPEN], [FINE]),
+        ExitCode.NOTHING_COMPARABLE,
+        "NOT DECIDED: whether head is worse than base in throughput (1 finding in 2 configurations)",
+        "NOT DECIDED: throughput (1 finding in 2 configurations)",
+    ),
+    ("nothing", result(), ExitCode.NOTHING_COMPARABLE, NOTHING, "NOTHING COMPARED"),
+    ("how runs ended alone", result([FINE], [runs_ended()]), ExitCode.NOTHING_COMPARABLE, NOTHING, "NOTHING COMPARED"),
+    (
+        "no gate",
+        result([finding(Change.SAME, Axis.BITS, "bits"), runs_ended()]),
+        ExitCode.NOTHING_COMPARABLE,
+        NOTHING,
+        "NOTHING COMPARED",
+    ),
+    (
+        "runs that ended worse",
+        result([runs_ended(Change.REGRESSION)]),
+        ExitCode.GATE_FAILED,
+        "FAILED: head is worse than base in validity (1 finding in 1 configuration)",
+        "REGRESSION: validity (1 finding in 1 configuration)",
+    ),
+    (
+        "the same",
+        result([finding(Change.SAME, Axis.BITS)], settings=ONE),
+        ExitCode.OK,
+        "PASSED: no sign that head differs from base in 1 configuration",
+        "NO DIFFERENCE found in 1 configuration",
+    ),
+    (
+        "not the same",
+        result([finding(Change.IMPROVEMENT, Axis.BITS)], settings=ONE),
+        ExitCode.GATE_FAILED,
+        "FAILED: head differs from base in bits (1 finding in 1 configuration)",
+        "NOT THE SAME: bits (1 finding in 1 configuration)",
+    ),
+]
+
+
+@pytest.mark.parametrize(
+    ("found", "code", "sentence", "headline"), [case[1:] for case in CASES], ids=[c[0] for c in CASES]
+)
+def test_the_verdict_of_the_whole(found: Result, code: ExitCode, sentence: str, headline: str) -> None:
+    """Fail before data is lost, and lose before nothing is decided; say how often, and on which axes."""
+    assert found.exit_code is code
+    assert words.sentence(found) == sentence
+    assert words.headline(found) == headline
+
+
+def test_what_is_open_is_listed_by_its_reason() -> None:
+    """Name what neither fails nor passes, what shares a reason together, in the order of the axes."""
+    memory = finding(Change.NOT_COMPARED, Axis.MEMORY, "memory", why_not="no GPU")
+    host = finding(Change.NOT_COMPARED, Axis.MEMORY, "host", why_not="no GPU")
+    absent = finding(Change.NOT_COMPARED, Axis.MEMORY, "absent", why_not="no GPU", applies=False)
+    found = result([memory, OPEN, host, absent])
+    assert found.open == [memory, OPEN, host]
+    assert found.undecided == [axis for axis in Axis if axis in (Axis.THROUGHPUT, Axis.MEMORY)]
+    assert words.undecided(found.compared[0], found) == [
+        "title of memory, title of host: no GPU",
+        "title of fps: too few runs",
+    ]
+    assert words.remarks(found.compared[0]) == ["not compared: title of memory, title of host, title of absent: no GPU"]
