@@ -126,3 +126,16 @@ def test_records_that_are_in_no_chunk(tmp_path: Path, opcode: int, fault: str) -
     walk = Walk(MappedFile(write_recording(tmp_path, grid(2))), lambda fault, _: told.append(fault))
     assert not list(walk.within(memoryview(_record(opcode)), 100))
     assert told == [fault]
+
+
+@pytest.mark.parametrize(("last", "whole"), [(b"", True), (b"content", True), (b"content", False)])
+def test_the_last_record_of_a_file_without_an_end(tmp_path: Path, last: bytes, whole: bool) -> None:
+    """Take a record for whole up to the last byte of a file, also one without content, and one that is cut for none."""
+    path = write_recording(tmp_path, grid(2))
+    data = path.read_bytes()
+    at = _position(data, Op.DATA_END)
+    record = _record(0x90, last)
+    path.write_bytes(data[:at] + (record if whole else record[:-1]))
+    walk = Walk(MappedFile(path))
+    _visit(walk)
+    assert walk.end == (at + len(record) if whole else at)
