@@ -16,7 +16,7 @@ from hypothesis.extra.numpy import arrays
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial.distance import cdist
 
-from gpusimbench.evaluator.transport.kd_tree import DEPTH, LEAF, Tree, build, lift_planes, search, set_planes
+from gpusimbench.evaluator.transport.kd_tree import DEPTH, LEAF, Tree, _bound, build, lift_planes, search, set_planes
 from gpusimbench.evaluator.transport.large import SAME_POINTS, Certified, certified_wasserstein1
 from gpusimbench.evaluator.transport.multiscale import COARSEST, RATIO, Solution, solve
 
@@ -205,6 +205,13 @@ def test_bounds_without_work() -> None:
     assert gaps[0] > gaps[1] > gaps[2]
 
 
+@pytest.mark.parametrize(("shift", "relative", "bids"), [(0.0, 1e-2, 25), (0.0, 1e-3, 27), (4.0, 1e-3, 39)])
+def test_how_much_work_bounds_take(shift: float, relative: float, bids: int) -> None:
+    """Make no more bids for each point than the schedule of ever smaller steps needs."""
+    a, b = board(1500, 1), board(1500, 2) + [shift, 0.0]
+    assert certified_wasserstein1(a, b, relative=relative).bids <= 1.1 * bids * len(a)
+
+
 def test_absolute_tolerance() -> None:
     """End at an absolute tolerance in the unit of the points, whatever their scale."""
     a, b = board(1500, 1), board(1500, 2) + [4.0, 0.0]
@@ -324,6 +331,36 @@ def test_planes_rise_with_their_prices() -> None:
         if k >= tree.first:
             assert lowest == pytest.approx(0.0, abs=1e-12)
     assert (tree.nodes[:, 6] > before).all()
+
+
+def test_planes_of_prices_that_rise_together() -> None:
+    """Raise the planes of all nodes by as much as all prices, where these are a plane and bounds lose nothing."""
+    tree = build(np.random.default_rng(11).uniform(-1.0, 2.0, size=(64, 2)))
+    prices = tree.points @ np.array([0.3, -0.4])
+    set_planes(tree.points, prices, tree.begin, tree.end, tree.nodes)
+    before = tree.nodes[:, 6].copy()
+    for j in range(64):
+        prices[j] += 1.5
+        lift_planes(j, tree.points, prices, tree.begin, tree.end, tree.nodes, tree.leaf)
+    assert tree.nodes[:, 6] == pytest.approx(before + 1.5, abs=0.02)
+
+
+@pytest.mark.parametrize(("slope", "price"), [(0.0, 0.0), (0.25, 2.0), (-0.25, -1.0)])
+@pytest.mark.parametrize("axis", [0, 1])
+def test_bounds_along_a_line_are_exact(axis: int, slope: float, price: float) -> None:
+    """Bound distance plus price by the very least of two points that lie on a line with where it is seen from."""
+    points = np.zeros((2, 2))
+    points[:, axis] = [1.0, 3.0]
+    prices = price + slope * points[:, axis]
+    tree = build(points)
+    set_planes(tree.points, prices, tree.begin, tree.end, tree.nodes)
+    for away in (-7.0, 12.0):
+        seen = np.zeros(2)
+        seen[axis] = away
+        least = min(abs(points[:, axis] - away) + prices)
+        assert _bound(0, *seen, tree.nodes) == pytest.approx(least, abs=2e-3)
+        beside = seen + 5.0
+        assert _bound(0, *beside, tree.nodes) <= (np.hypot(*(points - beside).T) + prices).min() + 1e-12
 
 
 def searched(tree: Tree, prices: np.ndarray, place: np.ndarray, guess: int, slack: float) -> tuple[int, float, float]:
