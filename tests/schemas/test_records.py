@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +20,7 @@ from gpusimbench.schemas.digest import ContentDigest, content_hash
 from gpusimbench.schemas.errors import DamagedRecording
 from gpusimbench.schemas.fields import BODY_FIELDS, body_field
 from gpusimbench.schemas.messages import DESCRIPTOR_SETS, embedded_schema, message_names
-from gpusimbench.schemas.provenance import Deviation, Provenance, Simulation
+from gpusimbench.schemas.provenance import MAX_FIELDS, Deviation, Provenance, Simulation
 from gpusimbench.schemas.topics import StateTopic, parse_state, state
 
 _FIELDS = tuple(body_field("cubes", name, "float64", ("a", "b")) for name in BODY_FIELDS)
@@ -121,6 +122,26 @@ def test_simulation_round_trip() -> None:
         env_origins=((0.0, 1.0, 2.0),), timing_covers="all", fresh_start="rebuilt",
     )  # fmt: skip
     assert Simulation.from_json(simulation.to_json()) == simulation
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda fields: fields[0].update(items=[]), "no items or no components"),
+        (lambda fields: fields[0].update(components=[]), "no items or no components"),
+        (lambda fields: fields.append(fields[0]), "a state field is there twice"),
+        (lambda fields: fields.extend([fields[0]] * MAX_FIELDS), "more than the"),
+    ],
+)
+def test_state_fields_that_hold_nothing(change: Callable[[list[dict[str, Any]]], object], said: str) -> None:
+    """Refuse a field without items or without components, one that is there twice, and more than are read."""
+    simulation = Simulation(
+        version="4.0", device="cpu", options={}, switches={}, deviations=(), fields=_FIELDS, scene={}
+    )
+    record = json.loads(simulation.to_json())
+    change(record["fields"])
+    with pytest.raises(DamagedRecording, match=said):
+        Simulation.from_json(json.dumps(record))
 
 
 @pytest.mark.parametrize(
