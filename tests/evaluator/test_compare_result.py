@@ -156,3 +156,33 @@ def test_what_is_open_is_listed_by_its_reason() -> None:
         "title of fps: too few runs",
     ]
     assert words.remarks(found.compared[0]) == ["not compared: title of memory, title of host, title of absent: no GPU"]
+
+
+@pytest.mark.parametrize(
+    ("found", "begins"),
+    [
+        (result([FINE]), []),
+        (result([FINE, finding(Change.NOT_COMPARED, Axis.BITS, why_not="no states")]), []),
+        (result([finding(Change.IMPROVEMENT)]), ["verdicts without a p"]),
+        (result([finding(Change.IMPROVEMENT, p_value=0.01)]), []),
+        (result([finding(Change.UNCLEAR, p_value=0.4)]), ["~: no difference"]),
+        (result([finding(Change.WITHIN, p_value=0.4)]), ["~: no difference"]),
+        (result([finding(Change.UNCLEAR, p_value=0.4, left_open=(Change.REGRESSION,))]), ["undecided: the gate"]),
+        (result([FINE], tests=1), ["p: adjusted (Holm) for 1 statistical comparison on"]),
+        (result([FINE], tests=2), ["p: adjusted (Holm) for 2 statistical comparisons on"]),
+        (result([finding(Change.SAME, Axis.VARIABILITY, p_adjusted=0.4)]), ["p of W1 between envs"]),
+        (result([finding(Change.SAME, Axis.VARIABILITY), finding(Change.SAME, p_adjusted=0.4)]), []),
+    ],
+)
+def test_the_legend_explains_what_is_there(found: Result, begins: list[str]) -> None:
+    """Explain the marks and columns that the findings have, and no others."""
+    lines = words.legend(found)
+    assert len(lines) == len(begins)
+    assert all(line.startswith(begin) for line, begin in zip(lines, begins, strict=True))
+
+
+def test_what_decides_is_said() -> None:
+    """Name the gates in the order of the axes, and what a change has to be above."""
+    gates = ", ".join(axis.value for axis in Axis if axis in GATED.gates)
+    assert words.settings_line(result()) == f"gates: {gates}; changes below 5 % of an amount, or 0.01 cm, do not count"
+    assert words.settings_line(result(settings=ONE)).endswith(f"every difference fails; must be decided: {gates}")
