@@ -18,6 +18,10 @@ from gpusimbench.schemas.text import block, line, printable
 
 _ROOT = Path(__file__).parents[1]
 _HIDDEN = ("Cc", "Cf", "Cs", "Co", "Cn", "Zl", "Zp")
+_LOOK_LIKE_NOTHING = (
+    0x034F, 0x115F, 0x1160, 0x17B4, 0x17B5, 0x180B, 0x180D, 0x180F, 0x2800, 0xFE00, 0xFE0E, 0xFFA0,
+)  # fmt: skip
+"""Letters, marks and signs of Unicode, not among its controls, that show as nothing or as a blank."""
 _TEXTS = st.text(st.characters() | st.sampled_from("\n\r\t\x85\u200b\u200e\u2028\ufeff\ufe0f\U000e0041:#[ "))
 
 
@@ -25,7 +29,8 @@ _TEXTS = st.text(st.characters() | st.sampled_from("\n\r\t\x85\u200b\u200e\u2028
     ("sign", "shown"),
     [("\n", "\\n"), ("\r", "\\r"), ("\t", "\\t"), ("\x1b", "\\x1b"), ("\x85", "\\x85"), ("\u200b", "\\u200b"),
      ("\u200e", "\\u200e"), ("\u2028", "\\u2028"), ("\u202e", "\\u202e"), ("\u2066", "\\u2066"), ("\ufe0f", "\\ufe0f"),
-     ("\ufeff", "\\ufeff"), ("\u3164", "\\u3164"), ("\U000e0041", "\\U000e0041"), ("\udcff", "\\udcff")],
+     ("\ufeff", "\\ufeff"), ("\u3164", "\\u3164"), ("\U000e0041", "\\U000e0041"), ("\udcff", "\\udcff"),
+     *((chr(c), f"\\u{c:04x}") for c in _LOOK_LIKE_NOTHING)],
 )  # fmt: skip
 def test_what_moves_or_hides_text_is_shown(sign: str, shown: str) -> None:
     """Show line breaks, controls, format characters and halves of pairs as escapes; a page keeps its line breaks."""
@@ -36,7 +41,9 @@ def test_what_moves_or_hides_text_is_shown(sign: str, shown: str) -> None:
 def test_letters_stay() -> None:
     """Leave letters of any script and signs as they are, and text that was made a line before."""
     text = "é 中 ع ± × 10⁻³ \\n ::1 std::bad_alloc #7 🦾"
-    assert line(text) == line(line(text)) == printable(text) == text
+    beside_invisible = "\u034e\u0350\u115e\u1161\u17b3\u17b6\u180a\u1810\u27ff\u2801\u3163\u3165\ufe10\uff9f\uffa1"
+    for shown in (text, beside_invisible):
+        assert line(shown) == line(line(shown)) == printable(shown) == shown
 
 
 @given(_TEXTS)

@@ -61,13 +61,14 @@ def compare_numbers(
         method=metric.method,
     )  # fmt: skip
     if np.ptp(one) == 0.0 and np.ptp(other) == 0.0:
-        if one[0] == other[0]:
+        before, after = one[0], other[0]
+        if before == after:
             return replace(finding, note="the same in every run")
         if min(order.n) > 1:
             return replace(
                 finding,
-                change=judged(metric.direction, rises=other[0] > one[0])
-                if matters(metric, one[0], other[0], settings)
+                change=judged(metric.direction, rises=after > before)
+                if matters(metric, before, after, settings)
                 else Change.SMALL,
                 note=f"all runs of a side have this value; {_by_chance(order)}",
             )

@@ -127,9 +127,9 @@ def may_have_sunk(position: npt.NDArray[np.floating], supports: Sequence[Support
 def _at_height(before: Array, now: Array, support: Support) -> Array:
     # x and y where the straight line between two rows passes the height of the top
     fall = before[..., 2] - now[..., 2]
-    # where the fall is next to nothing, the crossing is infinitely far off, and within no support
-    with np.errstate(over="ignore", invalid="ignore"):
-        share = np.divide(before[..., 2] - support.top, fall, out=np.zeros_like(fall), where=fall > 0)
+    # where the fall is nothing or next to it, the crossing is infinitely far off, and within no support
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+        share = (before[..., 2] - support.top) / fall
         return np.asarray(before[..., :2] + share[..., None] * (now[..., :2] - before[..., :2]))
 
 

@@ -27,14 +27,15 @@ class Paired:
     p_value  that signs drawn at random give a mean as far from zero (sign-flip permutation test, two-sided)
     cases    that were compared
     visible  smallest mean difference that so many cases show with 95 % probability at the 5 % level, from the spread
-             of the differences: (z_0.975 + z_0.95) SD / sqrt(cases), for normal means; 0 where there is no spread
+             of the differences: (z_0.975 + z_0.95) SD / sqrt(cases), for normal means; 0 where there is no spread, None
+             for one case, which has none to tell
     """
 
     mean: float
     ci95: tuple[float, float] | None
     p_value: float
     cases: int
-    visible: float
+    visible: float | None
 
 
 def mean_interval(values: npt.ArrayLike, *, seed: int = 0) -> tuple[float, float] | None:
@@ -68,6 +69,8 @@ def paired(a: npt.ArrayLike, b: npt.ArrayLike, *, seed: int = 0) -> Paired:
     difference = first - second
     if not np.isfinite(difference).all():
         raise ValueError("values are not all finite")
+    if len(difference) == 1:
+        return Paired(float(difference[0]), None, 1.0, 1, None)  # with either sign it is as far from zero
     if not difference.any():
         return Paired(0.0, mean_interval(difference, seed=seed), 1.0, len(difference), 0.0)
     tested = stats.permutation_test(
@@ -78,8 +81,8 @@ def paired(a: npt.ArrayLike, b: npt.ArrayLike, *, seed: int = 0) -> Paired:
         vectorized=True,
         rng=np.random.default_rng(seed),
     )
-    spread = float(difference.std(ddof=1)) if len(difference) > 1 else 0.0
-    visible = float(stats.norm.ppf(0.975) + stats.norm.ppf(0.95)) * spread / len(difference) ** 0.5
+    error = float(difference.std(ddof=1)) / len(difference) ** 0.5
+    visible = float(stats.norm.ppf(0.975) + stats.norm.ppf(0.95)) * error
     return Paired(
         float(difference.mean()), mean_interval(difference, seed=seed), float(tested.pvalue), len(difference), visible
     )

@@ -29,7 +29,6 @@ MAX_ATTACHMENT_BYTES = 1 << 30
 """A larger attachment is refused before it is read."""
 
 _HELD_BYTES = 64 << 20  # of messages that wait for those before them
-_CHEAP_BYTES = 4096  # whose CRC costs nothing beside that of a chunk
 
 
 def open_source(place: Place) -> Source:
@@ -75,7 +74,7 @@ class Container:
         return sequence, content
 
     def read_with_crc(self, message: Message) -> tuple[int, memoryview, int | None]:
-        """The same, and the content's CRC-32 where it follows from that of its chunk, which was checked."""
+        """The same, and the content's CRC-32 where that of its chunk, which was checked, gives it from fewer bytes."""
         contents = self._contents
         if message.chunk < 0:
             return (*contents.content(message, contents.read_record(message.offset)), None)
@@ -83,7 +82,7 @@ class Container:
         offset = message.offset if not contents.sole(message.chunk) else contents.sole_offset(data)
         sequence, content = contents.content(message, contents.record_in(data, offset))
         before = offset + RECORD_HEAD + MESSAGE_HEAD.size
-        if not crc or before + len(content) != len(data) or before > _CHEAP_BYTES:
+        if not crc or before + len(content) != len(data) or before > len(content):
             return sequence, content, None
         return sequence, content, second(crc, zlib.crc32(data[:before]), len(content))
 

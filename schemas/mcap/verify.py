@@ -114,8 +114,9 @@ class _Verification:
     def _visit_beside(self, head: Head) -> None:
         if head.opcode == Op.MESSAGE_INDEX and self._chunks:
             channel = self._check_index(head.begin, self._chunks - 1)
-            if self._listed.setdefault(channel, head.begin) != head.begin:
+            if channel in self._listed:
                 raise self._contents.damaged(f"the messages of a channel are listed twice, at byte {head.begin} again")
+            self._listed[channel] = head.begin
         elif head.opcode == Op.ATTACHMENT:
             self._check_attachment(self._attachments.get(head.begin + RECORD_HEAD), head)
         elif head.opcode in (Op.SCHEMA, Op.CHANNEL):

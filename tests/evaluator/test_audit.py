@@ -30,6 +30,7 @@ from gpusimbench.evaluator.audit.distribution import (
     runs_needed,
     same_law,
 )
+from gpusimbench.evaluator.audit.matching import closest
 from gpusimbench.evaluator.audit.replaying import ReplayPlan
 from gpusimbench.evaluator.audit.verdict import Level, Match, ladder
 from gpusimbench.schemas.provenance import SIMULATION
@@ -505,3 +506,16 @@ def test_the_commands_of_the_page(tmp_path: Path) -> None:
         done = shell(line.replace("gsb-audit", f"{sys.executable} -P -m gpusimbench.evaluator.cli.audit"), tmp_path)
         assert done.returncode == 0, f"{line}\n{done.stdout}\n{done.stderr}"
         assert done.stdout
+
+
+def test_the_closest_original(tmp_path: Path) -> None:
+    """Hold a replay against the original that has its very states, before one whose environments are exchanged."""
+    final = grid(2)
+    final[1] += 0.01
+    exchanged, same, other, replay = (
+        open_recording(write_recording(tmp_path, states, name=f"{name}.mcap"))
+        for name, states in (("a", final[::-1]), ("b", final), ("c", final + 1.0), ("d", final))
+    )
+    assert closest(replay, [other, exchanged, same]) is same
+    assert closest(replay, [other, exchanged]) is exchanged
+    assert closest(other, [exchanged, same]) is exchanged

@@ -154,6 +154,19 @@ def test_settings_are_cut_and_counted(five: list[Recording]) -> None:
     assert "environment.NAME_19 | a | b" in lines(audit, every=True)
 
 
+@pytest.mark.parametrize(("count", "shown", "more"), [(0, 0, None), (4, 4, None), (5, 3, 2), (7, 3, 4)])
+def test_notes_are_cut_and_counted(five: list[Recording], count: int, shown: int, more: int | None) -> None:
+    """Show three notes of many and how many more there are, and no line that stands for one note alone."""
+    notes = tuple(f"number {number}" for number in range(count))
+    audit = Audit((five[0],), made(five[4:]), (five[4],), replace(compare(five[0], five[4]), notes=notes))
+    text = lines(audit)
+    assert [line for line in text if line.startswith("note: number")] == [f"note: {note}" for note in notes[:shown]]
+    assert [line for line in text if "more notes" in line] == (
+        [] if more is None else [f"and {more} more notes, printed with --all"]
+    )
+    assert {f"note: {note}" for note in notes} <= set(lines(audit, every=True))
+
+
 def test_what_has_no_verdict_says_why(five: list[Recording]) -> None:
     """Say for each outcome why there is no verdict, and what ended the replays."""
     stopped = Replays("gsb-record", (Made("stopped", "memory", None),), "")

@@ -55,6 +55,7 @@ class _Run:
     apart_by_design: str = ""
     simulation: None = None
     fields: tuple[str, ...] = ()
+    first_step: int = 0
 
     @property
     def configuration(self) -> Any:
@@ -67,7 +68,7 @@ class _Run:
         if self.state is None:
             return None
         hashes = np.full((3, self.n_env), self.state, dtype=np.uint64)
-        return histories_of(Fingerprints(np.arange(3), hashes))
+        return histories_of(Fingerprints(self.first_step + np.arange(3), hashes))
 
 
 def _runs(states: list[int | None], n_env: int = 2) -> list[Any]:
@@ -143,6 +144,17 @@ def test_comparing_two_sets(base: list[int | None], head: list[int | None], n_en
         assert None not in base
     count = identity.identical_steps(*sides)
     assert (count > 0) == (bool(base and head) and len({*base, *head}) == 1 and None not in base)
+
+
+def test_states_of_different_steps() -> None:
+    """Compare no bits of states that were captured at different steps, though they are the same."""
+    early, late = [[_Run(1, first_step=first)] * 2 for first in (0, 5)]
+    found = compare_bits(early, late)  # type: ignore[arg-type]
+    assert found is not None
+    assert (found.change, found.why_not) == (Change.NOT_COMPARED, "different steps were captured")
+    same = compare_bits(late, late)  # type: ignore[arg-type]
+    assert same is not None
+    assert (same.change, same.said) == (Change.SAME, ("", "bit-identical at 3 steps"))
 
 
 def _no_test() -> LawTest | str:

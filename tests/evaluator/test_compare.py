@@ -80,6 +80,8 @@ def test_head_that_is_slower(tmp_path: Path, capsys: pytest.CaptureFixture[str])
     fps = finding(document, "fps")
     assert (code, fps["change"], fps["fails"]) == (4, "regression", True)
     assert fps["ratio"] == pytest.approx(1 / 1.2)
+    assert fps["base"] == pytest.approx(1000 / np.exp(np.mean(NOISE)))  # env-steps in about a second
+    assert fps["head"] == pytest.approx(fps["base"] / 1.2)
     assert fps["ci95"][0] < fps["ratio"] < fps["ci95"][1] < 1
     assert fps["p_value"] == pytest.approx(2 / 64)  # of six pairs
     assert document["compared"][0]["order"] == TURNS

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import io
 import random
+import zlib
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +16,7 @@ from mcap.writer import CompressionType, Writer
 from gpusimbench import open_recording
 from gpusimbench.evaluator.runs.validation import verify
 from gpusimbench.schemas.errors import DamagedRecording, NotARecording, RecordingError
+from gpusimbench.schemas.mcap import reader
 from gpusimbench.schemas.mcap.reader import Container
 from tests.synthetic import grid, write_recording
 
@@ -209,3 +212,44 @@ def test_bytes_that_change_after_they_were_verified(tmp_path: Path) -> None:
         stream.write(bytes([path.read_bytes()[at] ^ 1]))
     with pytest.raises(DamagedRecording, match="CRC"):
         np.asarray(recording.state("cubes", "position"))
+
+
+def _in_order(tmp_path: Path, sequence: list[int]) -> Iterator[memoryview]:
+    # messages of 100 bytes, written with these numbers
+    path = tmp_path / "numbered.mcap"
+    with path.open("wb") as stream:
+        writer = Writer(stream, chunk_size=1)
+        writer.start(profile="gsb.v1")
+        channel = writer.register_channel("/topic", "json", 0)
+        for at, number in enumerate(sequence):
+            writer.add_message(channel, at, number.to_bytes(100, "little"), at, number)
+        writer.finish()
+    return Container(path).in_sequence("/topic")
+
+
+def test_messages_wait_for_those_before_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Give messages in their order, and hold so many bytes at most of those that came too early, however many came."""
+    monkeypatch.setattr(reader, "_HELD_BYTES", 250)
+    swapped = [number ^ 1 for number in range(40)]
+    assert [int.from_bytes(one, "little") for one in _in_order(tmp_path, swapped)] == list(range(40))
+    for early, said in (
+        ([1, 0, 3, 4], "message 2 of /topic is missing$"),
+        ([1, 0, 3, 4, 5], "message 2 .* far behind"),
+    ):
+        with pytest.raises(DamagedRecording, match=said):
+            list(_in_order(tmp_path, early))
+    with pytest.raises(DamagedRecording, match="message 1 of /topic is there twice"):
+        list(_in_order(tmp_path, [0, 1, 1]))
+
+
+@pytest.mark.parametrize("compression", ["lz4", "zstd"])
+def test_the_crc_of_a_chunk_gives_that_of_its_message(tmp_path: Path, compression: str) -> None:
+    """Give the CRC of a block that has a chunk of its own, and none that would be wrong."""
+    container = Container(write_recording(tmp_path, grid(4), steps=50, compression=compression))
+    found = {
+        topic: [container.read_with_crc(message)[1:] for message in container.messages(topic)]
+        for topic in container.channels
+    }
+    for content, crc in (one for messages in found.values() for one in messages):
+        assert crc in (None, zlib.crc32(content))
+    assert {crc is None for _, crc in found["/state/cubes/position/000000"]} == {False}

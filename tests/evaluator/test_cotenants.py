@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from gpusimbench.evaluator.cli.compare import main as gsb_compare
 from gpusimbench.evaluator.cli.eval import main as gsb_eval
 from gpusimbench.evaluator.cli.info import main as gsb_info
-from gpusimbench.evaluator.metrics.cotenants import BASELINE, Presence, cotenants, peers_of
+from gpusimbench.evaluator.metrics.cotenants import BASELINE, Peers, Presence, cotenants, peers_of
 from gpusimbench.evaluator.metrics.memory import Checkpoints, GpuMemory, Listing
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.results.cost_metrics import GPU_MEMORY, HOST_MEMORY, common_memory
@@ -273,3 +273,16 @@ def test_unknown_is_not_none(counts: list[int | None], reserved: bool) -> None:
     found = cotenants(GpuMemory(device, None, listed, GB if reserved else None))
     expected = Presence.SOME if any(counts) else Presence.NONE if reserved and None not in counts else Presence.UNKNOWN
     assert found.presence is expected
+
+
+@pytest.mark.parametrize("more", [0, 1])
+def test_how_many_bytes_are_a_process(more: int) -> None:
+    """Take 32 MiB at the baseline, and later 256 MiB beyond a like run, for what runs differ by; a byte more is one."""
+    at_baseline = GB + (32 << 20) + more
+    device = Checkpoints(at_baseline, 2 * GB, 2 * GB, 2 * GB, 2 * GB)
+    found = cotenants(GpuMemory(device, None, {}, GB))
+    assert [(sign.moment, sign.bytes) for sign in found.signs] == [(BASELINE, (32 << 20) + 1)] * more
+    device = Checkpoints(GB, 2 * GB, 2 * GB, 3 * GB, 2 * GB + (256 << 20) + more)
+    process = Checkpoints(None, GB, GB, GB, GB)
+    found = cotenants(GpuMemory(device, process), Peers(None, {"post-init": GB, "final": GB}))
+    assert [(sign.moment, sign.bytes) for sign in found.signs] == [("final", (256 << 20) + 1)] * more

@@ -10,6 +10,9 @@ from typing import Any
 
 import pytest
 
+from gpusimbench.evaluator.compare.counted import Counted
+from gpusimbench.evaluator.compare.finding import Change, Finding
+from gpusimbench.evaluator.compare.mechanics import compare_mechanics
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.render.document import Document
 from gpusimbench.evaluator.render.terminal import print_document
@@ -126,3 +129,54 @@ def test_what_mechanics_does_not_demand_is_shown_apart() -> None:
     assert "BROKEN" not in text
     record = fidelity_record(found)["checks"]["end_spin"]
     assert (record["demanded"], record["verdict"], record["broken"]) == (False, "still moving", 1)
+
+
+def runs_of(*values: float) -> list[Any]:
+    """As much of runs as a comparison reads, each with the value of rolling that it had."""
+    captured = SimpleNamespace(phases=("capture",))
+    return [SimpleNamespace(configuration=captured, physics=run(value)) for value in values]
+
+
+@pytest.mark.parametrize(
+    ("base", "head", "change"),
+    [
+        ((2.4, 2.4, 2.4), (2.4, 3.0, 3.0), Change.REGRESSION),
+        ((3.0, 3.0, 2.4), (3.0, 2.4, 2.4), Change.IMPROVEMENT),
+        ((3.0, 2.4), (3.0, 3.0, 3.0), Change.REGRESSION),
+    ],
+)
+def test_runs_that_break_a_check_are_counted(base: Any, head: Any, change: Change) -> None:
+    """Ask how often a check is broken on either side, where some runs of all break it."""
+    (asked,) = compare_mechanics(runs_of(*base), runs_of(*head), certain=False)
+    assert isinstance(asked, Counted)
+    assert (asked.base, asked.head) == ((base.count(3.0), len(base)), (head.count(3.0), len(head)))
+    assert (asked.finding.change, asked.finding.n) == (change, (len(base), len(head)))
+
+
+@pytest.mark.parametrize(("value", "said"), [(2.4, "1 of 1 held"), (3.0, "0 of 1 held")])
+def test_a_check_that_every_run_says_the_same_of(value: float, said: str) -> None:
+    """Ask nothing of a check that all runs hold, or all break."""
+    (found,) = compare_mechanics(runs_of(value, value), runs_of(value), certain=False)
+    assert isinstance(found, Finding)
+    assert (found.change, found.said, found.n) == (Change.SAME, (said, said), (2, 1))
+
+
+def test_a_check_of_runs_that_are_all_alike() -> None:
+    """Tell by the verdicts alone, where one run speaks for all of its side."""
+    for base, head, change in ((2.4, 3.0, Change.REGRESSION), (3.0, 2.4, Change.IMPROVEMENT)):
+        (found,) = compare_mechanics(runs_of(base, base), runs_of(head, head), certain=True)
+        assert isinstance(found, Finding)
+        assert (found.change, found.name) == (change, "mechanics.rolling_acceleration")
+
+
+def test_mechanics_that_one_side_alone_tells() -> None:
+    """Leave mechanics open where one side says nothing of them, and out where neither does."""
+    (told,), (silent,) = runs_of(2.4), runs_of(2.4)
+    silent.physics = replace(silent.physics, facts=Missing("no states"))
+    for base, head, applies in (
+        ([told], [silent], True), ([silent], [told], True), ([], [told], True), ([told], [], True),
+        ([silent], [silent], False),
+    ):  # fmt: skip
+        (found,) = compare_mechanics(base, head, certain=True)
+        assert isinstance(found, Finding)
+        assert (found.change, found.applies) == (Change.NOT_COMPARED, applies)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 from collections.abc import Sequence
 from pathlib import Path
@@ -12,6 +13,7 @@ import numpy as np
 import pytest
 
 from gpusimbench.evaluator.cli.compare import main
+from gpusimbench.evaluator.compare.history.words import percent
 from gpusimbench.evaluator.render.figures.history import Dot, Level, Mark, history_chart
 from tests.browser import Browser, needs_chromium
 from tests.evaluator.test_compare import NOISE, RECORDINGS, stamped
@@ -252,7 +254,8 @@ def test_all_simulators_at_once_may_be_the_machine(tmp_path: Path, capsys: pytes
     """Say so where every simulator on a device became slower at one point, and not where one did."""
     for index in range(8):
         (tmp_path / f"v{index}").mkdir()
-        for simulator in ("one", "other"):
+        left = ["left later"] if index < 3 else []  # recorded at no point from v3 on, where it says nothing
+        for simulator in ("one", "other", *left):
             point = tmp_path / f"v{index}"
             slow = 1.5 if index >= 5 else 1.0
             for run in range(3):
@@ -302,6 +305,7 @@ def test_files_that_cannot_be_read(tmp_path: Path, capsys: pytest.CaptureFixture
     (tmp_path / "v2" / "short.mcap").write_bytes(AMD[1].read_bytes()[:-5000])
     (tmp_path / "v3").mkdir()
     shutil.copy(AMD[0], tmp_path)
+    shutil.copy(AMD[1], tmp_path)
     code = main(["--history", str(tmp_path), "--no-cache", "--all"])
     shown = capsys.readouterr()
     assert code == 3
@@ -309,7 +313,10 @@ def test_files_that_cannot_be_read(tmp_path: Path, capsys: pytest.CaptureFixture
     assert "broken.mcap" in shown.out
     assert "v3 has no recordings" in shown.out
     assert "is incomplete" in " ".join(shown.out.split())
-    assert "1 recording that lies in" in shown.out
+    assert "2 recordings that lie in" in shown.out
+    (tmp_path / AMD[1].name).unlink()
+    main(["--history", str(tmp_path), "--no-cache", "--all"])
+    assert "1 recording that lies in" in capsys.readouterr().out
     code, document = history(tmp_path, capsys=capsys)
     assert [len(point["unreadable"]) for point in document["points"]] == [0, 1, 0]
 
@@ -380,6 +387,20 @@ def test_the_page_says_by_how_much(tmp_path: Path) -> None:
     for told in (slower, "to 300.00 MB"):
         assert f"v4: {told} (regression)" in text
         assert f"{told} at v4" in text
+
+
+def test_the_page_gives_both_ends_of_a_curve(tmp_path: Path) -> None:
+    """List of each quantity its first and its newest value, and count changes of curves and facts together."""
+    for index in range(4):
+        final, host = grid(2) + (0.02 if index >= 2 else 0.0), (10**8, (2 + (index >= 1)) * 10**8)
+        write_point(tmp_path / "history", index, final=final, host_bytes=host)
+    page = tmp_path / "page.html"
+    assert main(["--history", str(tmp_path / "history"), "--no-cache", "--html", str(page)]) == 0
+    text = page.read_text(encoding="utf-8")
+    (memory,) = re.findall(r"<tr[^>]*>(?:(?!</tr>).)*?host memory increment \[MB\].*?</tr>", text, re.DOTALL)
+    cells = [re.sub(r"<[^>]*>", "", cell).strip() for cell in re.findall(r"<t[hd][^>]*>(.*?)</t[hd]>", memory)]
+    assert cells[:4] == ["host memory increment [MB]", "4", "100.00", "200.00"]
+    assert "4 points, 3 changes" in text
 
 
 @needs_chromium
@@ -465,3 +486,12 @@ def test_the_documents_figures_are_those_of_the_benchmark() -> None:
     assert ", ".join(f"{q:.1%}" for q in quartiles) in page
     for line in history_alarms.recorded():
         assert line in page
+
+
+@pytest.mark.parametrize(
+    ("ratio", "said"),
+    [(0.9, "-10 %"), (1.05, "+5 %"), (9.99, "+899 %"), (10.0, "times 10"), (1e-3, "times 0.001"), (0.002, "-99.8 %")],
+)
+def test_a_ratio_in_words(ratio: float, said: str) -> None:
+    """Tell a change in percent, and as a factor where percent would be hard to read."""
+    assert percent(ratio) == said

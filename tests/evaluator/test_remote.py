@@ -846,3 +846,17 @@ def test_a_public_server_may_send_to_another_public_one(web: Web, tmp_path: Path
         web.redirects["b.mcap"] = target
         with pytest.raises(Unreachable, match=message):
             open_recording(f"{web.address}/b.mcap")
+
+
+def test_how_long_a_request_is_waited_for(memory: Any, tmp_path: Path) -> None:
+    """Wait 30 s for an answer, and 1 s more for each 32 KiB of it, as docs/remote.md says."""
+    patience = RemoteFile(Location(_put(memory, write_recording(tmp_path, grid(2)))))._patience
+    assert patience.limit(0) == 30.0
+    assert patience.limit(7 << 15) == 37.0
+
+
+def test_escapes_are_part_of_a_name(memory: Any) -> None:
+    """Take %20 for a space in addresses of local files alone: elsewhere it names another file."""
+    memory.pipe("/set/a b.mcap", b"content")
+    with pytest.raises(Unreachable, match="no such file"):
+        RemoteFile(Location("memory://set/a%20b.mcap"))

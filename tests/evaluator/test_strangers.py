@@ -26,7 +26,8 @@ from tests.synthetic import Shown, cubes_field, grid, metrics_of, write_recordin
 _CONFIGURATION: list[tuple[str, Any]] = [
     ("dt", "Infinity"), ("dt", "NaN"), ("dt", 10**400), ("dt", 0), ("dt", "0.01"), ("stride", 0), ("stride", True),
     ("n_env", 10**30), ("n_env", 2**34), ("n_env", True), ("n_env", -1), ("n_env", 0), ("timed_steps", 0),
-    ("timed_steps", "1000"), ("seed", [1]), ("warmup", [1]), ("scene", ["x"]), ("simulator", {"a": 1}), ("steps", 2.5),
+    ("timed_steps", "1000"), ("seed", [1]), ("seed", -(2**63) - 1), ("seed", 2**64 + 1), ("steps", 2.5),
+    ("warmup", [1]), ("scene", ["x"]), ("simulator", {"a": 1}),
     ("options", {"cone": 3}), ("phases", "timed"), ("phases", ["timed", "tea"]), ("run_index", None),
 ]  # fmt: skip
 

@@ -309,7 +309,7 @@ def test_visible() -> None:
     """Reject a shift of the size that is called visible nearly always, and half of it much less often."""
     rng = np.random.default_rng(7)
     noise = [rng.normal(size=(2, 40)) for _ in range(60)]
-    size = float(np.mean([paired(*one).visible for one in noise]))
+    size = float(np.mean([paired(*one).visible or 0.0 for one in noise]))
     seen = [
         sum(paired(a + shift, b, seed=at).p_value <= 0.05 for at, (a, b) in enumerate(noise)) / 60
         for shift in (size, size / 2)
@@ -364,3 +364,14 @@ def test_a_reference_that_cannot_be(
     assert done.returncode == 0, done.stderr
     assert said in " ".join(done.stdout.split())
     assert "cannot be used" in done.stdout
+
+
+@pytest.mark.parametrize("count", [1, 2, 7, 8])
+def test_few_cases(count: int) -> None:
+    """Give of a few cases the mean and p, an interval from eight on, and of one case nothing that it would show."""
+    found = paired(np.arange(1.0, count + 1.0), np.zeros(count))
+    assert (found.mean, found.cases) == ((count + 1) / 2, count)
+    assert found.p_value == pytest.approx(2.0 / 2**count)
+    assert (found.ci95 is not None) is (count == 8)
+    of_numbers = np.sqrt((count + 1) / 12.0)  # SD of 1, 2, ..., count over the root of their count
+    assert found.visible == (None if count == 1 else pytest.approx(3.6048 * of_numbers, rel=1e-4))

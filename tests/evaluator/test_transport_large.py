@@ -16,7 +16,7 @@ from hypothesis.extra.numpy import arrays
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial.distance import cdist
 
-from gpusimbench.evaluator.transport.kd_tree import LEAF, build, lift_planes, set_planes
+from gpusimbench.evaluator.transport.kd_tree import DEPTH, LEAF, Tree, _bound, build, lift_planes, search, set_planes
 from gpusimbench.evaluator.transport.large import SAME_POINTS, Certified, certified_wasserstein1
 from gpusimbench.evaluator.transport.multiscale import COARSEST, RATIO, Solution, solve
 
@@ -205,6 +205,13 @@ def test_bounds_without_work() -> None:
     assert gaps[0] > gaps[1] > gaps[2]
 
 
+@pytest.mark.parametrize(("shift", "relative", "bids"), [(0.0, 1e-2, 25), (0.0, 1e-3, 27), (4.0, 1e-3, 39)])
+def test_how_much_work_bounds_take(shift: float, relative: float, bids: int) -> None:
+    """Make no more bids for each point than the schedule of ever smaller steps needs."""
+    a, b = board(1500, 1), board(1500, 2) + [shift, 0.0]
+    assert certified_wasserstein1(a, b, relative=relative).bids <= 1.1 * bids * len(a)
+
+
 def test_absolute_tolerance() -> None:
     """End at an absolute tolerance in the unit of the points, whatever their scale."""
     a, b = board(1500, 1), board(1500, 2) + [4.0, 0.0]
@@ -295,14 +302,15 @@ def test_boxes_are_those_of_their_points() -> None:
     assert np.diff(np.searchsorted(tree.leaf, np.arange(tree.first, 2 * tree.first + 2))).max() <= LEAF
 
 
-def test_planes_follow_prices_that_rise_evenly() -> None:
-    """Find the slope of prices that are a plane, and touch the lowest price with it."""
+@pytest.mark.parametrize(("slope", "found"), [((0.3, -0.5), (0.3, -0.5)), ((-3.0, 4.0), (-0.6, 0.8))])
+def test_planes_follow_prices_that_rise_evenly(slope: tuple[float, float], found: tuple[float, float]) -> None:
+    """Find the slope of prices that are a plane, at most 1, and touch the lowest price with it."""
     points = np.random.default_rng(8).uniform(2.0, 3.0, size=(60, 2))
     tree = build(points)
-    prices = 0.3 * tree.points[:, 0] - 0.5 * tree.points[:, 1]
+    prices = tree.points @ np.array(slope)
     set_planes(tree.points, prices, tree.begin, tree.end, tree.nodes)
     for begin, end, node in zip(tree.begin, tree.end, tree.nodes, strict=True):
-        assert node[4:6] == pytest.approx([0.3, -0.5], abs=0.02)
+        assert node[4:6] == pytest.approx(found, abs=0.02)
         below = prices[begin:end] - (node[6] + (tree.points[begin:end] - node[:2]) @ node[4:6])
         assert below.min() == pytest.approx(0.0, abs=1e-12)
 
@@ -323,3 +331,73 @@ def test_planes_rise_with_their_prices() -> None:
         if k >= tree.first:
             assert lowest == pytest.approx(0.0, abs=1e-12)
     assert (tree.nodes[:, 6] > before).all()
+
+
+def test_planes_of_prices_that_rise_together() -> None:
+    """Raise the planes of all nodes by as much as all prices, where these are a plane and bounds lose nothing."""
+    tree = build(np.random.default_rng(11).uniform(-1.0, 2.0, size=(64, 2)))
+    prices = tree.points @ np.array([0.3, -0.4])
+    set_planes(tree.points, prices, tree.begin, tree.end, tree.nodes)
+    before = tree.nodes[:, 6].copy()
+    for j in range(64):
+        prices[j] += 1.5
+        lift_planes(j, tree.points, prices, tree.begin, tree.end, tree.nodes, tree.leaf)
+    assert tree.nodes[:, 6] == pytest.approx(before + 1.5, abs=0.02)
+
+
+@pytest.mark.parametrize(("slope", "price"), [(0.0, 0.0), (0.25, 2.0), (-0.25, -1.0)])
+@pytest.mark.parametrize("axis", [0, 1])
+def test_bounds_along_a_line_are_exact(axis: int, slope: float, price: float) -> None:
+    """Bound distance plus price by the very least of two points that lie on a line with where it is seen from."""
+    points = np.zeros((2, 2))
+    points[:, axis] = [1.0, 3.0]
+    prices = price + slope * points[:, axis]
+    tree = build(points)
+    set_planes(tree.points, prices, tree.begin, tree.end, tree.nodes)
+    for away in (-7.0, 12.0):
+        seen = np.zeros(2)
+        seen[axis] = away
+        least = min(abs(points[:, axis] - away) + prices)
+        assert _bound(0, *seen, tree.nodes) == pytest.approx(least, abs=2e-3)
+        beside = seen + 5.0
+        assert _bound(0, *beside, tree.nodes) <= (np.hypot(*(points - beside).T) + prices).min() + 1e-12
+
+
+def searched(tree: Tree, prices: np.ndarray, place: np.ndarray, guess: int, slack: float) -> tuple[int, float, float]:
+    """What a search from a place returns: a point, its distance plus price, a bound on that of the others."""
+    return search(
+        *place, guess, slack, tree.points, prices, tree.begin, tree.end, tree.nodes, tree.first,
+        np.empty(DEPTH, np.int32), np.empty(DEPTH),
+    )  # fmt: skip
+
+
+@SOME
+@given(pairs(COORDINATE, 60), st.integers(-1, 59), st.sampled_from([0.0, 0.5]), st.integers(0, 2**32 - 1))
+def test_a_search_finds_the_least_of_all(sets: np.ndarray, guess: int, slack: float, seed: int) -> None:
+    """Find what looking at every point finds, to within the slack, and a bound that holds for all other points."""
+    tree = build(sets[0])
+    prices = np.random.default_rng(seed).normal(size=len(tree.points))
+    set_planes(tree.points, prices, tree.begin, tree.end, tree.nodes)
+    for place in sets[1][:5]:
+        values = np.hypot(*(tree.points - place).T) + prices
+        best, least, other = searched(tree, prices, place, min(guess, len(prices) - 1), slack)
+        assert least == pytest.approx(values[best], rel=1e-12)
+        assert least <= values.min() + slack + 1e-12
+        assert other <= np.delete(values, best).min(initial=np.inf) + 1e-12
+        assert other >= values.min() - 1e-12 or slack
+
+
+def test_a_search_leaves_out_what_cannot_be_least() -> None:
+    """Read no price of a point whose leaf is bounded to be worse: it may say anything."""
+    points = np.random.default_rng(10).uniform(0.0, 1.0, size=(64, 2)) + np.repeat(
+        [[0.0, 0.0], [100.0, 0.0]], 32, axis=0
+    )
+    tree = build(points)
+    prices = np.zeros(64)
+    set_planes(tree.points, prices, tree.begin, tree.end, tree.nodes)
+    far = tree.points[:, 0] > 50
+    values = np.hypot(*tree.points.T)
+    prices[far] = -1000.0
+    best, least, other = searched(tree, prices, np.zeros(2), -1, 0.0)
+    assert (best, least) == (values.argmin(), pytest.approx(values.min()))
+    assert least <= other <= np.sort(values)[1] + 1e-12

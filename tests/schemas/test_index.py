@@ -6,7 +6,7 @@ import struct
 from pathlib import Path
 
 import pytest
-from mcap.writer import Writer
+from mcap.writer import CompressionType, Writer
 
 from gpusimbench.schemas.errors import DamagedRecording
 from gpusimbench.schemas.mcap.index import read_index
@@ -53,3 +53,41 @@ def test_no_record_lies_upon_another(tmp_path: Path) -> None:
         path.write_bytes(data[:told] + struct.pack("<Q", place) + data[told + 8 :])
         with pytest.raises(DamagedRecording, match=f"places a record at byte {place},"):
             read_index(open_source(path))
+
+
+@pytest.mark.parametrize("place", [-1, -8, -8 - 20 - 9, -8 - 20 - 8])
+def test_a_file_that_does_not_end_as_it_should_has_no_index(tmp_path: Path, place: int) -> None:
+    """Take no index from a file with another byte in the magic at its end, or in the head of its footer."""
+    path = tmp_path / "one.mcap"
+    with path.open("wb") as stream:
+        writer = Writer(stream, enable_crcs=False)
+        writer.start()
+        writer.add_message(writer.register_channel("/n", "json", 0), 0, b"{}", 0)
+        writer.finish()
+    assert read_index(open_source(path)) is not None
+    data = bytearray(path.read_bytes())
+    data[place] ^= 1
+    path.write_bytes(data)
+    assert read_index(open_source(path)) is None
+
+
+@pytest.mark.parametrize("more", [0, 1])
+def test_a_chunk_has_no_more_messages_than_bytes_for_them(tmp_path: Path, more: int) -> None:
+    """Refuse an index that lists more messages of a chunk than fit into it, and not for that reason one less."""
+    path = tmp_path / "one.mcap"
+    with path.open("wb") as stream:
+        writer = Writer(stream, compression=CompressionType.NONE, enable_crcs=False)
+        writer.start()
+        writer.add_message(writer.register_channel("/n", "json", 0), 0, b"{}", 0)
+        writer.finish()
+    data, index = bytearray(path.read_bytes()), read_index(open_source(path))
+    assert index is not None
+    (chunk,) = index.chunks
+    told = data.rindex(struct.pack("<HQ", chunk.channels[0], chunk.places[0])) + 10
+    assert struct.unpack_from("<Q", data, told) == (chunk.index_bytes,)
+    most = chunk.chunk.uncompressed_size // 31
+    struct.pack_into("<Q", data, told, 15 + 16 * (most + more))
+    path.write_bytes(data)
+    with pytest.raises(DamagedRecording) as refused:
+        read_index(open_source(path))
+    assert ("says of the messages of the chunk" in str(refused.value)) is bool(more)

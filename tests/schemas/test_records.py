@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +20,7 @@ from gpusimbench.schemas.digest import ContentDigest, content_hash
 from gpusimbench.schemas.errors import DamagedRecording
 from gpusimbench.schemas.fields import BODY_FIELDS, body_field
 from gpusimbench.schemas.messages import DESCRIPTOR_SETS, embedded_schema, message_names
-from gpusimbench.schemas.provenance import Deviation, Provenance, Simulation
+from gpusimbench.schemas.provenance import MAX_FIELDS, Deviation, Provenance, Simulation
 from gpusimbench.schemas.topics import StateTopic, parse_state, state
 
 _FIELDS = tuple(body_field("cubes", name, "float64", ("a", "b")) for name in BODY_FIELDS)
@@ -102,9 +103,12 @@ def test_provenance_round_trip() -> None:
     """Return what was written, and ignore keys of a later version."""
     provenance = Provenance(
         "id", "2026-01-01T00:00:00Z", ("gsb-record", "--sim"), _configuration(options={"cone": "elliptic"}),
-        host={"cpu": "x"}, gpus=({"name": "g"},), software={"python": "3"}, environment={"XLA_FLAGS": "-x"},
+        host={"cpu": "Modèle x"}, gpus=({"name": "g"},), software={"python": "3"}, environment={"XLA_FLAGS": "-x"},
     )  # fmt: skip
-    assert Provenance.from_json(provenance.to_json()) == provenance
+    text = provenance.to_json()
+    assert Provenance.from_json(text) == provenance
+    assert text == json.dumps(json.loads(text), indent=1, sort_keys=True, ensure_ascii=False) + "\n"
+    assert "Modèle" in text
     later = {**json.loads(provenance.to_json()), "added_later": 1}
     later["configuration"]["added_later"] = [2]
     assert Provenance.from_json(json.dumps(later)) == provenance
@@ -118,6 +122,26 @@ def test_simulation_round_trip() -> None:
         env_origins=((0.0, 1.0, 2.0),), timing_covers="all", fresh_start="rebuilt",
     )  # fmt: skip
     assert Simulation.from_json(simulation.to_json()) == simulation
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda fields: fields[0].update(items=[]), "no items or no components"),
+        (lambda fields: fields[0].update(components=[]), "no items or no components"),
+        (lambda fields: fields.append(fields[0]), "a state field is there twice"),
+        (lambda fields: fields.extend([fields[0]] * MAX_FIELDS), "more than the"),
+    ],
+)
+def test_state_fields_that_hold_nothing(change: Callable[[list[dict[str, Any]]], object], said: str) -> None:
+    """Refuse a field without items or without components, one that is there twice, and more than are read."""
+    simulation = Simulation(
+        version="4.0", device="cpu", options={}, switches={}, deviations=(), fields=_FIELDS, scene={}
+    )
+    record = json.loads(simulation.to_json())
+    change(record["fields"])
+    with pytest.raises(DamagedRecording, match=said):
+        Simulation.from_json(json.dumps(record))
 
 
 @pytest.mark.parametrize(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -93,6 +94,43 @@ def test_huge_numbers_are_not_written_out() -> None:
         assert str(refused.value).endswith(f": {said}")
 
 
+@pytest.mark.parametrize(
+    ("read", "taken", "refused"),
+    [
+        (checks.text, ["", "a"], [1, None, ["a"]]),
+        (checks.flag, [True, False], [0, 1, "true", None]),
+        (checks.mapping, [{}, {"a": 1}], [[], None, "a"]),
+        (checks.items, [[], [1, "a"]], [{}, None, "a"]),
+        (lambda *of: list(checks.texts(*of)), [[], ["a", ""]], ["a", ["a", 1]]),
+        (checks.text_map, [{}, {"a": "b"}], [[], {"a": 1}]),
+        (checks.objects, [[], [{}, {"a": 1}]], [{}, [1]]),
+    ],
+)
+def test_kinds_of_values(read: Callable[[dict[str, Any], str], Any], taken: list[Any], refused: list[Any]) -> None:
+    """Return a value of the right kind as it is, and name any other."""
+    for value in taken:
+        assert read({"key": value}, "key") == value
+    for value in refused:
+        with pytest.raises(DamagedRecording, match=" is n"):
+            read({"key": value}, "key")
+
+
+def test_values_that_are_missing() -> None:
+    """Take a default where there is one, nothing for a collection and false for a flag; refuse the rest."""
+    assert checks.text({}, "key", default="d") == "d"
+    assert (checks.flag({}, "key"), checks.mapping({}, "key"), checks.items({}, "key")) == (False, {}, [])
+    for read in (lambda: checks.text({}, "key"), lambda: checks.whole({}, "key", 0, 9)):
+        with pytest.raises(DamagedRecording, match="key is not"):
+            read()
+
+
+@pytest.mark.parametrize("text", ["", "{", "[]", "null", '{"a": NaN}', '{"a": Infinity}', "{}{}"])
+def test_what_is_no_object(text: str) -> None:
+    """Refuse what is not JSON, and JSON that is no object."""
+    with pytest.raises(DamagedRecording, match=r"^name is not "):
+        checks.load("name", text)
+
+
 @pytest.mark.parametrize("value", [0, 1, 0x7F, 0x80, 300, 2**32, 2**63, 2**64 - 1])
 def test_varints_come_back(value: int) -> None:
     """Read a number of up to 64 bits as it was written, in a field of its number."""
@@ -126,10 +164,12 @@ def test_what_is_no_message(data: bytes) -> None:
         list(wire.fields(memoryview(data)))
 
 
-def test_the_size_of_a_field_from_its_head() -> None:
+@pytest.mark.parametrize("size", [0, 1, 3, 127, 128, 5000, 2**40 + 1])
+def test_the_size_of_a_field_from_its_head(size: int) -> None:
     """Give the size of a field with tag and length from its first bytes, and None of what is no such field."""
-    head = wire.delimited_head(17, 5000)
-    assert wire.delimited_size(memoryview(head)) == len(head) + 5000
+    head = wire.delimited_head(17, size)
+    for behind in (b"", b"abc"):
+        assert wire.delimited_size(memoryview(head + behind)) == len(head) + size
     assert wire.delimited_size(memoryview(head[:-1])) is None
     assert wire.delimited_size(memoryview(b"")) is None
     assert wire.delimited_size(memoryview(b"\x08\x05")) is None

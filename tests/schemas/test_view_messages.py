@@ -20,6 +20,7 @@ from gpusimbench.schemas.errors import DamagedRecording
 from gpusimbench.schemas.fields import StateField, body_field, joint_field
 from gpusimbench.schemas.messages import DESCRIPTOR_SETS, embedded_schema, message_class
 from gpusimbench.schemas.topics import has_digest, parse_state, parse_view, view
+from gpusimbench.schemas.view.layout import layout
 from gpusimbench.schemas.view.motion import Motion, one_of
 from gpusimbench.schemas.view.recorded import RecordedView
 
@@ -138,6 +139,8 @@ def test_things_of_one_name() -> None:
     frames = [t.child_frame_id for t in transforms]
     assert frames[:3] == ["env0", "env0/a", "env0/a#1"]
     assert len(set(frames)) == len(frames) == 6
+    origin = transforms[0].translation
+    assert (origin.x, origin.y, origin.z) == (0, 0, 0), "an env without an origin is where its states say"
     assert all(t.parent_frame_id == "env0" for t in transforms[1:])
     entities = view.scene().message.entities
     assert len({entity.id for entity in entities}) == len(entities) == 7
@@ -166,3 +169,13 @@ def test_colours_tell_things_apart() -> None:
     assert all(a != b for moving in (bodies, links) for a, b in pairwise(moving))
     assert len({*fixed, *bodies, *links}) == len({*fixed}) + len({*bodies}) + len({*links})
     assert all(0 <= part <= 1 and alpha == 1 for *parts, alpha in (*fixed, *bodies, *links) for part in parts)
+
+
+def test_a_layout_shows_scenes_and_hides_poses() -> None:
+    """Stay with the frame that is asked for, show scenes and the log, hide poses, and play as fast as it was."""
+    found = json.loads(layout(scenes=["/scene"], log="/log", poses=["/env0/poses"], root="env0"))
+    scene, events = found["configById"]["3D!scene"], found["configById"]["RosOut!events"]
+    assert scene["topics"] == {"/scene": {"visible": True}, "/env0/poses": {"visible": False}}
+    assert scene["followTf"] == scene["layers"]["grid"]["frameId"] == "env0"
+    assert events["topicToRender"] == "/log"
+    assert found["playbackConfig"]["speed"] == 1

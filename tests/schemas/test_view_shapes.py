@@ -6,8 +6,9 @@ import math
 
 import pytest
 
+from gpusimbench.schemas.errors import DamagedRecording
 from gpusimbench.schemas.view.foxglove import entity
-from gpusimbench.schemas.view.shapes import Shape
+from gpusimbench.schemas.view.shapes import Link, Shape, Solid, links_of, solids_of
 
 UPRIGHT = (1.0, 0.0, 0.0, 0.0)
 LYING = (math.sqrt(0.5), 0.0, math.sqrt(0.5), 0.0)  # z to x
@@ -49,3 +50,41 @@ def test_a_box_and_a_ball() -> None:
     assert [size(box) for box in drawn.cubes] == [(1.0, 2.0, 3.0)]
     assert [size(ball) for ball in drawn.spheres] == [(0.5, 0.5, 0.5)]
     assert (drawn.frame_id, drawn.id, drawn.frame_locked) == ("frame", "name", True)
+
+
+def test_what_a_scene_leaves_out() -> None:
+    """Put bodies and links without a pose at the origin of their frame, upright."""
+    box = {"kind": "box", "size": [1, 2, 3]}
+    (wall,) = solids_of({"bodies": [{"name": "wall", "shape": box}]})
+    assert wall.shapes == (Shape("box", (1.0, 2.0, 3.0), (0.0, 0.0, 0.0), UPRIGHT),)
+    assert links_of({"robot": {"links": [{"name": "hand"}]}}) == (Link("hand", "", (0.0, 0.0, 0.0), UPRIGHT, ""),)
+
+
+def test_shapes_that_are_known() -> None:
+    """Draw boxes, balls, capsules and planes of a scene, and of anything else its frame alone."""
+    shapes = [
+        {"kind": "sphere", "radius": 0.25}, {"kind": "capsule", "radius": 0.25, "length": 2}, {"kind": "plane"},
+        {"kind": "teapot"},
+    ]  # fmt: skip
+    bodies = [{"name": str(n), "group": "g", "mass": 1.0, "shape": one} for n, one in enumerate(shapes)]
+    ball, capsule, plane, teapot = solids_of({"bodies": bodies})
+    assert ball == Solid("0", "g", (Shape("sphere", (0.25,)),))
+    assert capsule.shapes == (Shape("capsule", (0.25, 2.0)),)
+    assert [(one.kind, one.size[:2]) for one in plane.shapes] == [("box", (4.0, 4.0))]
+    assert teapot.shapes == ()
+
+
+@pytest.mark.parametrize(
+    "links",
+    [
+        [{"name": "a"}, {"name": "a"}],
+        [{"name": "b", "parent": "a"}, {"name": "a"}],
+        [{"name": ""}],
+        [{"name": str(n)} for n in range(1001)],
+    ],
+)
+def test_links_that_make_no_robot(links: list[dict[str, str]]) -> None:
+    """Refuse links of one name, before their parent, and more than are drawn."""
+    with pytest.raises(DamagedRecording):
+        links_of({"robot": {"links": links}})
+    assert len(links_of({"robot": {"links": [{"name": str(n)} for n in range(1000)]}})) == 1000

@@ -114,3 +114,28 @@ def test_a_record_names_its_place(tmp_path: Path) -> None:
     """Say of a record that is too short for its own head where it is."""
     with pytest.raises(DamagedRecording, match="short.mcap: a message at byte 7 is shorter than its own head"):
         Record(Op.MESSAGE, 7, memoryview(bytes(21))).message(tmp_path / "short.mcap")
+
+
+@pytest.mark.parametrize(
+    ("opcode", "fault"),
+    [(0, "unknown_record"), (1, "record"), (Op.DATA_END, "record"), (Op.DATA_END + 1, "unknown_record")],
+)
+def test_records_that_are_in_no_chunk(tmp_path: Path, opcode: int, fault: str) -> None:
+    """Tell a record that does not belong into a chunk from one that the format does not know."""
+    told: list[str] = []
+    walk = Walk(MappedFile(write_recording(tmp_path, grid(2))), lambda fault, _: told.append(fault))
+    assert not list(walk.within(memoryview(_record(opcode)), 100))
+    assert told == [fault]
+
+
+@pytest.mark.parametrize(("last", "whole"), [(b"", True), (b"content", True), (b"content", False)])
+def test_the_last_record_of_a_file_without_an_end(tmp_path: Path, last: bytes, whole: bool) -> None:
+    """Take a record for whole up to the last byte of a file, also one without content, and one that is cut for none."""
+    path = write_recording(tmp_path, grid(2))
+    data = path.read_bytes()
+    at = _position(data, Op.DATA_END)
+    record = _record(0x90, last)
+    path.write_bytes(data[:at] + (record if whole else record[:-1]))
+    walk = Walk(MappedFile(path))
+    _visit(walk)
+    assert walk.end == (at + len(record) if whole else at)

@@ -54,7 +54,7 @@ def visible(curve: Curve) -> str:
         return ""
     if curve.logs:
         factor = f"{curve.visible:.2g}" if curve.visible < 100 else f"{curve.visible:.0f}"
-        return f"{(curve.visible - 1) * 100:.2g} %" if curve.visible < 2 else f"a factor of {factor}"
+        return f"{(curve.visible - 1) * 100:.2g} %" if curve.visible < 1.995 else f"a factor of {factor}"
     return f"{figure(curve.visible, curve.metric.unit)} {curve.metric.unit}".strip()
 
 

@@ -32,7 +32,7 @@ class Stretches:
 
     def feed(self, velocity: Array, slides: npt.NDArray[np.bool_]) -> None:
         """The next row: velocities [m/s], shape [body, 3], and which bodies slide, shape [body]."""
-        self._close(~slides & (self._length > 0))
+        self._close(~slides)
         begins = slides & (self._length == 0)
         self._first[begins] = velocity[begins]
         self._last[slides] = velocity[slides]
@@ -40,7 +40,7 @@ class Stretches:
 
     def end(self) -> None:
         """After the last row."""
-        self._close(self._length > 0)
+        self._close(np.ones(len(self._length), dtype=bool))
         self._length[:] = 0
 
     def _close(self, ended: npt.NDArray[np.bool_]) -> None:

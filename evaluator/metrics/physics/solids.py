@@ -52,7 +52,8 @@ def rotations(quaternion: npt.NDArray[np.floating]) -> Array:
     """Rotation matrices [..., 3, 3] of quaternions wxyz [..., 4], made unit first; of zero, the identity."""
     q = np.asarray(quaternion, dtype=np.float64)
     norm = length(q)[..., None]
-    w, x, y, z = np.moveaxis(np.where(norm > 0, q / np.where(norm > 0, norm, 1.0), (1.0, 0.0, 0.0, 0.0)), -1, 0)
+    # four zeros give the identity below
+    w, x, y, z = np.moveaxis(np.where(norm > 0, q / np.where(norm > 0, norm, 1.0), 0.0), -1, 0)
     matrix = np.empty((*w.shape, 3, 3))
     matrix[..., 0, 0], matrix[..., 1, 1] = 1 - 2 * (y * y + z * z), 1 - 2 * (x * x + z * z)
     matrix[..., 2, 2] = 1 - 2 * (x * x + y * y)

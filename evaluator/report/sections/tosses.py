@@ -63,7 +63,8 @@ def _more_than_first(order: Sequence[Ranked]) -> tuple[Column, Written]:
         low, high = one.against.ci95 or (None, None)
         span = "" if low is None or high is None else f"[{figure(low, 'cm')}, {figure(high, 'cm')}]"
         p = "p < 0.001" if one.adjusted < 0.001 else f"p = {one.adjusted:.2g}"
-        visible = f"visible from {figure(one.against.visible, 'cm')}"
+        least = one.against.visible
+        visible = "one toss alone" if least is None else f"visible from {figure(least, 'cm')}"
         return Cell(figure(one.against.mean, "cm"), one.against.mean, one.against.ci95, span, (p, visible))
 
     return Column("more than the first [cm]", "error of position less that of the first row, toss by toss"), cell
