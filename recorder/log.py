@@ -234,8 +234,9 @@ class RecordingWriter:
             return None
         try:
             return ViewWriter(
-                self._sink, self._configuration, fields=s.fields, scene=self._scene, env_origins=s.env_origins
-            )
+                self._sink, self._configuration, fields=s.fields, scene=self._scene,
+                attachments=self._attachments, env_origins=s.env_origins,
+            )  # fmt: skip
         except DamagedRecording:
             return None
 

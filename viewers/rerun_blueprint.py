@@ -17,7 +17,6 @@ import rerun.blueprint as rrb
 
 from gpusimbench import open_recording
 from gpusimbench.schemas import topics
-from gpusimbench.schemas.view.shapes import solids_of
 
 AXIS_M = 0.03
 """Length of a frame's axes [m]."""
@@ -26,7 +25,7 @@ AXIS_M = 0.03
 def blueprint_of(path: Path) -> Any:
     """A scene for each environment in the view, beside the log."""
     recording = open_recording(path)
-    shapes = {solid.name: solid.shapes[0] for solid in solids_of(recording.scene) if solid.group and solid.shapes}
+    shapes = {solid.name: solid.shapes[0] for solid in recording.look.solids if solid.group and solid.shapes}
     scenes = []
     for env in recording.configuration.view:
         drawn: dict[str, Any] = {_entity("transforms", env): [rr.TransformAxes3D(AXIS_M)]}

@@ -229,6 +229,7 @@ def _notes(
     around: Surroundings,
 ) -> list[str]:
     notes = [labels.legend(recordings)] if labels.lettered else []
+    notes += recordings[0].look.notes
     if seen is not None and seen.so_far[-1] > len(set(seen.leader[-1].tolist())):
         notes.append(
             f"{len(tracks)} environments are shown, of {seen.so_far[-1]} bitwise classes in the end; those that split "

@@ -6,7 +6,7 @@ class Clip {
     this.positions = new Float32Array(unpacked(this.positions));
     this.orientations = new Int16Array(unpacked(this.orientations));
     for (const items of this.items)
-      for (const item of items) item.shapes.forEach(prepare);
+      for (const item of items) (item.shapes ??= [POINT]).forEach(prepare);
     for (const track of this.tracks) track.items = this.items[track.items];
     [...this.fixed, ...this.ground].forEach(prepare);
   }
@@ -33,6 +33,9 @@ class Clip {
   }
 }
 
+// what is drawn where nothing is known of a body's shape
+const POINT = { kind: "point", size: [0.005], at: [0, 0, 0], turn: [1, 0, 0, 0] };
+
 function unpacked(text) {
   const bytes = atob(text);
   const out = new Uint8Array(bytes.length);
@@ -40,9 +43,14 @@ function unpacked(text) {
   return out.buffer;
 }
 
-// a shape's rotation in its body, undefined where it has none
+// a shape's rotation in its body, undefined where it has none; of faces, which way each looks
 function prepare(shape) {
   shape.matrix = shape.turn[0] === 1 ? undefined : matrix(shape.turn);
+  shape.normals = shape.faces?.map(([a, b, c]) => {
+    const normal = cross(minus(shape.points[b], shape.points[a]), minus(shape.points[c], shape.points[a]));
+    const size = Math.hypot(...normal) || 1;
+    return normal.map((part) => part / size);
+  });
 }
 
 // index of the last of increasing numbers that is not above a value; 0 where all are
@@ -82,3 +90,4 @@ const turnedBack = (m, [x, y, z]) => [
 const plus = (a, b) => [a[0] + b[0], a[1] + b[1], a[2] + b[2]];
 const minus = (a, b) => [a[0] - b[0], a[1] - b[1], a[2] - b[2]];
 const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+const cross = (a, b) => [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];

@@ -71,14 +71,16 @@ class Solid {
   constructor(shape, pose, place, look) {
     const own = turned(pose.turn, shape.at);
     this.kind = shape.kind;
-    this.size = shape.size.map((length) => length * (look.shrink ?? 1));
+    this.shape = shape;
+    this.shrunk = look.shrink ?? 1;
+    this.size = shape.size.map((length) => length * this.shrunk);
     this.turn = shape.matrix ? times(pose.turn, shape.matrix) : pose.turn;
     this.at = plus(plus(pose.at, own), place);
     Object.assign(this, look); // colour, ink, alpha, dash, width, shrink; track, item, name
   }
 
   get reach() {
-    if (this.kind === "box") return Math.hypot(...this.size) / 2;
+    if (this.kind === "box" || this.kind === "faces") return Math.hypot(...this.size) / 2;
     return this.size[0] + (this.size[1] ?? 0) / 2;
   }
 }
@@ -125,6 +127,7 @@ function draw(context, solid, camera) {
   if (solid.kind === "box") box(context, solid, camera);
   else if (solid.kind === "sphere") sphere(context, solid, camera);
   else if (solid.kind === "capsule") capsule(context, solid, camera);
+  else if (solid.kind === "faces") faces(context, solid, camera);
   else dot2d(context, solid, camera);
 }
 
@@ -151,6 +154,31 @@ function box(context, solid, camera) {
       context.fill();
       context.stroke();
     }
+}
+
+// The faces that look at the eye, the furthest first; their edges have their own colour, so that no gap is between them.
+function faces(context, solid, camera) {
+  const { points, normals } = solid.shape;
+  const places = points.map((point) => plus(solid.at, turned(solid.turn, point.map((c) => c * solid.shrunk))));
+  const pixels = places.map((place) => camera.project(place));
+  const seen = solid.shape.faces.flatMap((corners, index) => {
+    const normal = turned(solid.turn, normals[index]);
+    if (corners.some((corner) => !pixels[corner])) return [];
+    if (dot(minus(camera.eye, places[corners[0]]), normal) <= 0) return [];
+    const near = corners.reduce((sum, corner) => sum + pixels[corner][2], 0) / corners.length;
+    return [{ corners, near, light: Math.max(0, dot(normal, LIGHT)) }];
+  });
+  seen.sort((a, b) => a.near - b.near);
+  context.setLineDash([]);
+  context.lineWidth = camera.pixel / 2;
+  for (const { corners, light } of seen) {
+    context.strokeStyle = context.fillStyle = shaded(solid.colour, 0.5 + 0.5 * light);
+    context.beginPath();
+    corners.forEach((corner, i) => (i ? context.lineTo : context.moveTo).call(context, ...pixels[corner].slice(0, 2)));
+    context.closePath();
+    context.fill();
+    context.stroke();
+  }
 }
 
 function sphere(context, solid, camera) {

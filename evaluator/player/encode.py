@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gpusimbench.evaluator.player.clip import Clip, Track
+from gpusimbench.evaluator.player.facets import box_of, facets_of
 from gpusimbench.evaluator.player.poses import Shape, Surroundings
 from gpusimbench.schemas.text import printable
 
@@ -88,7 +89,9 @@ def _quaternions(orientation: NDArray[np.float64]) -> NDArray[np.int16]:
 
 def _items(bodies: tuple[tuple[str, str], ...], around: Surroundings) -> list[dict[str, Any]]:
     return [
-        {"name": _text(body[1]), "shapes": [_shape(shape) for shape in around.bodies.get(body, ())]} for body in bodies
+        # what is not known to have no shape is drawn as a dot
+        {"name": _text(body[1]), "shapes": [_shape(s) for s in around.bodies[body]] if body in around.bodies else None}
+        for body in bodies
     ]
 
 
@@ -105,7 +108,11 @@ def _track(track: Track, kind: int, poses: _Poses) -> dict[str, Any]:
 
 
 def _shape(shape: Shape) -> dict[str, Any]:
-    return {"kind": shape.kind, "size": shape.size, "at": shape.position, "turn": shape.orientation}
+    record = {"kind": shape.kind, "size": shape.size, "at": shape.position, "turn": shape.orientation}
+    facets = facets_of(shape)
+    if facets is None:
+        return record
+    return {**record, "kind": "faces", "size": box_of(shape), "points": facets[0], "faces": facets[1]}
 
 
 def _classes(clip: Clip) -> dict[str, Any]:
@@ -131,7 +138,7 @@ def _bounds(clip: Clip) -> tuple[list[float], list[float]]:
         reach = np.array([_reach(clip.around.bodies.get(body, ())) for body in track.items.bodies])[:, np.newaxis]
         first = track.items.position[0]
         begin += [_finite(first - reach), _finite(first + reach)]
-    still = [shape.position + np.outer((-0.5, 0.5), np.resize(shape.size, 3)) for shape in clip.around.fixed]
+    still = [shape.position + np.outer((-0.5, 0.5), box_of(shape)) for shape in clip.around.fixed]
     near = np.concatenate([*begin, *still, np.zeros((0, 3))])
     if not len(near):
         near = np.zeros((1, 3))
@@ -151,10 +158,13 @@ def _bounds(clip: Clip) -> tuple[list[float], list[float]]:
 
 def _reach(shapes: Sequence[Shape]) -> float:
     """How far shapes are from their body's origin at most [m]; somewhat more where they are off it."""
-    return max(
-        (math.hypot(*s.position) + (math.hypot(*s.size) / 2 if s.kind == "box" else sum(s.size)) for s in shapes),
-        default=0.0,
-    )
+    return max((math.hypot(*s.position) + _radius(s) for s in shapes), default=0.0)
+
+
+def _radius(shape: Shape) -> float:
+    if shape.kind == "ellipsoid":
+        return max(shape.size) / 2
+    return sum(shape.size) if shape.kind in ("sphere", "capsule") else math.hypot(*box_of(shape)) / 2
 
 
 def _finite(positions: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -6,8 +6,6 @@ const NESTED = 0.7; // size of a body within another one's in the same place
 // whether two bodies would hide each other
 const near = (a, b, shape) => Math.hypot(...minus(a.at, b.at)) < 0.1 * Math.min(...shape.size);
 
-const POINT = { kind: "point", size: [0.005], at: [0, 0, 0], matrix: undefined };
-
 class Picture {
   constructor(root) {
     this.root = root;
@@ -155,8 +153,9 @@ class Picture {
       const solids = track.items.flatMap((item, number) => {
         const pose = poses[number];
         if (!pose) return [];
-        const shapes = item.shapes.length ? item.shapes : [POINT];
-        const together = before.filter((others) => others[number] && near(others[number], pose, shapes[0])).length;
+        const { shapes } = item;
+        const together = shapes.length &&
+          before.filter((others) => others[number] && near(others[number], pose, shapes[0])).length;
         const more = { ...look, name: item.name, item: number, shrink: NESTED ** together };
         if (together) more.alpha = 1;
         return shapes.map((shape) => new Solid(shape, pose, place, more));

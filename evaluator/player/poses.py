@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.schemas.configuration import sim_time_ns
 from gpusimbench.schemas.errors import DamagedRecording
-from gpusimbench.schemas.view.motion import ROBOT, Frame, Motion
-from gpusimbench.schemas.view.rotation import product, rotate
-from gpusimbench.schemas.view.shapes import Shape, Solid, solids_of
+from gpusimbench.schemas.view.kinematics import ROBOT
+from gpusimbench.schemas.view.motion import Frame, Motion, absolute
+from gpusimbench.schemas.view.shapes import Shape
 
 _PIECE_ROWS = 4096  # read at once, so that memory does not grow with the length of a run
 _MOST_SHAPES = 4000  # that are drawn in every picture
@@ -43,7 +43,7 @@ class Surroundings:
 
     fixed   shapes of the world, in the env's frame
     ground  those of them that are flat: planes
-    bodies  shapes of what moves, by group and name
+    bodies  shapes of what moves, by group and name; a link may have none
     left_out  how many shapes more the scene has than are drawn
     """
 
@@ -76,8 +76,8 @@ def nothing_shown(recording: Recording) -> str:
 
 
 def hidden_groups(recording: Recording) -> list[str]:
-    """Groups of which nothing is shown: they have no positions, and no robot in the scene that their joints move."""
-    shown = {part.group for part in _motion(recording, 0).parts}
+    """Groups of which nothing is shown: they have no positions, and no robot or model that their joints move."""
+    shown = {field.group for field in _motion(recording, 0).fields}
     return [group for group in dict.fromkeys(f.group for f in recording.fields) if group not in shown]
 
 
@@ -88,7 +88,7 @@ def items_of(recording: Recording, env: int, rows: Sequence[range]) -> Items:
     """
     motion = _motion(recording, env)
     parts = [
-        _absolute(_frames(recording, motion, env, slice(begin, min(r.stop, begin + size), r.step)))
+        _items(_frames(recording, motion, env, slice(begin, min(r.stop, begin + size), r.step)))
         for r in rows
         for size in (r.step * max(1, _PIECE_ROWS // r.step),)
         for begin in range(r.start, r.stop, size)
@@ -101,7 +101,7 @@ def items_of(recording: Recording, env: int, rows: Sequence[range]) -> Items:
 
 def surroundings(recording: Recording) -> Surroundings:
     """Shapes from the recording's scene; DamagedRecording where one is unreadable."""
-    solids = _solids(recording)
+    solids = recording.look.solids
     ends = np.cumsum([len(solid.shapes) for solid in solids], dtype=np.int64)
     left_out = int(ends[-1]) if len(ends) else 0
     solids = solids[: int(np.searchsorted(ends, _MOST_SHAPES, side="right"))]
@@ -111,7 +111,7 @@ def surroundings(recording: Recording) -> Surroundings:
     return Surroundings(
         tuple(s for s in fixed if s not in ground),
         ground,
-        {(solid.group, solid.name): solid.shapes for solid in solids if solid.group},
+        {(s.group, s.name): s.shapes for s in solids if s.group and (s.shapes or s.group == ROBOT)},
         left_out,
     )
 
@@ -119,7 +119,7 @@ def surroundings(recording: Recording) -> Surroundings:
 def _motion(recording: Recording, env: int) -> Motion:
     origins = recording.simulation.env_origins if recording.simulation else ()
     try:
-        return Motion(recording.fields, recording.scene, origin=origins[env] if origins else (0.0, 0.0, 0.0))
+        return Motion(recording.fields, recording.look, origin=origins[env] if origins else (0.0, 0.0, 0.0))
     except DamagedRecording as error:
         raise _named(recording, error) from None
 
@@ -128,35 +128,13 @@ def _frames(recording: Recording, motion: Motion, env: int, rows: slice) -> tupl
     return motion.frames([recording.state(field.group, field.field)[rows, env] for field in motion.fields])
 
 
-def _solids(recording: Recording) -> tuple[Solid, ...]:
-    try:
-        return solids_of(recording.scene)
-    except DamagedRecording as error:
-        raise _named(recording, error) from None
-
-
 def _named(recording: Recording, error: DamagedRecording) -> DamagedRecording:
     """The same, with the file that it is about."""
     return DamagedRecording(f"{recording.path}: {str(error).removeprefix(f'{recording.path}: ')}")
 
 
-def _absolute(frames: Sequence[Frame]) -> Items:
-    # a link's pose is relative to its parent, which comes before it
+def _items(frames: Sequence[Frame]) -> Items:
     if not frames:
         return Items((), np.empty((0, 0, 3)), np.empty((0, 0, 4)))
-    links: dict[str, tuple[NDArray[np.float64], NDArray[np.float64]]] = {}
-    poses = []
-    for frame in frames:
-        position, orientation = frame.position, frame.orientation
-        if frame.part.parent:
-            there, turned = links[frame.part.parent]
-            position = there + rotate(turned, position)
-            orientation = product(turned, orientation)
-        if frame.part.group == ROBOT:
-            links[frame.part.name] = position, orientation
-        poses.append((position, orientation))
-    return Items(
-        tuple((frame.part.group, frame.part.name) for frame in frames),
-        np.stack([p for p, _ in poses], axis=1),
-        np.stack([q for _, q in poses], axis=1),
-    )
+    position, orientation = (np.stack(arrays, axis=1) for arrays in zip(*absolute(frames), strict=True))
+    return Items(tuple((frame.part.group, frame.part.name) for frame in frames), position, orientation)

@@ -15,8 +15,9 @@ from gpusimbench.schemas.configuration import EPOCH_NS, sim_time_ns
 from gpusimbench.schemas.errors import DamagedRecording, UsageError
 from gpusimbench.schemas.mcap.writer import McapWriter
 from gpusimbench.schemas.view.env_view import EnvView
+from gpusimbench.schemas.view.kinematics import Vector
 from gpusimbench.schemas.view.motion import Frame, Motion, one_of
-from gpusimbench.schemas.view.shapes import Solid, Vector, solids_of
+from gpusimbench.schemas.view.shapes import Solid
 from gpusimbench.schemas.writing import new_file
 
 _LAST_NS = 1 << 62
@@ -89,11 +90,11 @@ def _views(recording: Recording, envs: Sequence[int], spread: float) -> tuple[En
     origins = recording.simulation.env_origins if recording.simulation else ()
     places = _places(origins, envs, spread)
     try:
-        solids = solids_of(recording.scene)
         return tuple(
             EnvView(
                 env, place,
-                Motion(recording.fields, recording.scene, origin=origins[env] if origins else (0.0, 0.0, 0.0)), solids,
+                Motion(recording.fields, recording.look, origin=origins[env] if origins else (0.0, 0.0, 0.0)),
+                recording.look.solids,
             )
             for env, place in zip(envs, places, strict=True)
         )  # fmt: skip
@@ -138,10 +139,10 @@ def _frames(recording: Recording, view: EnvView, rows: slice) -> tuple[Frame, ..
 
 
 def _notes(recording: Recording, shown: Sequence[Shown], solids: Sequence[Solid]) -> list[str]:
-    notes = []
-    parts = shown[0][0].motion.parts
+    notes = list(recording.look.notes)
+    motion = shown[0][0].motion
     drawn = {solid.name for solid in solids if solid.shapes}
-    bare = [part.name for part in parts if part.name not in drawn]
+    bare = [part.name for part in motion.parts if part.name not in drawn]
     if bare:
         notes.append(f"no shape in the scene for {', '.join(bare[:5])}: only frames are shown")
     for group in hidden_groups(recording):

@@ -51,6 +51,7 @@ from gpusimbench.schemas.progress import moved
 from gpusimbench.schemas.provenance import PROVENANCE, SCENE, SIMULATION, Provenance, Simulation
 from gpusimbench.schemas.source import Source
 from gpusimbench.schemas.treatment import VARIED
+from gpusimbench.schemas.view.geometry import GEOMETRY, Look, look_of
 
 _DIGEST_SHARE = 0.5  # of the time that a file takes to be read and verified
 _HASHING = 4  # threads that compute digests of different fields
@@ -224,6 +225,15 @@ class Recording:
             return factors_of(self.configuration, self.attachment(VARIED))
         except DamagedRecording as error:
             raise DamagedRecording(f"{self.path}: {error}") from None
+
+    @cached_property
+    def look(self) -> Look:
+        """What is drawn of its bodies and links, by the geometry that is attached, or by its scene."""
+        text = self._container.attachment(GEOMETRY)
+        try:
+            return look_of(self.scene, checks.load(GEOMETRY, text, self._json) if text is not None else None)
+        except DamagedRecording as error:
+            raise DamagedRecording(f"{self.path}: {str(error).removeprefix(f'{self.path}: ')}") from None
 
     def attachment(self, name: str) -> bytes | None:
         """An attachment's bytes, None where there is none of that name."""

@@ -21,7 +21,6 @@ from gpusimbench.schemas import checks
 from gpusimbench.schemas.errors import NUMBERS_OF_A_STRANGER, DamagedRecording
 from gpusimbench.schemas.fingerprint import fingerprint
 from gpusimbench.schemas.view.motion import Motion
-from gpusimbench.schemas.view.shapes import solids_of
 
 LONGEST_S = 1e9
 """Of a time that a scene names [s]."""
@@ -159,8 +158,7 @@ def _described(recording: Recording) -> None:
 
 def _drawn(recording: Recording) -> None:
     try:
-        solids_of(recording.scene)
-        Motion(recording.fields, recording.scene)
+        Motion(recording.fields, recording.look)
     except DamagedRecording as error:
         raise DamagedRecording(f"{recording.path}: {str(error).removeprefix(f'{recording.path}: ')}") from None
 

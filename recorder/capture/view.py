@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from gpusimbench.recorder.capture.sink import Sink
 from gpusimbench.recorder.scenes.base import Scene
 from gpusimbench.recorder.simulators.captured import States
+from gpusimbench.schemas.checks import load
 from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.fields import StateField
+from gpusimbench.schemas.view.geometry import GEOMETRY, look_of
 from gpusimbench.schemas.view.log import event_line, status_line
 from gpusimbench.schemas.view.recorded import LOG_TOPIC, LOG_TYPE, METADATA, RecordedView, ViewMessage, layout_of
 
@@ -18,7 +20,9 @@ from gpusimbench.schemas.view.recorded import LOG_TOPIC, LOG_TYPE, METADATA, Rec
 class ViewWriter:
     """Writes the view of some environments: shapes at once, poses with each block of states.
 
-    DamagedRecording where states or scene are nothing that can be shown; nothing is written then.
+    attachments  of the recording: name -> (media type, bytes)
+
+    DamagedRecording where states, scene or geometry are nothing that can be shown; nothing is written then.
     """
 
     def __init__(
@@ -28,13 +32,16 @@ class ViewWriter:
         *,
         fields: Sequence[StateField],
         scene: Scene | None,
+        attachments: Mapping[str, tuple[str, bytes]],
         env_origins: Sequence[tuple[float, float, float]],
     ) -> None:
         c = configuration
         described = json.loads(scene.to_json()) if scene is not None else {}
+        attached = attachments.get(GEOMETRY)
+        look = look_of(described, load(GEOMETRY, attached[1]) if attached else None)
         self._sink = sink
         self._views = [
-            RecordedView(env, fields=fields, scene=described, env_origins=env_origins, dt=c.dt, stride=c.stride)
+            RecordedView(env, fields=fields, look=look, env_origins=env_origins, dt=c.dt, stride=c.stride)
             for env in c.view
         ]
         self._indexes = [fields.index(field) for field in self._views[0].fields]

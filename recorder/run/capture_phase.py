@@ -166,6 +166,7 @@ class CapturePhase:
                 self._configuration,
                 fields=description.fields,
                 scene=scene,
+                attachments=description.attachments,
                 env_origins=description.env_origins,
             )
         except DamagedRecording as error:  # a scene of somebody else's, of which states can be recorded all the same

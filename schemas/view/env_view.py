@@ -8,8 +8,9 @@ from typing import Any
 from gpusimbench.schemas.configuration import EPOCH_NS
 from gpusimbench.schemas.text import printable
 from gpusimbench.schemas.view import foxglove
-from gpusimbench.schemas.view.motion import ROBOT, Frame, Motion
-from gpusimbench.schemas.view.shapes import IDENTITY, Solid, Vector
+from gpusimbench.schemas.view.kinematics import ROBOT, Vector
+from gpusimbench.schemas.view.motion import Frame, Motion
+from gpusimbench.schemas.view.shapes import IDENTITY, Solid
 
 ROOT = "world"
 
@@ -37,7 +38,7 @@ class EnvView:
         frames = [f"{self.name}/{name}" for name in _distinct(part.name for part in motion.parts)]
         self._frames = {(p.group, p.name): frame for p, frame in zip(motion.parts, frames, strict=True)}
         self._by_name = {p.name: frame for p, frame in zip(motion.parts, frames, strict=True)}
-        parents = [self._frames[ROBOT, part.parent] if part.parent else self.name for part in motion.parts]
+        parents = [self.name if part.parent is None else frames[part.parent] for part in motion.parts]
         self._names = list(zip(parents, frames, strict=True))
 
     @property

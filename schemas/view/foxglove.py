@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 
 from gpusimbench.schemas.messages import message_class
+from gpusimbench.schemas.view.kinematics import Vector
 from gpusimbench.schemas.view.rotation import rotate
-from gpusimbench.schemas.view.shapes import IDENTITY, Shape, Vector
+from gpusimbench.schemas.view.shapes import IDENTITY, Shape
 
 Colour = tuple[float, float, float]
 
@@ -75,18 +76,47 @@ def _add_sphere(entity: Any, shape: Shape, colour: Colour) -> None:
 
 def _add_capsule(entity: Any, shape: Shape, colour: Colour) -> None:
     radius, length = shape.size
-    tube = entity.cylinders.add(bottom_scale=1.0, top_scale=1.0)
-    _place(tube, shape.position, shape.orientation, (2 * radius, 2 * radius, length), colour)
+    _add_cylinder(entity, shape, colour)
     for end in (-length / 2, length / 2):
         centre = np.array(shape.position) + rotate(np.array(shape.orientation), np.array([0.0, 0.0, end]))
         _place(entity.spheres.add(), centre.tolist(), IDENTITY, (2 * radius,) * 3, colour)
 
 
+def _add_cylinder(entity: Any, shape: Shape, colour: Colour) -> None:
+    radius, length = shape.size
+    tube = entity.cylinders.add(bottom_scale=1.0, top_scale=1.0)
+    _place(tube, shape.position, shape.orientation, (2 * radius, 2 * radius, length), colour)
+
+
+def _add_ellipsoid(entity: Any, shape: Shape, colour: Colour) -> None:
+    _place(entity.spheres.add(), shape.position, shape.orientation, shape.size, colour)
+
+
+def _add_mesh(entity: Any, shape: Shape, colour: Colour) -> None:
+    assert shape.mesh is not None
+    made = entity.triangles.add(indices=shape.mesh.triangles.ravel().tolist())
+    for x, y, z in shape.mesh.points.tolist():
+        made.points.add(x=x, y=y, z=z)
+    made.pose.CopyFrom(pose(shape.position, shape.orientation))
+    _paint(made, colour)
+
+
 def _place(primitive: Any, position: Vector, orientation: Vector, size: Vector, colour: Colour) -> None:
     primitive.pose.CopyFrom(pose(position, orientation))
     primitive.size.x, primitive.size.y, primitive.size.z = size
+    _paint(primitive, colour)
+
+
+def _paint(primitive: Any, colour: Colour) -> None:
     primitive.color.r, primitive.color.g, primitive.color.b = colour
     primitive.color.a = 1.0
 
 
-_ADD = {"box": _add_box, "sphere": _add_sphere, "capsule": _add_capsule}
+_ADD = {
+    "box": _add_box,
+    "sphere": _add_sphere,
+    "capsule": _add_capsule,
+    "cylinder": _add_cylinder,
+    "ellipsoid": _add_ellipsoid,
+    "mesh": _add_mesh,
+}

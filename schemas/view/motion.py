@@ -1,4 +1,4 @@
-"""How the bodies and links of one environment move, as frames over rows of its states."""
+"""How the bodies and links of one environment move, as frames over rows of its states: forward kinematics."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 
 from gpusimbench.schemas.errors import DamagedRecording
 from gpusimbench.schemas.fields import StateField
-from gpusimbench.schemas.view.rotation import about_z, product
-from gpusimbench.schemas.view.shapes import IDENTITY, Link, links_of
-
-ROBOT = "robot"
+from gpusimbench.schemas.view.geometry import Look
+from gpusimbench.schemas.view.kinematics import ROBOT, Key, Link, Placed
+from gpusimbench.schemas.view.rotation import product, rotate, unit
+from gpusimbench.schemas.view.shapes import IDENTITY
 
 
 class Part(NamedTuple):
@@ -23,12 +23,12 @@ class Part(NamedTuple):
 
     name    of the body or link
     group   that it belongs to
-    parent  name of the link that it is relative to; empty for the env's frame
+    parent  number of the part that it is relative to; None for the env's frame
     """
 
     name: str
     group: str
-    parent: str
+    parent: int | None
 
 
 @dataclass(frozen=True)
@@ -57,25 +57,21 @@ class Motion:
 
     origin  of the environment in the engine's world frame [m]; frames are relative to it
 
-    DamagedRecording where fields or the scene are not of the format.
+    DamagedRecording where the fields are not of the format, or are not those of the look.
     """
 
-    def __init__(
-        self, fields: Sequence[StateField], scene: dict[str, Any], *, origin: Sequence[float] = (0.0, 0.0, 0.0)
-    ) -> None:
+    def __init__(self, fields: Sequence[StateField], look: Look, *, origin: Sequence[float] = (0.0, 0.0, 0.0)) -> None:
         self._origin = np.array(origin, dtype=np.float64)
         self._known = {field.name: field for field in fields}
         self._bodies = [field for field in fields if field.field == "position"]
-        self._joints = self._known.get(f"{ROBOT}/qpos")
-        self._links = links_of(scene) if self._joints is not None and self._joints.width == 1 else ()
-        self._check()
+        asked = dict.fromkeys(joint.field for link in look.links for joint in link.joints)
+        joints = [field for name in asked if (field := self._known.get(name)) is not None and _of_joints(field)]
+        self._links = look.links if joints or (self._bodies and not asked) else ()
         turned = [f for f in map(self._turned, self._bodies) if f is not None]
-        robot = [self._joints] if self._joints is not None and self._links else []
-        self.fields = (*self._bodies, *turned, *robot)
-        self.parts = (
-            *(Part(name, field.group, "") for field in self._bodies for name in field.items),
-            *(Part(link.name, ROBOT, link.parent) for link in self._links),
-        )
+        self.fields = tuple(dict.fromkeys((*self._bodies, *turned, *(joints if self._links else ()))))
+        self._check()
+        free = [Part(name, field.group, None) for field in self._bodies for name in field.items]
+        self.parts = tuple(_parts(free, self._links))
 
     def frames(self, states: Sequence[NDArray[Any]]) -> tuple[Frame, ...]:
         """Frames of rows, in the order of `parts`, from an array [row, item, width] of each of `fields`."""
@@ -93,11 +89,12 @@ class Motion:
             turned = self._turned(field)
             if turned is not None and (turned.components != ("w", "x", "y", "z") or turned.items != field.items):
                 raise DamagedRecording(f"{turned.name} is not of this format")
-        for link in self._links:
-            if link.joint and (self._joints is None or link.joint not in self._joints.items):
-                raise DamagedRecording(f"no angle of the joint {link.joint!r} was recorded")
+        for joint in (joint for link in self._links for joint in link.joints):
+            values = next((field for field in self.fields if field.name == joint.field), None)
+            if values is None or joint.name not in values.items:
+                raise DamagedRecording(f"no {joint.field} of the joint {joint.name!r} was recorded")
 
-    def _moved(self, states: dict[str, NDArray[Any]]) -> Iterator[tuple[NDArray[np.float64], NDArray[np.float64]]]:
+    def _moved(self, states: dict[str, NDArray[Any]]) -> Iterator[Placed]:
         for field in self._bodies:
             recorded = states[field.name].astype(np.float64)
             position = np.zeros((*recorded.shape[:2], 3))
@@ -111,15 +108,37 @@ class Motion:
             for item in range(len(field.items)):
                 yield position[:, item], orientation[:, item]
 
-    def _hung(self, states: dict[str, NDArray[Any]]) -> Iterator[tuple[NDArray[np.float64], NDArray[np.float64]]]:
-        if self._joints is None or not self._links:
-            return
-        angles = states[self._joints.name][..., 0].astype(np.float64)
+    def _hung(self, states: dict[str, NDArray[Any]]) -> Iterator[Placed]:
+        n_row = len(next(iter(states.values()))) if states else 0
+        values = {name: array.astype(np.float64) for name, array in states.items()} if self._links else {}
         for link in self._links:
-            yield np.broadcast_to(np.array(link.position), (len(angles), 3)), self._turn(link, angles)
+            items = [self._known[joint.field].items.index(joint.name) for joint in link.joints]
+            moved = [values[joint.field][:, item] for joint, item in zip(link.joints, items, strict=True)]
+            yield link.placed(moved, n_row)
 
-    def _turn(self, link: Link, angles: NDArray[np.float64]) -> NDArray[np.float64]:
-        at_zero = np.broadcast_to(np.array(link.orientation), (len(angles), 4))
-        if not link.joint or self._joints is None:
-            return at_zero
-        return product(at_zero, about_z(angles[:, self._joints.items.index(link.joint)]))
+
+def absolute(frames: Sequence[Frame]) -> list[Placed]:
+    """Poses of all frames in the env's frame, in their order."""
+    poses: list[Placed] = []
+    for frame in frames:
+        position, orientation = frame.position, frame.orientation
+        if frame.part.parent is not None:
+            there, turned = poses[frame.part.parent]
+            turned = unit(turned)
+            position, orientation = there + rotate(turned, position), product(turned, orientation)
+        poses.append((position, orientation))
+    return poses
+
+
+def _of_joints(field: StateField) -> bool:
+    return field.width == 1 if field.field == "qpos" else field.components == ("w", "x", "y", "z")
+
+
+def _parts(free: Sequence[Part], links: Sequence[Link]) -> Iterator[Part]:
+    yield from free
+    known: dict[Key | None, int | None] = {None: None, **{(p.group, p.name): at for at, p in enumerate(free)}}
+    for at, link in enumerate(links, len(free)):
+        if link.parent not in known:
+            raise DamagedRecording(f"no pose of the body that {link.name!r} hangs on was recorded")
+        yield Part(link.name, ROBOT, known[link.parent])
+        known[ROBOT, link.name] = at

@@ -1,11 +1,11 @@
-"""The view that a recording has: which messages on which topics follow from its states, scene and layout.
+"""The view that a recording has: which messages on which topics follow from its states and its look.
 
 Whoever writes a recording makes them, and whoever checks one makes them again. No digest covers them.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,9 +17,9 @@ from gpusimbench.schemas.errors import DamagedRecording
 from gpusimbench.schemas.fields import StateField
 from gpusimbench.schemas.messages import message_class
 from gpusimbench.schemas.view.env_view import ROOT, EnvView
+from gpusimbench.schemas.view.geometry import Look
 from gpusimbench.schemas.view.layout import layout
 from gpusimbench.schemas.view.motion import Motion, one_of
-from gpusimbench.schemas.view.shapes import solids_of
 
 RATE = 30.0
 """Most poses a second of simulated time [Hz]."""
@@ -46,7 +46,7 @@ class RecordedView:
     types    message type by topic
     one_of   of so many recorded rows one is shown, the first of them
 
-    DamagedRecording where fields or scene are not of the format, or hold nothing to show.
+    DamagedRecording where fields or look are not of the format, or hold nothing to show.
     """
 
     def __init__(
@@ -54,20 +54,20 @@ class RecordedView:
         env: int,
         *,
         fields: Sequence[StateField],
-        scene: Mapping[str, Any],
+        look: Look,
         env_origins: Sequence[Sequence[float]],
         dt: float,
         stride: int,
     ) -> None:
         origin = tuple(env_origins[env]) if env_origins else (0.0, 0.0, 0.0)
-        motion = Motion(fields, dict(scene), origin=origin)
+        motion = Motion(fields, look, origin=origin)
         if not motion.parts:
             raise DamagedRecording("the states are of no bodies or joints that could be shown")
         if any(field.group == topics.VIEW for field in fields):
             raise DamagedRecording(f"the group {topics.VIEW!r} of states has the name that topics of views begin with")
         self.env = env
         self.one_of = one_of(RATE, dt=dt, stride=stride)
-        self._shown = EnvView(env, origin, motion, solids_of(dict(scene)))
+        self._shown = EnvView(env, origin, motion, look.solids)
         self._dt, self._stride = dt, stride
         self._scene, self._transforms = topics.view("scene", env), topics.view("transforms", env)
         self._poses = {group: topics.view(f"{group}_poses", env) for group in self._shown.groups}

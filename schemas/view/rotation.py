@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 
-def about_z(angle: NDArray[Any]) -> NDArray[np.float64]:
-    """Rotations about z by angles [rad], any shape; returns [..., 4]."""
+def about(axis: Sequence[float], angle: NDArray[Any]) -> NDArray[np.float64]:
+    """Rotations about a unit vector by angles [rad], any shape; returns [..., 4]."""
     half = np.asarray(angle, dtype=np.float64) / 2
-    zero = np.zeros_like(half)
-    return np.stack([np.cos(half), zero, zero, np.sin(half)], axis=-1)
+    return np.stack([np.cos(half), *(np.sin(half) * part for part in axis)], axis=-1)
+
+
+def unit(quaternion: NDArray[Any]) -> NDArray[np.float64]:
+    """Quaternions [..., 4] at length 1; those of length 0 as they are."""
+    length = np.linalg.norm(quaternion, axis=-1, keepdims=True)
+    return np.asarray(quaternion / np.where(length > 0, length, 1.0), dtype=np.float64)
 
 
 def product(first: NDArray[Any], then: NDArray[Any]) -> NDArray[np.float64]:

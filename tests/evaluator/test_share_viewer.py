@@ -18,7 +18,7 @@ from mcap.reader import make_reader
 from gpusimbench import open_recording
 from gpusimbench.evaluator.player.viewer import write_view
 from gpusimbench.schemas.errors import DamagedRecording, NotARecording, UsageError
-from gpusimbench.schemas.view.rotation import about_z, product, rotate
+from gpusimbench.schemas.view.rotation import about, product, rotate
 from gpusimbench.schemas.view.shapes import links_of
 from tests.evaluator.test_share_pack import share
 from tests.evaluator.viewing import placed, read
@@ -246,8 +246,8 @@ def test_a_view_of_a_file_cut_short(tmp_path: Path) -> None:
 @given(st.floats(-7, 7), st.floats(-7, 7))
 def test_rotations_add_up(a: float, b: float) -> None:
     """Turn by two angles as by their sum, and a vector as the angle says."""
-    q = product(about_z(np.array(a)), about_z(np.array(b)))
-    assert np.allclose(q, about_z(np.array(a + b)))
+    q = product(about((0, 0, 1), np.array(a)), about((0, 0, 1), np.array(b)))
+    assert np.allclose(q, about((0, 0, 1), np.array(a + b)))
     assert np.allclose(rotate(q, np.array([1.0, 0.0, 2.0])), [np.cos(a + b), np.sin(a + b), 2.0])
 
 

@@ -21,6 +21,7 @@ from gpusimbench.recorder.scenes.model.scene import compiled, model_scene
 from gpusimbench.schemas.errors import DamagedRecording, ExitCode, UsageError
 from gpusimbench.schemas.mcap.reader import Container
 from gpusimbench.schemas.model_files import MODEL, pack, unpack
+from gpusimbench.schemas.view.geometry import GEOMETRY
 from tests.conftest import call
 
 WALKER = Path(__file__).parents[2] / "examples" / "walker" / "walker.xml"
@@ -238,8 +239,9 @@ def test_controls_stay_within_their_range(lower: float, upper: float, seed: int)
 @pytest.mark.slow
 @pytest.mark.parametrize("sim", ["warp", "mjx"])
 def test_another_engine(sim: str, recording: Path, tmp_path: Path) -> None:
-    """Record the same model on another engine: the same layout and actions, states that agree at first."""
+    """Record the same model on another engine: the same layout, actions and look, states that agree at first."""
     path = _record(tmp_path, "--model", WALKER, "--steps", "3", sim=sim)
+    assert Container(path).attachment(GEOMETRY) == Container(recording).attachment(GEOMETRY)
     read, c = open_recording(path), open_recording(recording)
     assert [(f.name, f.items, f.units) for f in read.simulation.fields] == [
         (f.name, f.items, f.units) for f in c.simulation.fields

@@ -280,7 +280,7 @@ def test_what_a_crash_leaves(tmp_path: Path) -> None:
     field = body_field("cubes", "position", "float32", names)
     configuration = RunConfiguration("test", "free-fall", n_env=2, dt=0.01, steps=400, view=(1,))
     sink = Sink(tmp_path / "run.mcap", compression="none")
-    view = ViewWriter(sink, configuration, fields=(field,), scene=scene, env_origins=())
+    view = ViewWriter(sink, configuration, fields=(field,), scene=scene, attachments={}, env_origins=())
     sink.flush()
     rows = np.zeros((50, 2, len(names), 3), dtype=np.float32)
     for block in range(3):
@@ -349,7 +349,7 @@ def test_a_group_named_view(tmp_path: Path) -> None:
     with pytest.raises(DamagedRecording, match="the name that topics of views begin with"):
         ViewWriter(
             sink, configuration, fields=(body_field("view", "position", "float64", ("a",)),), scene=None,
-            env_origins=(),
+            attachments={}, env_origins=(),
         )  # fmt: skip
     sink.abandon()
 

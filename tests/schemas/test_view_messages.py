@@ -20,6 +20,7 @@ from gpusimbench.schemas.errors import DamagedRecording
 from gpusimbench.schemas.fields import StateField, body_field, joint_field
 from gpusimbench.schemas.messages import DESCRIPTOR_SETS, embedded_schema, message_class
 from gpusimbench.schemas.topics import has_digest, parse_state, parse_view, view
+from gpusimbench.schemas.view.geometry import look_of
 from gpusimbench.schemas.view.layout import layout
 from gpusimbench.schemas.view.motion import Motion, one_of
 from gpusimbench.schemas.view.recorded import RecordedView
@@ -87,7 +88,9 @@ FIELDS = tuple(body_field("cubes", name, "float64", ("cube_0_0_0", "b")) for nam
 def recorded_view(stride: int) -> RecordedView:
     """Of the second of two environments."""
     scene = json.loads(make_scene("inclined-collision").to_json())
-    return RecordedView(1, fields=FIELDS, scene=scene, env_origins=[(0, 0, 0), (1, 2, 3)], dt=0.01, stride=stride)
+    return RecordedView(
+        1, fields=FIELDS, look=look_of(scene), env_origins=[(0, 0, 0), (1, 2, 3)], dt=0.01, stride=stride
+    )
 
 
 @given(st.lists(st.integers(1, 50), min_size=1, max_size=6), st.integers(1, 7))
@@ -121,9 +124,9 @@ def test_states_that_are_not_of_the_format() -> None:
     scene: dict[str, Any] = {}
     other = body_field("cubes", "orientation", "float64", ("b", "cube_0_0_0"))
     with pytest.raises(DamagedRecording, match="cubes/orientation is not of this format"):
-        Motion((FIELDS[1], other), scene)
+        Motion((FIELDS[1], other), look_of(scene))
     with pytest.raises(DamagedRecording, match="no bodies or joints"):
-        RecordedView(0, fields=(), scene=scene, env_origins=(), dt=0.1, stride=1)
+        RecordedView(0, fields=(), look=look_of(scene), env_origins=(), dt=0.1, stride=1)
 
 
 def test_things_of_one_name() -> None:
@@ -133,7 +136,7 @@ def test_things_of_one_name() -> None:
     scene = {"bodies": [{"name": n, "group": g, "shape": box, **({"mass": 1.0} if g else {})} for g, n in bodies]}
     fields = [body_field("one", "position", "float64", ("a",)),
               body_field("two", "position", "float64", ("a", "", "\x1b", "\\x1b"))]  # fmt: skip
-    view = RecordedView(0, fields=fields, scene=scene, env_origins=(), dt=0.01, stride=1)
+    view = RecordedView(0, fields=fields, look=look_of(scene), env_origins=(), dt=0.01, stride=1)
     states = [np.zeros((1, 1, 3)), np.zeros((1, 4, 3))]
     transforms = next(view.rows([0], states)).message.transforms
     frames = [t.child_frame_id for t in transforms]
@@ -150,7 +153,7 @@ def test_things_of_one_name() -> None:
 def colours_of(scene: str, field: StateField) -> tuple[list[Any], list[Any]]:
     """Of what is fixed in a scene's view, and of what moves: one of each entity, red, green, blue and alpha."""
     made = RecordedView(
-        0, fields=[field], scene=json.loads(make_scene(scene).to_json()), env_origins=(), dt=0.01, stride=1
+        0, fields=[field], look=look_of(json.loads(make_scene(scene).to_json())), env_origins=(), dt=0.01, stride=1
     )
     found: tuple[list[Any], list[Any]] = [], []
     for entity in made.scene().message.entities:

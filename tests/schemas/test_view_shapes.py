@@ -8,7 +8,8 @@ import pytest
 
 from gpusimbench.schemas.errors import DamagedRecording
 from gpusimbench.schemas.view.foxglove import entity
-from gpusimbench.schemas.view.shapes import Link, Shape, Solid, links_of, solids_of
+from gpusimbench.schemas.view.kinematics import Link
+from gpusimbench.schemas.view.shapes import Shape, Solid, links_of, solids_of
 
 UPRIGHT = (1.0, 0.0, 0.0, 0.0)
 LYING = (math.sqrt(0.5), 0.0, math.sqrt(0.5), 0.0)  # z to x
@@ -57,7 +58,7 @@ def test_what_a_scene_leaves_out() -> None:
     box = {"kind": "box", "size": [1, 2, 3]}
     (wall,) = solids_of({"bodies": [{"name": "wall", "shape": box}]})
     assert wall.shapes == (Shape("box", (1.0, 2.0, 3.0), (0.0, 0.0, 0.0), UPRIGHT),)
-    assert links_of({"robot": {"links": [{"name": "hand"}]}}) == (Link("hand", "", (0.0, 0.0, 0.0), UPRIGHT, ""),)
+    assert links_of({"robot": {"links": [{"name": "hand"}]}}) == (Link("hand", None, (0.0, 0.0, 0.0), UPRIGHT),)
 
 
 def test_shapes_that_are_known() -> None:

@@ -1,4 +1,4 @@
-"""What viewers are told to draw, made again from the states, the scene and the events, and held against the file."""
+"""What viewers are told to draw, made again from the states, their look and the events, and held against the file."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ class _Check:
             raise DamagedRecording(f"it shows environment {env}, of {c.n_env}")
         origins = recording.simulation.env_origins if recording.simulation else ()
         return RecordedView(
-            env, fields=recording.fields, scene=recording.scene, env_origins=origins, dt=c.dt, stride=c.stride
+            env, fields=recording.fields, look=recording.look, env_origins=origins, dt=c.dt, stride=c.stride
         )
 
     def _check_type(self, topic: str, kind: str) -> None:

@@ -15,11 +15,13 @@ from gpusimbench.recorder.scenes.emit.mjcf import deviations, emit_mjcf
 from gpusimbench.recorder.scenes.model.contents import choices, keyframe_of, moving
 from gpusimbench.recorder.scenes.model.scene import BALLS, BODIES, JOINTS, ModelScene, compiled
 from gpusimbench.recorder.simulators.base import States
+from gpusimbench.recorder.simulators.mujoco.geometry import geometry_of
 from gpusimbench.recorder.simulators.mujoco.layout import Balls, FreeBodies, Joints, Part, rotate_to_body
 from gpusimbench.recorder.simulators.mujoco.options import GEOM_ATTRIBUTES, OPTION_ATTRIBUTES, MjcfOptions
 from gpusimbench.schemas.errors import UsageError
 from gpusimbench.schemas.fields import StateField
 from gpusimbench.schemas.provenance import Deviation
+from gpusimbench.schemas.view.geometry import GEOMETRY, MEDIA_TYPE
 
 KNOWS_AUTORESET = hasattr(mujoco.mjtDisableBit, "mjDSBL_AUTORESET")
 """Whether this release can be told not to reset a state that went bad; older ones always do, with a warning."""
@@ -48,8 +50,11 @@ class MjcfModel:
 
     @property
     def attachments(self) -> dict[str, tuple[str, bytes]]:
-        """The model as a recording carries it; files of the user's own are attached as they are."""
-        return {} if isinstance(self.scene, ModelScene) else {"scene.xml": ("application/xml", self.xml.encode())}
+        """The model as a recording carries it; files of the user's own are attached as they are, and what viewers draw
+        of them beside these."""
+        if isinstance(self.scene, ModelScene):
+            return {GEOMETRY: (MEDIA_TYPE, geometry_of(self.model))}
+        return {"scene.xml": ("application/xml", self.xml.encode())}
 
     @property
     def deviations(self) -> tuple[Deviation, ...]:

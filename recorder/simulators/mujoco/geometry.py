@@ -1,0 +1,191 @@
+"""What viewers draw of a compiled model: its bodies, their joints, and the shapes that MuJoCo's own viewer shows."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections import Counter
+from collections.abc import Iterator
+from typing import Any
+
+import mujoco
+import numpy as np
+from mujoco import mjtGeom, mjtJoint
+
+from gpusimbench.recorder.scenes.model.contents import moving
+from gpusimbench.recorder.scenes.model.scene import BALLS, BODIES, JOINTS
+from gpusimbench.recorder.simulators.mujoco.meshes import fewer, grid
+from gpusimbench.schemas.view.geometry import MAX_SHAPES
+from gpusimbench.schemas.view.shapes import MAX_LINKS
+
+TRIANGLES = 8000
+"""Of all meshes that are drawn, together; about 200 kB of JSON."""
+
+_MOST, _LEAST = 800, 60  # triangles of a mesh; where there is no room for the least, its bounding box is drawn
+_GROUPS = 3  # of geoms; MuJoCo's viewer shows the first three at the beginning, collision shapes are in others
+_PLANE_M = 20.0  # of a plane, so much is drawn at most
+_DIGITS = 5  # of a mesh's coordinates, as shares of its size
+
+_JOINTS = {
+    int(mjtJoint.mjJNT_FREE): ("free", BODIES),
+    int(mjtJoint.mjJNT_HINGE): ("hinge", JOINTS),
+    int(mjtJoint.mjJNT_SLIDE): ("slide", JOINTS),
+    int(mjtJoint.mjJNT_BALL): ("ball", BALLS),
+}
+
+
+def geometry_of(model: Any) -> bytes:
+    """Bodies, joints and shapes of a mujoco.MjModel as geometry.json (schemas.view.geometry), at most a few hundred kB.
+
+    The body that everything hangs on comes first, each other one after its parent. Of a model that is larger than what
+    viewers draw, nothing but that it is.
+    """
+    shapes = _Shapes(model)
+    if model.nbody > MAX_LINKS or len(shapes.shown) > MAX_SHAPES:
+        said = f"the model has {model.nbody} bodies and {len(shapes.shown)} shapes, which are too many to be drawn"
+        return json.dumps({"bodies": [], "simplified": [said]}).encode()
+    names = _names(model)
+    joints = dict(_joints(model))
+    bodies = [
+        {
+            "name": names[body],
+            **({"parent": int(model.body_parentid[body])} if body else {}),
+            "position": model.body_pos[body].tolist(),
+            "orientation": model.body_quat[body].tolist(),
+            "joints": [joints[j] for j in range(model.njnt) if model.jnt_bodyid[j] == body],
+            "shapes": shapes.of(body),
+        }
+        for body in range(model.nbody)
+    ]
+    record = {"bodies": bodies, "meshes": shapes.meshes, "simplified": list(shapes.simplified())}
+    return json.dumps(record, separators=(",", ":")).encode()
+
+
+def _names(model: Any) -> list[str]:
+    names = [model.body(body).name or f"body{body}" for body in range(model.nbody)]
+    count = Counter(names)
+    return [name if count[name] == 1 or model.body(body).name else f"{name}#" for body, name in enumerate(names)]
+
+
+def _joints(model: Any) -> Iterator[tuple[int, dict[str, Any]]]:
+    for kind, (word, group) in _JOINTS.items():
+        found = moving(model, mjtJoint(kind))
+        for name, joint in zip(found.names, found.joints, strict=True):
+            record: dict[str, Any] = {"kind": word, "group": group, "name": name}
+            if word != "free":
+                record |= {"anchor": model.jnt_pos[joint].tolist()}
+            if group == JOINTS:
+                reference = float(model.qpos0[model.jnt_qposadr[joint]])
+                record |= {"axis": model.jnt_axis[joint].tolist(), "reference": reference}
+            yield joint, record
+
+
+class _Shapes:
+    """The shapes that one sees.
+
+    shown   numbers of their geoms
+    meshes  that were needed so far, as of the format
+    """
+
+    def __init__(self, model: Any) -> None:
+        self._model = model
+        self.shown = [geom for geom in range(model.ngeom) if self._seen(geom)] or list(range(model.ngeom))
+        solid = [geom for geom in self.shown if self._triangles(geom) is not None]
+        self._most = min(_MOST, TRIANGLES // max(1, len(solid)))
+        self.meshes: list[dict[str, list[Any]]] = []
+        self._numbers: dict[tuple[int, int], int | None] = {}  # of meshes, by kind and number in the model
+        self._reduced: dict[tuple[int, int], tuple[int, int]] = {}
+
+    def of(self, body: int) -> list[dict[str, Any]]:
+        """The shapes of a body."""
+        return [self._record(geom) for geom in self.shown if self._model.geom_bodyid[geom] == body]
+
+    def simplified(self) -> Iterator[str]:
+        """Sentences: what is drawn otherwise than it is."""
+        m = self._model
+        if self._reduced:
+            left, before = map(sum, zip(*self._reduced.values(), strict=True))
+            yield (
+                f"{len(self._reduced)} meshes or height fields are drawn with {left} of their {before} triangles: "
+                "points near each other are merged"
+            )
+        if boxes := sum(number is None for number in self._numbers.values()):
+            yield f"{boxes} meshes or height fields are drawn as boxes: there is no room for their triangles"
+        if hidden := m.ngeom - len(self.shown):
+            yield f"{hidden} shapes are not drawn, as in MuJoCo's own viewer: transparent ones, and geom groups 3 to 5"
+        if m.nflex or m.nskin:
+            yield f"flexible bodies ({m.nflex}) and skins ({m.nskin}) are not drawn"
+
+    def _seen(self, geom: int) -> bool:
+        m = self._model
+        material = m.geom_matid[geom]
+        alphas = [m.geom_rgba[geom, 3], *([m.mat_rgba[material, 3]] if material >= 0 else [])]
+        return bool(m.geom_group[geom] < _GROUPS and min(alphas) > 0)
+
+    def _record(self, geom: int) -> dict[str, Any]:
+        m = self._model
+        position, orientation = m.geom_pos[geom].tolist(), m.geom_quat[geom].tolist()
+        shape = self._shape(geom)
+        if shape["kind"] == "box" and self._triangles(geom) is not None:  # the box about a mesh, not about its origin
+            turned = np.zeros(3)
+            mujoco.mju_rotVecQuat(turned, m.geom_aabb[geom, :3], m.geom_quat[geom])
+            position = (m.geom_pos[geom] + turned).tolist()
+        return {"shape": shape, "position": position, "orientation": orientation}
+
+    def _shape(self, geom: int) -> dict[str, Any]:
+        m = self._model
+        a, b, c = m.geom_size[geom].tolist()
+        match int(m.geom_type[geom]):
+            case mjtGeom.mjGEOM_PLANE:
+                edges = [min(2 * half, _PLANE_M) if half > 0 else _PLANE_M for half in (a, b)]
+                return {"kind": "plane", "size": edges}
+            case mjtGeom.mjGEOM_SPHERE:
+                return {"kind": "sphere", "radius": a}
+            case mjtGeom.mjGEOM_CAPSULE:
+                return {"kind": "capsule", "radius": a, "length": 2 * b}
+            case mjtGeom.mjGEOM_CYLINDER:
+                return {"kind": "cylinder", "radius": a, "length": 2 * b}
+            case mjtGeom.mjGEOM_ELLIPSOID:
+                return {"kind": "ellipsoid", "size": [2 * a, 2 * b, 2 * c]}
+            case mjtGeom.mjGEOM_BOX:
+                return {"kind": "box", "size": [2 * a, 2 * b, 2 * c]}
+        number = self._mesh(geom)
+        if number is not None:
+            return {"kind": "mesh", "mesh": number}
+        return {"kind": "box", "size": (2 * m.geom_aabb[geom, 3:]).tolist()}
+
+    def _triangles(self, geom: int) -> int | None:
+        m = self._model
+        data = m.geom_dataid[geom]
+        match int(m.geom_type[geom]):
+            case mjtGeom.mjGEOM_MESH | mjtGeom.mjGEOM_SDF if data >= 0:
+                return int(m.mesh_facenum[data])
+            case mjtGeom.mjGEOM_HFIELD:
+                return 2 * int((m.hfield_nrow[data] - 1) * (m.hfield_ncol[data] - 1))
+        return None
+
+    def _mesh(self, geom: int) -> int | None:
+        m = self._model
+        data = int(m.geom_dataid[geom])
+        key = int(m.geom_type[geom]) == mjtGeom.mjGEOM_HFIELD, data
+        if key in self._numbers:
+            return self._numbers[key]
+        self._numbers[key] = None
+        before = self._triangles(geom)
+        if before and self._most >= _LEAST:
+            if key[0]:
+                rows, columns, begin = m.hfield_nrow[data], m.hfield_ncol[data], m.hfield_adr[data]
+                x, y, top, _ = m.hfield_size[data].tolist()
+                whole = grid(top * m.hfield_data[begin : begin + rows * columns].reshape(rows, columns), x, y)
+            else:
+                points = m.mesh_vert[m.mesh_vertadr[data] :][: m.mesh_vertnum[data]]
+                whole = points.astype(np.float64), m.mesh_face[m.mesh_faceadr[data] :][:before].astype(np.int64)
+            if found := fewer(*whole, self._most):
+                self._numbers[key] = len(self.meshes)
+                digits = _DIGITS - math.ceil(math.log10(float(np.ptp(found[0], axis=0).max()) or 1.0))
+                self.meshes.append(
+                    {"points": found[0].round(digits).ravel().tolist(), "triangles": found[1].ravel().tolist()}
+                )
+                if len(found[1]) < before:
+                    self._reduced[key] = len(found[1]), before
+        return self._numbers[key]
