@@ -8,7 +8,7 @@ from itertools import product
 from typing import Any
 
 from gpusimbench.schemas import checks
-from gpusimbench.schemas.errors import DamagedRecording
+from gpusimbench.schemas.errors import DamagedRecording, UsageError
 
 UNKNOWN = "unknown"
 """The unit of numbers of which nothing tells a unit."""
@@ -174,10 +174,14 @@ def array_field(
 ) -> StateField:
     """An array of each environment that is no state of bodies: an observation, an action, a reward, a flag.
 
-    name   lower-case letters, digits and underscores
+    name   lower-case letters, digits and underscores; no key of FIELD_KINDS
     dtype  "float32" or "float64"; flags are 0 and 1
     shape  of the array of one environment; numbers are named by their indices, joined by underscores
     unit   where all its numbers have one
+
+    UsageError for the name of a state of bodies or joints.
     """
+    if name in FIELD_KINDS:
+        raise UsageError(f"'{name}' is a state of bodies or joints, which body_field and joint_field describe")
     components = tuple("_".join(map(str, at)) for at in product(*map(range, shape)))
     return StateField(ENV, name, dtype, ("",), components, unit, UNKNOWN, note)

@@ -30,14 +30,14 @@ class Drift:
 
     def reset(self, seed):
         self.at, self.x = 0, np.random.default_rng(seed).normal(size=(self.n_env, 2)).astype(np.float32)
-        return {"x": self.x, "at": np.full(self.n_env, self.at), "ok": np.ones(self.n_env, bool)}
+        return {"x": self.x, "at": np.full(self.n_env, self.at), "ok": np.ones(self.n_env, bool), "position": np.zeros((self.n_env, 3))}
 
     def step(self, action):
         self.at += 1
         self.x = self.x * np.float32(1.5)
         if self.run % 2 and self.at == 3:
             self.x[-1, 0] = np.nan
-        return {"x": self.x, "at": np.full(self.n_env, self.at), "ok": np.ones(self.n_env, bool)}
+        return {"x": self.x, "at": np.full(self.n_env, self.at), "ok": np.ones(self.n_env, bool), "position": np.zeros((self.n_env, 3))}
 
 def test_same(gsb):
     gsb.assert_identical(np.zeros((2, 2)), np.zeros((2, 2)))
@@ -120,7 +120,11 @@ def test_failures_and_what_is_kept(tmp_path: Path, site: str) -> None:
         "x": ("float32", "unknown", ""),
         "at": ("float64", "unknown", "recorded from int64"),
         "ok": ("float32", "unknown", "recorded from bool"),
+        "position_array": ("float64", "unknown", ""),
     }
+    evaluated = call("gsb-eval", a.path, b.path)
+    assert evaluated.returncode == 0, evaluated.stderr
+    assert "positions are compared" not in evaluated.stdout
     found = call("gsb-diff", a.path, b.path)
     assert found.returncode == 4
     assert "from step 3 (3 s) on, first in env 2: env/x[0]: " in found.stdout

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from gpusimbench.schemas.fields import UNKNOWN, StateField, array_field
+from gpusimbench.schemas.fields import FIELD_KINDS, UNKNOWN, StateField, array_field
 
 NO_STEP = "at step 0, which no step of the environment leads to, 0 stands for it"
 
@@ -26,4 +26,6 @@ def field_of(name: str, dtype: np.dtype[Any], shape: tuple[int, ...], *notes: st
     recorded = recorded_dtype(dtype)
     told = [f"recorded from {dtype}"] if recorded != dtype else []
     plain = re.sub(r"[^a-z0-9]+", "_", name.lower()).strip("_") or "array"
+    if plain in FIELD_KINDS:  # which would make it a state of bodies or joints
+        plain += "_array"
     return array_field(plain, str(recorded), shape, unit=unit, note="; ".join([*told, *notes]))

@@ -291,3 +291,5 @@ def test_arrays_that_are_no_states_of_bodies(tmp_path: Path) -> None:
         "observation": ("unknown", ("0_0", "0_1", "0_2", "1_0", "1_1", "1_2"), ("",)),
         "reward": ("1", ("",), ("",)),
     }
+    with pytest.raises(UsageError, match="'qpos' is a state of bodies or joints"):
+        array_field("qpos", "float32")
