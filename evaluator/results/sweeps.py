@@ -13,12 +13,11 @@ from gpusimbench.evaluator.results.metric import Estimate
 from gpusimbench.evaluator.results.result import GroupResult
 from gpusimbench.evaluator.runs.groups import GroupKey, asked
 from gpusimbench.evaluator.runs.labels import Given, labels, options_given
+from gpusimbench.evaluator.runs.outcome import joint_fields
 from gpusimbench.evaluator.runs.run import Run
 
 LONG = 3
 """From so many points on, a sweep is shown as one, and its points no more as groups of their own."""
-
-_ROBOT = "robot"
 
 SOURCES = {
     "memory_peak_increment": "device, NVML: peak minus baseline",
@@ -114,8 +113,8 @@ class Sweep:
 
     @property
     def articulated(self) -> bool:
-        """Whether its scene has a robot."""
-        return any(f.group == _ROBOT for p in self.points for r in p.recordings for f in r.fields)
+        """Whether its scene has a robot: joints were recorded."""
+        return any(joint_fields(r.fields) for p in self.points for r in p.recordings)
 
     @property
     def at_max(self) -> GroupResult | None:
