@@ -139,3 +139,19 @@ def test_the_last_record_of_a_file_without_an_end(tmp_path: Path, last: bytes, w
     walk = Walk(MappedFile(path))
     _visit(walk)
     assert walk.end == (at + len(record) if whole else at)
+
+
+def test_bytes_behind_what_a_chunk_holds(tmp_path: Path) -> None:
+    """Refuse a chunk that is longer than it says in a strict walk, and pass over the rest in a plain one."""
+    path = write_recording(tmp_path, grid(2))
+    data = path.read_bytes()
+    at = _position(data, Op.CHUNK)
+    (length,) = struct.unpack_from("<Q", data, at + 1)
+    end = at + 9 + length
+    path.write_bytes(data[: at + 1] + struct.pack("<Q", length + 1) + data[at + 9 : end] + b"x" + data[end:])
+    plain, strict = Walk(MappedFile(path)), Walk(MappedFile(path), lambda fault, what: None)
+    first, again = (next(record for record in walk if record.opcode == Op.CHUNK) for walk in (plain, strict))
+    head = plain.head(first)
+    assert head.chunk.end == end
+    with pytest.raises(DamagedRecording, match="holds another number of bytes than it says"):
+        strict.head(again)

@@ -138,7 +138,9 @@ def test_rights_are_those_of_any_new_file(tmp_path: Path) -> None:
     """Let others read what the user's umask lets them read."""
     (tmp_path / "usual").touch()
     writing.write_file(tmp_path / "ours", b"")
-    assert (tmp_path / "ours").stat().st_mode == (tmp_path / "usual").stat().st_mode
+    os.close(writing.open_lock(tmp_path / "lock"))
+    for name in ("ours", "lock"):
+        assert (tmp_path / name).stat().st_mode == (tmp_path / "usual").stat().st_mode
 
 
 def _writes(tree: ast.AST) -> Iterator[ast.Call]:
