@@ -132,6 +132,40 @@ def test_an_idle_world_is_not_the_fastest(tmp_path: Path) -> None:
     assert why["unproven"].startswith("protocol-2 not met: contacts are not counted at the begin and the end")
     text = render_html(evaluation, published=False, command="")
     assert "protocol-2 not met: the timed phase takes less than 1 s" in text
+    assert fastest_of(evaluation) == (
+        "quick, unproven", ("protocol-2 not met: timed steps, or evidence of work",)
+    )  # fmt: skip
+
+
+def fastest_of(evaluation: Evaluation) -> tuple[str, tuple[str, ...]]:
+    """Who is faster and not ranked on the first screen, and why."""
+    (found,) = [t for t in report(Source(evaluation, False, "")).tables() if t.key == "fastest"]
+    said = found.rows[0].cells[[c.title for c in found.columns].index("faster, not ranked")]
+    return said.text, said.notes
+
+
+def test_each_is_unranked_for_its_own_reason(tmp_path: Path) -> None:
+    """Say of each faster simulator on the first screen what speaks against it, not one reason for all."""
+    write_recording(tmp_path, grid(2), simulator="honest", elapsed_s=4.0, proven=True)
+    write_recording(tmp_path, grid(2), simulator="quick", elapsed_s=0.5, proven=True)
+    sunk = grid(2)
+    sunk[:, :9, 2] = -1.0
+    write_recording(tmp_path, sunk, simulator="sinks", elapsed_s=2.0, proven=True)
+    assert fastest_of(evaluate_files(sorted(tmp_path.glob("*.mcap")))) == (
+        "quick, sinks",
+        ("quick: protocol-2 not met: timed steps, or evidence of work", "sinks: INVALID, or mechanics broken"),
+    )
+
+
+def test_many_simulators_have_a_line_each(tmp_path: Path) -> None:
+    """Show a line a simulator where there are many, and no column in which nothing was compared."""
+    for index in range(5):
+        write_recording(tmp_path, grid(2), simulator=f"s{index}", elapsed_s=4.0)
+    evaluation = evaluate_files(sorted(tmp_path.glob("*.mcap")))
+    (found,) = [t for t in report(Source(evaluation, False, "")).tables() if t.key == "simulators"]
+    assert found.compact
+    assert [c.title for c in found.columns] == ["simulator", "envs alike", "valid", "mechanics"]
+    assert '<div class="table compact"' in render_html(evaluation, published=False, command="")
 
 
 @pytest.mark.parametrize("runs", [1, 3])

@@ -148,3 +148,15 @@ def test_a_scene_is_named_for_all_groups_or_none(tmp_path: Path) -> None:
     assert [label.removeprefix("synthetic ") for label in labels(keys)] == [
         "[a, n_env=1]", "[a, n_env=2]", "[b, n_env=2]", "[b, n_env=3]", "[n_env=5]", "[n_env=6]", "[d]",
     ]  # fmt: skip
+
+
+def test_what_stands_beside_a_label(tmp_path: Path) -> None:
+    """Leave out of labels what a table shows beside them, and number those that are alike even so."""
+    kinds: list[dict[str, Any]] = [
+        {"simulator": "a", "scene": scene, "warmup": warmup}
+        for scene in ("free-fall", "inclined-collision")
+        for warmup in (10, 20)
+    ]
+    keys = [g.key for g in group([open_recording(write_recording(tmp_path, grid(1), **kind)) for kind in kinds])]
+    assert sorted(labels(keys, beside=("scene",))) == ["a [warmup=10]"] * 2 + ["a [warmup=20]"] * 2
+    assert len(set(labels(keys))) == 4

@@ -203,13 +203,12 @@ def _ratio(shift: Shift, curve: Curve) -> str:
 
 
 def _figure(curve: Curve, one: Traced, key: str, history: History) -> Figure:
-    unit = curve.metric.unit
     names = [point.label for point in history.points]
     dots = list(_dots(curve, names))
     marks = [Mark(s.point, f"{_ratio(s, curve)} at {names[s.point]}", s.change in FAILING) for s in curve.shifts]
     marks.sort(key=lambda mark: mark.at)
     drawn = history_chart(
-        dots, names, value=curve.metric.titled, tick=lambda v: figure(v, unit), marks=marks, levels=_levels(curve)
+        dots, names, value=curve.metric.titled, tick=lambda v: f"{v:,.10g}", marks=marks, levels=_levels(curve)
     )
     better = "" if curve.metric.direction is Direction.NEITHER else f", {curve.metric.direction.value} is better"
     rows = [

@@ -25,12 +25,13 @@ from gpusimbench.evaluator.render.document import (
     table,
 )
 from gpusimbench.evaluator.render.numbers import plural
-from gpusimbench.evaluator.report.leaders import Fastest, Speed, fastest
+from gpusimbench.evaluator.report.leaders import Fastest, Speed, fastest, speaks_against
 from gpusimbench.evaluator.report.sections import probed, scatter
 from gpusimbench.evaluator.report.source import Source
 from gpusimbench.evaluator.report.verdicts import NOT_COMPARED, QUESTIONS, TO_REFERENCE, usual
 from gpusimbench.evaluator.results.cost_metrics import FPS
 from gpusimbench.evaluator.results.evaluation import Evaluation
+from gpusimbench.evaluator.results.faults import faults_anywhere
 from gpusimbench.evaluator.results.result import GroupResult
 from gpusimbench.evaluator.runs.groups import is_instrument
 
@@ -160,7 +161,7 @@ def _fastest_table(results: Sequence[GroupResult]) -> Iterator[Table]:
         "The fastest valid simulator of each scene",
         ["scene, device", f"fastest [{FPS.unit}]", "next", "faster, not ranked"],
         [
-            Row((_where(one), _named(one.first), _named(one.second), _barred(one)), {"scene": one.scene})
+            Row((_where(one), _named(one.first), _named(one.second), _barred(one, results)), {"scene": one.scene})
             for one in found
         ],
     ).without_empty_columns()
@@ -197,8 +198,20 @@ def _named(speed: Speed | None) -> Cell:
     return Cell(f"{key.simulator}: {fps.text}", notes=(f"{key.n_env:,} envs",))
 
 
-def _barred(found: Fastest) -> Cell:
-    names = list(dict.fromkeys(speed.result.group.key.simulator for speed, _ in found.faster))
-    if not names:
+def _barred(found: Fastest, results: Sequence[GroupResult]) -> Cell:
+    if not found.faster:
         return Cell("-")
-    return Cell(", ".join(names), notes=("INVALID, or mechanics broken",), tone=Tone.BAD)
+    names: dict[str, list[str]] = {}
+    for speed, _ in found.faster:
+        names.setdefault(_against(speed.result, results), []).append(speed.result.group.key.simulator)
+    notes = [why if len(names) == 1 else f"{', '.join(those)}: {why}" for why, those in names.items()]
+    return Cell(", ".join(name for those in names.values() for name in those), notes=tuple(notes), tone=Tone.BAD)
+
+
+def _against(result: GroupResult, results: Sequence[GroupResult]) -> str:
+    """What kind of reason speaks against naming a throughput first; the section on throughput has it in full."""
+    if faults_anywhere(result, results):
+        return "INVALID, or mechanics broken"
+    if speaks_against(result, results):
+        return f"{PROTOCOL} not met: timed steps, or evidence of work"
+    return "larger error against the tosses"
