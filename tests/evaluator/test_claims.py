@@ -60,7 +60,7 @@ class _Run:
     @property
     def configuration(self) -> Any:
         return SimpleNamespace(
-            n_env=self.n_env, dt=0.1, seed=0, initial="", intervention="", phases=("capture",), run_index=0
+            n_env=self.n_env, dt=0.1, seed=0, initial="", intervention="", vary="", phases=("capture",), run_index=0
         )
 
     @property
@@ -109,7 +109,7 @@ def test_the_verdicts_of_a_report(groups: list[tuple[float | None, int]]) -> Non
     results: list[Any] = [
         SimpleNamespace(
             metrics={name: _estimate(name, value, n) for name in ("distinct_envs", "distinct_runs")} | {
-                name: _estimate(name, None, 0) for name in ("w1_parallel", "w1_run_to_run")
+                name: _estimate(name, None, 0) for name in METRICS if name not in ("distinct_envs", "distinct_runs")
             },
             group=SimpleNamespace(key=SimpleNamespace(determinism="default")),
         )

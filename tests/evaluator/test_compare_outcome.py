@@ -27,7 +27,7 @@ def between(base: float, head: float, apart: float, n: tuple[int, int] = (3, 3))
 @pytest.mark.parametrize(("apart", "change"), [(0.01, Change.SMALL), (0.010001, Change.CHANGED)])
 def test_runs_of_a_side_that_are_alike(apart: float, change: Change) -> None:
     """Hold the two outcomes against what matters, where each side has one."""
-    found = Distances(between(0.0, 0.0, apart, (2, 2)), (2, 2), exact=True, alike=(True, True), same=False)
+    found = Distances(between(0.0, 0.0, apart, (2, 2)), "cm", (2, 2), exact=True, alike=(True, True), same=False)
     outcome = compare_outcomes(found, SETTINGS, applies=True)
     assert isinstance(outcome, Finding)
     assert (outcome.change, outcome.said) == (change, ("0 within base", f"0 within head, {apart:.3g} between them"))
@@ -38,7 +38,7 @@ def test_runs_of_a_side_that_are_alike(apart: float, change: Change) -> None:
 
 def test_runs_that_are_one_on_both_sides() -> None:
     """Need no second run of a side to see that two runs end the same."""
-    found = Distances(between(0.0, 0.0, 0.0, (1, 1)), (1, 1), exact=True, alike=(True, True), same=True)
+    found = Distances(between(0.0, 0.0, 0.0, (1, 1)), "cm", (1, 1), exact=True, alike=(True, True), same=True)
     outcome = compare_outcomes(found, SETTINGS, applies=True)
     assert isinstance(outcome, Finding)
     assert outcome.change is Change.SAME
@@ -47,7 +47,7 @@ def test_runs_that_are_one_on_both_sides() -> None:
 @pytest.mark.parametrize("n", [(1, 3), (3, 1)])
 def test_one_run_of_a_side(n: tuple[int, int]) -> None:
     """Compare nothing where a side has a single run that is not the other's."""
-    found = Distances(between(1.0, 1.0, 2.0, n), n, exact=True, alike=(n[0] == 1, n[1] == 1), same=False)
+    found = Distances(between(1.0, 1.0, 2.0, n), "cm", n, exact=True, alike=(n[0] == 1, n[1] == 1), same=False)
     for finding in (compare_outcomes(found, SETTINGS, applies=True), compare_spread(W1, found, SETTINGS, applies=True)):
         assert isinstance(finding, Finding)
         assert (finding.change, finding.applies) == (Change.NOT_COMPARED, True)
@@ -65,7 +65,7 @@ def test_one_run_of_a_side(n: tuple[int, int]) -> None:
 )
 def test_a_spread_that_changes(base: float, head: float, change: Change) -> None:
     """Count a change by more than the threshold, and by a length that matters; leave both ways open without a test."""
-    found = Distances(between(base, head, 3.0), (3, 3), exact=True, alike=(False, False), same=False)
+    found = Distances(between(base, head, 3.0), "cm", (3, 3), exact=True, alike=(False, False), same=False)
     asked = compare_spread(W1, found, SETTINGS, applies=True)
     assert callable(asked)
     shown, not_shown = asked(0.05, able=True)
@@ -78,7 +78,7 @@ def test_a_spread_that_changes(base: float, head: float, change: Change) -> None
 @pytest.mark.parametrize(("apart", "change"), [(1.005, Change.SMALL), (1.02, Change.CHANGED)])
 def test_outcomes_that_are_further_apart_than_runs(apart: float, change: Change) -> None:
     """Count what runs of different sides are further apart than runs of one side."""
-    found = Distances(between(1.0, 1.0, apart), (3, 3), exact=True, alike=(False, False), same=False)
+    found = Distances(between(1.0, 1.0, apart), "cm", (3, 3), exact=True, alike=(False, False), same=False)
     asked = compare_outcomes(found, SETTINGS, applies=True)
     assert callable(asked)
     shown, not_shown = asked(0.05, able=False)
@@ -99,5 +99,8 @@ def test_positions_that_are_not_there(applies: bool) -> None:
 def test_mean_distances_within_the_sides() -> None:
     """Average over pairs of different runs of each side, and over none of a single run."""
     matrix = np.array([[0.0, 1.0, 2.0, 9.0], [1.0, 0.0, 6.0, 9.0], [2.0, 6.0, 0.0, 9.0], [9.0, 9.0, 9.0, 0.0]])
-    assert Distances(matrix, (3, 1), exact=True, alike=(False, True), same=False).within() == (3.0, None)
-    assert Distances(matrix[:, ::-1][::-1], (2, 2), exact=True, alike=(False, False), same=False).within() == (9.0, 1.0)
+    assert Distances(matrix, "cm", (3, 1), exact=True, alike=(False, True), same=False).within() == (3.0, None)
+    assert Distances(matrix[:, ::-1][::-1], "cm", (2, 2), exact=True, alike=(False, False), same=False).within() == (
+        9.0,
+        1.0,
+    )

@@ -253,3 +253,16 @@ def test_the_crc_of_a_chunk_gives_that_of_its_message(tmp_path: Path, compressio
     for content, crc in (one for messages in found.values() for one in messages):
         assert crc in (None, zlib.crc32(content))
     assert {crc is None for _, crc in found["/state/cubes/position/000000"]} == {False}
+
+
+def test_how_large_an_attachment_may_be(tiny: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Read an attachment of the largest size, and refuse one that has a byte more."""
+    container = Container(tiny)
+    name = container.attachment_names()[0]
+    content = container.attachment(name)
+    assert content
+    monkeypatch.setattr(reader, "MAX_ATTACHMENT_BYTES", len(content))
+    assert container.attachment(name) == content
+    monkeypatch.setattr(reader, "MAX_ATTACHMENT_BYTES", len(content) - 1)
+    with pytest.raises(DamagedRecording, match=f"more than the {len(content) - 1} bytes"):
+        container.attachment(name)

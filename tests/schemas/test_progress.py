@@ -6,6 +6,7 @@ import io
 import subprocess
 import sys
 import textwrap
+import threading
 from pathlib import Path
 
 import pytest
@@ -94,6 +95,8 @@ def test_weights_and_parts_of_parts(clock: Clock) -> None:
         assert made.words(clock.now) == "reading: 1 of 2, 9 s so far, about 1 s left"
         with stage("drawing"):
             assert shown.stages[-1].words(clock.now + 5.0) == "drawing, 5 s so far"
+        with stage("writing", 1):
+            assert shown.stages[-1].words(clock.now + 5.0) == "writing, 5 s so far"
         assert shown.stages == [made]
     moved(1.0)  # of nothing
 
@@ -172,3 +175,16 @@ def test_the_innermost_stage_is_told(clock: Clock, capsys: pytest.CaptureFixture
         made.advance()
         shown.tick()
     assert capsys.readouterr().err.startswith("gsb-x: reading: 1 of 100")
+
+
+def test_no_thread_is_left(clock: Clock, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Do the work without telling of it where the system starts no thread."""
+
+    def refuse(_: threading.Thread) -> None:
+        raise RuntimeError("can't start new thread")
+
+    monkeypatch.delenv("GSB_PROGRESS", raising=False)
+    monkeypatch.setattr(threading.Thread, "start", refuse)
+    with Progress("gsb-x", live=False, clock=clock), stage("reading", 2) as made:
+        made.advance()
+    assert made.done == 1
