@@ -18,6 +18,7 @@ from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 
 from gpusimbench.schemas.errors import DamagedRecording, UsageError
+from gpusimbench.schemas.writing import write_file
 
 MODEL = "model.zip"
 """Attachment with a closure."""
@@ -87,7 +88,7 @@ def unpack(data: bytes, folder: Path) -> Path:
                     content = stream.read(member.file_size + 1)
                 if len(content) > member.file_size:
                     raise DamagedRecording(f"{MODEL}: {name} is longer than the archive says")
-                target.write_bytes(content)
+                write_file(target, content, durable=False)
     except DamagedRecording:
         raise
     except Exception as error:  # zipfile raises what it likes, and a name may be taken by a folder

@@ -19,6 +19,7 @@ GRID = 2.0**-13
 _WORD_BITS = 16  # of the random word that scales a range; a range of less than 2^16 steps keeps the product in 32 bits
 _RANGE_BITS = 15  # steps that a range is divided into, at most
 _MANTISSA_BITS = 24  # of a float32
+_SMALLEST = 2.0**-102  # whose last bit is a normal float32 still
 
 
 @dataclass(frozen=True)
@@ -110,7 +111,7 @@ class Controls(JointTargets):
     @classmethod
     def within(cls, name: str, ranges: Mapping[str, tuple[float, float]]) -> Controls:
         """Numbers within these ranges, by the names of the actuators; ValueError for a range that is none."""
-        found = [(float(np.float32(low)), float(np.float32(high))) for low, high in ranges.values()]
+        found = [(_number(low), _number(high)) for low, high in ranges.values()]
         grids = tuple(grid_of(low, high) for low, high in found)
         lower, upper = tuple(low for low, _ in found), tuple(high for _, high in found)
         return cls(name, tuple(ranges), lower, upper, grids)
@@ -121,6 +122,11 @@ class Controls(JointTargets):
     def describe(self, seed: int) -> str:
         """See JointTargets.describe."""
         return json.dumps({"generator": "murmur3-fmix32", **self._known(seed), "grids": self.grids})
+
+
+def _number(value: float) -> float:
+    # in float32, of which what is too small for 24 bits is zero
+    return float(np.float32(value)) if abs(value) >= _SMALLEST else 0.0
 
 
 def grid_of(lower: float, upper: float) -> float:

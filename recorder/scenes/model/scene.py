@@ -101,6 +101,7 @@ def compiled(archive: bytes, numerics: Mapping[str, str] | None = None) -> tuple
 
     with tempfile.TemporaryDirectory(prefix="gsb-model-") as folder:
         main = unpack(archive, Path(folder))
+        mujoco.set_mju_user_warning(lambda said: None)  # MuJoCo would write it to a file in the present folder
         try:
             if not numerics:
                 return main.name, mujoco.MjModel.from_xml_path(str(main))
@@ -111,6 +112,8 @@ def compiled(archive: bytes, numerics: Mapping[str, str] | None = None) -> tuple
         except (ValueError, mujoco.FatalError) as error:
             said = " ".join(str(error).replace(folder, "").split())
             raise UsageError(f"MuJoCo {mujoco.__version__} does not compile {main.name}: {said}") from None
+        finally:
+            mujoco.set_mju_user_warning(None)
 
 
 def model_scene(name: str, archive: bytes, *, keyframe: str = "", actions: str = "") -> ModelScene:
