@@ -109,6 +109,10 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument(
         "--option", action="append", default=[], metavar="NAME=VALUE", help="replace a recorded option; repeatable"
     )
+    p.show_first(
+        "--runs", "--out", "--require", "--json", "--all", "--python", "--timeout", "--allow-model", "--phases",
+        "--option",
+    )  # fmt: skip
     return p
 
 

@@ -9,7 +9,6 @@ from gpusimbench.recorder.simulators.jax.simulator import Physics
 from gpusimbench.recorder.simulators.mjx import physics as mjx_physics
 from gpusimbench.recorder.simulators.mjx.physics import MjxModel, MjxOptions
 from gpusimbench.recorder.simulators.mjx.stepper import MjxSimulator
-from gpusimbench.recorder.simulators.mjx.varied import batched
 
 
 class Mjx(MjxSimulator):
@@ -30,6 +29,8 @@ class Mjx(MjxSimulator):
         import jax
         import jax.numpy as jnp
         from mujoco import mjx
+
+        from gpusimbench.recorder.simulators.mjx.varied import batched
 
         model_on_device, axes = batched(model.put(device), model.varied) if model.varied else (model.put(device), None)
         step = jax.vmap(mjx.step, (axes, 0))
