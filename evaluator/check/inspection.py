@@ -52,13 +52,18 @@ class Array:
 
 @dataclass(frozen=True)
 class Rate:
-    """Steps of all environments in a time: env_steps_per_s = n_env * steps / seconds; `first_step` were made before."""
+    """Steps of all environments in a time: env_steps_per_s = n_env * steps * times / seconds.
+
+    first_step  steps that were made before
+    times       how often the same steps were made and timed
+    """
 
     n_env: int
     steps: int
     seconds: float
     env_steps_per_s: float
     first_step: int = 0
+    times: int = 1
 
 
 @dataclass(frozen=True)
@@ -254,10 +259,11 @@ def _timed(recording: Recording) -> tuple[Rate | None, str]:
         return None, "no timed phase was asked for"
     if timing is None:
         return None, "the run ended before its timed phase did"
-    if timing.steps_per_interval < 1 or len(timing.start_ns) != -(-c.timed_steps // timing.steps_per_interval):
+    times = timing.times_of(c.timed_steps)
+    if times is None:
         return None, f"its clocks are not those of {c.timed_steps} steps"
-    fps = frames_per_second(c.n_env, c.timed_steps, timing.elapsed_s)
-    return Rate(c.n_env, c.timed_steps, timing.elapsed_s, fps, timing.first_step), ""
+    fps = frames_per_second(c.n_env, times * c.timed_steps, timing.elapsed_s)
+    return Rate(c.n_env, c.timed_steps, timing.elapsed_s, fps, timing.first_step, times), ""
 
 
 def _captured(recording: Recording, phases: dict[str, float]) -> tuple[Rate | None, str]:

@@ -28,17 +28,33 @@ class StepTiming:
     first_step          simulator step that the first interval begins with
     steps_per_interval  simulator steps per interval
     start_ns, end_ns    host's monotonic clock at the begin and end of each interval [ns], shape [interval]
+    windows             the same steps may be timed several times: the first interval of each time
     """
 
     first_step: int
     steps_per_interval: int
     start_ns: NDArray[np.int64]
     end_ns: NDArray[np.int64]
+    windows: tuple[int, ...] = (0,)
 
     @property
     def elapsed_s(self) -> float:
-        """From the first begin to the last end [s]."""
-        return float(self.end_ns[-1] - self.start_ns[0]) * 1e-9
+        """From the first begin to the last end of each window, summed over windows [s]."""
+        ends = (*(first - 1 for first in self.windows[1:]), -1)
+        begins = list(self.windows)
+        return float((self.end_ns[list(ends)] - self.start_ns[begins]).sum()) * 1e-9
+
+    @property
+    def first_end_ns(self) -> int:
+        """The end of the first window [ns]."""
+        return int(self.end_ns[self.windows[1] - 1 if len(self.windows) > 1 else -1])
+
+    def times_of(self, steps: int) -> int | None:
+        """How many times so many steps were timed; None where the intervals are of other steps."""
+        intervals = -(-steps // self.steps_per_interval) if self.steps_per_interval else 0  # the last may be shorter
+        times = len(self.windows)
+        alike = self.windows == tuple(range(0, times * intervals, max(intervals, 1)))
+        return times if intervals and alike and len(self.start_ns) == times * intervals else None
 
     @property
     def total_s(self) -> float:
@@ -150,6 +166,7 @@ def read_timing(messages: Messages) -> dict[str, StepTiming]:
             raise messages.damaged(f"{topic} has {len(start)} begins and {len(end)} ends")
         if not len(start):
             continue  # a phase of no steps
+        parts = [p for p in parts if len(p.start_ns)]
         if min(start.min(), end.min()) < -_MAX_NS or max(start.max(), end.max()) > _MAX_NS:
             raise messages.damaged(f"{topic} has a time that no clock shows")
         if len({p.steps_per_interval for p in parts}) > 1 or parts[0].first_step > MAX_COUNT:
@@ -162,7 +179,9 @@ def read_timing(messages: Messages) -> dict[str, StepTiming]:
         ):
             raise messages.damaged(f"the clock of {topic} went backwards")
         name = topic.removeprefix("/timing/")
-        found[name] = StepTiming(parts[0].first_step, parts[0].steps_per_interval, start, end)
+        at = np.cumsum([0, *(len(p.start_ns) for p in parts)])[:-1]
+        windows = tuple(int(i) for i, p in zip(at, parts, strict=True) if p.first_step == parts[0].first_step)
+        found[name] = StepTiming(parts[0].first_step, parts[0].steps_per_interval, start, end, windows)
     return found
 
 

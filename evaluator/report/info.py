@@ -230,7 +230,8 @@ def _how_long(found: Inspection) -> Iterator[tuple[str, str]]:
 
 
 def _rate(rate: Rate) -> str:
-    window = f"{rate.n_env} x {rate.steps} steps, from step {rate.first_step:,}"
+    again = f", timed {rate.times} times" if rate.times > 1 else ""
+    window = f"{rate.n_env} x {rate.steps} steps, from step {rate.first_step:,}{again}"
     short = f" (< {SHORT_S:g} s)" if rate.seconds < SHORT_S else ""
     return f"{rate.env_steps_per_s:,.0f} env-steps/s: {window}, in {rate.seconds:.4g} s{short}"
 

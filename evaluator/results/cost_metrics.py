@@ -22,9 +22,9 @@ _NOT_SAMPLED = "the timed phase was left out, or no memory was sampled in it"
 
 def _fps(run: Run) -> float | Missing:
     c = run.configuration
-    if not run.elapsed_s:
+    if not (run.elapsed_s and run.timed_steps):
         return Missing("the timed phase was left out")
-    return frames_per_second(c.n_env, c.timed_steps, run.elapsed_s)
+    return frames_per_second(c.n_env, run.timed_steps, run.elapsed_s)
 
 
 def _throughput(group: GroupRuns) -> Throughput:
@@ -151,9 +151,9 @@ def _compile(metric: Metric, group: GroupRuns) -> Estimate:
 
 def _overhead(run: Run) -> float | Missing:
     c = run.configuration
-    if not (run.capture_s and run.elapsed_s):
+    if not (run.capture_s and run.elapsed_s and run.timed_steps):
         return Missing("timed and captured steps were not both clocked")
-    return overhead(run.capture_s, c.captured_steps, run.elapsed_s, c.timed_steps)
+    return overhead(run.capture_s, c.captured_steps, run.elapsed_s, run.timed_steps)
 
 
 def _capture(group: GroupRuns) -> CaptureOverhead:

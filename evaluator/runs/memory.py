@@ -45,5 +45,5 @@ def allocator_peak(recording: Recording) -> int | Missing:
 
 def _checkpoints(recording: Recording, trace: MemoryTrace) -> Checkpoints:
     timed = recording.timing.get("timed")
-    peak = None if timed is None else trace.peak("timed", int(timed.end_ns[-1]))
+    peak = None if timed is None else trace.peak("timed", timed.first_end_ns)
     return Checkpoints(trace.at("baseline"), trace.at("post-init"), trace.at("post-warmup"), peak, trace.at("final"))

@@ -31,7 +31,7 @@ from gpusimbench.evaluator.runs.run import BitSummary, CountSummary, OverflowSum
 from gpusimbench.evaluator.runs.spread import spread
 from gpusimbench.evaluator.runs.state_hashes import Histories, histories_of
 from gpusimbench.evaluator.runs.sunk_cubes import count_sunk
-from gpusimbench.evaluator.runs.validation import LONGEST_S, NOT_TIMED, check_overflow, elapsed_of, verify
+from gpusimbench.evaluator.runs.validation import LONGEST_S, NOT_TIMED, check_overflow, timed_of, verify
 from gpusimbench.schemas.errors import NUMBERS_OF_A_STRANGER, DamagedRecording, GsbError
 from gpusimbench.schemas.location import Place
 from gpusimbench.schemas.provenance import REAL
@@ -119,7 +119,7 @@ def _described(recording: Recording) -> Run:
 def _measured(run: Run, recording: Recording, sample_time: float) -> Run:
     positions = sample_positions(recording, sample_time)
     sunk = count_sunk(recording)
-    timing = recording.timing
+    timing, timed = recording.timing, timed_of(recording)
     gpu = gpu_memory(recording)
     captured = recording.fingerprints("capture")
     if recording.configuration.keep:
@@ -128,7 +128,8 @@ def _measured(run: Run, recording: Recording, sample_time: float) -> Run:
         histories = histories_of(captured) if captured is not None else Missing("no states were captured")
     return replace(
         run,
-        elapsed_s=elapsed_of(recording),
+        elapsed_s=timed if isinstance(timed, Missing) else timed[1],
+        timed_steps=timed if isinstance(timed, Missing) else timed[0],
         gpu=gpu,
         host=host_memory(recording),
         allocator=allocator_peak(recording),

@@ -88,7 +88,8 @@ class Run:
     Measured, of a run that is complete and lost no data; of others these are Missing, `compile_s` is empty and
     `reached` false:
 
-    elapsed_s   of the timed phase [s]
+    elapsed_s   of the timed phase, all windows together [s]
+    timed_steps  that took so long: those of a window, as often as the window was timed
     gpu         memory of the device that steps [byte]; Missing also where the simulator ran on the CPU
     host        memory of the process [byte]
     allocator   peak of the engine's own device allocator up to the end of the timed phase [byte]
@@ -130,6 +131,7 @@ class Run:
     unmet: tuple[str, ...] = ()
     stamp: Stamp | Missing = Missing("the file was not read for good")
     elapsed_s: float | Missing = NOT_MEASURED
+    timed_steps: int | Missing = NOT_MEASURED
     gpu: GpuMemory | Missing = NOT_MEASURED
     host: Checkpoints | Missing = NOT_MEASURED
     allocator: int | Missing = NOT_MEASURED

@@ -59,7 +59,7 @@ def demands(recording: Recording) -> Iterator[Callable[[], object]]:
     yield lambda: check_described(recording)
     yield lambda: _drawn(recording)
     if recording.usable:
-        yield lambda: elapsed_of(recording)
+        yield lambda: timed_of(recording)
         yield lambda: check_overflow(recording)
 
 
@@ -173,19 +173,22 @@ def _same_rows(recording: Recording) -> None:
 NOT_TIMED = Missing("the timed phase was left out")
 
 
-def elapsed_of(recording: Recording) -> float | Missing:
-    """Duration of the timed phase [s]; DamagedRecording where its clocks are of other steps."""
+def timed_of(recording: Recording) -> tuple[int, float] | Missing:
+    """Steps of the timed phase, all windows together, and how long they took [s].
+
+    DamagedRecording where the clocks are of other steps.
+    """
     timing = recording.timing.get("timed")
     if timing is None:
         return NOT_TIMED
     c = recording.configuration
-    intervals = -(-c.timed_steps // max(timing.steps_per_interval, 1))  # the last one may be shorter
-    if timing.steps_per_interval < 1 or len(timing.start_ns) != intervals:
+    times = timing.times_of(c.timed_steps)
+    if times is None:
         raise DamagedRecording(
             f"{recording.path}: {len(timing.start_ns)} intervals of {timing.steps_per_interval} steps were timed, "
             f"not the {c.timed_steps} steps that were asked for"
         )
-    return timing.elapsed_s
+    return times * c.timed_steps, timing.elapsed_s
 
 
 def check_overflow(recording: Recording) -> None:

@@ -79,8 +79,13 @@ class EvidenceWriter:
             envs=np.count_nonzero(bits, axis=1).tolist(),
         )
         self._sink.write(topics.overflow(self._phase), message.SerializeToString(), sim_ns=time)
-        if not bits.any():
+        return self.overflowed(evidence, first_step=first_step)
+
+    def overflowed(self, evidence: Evidence, *, first_step: int) -> list[str]:
+        """The gates that fired anew in rows from `first_step` on, one sentence each; writes nothing."""
+        if evidence.overflow is None or not evidence.overflow.any():
             return []
+        bits = evidence.overflow.astype(np.uint32, copy=False)
         found = {
             bit: gate
             for bit, name in self._fatal.items()

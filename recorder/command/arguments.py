@@ -96,8 +96,8 @@ _SIMULATED: dict[str, Any] = {
     "keep": "",
     "view_env": (),
     "no_view": False,
-    "warmup": 100,
-    "timed_steps": 1000,
+    "warmup": None,
+    "timed_steps": None,
     "ray": None,
     "ray_resource": None,
 }
@@ -306,10 +306,14 @@ def parser() -> Parser:
         "--warmup",
         type=int,
         metavar="N",
-        help=f"untimed steps first (default: {_SIMULATED['warmup']})",
+        help="untimed steps first (default: 100; of cube-toss: 10)",
     )
     how.add_argument(
-        "--timed-steps", type=int, metavar="N", help=f"number of timed steps (default: {_SIMULATED['timed_steps']})"
+        "--timed-steps",
+        type=int,
+        metavar="N",
+        help="number of timed steps; 100 and more are timed again, from the initial states on, until they took 1 s "
+        "together (default: 1000; of cube-toss: 100)",
     )
     how.add_argument(
         "--compression",

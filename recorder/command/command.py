@@ -60,6 +60,7 @@ def configure(arguments: argparse.Namespace) -> tuple[RunConfiguration, dict[str
     elif begins and given is None:
         begins, given = read_given(begins, arguments.n_env if arguments.sweep is None else 1)
     steps = round(scene.sample_time / dt) if arguments.steps is None else arguments.steps
+    warmup, timed_steps = scene.timed_window()
     configuration = RunConfiguration(
         simulator=arguments.sim,
         scene=scene.name,
@@ -67,8 +68,8 @@ def configure(arguments: argparse.Namespace) -> tuple[RunConfiguration, dict[str
         dt=dt,
         steps=steps,
         stride=arguments.stride,
-        warmup=arguments.warmup,
-        timed_steps=arguments.timed_steps,
+        warmup=warmup if arguments.warmup is None else arguments.warmup,
+        timed_steps=timed_steps if arguments.timed_steps is None else arguments.timed_steps,
         phases=phases,
         seed=arguments.seed,
         compression=arguments.compression,

@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 from gpusimbench.recorder.run.start import begin
 from gpusimbench.recorder.simulators.base import Description, Simulator
+from gpusimbench.recorder.simulators.snapshot import Extent
 
 
 class Engine:
@@ -19,6 +20,7 @@ class Engine:
         self._initial = initial
         self._given = given
         self._present: Simulator | None = None
+        self._description: Description | None = None
 
     @property
     def simulator(self) -> Simulator:
@@ -30,9 +32,20 @@ class Engine:
         """Close the present simulator, if any, and build a fresh one, in its initial states."""
         self._close()
         self._present = self._make()
-        description = self._present.build()
+        self._description = description = self._present.build()
         begin(self._present, description, self._initial, self._given)
         return description
+
+    @property
+    def can_begin_again(self) -> bool:
+        """Whether the present simulator can be brought back to its initial states."""
+        return self.simulator.state_claims(self.simulator.options).reset.extent is not Extent.NONE
+
+    def begin_again(self) -> None:
+        """Bring the present simulator back to its initial states, and to the actions of step 0, without a new build."""
+        assert self._description is not None
+        self.simulator.reset()
+        begin(self.simulator, self._description, self._initial, self._given)
 
     def __enter__(self) -> Engine:
         return self

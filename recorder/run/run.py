@@ -237,7 +237,7 @@ class Run:
                     )
                     watch.checkpoint("post-init")
                 if "timed" in configuration.phases:
-                    warm_up_and_time(journal, watch, engine.simulator, description, configuration, self._progress)
+                    warm_up_and_time(journal, watch, engine, description, configuration, self._progress)
                     watch.checkpoint("final")
                 if "capture" in configuration.phases and not journal.problems:
                     if "timed" in configuration.phases:

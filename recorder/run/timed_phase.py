@@ -4,13 +4,17 @@ Between two clock readings lies what the simulator says of it (Description.timin
 last, memory is sampled as well, at 100 Hz, and clock rates of the hardware at 5 Hz, both from other threads; nothing is
 written, drawn or reported meanwhile, and Python collects no garbage. An interval has `timing_interval` steps; the last
 may have fewer.
+
+Windows: a pause of the system is a large part of a short timed phase. Where the timed steps take less than a second,
+environments are brought back to their initial states, make the warm-up again, and the same steps are timed once more,
+until the windows together take a second. What is counted and hashed is of the first window; gates are asked after all.
 """
 
 from __future__ import annotations
 
 import gc
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,11 +22,21 @@ from numpy.typing import NDArray
 from gpusimbench.recorder.capture.evidence import EvidenceWriter
 from gpusimbench.recorder.capture.states import declare_fingerprints, write_fingerprints
 from gpusimbench.recorder.capture.watch import Watch
+from gpusimbench.recorder.run.engine import Engine
 from gpusimbench.recorder.run.given_actions import given, write_applied
 from gpusimbench.recorder.run.journal import Journal, Phase
-from gpusimbench.recorder.simulators.base import Description, Simulator
+from gpusimbench.recorder.simulators.base import Description, Simulator, States
 from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.fingerprint import fingerprint
+
+ENOUGH_S = 1.0
+"""Time [s] that all windows together should take."""
+
+LEAST_STEPS = 100
+"""Windows of fewer steps are not timed again: they are tries, and break the protocol anyway."""
+
+_PATIENCE = 30
+"""Windows are timed again for at most so many times ENOUGH_S by the clock, initial states and warm-ups included."""
 
 _SAMPLED = "memory is sampled from another thread at 100 Hz, clock rates from another at 5 Hz"
 
@@ -30,13 +44,14 @@ _SAMPLED = "memory is sampled from another thread at 100 Hz, clock rates from an
 def warm_up_and_time(
     journal: Journal,
     watch: Watch,
-    simulator: Simulator,
+    engine: Engine,
     description: Description,
     configuration: RunConfiguration,
     progress: Callable[[str, int, int], None],
 ) -> None:
     """Step through both phases; what speaks against them is noted as gates of the journal."""
     sink, warmup, steps = journal.sink, configuration.warmup, configuration.timed_steps
+    simulator = engine.simulator
     covers = f"{description.timing_covers}; {_SAMPLED}"
     interval = simulator.timing_interval
     counted = EvidenceWriter(sink, description, "timed", dt=configuration.dt, stride=max(1, steps))
@@ -55,17 +70,50 @@ def warm_up_and_time(
     with Phase(journal, watch, "timed"):
         progress("timed", 0, steps)  # and not again before the last step: throughput counts what lies between
         clocks = _step(simulator, steps, interval)
-    state = simulator.state()
-    hashes.append(fingerprint(state))
-    journal.timing("timed", clocks, warmup, interval, covers)
-    # Two hashes at steps that the capture may pass as well: equal ones show that capturing changed nothing.
-    declare_fingerprints(sink, "timed")
-    write_fingerprints(sink, "timed", np.stack(hashes), first_step=warmup, stride=steps, dt=configuration.dt)
+        state = simulator.state()
+        hashes.append(fingerprint(state))
+        journal.timing("timed", clocks, warmup, interval, covers)
+        # Two hashes at steps that the capture may pass as well: equal ones show that capturing changed nothing.
+        declare_fingerprints(sink, "timed")
+        write_fingerprints(sink, "timed", np.stack(hashes), first_step=warmup, stride=steps, dt=configuration.dt)
+        _ask_finite(journal, state, steps)
+        journal.count(simulator.evidence(), counted, warmup + steps)
+        journal.ask_gates(simulator)
+        write_applied(journal, simulator, configuration, warmup, steps)
+        for again in _timed_again(engine, configuration, clocks):
+            journal.timing("timed", again, warmup, interval, covers)
+            if evidence := simulator.evidence():
+                for fired in counted.overflowed(evidence, first_step=warmup + steps):
+                    journal.gate(fired, "BUFFER")
+            _ask_finite(journal, simulator.state(), steps)
+            journal.ask_gates(simulator)
+
+
+def _timed_again(
+    engine: Engine, configuration: RunConfiguration, first: NDArray[np.int64]
+) -> Iterator[NDArray[np.int64]]:
+    """Clocks of further windows of the same steps, until all take ENOUGH_S; `first` has those of the first window."""
+    warmup, steps, simulator = configuration.warmup, configuration.timed_steps, engine.simulator
+    if steps < LEAST_STEPS or not engine.can_begin_again:
+        return
+    began, elapsed_s = time.perf_counter(), _seconds(first)
+    while elapsed_s < ENOUGH_S and time.perf_counter() - began < _PATIENCE * ENOUGH_S:
+        engine.begin_again()
+        simulator.prepare(given(simulator, configuration, 0, warmup))
+        _step(simulator, warmup, simulator.timing_interval)
+        simulator.prepare(given(simulator, configuration, warmup, steps))
+        clocks = _step(simulator, steps, simulator.timing_interval)
+        elapsed_s += _seconds(clocks)
+        yield clocks
+
+
+def _seconds(clocks: NDArray[np.int64]) -> float:
+    return float(clocks[1, -1] - clocks[0, 0]) * 1e-9
+
+
+def _ask_finite(journal: Journal, state: States, steps: int) -> None:
     if not all(np.isfinite(array).all() for array in state):
         journal.gate(f"a state is not finite after {steps} timed steps", "NOT_FINITE")
-    journal.count(simulator.evidence(), counted, warmup + steps)
-    journal.ask_gates(simulator)
-    write_applied(journal, simulator, configuration, warmup, steps)
 
 
 def _step(simulator: Simulator, steps: int, interval: int) -> NDArray[np.int64]:

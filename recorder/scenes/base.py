@@ -273,6 +273,13 @@ class Scene:
             needs.add(Ability.ENV_STARTS)
         return frozenset(needs)
 
+    def timed_window(self) -> tuple[int, int]:
+        """Steps before the timed ones, and the timed ones, where nobody says otherwise: the window of the protocol.
+
+        Half of the cubes of a toss are at rest after 100 steps.
+        """
+        return (10, 100) if self.tosses else (100, 1000)
+
     def options(self, given: Mapping[str, str], known: Collection[str]) -> Mapping[str, str]:
         """Options of a simulator as text: those that the user gave, and what else the scene has to say.
 

@@ -13,6 +13,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from gpusimbench import open_recording
 from gpusimbench.evaluator.check.integrity import examine
 from gpusimbench.evaluator.check.integrity.problem import DAMAGE, MAX_KEPT, REMARKS, Kind, Problems
 from gpusimbench.evaluator.check.integrity.scan import scan
@@ -177,6 +178,35 @@ def _timing(phase: str, *clocks: tuple[int, int], steps: int = 1) -> tuple[str, 
 
 def _event(kind: int, phase: str, ns: int) -> tuple[str, str, Any]:
     return "/run/event", "gsb.v1.Event", message_class("gsb.v1.Event")(kind=kind, phase=phase, monotonic_ns=ns)
+
+
+def test_the_same_steps_may_be_timed_several_times(tmp_path: Path) -> None:
+    """Sum over windows of the same steps, without what lies between them; refuse windows of other steps."""
+
+    def windows(*sizes: int) -> tuple[tuple[str, str, Any], ...]:
+        # intervals of 10 ns, 5 ns apart; each window begins a second after the last
+        clocks = [[(10**9 * at + 15 * k, 10**9 * at + 15 * k + 10) for k in range(n)] for at, n in enumerate(sizes)]
+        return tuple(_timing("timed", *each) for each in clocks)
+
+    asked = _configured(timed_steps=4, phases=("timed", "capture"))
+    found = open_recording(whole(tmp_path, change=asked, elapsed_s=None, shown=Shown(raw=windows(4, 4, 4)))).timing[
+        "timed"
+    ]
+    assert (found.times_of(4), found.windows) == (3, (0, 4, 8))
+    assert found.elapsed_s == pytest.approx(3 * 55e-9)
+    assert found.first_end_ns == 55
+    for sizes, whole_ in (
+        ((4,), True),
+        ((4, 4), True),
+        ((8,), False),
+        ((4, 3), False),
+        ((3, 4), False),
+        ((2, 2), False),
+    ):
+        problems = examine(whole(tmp_path, change=asked, elapsed_s=None, shown=Shown(raw=windows(*sizes)))).of(
+            Kind.contradiction
+        )
+        assert any("4 steps were to be timed" in problem for problem in problems) is not whole_, sizes
 
 
 def test_a_warm_up_has_clocks(tmp_path: Path) -> None:

@@ -12,9 +12,13 @@ import pytest
 from mcap.reader import make_reader
 
 from gpusimbench import open_recording
+from gpusimbench.evaluator.check.integrity import examine
+from gpusimbench.evaluator.results.evaluate import evaluate_files
 from gpusimbench.evaluator.runs.validation import verify
 from gpusimbench.recorder.capture.states import StateWriter, env_block, steps_per_block
+from gpusimbench.recorder.run.engine import Engine
 from gpusimbench.recorder.scenes.registry import make_scene
+from gpusimbench.recorder.simulators.mujoco.simulator import MujocoC
 from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.fields import BODY_FIELDS, body_field
 from tests.conftest import SMALL, Command
@@ -87,6 +91,43 @@ def test_phases_in_order(small: Path) -> None:
     assert checkpoints == ["baseline", "post-init", "post-warmup", "final"]
     assert (np.diff(host.time_ns) >= 0).all()
     assert (host.used_bytes > 1e6).all()
+
+
+@pytest.mark.parametrize("scene", ["cube-toss", "franka"])
+def test_short_windows_are_timed_again(gsb_record: Command, tmp_path: Path, scene: str) -> None:
+    """Time the same steps again, from the same states and with the same actions, until they took a second."""
+    arguments = ["--scene", scene, "--n-env", "2", "--runs", "1", "--phases", "timed", "--warmup", "10"]
+    assert gsb_record("--sim", "mujoco", *arguments, "--timed-steps", "100", "--out", str(tmp_path)).returncode == 0
+    (path,) = tmp_path.glob("*.mcap")
+    recording = open_recording(path)
+    timed = recording.timing["timed"]
+    times = timed.times_of(100)
+    assert times is not None and times > 1
+    assert 1 <= timed.elapsed_s < 1 + timed.elapsed_s / times * 10
+    rate = evaluate_files([path]).results[0].metrics["fps"].value
+    assert rate == pytest.approx(2 * 100 * times / timed.elapsed_s)
+    assert [e.phase for e in recording.events].count("timed") == 2
+    hashes = recording.fingerprints("timed")
+    assert hashes is not None and hashes.steps.tolist() == [10, 110]
+    assert not examine(path).problems.kinds()
+
+
+def test_every_window_begins_and_ends_alike() -> None:
+    """Bring an engine back to its initial states, those that were given included, and to the first actions."""
+    scene = make_scene("franka")
+    engine = Engine(lambda: MujocoC(scene, n_env=3, dt=0.01, seed=1, options=MujocoC.Options()), "random:0.3", None)
+    with engine:
+        engine.start()
+        begins, ends = [], []
+        for _ in range(3):
+            begins.append([array.copy() for array in engine.simulator.state()])
+            engine.simulator.prepare(scene.actions.draw(1, n_env=3, first_step=0, n_step=20))
+            engine.simulator.step(20)
+            ends.append([array.copy() for array in engine.simulator.state()])
+            engine.begin_again()
+    for found in (begins, ends):
+        assert all(np.array_equal(a, b) for other in found[1:] for a, b in zip(found[0], other, strict=True))
+    assert not np.array_equal(begins[0][0], ends[0][0])
 
 
 def test_states_from_the_initial_one_on(small: Path) -> None:

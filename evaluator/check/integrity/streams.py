@@ -127,7 +127,8 @@ def _intervals(recording: Recording, problems: Problems) -> None:
         spans = _capture_spans(c) if phase == "capture" else [steps]
         intervals = sum(-(-span // max(timing.steps_per_interval, 1)) for span in spans) if timing else 0
         found = len(timing.start_ns) if timing else 0
-        if found != intervals or (steps and timing is None):
+        wrong = timing.times_of(steps) is None if timing and phase == "timed" else found != intervals
+        if wrong or (steps and timing is None):
             verb = {"warmup": "come first", "timed": "be timed", "capture": "be captured"}[phase]
             what = f"{steps} steps were to {verb}; there are clocks of {found} intervals"
             problems.add(Kind.contradiction, what)
