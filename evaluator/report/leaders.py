@@ -10,7 +10,7 @@ from gpusimbench.evaluator.report import timed
 from gpusimbench.evaluator.results.faults import faults_anywhere
 from gpusimbench.evaluator.results.result import GroupResult
 from gpusimbench.evaluator.results.timed_work import most_common, window_key
-from gpusimbench.evaluator.results.toss_ranking import ranked
+from gpusimbench.evaluator.results.toss_ranking import configuration, ranked
 from gpusimbench.evaluator.runs.groups import is_instrument
 
 
@@ -65,8 +65,11 @@ def fastest(results: Sequence[GroupResult]) -> Iterator[Fastest]:
         if len({r.group.key.simulator for r in alike}) < 2:
             continue
         # where errors against tosses are known: among those that cannot be told apart from the most accurate
-        accurate = ranked([r for r in alike if not faults[r.label]])
-        faults |= {one.result.label: one.less_accurate for one in accurate if one.less_accurate}
+        measured = [r for r in results if (r.group.key.scene, r.group.key.device) == (scene, device)]
+        if accurate := ranked([r for r in measured if not speaks_against(r, results)]):
+            errs = {configuration(one.result): one.less_accurate for one in accurate}
+            unknown = "no run of this configuration has errors against measured tosses"
+            faults |= {r.label: errs.get(configuration(r), unknown) for r in alike if not faults[r.label]}
         sound = _best([r for r in alike if not faults[r.label]], scene, device)
         wrong = _best([r for r in alike if faults[r.label]], scene, device)
         first, second = (*sound, None, None)[:2]

@@ -2,12 +2,16 @@
 
 A group is *as accurate as the best* where the tosses do not tell its errors of position from those of the most accurate
 group. It is *on the front* where no other group is both at least as fast and at least as accurate.
+
+Errors of tosses are recorded with an environment for each toss, and throughputs with as many environments as fill a
+device. How far a cube ends from where it should does not depend on how many others are simulated beside it, unless
+gsb-probe says so. So a throughput belongs to the errors of its configuration, whatever the numbers of environments are.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Hashable, Sequence
+from dataclasses import dataclass, replace
 
 from gpusimbench.evaluator.missing import Missing, known
 from gpusimbench.evaluator.results.cost_metrics import FPS
@@ -29,17 +33,31 @@ class Ranked:
               were not compared with the same tosses
     adjusted  p value after Holm's adjustment for all groups
     first     the most accurate group
+    timed     the group of the same configuration with a throughput; of several, that of the most environments
     """
 
     result: GroupResult
     against: Paired | None
     adjusted: float | None
     first: GroupResult
+    timed: GroupResult | None
 
     @property
     def error(self) -> float:
         """Mean error of position [cm]."""
         return known(self.result.metrics[TOSS_POSITION.name].value) or 0.0
+
+    @property
+    def fps(self) -> float:
+        """Throughput of its configuration [env-steps/s]; 0 where none was timed."""
+        return _fps(self.timed) if self.timed else 0.0
+
+    @property
+    def with_throughput(self) -> GroupResult:
+        """The group with the throughput of its configuration beside its own errors."""
+        if self.timed is None:
+            return self.result
+        return replace(self.result, metrics={**self.result.metrics, FPS.name: self.timed.metrics[FPS.name]})
 
     @property
     def less_accurate(self) -> str:
@@ -54,8 +72,16 @@ class Ranked:
         return f"less accurate: error of position {more}, p = {self.adjusted:.2g}"
 
 
-def ranked(results: Sequence[GroupResult]) -> list[Ranked]:
-    """Groups with errors against tosses, the smallest mean error of position first."""
+def configuration(result: GroupResult) -> Hashable:
+    """What a group has in common with those that differ from it in the number of environments alone."""
+    return replace(result.group.key, n_env=0, initial="", origins="", warmup=0, timed_steps=0)
+
+
+def ranked(results: Sequence[GroupResult], timed: Sequence[GroupResult] = ()) -> list[Ranked]:
+    """Groups with errors against tosses, the smallest mean error of position first.
+
+    timed  further groups, whose throughputs may belong to these errors
+    """
     found = [r for r in results if known(r.metrics[TOSS_POSITION.name].value) is not None]
     found.sort(key=lambda r: known(r.metrics[TOSS_POSITION.name].value) or 0.0)
     if not found:
@@ -65,27 +91,31 @@ def ranked(results: Sequence[GroupResult]) -> list[Ranked]:
         r.label: paired(_per_toss(r), first) for r in found[1:] if len(_per_toss(r)) == len(first)
     }  # fmt: skip
     adjusted = dict(zip(compared, holm([one.p_value for one in compared.values()]), strict=True))
-    return [Ranked(r, compared.get(r.label), adjusted.get(r.label), found[0]) for r in found]
+    clocked = sorted((r for r in (*results, *timed) if _fps(r)), key=lambda r: r.group.key.n_env)
+    beside = {configuration(r): r for r in clocked}
+    return [
+        Ranked(r, compared.get(r.label), adjusted.get(r.label), found[0], beside.get(configuration(r))) for r in found
+    ]
 
 
 def beaten_by(order: Sequence[Ranked]) -> dict[str, str]:
     """By label, of the groups with a throughput, the fastest group that is faster and no less accurate; empty on the
     front."""
-    timed = [one for one in order if known(one.result.metrics[FPS.name].value) is not None]
+    timed = [one for one in order if one.timed]
 
     def beats(other: Ranked, one: Ranked) -> bool:
-        gains = (_fps(other) - _fps(one), one.error - other.error)
+        gains = (other.fps - one.fps, one.error - other.error)
         return min(gains) >= 0 and max(gains) > 0
 
     found = {}
     for one in timed:
         better = [other for other in timed if beats(other, one)]
-        found[one.result.label] = max(better, key=_fps).result.label if better else ""
+        found[one.result.label] = max(better, key=lambda other: other.fps).result.label if better else ""
     return found
 
 
-def _fps(one: Ranked) -> float:
-    return known(one.result.metrics[FPS.name].value) or 0.0
+def _fps(result: GroupResult) -> float:
+    return known(result.metrics[FPS.name].value) or 0.0
 
 
 def _per_toss(result: GroupResult) -> tuple[float, ...]:

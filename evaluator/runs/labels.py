@@ -83,7 +83,7 @@ def footnotes(keys: Sequence[GroupKey]) -> list[tuple[str, ...]]:
 def _parts(key: GroupKey, keys: Sequence[GroupKey], given: frozenset[str], beside: Collection[str]) -> list[str]:
     # a run that failed before it was built knows only what was asked, and would make every default stand out
     rivals = [k for k in keys if _rivals(key, k) and (k.version or not key.version)]
-    telling = [name for name in _ATTRIBUTES if any(getattr(key, name) != getattr(rival, name) for rival in rivals)]
+    telling = [name for name in _ATTRIBUTES if any(_told_apart(name, key, rival) for rival in rivals)]
     parts = [_shown(name, key) for name in telling if name not in beside and getattr(key, name) != ""]
     chosen = _chosen(key, given)
     parts += _changed(chosen, [_chosen(rival, given) for rival in rivals])
@@ -101,6 +101,13 @@ def _parts(key: GroupKey, keys: Sequence[GroupKey], given: frozenset[str], besid
     if "version" in telling and not key.version:
         parts.append("never built")
     return parts
+
+
+def _told_apart(name: str, key: GroupKey, rival: GroupKey) -> bool:
+    # states that are given to every environment differ with the number of environments, which tells the two apart
+    if name == "initial" and key.n_env != rival.n_env and key.initial and rival.initial:
+        return False
+    return bool(getattr(key, name) != getattr(rival, name))
 
 
 def _rivals(one: GroupKey, other: GroupKey) -> bool:
@@ -125,6 +132,8 @@ def _shown(name: str, key: GroupKey) -> str:
     value = getattr(key, name)
     if name == "scene_hash":
         return f"scene {value[:8]}"
+    if name == "initial":  # given states are named by their hash
+        value = re.sub(r"(?<=:[0-9a-f]{8})[0-9a-f]+", "", value)
     if name == "device":
         # what every processor of a maker has in its name tells none apart
         return re.sub(r"\((R|TM)\)| Processor\b", "", value)

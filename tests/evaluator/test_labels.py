@@ -160,3 +160,17 @@ def test_what_stands_beside_a_label(tmp_path: Path) -> None:
     keys = [g.key for g in group([open_recording(write_recording(tmp_path, grid(1), **kind)) for kind in kinds])]
     assert sorted(labels(keys, beside=("scene",))) == ["a [warmup=10]"] * 2 + ["a [warmup=20]"] * 2
     assert len(set(labels(keys))) == 4
+
+
+def test_given_states_that_follow_from_the_number_of_environments(small: Path) -> None:
+    """Name given states only where they differ among as many environments, and then by the beginning of their hash."""
+    key = group([open_recording(small)])[0].key
+    few, many, others = (
+        replace(key, n_env=n, initial=f"states:{digit * 64}") for n, digit in ((4, "a"), (8, "b"), (4, "c"))
+    )
+    assert labels([few, many]) == ["mujoco [n_env=4]", "mujoco [n_env=8]"]
+    assert labels([few, others]) == ["mujoco [initial=states:aaaaaaaa]", "mujoco [initial=states:cccccccc]"]
+    assert labels([few, replace(few, n_env=8, initial="")]) == [
+        "mujoco [n_env=4, initial=states:aaaaaaaa]",
+        "mujoco [n_env=8]",
+    ]

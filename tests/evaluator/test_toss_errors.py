@@ -8,6 +8,7 @@ import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -32,6 +33,7 @@ from gpusimbench.evaluator.report.leaders import fastest
 from gpusimbench.evaluator.report.sections.scatter import pictures
 from gpusimbench.evaluator.results.cost_metrics import FPS
 from gpusimbench.evaluator.results.evaluate import evaluate_files
+from gpusimbench.evaluator.results.result import GroupResult
 from gpusimbench.evaluator.results.toss_metrics import TOSS_METRICS, TOSS_POSITION
 from gpusimbench.evaluator.results.toss_ranking import beaten_by, ranked
 from gpusimbench.evaluator.runs.toss_motion import errors_of, measured_tosses
@@ -234,6 +236,41 @@ def test_fastest_at_equal_accuracy() -> None:
     assert "is faster and no less accurate" in text
     drawn = next(p for p in pictures(evaluation) if "cube-toss" in p.caption or "cube-toss" in str(p))
     assert TOSS_POSITION.titled in str(drawn)
+
+
+def test_a_throughput_belongs_to_the_errors_of_its_configuration() -> None:
+    """Put the throughput of many environments beside the errors that few have; name none as fastest without errors."""
+    folder = Path(__file__).resolve().parents[2] / "recordings" / "cube-toss"
+    names = ("real", "mujoco", "warp", "sapien", "mjx")
+    found = evaluate_files([path for name in names for path in sorted(folder.glob(f"{name}-*.mcap"))])
+    none = Missing("the capture phase was left out")
+
+    def timed(result: GroupResult, n_env: int, speed: float, **changed: Any) -> GroupResult:
+        key = replace(result.group.key, n_env=n_env, initial="states:00", **changed)
+        metrics = {name: replace(estimate, value=none) for name, estimate in result.metrics.items()}
+        metrics[FPS.name] = replace(metrics[FPS.name], value=speed)
+        group = replace(result.group, key=key)
+        return replace(result, label=f"{result.label} x {n_env} {changed}", group=group, metrics=metrics)
+
+    speeds = {"mujoco": 1e5, "warp": 2e5, "sapien": 3e5, "mjx": 4e5}
+    clocked = [timed(r, n, n * speeds[r.group.key.simulator]) for n in (64, 4096) for r in found.results]
+    (warp,) = [r for r in found.results if r.group.key.simulator == "warp"]
+    clocked.append(timed(warp, 4096, 1e12, options='{"cone": "none"}'))
+    results = [*found.results, *clocked]
+    order = ranked(results)
+    assert {(one.timed.group.key.n_env if one.timed else 0, one.fps) for one in order} == {
+        (4096, 4096 * speed) for speed in speeds.values()
+    }
+    assert all(
+        one.with_throughput.metrics[TOSS_POSITION.name] == one.result.metrics[TOSS_POSITION.name] for one in order
+    )
+    (one,) = fastest(results)
+    assert one.first is not None
+    assert (one.first.result.group.key.simulator, one.first.fps) == ("warp", 4096 * 2e5)
+    why = {speed.result.label: reason for speed, reason in one.faster}
+    unknown = "no run of this configuration has errors against measured tosses"
+    assert [reason for label, reason in why.items() if "none" in label] == [unknown]
+    assert sum(reason.startswith("less accurate") for reason in why.values()) == 2
 
 
 def test_order_does_not_matter(reference: Path, runs: dict[str, Path], tmp_path: Path, gsb_record: Command) -> None:

@@ -17,6 +17,7 @@ from gpusimbench.evaluator.results.faults import faults_anywhere
 from gpusimbench.evaluator.results.metric import Estimate
 from gpusimbench.evaluator.results.result import GroupResult
 from gpusimbench.evaluator.results.toss_metrics import TOSS_POSITION
+from gpusimbench.evaluator.results.toss_ranking import ranked
 from gpusimbench.evaluator.runs.groups import is_instrument
 from gpusimbench.evaluator.runs.labels import labels, options_given
 
@@ -29,6 +30,8 @@ def pictures(evaluation: Evaluation) -> Iterator[Figure]:
     for nth, scene in enumerate(dict.fromkeys(r.group.key.scene for r in evaluation.results)):
         results = [r for r in evaluation.results if r.group.key.scene == scene and not is_instrument(r.group.key)]
         distance = _distance(results)
+        if distance == TOSS_POSITION.name:
+            results = [one.with_throughput for one in ranked(results)]
         told = [r for r in results if _known(r.metrics[_SPEED]) and _known(r.metrics[distance])]
         if told:
             yield _picture(scene, told, _absent(results, distance), distance, evaluation, nth)

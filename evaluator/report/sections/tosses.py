@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 from gpusimbench.evaluator.missing import known
 from gpusimbench.evaluator.render.document import EMPTY, Block, Cell, Column, Section, Text
@@ -29,7 +30,7 @@ _LEGEND = (
 
 def section(source: Source) -> Section | None:
     """None where nothing was compared with tosses."""
-    order = ranked(source.shown)
+    order = ranked(source.shown, source.evaluation.results)
     if not order:
         return None
     best = order[0].result
@@ -37,10 +38,10 @@ def section(source: Source) -> Section | None:
     metrics = source.columns(Table.REALITY)
     columns = [column_of(metric, reasons) for metric in metrics]
     columns.insert(1, _more_than_first(order))
-    against = {one.result.label: speaks_against(one.result, source.evaluation.results) for one in order}
+    against = {one.result.label: speaks_against(one.timed or one.result, source.evaluation.results) for one in order}
     front = beaten_by([one for one in order if not against[one.result.label]])
     if front:
-        columns += [column_of(FPS, reasons), _on_the_front(order, front, against)]
+        columns += [_throughput(order, reasons), _on_the_front(order, front, against)]
     blocks: list[Block] = [
         of_groups("tosses", "Errors against measured tosses", [one.result for one in order], columns, reasons, _LEGEND),
         Text(_floor(best)),
@@ -68,6 +69,20 @@ def _more_than_first(order: Sequence[Ranked]) -> tuple[Column, Written]:
         return Cell(figure(one.against.mean, "cm"), one.against.mean, one.against.ci95, span, (p, visible))
 
     return Column("more than the first [cm]", "error of position less that of the first row, toss by toss"), cell
+
+
+def _throughput(order: Sequence[Ranked], reasons: Reasons) -> tuple[Column, Written]:
+    column, written = column_of(FPS, reasons)
+    timed = {one.result.label: one.timed for one in order}
+
+    def cell(result: GroupResult) -> Cell:
+        of = timed[result.label]
+        if of is None:
+            return written(result)
+        found, n_env = written(of), of.group.key.n_env
+        return found if n_env == result.group.key.n_env else replace(found, notes=(*found.notes, f"{n_env} envs"))
+
+    return column, cell
 
 
 def _on_the_front(
