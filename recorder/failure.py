@@ -4,12 +4,6 @@ from __future__ import annotations
 
 from gpusimbench.schemas.errors import GsbError, UsageError
 
-CAUSES = (
-    "DEVICE_MEMORY", "HOST_MEMORY", "BUFFER", "NOT_FINITE", "TIMEOUT", "REFUSED", "INTERRUPTED", "ENGINE",
-    "OUT_OF_BOUNDS",
-)  # fmt: skip
-"""Names of gsb.v1.Cause."""
-
 _HOST_MEMORY = ("std::bad_alloc", "could not allocate memory")  # MuJoCo C, as ValueError or FatalError
 _DEVICE_MEMORY = (
     "resource_exhausted",  # XLA
@@ -37,7 +31,7 @@ class Interrupted(GsbError):
 
 
 def cause_of(error: BaseException) -> str:
-    """One of CAUSES for what ended a run."""
+    """What ended a run, by the name that gsb.v1.Cause has for it."""
     match error:
         case KeyboardInterrupt() | Interrupted():
             return "INTERRUPTED"

@@ -148,7 +148,7 @@ def body_fields(
 
 
 def joint_field(
-    group: str, field: str, dtype: str, joints: tuple[str, ...], *, slides: Collection[str] = (), note: str = ""
+    group: str, field: str, dtype: str, joints: tuple[str, ...], *, slides: Collection[str] = ()
 ) -> StateField:
     """Positions ("qpos") or velocities ("qvel") of hinges and slides, one number a joint.
 
@@ -157,9 +157,9 @@ def joint_field(
     turns, moves = {"qpos": ("rad", "m"), "qvel": ("rad/s", "m/s")}[field]
     kind, units = FIELD_KINDS[field], tuple(moves if joint in slides else turns for joint in joints)
     if len(set(units)) > 1:
-        return StateField(group, field, dtype, joints, ("coordinate",), kind.unit, kind.frame, note, units)
+        return StateField(group, field, dtype, joints, ("coordinate",), kind.unit, kind.frame, "", units)
     component = "coordinate" if moves in units else "angle"
-    return StateField(group, field, dtype, joints, (component,), moves if moves in units else turns, kind.frame, note)
+    return StateField(group, field, dtype, joints, (component,), moves if moves in units else turns, kind.frame)
 
 
 def ball_fields(group: str, dtype: str, joints: tuple[str, ...]) -> tuple[StateField, ...]:

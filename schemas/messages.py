@@ -50,12 +50,6 @@ def enum_values(name: str) -> dict[str, int]:
 
 
 @cache
-def message_names() -> tuple[str, ...]:
-    """Full names of all messages of the format."""
-    return tuple(f"{f.package}.{m.name}" for f in _files("gsb").values() for m in f.message_type)
-
-
-@cache
 def embedded_schema(name: str) -> bytes:
     """The FileDescriptorSet that a file carries for a message: its definition and all that it refers to.
 

@@ -39,18 +39,17 @@ _IDENTITY = ("size", "ETag", "etag", "Content-MD5", "Last-Modified", "LastModifi
 class RemoteFile(Source):
     """A file that fsspec can read.
 
-    patience           how long is waited for it; None: as docs/remote.md says
-    requests, fetched  how many parts were asked for, and their bytes
+    fetched  bytes that were asked for so far
     """
 
     near = False
     place: Location
     workers = _WORKERS
 
-    def __init__(self, location: Location, patience: Patience | None = None) -> None:
+    def __init__(self, location: Location) -> None:
         self.place = location
-        self.requests = self.fetched = 0
-        self._patience = patience or Patience(_ANSWER_S, _FILE_S, _LEAST_RATE)
+        self.fetched = 0
+        self._patience = Patience(_ANSWER_S, _FILE_S, _LEAST_RATE)
         self._system, self._path = _file_system(location)
         self._told = self._ask()
         size = self._told.get("size")
@@ -126,7 +125,6 @@ class RemoteFile(Source):
         except Exception as error:  # each file system has its own
             raise Unreachable(f"cannot read {self.place}: {_reason(error)}") from None
         with self._lock:
-            self.requests += 1
             self.fetched += len(data)
         if len(data) != end - begin or time.monotonic() - self._asked > _CONFIRM_S:
             self.confirm()

@@ -18,7 +18,6 @@ VIEW = "view"
 
 _ACTION = re.compile(r"/action/([a-z0-9_]+)/([0-9]{1,9})")
 _COUNT = re.compile(r"/count/([a-z0-9_]+)/([a-z0-9_]+)")
-_FLIGHT = re.compile(r"/flight/([0-9]{1,9})/([a-z0-9_]+)/([a-z0-9_]+)")
 _STATE = re.compile(r"/state/([a-z0-9_]+)/([a-z0-9_]+)/([0-9]{1,9})")
 _ENV_DIGITS = 6
 
@@ -77,12 +76,6 @@ def parse_view(topic: str) -> ViewTopic | None:
 def flight(env: int, group: str, field: str) -> str:
     """Topic of the last states of one field of an environment that failed."""
     return f"/flight/{env:0{_ENV_DIGITS}d}/{group}/{field}"
-
-
-def parse_flight(topic: str) -> StateTopic | None:
-    """Group, field and environment of such a topic, or None where the topic is another."""
-    match = _FLIGHT.fullmatch(topic)
-    return StateTopic(match[2], match[3], int(match[1])) if match else None
 
 
 def has_digest(topic: str) -> bool:

@@ -30,23 +30,3 @@ def every(parts: Iterable[Claim | bool | None], why_not: str = "nothing was comp
     if reasons := [part.why_not or why_not for part in found if part.holds is None]:
         return Claim(None, "; ".join(dict.fromkeys(reasons)))
     return Claim(True) if found else Claim(None, why_not)
-
-
-@dataclass(frozen=True)
-class Tally:
-    """In how many of some things a claim holds, and in how many it was compared."""
-
-    yes: int
-    compared: int
-    all: int
-
-    @property
-    def not_compared(self) -> int:
-        """Things of which nothing is known."""
-        return self.all - self.compared
-
-
-def tally(claims: Iterable[Claim]) -> Tally:
-    """Count claims."""
-    found = list(claims)
-    return Tally(sum(c.yes for c in found), sum(c.holds is not None for c in found), len(found))

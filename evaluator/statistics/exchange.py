@@ -109,7 +109,7 @@ def dealings(head: npt.ArrayLike, blocks: npt.ArrayLike, *, seed: int = 0) -> De
 
 
 def compare_means(
-    values: npt.ArrayLike, head: npt.ArrayLike, blocks: npt.ArrayLike, *, confidence: float = 0.95, seed: int = 0
+    values: npt.ArrayLike, head: npt.ArrayLike, blocks: npt.ArrayLike, *, confidence: float = 0.95
 ) -> Shift:
     """Difference of two means, with the p-value of a permutation test and the interval that inverts it.
 
@@ -126,7 +126,6 @@ def compare_means(
         head: whether a run is on the second side, shape [run].
         blocks: the block of each run, shape [run]; each has runs of both sides.
         confidence: of the interval.
-        seed: of the draw, where there are too many dealings for all of them.
 
     Raises:
         ValueError: the shapes differ, values are not finite, or a block has runs of one side alone.
@@ -135,7 +134,7 @@ def compare_means(
     found = np.asarray(values, dtype=np.float64)
     if found.shape != observed.shape or not np.isfinite(found).all():
         raise ValueError("values must be finite, one for each run")
-    dealt = dealings(observed, labels, seed=seed)
+    dealt = dealings(observed, labels)
     coefficients = _coefficients(dealt.head, observed, labels)
     centred = found - found.mean()  # weights add up to zero, so this loses only rounding
     shifts = coefficients @ centred
@@ -154,7 +153,7 @@ def compare_means(
     )
 
 
-def compare_distances(matrix: npt.ArrayLike, head: npt.ArrayLike, *, seed: int = 0) -> Shift:
+def compare_distances(matrix: npt.ArrayLike, head: npt.ArrayLike) -> Shift:
     """Whether two sides of runs lie apart in their distances from each other, any run exchanged with any.
 
         T = mean distance between the sides - (mean distance within the first + mean within the second) / 2
@@ -172,7 +171,7 @@ def compare_distances(matrix: npt.ArrayLike, head: npt.ArrayLike, *, seed: int =
     Raises:
         ValueError: not a square matrix of finite numbers, or a side of fewer than two runs.
     """
-    found = _distances_between(matrix, head, seed)
+    found = _distances_between(matrix, head)
     within1, within2, between = found.means()
     apart = between - (within1 + within2) / 2.0
     # one-sided, and the least p is that of a two-sided test: with as many runs on either side, the exchanged sides are
@@ -180,7 +179,7 @@ def compare_distances(matrix: npt.ArrayLike, head: npt.ArrayLike, *, seed: int =
     return found.shift(apart, apart >= apart[0] - _tie_of(apart))
 
 
-def compare_within(matrix: npt.ArrayLike, head: npt.ArrayLike, *, seed: int = 0) -> Shift:
+def compare_within(matrix: npt.ArrayLike, head: npt.ArrayLike) -> Shift:
     """Whether runs of one side lie further from each other than runs of the other, any run exchanged with any.
 
         T = mean distance within the second - mean distance within the first
@@ -190,7 +189,6 @@ def compare_within(matrix: npt.ArrayLike, head: npt.ArrayLike, *, seed: int = 0)
     Args:
         matrix: distances between runs [any unit], shape [run, run]; symmetric.
         head: whether a run is on the second side, shape [run]; at least two runs on each.
-        seed: of the draw, where there are too many dealings for all of them.
 
     Returns:
         the difference is T, in the unit of the matrix; no interval.
@@ -198,7 +196,7 @@ def compare_within(matrix: npt.ArrayLike, head: npt.ArrayLike, *, seed: int = 0)
     Raises:
         ValueError: not a square matrix of finite numbers, or a side of fewer than two runs.
     """
-    found = _distances_between(matrix, head, seed)
+    found = _distances_between(matrix, head)
     within1, within2, _ = found.means()
     further = within2 - within1
     return found.shift(further, np.abs(further) >= abs(further[0]) - _tie_of(further))
@@ -242,14 +240,14 @@ class _Distances:
         )
 
 
-def _distances_between(matrix: npt.ArrayLike, head: npt.ArrayLike, seed: int = 0) -> _Distances:
+def _distances_between(matrix: npt.ArrayLike, head: npt.ArrayLike) -> _Distances:
     found = np.asarray(matrix, dtype=np.float64)
     observed, labels = _arrays(head, np.zeros(len(found), dtype=np.int64))
     if found.shape != (len(observed), len(observed)) or not np.isfinite(found).all():
         raise ValueError("distances must be finite, in a square matrix")
     if min(observed.sum(), len(observed) - observed.sum()) < 2:
         raise ValueError("needs at least two runs a side")
-    return _Distances(found, observed, dealings(observed, labels, seed=seed))
+    return _Distances(found, observed, dealings(observed, labels))
 
 
 def _tie_of(shifts: Floats) -> float:

@@ -103,7 +103,7 @@ def arrangements(a: int, b: int) -> int:
     return math.comb(a + b, a) // (2 if a == b else 1)
 
 
-def exhaustive_floor(a: npt.ArrayLike, b: npt.ArrayLike, *, mapper: Mapper = serial) -> PermutationFloor:
+def exhaustive_floor(a: npt.ArrayLike, b: npt.ArrayLike) -> PermutationFloor:
     """The same over all `arrangements`, the observed one among them: nothing is left to the draw.
 
         p = #{W1 >= observed} / number of arrangements
@@ -111,7 +111,6 @@ def exhaustive_floor(a: npt.ArrayLike, b: npt.ArrayLike, *, mapper: Mapper = ser
     Args:
         a: positions [any length unit], shape [n_env_a, n_item, d].
         b: positions [same unit], shape [n_env_b, n_item, d].
-        mapper: as in permutation_floor.
 
     Raises:
         ValueError: shapes of items differ; positions empty or not finite.
@@ -122,7 +121,7 @@ def exhaustive_floor(a: npt.ArrayLike, b: npt.ArrayLike, *, mapper: Mapper = ser
     # of two equal sides, the one with env 0
     kept = [side for side in sides if len(a) != len(b) or side[0] == 0]
     deals = np.array([[*side, *sorted(set(range(count)) - set(side))] for side in kept])
-    observed, extension, floor = _exchange(a, b, deals, mapper)
+    observed, extension, floor = _exchange(a, b, deals, serial)
     return PermutationFloor(
         observed=observed,
         floor_mean=float(floor.mean()),

@@ -169,20 +169,3 @@ def distances_to_later(sets: _Floats, row: int, out: _Floats) -> None:
     column_of, row_of = np.empty(n, np.int64), np.empty(padded, np.int64)
     for other in range(row + 1, len(sets)):
         out[other] = _mean_cost(sets[row], sets[other], cost, price, column_of, row_of)
-
-
-@compiled_without_nan
-def certified_assignment(a: _Floats, b: _Floats) -> tuple[_Floats, _Ints, _Floats]:
-    """The optimal assignment between scaled points a and b, both [d, n], with its dual certificate.
-
-    Returns:
-        costs [n, n], the column of every row [n], and prices [n] such that every row's column is
-        one of least cost - price, up to rounding.
-    """
-    n = a.shape[1]
-    padded = -(-n // _LANES) * _LANES
-    cost = np.full((n, padded), _HUGE)
-    price = np.empty(padded)
-    column_of, row_of = np.empty(n, np.int64), np.empty(padded, np.int64)
-    _mean_cost(a, b, cost, price, column_of, row_of)
-    return cost[:, :n].copy(), column_of, price[:n].copy()

@@ -128,7 +128,7 @@ class Sink:
         """Write the end record, make the file durable and give it its final name.
 
         status  COMPLETE, FAILED or INVALID
-        cause   one of recorder.failure.CAUSES; empty when complete
+        cause   a name of gsb.v1.Cause; empty when complete
         """
         digests = self._digest.digests()
         end: Any = message_class("gsb.v1.RunEnd")(

@@ -48,7 +48,7 @@ class Result:
     reason     empty when complete
     path       the recording: under its final name, or its .partial name when incomplete; None when nothing was written
     exit_code  that this run asks the command to end with
-    cause      one of recorder.failure.CAUSES; empty when complete, or when nothing is known
+    cause      a name of gsb.v1.Cause; empty when complete, or when nothing is known
     died       the process ended without saying why
     """
 

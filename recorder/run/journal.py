@@ -59,7 +59,7 @@ class Journal:
             self.shown_log.event(kind, message)
 
     def gate(self, problem: str, cause: str = "ENGINE") -> None:
-        """Note why the run is invalid; `cause` is one of recorder.failure.CAUSES."""
+        """Note why the run is invalid; `cause` is a name of gsb.v1.Cause."""
         self.problems.append((cause, problem))
         self.event("GATE", problem)
 

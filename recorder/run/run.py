@@ -65,7 +65,7 @@ Progress = Callable[[str, int, int], None]
 
 @dataclass(frozen=True)
 class Outcome:
-    """How a run ended: COMPLETE, FAILED or INVALID, why, and one of recorder.failure.CAUSES, empty when complete."""
+    """How a run ended: COMPLETE, FAILED or INVALID, why, and a name of gsb.v1.Cause, empty when complete."""
 
     status: str
     reason: str

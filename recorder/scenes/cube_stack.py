@@ -12,16 +12,15 @@ MASS = 0.005
 COUNT = 3
 
 
-def cube_stack(centre: Vector, *, count: int = COUNT, spacing: float = EDGE) -> tuple[Body, ...]:
-    """count^3 cubes on a grid, indexed (i, j, k) along x, y, z in that nesting order.
+def cube_stack(centre: Vector) -> tuple[Body, ...]:
+    """COUNT^3 cubes that touch their neighbours, indexed (i, j, k) along x, y, z in that nesting order.
 
-    centre   of the stack [m]
-    spacing  between neighbouring centres [m]
+    centre  of the stack [m]
     """
 
     def coordinate(axis: int, index: int) -> float:
         # rounded to a nanometre, so that the description is the decimal number that a person would write
-        return round(centre[axis] + (index - (count - 1) / 2) * spacing, 9)
+        return round(centre[axis] + (index - (COUNT - 1) / 2) * EDGE, 9)
 
     return tuple(
         Body(
@@ -32,7 +31,7 @@ def cube_stack(centre: Vector, *, count: int = COUNT, spacing: float = EDGE) -> 
             mass=MASS,
             position=(coordinate(0, i), coordinate(1, j), coordinate(2, k)),
         )
-        for i in range(count)
-        for j in range(count)
-        for k in range(count)
+        for i in range(COUNT)
+        for j in range(COUNT)
+        for k in range(COUNT)
     )

@@ -32,7 +32,7 @@ class Outcome:
     """How a run of a sweep ended.
 
     status  complete, failed, invalid or incomplete
-    cause   one of recorder.failure.CAUSES, or empty
+    cause   a name of gsb.v1.Cause, or empty
     reason  empty when complete
     """
 

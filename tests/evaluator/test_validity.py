@@ -19,7 +19,7 @@ from gpusimbench.evaluator.results.evaluate import evaluate_files
 from gpusimbench.evaluator.results.evaluation import Evaluation
 from gpusimbench.evaluator.results.result import GroupResult
 from gpusimbench.evaluator.runs.validation import verify
-from gpusimbench.schemas.messages import message_class
+from gpusimbench.schemas.messages import enum_values, message_class
 from gpusimbench.schemas.provenance import Buffer, OverflowBit
 from tests.conftest import Command, call
 from tests.pages import part as part_of
@@ -266,9 +266,8 @@ def test_a_cause_of_a_later_version(tmp_path: Path, monkeypatch: pytest.MonkeyPa
 
 
 def _known_causes() -> list[str]:
-    from gpusimbench.recorder.failure import CAUSES
-
-    return list(CAUSES)
+    names = [name.removeprefix("CAUSE_") for name in enum_values("gsb.v1.Cause")]
+    return [name for name in names if name != "UNSPECIFIED"]
 
 
 @pytest.mark.parametrize("cause", _known_causes())

@@ -42,7 +42,6 @@ from gpusimbench.recorder.scenes.base import (
 ENVS = "/World/envs"
 SCENE = "/World/physicsScene"
 _MATERIALS = "/World/materials"
-_SHARED = "/World/shared"
 
 Value = bool | int | float | str
 Apis = Mapping[str, Mapping[str, Value]]
