@@ -5,7 +5,7 @@ components. With word w_i at position i (from 0) and 64-bit wrapping arithmetic,
 
     hash = sum over i of mix(w_i + (i + 1) * 0x9E3779B97F4A7C15)
 
-where mix is the finaliser of SplitMix64 (``schemas.splitmix``). mix is a bijection, so a change of one word always
+where mix is the finaliser of SplitMix64 (``schemas.mixing``). mix is a bijection, so a change of one word always
 changes the hash; several changes cancel with a probability of 2^-64. A sum does not depend on the order of its terms,
 so a GPU may add them in any order and gets the same bits. Not a defence against forgery: that is what the SHA-256
 digests of the end record are for.
@@ -20,7 +20,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from gpusimbench.schemas.splitmix import GOLDEN, mix_in_place
+from gpusimbench.schemas.mixing import GOLDEN, mix_in_place
 
 ALGORITHM = "sum-splitmix64-v1"
 

@@ -10,9 +10,16 @@ import numpy as np
 import numpy.typing as npt
 
 from gpusimbench.evaluator.audit.distribution import LawTest, same_law
-from gpusimbench.evaluator.audit.matching import closest, compared, distinct, match_of, unreproduced
+from gpusimbench.evaluator.audit.matching import (
+    Settings,
+    closest,
+    compared,
+    distinct,
+    match_of,
+    sorted_out,
+    unreproduced,
+)
 from gpusimbench.evaluator.audit.replaying import ReplayPlan, Replays, make_replays
-from gpusimbench.evaluator.audit.settings import Settings, sorted_out
 from gpusimbench.evaluator.audit.verdict import Level, Verdict, ladder
 from gpusimbench.evaluator.compute.recorder import Made
 from gpusimbench.evaluator.diff.compare import compare

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from gpusimbench.evaluator.audit.verdict import Match
-from gpusimbench.evaluator.diff.result import Basis, Difference
+from gpusimbench.evaluator.diff.result import Basis, Difference, Setting
 from gpusimbench.evaluator.read.recording import Recording
 
 _PHASES = ("capture", "timed")
 _MOST_NAMED = 3
+_FREE = ("compression", "timeout")  # a replay's own; they decide no number
+_PACKAGE = "software.packages."
 
 
 def match_of(found: Difference, original: Recording, replay: Recording) -> Match:
@@ -121,3 +124,25 @@ def unreproduced(originals: Sequence[Recording], replays: Sequence[Recording]) -
     made = found[len(originals) :]
     left = [o.path.name for o, states in zip(originals, found, strict=False) if states not in made]
     return f"of several originals, no replay gave the states of {_named(left)}" if left else ""
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Differing settings.
+
+    deciding  those that can explain other numbers
+    packages  how many other installed packages differ: those that no recorder lists among what computes
+    """
+
+    deciding: tuple[Setting, ...] = ()
+    packages: int = 0
+
+
+def sorted_out(differing: tuple[Setting, ...], original: Recording, replay: Recording) -> Settings:
+    """Of all that differs between two recordings, what can explain other numbers."""
+    computing: set[str] = set()
+    for recording in (original, replay):
+        packages = recording.provenance.software.get("packages", {})
+        computing |= {f"{_PACKAGE}{name}" for name in packages} if isinstance(packages, dict) else set()
+    others = [s for s in differing if s.name.startswith(_PACKAGE) and s.name not in computing]
+    return Settings(tuple(s for s in differing if s not in others and s.name not in _FREE), len(others))

@@ -1,12 +1,15 @@
-"""Arguments that several commands have: files of this machine, and nothing else; the sample time."""
+"""Arguments that several commands have: files of this machine, where --json writes to, the sample time."""
 
 from __future__ import annotations
 
 import argparse
 from pathlib import Path
 
+from gpusimbench.schemas import PARTIAL
 from gpusimbench.schemas.errors import UsageError
 from gpusimbench.schemas.location import is_address, shown
+from gpusimbench.schemas.text import show_document
+from gpusimbench.schemas.writing import write_file
 
 
 def local_name(text: str) -> str:
@@ -36,3 +39,23 @@ def check_sample_time(seconds: float | None) -> None:
     """UsageError where no positions can be compared at a time; None, for the default, is right."""
     if seconds is not None and not 0 < seconds < float("inf"):
         raise UsageError(f"--sample-time is a time in seconds above 0, not {seconds}")
+
+
+def check_target(target: str | None) -> None:
+    """UsageError where "--json *.mcap" would overwrite a recording, or where no file can be; before any work."""
+    if target is None or target == "-":
+        return
+    path = Path(target)
+    if path.suffix in (".mcap", PARTIAL):
+        raise UsageError(f"--json takes the file to write, or -; {target} is named like a recording")
+    if path.is_dir() or not path.parent.is_dir():
+        what = "a folder" if path.is_dir() else f"in no folder that exists ({path.parent})"
+        raise UsageError(f"--json takes the file to write, or -; {target} is {what}")
+
+
+def write_json(target: str, text: str) -> None:
+    """Write a document to a file, or to standard output for "-"."""
+    if target == "-":
+        show_document(text)
+    else:
+        write_file(Path(target), text)

@@ -5,9 +5,8 @@ from __future__ import annotations
 import argparse
 import sys
 
-from gpusimbench.evaluator.cli.arguments import local_name
+from gpusimbench.evaluator.cli.arguments import check_target, local_name, write_json
 from gpusimbench.evaluator.cli.entry import enter, new_parser
-from gpusimbench.evaluator.cli.json_target import check_target, write_json
 from gpusimbench.schemas.errors import ExitCode, UsageError
 from gpusimbench.schemas.location import place
 from gpusimbench.schemas.progress import each, sizes

@@ -6,9 +6,15 @@ import argparse
 import sys
 from typing import TYPE_CHECKING
 
-from gpusimbench.evaluator.cli.arguments import add_sample_time, check_sample_time, local_name, local_path
+from gpusimbench.evaluator.cli.arguments import (
+    add_sample_time,
+    check_sample_time,
+    check_target,
+    local_name,
+    local_path,
+    write_json,
+)
 from gpusimbench.evaluator.cli.entry import complain, enter, new_parser
-from gpusimbench.evaluator.cli.json_target import check_target, write_json
 from gpusimbench.schemas.errors import UsageError
 from gpusimbench.schemas.location import Place, place
 from gpusimbench.schemas.suggestion import did_you_mean

@@ -8,9 +8,8 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from gpusimbench.evaluator.cli.arguments import add_sample_time, check_sample_time, local_name, local_path
+from gpusimbench.evaluator.cli.arguments import add_sample_time, check_sample_time, check_target, local_name, local_path
 from gpusimbench.evaluator.cli.entry import complain, enter, new_parser
-from gpusimbench.evaluator.cli.json_target import check_target
 from gpusimbench.schemas.errors import ExitCode, NothingComparable, UsageError
 from gpusimbench.schemas.location import Place, place
 from gpusimbench.schemas.progress import stage

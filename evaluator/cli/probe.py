@@ -8,9 +8,8 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from gpusimbench.evaluator.cli.arguments import local_name, local_path
+from gpusimbench.evaluator.cli.arguments import check_target, local_name, local_path, write_json
 from gpusimbench.evaluator.cli.entry import complain, enter, new_parser
-from gpusimbench.evaluator.cli.json_target import check_target, write_json
 from gpusimbench.schemas.errors import DataLost, ExitCode, NothingComparable, UsageError
 from gpusimbench.schemas.folder_lock import held
 from gpusimbench.schemas.location import place

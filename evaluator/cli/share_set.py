@@ -6,9 +6,8 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from gpusimbench.evaluator.cli.arguments import local_name, local_path
+from gpusimbench.evaluator.cli.arguments import check_target, local_name, local_path, write_json
 from gpusimbench.evaluator.cli.entry import complain
-from gpusimbench.evaluator.cli.json_target import check_target, write_json
 from gpusimbench.schemas.errors import ExitCode, GsbError, UsageError
 from gpusimbench.schemas.location import place
 from gpusimbench.schemas.text import block, show
@@ -53,8 +52,8 @@ def add_verbs(verbs: Any) -> None:
 
 def card(arguments: argparse.Namespace) -> int:
     """Describe a folder; returns the exit code."""
-    from gpusimbench.evaluator.share.dataset.checkup import BROKEN, DAMAGED
     from gpusimbench.evaluator.share.dataset.citation import Publication, check_doi, check_url, parse_author
+    from gpusimbench.evaluator.share.dataset.contents import BROKEN, DAMAGED
     from gpusimbench.evaluator.share.dataset.licences import check_licence
     from gpusimbench.evaluator.share.dataset.publish import publish
     from gpusimbench.evaluator.share.dataset.text import published_lines, warnings_of

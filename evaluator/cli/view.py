@@ -106,7 +106,7 @@ def _page(clip: Clip, recordings: list[Recording], out: Path | None, command: st
 
 def _elsewhere(program: Program, clip: Clip, recordings: list[Recording], spread: float, *, started: bool) -> None:
     from gpusimbench.evaluator.player.programs import start
-    from gpusimbench.evaluator.player.viewable import views
+    from gpusimbench.evaluator.player.viewer import views
 
     files = views(recordings, clip, _folder(), spread=spread)
     for recording, file in zip(recordings, files, strict=True):

@@ -9,9 +9,8 @@ from gpusimbench.evaluator.check.protocol import Protocol
 from gpusimbench.evaluator.compare.distances import distances, has_positions, joint_distances
 from gpusimbench.evaluator.compare.finding import FAILING, Change, Finding, Question, Settings
 from gpusimbench.evaluator.compare.matching import Pair, check_across, match
-from gpusimbench.evaluator.compare.measures import compared_by
 from gpusimbench.evaluator.compare.mechanics import compare_mechanics
-from gpusimbench.evaluator.compare.numbers import compare_numbers
+from gpusimbench.evaluator.compare.numbers import compare_numbers, compared_by
 from gpusimbench.evaluator.compare.outcome import JOINT_OUTCOMES, compare_outcomes, compare_spread
 from gpusimbench.evaluator.compare.sameness import all_alike, compare_bits, compare_determinism
 from gpusimbench.evaluator.compare.schedule import Schedule, schedule

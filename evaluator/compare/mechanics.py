@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from gpusimbench.evaluator.compare.counted import Counted
-from gpusimbench.evaluator.compare.finding import Change, Finding, Question, not_compared
+from gpusimbench.evaluator.compare.finding import Change, Counted, Finding, Question, not_compared
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.results.aggregate import Runs
 from gpusimbench.evaluator.results.fidelity import Fidelity, FidelityRow, Verdict, fidelity

@@ -1,9 +1,9 @@
-"""Numbers of runs: the ratio of head to base, tested by dealing the runs anew."""
+"""Numbers of runs, one for each run: which are compared; the ratio of head to base, tested by dealing the runs anew."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -12,13 +12,17 @@ from numpy.typing import NDArray
 
 from gpusimbench.evaluator.compare.finding import Change, Finding, Question, Settings, judged, not_compared
 from gpusimbench.evaluator.compare.schedule import Schedule, schedule
+from gpusimbench.evaluator.metrics.cotenants import Presence
 from gpusimbench.evaluator.missing import Missing
+from gpusimbench.evaluator.results.aggregate import Runs
+from gpusimbench.evaluator.results.cost_metrics import GPU_MEMORY, process_peak
 from gpusimbench.evaluator.results.group_runs import GroupRuns
-from gpusimbench.evaluator.results.metric import Axis, Metric
+from gpusimbench.evaluator.results.metric import Axis, Direction, Metric, each
+from gpusimbench.evaluator.results.metrics import METRICS
+from gpusimbench.evaluator.runs.run import Run
 from gpusimbench.evaluator.statistics.exchange import Shift, compare_means, least_p
 
 Values = NDArray[np.float64]
-
 _SPEED: Final = (Axis.THROUGHPUT, Axis.MEMORY, Axis.BUILD)
 _OPTIONAL: Final = (Axis.VALIDITY, Axis.VARIABILITY)
 """Axes of which nothing is said where neither side has a number."""
@@ -178,3 +182,39 @@ def _geometric(values: Values) -> float:
 
 def _ratio(base: float, head: float) -> float | None:
     return head / base if base > 0 else None
+
+
+def contacts_of(run: Run) -> float | Missing:
+    """Contacts of an environment at a step: of the timed phase, or else of the captured steps."""
+    counts = run.counts
+    found = next(
+        (counts[phase]["contacts"] for phase in ("timed", "capture") if "contacts" in counts.get(phase, {})), None
+    )
+    return found.mean if found else Missing("contacts were not counted")
+
+
+CONTACTS = Metric(
+    "contacts", "contacts of an env", "", Direction.NEITHER,
+    "contacts of an environment at a counted step; mean over runs",
+    method="mean over environments and counted steps", values=each(contacts_of), axis=Axis.VALIDITY,
+)  # fmt: skip
+
+
+def compared_by(axis: Axis, base: Runs, head: Runs) -> Iterator[Metric]:
+    """The metrics of an axis that have a number of each run; GPU memory by the one that both sides have."""
+    other_sources = {*GPU_MEMORY} - {_gpu_memory_by(base, head)}
+    for metric in (*METRICS.values(), CONTACTS):
+        if metric.axis is axis and metric.values is not None and metric.name not in other_sources:
+            yield metric
+
+
+def _gpu_memory_by(base: Runs, head: Runs) -> str:
+    """The metric by which GPU memory is compared: of one source on both sides.
+
+    The increment of the whole device, as published; where another process was on the device in a run, what NVML
+    attributed to the runs' own processes, if all runs have it.
+    """
+    device, process = GPU_MEMORY
+    runs = (*base, *head)
+    shared = any(run.cotenants.presence is Presence.SOME for run in runs)
+    return process if shared and all(process_peak(run) is not None for run in runs) else device

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from gpusimbench.evaluator.compare.counted import Counted
-from gpusimbench.evaluator.compare.finding import Change, Finding, Question
+from gpusimbench.evaluator.compare.finding import Change, Counted, Finding, Question
 from gpusimbench.evaluator.compare.matching import Pair
 from gpusimbench.evaluator.report.words import trouble
 from gpusimbench.evaluator.results.metric import Axis, Direction

@@ -12,7 +12,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, TypeVar
 
-from gpusimbench.evaluator.compute.cache.version import code_version
+from gpusimbench.evaluator.compute.cache.store import code_version
 from gpusimbench.schemas.errors import GsbError, UsageError
 from gpusimbench.schemas.output import OfMainThread, unheard
 

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from gpusimbench.evaluator.diff.selection import Selection
 from gpusimbench.evaluator.diff.states import CommonStates
 from gpusimbench.schemas.fingerprint import fingerprint
-from gpusimbench.schemas.splitmix import GOLDEN, mix
+from gpusimbench.schemas.mixing import GOLDEN, mix
 
 Words = NDArray[np.uint64]
 

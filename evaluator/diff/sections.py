@@ -5,8 +5,7 @@ from __future__ import annotations
 import math
 
 from gpusimbench.evaluator.diff import words
-from gpusimbench.evaluator.diff.brief import brief, reached
-from gpusimbench.evaluator.diff.classes import Labels, classes_of
+from gpusimbench.evaluator.diff.brief import Labels, brief, classes_of, reached
 from gpusimbench.evaluator.diff.result import Basis, Difference, FieldDifference, Growth
 from gpusimbench.evaluator.diff.verdict import verdict_of
 from gpusimbench.evaluator.missing import Missing

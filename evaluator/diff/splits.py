@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from gpusimbench.evaluator.diff.result import Change, Splits, StepRange
 from gpusimbench.evaluator.metrics.divergence import by_first_appearance
-from gpusimbench.schemas.splitmix import GOLDEN, mix
+from gpusimbench.schemas.mixing import GOLDEN, mix
 
 
 class Counts:

@@ -16,8 +16,8 @@ from gpusimbench.evaluator.diff.selection import Selection
 from gpusimbench.evaluator.diff.splits import Agreement, Classes
 from gpusimbench.evaluator.diff.states import CommonStates
 from gpusimbench.schemas.fingerprint import fingerprint
+from gpusimbench.schemas.mixing import GOLDEN, mix
 from gpusimbench.schemas.progress import each
-from gpusimbench.schemas.splitmix import GOLDEN, mix
 
 _HASH_ROWS = 512
 

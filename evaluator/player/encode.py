@@ -1,4 +1,4 @@
-"""A clip as JSON that a page may hold: numbers packed as base64, and no text that could end the element around it."""
+"""A clip as JSON that a page may hold: numbers packed as base64, no text that could end the element around it."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gpusimbench.evaluator.player.clip import Clip, Track
-from gpusimbench.evaluator.player.facets import box_of, facets_of
-from gpusimbench.evaluator.player.poses import Shape, Surroundings
+from gpusimbench.evaluator.player.poses import Surroundings
 from gpusimbench.schemas.text import printable
+from gpusimbench.schemas.view.shapes import Shape
 
 RESOLUTION_M = 2.0**-17
 """Positions are rounded to multiples of it, 0.0076 mm, and are float32."""
@@ -26,6 +26,10 @@ _FAR_PERCENT = 10.0  # of positions, those furthest out, do not decide what the 
 _GROWTH, _GROWTH_ALONE = 0.08, 0.5  # how far it looks beyond what is there at first, in diagonals of that
 _FAR_M = 1e5
 _LONGEST = 300  # characters of a name
+_SIDES = 20  # of what is round
+_RINGS = 10
+Faces = list[list[int]]
+Points = list[list[float]]
 
 
 def encode(clip: Clip) -> str:
@@ -175,3 +179,45 @@ def _finite(positions: NDArray[np.float64]) -> NDArray[np.float64]:
 def _text(text: str) -> str:
     shown = printable(text)
     return shown if len(shown) <= _LONGEST else f"{shown[:_LONGEST]}..."
+
+
+def facets_of(shape: Shape) -> tuple[Points, Faces] | None:
+    """Points [m] and faces, each as the numbers of its points, counter-clockwise as seen from outside; None for a shape
+    that the page draws by its size."""
+    if shape.mesh is not None:
+        digits = 4 - math.floor(math.log10(max(shape.size) or 1.0))
+        return shape.mesh.points.round(digits).tolist(), shape.mesh.triangles.tolist()
+    if shape.kind == "cylinder":
+        radius, length = shape.size
+        return _turned([(radius, -length / 2), (radius, length / 2)], (1.0, 1.0))
+    if shape.kind == "ellipsoid":
+        x, y, z = (edge / 2 for edge in shape.size)
+        rings = [(ring + 0.5) * math.pi / _RINGS for ring in range(_RINGS)]
+        return _turned([(math.sin(angle), -z * math.cos(angle)) for angle in rings], (x, y))
+    return None
+
+
+def box_of(shape: Shape) -> list[float]:
+    """Edges of a box about a shape, along its own axes [m]."""
+    if shape.kind == "sphere":
+        return [2 * shape.size[0]] * 3
+    if shape.kind in ("capsule", "cylinder"):
+        radius, length = shape.size
+        return [2 * radius, 2 * radius, length + (2 * radius if shape.kind == "capsule" else 0)]
+    return list(shape.size)
+
+
+def _turned(outline: list[tuple[float, float]], stretch: tuple[float, float]) -> tuple[Points, Faces]:
+    # a surface around z: radii and heights upward, with an end at the bottom and at the top
+    angles = [side * 2 * math.pi / _SIDES for side in range(_SIDES)]
+    points = [
+        [stretch[0] * radius * math.cos(angle), stretch[1] * radius * math.sin(angle), height]
+        for radius, height in outline
+        for angle in angles
+    ]
+    faces = [list(range(_SIDES))[::-1], [len(points) - _SIDES + side for side in range(_SIDES)]]
+    for begin in range(0, len(points) - _SIDES, _SIDES):
+        for side in range(_SIDES):
+            on = (side + 1) % _SIDES
+            faces.append([begin + side, begin + on, begin + _SIDES + on, begin + _SIDES + side])
+    return points, faces

@@ -11,8 +11,8 @@ from gpusimbench.schemas.mcap.writer import McapWriter
 from gpusimbench.schemas.messages import embedded_schema, message_class
 from gpusimbench.schemas.text import printable
 from gpusimbench.schemas.view.env_view import ROOT, EnvView
+from gpusimbench.schemas.view.foxglove import event_line, status_line
 from gpusimbench.schemas.view.layout import NAME, layout
-from gpusimbench.schemas.view.log import event_line, status_line
 from gpusimbench.schemas.view.motion import Frame
 
 _SCENE, _TRANSFORMS, _LOG = "/scene", "/tf", "/log"

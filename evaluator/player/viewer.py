@@ -1,4 +1,4 @@
-"""Some environments of a recording as a file for viewers: shapes once, poses over simulated time, events."""
+"""Some environments of a recording as a file for viewers, and recordings that viewers can be given as they are."""
 
 from __future__ import annotations
 
@@ -7,12 +7,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from gpusimbench.evaluator.player.clip import Clip
 from gpusimbench.evaluator.player.poses import hidden_groups, nothing_shown
 from gpusimbench.evaluator.player.view_writer import Shown, ViewWriter
 from gpusimbench.evaluator.read.copying import LIBRARY
 from gpusimbench.evaluator.read.recording import Recording
+from gpusimbench.schemas import topics
 from gpusimbench.schemas.configuration import EPOCH_NS, sim_time_ns
 from gpusimbench.schemas.errors import DamagedRecording, UsageError
+from gpusimbench.schemas.mcap.reader import Container
 from gpusimbench.schemas.mcap.writer import McapWriter
 from gpusimbench.schemas.view.env_view import EnvView
 from gpusimbench.schemas.view.kinematics import Vector
@@ -21,6 +24,7 @@ from gpusimbench.schemas.view.shapes import Solid
 from gpusimbench.schemas.writing import new_file
 
 _LAST_NS = 1 << 62
+_DRAWN = "foxglove.SceneUpdate"  # with which an environment's poses come
 
 
 @dataclass(frozen=True)
@@ -150,3 +154,30 @@ def _notes(recording: Recording, shown: Sequence[Shown], solids: Sequence[Solid]
     if len({view.place for view, _ in shown}) < len(shown):
         notes.append("environments at the same place are drawn into each other; --spread puts them side by side")
     return notes
+
+
+def envs_inside(path: Path) -> set[int]:
+    """Environments that a recording has a view of inside, which Foxglove and rerun draw."""
+    channels = Container(path).channels.values()
+    parts = [topics.parse_view(channel.topic) for channel in channels if channel.message == _DRAWN]
+    return {part.env for part in parts if part is not None}
+
+
+def views(recordings: Sequence[Recording], clip: Clip, folder: Path, *, spread: float) -> list[Path]:
+    """Each recording itself, where its view has all its environments of the clip, or a file with them in the folder.
+
+    Nobody is shown other environments than the clip is said to show.
+    """
+    found = []
+    for index, recording in enumerate(recordings):
+        if not isinstance(recording.path, Path):
+            raise UsageError(
+                f"{recording.path} is not on this machine: download it, because other programs open local files only"
+            )
+        envs = [track.env for track in clip.tracks if track.recording == index] or [0]
+        if envs_inside(recording.path).issuperset(envs):
+            found.append(recording.path)
+            continue
+        target = folder / f"{index}-{recording.path.stem}-view.mcap"
+        found.append(write_view(recording.path, target, envs=envs, rate=30.0, spread=spread).path)
+    return found

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from gpusimbench.evaluator.transport.assignment import mean_assignment_distance
+from gpusimbench.evaluator.transport.exact import mean_assignment_distance, mean_transport_distance
 from gpusimbench.evaluator.transport.points import (
     NetMass,
     distance_matrix,
@@ -18,7 +18,6 @@ from gpusimbench.evaluator.transport.points import (
     scaled_back,
     squares_vanish,
 )
-from gpusimbench.evaluator.transport.simplex import mean_transport_distance
 
 # A dense assignment solver is the faster one for small or like clouds; for clouds that are shifted
 # against each other it takes longer (1000 points, CPU time: 0.11 s alike, 0.55 s shifted), where the

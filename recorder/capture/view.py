@@ -12,8 +12,8 @@ from gpusimbench.recorder.simulators.captured import States
 from gpusimbench.schemas.checks import load
 from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.fields import StateField
+from gpusimbench.schemas.view.foxglove import event_line, status_line
 from gpusimbench.schemas.view.geometry import GEOMETRY, look_of
-from gpusimbench.schemas.view.log import event_line, status_line
 from gpusimbench.schemas.view.recorded import LOG_TOPIC, LOG_TYPE, METADATA, RecordedView, ViewMessage, layout_of
 
 

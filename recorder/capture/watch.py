@@ -1,15 +1,73 @@
-"""What is sampled during a run from threads of their own: memory, and how fast the hardware could run."""
+"""What is sampled during a run from threads of their own, memory and how fast the hardware could run, to messages."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
-from gpusimbench.recorder.capture.hardware import HardwareWriter
-from gpusimbench.recorder.capture.memory import MemoryWriter
+from gpusimbench.recorder import interruption
 from gpusimbench.recorder.capture.sink import Sink
 from gpusimbench.recorder.probes.gpu import Gpus
 from gpusimbench.recorder.probes.hardware import HardwareSampler
 from gpusimbench.recorder.probes.memory import MemorySampler
+from gpusimbench.schemas import topics
+from gpusimbench.schemas.messages import message_class
+
+
+class HardwareWriter:
+    """Hardware readings of a run, written between phases: the sink belongs to one thread."""
+
+    def __init__(self, sink: Sink, sampler: HardwareSampler, gpu_count: int) -> None:
+        self._sink = sink
+        self.sampler = sampler
+        for topic in (topics.HARDWARE_HOST, *map(topics.gpu_hardware, range(gpu_count))):
+            sink.channel(topic, "gsb.v1.HardwareSample", {"rate": "5 Hz"})
+
+    def drain(self) -> None:
+        """Write the readings since the last call."""
+        sample: Any = message_class("gsb.v1.HardwareSample")
+        with interruption.shielded():  # readings that were taken are written
+            for reading in self.sampler.take():
+                message = sample(
+                    device=reading.device,
+                    monotonic_ns=reading.monotonic_ns,
+                    phase=reading.phase,
+                    not_known=reading.not_known,
+                    **reading.values,
+                )
+                self._sink.write(reading.topic, message.SerializeToString())
+
+
+class MemoryWriter:
+    """Memory readings of a run, written between phases: the sink belongs to one thread."""
+
+    def __init__(self, sink: Sink, sampler: MemorySampler, gpu_count: int) -> None:
+        self._sink = sink
+        self._sampler = sampler
+        metadata = {"unit": "byte", "rate": "100 Hz and at checkpoints"}
+        sink.channel(topics.MEMORY_HOST, "gsb.v1.MemorySample", metadata)
+        for index in range(gpu_count):
+            for source in ("device", "process", "allocator"):
+                sink.channel(topics.gpu_memory(index, source), "gsb.v1.MemorySample", metadata)
+
+    def drain(self) -> None:
+        """Write the readings since the last call."""
+        sample: Any = message_class("gsb.v1.MemorySample")
+        with interruption.shielded():  # readings that were taken are written
+            for reading in self._sampler.take():
+                message = sample(
+                    source=reading.source,
+                    device=reading.device,
+                    monotonic_ns=reading.monotonic_ns,
+                    used_bytes=reading.used_bytes,
+                    total_bytes=reading.total_bytes,
+                    phase=reading.phase,
+                    checkpoint=reading.checkpoint,
+                    other_processes=reading.other_processes,
+                    other_bytes=reading.other_bytes,
+                    reserved_bytes=reading.reserved_bytes,
+                )
+                self._sink.write(reading.topic, message.SerializeToString())
 
 
 class Watch:

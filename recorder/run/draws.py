@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from gpusimbench.schemas.mix32 import GOLDEN32, mix32
+from gpusimbench.schemas.mixing import GOLDEN32, mix32
 from gpusimbench.schemas.treatment import Initial, Vary
 
 GRID = 2.0**-13
@@ -28,7 +28,7 @@ def draw(
         w = mix(w + (field + 1) * G), and the same with the environment and each further index
         drawn = ((w >> 16) * (2 k + 1) >> 16) - k, times GRID, with k = floor(spread / GRID)
 
-    with mix the finaliser of MurmurHash3, G = 0x9E3779B9 (``schemas.mix32``). Environment e counts as (e + shift)
+    with mix the finaliser of MurmurHash3, G = 0x9E3779B9 (``schemas.mixing``). Environment e counts as (e + shift)
     modulo their number; with `but`, all others than that one have the stream plus 1.
     """
     n_env, *inner = shape

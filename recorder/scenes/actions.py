@@ -11,7 +11,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from gpusimbench.schemas.mix32 import GOLDEN32, mix32
+from gpusimbench.schemas.mixing import GOLDEN32, mix32
 
 GRID = 2.0**-13
 """Angles of a robot's joints are whole multiples of this [rad]."""
@@ -36,7 +36,7 @@ class JointTargets:
         w = mix(w + (env + 1) * G);  w = mix(w + (step + 1) * G);  w = mix(w + (joint + 1) * G)
         target = (first[joint] + ((w >> 16) * count[joint] >> 16)) * grid[joint]
 
-    with mix the finaliser of MurmurHash3 and G = 0x9E3779B9 (``schemas.mix32``).
+    with mix the finaliser of MurmurHash3 and G = 0x9E3779B9 (``schemas.mixing``).
 
     name          of the topic
     joints        names, in the robot's order

@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 
 from gpusimbench.recorder.log import RecordingWriter
 from gpusimbench.recorder.vector.fields import field_of, recorded_dtype
-from gpusimbench.recorder.vector.ledger import Ledger
-from gpusimbench.recorder.vector.modes import FINAL, Mode, mode_of, with_final
+from gpusimbench.recorder.vector.modes import FINAL, Ledger, Mode, mode_of, with_final
 from gpusimbench.schemas.errors import UsageError
 from gpusimbench.schemas.fields import DIMENSIONLESS, UNKNOWN
 from gpusimbench.schemas.trees import leaves, on_host

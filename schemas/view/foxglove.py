@@ -8,12 +8,13 @@ from typing import Any
 import numpy as np
 
 from gpusimbench.schemas.messages import message_class
+from gpusimbench.schemas.text import line
+from gpusimbench.schemas.view import foxglove
 from gpusimbench.schemas.view.kinematics import Vector
 from gpusimbench.schemas.view.rotation import rotate
 from gpusimbench.schemas.view.shapes import IDENTITY, Shape
 
 Colour = tuple[float, float, float]
-
 _NS = 1_000_000_000
 
 
@@ -120,3 +121,15 @@ _ADD = {
     "ellipsoid": _add_ellipsoid,
     "mesh": _add_mesh,
 }
+
+
+def event_line(kind: str, phase: str, text: str, unix_ns: int) -> Any:
+    """A Log of an event: its kind such as "PHASE_BEGIN", the phase, what is said, and its time of the calendar [ns]."""
+    said = " ".join(filter(None, (kind.replace("_", " ").lower(), phase, text)))
+    return foxglove.log("ERROR" if kind == "GATE" else "INFO", line(said), unix_ns)
+
+
+def status_line(status: str, reason: str, unix_ns: int, *, good: bool) -> Any:
+    """A Log of how a run ended: its status such as "complete", and why."""
+    said = f"status {status}{': ' if reason else ''}{reason}"
+    return foxglove.log("INFO" if good else "ERROR", line(said), unix_ns)

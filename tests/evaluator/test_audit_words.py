@@ -12,9 +12,9 @@ from gpusimbench import open_recording
 from gpusimbench.evaluator.audit.audit import Audit, Outcome, held
 from gpusimbench.evaluator.audit.checking import Check
 from gpusimbench.evaluator.audit.distribution import LawTest, Unit
+from gpusimbench.evaluator.audit.matching import Settings
 from gpusimbench.evaluator.audit.replaying import Replays
 from gpusimbench.evaluator.audit.sections import audit_document
-from gpusimbench.evaluator.audit.settings import Settings
 from gpusimbench.evaluator.audit.verdict import Level, Match, ladder
 from gpusimbench.evaluator.compute.recorder import Made
 from gpusimbench.evaluator.diff.compare import compare

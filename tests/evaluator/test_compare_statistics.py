@@ -12,8 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
-from gpusimbench.evaluator.compare.counted import Counted
-from gpusimbench.evaluator.compare.finding import Change, Finding
+from gpusimbench.evaluator.compare.finding import Change, Counted, Finding
 from gpusimbench.evaluator.compare.schedule import Schedule, neighbours
 from gpusimbench.evaluator.results.metric import Axis
 from gpusimbench.evaluator.statistics import exchange

@@ -10,8 +10,7 @@ from typing import Any
 
 import pytest
 
-from gpusimbench.evaluator.compare.counted import Counted
-from gpusimbench.evaluator.compare.finding import Change, Finding
+from gpusimbench.evaluator.compare.finding import Change, Counted, Finding
 from gpusimbench.evaluator.compare.mechanics import compare_mechanics
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.render.document import Document

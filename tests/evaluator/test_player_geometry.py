@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from gpusimbench import RecordingWriter
-from gpusimbench.evaluator.player.facets import box_of, facets_of
+from gpusimbench.evaluator.player.encode import box_of, facets_of
 from gpusimbench.evaluator.player.poses import items_of, surroundings
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.render.figures.palette import GROUPS_LIGHT

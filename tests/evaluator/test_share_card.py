@@ -21,8 +21,8 @@ from gpusimbench.evaluator.cli.share import main
 from gpusimbench.evaluator.results.evaluate import evaluate_files
 from gpusimbench.evaluator.share.dataset.citation import parse_author
 from gpusimbench.evaluator.share.dataset.contents import identity
+from gpusimbench.evaluator.share.dataset.folder import why_not
 from gpusimbench.evaluator.share.dataset.licences import HUB_NAMES, check_licence
-from gpusimbench.evaluator.share.dataset.names import why_not
 from gpusimbench.schemas.errors import UsageError
 from tests.conftest import call
 from tests.evaluator.sets import WHEN, WORDS, described

@@ -21,8 +21,8 @@ from gpusimbench.evaluator.compute.cache.store import Store
 from gpusimbench.evaluator.compute.work import Work
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.render.scripts import script
-from gpusimbench.evaluator.share.dataset import checkup
-from gpusimbench.evaluator.share.leaderboard import gathering
+from gpusimbench.evaluator.share.dataset import contents
+from gpusimbench.evaluator.share.leaderboard.make import gather
 from gpusimbench.schemas.errors import ExitCode
 from gpusimbench.schemas.provenance import ReplayOf
 from tests.conftest import call
@@ -338,10 +338,10 @@ def test_what_is_known_is_not_checked_again(runs: Path, tmp_path: Path, monkeypa
     work = Work(store=Store(tmp_path / "cache"))
     monkeypatch.setattr("gpusimbench.evaluator.read.stamp._SETTLED_NS", -(10**12))  # as if it had been written long ago
     calls: list[Path] = []
-    real = checkup.examine
-    monkeypatch.setattr(checkup, "examine", lambda given: calls.append(given) or real(given))  # type: ignore[func-returns-value]
-    (first,) = gathering.gather([path], 5.0, work)
-    (second,) = gathering.gather([path], 5.0, work)
+    real = contents.examine
+    monkeypatch.setattr(contents, "examine", lambda given: calls.append(given) or real(given))  # type: ignore[func-returns-value]
+    (first,) = gather([path], 5.0, work)
+    (second,) = gather([path], 5.0, work)
     assert calls == [path]
     assert first.checkup == second.checkup
     assert first.run and second.run
@@ -349,7 +349,7 @@ def test_what_is_known_is_not_checked_again(runs: Path, tmp_path: Path, monkeypa
     data = bytearray(path.read_bytes())
     data[len(data) // 2] ^= 1
     path.write_bytes(data)
-    (again,) = gathering.gather([path], 5.0, work)
+    (again,) = gather([path], 5.0, work)
     assert again.checkup.outcome == "damaged"
 
 

@@ -16,7 +16,7 @@ from hypothesis.extra.numpy import arrays
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial.distance import cdist
 
-from gpusimbench.evaluator.transport import pair, simplex
+from gpusimbench.evaluator.transport import exact, pair
 from gpusimbench.evaluator.transport.compiled import compiled
 from gpusimbench.evaluator.transport.pair import UNEQUAL_COUNTS, wasserstein1
 from gpusimbench.evaluator.transport.points import net_mass
@@ -173,7 +173,7 @@ def test_raises_without_convergence(monkeypatch: pytest.MonkeyPatch) -> None:
         def emd2(*_: object, **__: object) -> tuple[float, dict[str, str]]:
             return 1.0, {"warning": "numItermax reached"}
 
-    monkeypatch.setattr(simplex, "_pot", lambda: Stopped)
+    monkeypatch.setattr(exact, "_pot", lambda: Stopped)
     monkeypatch.setattr(pair, "ASSIGNMENT_LIMIT", 0)
     with pytest.raises(ValueError, match="did not converge: numItermax"):
         wasserstein1(cloud(2, 0), cloud(3, 1))

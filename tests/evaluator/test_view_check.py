@@ -17,8 +17,8 @@ from mcap.stream_reader import StreamReader
 from mcap.writer import Writer
 
 from gpusimbench.evaluator.check.integrity import examine
-from gpusimbench.evaluator.check.integrity.agreement import difference
 from gpusimbench.evaluator.check.integrity.problem import Kind
+from gpusimbench.evaluator.check.integrity.view import difference
 from gpusimbench.evaluator.check.rules.findings import check
 from gpusimbench.evaluator.check.rules.rule import load_rules
 from gpusimbench.schemas.errors import ExitCode

@@ -17,8 +17,8 @@ from gpusimbench.evaluator.check.integrity import examine
 from gpusimbench.evaluator.check.integrity.problem import Kind
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.runs.validation import verify
-from gpusimbench.recorder.capture.hardware import HardwareWriter
 from gpusimbench.recorder.capture.sink import Sink
+from gpusimbench.recorder.capture.watch import HardwareWriter
 from gpusimbench.recorder.probes.cpu import Cpus
 from gpusimbench.recorder.probes.gpu import Gpus
 from gpusimbench.recorder.probes.hardware import HardwareSampler

@@ -21,7 +21,7 @@ from gpusimbench.recorder.scenes.base import Body, Box, Material, Plane, Scene, 
 from gpusimbench.recorder.scenes.emit.usd import emit_usd
 from gpusimbench.recorder.scenes.registry import make_scene
 from gpusimbench.recorder.simulators.base import Description
-from gpusimbench.recorder.simulators.physx import grid, libraries, log, orientations
+from gpusimbench.recorder.simulators.physx import bodies, grid, libraries, log
 from gpusimbench.recorder.simulators.physx.deviations import deviations
 from gpusimbench.recorder.simulators.physx.options import PhysxOptions, apis
 from gpusimbench.recorder.simulators.physx.simulator import Physx
@@ -194,9 +194,9 @@ def test_deviations_say_how_materials_meet() -> None:
 @given(arrays(np.float32, (16, 4), elements=st.floats(-1, 1, width=32)))
 def test_orientations_are_what_they_become(given: np.ndarray) -> None:
     """What is written for a normalised quaternion becomes the same bits, or, where nothing does, is as it was."""
-    wanted = orientations.normalised(given[(np.abs(given) > 0.01).any(axis=1)])
-    written = orientations.to_write(wanted)
-    same = (orientations.normalised(written) == wanted).all(axis=1)
+    wanted = bodies.normalised(given[(np.abs(given) > 0.01).any(axis=1)])
+    written = bodies.to_write(wanted)
+    same = (bodies.normalised(written) == wanted).all(axis=1)
     assert np.array_equal(written[~same], wanted[~same])
     assert np.abs(np.linalg.norm(written, axis=1) - 1).max(initial=0) < 0.008
 
@@ -204,11 +204,11 @@ def test_orientations_are_what_they_become(given: np.ndarray) -> None:
 def test_orientations_are_nearly_always_found() -> None:
     """Of ten thousand orientations nearly three in ten do not survive being written; all but a few then do."""
     drawn = np.random.default_rng(0).normal(size=(10000, 4)).astype(np.float32)
-    wanted = orientations.normalised(drawn)
-    assert (orientations.normalised(wanted) != wanted).any(axis=1).sum() > 2000
-    assert (orientations.normalised(orientations.to_write(wanted)) != wanted).any(axis=1).sum() < 5
+    wanted = bodies.normalised(drawn)
+    assert (bodies.normalised(wanted) != wanted).any(axis=1).sum() > 2000
+    assert (bodies.normalised(bodies.to_write(wanted)) != wanted).any(axis=1).sum() < 5
     nothing = np.full((2, 4), np.nan, dtype=np.float32)
-    assert np.isnan(orientations.to_write(nothing)).all()
+    assert np.isnan(bodies.to_write(nothing)).all()
 
 
 # --- with the engine

@@ -11,8 +11,7 @@ import numpy as np
 
 from gpusimbench.evaluator.compare.finding import Change, Settings, judged
 from gpusimbench.evaluator.compare.history.series import Entry, Series
-from gpusimbench.evaluator.compare.measures import compared_by
-from gpusimbench.evaluator.compare.numbers import matters
+from gpusimbench.evaluator.compare.numbers import compared_by, matters
 from gpusimbench.evaluator.missing import Missing, known
 from gpusimbench.evaluator.results.aggregate import MEDIAN
 from gpusimbench.evaluator.results.metric import Axis, Metric

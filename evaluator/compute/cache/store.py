@@ -1,18 +1,21 @@
-"""A folder of results, each under the digest of everything that it follows from."""
+"""A folder of results, each under the digest of everything that it follows from, the code among it."""
 
 from __future__ import annotations
 
 import hashlib
 import os
+import platform
+import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
+from functools import cache
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from stat import S_ISREG
 from typing import Any
 
 from gpusimbench.evaluator.compute.cache.codec import decode, encode
-from gpusimbench.evaluator.compute.cache.version import code_version
 from gpusimbench.schemas import PARTIAL
 from gpusimbench.schemas.errors import GsbError
 from gpusimbench.schemas.writing import write_file
@@ -24,6 +27,9 @@ _SUFFIX = ".result"
 _DIGEST = 32  # bytes of SHA-256 before each document: what a disk or a hand changed or moved is no result
 _MOST = 256 << 20  # bytes of an entry
 _ABANDONED_S = 3600
+_PACKAGES = ("numpy", "scipy", "numba", "POT", "lz4", "zstandard", "protobuf")
+_FOLDERS = ("evaluator", "schemas")
+_KINDS = ("*.py", "*.binpb")
 
 
 def default_folder() -> Path | None:
@@ -125,3 +131,26 @@ def _sealed(key: str, document: bytes | memoryview) -> bytes:
     digest = hashlib.sha256(key.encode())
     digest.update(document)
     return digest.digest()
+
+
+@cache
+def code_version() -> str:
+    """SHA-256 [hex] of this project's own evaluating code, of the versions of what it computes with, and of the kind of
+    machine.
+    """
+    digest = hashlib.sha256()
+    root = Path(__file__).resolve().parents[3]
+    for folder in _FOLDERS:
+        for path in sorted(p for kind in _KINDS for p in (root / folder).rglob(kind)):
+            digest.update(path.relative_to(root).as_posix().encode() + b"\0" + path.read_bytes() + b"\0")
+    digest.update(f"{sys.version} {platform.machine()}\0".encode())
+    for package in _PACKAGES:
+        digest.update(f"{package}={_version(package)}\0".encode())
+    return digest.hexdigest()
+
+
+def _version(package: str) -> str:
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return ""

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+import re
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from platform import python_version
@@ -11,10 +12,8 @@ from typing import Any
 
 from gpusimbench import schemas
 from gpusimbench.evaluator.json_values import dump
-from gpusimbench.evaluator.share.dataset.checkup import BROKEN, DAMAGED, INTEGRITY, WHOLE
-from gpusimbench.evaluator.share.dataset.contents import Sum
-from gpusimbench.evaluator.share.dataset.folder import MAX_FILES
-from gpusimbench.evaluator.share.dataset.names import collisions, why_not
+from gpusimbench.evaluator.share.dataset.contents import BROKEN, DAMAGED, INTEGRITY, WHOLE, Sum
+from gpusimbench.evaluator.share.dataset.folder import MAX_FILES, collisions, why_not
 from gpusimbench.schemas import checks
 from gpusimbench.schemas.errors import DamagedRecording
 
@@ -29,6 +28,8 @@ MAX_BYTES = 16 << 20
 _MAX_FILE_BYTES = 1 << 50
 _PACKAGES = ("numpy", "scipy", "numba", "POT", "polars", "mcap", "protobuf")
 _OUTCOMES = (WHOLE, BROKEN, DAMAGED)
+CHECKSUMS = "SHA256SUMS"
+_LINE = re.compile(r"([0-9a-f]{64})  ([^\n]+)\n")
 
 
 @dataclass(frozen=True)
@@ -223,3 +224,21 @@ def _digest(record: dict[str, Any], key: str) -> str:
     if len(text) != 64 or set(text) - set("0123456789abcdef"):
         raise DamagedRecording(f"{key} is no SHA-256 in hexadecimal: {text[:70]!r}")
     return text
+
+
+def write_sums(digests: Mapping[str, str]) -> str:
+    """The file: a digest [hex], two spaces, and the path, sorted by path. Paths hold no backslash and no line feed."""
+    return "".join(f"{digest}  {path}\n" for path, digest in sorted(digests.items()))
+
+
+def read_sums(text: str) -> dict[str, str]:
+    """Digests by path; DamagedRecording names the first line that is none, or names a path for the second time."""
+    found: dict[str, str] = {}
+    for number, line in enumerate(text.splitlines(keepends=True), start=1):
+        match = _LINE.fullmatch(line)
+        if match is None:
+            raise DamagedRecording(f"{CHECKSUMS}: line {number} is not a digest, two spaces and a path")
+        if match[2] in found:
+            raise DamagedRecording(f"{CHECKSUMS}: line {number} names a path for the second time")
+        found[match[2]] = match[1]
+    return found

@@ -9,7 +9,6 @@ from pathlib import Path
 from gpusimbench.evaluator.report.parquet import METRICS, RUNS, parquet_tables, polars
 from gpusimbench.evaluator.results.evaluation import Evaluation
 from gpusimbench.evaluator.share.dataset.card import CARD, KEYWORDS, card
-from gpusimbench.evaluator.share.dataset.checksums import CHECKSUMS, write_sums
 from gpusimbench.evaluator.share.dataset.citation import CITATION, Publication, citation
 from gpusimbench.evaluator.share.dataset.contents import (
     LookedAt,
@@ -22,9 +21,10 @@ from gpusimbench.evaluator.share.dataset.contents import (
     sum_of,
     sum_of_bytes,
 )
-from gpusimbench.evaluator.share.dataset.folder import Found, find
+from gpusimbench.evaluator.share.dataset.folder import Found, collisions, find, why_not
 from gpusimbench.evaluator.share.dataset.licences import OWN
 from gpusimbench.evaluator.share.dataset.manifest import (
+    CHECKSUMS,
     MANIFEST,
     FileEntry,
     Manifest,
@@ -33,8 +33,8 @@ from gpusimbench.evaluator.share.dataset.manifest import (
     is_manifest,
     load_manifest,
     versions,
+    write_sums,
 )
-from gpusimbench.evaluator.share.dataset.names import collisions, why_not
 from gpusimbench.evaluator.share.dataset.personal import Personal, personal
 from gpusimbench.schemas.errors import GsbError, NothingComparable, UsageError
 from gpusimbench.schemas.progress import each, sizes

@@ -7,9 +7,9 @@ from collections.abc import Iterator
 
 from gpusimbench.evaluator.json_values import dump
 from gpusimbench.evaluator.render.numbers import plural
-from gpusimbench.evaluator.share.dataset.checkup import DAMAGED
+from gpusimbench.evaluator.share.dataset.contents import DAMAGED
 from gpusimbench.evaluator.share.dataset.publish import Published
-from gpusimbench.evaluator.share.dataset.verification import Verification
+from gpusimbench.evaluator.share.dataset.verify import Verification
 from gpusimbench.schemas import __version__
 
 SCHEMA_VERSION = 1

@@ -4,16 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import fields
+from dataclasses import dataclass, fields
+from enum import Enum
 from pathlib import Path
 
 from gpusimbench.evaluator.report.parquet import METRICS, RUNS, frames, polars
 from gpusimbench.evaluator.results.evaluation import Evaluation
 from gpusimbench.evaluator.share.dataset.card import CARD
-from gpusimbench.evaluator.share.dataset.checksums import CHECKSUMS, read_sums
-from gpusimbench.evaluator.share.dataset.checkup import BROKEN, DAMAGED
 from gpusimbench.evaluator.share.dataset.citation import CITATION
 from gpusimbench.evaluator.share.dataset.contents import (
+    BROKEN,
+    DAMAGED,
     LookedAt,
     evaluate_set,
     identity,
@@ -23,24 +24,85 @@ from gpusimbench.evaluator.share.dataset.contents import (
     sum_of_bytes,
 )
 from gpusimbench.evaluator.share.dataset.manifest import (
+    CHECKSUMS,
     MANIFEST,
     MAX_BYTES,
     FileEntry,
     Manifest,
     RecordingEntry,
     load_manifest,
+    read_sums,
 )
 from gpusimbench.evaluator.share.dataset.places import SetPlace, place_of
 from gpusimbench.evaluator.share.dataset.publish import DESCRIBING, entries_of, table_sums
 from gpusimbench.evaluator.share.dataset.tables import compare_table
-from gpusimbench.evaluator.share.dataset.verification import Finding, Kind, Verification
-from gpusimbench.schemas.errors import DamagedRecording, GsbError, Unreachable, UsageError
+from gpusimbench.schemas.errors import DamagedRecording, ExitCode, GsbError, Unreachable, UsageError
 from gpusimbench.schemas.location import Location, Place
 from gpusimbench.schemas.progress import each
 
 _SUMS_BYTES = 16 << 20
 _LONGEST = 80
 _GB = 1e9
+
+
+class Kind(Enum):
+    """What can be wrong with a set, in a word, and the exit code that it means."""
+
+    MISSING = ("missing", ExitCode.DATA_LOST)
+    CHANGED = ("changed", ExitCode.DATA_LOST)
+    DAMAGED = ("damaged", ExitCode.DATA_LOST)
+    EXTRA = ("not named", ExitCode.GATE_FAILED)
+    DISAGREES = ("disagrees", ExitCode.GATE_FAILED)
+    BROKEN = ("breaks a rule", ExitCode.GATE_FAILED)
+
+    @property
+    def word(self) -> str:
+        """As in a line of the command."""
+        return self.value[0]
+
+    @property
+    def code(self) -> ExitCode:
+        """What the command ends with."""
+        return self.value[1]
+
+
+@dataclass(frozen=True)
+class Finding:
+    """Something that is wrong, of which file, in a sentence."""
+
+    kind: Kind
+    path: str
+    said: str
+
+
+@dataclass(frozen=True)
+class Verification:
+    """What became of verifying a set.
+
+    manifest       its own
+    findings       everything that is wrong
+    unchecked      what could not be looked at, and why, a sentence each
+    recordings     how many were read whole, evaluated and held against the rules
+    bytes          of the files whose digest was computed
+    fetched_bytes  that came from elsewhere
+    tables         names of the tables whose every value is what the recordings give
+    """
+
+    manifest: Manifest
+    findings: tuple[Finding, ...]
+    unchecked: tuple[str, ...]
+    recordings: int
+    bytes: int
+    fetched_bytes: int
+    tables: tuple[str, ...]
+
+    @property
+    def exit_code(self) -> ExitCode:
+        """3 where anything is missing, changed or damaged, 4 where anything disagrees, 5 without a recording."""
+        codes = {finding.kind.code for finding in self.findings}
+        if ExitCode.DATA_LOST in codes or ExitCode.GATE_FAILED in codes:
+            return min(codes)
+        return ExitCode.OK if self.recordings else ExitCode.NOTHING_COMPARABLE
 
 
 def verify_set(given: Place, *, limit_bytes: float, tolerance: float, say: Callable[[str], None]) -> Verification:

@@ -14,8 +14,7 @@ from gpusimbench.evaluator.report.evidence_json import estimate_record
 from gpusimbench.evaluator.results.details import Throughput
 from gpusimbench.evaluator.results.metric import Estimate
 from gpusimbench.evaluator.share.leaderboard import words
-from gpusimbench.evaluator.share.leaderboard.board import Board
-from gpusimbench.evaluator.share.leaderboard.standing import Row, Section
+from gpusimbench.evaluator.share.leaderboard.standing import Board, Row, Section
 from gpusimbench.schemas import __version__
 from gpusimbench.schemas.text import line
 

@@ -29,8 +29,7 @@ from gpusimbench.evaluator.report.words import amount, shared, shortened
 from gpusimbench.evaluator.results.cost_metrics import FPS
 from gpusimbench.evaluator.runs.groups import is_instrument
 from gpusimbench.evaluator.share.leaderboard import words
-from gpusimbench.evaluator.share.leaderboard.board import Board
-from gpusimbench.evaluator.share.leaderboard.standing import ELSEWHERE, Section
+from gpusimbench.evaluator.share.leaderboard.standing import ELSEWHERE, Board, Section
 from gpusimbench.evaluator.share.leaderboard.standing import Row as Standing
 
 _LEAD = (

@@ -18,8 +18,9 @@ from gpusimbench.evaluator.results.sweeps import Sweep, sweep_key
 from gpusimbench.evaluator.results.timed_work import Window
 from gpusimbench.evaluator.runs.groups import GroupKey, is_instrument, shown_status
 from gpusimbench.evaluator.runs.run import Run
-from gpusimbench.evaluator.share.dataset.checkup import BROKEN, Checkup
+from gpusimbench.evaluator.share.dataset.contents import BROKEN, Checkup
 from gpusimbench.evaluator.share.leaderboard.reproduction import Replay, Reproduction, reproduction
+from gpusimbench.schemas.errors import ExitCode
 
 ELSEWHERE = "the same engine elsewhere"
 """What a reason begins with that is from another row of the same engine."""
@@ -247,3 +248,30 @@ def _placed(rows: Sequence[Row]) -> tuple[Row, ...]:
 
 def _speed(row: Row) -> tuple[float, int, str]:
     return -(known(row.fps.value) or 0.0), row.key.n_env, row.result.label
+
+
+@dataclass(frozen=True)
+class Board:
+    """What is written.
+
+    title        of the page
+    sample_time  at which positions were compared [s]
+    sections     by scene and device
+    unreadable   names of files that nothing is computed from, and why
+    notes        about the recordings as a whole: copies, groups that are the same bit for bit
+    recordings   that count, each run once
+    """
+
+    title: str
+    sample_time: float
+    sections: tuple[Section, ...]
+    unreadable: tuple[tuple[str, str], ...]
+    notes: tuple[str, ...]
+    recordings: int
+
+    @property
+    def exit_code(self) -> ExitCode:
+        """3 where a file is damaged, 5 where nothing has a place, else 0."""
+        if self.unreadable:
+            return ExitCode.DATA_LOST
+        return ExitCode.OK if any(section.ranked for section in self.sections) else ExitCode.NOTHING_COMPARABLE

@@ -12,10 +12,9 @@ from gpusimbench.evaluator.render import numbers
 from gpusimbench.evaluator.render.numbers import plural
 from gpusimbench.evaluator.report import timed
 from gpusimbench.evaluator.report import words as report_words
-from gpusimbench.evaluator.share.dataset.checkup import BROKEN
-from gpusimbench.evaluator.share.leaderboard.board import Board
+from gpusimbench.evaluator.share.dataset.contents import BROKEN
 from gpusimbench.evaluator.share.leaderboard.reproduction import Reproduction
-from gpusimbench.evaluator.share.leaderboard.standing import Row
+from gpusimbench.evaluator.share.leaderboard.standing import Board, Row
 
 _SHORT = 10
 _LONGEST = 100

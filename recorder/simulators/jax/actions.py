@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from gpusimbench.recorder.scenes.actions import JointTargets
-from gpusimbench.schemas.mix32 import GOLDEN32, mix32
+from gpusimbench.schemas.mixing import GOLDEN32, mix32
 
 
 def device_draw(actions: JointTargets, *, seed: int, n_env: int) -> Callable[[Any], Any]:

@@ -1,4 +1,4 @@
-"""What viewers draw of a compiled model: its bodies, their joints, and the shapes that MuJoCo's own viewer shows."""
+"""What viewers draw of a compiled model: bodies, joints, and the shapes that MuJoCo's viewer shows, meshes cut down."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from typing import Any
 import mujoco
 import numpy as np
 from mujoco import mjtGeom, mjtJoint
+from numpy.typing import NDArray
 
 from gpusimbench.recorder.scenes.model.contents import moving
 from gpusimbench.recorder.scenes.model.scene import BALLS, BODIES, JOINTS
-from gpusimbench.recorder.simulators.mujoco.meshes import fewer, grid
 from gpusimbench.schemas.view.geometry import MAX_SHAPES
 from gpusimbench.schemas.view.shapes import MAX_LINKS
 
@@ -25,13 +25,15 @@ _MOST, _LEAST = 800, 60  # triangles of a mesh; where there is no room for the l
 _GROUPS = 3  # of geoms; MuJoCo's viewer shows the first three at the beginning, collision shapes are in others
 _PLANE_M = 20.0  # of a plane, so much is drawn at most
 _DIGITS = 5  # of a mesh's coordinates, as shares of its size
-
 _JOINTS = {
     int(mjtJoint.mjJNT_FREE): ("free", BODIES),
     int(mjtJoint.mjJNT_HINGE): ("hinge", JOINTS),
     int(mjtJoint.mjJNT_SLIDE): ("slide", JOINTS),
     int(mjtJoint.mjJNT_BALL): ("ball", BALLS),
 }
+Points = NDArray[np.float64]
+Triangles = NDArray[np.int64]
+_CELLS = np.unique(np.geomspace(2, 96, 32).astype(int))[::-1]  # along the longest side, the most first
 
 
 def geometry_of(model: Any) -> bytes:
@@ -189,3 +191,48 @@ class _Shapes:
                 if len(found[1]) < before:
                     self._reduced[key] = len(found[1]), before
         return self._numbers[key]
+
+
+def fewer(points: Points, triangles: Triangles, most: int) -> tuple[Points, Triangles] | None:
+    """A mesh of at most so many triangles: points within a cell of a grid become their mean, and triangles that lose a
+    corner are left out (vertex clustering, Rossignac and Borrel 1993). None where even the coarsest grid leaves more.
+
+    points     [point, 3]
+    triangles  [triangle, 3], numbers of points
+    """
+    found = _used(points, triangles)
+    if len(found[1]) <= most:
+        return found
+    points, triangles = found
+    low, longest = points.min(axis=0), float(np.ptp(points, axis=0).max())
+    for cells in _CELLS:
+        place = np.minimum((points - low) / longest * cells, cells - 1).astype(np.int64)
+        _, cell = np.unique(place @ (1, cells, cells**2), return_inverse=True)
+        left = np.unique(_turned(cell[triangles]), axis=0)
+        left = left[(left[:, 0] != left[:, 1]) & (left[:, 1] != left[:, 2]) & (left[:, 2] != left[:, 0])]
+        if 0 < len(left) <= most:
+            count = np.bincount(cell)
+            means = [np.bincount(cell, weights=points[:, axis]) / count for axis in range(3)]
+            return _used(np.stack(means, axis=1), left)
+    return None
+
+
+def grid(heights: NDArray[np.float64], x: float, y: float) -> tuple[Points, Triangles]:
+    """A surface of heights [row, column] [m] above a rectangle from -x to x and from -y to y, seen from above."""
+    rows, columns = heights.shape
+    at_x, at_y = np.meshgrid(np.linspace(-x, x, columns), np.linspace(-y, y, rows))
+    number = np.arange(rows * columns).reshape(rows, columns)
+    a, b, c, d = (part.ravel() for part in (number[:-1, :-1], number[:-1, 1:], number[1:, 1:], number[1:, :-1]))
+    corners = np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)])
+    return np.stack([at_x, at_y, heights], axis=-1).reshape(-1, 3), corners
+
+
+def _used(points: Points, triangles: Triangles) -> tuple[Points, Triangles]:
+    kept, corners = np.unique(triangles, return_inverse=True)
+    return points[kept], corners.reshape(-1, 3)
+
+
+def _turned(triangles: Triangles) -> Triangles:
+    # the same triangles, each from its lowest number on
+    first = triangles.argmin(axis=1)[:, np.newaxis]
+    return np.take_along_axis(triangles, (first + np.arange(3)) % 3, axis=1)

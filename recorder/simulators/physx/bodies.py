@@ -12,7 +12,6 @@ from gpusimbench.recorder.scenes.base import Scene, Vector
 from gpusimbench.recorder.scenes.emit.usd import env_path, prim_names
 from gpusimbench.recorder.simulators.base import States
 from gpusimbench.recorder.simulators.physx.grid import every
-from gpusimbench.recorder.simulators.physx.orientations import to_write
 from gpusimbench.recorder.simulators.physx.session import Session
 from gpusimbench.recorder.simulators.snapshot import Envs
 from gpusimbench.schemas.fields import BODY_FIELDS, StateField, body_fields
@@ -20,6 +19,8 @@ from gpusimbench.schemas.fields import BODY_FIELDS, StateField, body_fields
 _COLUMNS = ("position", "orientation", "linearVelocity", "angularVelocity")
 _WIDTH = 13  # numbers of a body: position, quaternion wxyz, linear and angular velocity
 _PARTS = (slice(0, 3), slice(3, 7), slice(7, 10), slice(10, 13))
+_TRIES = 4096
+_STEP = np.float32(2.0**-18)  # lengths that are tried differ from 1 by less than 0.8 %
 
 
 class Bodies:
@@ -131,3 +132,32 @@ def described(scene: Scene, origins: tuple[Vector, ...], n_env: int) -> NDArray[
     if origins:
         state[..., :3] += np.array(origins, dtype=np.float32)[:, None]
     return state.reshape(-1, _WIDTH)
+
+
+def normalised(quaternions: NDArray[np.float32]) -> NDArray[np.float32]:
+    """What PhysX makes of quaternions [row, xyzw] that are written, in float32: each times 1 over its length."""
+    x, y, z, w = quaternions.T
+    return np.asarray(quaternions * (np.float32(1) / np.sqrt(x * x + y * y + z * z + w * w))[:, None])
+
+
+def to_write(quaternions: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Quaternions [row, xyzw] that become the given ones when they are normalised.
+
+    A unit quaternion in float32 is often not what its own normalisation gives. Where none is found, and where a row is
+    not finite, the row is returned as it is.
+    """
+    found = quaternions.copy()
+    left = np.flatnonzero((normalised(quaternions) != quaternions).any(axis=1) & np.isfinite(quaternions).all(axis=1))
+    for attempt in range(_TRIES):
+        if not left.size:
+            break
+        scale = 1 + _STEP * np.float32(attempt // 2 + 1) * (-1 if attempt % 2 else 1)
+        wanted = quaternions[left]
+        given = wanted * scale
+        for _ in range(3):
+            short = wanted - normalised(given)
+            given = np.where(short == 0, given, np.nextafter(given, np.sign(short) * np.float32(2)))
+        held = (normalised(given) == wanted).all(axis=1)
+        found[left[held]] = given[held]
+        left = left[~held]
+    return found

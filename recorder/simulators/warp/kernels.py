@@ -5,7 +5,7 @@ Imported when a device is wanted, not before. Annotations are Warp's own, so the
 
 import warp as wp
 
-from gpusimbench.schemas.mix32 import GOLDEN32
+from gpusimbench.schemas.mixing import GOLDEN32
 
 _GOLDEN = wp.constant(wp.uint32(GOLDEN32))
 _FACTOR_1 = wp.constant(wp.uint32(0x85EBCA6B))
@@ -14,7 +14,7 @@ _FACTOR_2 = wp.constant(wp.uint32(0xC2B2AE35))
 
 @wp.func
 def mix32(word: wp.uint32) -> wp.uint32:
-    """As schemas.mix32."""
+    """As schemas.mixing."""
     word = word ^ (word >> wp.uint32(16))
     word = word * _FACTOR_1
     word = word ^ (word >> wp.uint32(13))
