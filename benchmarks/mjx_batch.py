@@ -31,12 +31,12 @@ Part = Callable[[Any], Any]
 
 def simulator_of(n_env: int, device: str) -> Mjx:
     """Inclined-collision, built; every environment begins in a state of its own."""
-    from gpusimbench.recorder.run.initial import begin
+    from gpusimbench.recorder.run.start import begin
 
     scene = make_scene("inclined-collision")
     simulator = Mjx(scene, n_env=n_env, dt=scene.dt, seed=0, options=MjxOptions(device=device))
     description = simulator.build()
-    begin(simulator, description, str(Initial(0.1)))
+    begin(simulator, description, str(Initial(0.1)), None)
     return simulator
 
 
