@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from gpusimbench.schemas import PARTIAL
 from gpusimbench.schemas.errors import UsageError
 from gpusimbench.schemas.location import is_address, shown
 from gpusimbench.schemas.text import show_document
 from gpusimbench.schemas.writing import write_file
+
+if TYPE_CHECKING:
+    from gpusimbench.evaluator.compute.cache.store import Store
 
 
 def local_name(text: str) -> str:
@@ -41,6 +45,13 @@ def check_sample_time(seconds: float | None) -> None:
         raise UsageError(f"--sample-time is a time in seconds above 0, not {seconds}")
 
 
+def add_json(parser: argparse.ArgumentParser, what: str) -> None:
+    """Add --json, which writes `what` a command comes to."""
+    parser.add_argument(
+        "--json", type=local_name, metavar="FILE", help=f"write the {what} as JSON; - for standard output, alone"
+    )
+
+
 def check_target(target: str | None) -> None:
     """UsageError where "--json *.mcap" would overwrite a recording, or where no file can be; before any work."""
     if target is None or target == "-":
@@ -59,3 +70,21 @@ def write_json(target: str, text: str) -> None:
         show_document(text)
     else:
         write_file(Path(target), text)
+
+
+def add_cache(parser: argparse.ArgumentParser) -> None:
+    """Add --cache and --no-cache."""
+    parser.add_argument(
+        "--cache", type=local_path, metavar="DIR", help="where to keep results (default: the user's cache folder)"
+    )
+    parser.add_argument("--no-cache", action="store_true", help="compute everything anew and keep nothing")
+
+
+def store_of(arguments: argparse.Namespace) -> Store | None:
+    """Where results are kept between commands; None where they are not."""
+    from gpusimbench.evaluator.compute.cache.store import Store, default_folder
+
+    if arguments.cache and arguments.cache.exists() and not arguments.cache.is_dir():
+        raise UsageError(f"--cache must be a folder, and {arguments.cache} is not one")
+    folder = None if arguments.no_cache else arguments.cache or default_folder()
+    return Store(folder) if folder else None

@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from gpusimbench.evaluator.cli.arguments import check_target, local_name, local_path, write_json
+from gpusimbench.evaluator.cli.arguments import add_json, check_target, local_path, write_json
 from gpusimbench.evaluator.cli.entry import complain, enter, new_parser
 from gpusimbench.schemas import text
 from gpusimbench.schemas.errors import ExitCode, UsageError
@@ -86,9 +86,7 @@ def parser() -> argparse.ArgumentParser:
         metavar="K",
         help="largest distance of the level within-ulps (default: %(default)s)",
     )
-    p.add_argument(
-        "--json", type=local_name, metavar="FILE", help="write the results as JSON; - for standard output, alone"
-    )
+    add_json(p, "results")
     p.add_argument("--all", action="store_true", help="print every replay, level, note and value of a setting")
     p.add_argument("--python", type=local_path, metavar="PATH", help="Python interpreter that runs the replays")
     p.add_argument(

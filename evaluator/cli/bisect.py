@@ -9,7 +9,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from gpusimbench.evaluator.cli.arguments import check_target, local_name, write_json
+from gpusimbench.evaluator.cli.arguments import add_json, check_target, write_json
 from gpusimbench.evaluator.cli.entry import enter, new_parser
 from gpusimbench.schemas.errors import ExitCode, UsageError
 from gpusimbench.schemas.folder_lock import held
@@ -85,7 +85,7 @@ def parser() -> Parser:
     p.add_argument(
         "--out", type=Path, default=_OUT, metavar="DIR", help="of recordings and environments (default: %(default)s/)"
     )
-    p.add_argument("--json", type=local_name, metavar="FILE", help="write the result as JSON; - for standard output")
+    add_json(p, "result")
     p.show_first("--sim", "--good", "--bad", "--predicate", "--environment", "--scene", "--option", "--out", "--json")
     return p
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 
-from gpusimbench.evaluator.cli.arguments import check_target, local_name, write_json
+from gpusimbench.evaluator.cli.arguments import add_json, check_target, local_name, write_json
 from gpusimbench.evaluator.cli.entry import enter, new_parser
 from gpusimbench.schemas.errors import ExitCode, UsageError
 from gpusimbench.schemas.location import place
@@ -53,9 +53,7 @@ def parser() -> argparse.ArgumentParser:
     )
     p.add_argument("--all", action="store_true", help="list every finding of every file, by file")
     p.add_argument("--list-rules", action="store_true", help="show the rules, and what a file of rules can use")
-    p.add_argument(
-        "--json", type=local_name, metavar="FILE", help="write the findings as JSON; - for standard output, alone"
-    )
+    add_json(p, "findings")
     return p
 
 

@@ -7,11 +7,13 @@ import sys
 from typing import TYPE_CHECKING
 
 from gpusimbench.evaluator.cli.arguments import (
+    add_cache,
+    add_json,
     add_sample_time,
     check_sample_time,
     check_target,
-    local_name,
     local_path,
+    store_of,
     write_json,
 )
 from gpusimbench.evaluator.cli.entry import complain, enter, new_parser
@@ -22,7 +24,6 @@ from gpusimbench.schemas.writing import write_file
 
 if TYPE_CHECKING:
     from gpusimbench.evaluator.compare.finding import Settings
-    from gpusimbench.evaluator.compute.work import Work
 
 _GATES = "throughput,memory,physics,validity,determinism"
 
@@ -122,9 +123,7 @@ def parser() -> argparse.ArgumentParser:
         help="base and head are the same engine: a difference on any axis fails; axes of --gate must be decided",
     )
     add_sample_time(p)
-    p.add_argument(
-        "--json", type=local_name, metavar="FILE", help="write the results as JSON; - for standard output, alone"
-    )
+    add_json(p, "results")
     p.add_argument("--markdown", type=local_path, metavar="FILE", help="write a comment for a pull request")
     p.add_argument(
         "--junit", type=local_path, metavar="FILE", help="write a JUnit report: a case for each configuration and axis"
@@ -136,10 +135,7 @@ def parser() -> argparse.ArgumentParser:
         help="print every quantity that was compared; with --history, every curve and change",
     )
     p.add_argument("--no-verify", action="store_true", help="skip the digests; CRCs of what is read are still checked")
-    p.add_argument(
-        "--cache", type=local_path, metavar="DIR", help="where to keep results (default: the user's cache folder)"
-    )
-    p.add_argument("--no-cache", action="store_true", help="read everything anew and keep nothing")
+    add_cache(p)
     p.show_first(
         "--base",
         "--head",
@@ -170,11 +166,12 @@ def run(arguments: argparse.Namespace, command: str) -> int:
     from gpusimbench.evaluator.check.protocol import unmet_by_file
     from gpusimbench.evaluator.compare.compare import compare
     from gpusimbench.evaluator.compare.sides import read_sides
+    from gpusimbench.evaluator.compute.work import Work
     from gpusimbench.evaluator.read.addresses import expand
     from gpusimbench.evaluator.runs.reader import Reader
     from gpusimbench.evaluator.runs.sample_time import DEFAULT_S
 
-    work = _work(arguments)
+    work = Work(store=store_of(arguments))
     reader = Reader(arguments.sample_time or DEFAULT_S, unmet_by_file, verify=not arguments.no_verify)
     chosen = arguments.sample_time is not None
     sides = read_sides(expand(base), expand(head), reader, work, chosen=chosen)
@@ -215,10 +212,11 @@ def _run_history(arguments: argparse.Namespace, settings: Settings, command: str
     from gpusimbench.evaluator.check.protocol import unmet_by_file
     from gpusimbench.evaluator.compare.history.history import trace
     from gpusimbench.evaluator.compare.history.points import read_points
+    from gpusimbench.evaluator.compute.work import Work
     from gpusimbench.evaluator.runs.reader import Reader
     from gpusimbench.evaluator.runs.sample_time import DEFAULT_S
 
-    work = _work(arguments)
+    work = Work(store=store_of(arguments))
     reader = Reader(arguments.sample_time or DEFAULT_S, unmet_by_file, verify=not arguments.no_verify)
     found = read_points(arguments.history, reader, work)
     history = trace(found, settings, work, gated=arguments.gate is not None)
@@ -247,16 +245,6 @@ def _run_history(arguments: argparse.Namespace, settings: Settings, command: str
 
         write_file(arguments.markdown, render_markdown(full(history, command)))
     return int(history.exit_code)
-
-
-def _work(arguments: argparse.Namespace) -> Work:
-    from gpusimbench.evaluator.compute.cache.store import Store, default_folder
-    from gpusimbench.evaluator.compute.work import Work
-
-    if arguments.cache and arguments.cache.exists() and not arguments.cache.is_dir():
-        raise UsageError(f"--cache must be a folder, and {arguments.cache} is not one")
-    folder = None if arguments.no_cache else arguments.cache or default_folder()
-    return Work(store=Store(folder) if folder else None)
 
 
 def _given(arguments: argparse.Namespace) -> tuple[list[Place], list[Place]]:

@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from gpusimbench.evaluator.cli.arguments import check_target, local_name, local_path
+from gpusimbench.evaluator.cli.arguments import add_json, check_target, local_path
 from gpusimbench.evaluator.cli.entry import complain, enter, new_parser
 from gpusimbench.schemas.errors import ExitCode, UsageError
 from gpusimbench.schemas.location import place
@@ -53,9 +53,7 @@ def parser() -> argparse.ArgumentParser:
         help="environment to compare; with one recording, give it twice; with two, once for the same environment of "
         "both, or twice for one of each (default: all environments)",
     )  # fmt: skip
-    p.add_argument(
-        "--json", type=local_name, metavar="FILE", help="write the result as JSON; - for standard output, alone"
-    )
+    add_json(p, "result")
     p.add_argument("--all", action="store_true", help="print every field, distance, class and setting")
     p.add_argument("--plot", type=local_path, metavar="FILE.svg", help="draw how the difference grows")
     p.add_argument("--no-verify", action="store_true", help="skip the digests; CRCs of what is read are still checked")

@@ -8,7 +8,15 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from gpusimbench.evaluator.cli.arguments import add_sample_time, check_sample_time, check_target, local_name, local_path
+from gpusimbench.evaluator.cli.arguments import (
+    add_cache,
+    add_json,
+    add_sample_time,
+    check_sample_time,
+    check_target,
+    local_path,
+    store_of,
+)
 from gpusimbench.evaluator.cli.entry import complain, enter, new_parser
 from gpusimbench.schemas.errors import ExitCode, NothingComparable, UsageError
 from gpusimbench.schemas.location import Place, place
@@ -57,9 +65,7 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument("--all", action="store_true", help="print every metric, remark and check of mechanics")
     p.add_argument("--reference", type=place, metavar="FILE", help="recording to compare positions with")
     add_sample_time(p)
-    p.add_argument(
-        "--json", type=local_name, metavar="FILE", help="write the results as JSON; - for standard output, alone"
-    )
+    add_json(p, "results")
     p.add_argument("--html", type=local_path, metavar="DIR", help="write a report to DIR/index.html")
     p.add_argument("--tables", type=local_path, metavar="DIR", help="write metrics.parquet and runs.parquet")
     p.add_argument(
@@ -74,10 +80,7 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument("--published", action="store_true", help="show the paper's figures too, marked as such")
     p.add_argument("--no-verify", action="store_true", help="skip the digests; CRCs of what is read are still checked")
     p.add_argument("--ray", metavar="ADDRESS", help="spread the work over a Ray cluster: an address, auto, or local")
-    p.add_argument(
-        "--cache", type=local_path, metavar="DIR", help="where to keep results (default: the user's cache folder)"
-    )
-    p.add_argument("--no-cache", action="store_true", help="compute everything anew and keep nothing")
+    add_cache(p)
     p.show_first(
         "--all", "--reference", "--sample-time", "--json", "--html", "--tables", "--format", "--figures", "--ray"
     )
@@ -141,7 +144,6 @@ def run(arguments: argparse.Namespace, command: str) -> int:
 
 
 def _work(arguments: argparse.Namespace, stack: ExitStack) -> Work:
-    from gpusimbench.evaluator.compute.cache.store import Store, default_folder
     from gpusimbench.evaluator.compute.mapping import serial
     from gpusimbench.evaluator.compute.work import Work
 
@@ -150,10 +152,7 @@ def _work(arguments: argparse.Namespace, stack: ExitStack) -> Work:
         from gpusimbench.evaluator.compute.cluster import Cluster
 
         mapper = stack.enter_context(Cluster(arguments.ray))
-    folder = None if arguments.no_cache else arguments.cache or default_folder()
-    if arguments.cache and arguments.cache.exists() and not arguments.cache.is_dir():
-        raise UsageError(f"--cache must be a folder, and {arguments.cache} is not one")
-    return Work(mapper, Store(folder) if folder else None)
+    return Work(mapper, store_of(arguments))
 
 
 def _one(given: Place | None) -> Place | None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 
-from gpusimbench.evaluator.cli.arguments import check_target, local_name, write_json
+from gpusimbench.evaluator.cli.arguments import add_json, check_target, write_json
 from gpusimbench.evaluator.cli.entry import complain, enter, new_parser
 from gpusimbench.schemas.errors import ExitCode, GsbError
 from gpusimbench.schemas.location import Place, place
@@ -41,7 +41,7 @@ def parser() -> argparse.ArgumentParser:
     p.add_argument(
         "--all", action="store_true", help="show everything that a file says about itself, and list its arrays"
     )
-    p.add_argument("--json", type=local_name, metavar="FILE", help="write it as JSON; - for standard output, alone")
+    add_json(p, "facts")
     p.add_argument(
         "--no-verify", action="store_true", help="skip digests and comparisons; CRCs of what is read are still checked"
     )

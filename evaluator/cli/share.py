@@ -5,14 +5,23 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from gpusimbench.evaluator.cli import share_leaderboard, share_set
-from gpusimbench.evaluator.cli.arguments import local_path
+from gpusimbench.evaluator.cli.arguments import (
+    add_cache,
+    add_json,
+    check_sample_time,
+    check_target,
+    local_path,
+    store_of,
+    write_json,
+)
 from gpusimbench.evaluator.cli.entry import complain, enter, new_parser
 from gpusimbench.schemas import PARTIAL
 from gpusimbench.schemas.errors import ExitCode, GsbError, UsageError
+from gpusimbench.schemas.location import place
 from gpusimbench.schemas.progress import each, sizes, stage
 from gpusimbench.schemas.text import block, line, show
 
@@ -39,6 +48,20 @@ examples:
   gsb-share verify hf://datasets/someone/cube-stacks
   gsb-share leaderboard recordings recordings/h200 --out board
 """
+
+_CARD = (
+    "Describe a folder of recordings for those who find it: README.md (a card for the Hugging Face Hub), tables of all "
+    "metrics, CITATION.cff, manifest.json and SHA256SUMS, written into the folder. Needs the package polars."
+)
+_VERIFY = (
+    "Check a set that was described by 'gsb-share card', in a folder or at an address: every file, every content hash, "
+    "every rule of integrity-1, and every value of its tables. Needs the package polars."
+)
+_MOST_ABOUT = 1 << 20
+_LEADERBOARD = (
+    "Write a page that ranks simulators within each scene and device, from recordings alone: there is no way to type a "
+    "number in."
+)
 
 
 def parser() -> argparse.ArgumentParser:
@@ -83,8 +106,8 @@ def parser() -> argparse.ArgumentParser:
     v.add_argument(
         "--layout", type=local_path, metavar="FILE", help="write the attached Foxglove layout to a file, too"
     )
-    share_set.add_verbs(verbs)
-    share_leaderboard.add_verb(verbs)
+    _add_sets(verbs)
+    _add_leaderboard(verbs)
     return p
 
 
@@ -92,6 +115,7 @@ _RECOVER = (
     "Write everything up to the last whole record as a finished MCAP file. A recording without its end record stays "
     "incomplete."
 )
+
 _VIEWER = (
     "Write some environments as messages that Foxglove and rerun draw: shapes once, poses over simulated time, events. "
     "Recordings have them of environment 0 already, unless they are older or were made with --no-view."
@@ -105,9 +129,9 @@ def run(arguments: argparse.Namespace, command: str) -> int:
         "unpack": _pack,
         "recover": _recover,
         "viewer": _viewer,
-        "card": share_set.card,
-        "verify": share_set.verify,
-        "leaderboard": share_leaderboard.leaderboard,
+        "card": _card,
+        "verify": _verify,
+        "leaderboard": _leaderboard,
     }
     return verbs[arguments.verb](arguments)
 
@@ -187,6 +211,133 @@ def _viewer(arguments: argparse.Namespace) -> int:
     if done.incomplete:
         complain("gsb-share", f"{arguments.file} is cut short: its view ends where its states do")
     return int(ExitCode.DATA_LOST if done.incomplete else ExitCode.OK)
+
+
+def _add_sets(verbs: Any) -> None:
+    v = verbs.add_parser("card", help="describe a folder of recordings", description=_CARD)
+    v.add_argument("folder", type=local_path, metavar="DIR", help="the folder, with those below it")
+    v.add_argument("--title", metavar="TEXT", help="of the set")
+    v.add_argument("--licence", metavar="SPDX", help="such as CC-BY-4.0; LicenseRef-NAME: terms in the file LICENSE")
+    v.add_argument(
+        "--author", action="append", default=[], metavar="TEXT", help="Family, Given[; affiliation[; ORCID]]"
+    )
+    v.add_argument("--doi", metavar="DOI", help="of the set")
+    v.add_argument("--url", metavar="URL", help="of its page")
+    v.add_argument("--about", type=local_path, metavar="FILE", help="Markdown of yours, put below the title")
+    v.add_argument("--sample-time", type=float, default=5.0, metavar="S", help="simulated time (default: 5.0)")
+    v.add_argument("--update", action="store_true", help="write anew what was written before")
+    v = verbs.add_parser("verify", help="check a set that somebody described", description=_VERIFY)
+    v.add_argument("set", type=place, metavar="DIR|URL", help="its folder, or the address of it")
+    v.add_argument("--limit", type=float, default=20.0, metavar="GB", help="that may be fetched (default: 20)")
+    v.add_argument(
+        "--tolerance",
+        type=float,
+        default=0.0,
+        metavar="R",
+        help="relative, of values in tables (default: 0, every bit)",
+    )
+    add_json(v, "findings")
+
+
+def _card(arguments: argparse.Namespace) -> int:
+    from gpusimbench.evaluator.share.dataset.citation import Publication, check_doi, check_url, parse_author
+    from gpusimbench.evaluator.share.dataset.contents import BROKEN, DAMAGED
+    from gpusimbench.evaluator.share.dataset.licences import check_licence
+    from gpusimbench.evaluator.share.dataset.publish import publish
+    from gpusimbench.evaluator.share.dataset.text import published_lines, warnings_of
+
+    check_sample_time(arguments.sample_time)
+    licence = check_licence(arguments.licence)
+    if not arguments.author:
+        raise UsageError("who is to be cited? give --author 'Family, Given', once for each, or --author 'Organisation'")
+    if not arguments.title or not arguments.title.isprintable():
+        raise UsageError("a set needs a name that people can find it by: give --title, on one line")
+    publication = Publication(
+        title=arguments.title.strip(),
+        licence=licence,
+        authors=tuple(map(parse_author, arguments.author)),
+        doi=check_doi(arguments.doi),
+        url=check_url(arguments.url),
+        about=_about(arguments.about),
+    )
+    done = publish(arguments.folder, publication, sample_time=arguments.sample_time, update=arguments.update)
+    show(block(published_lines(done)))
+    for warning in warnings_of(done):
+        complain("gsb-share", warning)
+    outcomes = {one.checkup.outcome for one in done.looked_at}
+    if DAMAGED in outcomes:
+        return int(ExitCode.DATA_LOST)
+    return int(ExitCode.GATE_FAILED if BROKEN in outcomes else ExitCode.OK)
+
+
+def _about(path: Path | None) -> str:
+    if path is None:
+        return ""
+    try:
+        with path.open("rb") as stream:
+            data = stream.read(_MOST_ABOUT + 1)
+        text = data.decode("utf-8").strip()
+    except OSError as error:
+        raise GsbError(f"cannot read {path}: {error.strerror}") from None
+    except UnicodeDecodeError:
+        raise UsageError(f"{path} is not a text in UTF-8") from None
+    if len(data) > _MOST_ABOUT:
+        raise UsageError(f"{path} is larger than a card's own words can be, {_MOST_ABOUT} bytes")
+    return text
+
+
+def _verify(arguments: argparse.Namespace) -> int:
+    from gpusimbench.evaluator.share.dataset.text import dump_verification, verification_lines
+    from gpusimbench.evaluator.share.dataset.verify import verify_set
+
+    check_target(arguments.json)
+    if not 0 <= arguments.tolerance < 1:
+        raise UsageError(f"--tolerance is from 0 to 1, not {arguments.tolerance}")
+    if not 0 < arguments.limit < float("inf"):
+        raise UsageError(f"--limit is a number of gigabytes above 0, not {arguments.limit}")
+    done = verify_set(
+        arguments.set,
+        limit_bytes=arguments.limit * 1e9,
+        tolerance=arguments.tolerance,
+        say=partial(complain, "gsb-share"),
+    )
+    if arguments.json:
+        write_json(arguments.json, dump_verification(done))
+    if arguments.json != "-":
+        show(block(verification_lines(done)))
+    return int(done.exit_code)
+
+
+def _add_leaderboard(verbs: Any) -> None:
+    v = verbs.add_parser("leaderboard", help="a page that ranks simulators", description=_LEADERBOARD)
+    v.add_argument("sets", nargs="+", type=place, metavar="SET", help="recordings, folders of them, addresses")
+    v.add_argument("--out", type=local_path, required=True, metavar="DIR", help="for index.html and its data")
+    v.add_argument(
+        "--title", default="Leaderboard of robot simulators", metavar="TEXT", help="of the page (default: %(default)s)"
+    )
+    v.add_argument("--sample-time", type=float, default=5.0, metavar="S", help="simulated time (default: 5.0)")
+    add_cache(v)
+
+
+def _leaderboard(arguments: argparse.Namespace) -> int:
+    from gpusimbench.evaluator.compute.work import Work
+    from gpusimbench.evaluator.share.leaderboard.make import make_leaderboard
+    from gpusimbench.evaluator.share.leaderboard.words import leaderboard_lines
+
+    check_sample_time(arguments.sample_time)
+    if not arguments.title.strip() or not arguments.title.isprintable():
+        raise UsageError("--title is a line of text")
+    done = make_leaderboard(
+        arguments.sets,
+        arguments.out,
+        title=arguments.title.strip(),
+        sample_time=arguments.sample_time,
+        work=Work(store=store_of(arguments)),
+    )
+    show(block(leaderboard_lines(done)))
+    for path, error in done.unreadable:
+        complain("gsb-share", f"{path} is left out: {error}")
+    return int(done.exit_code)
 
 
 def main(argv: list[str] | None = None) -> int:
