@@ -8,7 +8,7 @@ from __future__ import annotations
 import re
 import sys
 import unicodedata
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from functools import cache
 
@@ -52,6 +52,17 @@ def printable(text: str) -> str:
     It is never printed.
     """
     return text if _plain(text) else "".join(c if c == "\n" else _in_line(c) for c in text)
+
+
+def cut(text: str, most: int) -> str:
+    """Text of at most so many characters: the end of a longer text is replaced by "..."."""
+    return text if len(text) <= most else f"{text[: most - 3]}..."
+
+
+def few(names: Sequence[str], most: int) -> str:
+    """The first of some names, and how many more there are: "a, b and 3 more"."""
+    more = len(names) - most
+    return ", ".join(names[:most]) + (f" and {more:,} more" if more > 0 else "")
 
 
 def show(text: Line | Block, *, error: bool = False) -> None:

@@ -23,6 +23,7 @@ from gpusimbench.evaluator.render.document import (
 )
 from gpusimbench.evaluator.render.numbers import plural
 from gpusimbench.evaluator.runs.groups import shown_status
+from gpusimbench.schemas.text import cut, few
 
 _TICKS = {True: "[x]", False: "[ ]", None: "[?]"}  # plain characters: no terminal shows them alike
 
@@ -58,13 +59,13 @@ def audit_document(audit: Audit, checked: Check, *, every: bool = False) -> Docu
             Text(f"  {'refused' if audit.replays.refused else 'run here'}:"),
             Code((audit.replays.command,)),
         ]
-    recorded = (Code((_short(" ".join(audit.originals[0].provenance.argv), _COMMAND),)),)
+    recorded = (Code((cut(" ".join(audit.originals[0].provenance.argv), _COMMAND),)),)
     sections = [Section("command", "command of the recording", recorded)]
     if len(audit.recordings) > _FILES:
         paths = items(*(f"  {recording.path}" for recording in audit.recordings))
         sections.append(Section("replays", "complete replays", (paths,)))
     if audit.settings.deciding:
-        rows = [[setting.name, _short(setting.a), _short(setting.b)] for setting in audit.settings.deciding]
+        rows = [[setting.name, cut(setting.a, _VALUE), cut(setting.b, _VALUE)] for setting in audit.settings.deciding]
         sections.append(Section("settings", "settings", (table("settings", "", ("name", "there", "here"), rows),)))
     if every:
         blocks += sections
@@ -171,9 +172,7 @@ def _settings(audit: Audit, difference: Difference) -> str:
     more = f"{plural(packages, 'other installed package')}" if packages else ""
     if not deciding:
         return f"the same{f' but for {more}' if more else ''}"
-    names = ", ".join(setting.name for setting in deciding[:_NAMES])
-    if len(deciding) > _NAMES:
-        names += f" and {len(deciding) - _NAMES} more"
+    names = few([setting.name for setting in deciding], _NAMES)
     same = ", although the bits are the same" if difference.bit_identical else ""
     return f"{differ(len(deciding))}{same}: {names}{f'; and {more}' if more else ''}"
 
@@ -183,7 +182,3 @@ def _notes(difference: Difference, every: bool) -> list[Block]:
     if not every and len(notes) > _NOTES + 1:
         notes = [*notes[:_NOTES], f"  and {len(notes) - _NOTES} more notes, printed with --all"]
     return [Items(tuple(map(Item, notes)))] if notes else []
-
-
-def _short(text: str, most: int = _VALUE) -> str:
-    return text if len(text) <= most else f"{text[: most - 3]}..."

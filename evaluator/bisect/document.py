@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from gpusimbench.evaluator.bisect.bisection import Bisection
 from gpusimbench.evaluator.bisect.predicates import Verdict
-from gpusimbench.evaluator.diff.words import shortened
+from gpusimbench.evaluator.diff.words import names
 from gpusimbench.evaluator.json_values import dump, values_of
 from gpusimbench.evaluator.render.document import Block, Cell, Document, Text, Tone, facts, table
 
@@ -60,9 +60,9 @@ def _pairs(found: Bisection) -> list[tuple[str, str]]:
         pairs.append(("first number", found.first))
     # the engine's own packages first: a release may come in several
     ordered = sorted(found.packages, key=lambda one: (not one.name.startswith(found.package), one.name))
-    changed = shortened([f"{one.name} {one.a} to {one.b}" for one in ordered], _PACKAGES) or "the same versions"
+    changed = names([f"{one.name} {one.a} to {one.b}" for one in ordered], _PACKAGES) or "the same versions"
     several = "several packages changed at once: " if len(found.packages) > 1 else ""
     pairs.append(("packages", f"{several}{changed}"))
     if found.settings:
-        pairs.append(("also differs", shortened([one.name for one in found.settings], _SETTINGS)))
+        pairs.append(("also differs", names([one.name for one in found.settings], _SETTINGS)))
     return pairs

@@ -25,6 +25,7 @@ from gpusimbench.evaluator.render.document import (
 )
 from gpusimbench.evaluator.render.markdown import render_markdown
 from gpusimbench.evaluator.render.numbers import plural
+from gpusimbench.schemas.text import cut
 
 _ROWS, _REASONS, _WARNINGS, _NOTES = 5, 1, 2, 1
 """Rows of the table, reasons, warnings and notes that the short text has."""
@@ -51,9 +52,9 @@ def short(result: Result) -> Document:
     blocks: list[Block] = [_verdict(result)]
     alone = result.compared[0] if len(result.compared) == 1 else None
     if alone:
-        blocks.append(Text(f"{_cut(words.heading(alone))}: {words.runs(alone)}"))
+        blocks.append(Text(f"{cut(words.heading(alone), _LONGEST)}: {words.runs(alone)}"))
         if alone.pair.differs:
-            blocks.append(Text(_cut(f"differs: {'; '.join(alone.pair.differs)}", _DIFFERS)))
+            blocks.append(Text(cut(f"differs: {'; '.join(alone.pair.differs)}", _DIFFERS)))
     blocks.append(_remarkable(result, _ROWS, _LONGEST))
     if alone:
         blocks.append(items(*_alike(alone, result), tone=Tone.QUIET))
@@ -124,7 +125,7 @@ def _remarkable(result: Result, most: int, longest: int) -> Table:
     rows.sort(key=lambda row: (not row[1].fails(result.settings), not row[1].undecided(result.settings)))
     several = len(result.compared) > 1
     shown = [
-        [*([_cut(words.heading(compared), longest)] if several else []), *_cells(finding, result)]
+        [*([cut(words.heading(compared), longest)] if several else []), *_cells(finding, result)]
         for compared, finding in rows[:most]
     ]
     legend = [f"and {len(rows) - most} more"] if len(rows) > most else []
@@ -160,7 +161,7 @@ def _alike(compared: Compared, result: Result) -> Iterator[str]:
 
 def _first(lines: Sequence[str], most: int, what: str, tone: Tone) -> Items:
     """The first lines, and how many more there are."""
-    shown = [Item(_cut(one), tone) for one in lines[:most]]
+    shown = [Item(cut(one, _LONGEST), tone) for one in lines[:most]]
     if len(lines) > most:
         shown.append(Item(f"{len(lines) - most} more {what if len(lines) - most > 1 else what[:-1]}", tone))
     return Items(tuple(shown))
@@ -170,7 +171,7 @@ def _left_out(result: Result, longest: int) -> list[str]:
     """What was not compared at all, and notes on the sets."""
     lines = [f"not read: {side}: {unreadable.error}" for side, unreadable in result.unreadable]
     lines += [f"without a partner: {label} of {side}: {why}" for side, label, why in result.alone]
-    return [_cut(line, longest) for line in (*lines, *(f"note: {note}" for note in result.notes))]
+    return [cut(line, longest) for line in (*lines, *(f"note: {note}" for note in result.notes))]
 
 
 def _section(compared: Compared, number: int, result: Result, longest: int) -> Section:
@@ -180,19 +181,15 @@ def _section(compared: Compared, number: int, result: Result, longest: int) -> S
     summary = f"FAILED, {plural(failing, 'finding')}" if failing else "undecided" if undecided else "passed"
     rows = [_cells(f, result) for f in compared.findings if f.change is not Change.NOT_COMPARED]
     remarks = [
-        *(Item(_cut(f"warning: {line}", longest), Tone.WARNING) for line in compared.warnings),
+        *(Item(cut(f"warning: {line}", longest), Tone.WARNING) for line in compared.warnings),
         *(Item(f"undecided: {line}", Tone.WARNING) for line in undecided),
-        *(Item(_cut(line, longest), Tone.QUIET) for line in (*words.tests(compared), *words.remarks(compared))),
+        *(Item(cut(line, longest), Tone.QUIET) for line in (*words.tests(compared), *words.remarks(compared))),
     ]
-    differs = [Text(_cut(f"differs: {one}", longest)) for one in compared.pair.differs]
+    differs = [Text(cut(f"differs: {one}", longest)) for one in compared.pair.differs]
     blocks: tuple[Block, ...] = (
         Text(words.runs(compared)), *differs,
         table(key_of("quantities", number), "", _titles(), rows).without_empty_columns(),
         Items(tuple(remarks)),
     )  # fmt: skip
-    heading = _cut(words.heading(compared), longest)
+    heading = cut(words.heading(compared), longest)
     return Section(key_of("configuration", number), heading, blocks, summary=summary, folded=True)
-
-
-def _cut(text: str, longest: int = _LONGEST) -> str:
-    return text if len(text) <= longest else f"{text[: longest - 3]}..."

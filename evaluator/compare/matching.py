@@ -12,6 +12,7 @@ from gpusimbench.evaluator.runs.labels import labels, options_given
 from gpusimbench.evaluator.runs.run import Run
 from gpusimbench.schemas.errors import UsageError
 from gpusimbench.schemas.suggestion import did_you_mean
+from gpusimbench.schemas.text import cut
 
 ACROSS = ("simulator", "determinism", "warmup", "timed_steps")
 """What --across takes besides names of options."""
@@ -173,5 +174,4 @@ def _arrow(name: str, one: Any, other: Any) -> str:
 
 
 def _short(value: Any) -> str:
-    text = " ".join(str(value).split()) or "none"
-    return text if len(text) <= _LENGTH else f"{text[: _LENGTH - 3]}..."
+    return cut(" ".join(str(value).split()) or "none", _LENGTH)

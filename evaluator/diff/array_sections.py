@@ -43,6 +43,6 @@ def _facts(first: ArrayDivergence) -> Block:
         step += f"; {first.envs:,} of {first.n_env:,} envs differ at that step, first env {first.env}"
     return facts(
         ("first at", step),
-        ("fields", words.shortened(first.fields, _FIELDS)),
+        ("fields", words.names(first.fields, _FIELDS)),
         ("first number", both_of(first.number)),
     )

@@ -71,11 +71,11 @@ def _where(found: Difference, first: Divergence) -> Pairs:
         no_state = f"not known: no state of step {first.step_a} was recorded (record with --stride 1)"
         pairs.append(("body and field", f"{no_state}; the differences at step {state.step} ({state.time:g} s):"))
     every = len(state.fields) == len(found.compared.fields) > 1
-    fields = f"all {len(state.fields)}" if every else words.shortened(state.fields, _FIELDS)
+    fields = f"all {len(state.fields)}" if every else words.names(state.fields, _FIELDS)
     return [
         *pairs,
         ("fields", fields),
-        *([("items", words.shortened(state.items, _ITEMS))] if any(state.items) else []),
+        *([("items", words.names(state.items, _ITEMS))] if any(state.items) else []),
         ("first number", both_of(state.number)),
     ]
 
@@ -125,7 +125,7 @@ def reached(growth: Growth) -> list[str]:
 
 def _settings(found: Difference) -> Pairs:
     if found.settings:
-        names = words.shortened([setting.name for setting in found.settings], _NAMES)
+        names = words.names([setting.name for setting in found.settings], _NAMES)
         return [("settings", f"{words.differ(len(found.settings))}: {names}")]
     if found.one_recording:
         return []

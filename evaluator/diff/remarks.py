@@ -66,7 +66,7 @@ def uncommon(a: Selection, b: Selection, states: CommonStates) -> list[str]:
         for ends, names in fields.items():
             if ends.own is None or ends.own == ends.common:
                 continue
-            of_which = "" if len(names) == len(states.fields) else f" of {words.shortened(names, _FIELDS)}"
+            of_which = "" if len(names) == len(states.fields) else f" of {words.names(names, _FIELDS)}"
             since = "" if ends.common is None else f" after its step {ends.common}"
             found.append(f"states of {name}{of_which}{since}, up to {ends.own}")
     return found

@@ -22,6 +22,7 @@ from gpusimbench.evaluator.render.document import (
     items,
     table,
 )
+from gpusimbench.schemas.text import cut
 
 _REMARKS, _VALUE, _CHANGES, _CLASSES = 3, 48, 8, 8
 _ROWS, _WIDTH = 6, 60
@@ -192,7 +193,7 @@ def _settings(found: Difference) -> Section | None:
         "",
         ("name", "a", "b"),
         [
-            [words.short(setting.name), *(words.short(value, _VALUE) for value in (setting.a, setting.b))]
+            [words.name(setting.name), *(cut(value, _VALUE) for value in (setting.a, setting.b))]
             for setting in found.settings
         ],
     )

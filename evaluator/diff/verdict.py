@@ -59,7 +59,7 @@ def place_of(number: Number) -> str:
     """Field, body and component of a number; of an array without bodies, such as "observation[5]"."""
     if not number.item:
         return f"{number.field}[{number.component}]" if number.component else number.field
-    return f"{number.field} of {words.short(number.item)}, {words.short(number.component)}"
+    return f"{number.field} of {words.name(number.item)}, {words.name(number.component)}"
 
 
 def both_of(number: Number) -> str:

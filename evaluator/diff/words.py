@@ -7,11 +7,13 @@ from itertools import groupby
 
 from gpusimbench.evaluator.diff.result import Change
 from gpusimbench.schemas.fields import DIMENSIONLESS, UNKNOWN
+from gpusimbench.schemas.text import cut, few
 
 NONE = "-"
 WITHOUT_UNIT = ("unit quaternion", UNKNOWN, DIMENSIONLESS)
 """Units that are not written behind a number."""
 
+_NAME = 60
 _BARS = "▁▂▃▄▅▆▇█"
 
 
@@ -60,15 +62,14 @@ def ranges(numbers: Sequence[int]) -> str:
     return ", ".join(parts)
 
 
-def short(text: str, most: int = 60) -> str:
-    """Text of a recording, cut where it is longer than a line has room for."""
-    return text if len(text) <= most else f"{text[: most - 3]}..."
+def name(text: str) -> str:
+    """A name out of a recording, cut where it is longer than a line has room for."""
+    return cut(text, _NAME)
 
 
-def shortened(parts: Sequence[str], most: int) -> str:
+def names(parts: Sequence[str], most: int) -> str:
     """The first of some names, and how many more there are."""
-    more = len(parts) - most
-    return ", ".join(short(part) for part in parts[:most]) + (f" and {more:,} more" if more > 0 else "")
+    return few([name(part) for part in parts], most)
 
 
 def changes(found: Sequence[Change], most: int) -> str:

@@ -9,6 +9,7 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import Any
 
 from gpusimbench.evaluator.runs.groups import Described, GroupKey, precisions
+from gpusimbench.schemas.text import cut
 
 Given = Mapping[str, frozenset[str]]
 """By simulator, the names of the options that a user gave for any of its runs."""
@@ -164,8 +165,7 @@ def _fewest(own: Mapping[str, Any], others: Sequence[Mapping[str, Any]]) -> list
 
 
 def _setting(name: str, value: Any) -> str:
-    text = f"{name}={value}"
-    return text if len(text) <= _SHOWN_LENGTH else f"{text[: _SHOWN_LENGTH - 3]}..."
+    return cut(f"{name}={value}", _SHOWN_LENGTH)
 
 
 def _chosen(key: GroupKey, given: frozenset[str]) -> dict[str, Any]:

@@ -28,6 +28,7 @@ from gpusimbench.schemas.fields import StateField
 from gpusimbench.schemas.mcap.reader import Container
 from gpusimbench.schemas.model_files import MODEL
 from gpusimbench.schemas.provenance import LOGGED, PROVENANCE, REAL, SCENE, SIMULATION, Provenance, ReplayOf, Simulation
+from gpusimbench.schemas.text import cut
 from gpusimbench.schemas.treatment import GIVEN, VARIED, Given, drawn, initial_words, snapshot_name
 
 """What recordings of programs that are no adapter (recorder.log) say of their fresh start."""
@@ -265,5 +266,5 @@ def announcement(source: Source, configuration: RunConfiguration) -> str:
 
 def shown(text: str) -> str:
     """A file's text for a terminal: no control characters, and not for ever."""
-    short = text if len(text) <= _SHOWN_CHARACTERS else text[: _SHOWN_CHARACTERS - 3] + "..."
+    short = cut(text, _SHOWN_CHARACTERS)
     return "".join(c if c.isprintable() else f"\\x{ord(c):02x}" for c in short)

@@ -19,6 +19,7 @@ from gpusimbench.recorder.sets.task import Task, make
 from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.errors import ExitCode
 from gpusimbench.schemas.provenance import ReplayOf
+from gpusimbench.schemas.text import few
 
 Json = dict[str, Any]
 
@@ -220,9 +221,8 @@ def _announce(request: Request, sweep: Sweep, there: int, others: dict[Path, str
     say(f"sweep of {c.simulator}, {c.scene}, dt {c.dt:g} s: {' '.join(shown)} envs, {sweep.runs} runs each")
     say(f"{there} of {len(points) * sweep.runs} runs are in {request.out} already")
     if others:
-        few = [f"{path.name} ({why})" for path, why in list(others.items())[:_SHOWN]]
-        more = f" and {len(others) - len(few)} more" if len(others) > len(few) else ""
-        say(f"ignored there, no finished recordings: {', '.join(few)}{more}")
+        named = few([f"{path.name} ({why})" for path, why in others.items()], _SHOWN)
+        say(f"ignored there, no finished recordings: {named}")
 
 
 def _heading(sweep: Sweep, n_env: int, known: Outcomes) -> tuple[str, int, int]:

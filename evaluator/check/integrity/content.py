@@ -22,6 +22,7 @@ from gpusimbench.schemas.fingerprint import fingerprint
 from gpusimbench.schemas.mcap.reader import Container
 from gpusimbench.schemas.messages import enum_values, message_class
 from gpusimbench.schemas.provenance import Provenance, Simulation
+from gpusimbench.schemas.text import few
 
 _READ_BYTES = 64 << 20
 _READ_ROWS = 50  # a block's rows, so that few are decoded twice
@@ -81,9 +82,7 @@ def check_content(
             if topics.fingerprint("capture") in scan.streams:
                 problems.skip("nothing says what the states are that the hashes are of", Kind.state_hash)
     if named := sorted(lost):
-        more = f" and {len(named) - _SHOWN} more" if len(named) > _SHOWN else ""
-        told = ", ".join(named[:_SHOWN])
-        problems.add(Kind.digest, f"not checked, since it cannot be read: {told}{more}: {lost[named[0]]}")
+        problems.add(Kind.digest, f"not checked, since it cannot be read: {few(named, _SHOWN)}: {lost[named[0]]}")
         problems.skip(lost[named[0]], Kind.state_hash)
     for name in sorted((claimed.keys() | found.keys()) - lost.keys()):
         if claimed.get(name) != found.get(name):
@@ -147,8 +146,7 @@ def _states(
     if configuration.keep and len(missing) == len(fields):
         return {}  # hashes are of the first step and the last, and no states were kept
     if hashes is not None and missing:
-        more = f" and {len(missing) - _SHOWN} more" if len(missing) > _SHOWN else ""
-        told = ", ".join(missing[:_SHOWN]) + more
+        told = few(missing, _SHOWN)
         problems.skip(f"hashes are of all fields, and states of {told} are not there", Kind.state_hash)
     elif hashes is not None and not fields:
         problems.skip("nothing says what the states are that the hashes are of", Kind.state_hash)

@@ -35,6 +35,7 @@ from gpusimbench.schemas.mcap.records import (
 )
 from gpusimbench.schemas.mcap.walk import Walk, split
 from gpusimbench.schemas.source import Source
+from gpusimbench.schemas.text import few
 
 _SHOWN = 3
 
@@ -269,8 +270,7 @@ class _Scanner:
         # the topics of a chunk, as far as its bytes still say
         numbers = dict.fromkeys(int.from_bytes(r.content[:2], "little") for r in split(data) if r.opcode == Op.MESSAGE)
         names = [self._found.channels[number].topic for number in numbers if number in self._found.channels]
-        more = f" and {len(names) - _SHOWN} more" if len(names) > _SHOWN else ""
-        return ", ".join(names[:_SHOWN]) + more if names else "topics that it does not tell"
+        return few(names, _SHOWN) if names else "topics that it does not tell"
 
     def _close_chunk(self) -> None:
         # what it holds is known, and so are the indexes behind it, if it has any

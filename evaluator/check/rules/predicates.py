@@ -13,6 +13,7 @@ from typing import Any
 
 from gpusimbench.evaluator.check.rules.fact import FactType, Unknown
 from gpusimbench.evaluator.check.rules.facts import FACTS
+from gpusimbench.schemas.text import cut
 
 _SHOWN = 3
 _NAMED = 6
@@ -74,8 +75,7 @@ def show(value: Any) -> str:
         return "yes" if value else "no"
     if isinstance(value, float):
         return f"{value:.9g}"
-    text = str(value) if value != "" else "nothing"
-    return text if len(text) <= 80 else f"{text[:77]}..."
+    return cut(str(value) if value != "" else "nothing", 80)
 
 
 def _missing(value: tuple[str, ...], wanted: list[str]) -> str:

@@ -38,6 +38,7 @@ from gpusimbench.evaluator.share.dataset.manifest import (
 from gpusimbench.evaluator.share.dataset.personal import Personal, personal
 from gpusimbench.schemas.errors import GsbError, NothingComparable, UsageError
 from gpusimbench.schemas.progress import each, sizes
+from gpusimbench.schemas.text import few
 from gpusimbench.schemas.writing import write_files
 
 DESCRIBING = (CARD, CITATION, METRICS, RUNS)
@@ -104,7 +105,7 @@ def publish(folder: Path, publication: Publication, *, sample_time: float, updat
 def _check(folder: Path, found: Found) -> None:
     if found.others:
         raise UsageError(
-            f"{folder} has links, or what is neither file nor folder: {_named(found.others)}; only files "
+            f"{folder} has links, or what is neither file nor folder: {few(found.others, _MOST_NAMED)}; only files "
             "can be published: put those themselves there"
         )
     for path in found.files:
@@ -127,11 +128,11 @@ def _before(folder: Path, found: Found, update: bool) -> Manifest | None:
             raise GsbError(f"cannot read {folder / MANIFEST}: {error.strerror}") from None
     if not is_manifest(data):
         raise UsageError(
-            f"{folder} has files of its own that would be overwritten: {_named(there)}; move them, or give words of "
-            "yours to the card with --about FILE"
+            f"{folder} has files of its own that would be overwritten: {few(there, _MOST_NAMED)}; move them, or give "
+            "words of yours to the card with --about FILE"
         )
     if not update:
-        raise UsageError(f"{folder} has been described before ({_named(there)}): --update does it anew")
+        raise UsageError(f"{folder} has been described before ({few(there, _MOST_NAMED)}): --update does it anew")
     return load_manifest(data)
 
 
@@ -209,8 +210,3 @@ def _is_there(path: Path, data: bytes) -> bool:
         return path.exists() and path.read_bytes() == data
     except OSError as error:
         raise GsbError(f"cannot read {path}: {error.strerror}") from None
-
-
-def _named(names: Sequence[str]) -> str:
-    more = len(names) - _MOST_NAMED
-    return ", ".join(names[:_MOST_NAMED]) + (f" and {more} more" if more > 0 else "")

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from gpusimbench.evaluator.report.parquet import METRICS, polars
+from gpusimbench.schemas.text import cut
 
 MAX_BYTES = 64 << 20
 """A larger table is not read."""
@@ -78,8 +79,7 @@ def _apart(one: Any, other: Any) -> str:
 
 
 def _shown(value: Any) -> str:
-    text = "nothing" if value is None else repr(value)
-    return text if len(text) <= _LONGEST else f"{text[: _LONGEST - 3]}..."
+    return "nothing" if value is None else cut(repr(value), _LONGEST)
 
 
 def _first(sentences: Iterator[str]) -> Iterator[str]:

@@ -39,6 +39,7 @@ from gpusimbench.evaluator.share.dataset.tables import compare_table
 from gpusimbench.schemas.errors import DamagedRecording, ExitCode, GsbError, Unreachable, UsageError
 from gpusimbench.schemas.location import Location, Place
 from gpusimbench.schemas.progress import each
+from gpusimbench.schemas.text import cut
 
 _SUMS_BYTES = 16 << 20
 _LONGEST = 80
@@ -258,7 +259,8 @@ class _Verifier:
         for field in fields(RecordingEntry):
             there, here = getattr(told, field.name), getattr(found, field.name)
             if there != here:
-                what = f"{field.name} is {_short(there)} in {MANIFEST}, and {_short(here)} by the recording"
+                said, true = (cut(repr(value), _LONGEST) for value in (there, here))
+                what = f"{field.name} is {said} in {MANIFEST}, and {true} by the recording"
                 self._add(Kind.DISAGREES, path, what)
         if found.check == DAMAGED:
             self._add(Kind.DAMAGED, path, "; ".join(found.findings))
@@ -280,8 +282,3 @@ class _Verifier:
                     self._add(Kind.DISAGREES, file.path, sentence)
                 if not different:
                     self._tables.append(file.path)
-
-
-def _short(value: object) -> str:
-    text = repr(value)
-    return text if len(text) <= _LONGEST else f"{text[: _LONGEST - 3]}..."

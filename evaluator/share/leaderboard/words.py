@@ -15,6 +15,7 @@ from gpusimbench.evaluator.report import words as report_words
 from gpusimbench.evaluator.share.dataset.contents import BROKEN
 from gpusimbench.evaluator.share.leaderboard.reproduction import Reproduction
 from gpusimbench.evaluator.share.leaderboard.standing import Board, Row
+from gpusimbench.schemas.text import cut
 
 _SHORT = 10
 _LONGEST = 100
@@ -112,5 +113,4 @@ def settings(row: Row) -> list[str]:
 
 
 def _brief(value: object) -> str:
-    text = value if isinstance(value, str) else json.dumps(value, sort_keys=True)
-    return text if len(text) <= 60 else f"{text[:57]}..."
+    return cut(value if isinstance(value, str) else json.dumps(value, sort_keys=True), 60)
