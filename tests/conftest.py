@@ -63,17 +63,19 @@ def command(name: str) -> list[str]:
     return [str(Path(sys.executable).parent / name)]
 
 
-def call(name: str, *arguments: object, **keywords: Any) -> subprocess.CompletedProcess[str]:
-    """Run a command to its end; nothing is raised for its exit code.
+def call(name: str, *arguments: object, code: int | None = None, **keywords: Any) -> subprocess.CompletedProcess[str]:
+    """Run a command to its end; AssertionError where it ends with another exit code than `code`, if that is given.
 
     It runs in this process where nothing but its working directory and its environment is asked for (see in_process),
     and in a process of its own with any other keyword of subprocess.run.
     """
-    if not keywords.keys() - {"cwd", "env"}:
-        return in_process(name, *arguments, **keywords)
-    done: subprocess.CompletedProcess[str] = subprocess.run(
-        [*command(name), *map(str, arguments)], **{"capture_output": True, "text": True, "timeout": 600, **keywords}
-    )
+    done: subprocess.CompletedProcess[str]
+    if keywords.keys() - {"cwd", "env"}:
+        given = {"capture_output": True, "text": True, "timeout": 600, **keywords}
+        done = subprocess.run([*command(name), *map(str, arguments)], **given)
+    else:
+        done = in_process(name, *arguments, **keywords)
+    assert code in (None, done.returncode), f"{name} ended with {done.returncode}: {done.stdout}{done.stderr}"
     return done
 
 
@@ -127,8 +129,7 @@ def recorded(*arguments: object) -> list[Path]:
     """
 
     def record(folder: Path) -> None:
-        done = call("gsb-record", *arguments, "--out", folder)
-        assert done.returncode == 0, done.stderr
+        call("gsb-record", *arguments, "--out", folder, code=0)
 
     name = hashlib.sha256(json.dumps([str(argument) for argument in arguments]).encode()).hexdigest()
     return sorted(made_once(name[:16], record).glob("*.mcap"))

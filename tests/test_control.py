@@ -50,8 +50,7 @@ for index, task in enumerate(json.load(sys.stdin)):
 def record(folder: Path, *arguments: object, **options: object) -> None:
     """One command: runs of inclined-collision, a process each."""
     given = [part for name, value in {"device": "cpu", **options}.items() for part in ("--option", f"{name}={value}")]
-    done = call("gsb-record", "--sim", "calibration", *arguments, *given, "--out", folder)
-    assert done.returncode == 0, done.stderr
+    call("gsb-record", "--sim", "calibration", *arguments, *given, "--out", folder, code=0)
 
 
 def record_many(folder: Path, tasks: list[Json]) -> None:
@@ -73,8 +72,7 @@ def evaluate(folder: Path, seconds: float) -> Json:
 
 def evaluated(folder: Path, seconds: float) -> Json:
     """What gsb-eval says of a folder, positions at a time."""
-    done = call("gsb-eval", *sorted(folder.glob("*.mcap")), "--sample-time", seconds, "--json", "-")
-    assert done.returncode == 0, done.stderr
+    done = call("gsb-eval", *sorted(folder.glob("*.mcap")), "--sample-time", seconds, "--json", "-", code=0)
     document: Json = json.loads(done.stdout)
     return document
 

@@ -48,8 +48,7 @@ def test_a_verb_does_what_its_command_does(arguments: tuple[object, ...]) -> Non
 
 def test_a_verb_that_is_none() -> None:
     """End with 2 and the verb that may have been meant."""
-    done = call("gsb", "evaluate")
-    assert done.returncode == 2
+    done = call("gsb", "evaluate", code=2)
     assert "did you mean 'eval'?" in done.stderr
 
 
@@ -70,8 +69,7 @@ def _suggested(text: str) -> list[list[str]]:
 
 def test_an_empty_folder(tmp_path: Path) -> None:
     """Say that recordings come first, and how they are made."""
-    done = call("gsb", cwd=tmp_path)
-    assert done.returncode == 0
+    done = call("gsb", cwd=tmp_path, code=0)
     assert "no recordings here" in done.stdout
     assert "gsb record --sim mujoco" in done.stdout
     assert len(done.stdout.splitlines()) <= 10

@@ -42,8 +42,7 @@ DOZEN = 12
 )
 def test_what_was_meant(arguments: tuple[str, ...], meant: str) -> None:
     """Name it in the message, and end with 2."""
-    done = call(*arguments)
-    assert done.returncode == 2
+    done = call(*arguments, code=2)
     assert f"did you mean {meant}" in done.stderr.splitlines()[-1]
 
 

@@ -169,8 +169,7 @@ def _arguments(out: Path, *environments: str) -> list[object]:
 def test_environments_that_are_the_same(tmp_path: Path) -> None:
     """Record two environments once, by mj_step, and find that nothing differs."""
     arguments = _arguments(tmp_path / "out", "one", "other")
-    done = call("gsb-bisect", *arguments)
-    assert done.returncode == 5, done.stderr
+    done = call("gsb-bisect", *arguments, code=5)
     assert "mujoco other does not differ from one in free-fall, judged by states" in " ".join(done.stdout.split())
     files = {path: path.stat().st_mtime_ns for path in (tmp_path / "out").rglob("*.mcap")}
     assert sorted(path.parent.name for path in files) == ["one", "other"]
@@ -181,8 +180,7 @@ def test_environments_that_are_the_same(tmp_path: Path) -> None:
     assert len(list((tmp_path / "out" / "one").iterdir())) == 2
     assert call("gsb-bisect", *arguments).returncode == 5
     assert len(list((tmp_path / "out").rglob("*.mcap"))) == 4
-    refused = call("gsb-bisect", *arguments, "--seed", "1")
-    assert refused.returncode == 2
+    refused = call("gsb-bisect", *arguments, "--seed", "1", code=2)
     assert "is of another bisection" in refused.stderr
 
 
@@ -192,8 +190,7 @@ def test_a_command_finds_an_environment(tmp_path: Path) -> None:
     judge.write_text("import sys\nprint('looked')\nsys.exit(sys.argv[2][-1] >= 'd')\n", encoding="utf-8")
     arguments = _arguments(tmp_path / "out", *"abcdefgh")
     target = tmp_path / "found.json"
-    done = call("gsb-bisect", *arguments, "--predicate", f"{sys.executable} {judge}", "--json", target)
-    assert done.returncode == 0, done.stderr
+    done = call("gsb-bisect", *arguments, "--predicate", f"{sys.executable} {judge}", "--json", target, code=0)
     assert "mujoco d is the first release whose recordings in free-fall differ from those of a." in done.stdout
     assert len(done.stdout.splitlines()) <= 15
     found = json.loads(target.read_text())
@@ -210,15 +207,13 @@ def test_a_command_finds_an_environment(tmp_path: Path) -> None:
     arguments = [f"--environment=c={empty}" if a == f"--environment=c={sys.executable}" else a for a in arguments]
     for path in (tmp_path / "out" / "c").iterdir():
         path.unlink()
-    done = call("gsb-bisect", *arguments, "--predicate", f"{sys.executable} {judge}", "--json", target)
-    assert done.returncode == 5
+    done = call("gsb-bisect", *arguments, "--predicate", f"{sys.executable} {judge}", "--json", target, code=5)
     assert "changed after mujoco b and up to d; c could not be judged" in " ".join(done.stdout.split())
 
 
 def test_what_no_release_can_do(tmp_path: Path) -> None:
     """Pass on why gsb-record refuses, as wrong usage."""
-    done = call("gsb-bisect", *_arguments(tmp_path / "out", "one", "other"), "--option", "stepping=slow")
-    assert done.returncode == 2
+    done = call("gsb-bisect", *_arguments(tmp_path / "out", "one", "other"), "--option", "stepping=slow", code=2)
     assert "mujoco one cannot be recorded" in done.stderr and "stepping is one of auto, batch, mj_step" in done.stderr
 
 
@@ -238,8 +233,7 @@ def test_what_no_release_can_do(tmp_path: Path) -> None:
 )
 def test_wrong_usage(arguments: tuple[str, ...], message: str) -> None:
     """Refuse what cannot be before anything is installed or recorded."""
-    done = call("gsb-bisect", *arguments)
-    assert done.returncode == 2
+    done = call("gsb-bisect", *arguments, code=2)
     assert message in done.stderr
 
 

@@ -307,8 +307,7 @@ def test_the_command(tmp_path: Path, small_set: list[Path], gsb_eval: Command) -
     cache = tmp_path / "cache"
     printed = []
     for arguments in (["--cache", cache], ["--cache", cache], ["--no-cache"]):
-        done = gsb_eval(*small_set, "--sample-time", 1, "--json", "-", *arguments)
-        assert done.returncode == 0, done.stderr
+        done = gsb_eval(*small_set, "--sample-time", 1, "--json", "-", *arguments, code=0)
         printed.append(done.stdout)
     assert list(cache.rglob("*.result"))
     shutil.rmtree(cache)

@@ -13,8 +13,7 @@ from tests.synthetic import grid, write_recording
 
 def test_table(gsb_eval: Command, small_set: list[Path]) -> None:
     """Print results on standard output alone, without colour where it is no terminal."""
-    done = gsb_eval(*small_set, "--sample-time", 1)
-    assert done.returncode == 0
+    done = gsb_eval(*small_set, "--sample-time", 1, code=0)
     assert not done.stderr
     lines = done.stdout.splitlines()
     assert "all 3 runs are bit-identical" in lines[0]  # the verdict comes first
@@ -40,8 +39,7 @@ def test_json_never_replaces_a_recording(gsb_eval: Command, tmp_path: Path) -> N
     """Refuse "--json *.mcap", which would overwrite the first recording."""
     files = [write_recording(tmp_path, grid(2), run=r) for r in range(2)]
     before = files[0].read_bytes()
-    done = gsb_eval("--json", *files)
-    assert done.returncode == 2
+    done = gsb_eval("--json", *files, code=2)
     assert "named like a recording" in done.stderr
     assert files[0].read_bytes() == before
 
@@ -68,8 +66,7 @@ def test_a_bad_file(gsb_eval: Command, tmp_path: Path, content: bytes, code: int
     """Say in one line what is wrong with the only file."""
     path = tmp_path / "bad.mcap"
     path.write_bytes(content)
-    done = gsb_eval(path)
-    assert done.returncode == code
+    done = gsb_eval(path, code=code)
     assert message in done.stderr
     assert "Traceback" not in done.stderr
     assert not done.stdout
@@ -84,8 +81,7 @@ def test_a_bad_file_among_good_ones(gsb_eval: Command, tmp_path: Path) -> None:
     changed = bytearray(good.read_bytes())
     changed[len(changed) // 2] ^= 4
     worse.write_bytes(changed)
-    done = gsb_eval(good, bad, worse)
-    assert done.returncode == 3
+    done = gsb_eval(good, bad, worse, code=3)
     assert "repeats itself" in done.stdout
     assert done.stdout.count("left out:") == 1
     assert "worse.mcap" in done.stderr
@@ -97,8 +93,7 @@ def test_nothing_usable(gsb_eval: Command, tmp_path: Path) -> None:
         (tmp_path / name).write_bytes(b"no recording at all")
     assert gsb_eval(tmp_path / "a.mcap", tmp_path / "b.mcap").returncode == 5
     failed = write_recording(tmp_path, grid(2), status="FAILED", reason="out of device memory")
-    done = gsb_eval(failed)
-    assert done.returncode == 5
+    done = gsb_eval(failed, code=5)
     assert "out of device memory" in done.stdout
 
 
@@ -118,8 +113,7 @@ def test_bad_arguments(
     gsb_eval: Command, small: Path, tmp_path: Path, arguments: tuple[str, ...], code: int, message: str
 ) -> None:
     """Say what is wrong and end with the documented code."""
-    done = gsb_eval(*(str(small) if a == "SMALL" else a for a in arguments), cwd=tmp_path)
-    assert done.returncode == code
+    done = gsb_eval(*(str(small) if a == "SMALL" else a for a in arguments), cwd=tmp_path, code=code)
     assert message in done.stderr
     assert "Traceback" not in done.stderr
 

@@ -114,7 +114,6 @@ def test_without_the_package(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_documents_are_whole(small: Path, gsb_eval: Command, tmp_path: Path) -> None:
     """Print the document alone, and nothing of Ray's, also with a cluster that lives for one command."""
     environment = {**os.environ, "HOME": str(tmp_path), "RAY_ADDRESS": ""}
-    done = gsb_eval(small, "--sample-time", 1, "--json", "-", "--ray", "local", "--no-cache", env=environment)
-    assert done.returncode == 0, done.stderr
+    done = gsb_eval(small, "--sample-time", 1, "--json", "-", "--ray", "local", "--no-cache", env=environment, code=0)
     assert not [line for line in done.stderr.splitlines() if "ray" in line.lower()]
     assert json.loads(done.stdout)["groups"]

@@ -102,8 +102,7 @@ def test_long_texts_are_paragraphs() -> None:
 
 def test_the_command(small: Path, tmp_path: Path, gsb_eval: Command) -> None:
     """Write what is asked for and name each file; --tables alone goes on to write Parquet."""
-    done = gsb_eval(small, "--sample-time", 1, "--tables", tmp_path / "out", "--format", "md,tex")
-    assert done.returncode == 0, done.stderr
+    done = gsb_eval(small, "--sample-time", 1, "--tables", tmp_path / "out", "--format", "md,tex", code=0)
     names = {line.rpartition("/")[2] for line in done.stdout.splitlines() if line.startswith("table: ")}
     assert names == {p.name for p in (tmp_path / "out").iterdir()}
     assert {

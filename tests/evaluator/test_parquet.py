@@ -25,8 +25,7 @@ pl = pytest.importorskip("polars")
 def test_the_tables_say_what_the_document_says(tmp_path: Path, small_set: list[Path], gsb_eval: Command) -> None:
     """Write every metric of every group and every recording, with the values of the JSON."""
     out = tmp_path / "tables"
-    done = gsb_eval(*small_set, "--sample-time", 1, "--json", "-", "--tables", out, "--no-cache")
-    assert done.returncode == 0, done.stderr
+    done = gsb_eval(*small_set, "--sample-time", 1, "--json", "-", "--tables", out, "--no-cache", code=0)
     document = json.loads(done.stdout)
     metrics = pl.read_parquet(out / METRICS)
     for group in document["groups"]:
@@ -92,7 +91,6 @@ def test_without_the_package(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, sm
 def test_a_folder_that_cannot_be_made(tmp_path: Path, small: Path, gsb_eval: Command) -> None:
     """Say in one line where the tables could not be written."""
     (tmp_path / "file").write_text("")
-    done = gsb_eval(small, "--tables", tmp_path / "file" / "out")
-    assert done.returncode == 1
+    done = gsb_eval(small, "--tables", tmp_path / "file" / "out", code=1)
     table = tmp_path / "file" / "out" / METRICS
     assert done.stderr == f"gsb-eval: cannot write {table}: Not a directory\n"

@@ -63,16 +63,14 @@ def test_links_are_where_their_joints_have_them(tmp_path: Path) -> None:
     assert items.bodies == (("robot", "arm"), ("robot", "tip"))
     np.testing.assert_allclose(items.position[:, 1], [[0, 0, 1], [-1, 0, 2]], atol=1e-12)
     assert [len(shapes) for shapes in surroundings(recording).bodies.values()] == [0, 1]
-    done = call("gsb-view", recording.path, "--no-open", "--out", tmp_path / "view.html")
-    assert done.returncode == 0, done.stderr
+    done = call("gsb-view", recording.path, "--no-open", "--out", tmp_path / "view.html", code=0)
     assert "The tip is drawn as it never was" in done.stderr
 
 
 def test_a_damaged_geometry(tmp_path: Path) -> None:
     """Say what is wrong with it, and keep what states and clocks say."""
     path = pendulum(tmp_path, {"kind": "mesh", "mesh": 7})
-    done = call("gsb-check", path)
-    assert done.returncode == ExitCode.DATA_LOST, done.stdout
+    done = call("gsb-check", path, code=ExitCode.DATA_LOST)
     assert "mesh is not a whole number from 0 to 0" in done.stdout
     assert len(Recording(path).state("joints", "qpos")) == 2
 

@@ -314,9 +314,8 @@ def probed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("probe") / "out"
     done = call(
         "gsb-probe", "--sim", "mujoco", "--n-env", "3", "--numbers", "1", "--steps", "30", "--out", out, "--json",
-        out.parent / "answers.json",
+        out.parent / "answers.json", code=0,
     )  # fmt: skip
-    assert done.returncode == 0, done.stderr
     assert len(done.stdout.splitlines()) <= 19
     assert "11 of 12 answers are yes; no: positions and velocities are the whole state" in " ".join(done.stdout.split())
     return out
@@ -334,8 +333,7 @@ def test_mujoco(probed: Path) -> None:
 
 def test_recordings_are_enough(probed: Path, gsb_probe: Command) -> None:
     """Answer the same from the recordings alone; with --gate, the last question decides nothing."""
-    again = gsb_probe(probed, "--json", "-")
-    assert again.returncode == 0
+    again = gsb_probe(probed, "--json", "-", code=0)
     assert json.loads(again.stdout) == json.loads((probed.parent / "answers.json").read_text())
     assert gsb_probe(probed, "--gate").returncode == 0
     every = gsb_probe(probed, "--all").stdout
@@ -347,8 +345,7 @@ def test_nothing_is_recorded_twice(probed: Path, gsb_probe: Command) -> None:
     """Go on where a probe was interrupted: what lies in the folder is not made again."""
     before = sorted(probed.iterdir())
     before[3].unlink()
-    done = gsb_probe("--sim", "mujoco", "--n-env", "3", "--numbers", "1", "--steps", "30", "--out", probed)
-    assert done.returncode == 0
+    gsb_probe("--sim", "mujoco", "--n-env", "3", "--numbers", "1", "--steps", "30", "--out", probed, code=0)
     after = sorted(probed.iterdir())
     assert len(after) == len(before)
     assert len(set(after) - set(before)) == 1
@@ -367,8 +364,7 @@ def test_nothing_is_recorded_twice(probed: Path, gsb_probe: Command) -> None:
 )
 def test_wrong_usage(arguments: tuple[str, ...], why: str, gsb_probe: Command, tmp_path: Path) -> None:
     """Say what is wrong before anything is recorded."""
-    done = gsb_probe(*arguments, *(("--out", tmp_path / "out") if "--sim" in arguments else ()))
-    assert done.returncode == 2
+    done = gsb_probe(*arguments, *(("--out", tmp_path / "out") if "--sim" in arguments else ()), code=2)
     assert why in done.stderr
     assert not (tmp_path / "out").exists() or not list((tmp_path / "out").glob("*.mcap"))
 
@@ -479,8 +475,7 @@ def test_what_a_level_costs(tmp_path: Path, gsb_probe: Command) -> None:
                 tmp_path, None, n_env=8, steps=PLAN.steps, dt=0.01, elapsed_s=seconds + run / 100, determinism=level,
                 switches={"sorted": level == "strict"},
             )  # fmt: skip
-    done = gsb_probe(tmp_path, "--json", tmp_path / "answers.json")
-    assert done.returncode == 0, done.stderr
+    done = gsb_probe(tmp_path, "--json", tmp_path / "answers.json", code=0)
     said = " ".join(done.stdout.split())
     assert "Throughput with 8 environments, relative to the default level: 0.50" in said
     assert said.count("Throughput with") == 1
@@ -500,8 +495,7 @@ def test_what_a_level_costs(tmp_path: Path, gsb_probe: Command) -> None:
 def test_two_commands_in_one_folder(command: str, arguments: list[str], tmp_path: Path) -> None:
     """Refuse to record into a folder in which the same command is at work, and name the process; keep nothing of it."""
     with held_by(tmp_path, command, "is at work"):
-        done = call(command, *arguments, "--out", tmp_path)
-        assert done.returncode == 1
+        done = call(command, *arguments, "--out", tmp_path, code=1)
         assert f"process {os.getpid()} on" in done.stderr
     assert list(tmp_path.iterdir()) == []
 

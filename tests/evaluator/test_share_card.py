@@ -402,11 +402,9 @@ def test_authors_are_names() -> None:
 def test_the_command_as_it_is_installed(tmp_path: Path, small: Path) -> None:
     """Describe and verify in processes of their own, from another folder."""
     shutil.copy(small, tmp_path)
-    done = call("gsb-share", "card", ".", *WORDS, *WHEN, cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
+    done = call("gsb-share", "card", ".", *WORDS, *WHEN, cwd=tmp_path, code=0)
     assert "1 recording in 1 group" in done.stdout
-    done = call("gsb-share", "verify", ".", cwd=tmp_path)
-    assert done.returncode == 0, done.stdout + done.stderr
+    done = call("gsb-share", "verify", ".", cwd=tmp_path, code=0)
 
 
 def test_polars_is_asked_for_before_any_work(tmp_path: Path, small: Path) -> None:

@@ -157,11 +157,9 @@ def test_hashes_that_are_not_of_the_states(gsb_eval: Command, tmp_path: Path, mo
     final = grid(3)
     final[1] += 0.1
     path = write_recording(tmp_path, final)
-    done = gsb_eval(path)
-    assert done.returncode == 3
+    done = gsb_eval(path, code=3)
     assert "state hashes at step 0 are not those of the states" in done.stderr
-    done = gsb_eval(path, "--no-verify")
-    assert done.returncode == 3
+    done = gsb_eval(path, "--no-verify", code=3)
     assert "the state hashes are equal, but the positions at the sample step are not" in done.stderr
 
 
@@ -251,8 +249,7 @@ def test_one_run_id_and_two_contents(gsb_eval: Command, tmp_path: Path) -> None:
     """Name a file that claims to be a run that is here already with another content."""
     write_recording(tmp_path, grid(2), run_id="the same", name="a.mcap")
     write_recording(tmp_path, grid(2) + 0.1, run_id="the same", name="b.mcap")
-    done = gsb_eval(tmp_path / "a.mcap", tmp_path / "b.mcap")
-    assert done.returncode == 3
+    done = gsb_eval(tmp_path / "a.mcap", tmp_path / "b.mcap", code=3)
     assert "has the run id of a.mcap and another content" in done.stderr
 
 
@@ -261,8 +258,7 @@ def test_terminal_sequences_are_made_visible(gsb_eval: Command, tmp_path: Path) 
     evil = "\x1b[2J\x1b]0;owned\x07\ud800"
     bad = write_recording(tmp_path, grid(2), simulator="bad", change=_forge(SIMULATION, ("version",), evil))
     failed = write_recording(tmp_path, grid(2), simulator="bad", status="FAILED", reason="\x1b[2Jgone")
-    done = gsb_eval(bad, failed, "--html", tmp_path / "report")
-    assert done.returncode == 0, done.stderr
+    done = gsb_eval(bad, failed, "--html", tmp_path / "report", code=0)
     assert "\x1b" not in done.stdout
     assert "\\x1b[2J" in done.stdout
     assert "\x1b" not in (tmp_path / "report" / "index.html").read_text()
@@ -271,8 +267,7 @@ def test_terminal_sequences_are_made_visible(gsb_eval: Command, tmp_path: Path) 
 def test_a_pipe_is_no_file(gsb_eval: Command, tmp_path: Path) -> None:
     """Refuse a pipe instead of waiting for its writer."""
     os.mkfifo(tmp_path / "pipe.mcap")
-    done = gsb_eval(tmp_path / "pipe.mcap", timeout=20)
-    assert done.returncode == 3
+    done = gsb_eval(tmp_path / "pipe.mcap", timeout=20, code=3)
     assert "is not a file" in done.stderr
 
 
@@ -286,8 +281,7 @@ def test_poor_outputs(gsb_eval: Command, small: Path, encoding: str, redirect: b
         assert done.returncode == 1
         assert "cannot write the results: No space left" in done.stderr
     else:
-        done = gsb_eval(small, "--sample-time", 1, env=environment)
-        assert done.returncode == 0
+        done = gsb_eval(small, "--sample-time", 1, env=environment, code=0)
     assert "Traceback" not in done.stderr
 
 
@@ -317,8 +311,7 @@ def test_groups_far_apart_and_exploded(gsb_eval: Command, tmp_path: Path) -> Non
     wild = grid(2)
     wild[0, 0] = 1e200
     write_recording(tmp_path, wild, simulator="wild")
-    done = gsb_eval(*tmp_path.glob("*.mcap"), "--html", tmp_path / "report", "--json", tmp_path / "r.json")
-    assert done.returncode == 0, done.stderr
+    gsb_eval(*tmp_path.glob("*.mcap"), "--html", tmp_path / "report", "--json", tmp_path / "r.json", code=0)
     groups = {g["simulator"]: g["metrics"] for g in json.loads((tmp_path / "r.json").read_text())["groups"]}
     assert groups["here"]["w1_parallel"]["value"] == groups["there"]["w1_parallel"]["value"] == 0
     assert "blew up" in groups["wild"]["w1_parallel"]["why_not"]
@@ -333,8 +326,7 @@ def test_trials_measured_at_another_time(gsb_record: Command, gsb_eval: Command,
     simulated = write_recording(tmp_path, grid(1))
     document = metrics_of(gsb_eval(simulated, made.stdout.strip(), "--sample-time", 4, "--json", "-").stdout)
     assert "measured at 5 s, not at 4 s" in document["w1_real"]["why_not"]
-    alone = gsb_eval(made.stdout.strip())
-    assert alone.returncode == 5
+    alone = gsb_eval(made.stdout.strip(), code=5)
     assert "only real trials" in alone.stderr
 
 

@@ -176,8 +176,7 @@ def test_a_long_sweep_is_one_table(tmp_path: Path) -> None:
 def test_json_of_a_sweep(tmp_path: Path, gsb_eval: Command) -> None:
     """Write points, end and model for programs."""
     files = write_sweep(tmp_path, SIZES, fails=256, speed=5e4)
-    done = gsb_eval(*files, "--json", "-")
-    assert done.returncode == 0, done.stderr
+    done = gsb_eval(*files, "--json", "-", code=0)
     (sweep,) = json.loads(done.stdout)["sweeps"]
     assert (sweep["n_max"], sweep["simulator"], len(sweep["points"])) == (64, "synthetic", 5)
     assert sweep["points"][1]["fps"] == pytest.approx(5e4)
@@ -249,11 +248,10 @@ def test_guidelines_of_a_robot(tmp_path: Path) -> None:
 def test_a_real_sweep(tmp_path: Path, gsb_record: Command) -> None:
     """Sweep MuJoCo over three numbers of environments and see each of them."""
     for n_env in (1, 2, 4):
-        done = gsb_record(
+        gsb_record(
             "--sim", "mujoco", "--scene", "free-fall", "--phases", "timed", "--n-env", n_env, "--runs", 1,
-            "--warmup", 5, "--timed-steps", 60, "--out", tmp_path,
+            "--warmup", 5, "--timed-steps", 60, "--out", tmp_path, code=0,
         )  # fmt: skip
-        assert done.returncode == 0, done.stderr
     sweep = only(tmp_path)
     assert (sweep.n_max, sweep.ends, sweep.label) == (4, "largest N that was tried", "mujoco")
     assert set(sweep.models) == {"host_memory_peak_increment"}

@@ -285,11 +285,10 @@ def test_order_does_not_matter(reference: Path, runs: dict[str, Path], tmp_path:
         assert not isinstance(part, Missing)
         np.testing.assert_array_equal(part.position, whole.position[: len(part.position)])
         assert len(part.position) == min(n_env, 48)
-    other = gsb_record(
+    gsb_record(
         "--sim", "mujoco", "--scene", "cube-toss", "--initial", "random:0.1", "--n-env", "2", "--runs", "1",
-        "--phases", "capture", "--out", tmp_path,
+        "--phases", "capture", "--out", tmp_path, code=0,
     )  # fmt: skip
-    assert other.returncode == 0
     found = errors_of(Recording(next(tmp_path.glob("*.mcap"))), measured)
     assert isinstance(found, Missing)
     assert "begins as no toss" in found.reason
@@ -397,8 +396,7 @@ def test_a_reference_that_cannot_be(
     monkeypatch.setattr(Tosses, "steps", lambda self, scene: 441)
     monkeypatch.setattr("gpusimbench.recorder.trials.reference.read_tosses", lambda path: broken)
     assert gsb_record("--sim", "real", "--scene", "cube-toss", "--out", tmp_path).returncode == 0
-    done = gsb_eval(*tmp_path.glob("*.mcap"), runs["elliptic"])
-    assert done.returncode == 0, done.stderr
+    done = gsb_eval(*tmp_path.glob("*.mcap"), runs["elliptic"], code=0)
     assert said in " ".join(done.stdout.split())
     assert "cannot be used" in done.stdout
 

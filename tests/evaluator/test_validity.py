@@ -77,8 +77,7 @@ def test_counts_of_a_real_set(small_set: list[Path]) -> None:
 def test_actions_of_a_real_run(tmp_path: Path, gsb_record: Command) -> None:
     """Read which actions a run applied, and that the engine was asked for the last of them."""
     small = ("--steps", 4, "--warmup", 1, "--timed-steps", 2, "--n-env", 2, "--runs", 2)
-    done = gsb_record("--sim", "mujoco", "--scene", "franka", *small, "--out", tmp_path)
-    assert done.returncode == 0, done.stderr
+    gsb_record("--sim", "mujoco", "--scene", "franka", *small, "--out", tmp_path, code=0)
     found = {a.phase: a for a in only(*tmp_path.glob("*.mcap")).validity.actions}
     assert set(found) == {"timed", "capture"}
     assert (found["timed"].verified, found["timed"].runs, len(found["timed"].sha256)) == (2, 2, 1)

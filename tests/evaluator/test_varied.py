@@ -41,8 +41,7 @@ def varied(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, ...]:
     folder = tmp_path_factory.mktemp("varied")
     found: list[Path] = []
     for runs, arguments in ((2, ("--vary", VARY)), (1, ())):
-        done = call("gsb-record", *_SHORT, "--n-env", "4", "--runs", str(runs), *arguments, "--out", folder)
-        assert done.returncode == 0, done.stderr
+        done = call("gsb-record", *_SHORT, "--n-env", "4", "--runs", str(runs), *arguments, "--out", folder, code=0)
         found += map(Path, done.stdout.split())
     return tuple(found)  # the first two are of a group
 
@@ -95,11 +94,9 @@ def test_checked(varied: tuple[Path, ...], tmp_path: Path) -> None:
             document["configuration"]["vary"] = text
 
         forged = forge(varied[0], tmp_path / f"{text[:8]}.mcap", change)
-        done = call("gsb-check", forged)
-        assert done.returncode == 4
+        done = call("gsb-check", forged, code=4)
         assert why in " ".join(done.stdout.split())
-        replayed = call("gsb-record", "--replay", forged, "--out", tmp_path)
-        assert replayed.returncode == 2
+        replayed = call("gsb-record", "--replay", forged, "--out", tmp_path, code=2)
         assert "draws other parameters here than it has" in replayed.stderr
 
 
@@ -115,8 +112,7 @@ def test_groups(varied: tuple[Path, ...]) -> None:
 
 def test_evaluated(varied: tuple[Path, ...], gsb_eval: Command) -> None:
     """Compare runs, and not environments, which are meant to differ."""
-    done = gsb_eval(*varied[:2], "--json", "-")
-    assert done.returncode == 0, done.stderr
+    done = gsb_eval(*varied[:2], "--json", "-", code=0)
     (group,) = json.loads(done.stdout)["groups"]
     assert group["vary"] == VARY
     assert group["metrics"]["distinct_runs"]["value"] == 1
@@ -166,11 +162,10 @@ def test_the_arms_of_a_plan() -> None:
 def arms(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A probe of MuJoCo C whose environments differ in their parameters."""
     folder = tmp_path_factory.mktemp("probe")
-    done = call(
+    call(
         "gsb-probe", "--sim", "mujoco", "--n-env", "4", "--numbers", "2", "--steps", "30", "--vary", VARY, "--out",
-        folder, "--json", folder / "answers.json",
+        folder, "--json", folder / "answers.json", code=0,
     )  # fmt: skip
-    assert done.returncode == 0, done.stderr
     return folder
 
 
@@ -215,9 +210,8 @@ def test_parameters_that_stay_behind(arms: Path, tmp_path: Path) -> None:
     """Take no run for an arm whose initial states change slots while its parameters stay."""
     done = call(
         "gsb-record", "--sim", "mujoco", "--n-env", "4", "--steps", "30", "--runs", "1", "--phases", "capture",
-        "--initial", "random:0.1,shift:1", "--vary", VARY, "--out", tmp_path,
+        "--initial", "random:0.1,shift:1", "--vary", VARY, "--out", tmp_path, code=0,
     )  # fmt: skip
-    assert done.returncode == 0, done.stderr
     alone = Recording(place(done.stdout.strip()))
     assert arms_of([alone]) == []
     together = probed([alone, *(Recording(place(str(path))) for path in sorted(arms.glob("*.mcap")))])
@@ -226,16 +220,14 @@ def test_parameters_that_stay_behind(arms: Path, tmp_path: Path) -> None:
 
 def test_a_simulator_that_cannot(gsb_probe: Command, tmp_path: Path) -> None:
     """Say which ability is missing, and probe nothing."""
-    done = gsb_probe("--sim", "genesis", "--quick", "--vary", "mass:0.1", "--out", tmp_path)
-    assert done.returncode == 2
+    done = gsb_probe("--sim", "genesis", "--quick", "--vary", "mass:0.1", "--out", tmp_path, code=2)
     assert "it has no masses per environment" in done.stderr
 
 
 @pytest.mark.parametrize("text", ["mass", "mass:0.1,shift:1", "colour:0.1"])
 def test_no_parameters(text: str, gsb_probe: Command) -> None:
     """Refuse what says nothing that can vary; slots are the probe's own."""
-    done = gsb_probe("--sim", "mujoco", "--vary", text)
-    assert done.returncode == 2
+    done = gsb_probe("--sim", "mujoco", "--vary", text, code=2)
     assert "--vary takes mass:SPREAD, friction:SPREAD, size:SPREAD" in done.stderr
 
 
@@ -254,11 +246,10 @@ def test_a_mix_up_of_parameters_is_found(gsb_probe: Command, tmp_path: Path, mon
     found = {}
     for vary in ((), ("--vary", "mass:0.3")):
         target = tmp_path / f"{len(vary)}.json"
-        done = gsb_probe(
+        gsb_probe(
             "--sim", "first-masses", "--n-env", "4", "--numbers", "2", "--steps", "150", "--stride", "50", *vary,
-            "--out", tmp_path / f"arms-{len(vary)}", "--json", target,
+            "--out", tmp_path / f"arms-{len(vary)}", "--json", target, code=0,
         )  # fmt: skip
-        assert done.returncode == 0, done.stderr
         (probe,) = json.loads(target.read_text())["probes"]
         found[vary[1:]] = {one["key"] for one in probe["answers"] if one["answer"] == Answer.NO} - {"set"}
     assert found == {(): set(), ("mass:0.3",): {"slot"}}

@@ -151,8 +151,7 @@ def test_the_command_says_it(small: Path, tmp_path: Path) -> None:
     lie = rewritten(small, tmp_path / "lie.mcap", CHANGES["moved"][0])
     report = check([examine(lie)], [load_rules("integrity-1")])
     assert {finding.rule.id for finding in report.findings} == {"view"}
-    done = call("gsb-check", lie)
-    assert done.returncode == ExitCode.DATA_LOST
+    done = call("gsb-check", lie, code=ExitCode.DATA_LOST)
     assert "error view: /state/view/cubes_poses/000000 at 0.12 s" in done.stdout
     assert "Trust the states" in done.stdout
 

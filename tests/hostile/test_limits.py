@@ -318,8 +318,7 @@ def test_a_name_that_is_not_utf8(gsb_eval: Command, tmp_path: Path) -> None:
     path = Path(os.fsdecode(os.fsencode(tmp_path) + b"/b\xff\x1b[2Jd.mcap"))
     write_recording(tmp_path, grid(2), name="x.mcap").rename(path)
     (damaged := tmp_path / os.fsdecode(b"c\xff.mcap")).write_bytes(path.read_bytes()[:-5000])
-    done = gsb_eval(path, damaged, "--json", tmp_path / "r.json", "--html", tmp_path / "report")
-    assert done.returncode == 3, done.stderr
+    done = gsb_eval(path, damaged, "--json", tmp_path / "r.json", "--html", tmp_path / "report", code=3)
     assert "Traceback" not in done.stderr
     assert "\x1b" not in done.stdout + done.stderr
     for name in ("info", "check"):
@@ -339,8 +338,7 @@ def test_more_recordings_than_a_shell_lets_open(gsb_eval: Command, tmp_path: Pat
     def few() -> None:
         resource.setrlimit(resource.RLIMIT_NOFILE, (64, resource.getrlimit(resource.RLIMIT_NOFILE)[1]))
 
-    done = gsb_eval("--all", *sorted(tmp_path.glob("*.mcap")), preexec_fn=few)
-    assert done.returncode == 0, done.stderr
+    done = gsb_eval("--all", *sorted(tmp_path.glob("*.mcap")), preexec_fn=few, code=0)
     assert done.stdout.count("is a copy of") == 100
 
 

@@ -221,7 +221,6 @@ def test_what_does_not_fit_is_refused(
     added: dict[str, str], gsb_record: Command, tmp_path: Path, arguments: tuple[str, ...], message: str
 ) -> None:
     """Say so in one sentence, and write nothing."""
-    done = gsb_record(*arguments, "--out", tmp_path / "out", env=added)
-    assert done.returncode == 2
+    done = gsb_record(*arguments, "--out", tmp_path / "out", env=added, code=2)
     assert done.stderr == f"gsb-record: {message}\n"
     assert not (tmp_path / "out").exists()

@@ -564,8 +564,7 @@ def test_no_process_holds_the_output(module: str) -> None:
 
 def test_a_resource_without_a_cluster(tmp_path: Path) -> None:
     """Refuse to choose among the nodes of no cluster."""
-    done = call("gsb-record", *TINY, "--ray-resource", "x", "--out", tmp_path)
-    assert done.returncode == ExitCode.USAGE
+    done = call("gsb-record", *TINY, "--ray-resource", "x", "--out", tmp_path, code=ExitCode.USAGE)
     assert "--ray-resource needs --ray ADDRESS" in done.stderr
 
 

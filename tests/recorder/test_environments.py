@@ -257,16 +257,14 @@ def test_records_in_another_python(borrowing: Path, tmp_path: Path, gsb_record: 
         "--sim", "mujoco", "--python", borrowing, "--n-env", 2, "--runs", 1, *SMALL, "--out", tmp_path / "out"
     )
     assert done.returncode == 0, done.stderr
-    done = gsb_eval(*(tmp_path / "out").glob("*.mcap"), "--sample-time", 1)
-    assert done.returncode == 0, done.stderr
+    done = gsb_eval(*(tmp_path / "out").glob("*.mcap"), "--sample-time", 1, code=0)
 
 
 def test_a_sweep_goes_on_in_the_same_python_only(borrowing: Path, tmp_path: Path, gsb_record: Command) -> None:
     """Find a sweep's runs again by the packages of the Python that makes them."""
     sweep = ("--sim", "mujoco", "--python", borrowing, "--sweep", "1..1", "--runs", 1, *SMALL, "--json")
     for found in (False, True):
-        done = gsb_record(*sweep, "--out", tmp_path)
-        assert done.returncode == 0, done.stderr
+        done = gsb_record(*sweep, "--out", tmp_path, code=0)
         assert [run["found"] for run in json.loads(done.stdout)["runs"]] == [found]
 
 
@@ -296,8 +294,7 @@ def test_conformance_asks_once(borrowing: Path, tmp_path: Path) -> None:
 )  # fmt: skip
 def test_one_command_at_a_time(folder: Path, gsb_record: Command, arguments: tuple[str, ...]) -> None:
     """Refuse what would be ignored."""
-    done = gsb_record(*arguments)
-    assert done.returncode == 2
+    done = gsb_record(*arguments, code=2)
     assert not done.stdout
     assert not folder.exists()
 
@@ -316,8 +313,7 @@ def test_list_shows_environments(folder: Path, gsb_record: Command) -> None:
 
 def test_there_is_nothing_to_set_up_for_others(folder: Path, gsb_record: Command) -> None:
     """Name the simulators that have an environment."""
-    done = gsb_record("--setup", "mujoco")
-    assert done.returncode == 2
+    done = gsb_record("--setup", "mujoco", code=2)
     assert "genesis" in done.stderr
     assert not folder.exists()
 
@@ -337,8 +333,7 @@ def test_a_failed_installation_leaves_nothing(folder: Path, gsb_record: Command,
     """Remove an environment whose installation failed, and say why it did."""
     nothing = {**os.environ, "PIP_INDEX_URL": "file:///nowhere", "PIP_FIND_LINKS": "", "PIP_RETRIES": "0"}
     nothing |= {"UV_OFFLINE": "1", "UV_CACHE_DIR": str(tmp_path / "cache"), "PIP_CONFIG_FILE": os.devnull}
-    done = gsb_record("--setup", "sapien", env=nothing)
-    assert done.returncode == 1
+    done = gsb_record("--setup", "sapien", env=nothing, code=1)
     assert "failed" in done.stderr
     assert not (folder / "sapien").exists()
 

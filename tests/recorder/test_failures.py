@@ -127,8 +127,7 @@ def test_a_full_disk(gsb_record: Command, tmp_path: Path, limit: int) -> None:
         resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
 
     done = gsb_record("--sim", "mujoco", "--n-env", 4, "--runs", 2, "--steps", 200, "--warmup", 0, "--timed-steps", 5,
-                      "--out", tmp_path, preexec_fn=small_disk)  # fmt: skip
-    assert done.returncode == 3, done.stderr
+                      "--out", tmp_path, preexec_fn=small_disk, code=3)  # fmt: skip
     assert "Traceback" not in done.stderr
     assert done.stderr.count("writing stopped: File too large") == 2
     files = sorted(tmp_path.iterdir())
@@ -232,9 +231,8 @@ def test_a_process_that_cannot_start_says_why(gsb_record: Command, tmp_path: Pat
     (tmp_path / "path" / "psutil.py").write_text("raise RuntimeError('this psutil is broken')\n")
     done = gsb_record(
         "--sim", "mujoco", "--runs", 1, "--out", tmp_path / "out",
-        env={**os.environ, "PYTHONPATH": str(tmp_path / "path")},
+        env={**os.environ, "PYTHONPATH": str(tmp_path / "path")}, code=1,
     )  # fmt: skip
-    assert done.returncode == 1
     assert "RuntimeError: this psutil is broken" in done.stderr
     assert "Traceback" not in done.stderr
     assert not list((tmp_path / "out").iterdir())

@@ -33,8 +33,7 @@ _SPREAD = (*_RUN, "--n-env", "24", "--steps", "130", "--initial", "random:3", "-
 
 
 def _record(folder: Path, *arguments: str, exit_code: int) -> Path:
-    done = call("gsb-record", *arguments, "--out", folder)
-    assert done.returncode == exit_code, done.stderr
+    done = call("gsb-record", *arguments, "--out", folder, code=exit_code)
     return Path(done.stdout.strip())
 
 
@@ -147,8 +146,7 @@ def test_other_commands(poisoned: tuple[Path, Path], tmp_path: Path) -> None:
     assert "151  not finite  ball  ball/position x" in done.stdout
     (file,) = json.loads((tmp_path / "info.json").read_text())["files"]
     assert [f["env"] for f in file["failing"]["failures"]] == [1]
-    done = call("gsb-eval", kept, "--all", "--json", tmp_path / "eval.json")
-    assert done.returncode == ExitCode.NOTHING_COMPARABLE, done.stderr
+    done = call("gsb-eval", kept, "--all", "--json", tmp_path / "eval.json", code=ExitCode.NOTHING_COMPARABLE)
     assert "151  not finite  ball  ball/position x" in done.stdout
     (group,) = json.loads((tmp_path / "eval.json").read_text())["groups"]
     assert group["keep"] == "failing"
@@ -203,8 +201,7 @@ def test_a_forged_list(poisoned: tuple[Path, Path], tmp_path: Path, change: Call
     file = forge(poisoned[0], tmp_path / "forged.mcap", lambda _: None, message=forged)
     with pytest.raises(DamagedRecording, match=why):
         verify(open_recording(file))
-    done = call("gsb-check", file)
-    assert done.returncode == ExitCode.DATA_LOST, done.stdout
+    done = call("gsb-check", file, code=ExitCode.DATA_LOST)
     assert why in " ".join(done.stdout.split())
     for command in ("gsb-info", "gsb-eval"):
         assert "Traceback" not in call(command, file).stderr
@@ -225,16 +222,14 @@ def test_a_run_that_ends_early(tmp_path: Path) -> None:
 def test_metrics_are_missing(tmp_path: Path) -> None:
     """Say of metrics of states why they are not there."""
     kept = _record(tmp_path, *_RUN, "--n-env", "2", "--steps", "500", "--keep", "failing", exit_code=0)
-    done = call("gsb-eval", kept, "--json", tmp_path / "eval.json")
-    assert done.returncode == 0, done.stderr
+    call("gsb-eval", kept, "--json", tmp_path / "eval.json", code=0)
     (group,) = json.loads((tmp_path / "eval.json").read_text())["groups"]
     assert group["metrics"]["w1_parallel"]["why_not"] == ONLY_FAILING
 
 
 def test_replay(spread: tuple[Path, Path], tmp_path: Path) -> None:
     """Make such a run again from its file, with the same content."""
-    done = call("gsb-record", "--replay", spread[0], "--out", tmp_path)
-    assert done.returncode == 1, done.stderr
+    done = call("gsb-record", "--replay", spread[0], "--out", tmp_path, code=1)
     assert f"keep failing,within:{_WITHIN}" in done.stderr
     again, first = open_recording(done.stdout.strip()), open_recording(spread[0])
     assert again.configuration == first.configuration
@@ -287,6 +282,5 @@ def test_refused(given_too: tuple[str, ...], why: str, tmp_path: Path) -> None:
 def test_no_bodies(tmp_path: Path) -> None:
     """Refuse bounds for a scene without free bodies."""
     arguments = ("--sim", "mujoco", "--scene", "franka", "--keep", "failing,within:1", "--out", tmp_path)
-    done = call("gsb-record", *arguments)
-    assert done.returncode == 2
+    done = call("gsb-record", *arguments, code=2)
     assert "has no free bodies" in done.stderr

@@ -221,8 +221,7 @@ def test_a_recording_of_the_arm(gsb_record: Command, gsb_eval: Command, tmp_path
     assert again is not None
     assert np.array_equal(found.hashes, again.hashes)
     assert len(set(found.hashes[-1].tolist())) == 3
-    evaluated = gsb_eval(first.path, second.path, "--json", "-")
-    assert evaluated.returncode == 0, evaluated.stderr
+    evaluated = gsb_eval(first.path, second.path, "--json", "-", code=0)
     (group,) = json.loads(evaluated.stdout)["groups"]
     changed = group["metrics"]["capture_changes_states"]
     assert (changed["value"], changed["n"]) == (0, 2), "the timed phase had the same actions"

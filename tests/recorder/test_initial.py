@@ -116,8 +116,7 @@ def test_runs_begin_alike(recorded: tuple[Path, Path]) -> None:
 
 def test_engines_begin_alike(recorded: tuple[Path, Path], gsb_record: Command, tmp_path: Path) -> None:
     """Begin on another engine in the same state, to its precision."""
-    done = gsb_record("--sim", "warp", "--option", "device=cpu", "--runs", "1", *_SHORT, "--out", tmp_path)
-    assert done.returncode == 0, done.stderr
+    done = gsb_record("--sim", "warp", "--option", "device=cpu", "--runs", "1", *_SHORT, "--out", tmp_path, code=0)
     double, single = open_recording(recorded[0]), open_recording(Path(done.stdout.strip()))
     for layout in double.fields:
         there, here = (np.asarray(r.state(layout.group, layout.field))[0] for r in (double, single))
@@ -129,9 +128,8 @@ def test_robots(gsb_record: Command, tmp_path: Path) -> None:
     """Begin a robot's joints at angles of their own, within their limits, at rest."""
     done = gsb_record(
         "--sim", "mujoco", "--scene", "franka", "--runs", "1", "--n-env", "8", "--steps", "2", "--phases", "capture",
-        "--initial", "random:3", "--out", tmp_path,
+        "--initial", "random:3", "--out", tmp_path, code=0,
     )  # fmt: skip
-    assert done.returncode == 0, done.stderr
     recording = open_recording(Path(done.stdout.strip()))
     angles = np.asarray(recording.state("robot", "qpos"))[0, ..., 0]
     robot = make_scene("franka").robot
@@ -145,8 +143,7 @@ def test_robots(gsb_record: Command, tmp_path: Path) -> None:
 
 def test_a_replay(recorded: tuple[Path, Path], gsb_record: Command, tmp_path: Path) -> None:
     """Begin a replay as its recording began."""
-    done = gsb_record("--replay", recorded[0], "--out", tmp_path)
-    assert done.returncode == 0, done.stderr
+    done = gsb_record("--replay", recorded[0], "--out", tmp_path, code=0)
     assert "seed 7, initial random:0.1, 3 captured steps" in done.stderr
     assert call("gsb-diff", recorded[0], done.stdout.strip()).returncode == 0
 
@@ -154,8 +151,7 @@ def test_a_replay(recorded: tuple[Path, Path], gsb_record: Command, tmp_path: Pa
 def test_what_is_evaluated(recorded: tuple[Path, Path], gsb_eval: Command, tmp_path: Path) -> None:
     """Compare runs, and not environments, which differ by design; keep such runs apart from others."""
     plain = call("gsb-record", "--sim", "mujoco", "--runs", "1", *_SHORT[:6], "--seed", "7", "--out", tmp_path)
-    done = gsb_eval(*recorded, plain.stdout.strip(), "--json", tmp_path / "results.json")
-    assert done.returncode == 0, done.stderr
+    gsb_eval(*recorded, plain.stdout.strip(), "--json", tmp_path / "results.json", code=0)
     alike, apart = sorted(json.loads((tmp_path / "results.json").read_text())["groups"], key=lambda g: g["initial"])
     assert [alike["initial"], apart["initial"]] == ["", "random:0.1"]
     assert alike["label"] != apart["label"]
@@ -179,8 +175,7 @@ def test_what_is_evaluated(recorded: tuple[Path, Path], gsb_eval: Command, tmp_p
 )
 def test_nothing_that_can_be_drawn(text: str, gsb_record: Command, tmp_path: Path) -> None:
     """Refuse what is no spread, on the command line and in a file."""
-    done = gsb_record("--sim", "mujoco", "--initial", text, "--out", tmp_path)
-    assert done.returncode == 2
+    done = gsb_record("--sim", "mujoco", "--initial", text, "--out", tmp_path, code=2)
     assert "--initial is random:SPREAD, with a spread from 0.00012 to 3" in done.stderr
     with pytest.raises(UsageError):
         parse(text, 16)
@@ -201,7 +196,6 @@ def test_what_is_kept() -> None:
 
 def test_an_engine_without(gsb_record: Command, tmp_path: Path) -> None:
     """Refuse an engine whose adapter cannot set states, before anything is begun."""
-    done = gsb_record("--sim", "isaaclab", "--initial", "random:0.1", "--out", tmp_path)
-    assert done.returncode == 2
+    done = gsb_record("--sim", "isaaclab", "--initial", "random:0.1", "--out", tmp_path, code=2)
     assert "'isaaclab' has no initial states per environment (--initial): the adapter does not offer it" in done.stderr
     assert not any(tmp_path.iterdir())

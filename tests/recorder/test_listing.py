@@ -86,8 +86,7 @@ def test_measured_trials(gsb_record: Command) -> None:
 def test_an_unknown_name(gsb_record: Command) -> None:
     """End with 2 and the name that may have been meant, of simulators and scenes."""
     for given, meant in (("mujco", "mujoco"), ("freefall", "free-fall")):
-        done = gsb_record("--list", given)
-        assert done.returncode == 2
+        done = gsb_record("--list", given, code=2)
         assert f"did you mean '{meant}'" in done.stderr
 
 

@@ -90,8 +90,7 @@ def test_runs_are_evaluated(tmp_path: Path, gsb_eval: Command) -> None:
         ) as log:  # fmt: skip
             log.clocks(begins, begins + 500_000)
             log.append(position)
-    done = gsb_eval(*sorted(tmp_path.glob("*.mcap")), "--sample-time", "1", "--json", "-")
-    assert done.returncode == 0, done.stderr
+    done = gsb_eval(*sorted(tmp_path.glob("*.mcap")), "--sample-time", "1", "--json", "-", code=0)
     assert len(json.loads(done.stdout)["groups"]) == 1
     metrics = metrics_of(done.stdout)
     assert metrics["fps"]["value"] == pytest.approx(4 * 20 / 0.0195)

@@ -30,8 +30,7 @@ _UP = "../" * 40
 
 
 def _record(folder: Path, *arguments: object, sim: str = "mujoco") -> Path:
-    done = call("gsb-record", "--sim", sim, *_SHORT, *arguments, "--out", folder)
-    assert done.returncode == 0, done.stderr
+    call("gsb-record", "--sim", sim, *_SHORT, *arguments, "--out", folder, code=0)
     (path,) = folder.glob("*.mcap")
     return path
 
@@ -175,11 +174,9 @@ def test_the_states_are_mujocos(recording: Path) -> None:
 
 def test_a_replay(recording: Path, tmp_path: Path) -> None:
     """Replay the model that a recording carries, bit for bit, where the user allows it and not otherwise."""
-    done = call("gsb-record", "--replay", recording, "--out", tmp_path)
-    assert done.returncode == ExitCode.USAGE
+    done = call("gsb-record", "--replay", recording, "--out", tmp_path, code=ExitCode.USAGE)
     assert "add --allow-model" in done.stderr
-    done = call("gsb-record", "--replay", recording, "--allow-model", "--out", tmp_path)
-    assert done.returncode == 0, done.stderr
+    done = call("gsb-record", "--replay", recording, "--allow-model", "--out", tmp_path, code=0)
     (again,) = tmp_path.glob("*.mcap")
     assert call("gsb-diff", recording, again).stdout.startswith("The two recordings are bit-identical")
     assert Container(again).attachment(MODEL) == pack(WALKER)
@@ -188,8 +185,7 @@ def test_a_replay(recording: Path, tmp_path: Path) -> None:
 def test_a_snapshot(tmp_path: Path) -> None:
     """Go on in the middle of a run of a model, with the same bits."""
     whole = _record(tmp_path / "whole", "--model", WALKER, "--snapshot", "30", "--phases", "capture")
-    done = call("gsb-record", "--replay", whole, "--allow-model", "--from", "30", "--out", tmp_path / "rest")
-    assert done.returncode == 0, done.stderr
+    call("gsb-record", "--replay", whole, "--allow-model", "--from", "30", "--out", tmp_path / "rest", code=0)
     (rest,) = (tmp_path / "rest").glob("*.mcap")
     first, second = open_recording(whole), open_recording(rest)
     np.testing.assert_array_equal(first.state("joints", "qpos")[30:], second.state("joints", "qpos")[:])
@@ -264,16 +260,14 @@ def test_another_engine(sim: str, recording: Path, tmp_path: Path) -> None:
 )
 def test_arguments_that_cannot_be(arguments: tuple[str, ...], said: str, tmp_path: Path) -> None:
     """Refuse before a run begins, and say what there is."""
-    done = call("gsb-record", "--sim", "mujoco", "--model", WALKER, *arguments, "--out", tmp_path)
-    assert done.returncode == ExitCode.USAGE
+    done = call("gsb-record", "--sim", "mujoco", "--model", WALKER, *arguments, "--out", tmp_path, code=ExitCode.USAGE)
     assert said in done.stderr
     assert not list(tmp_path.iterdir())
 
 
 def test_engines_that_take_no_models(tmp_path: Path) -> None:
     """Name the ability that an engine lacks."""
-    done = call("gsb-record", "--sim", "newton", "--model", WALKER, "--out", tmp_path)
-    assert done.returncode == ExitCode.USAGE
+    done = call("gsb-record", "--sim", "newton", "--model", WALKER, "--out", tmp_path, code=ExitCode.USAGE)
     assert "simulator 'newton' cannot simulate scene 'walker': it has no model files" in done.stderr
 
 
@@ -312,8 +306,7 @@ def test_a_model_named_like_a_scene(tmp_path: Path) -> None:
 @pytest.mark.parametrize("command", ["gsb-info", "gsb-check", "gsb-eval"])
 def test_what_is_said_of_it(command: str, recording: Path) -> None:
     """Inspect, check and evaluate a recording of a model."""
-    done = call(command, recording)
-    assert done.returncode == 0, done.stderr
+    done = call(command, recording, code=0)
     assert "walker" in done.stdout or command == "gsb-check"
     assert "begins in keyframe crouched; actions random:1.0" in " ".join(done.stdout.split()) or command != "gsb-info"
 
@@ -322,8 +315,7 @@ def test_what_is_said_of_it(command: str, recording: Path) -> None:
 def test_a_probe(tmp_path: Path) -> None:
     """Ask of a model what results depend on; go on in its folder, and begin anew where the model's files are others."""
     asked = ("--sim", "mujoco", "--quick", "--steps", "30", "--n-env", "3", "--numbers", "1,4", "--out", tmp_path)
-    done = call("gsb-probe", "--model", WALKER, *asked, "--gate")
-    assert done.returncode == 0, done.stdout + done.stderr
+    call("gsb-probe", "--model", WALKER, *asked, "--gate", code=0)
     made = sorted(tmp_path.glob("*.mcap"))
     assert {open_recording(path).configuration.actions for path in made} == {"none"}
     assert call("gsb-probe", "--model", WALKER, *asked).returncode == 0

@@ -76,9 +76,8 @@ def test_a_driver_that_fails(gsb_record: Command, tmp_path: Path, how: str, gpus
     (tmp_path / "pynvml.py").write_text(_NVML)
     done = gsb_record(
         "--sim", "mujoco", "--n-env", 1, "--runs", 1, *SMALL, "--out", tmp_path / "out",
-        env={**os.environ, "PYTHONPATH": str(tmp_path), "NVML_FAILS": how},
+        env={**os.environ, "PYTHONPATH": str(tmp_path), "NVML_FAILS": how}, code=0,
     )  # fmt: skip
-    assert done.returncode == 0, done.stderr
     recording = open_recording(done.stdout.strip())
     verify(recording)
     assert len(recording.provenance.gpus) == gpus

@@ -47,8 +47,7 @@ def test_trials_are_a_recording(gsb_record: Command, gsb_eval: Command, tmp_path
     assert recording.attachment("trials.csv") == (tmp_path / "trials.csv").read_bytes()
 
     simulated = write_recording(tmp_path, grid(4))
-    evaluated = gsb_eval(simulated, path, "--json", "-")
-    assert evaluated.returncode == 0, evaluated.stderr
+    evaluated = gsb_eval(simulated, path, "--json", "-", code=0)
     gap = metrics_of(evaluated.stdout)["w1_real"]
     assert gap["value"] == pytest.approx(2.0, abs=1e-9)
     assert gap["extra"]["measured"] is True
@@ -117,8 +116,7 @@ def test_bad_rows_are_named(gsb_record: Command, tmp_path: Path, text: str, mess
 )
 def test_missing_arguments(gsb_record: Command, tmp_path: Path, arguments: tuple[str, ...], message: str) -> None:
     """Say which argument is missing, or has no meaning here."""
-    done = gsb_record("--sim", "real", *arguments, cwd=tmp_path)
-    assert done.returncode == 2
+    done = gsb_record("--sim", "real", *arguments, cwd=tmp_path, code=2)
     assert message in done.stderr
 
 

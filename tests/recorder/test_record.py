@@ -153,9 +153,8 @@ def test_stride_keeps_all_fingerprints(gsb_record: Command, tmp_path: Path, smal
     """Store every 20th state, hash every one, and change none of them."""
     done = gsb_record(
         "--sim", "mujoco", "--n-env", 4, "--runs", 1, *SMALL, "--stride", 20, "--compression", "zstd",
-        "--phases", "capture", "--out", tmp_path,
+        "--phases", "capture", "--out", tmp_path, code=0,
     )  # fmt: skip
-    assert done.returncode == 0, done.stderr
     strided, whole = open_recording(done.stdout.strip()), open_recording(small)
     verify(strided)
     cubes = strided.state("cubes", "position")
@@ -272,8 +271,7 @@ def test_what_cannot_be_is_refused(
     gsb_record: Command, tmp_path: Path, arguments: tuple[str, ...], message: str
 ) -> None:
     """Say what is wrong in one line, end with exit code 2, and write nothing."""
-    done = gsb_record(*arguments, "--out", tmp_path / "out")
-    assert done.returncode == 2
+    done = gsb_record(*arguments, "--out", tmp_path / "out", code=2)
     assert message in done.stderr
     assert len(done.stderr.strip().splitlines()) == 1
     assert not done.stdout
@@ -283,8 +281,7 @@ def test_what_cannot_be_is_refused(
 def test_an_output_that_is_a_file(gsb_record: Command, tmp_path: Path) -> None:
     """Say that the output folder cannot be written."""
     (tmp_path / "taken").write_text("")
-    done = gsb_record("--sim", "mujoco", "--out", tmp_path / "taken")
-    assert done.returncode == 1
+    done = gsb_record("--sim", "mujoco", "--out", tmp_path / "taken", code=1)
     assert "cannot write to" in done.stderr
     assert "Traceback" not in done.stderr
 
@@ -299,8 +296,7 @@ def test_nothing_is_overwritten(gsb_record: Command, tmp_path: Path) -> None:
 
 def test_list(gsb_record: Command) -> None:
     """Show simulators and scenes, for people and for programs."""
-    text = gsb_record("--list")
-    assert text.returncode == 0
+    text = gsb_record("--list", code=0)
     assert "mujoco" in text.stdout
     assert "free-fall" in text.stdout
     assert "devices: cpu; scenes: all" in text.stdout
@@ -334,8 +330,7 @@ def test_a_simulator_that_cannot_be_loaded_is_listed(
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: odd\nVersion: 1.0\n")
     (info / "entry_points.txt").write_text("[gsb.simulators]\nodd = odd:Odd\n")
     environment = {**os.environ, "PYTHONPATH": str(tmp_path)}
-    text = gsb_record("--list", env=environment)
-    assert text.returncode == 0, text.stderr
+    text = gsb_record("--list", env=environment, code=0)
     assert "installed, but simulator 'odd' cannot be loaded: " in text.stdout
     assert problem in text.stdout
     known = {s["name"]: s for s in json.loads(gsb_record("--list", "--json", env=environment).stdout)["simulators"]}
@@ -347,9 +342,8 @@ def test_switches_of_common_options(gsb_record: Command, tmp_path: Path) -> None
     """Record what --solver, --determinism and --timeout ask for, the first as the option that it is short for."""
     done = gsb_record(
         "--sim", "mujoco", "--n-env", 1, "--runs", 1, "--steps", 1, "--phases", "capture", "--solver", "CG",
-        "--option", "cone=pyramidal", "--determinism", "default", "--timeout", 600, "--out", tmp_path,
+        "--option", "cone=pyramidal", "--determinism", "default", "--timeout", 600, "--out", tmp_path, code=0,
     )  # fmt: skip
-    assert done.returncode == 0, done.stderr
     recording = open_recording(done.stdout.strip())
     asked = recording.configuration
     assert (asked.options, asked.determinism, asked.timeout) == ({"cone": "pyramidal", "solver": "CG"}, "default", 600)

@@ -46,8 +46,7 @@ def _states(path: Path) -> list[bytes]:
 
 def test_a_replay_runs_what_was_recorded(original: Path, gsb_record: Command, tmp_path: Path) -> None:
     """Make the same run again: the same configuration and bits, under another id, with its origin named."""
-    done = gsb_record("--replay", original, "--runs", "2", "--out", tmp_path)
-    assert done.returncode == 0, done.stderr
+    done = gsb_record("--replay", original, "--runs", "2", "--out", tmp_path, code=0)
     there = open_recording(original)
     first, *_ = done.stderr.splitlines()
     assert f"replay of run {there.provenance.run_id[:8]}, content {there.content_hash[:12]}: mujoco, cone=" in first
@@ -67,8 +66,7 @@ def test_a_replay_runs_what_was_recorded(original: Path, gsb_record: Command, tm
 def test_what_the_user_changes_is_recorded(original: Path, gsb_record: Command, tmp_path: Path) -> None:
     """Replace an option and leave a phase out: the new recording says what was otherwise there."""
     changes = ("--option", "cone=elliptic", "--solver", "CG", "--phases", "capture")
-    done = gsb_record("--replay", original, *changes, "--out", tmp_path, "--json")
-    assert done.returncode == 0, done.stderr
+    done = gsb_record("--replay", original, *changes, "--out", tmp_path, "--json", code=0)
     here = open_recording(json.loads(done.stdout)["runs"][0]["file"])
     assert here.configuration.options == {"cone": "elliptic", "solver": "CG"}
     assert here.configuration.phases == ("capture",)
@@ -196,8 +194,7 @@ def test_trials_are_not_replayed(gsb_record: Command, tmp_path: Path) -> None:
     cubes = len(make_scene("inclined-collision").groups()["cubes"])
     rows = "".join(f"1,{cube},0.1,{cube / 100}\n" for cube in range(cubes))
     (tmp_path / "trials.csv").write_text("trial,cube,x,y\n" + rows)
-    made = gsb_record("--sim", "real", "--trials", tmp_path / "trials.csv", "--unit", "m", "--out", tmp_path)
-    assert made.returncode == 0, made.stderr
+    made = gsb_record("--sim", "real", "--trials", tmp_path / "trials.csv", "--unit", "m", "--out", tmp_path, code=0)
     with pytest.raises(UsageError, match="measured trials: no simulator can replay them"):
         read_source(Path(made.stdout.strip()))
 
@@ -222,8 +219,7 @@ def test_runs_that_failed_are_not_replayed(original: Path, tmp_path: Path, gsb_r
         read_source(cut)
     # the time is over long before the steps are
     endless = ("--n-env", "2", "--runs", "1", "--steps", "1000000", "--phases", "capture", "--timeout", "0.5")
-    made = gsb_record("--sim", "mujoco", "--scene", "free-fall", *endless, "--out", tmp_path)
-    assert made.returncode == 1
+    made = gsb_record("--sim", "mujoco", "--scene", "free-fall", *endless, "--out", tmp_path, code=1)
     with pytest.raises(UsageError, match="its run failed, so that it shows no whole run: timeout"):
         read_source(Path(made.stdout.strip()))
 

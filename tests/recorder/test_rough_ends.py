@@ -263,8 +263,7 @@ def jumping(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
 
 def _record_jumps(gsb_record: Command, environment: dict[str, str], out: Path, jumps: bool) -> Recording:
     done = gsb_record("--sim", "jumping", "--n-env", 2, "--runs", 1, "--steps", 100, "--warmup", 10, "--timed-steps",
-                      40, "--option", f"jumps={jumps}", "--out", out, env=environment)  # fmt: skip
-    assert done.returncode == 0, done.stderr
+                      40, "--option", f"jumps={jumps}", "--out", out, env=environment, code=0)  # fmt: skip
     recording = open_recording(done.stdout.strip())
     verify(recording)
     return recording
@@ -338,8 +337,7 @@ def test_a_wall_clock_that_no_field_can_hold(
     (tmp_path / "path" / "sitecustomize.py").write_text(_BEFORE_1970.format(now=now))
     done = gsb_record("--sim", "mujoco", "--scene", "free-fall", "--n-env", 2, "--runs", 1, "--steps", 5, "--warmup", 1,
                       "--timed-steps", 2, "--out", tmp_path / "out",
-                      env={**os.environ, "PYTHONPATH": str(tmp_path / "path")}, timeout=60)  # fmt: skip
-    assert done.returncode == 0, done.stderr
+                      env={**os.environ, "PYTHONPATH": str(tmp_path / "path")}, timeout=60, code=0)  # fmt: skip
     assert f"clock stands {said}" in done.stderr
     recording = open_recording(done.stdout.strip())
     verify(recording)

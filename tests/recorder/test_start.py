@@ -29,8 +29,7 @@ _MIDDLE = 70
 
 
 def _record(*arguments: object) -> Path:
-    done = call("gsb-record", *arguments)
-    assert done.returncode == 0, done.stderr
+    done = call("gsb-record", *arguments, code=0)
     return Path(done.stdout.strip())
 
 
@@ -97,15 +96,13 @@ def test_steps_keep_their_numbers(whole: Path, rest: Path) -> None:
 
 def test_an_audit_of_a_continued_run(rest: Path, tmp_path: Path) -> None:
     """Run it again from the snapshot that it holds."""
-    done = call("gsb-audit", rest, "--out", tmp_path)
-    assert done.returncode == 0, done.stderr
+    done = call("gsb-audit", rest, "--out", tmp_path, code=0)
     assert done.stdout.startswith("Re-execution gives the same bits")
 
 
 def test_it_is_no_run_from_the_beginning(whole: Path, rest: Path, tmp_path: Path) -> None:
     """Keep it apart from whole runs, and say nothing of motions that are known from the scene's first state."""
-    done = call("gsb-eval", whole, rest, "--json", tmp_path / "results.json")
-    assert done.returncode == 0, done.stderr
+    call("gsb-eval", whole, rest, "--json", tmp_path / "results.json", code=0)
     groups = json.loads((tmp_path / "results.json").read_text())["groups"]
     assert len(groups) == 2
     for group in groups:
@@ -123,16 +120,14 @@ def test_it_is_no_run_from_the_beginning(whole: Path, rest: Path, tmp_path: Path
 )
 def test_no_such_snapshot(arguments: tuple[str, ...], said: str, whole: Path, tmp_path: Path) -> None:
     """Say which there are."""
-    done = call("gsb-record", "--replay", whole, *arguments, "--out", tmp_path)
-    assert done.returncode == 2
+    done = call("gsb-record", "--replay", whole, *arguments, "--out", tmp_path, code=2)
     assert said in done.stderr
 
 
 @pytest.mark.parametrize("text", ["100", "-1", "1,,2", "x", ",".join(map(str, range(65)))])
 def test_no_such_steps(text: str, tmp_path: Path) -> None:
     """Refuse to save states that the run will not have."""
-    done = call("gsb-record", "--sim", "mujoco", "--steps", "90", f"--snapshot={text}", "--out", tmp_path)
-    assert done.returncode == 2
+    done = call("gsb-record", "--sim", "mujoco", "--steps", "90", f"--snapshot={text}", "--out", tmp_path, code=2)
     assert "--snapshot is a list of captured steps, from 0 to --steps (90)" in done.stderr
 
 
@@ -258,13 +253,11 @@ def test_arrays_of_another_scene(given: dict[str, np.ndarray], said: str, tmp_pa
 @pytest.mark.parametrize("text", ["random", "nowhere.npz", "nowhere.mcap@3"])
 def test_no_such_file(text: str, tmp_path: Path) -> None:
     """Say what is taken."""
-    done = call("gsb-record", "--sim", "mujoco", "--initial", text, "--out", tmp_path)
-    assert done.returncode == 2
+    done = call("gsb-record", "--sim", "mujoco", "--initial", text, "--out", tmp_path, code=2)
     assert "it takes a recording, FILE.mcap or FILE.mcap@STEP, or arrays by GROUP/FIELD, FILE.npz" in done.stderr
 
 
 def test_no_such_step(whole: Path, tmp_path: Path) -> None:
     """Say that the recording ends before."""
-    done = call("gsb-record", "--sim", "mujoco", *_SHORT, "--initial", f"{whole}@91", "--out", tmp_path)
-    assert done.returncode == 2
+    done = call("gsb-record", "--sim", "mujoco", *_SHORT, "--initial", f"{whole}@91", "--out", tmp_path, code=2)
     assert "has no states of step 91" in done.stderr

@@ -305,8 +305,7 @@ def _made(folder: Path) -> list[tuple[int, int]]:
 def test_a_sweep_and_its_continuation(gsb_record: Command, tmp_path: Path) -> None:
     """Make every run once; make again only what is gone, and say what else lies there."""
     every = [(n_env, index) for n_env in (1, 4, 8) for index in (0, 1)]
-    first = gsb_record(*_sweep(tmp_path))
-    assert first.returncode == 0, first.stderr
+    first = gsb_record(*_sweep(tmp_path), code=0)
     assert _made(tmp_path) == every
     assert sorted(first.stdout.split()) == sorted(map(str, tmp_path.iterdir()))
     assert first.stderr.splitlines()[:3] == [
@@ -331,8 +330,7 @@ def test_a_sweep_and_its_continuation(gsb_record: Command, tmp_path: Path) -> No
     (tmp_path / "foreign.mcap").write_bytes(b"PK\3\4 something else")
     (tmp_path / "folder.mcap").mkdir()
     (tmp_path / "killed.mcap.partial").write_bytes(whole[:-100])
-    third = gsb_record(*_sweep(tmp_path, "--json"))
-    assert third.returncode == 0, third.stderr
+    third = gsb_record(*_sweep(tmp_path, "--json"), code=0)
     assert f"5 of 6 runs are in {tmp_path} already" in third.stderr
     (ignored,) = (line for line in third.stderr.splitlines() if line.startswith("ignored"))
     assert "folder.mcap (not a file), foreign.mcap (unreadable: " in ignored
@@ -372,15 +370,13 @@ def test_more_environments_than_memory_holds(gsb_record: Command, tmp_path: Path
         "--sim", "mujoco", "--scene", "free-fall", "--option", "threads=1", *_TINY, "--runs", 1,
         "--sweep", "4..4194304:1048576", "--out", tmp_path,
     )  # fmt: skip
-    done = gsb_record(*arguments, preexec_fn=little_memory)
-    assert done.returncode == 0, done.stderr
+    done = gsb_record(*arguments, preexec_fn=little_memory, code=0)
     assert "N_env^max 4: failed at 4194304: " in done.stderr
     (file,) = tmp_path.glob("*-n4194304-*.mcap")
     recording = open_recording(file)
     verify(recording)
     assert recording.status == "failed"
-    again = gsb_record(*arguments, "--json", preexec_fn=little_memory)
-    assert again.returncode == 0, again.stderr
+    again = gsb_record(*arguments, "--json", preexec_fn=little_memory, code=0)
     record = json.loads(again.stdout)
     assert record["sweep"]["n_env_max"] == 4
     assert record["sweep"]["stopped"] == f"failed at 4194304: {recording.reason}"
@@ -485,8 +481,7 @@ def test_two_sweeps_into_one_folder(gsb_record: Command, limited: dict[str, str]
             "for its end, or choose another folder with --out\n"
         )
         assert set(tmp_path.iterdir()) == before
-        other = gsb_record(*_sweep(tmp_path))
-        assert other.returncode == 0, other.stderr
+        gsb_record(*_sweep(tmp_path), code=0)
     finally:
         first.kill()
         first.wait()
@@ -548,8 +543,7 @@ def test_a_sweep_on_a_full_disk(gsb_record: Command, tmp_path: Path) -> None:
     def small_disk() -> None:
         resource.setrlimit(resource.RLIMIT_FSIZE, (10_000, 10_000))
 
-    done = gsb_record(*_sweep(tmp_path), preexec_fn=small_disk)
-    assert done.returncode == 3
+    done = gsb_record(*_sweep(tmp_path), preexec_fn=small_disk, code=3)
     assert done.stderr.splitlines()[-1].startswith("N_env^max none: given up at 1: writing stopped: File too large")
     assert len(list(tmp_path.iterdir())) == 1
 

@@ -44,8 +44,7 @@ def drawn(text: str, *, scene: str = "inclined-collision", n_env: int = 4, seed:
 
 def recorded(folder: Path, *arguments: str) -> Path:
     """A run of MuJoCo C."""
-    done = call("gsb-record", "--sim", "mujoco", *_SHORT, *arguments, "--out", folder)
-    assert done.returncode == 0, done.stderr
+    done = call("gsb-record", "--sim", "mujoco", *_SHORT, *arguments, "--out", folder, code=0)
     return Path(done.stdout.strip())
 
 
@@ -218,8 +217,7 @@ def simulated(scene: Scene, n_step: int) -> np.ndarray:
 
 def test_a_replay(varied: Path, gsb_record: Command, tmp_path: Path) -> None:
     """Replay with the same parameters, and say so."""
-    done = gsb_record("--replay", varied, "--out", tmp_path)
-    assert done.returncode == 0, done.stderr
+    done = gsb_record("--replay", varied, "--out", tmp_path, code=0)
     assert f"seed 7, vary {VARY}, 80 captured steps" in done.stderr
     one, other = open_recording(varied), open_recording(Path(done.stdout.strip()))
     assert one.attachment(VARIED) == other.attachment(VARIED)
@@ -229,8 +227,7 @@ def test_a_replay(varied: Path, gsb_record: Command, tmp_path: Path) -> None:
 def test_a_snapshot_continued(gsb_record: Command, tmp_path: Path) -> None:
     """Continue a snapshot with the parameters of its environments, also where these are in other slots."""
     first = recorded(tmp_path, "--n-env", "3", "--vary", "mass:0.3,shift:1", "--snapshot", "40")
-    done = gsb_record("--replay", first, "--from", "40", "--out", tmp_path / "later")
-    assert done.returncode == 0, done.stderr
+    done = gsb_record("--replay", first, "--from", "40", "--out", tmp_path / "later", code=0)
     one, other = open_recording(first), open_recording(Path(done.stdout.strip()))
     assert one.state("cubes", "position")[-1].tobytes() == other.state("cubes", "position")[-1].tobytes()
 
@@ -246,8 +243,7 @@ def test_a_snapshot_continued(gsb_record: Command, tmp_path: Path) -> None:
 )  # fmt: skip
 def test_refused(arguments: tuple[str, ...], why: str, gsb_record: Command) -> None:
     """Refuse what cannot be done with the ability that is missing."""
-    done = gsb_record(*arguments)
-    assert done.returncode == 2
+    done = gsb_record(*arguments, code=2)
     assert why in done.stderr
 
 

@@ -44,9 +44,8 @@ def recorded(folder: Path, *arguments: object) -> Path:
     """One recording of MuJoCo, states alone."""
     done = call(
         "gsb-record", "--sim", "mujoco", "--runs", 1, "--phases", "capture", "--n-env", 4, "--steps", 60,
-        "--out", folder, *arguments,
+        "--out", folder, *arguments, code=0,
     )  # fmt: skip
-    assert done.returncode == 0, done.stderr
     return Path(done.stdout.strip())
 
 
@@ -247,8 +246,7 @@ def test_no_view(tmp_path: Path) -> None:
 )
 def test_what_cannot_be_shown(arguments: tuple[str, ...], message: str, gsb_record: Command, tmp_path: Path) -> None:
     """Refuse environments that there are not, and answers that contradict each other."""
-    done = gsb_record("--sim", "mujoco", "--n-env", "4", *arguments, "--out", tmp_path / "out")
-    assert done.returncode == ExitCode.USAGE
+    done = gsb_record("--sim", "mujoco", "--n-env", "4", *arguments, "--out", tmp_path / "out", code=ExitCode.USAGE)
     assert message in done.stderr
 
 
@@ -265,8 +263,7 @@ def test_five_environments_are_too_many() -> None:
 
 def test_a_replay_has_a_view_of_its_own(plain: Path, gsb_record: Command, tmp_path: Path) -> None:
     """Show what the user of a replay names, whatever the recording shows."""
-    done = gsb_record("--replay", plain, "--view-env", "2", "--out", tmp_path)
-    assert done.returncode == 0, done.stderr
+    done = gsb_record("--replay", plain, "--view-env", "2", "--out", tmp_path, code=0)
     made = Path(done.stdout.strip())
     assert open_recording(made).configuration.view == (2,)
     settings = {setting.name for setting in differing_settings(open_recording(plain), open_recording(made))}

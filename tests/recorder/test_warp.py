@@ -109,9 +109,8 @@ def test_a_small_buffer_makes_the_run_invalid(
     fired = {name for number, name in names.items() if (evidence.overflow[2] >> number & 1).any()}
     assert bit in fired
     given = [f"--option={name}={value}" for name, value in option.items()]
-    done = gsb_record("--sim", "warp", "--n-env", 2, "--runs", 1, "--steps", 3, "--phases", "capture", *given,
-                      "--out", tmp_path)  # fmt: skip
-    assert done.returncode == 1
+    gsb_record("--sim", "warp", "--n-env", 2, "--runs", 1, "--steps", 3, "--phases", "capture", *given,
+                      "--out", tmp_path, code=1)  # fmt: skip
     recording = open_recording(next(tmp_path.glob("*.mcap")))
     assert recording.status == "invalid"
     assert bit in recording.reason
@@ -135,9 +134,8 @@ def test_measured_buffers_hold_the_impact() -> None:
 @pytest.mark.slow
 def test_a_level_that_warp_cannot_compile_is_refused(gsb_record: Command, tmp_path: Path) -> None:
     """Record the engine's own reason where a determinism level cannot be had."""
-    done = gsb_record("--sim", "warp", "--n-env", 1, "--runs", 1, "--phases", "capture", "--steps", 1,
-                      "--determinism", "warp-run-to-run", "--out", tmp_path)  # fmt: skip
-    assert done.returncode == 1
+    gsb_record("--sim", "warp", "--n-env", 1, "--runs", 1, "--phases", "capture", "--steps", 1,
+                      "--determinism", "warp-run-to-run", "--out", tmp_path, code=1)  # fmt: skip
     recording = open_recording(next(tmp_path.glob("*.mcap")))
     assert recording.status == "failed"
     assert "MuJoCo Warp refuses determinism 'warp-run-to-run'" in recording.reason
