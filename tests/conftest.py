@@ -79,6 +79,33 @@ def call(name: str, *arguments: object, code: int | None = None, **keywords: Any
     return done
 
 
+def run_python(
+    program: str, *arguments: object, code: int | None = 0, **keywords: Any
+) -> subprocess.CompletedProcess[str]:
+    """Run a program in a Python of its own; AssertionError where it ends with another exit code than `code`."""
+    given = {"capture_output": True, "text": True, "timeout": 300, **keywords}
+    done: subprocess.CompletedProcess[str]
+    done = subprocess.run([sys.executable, "-c", program, *map(str, arguments)], **given)
+    assert code in (None, done.returncode), f"ended with {done.returncode}: {done.stdout}{done.stderr}"
+    return done
+
+
+def distribution(folder: Path, name: str, points: str, source: str = "") -> dict[str, str]:
+    """Lay an installed distribution of a third party into a folder; the environment in which Python finds it.
+
+    points  its entry_points.txt
+    source  of its module, which has the distribution's name with underscores
+    """
+    module = name.replace("-", "_")
+    if source:
+        (folder / f"{module}.py").write_text(source)
+    info = folder / f"{module}-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: 1.0\n")
+    (info / "entry_points.txt").write_text(points)
+    return {**os.environ, "PYTHONPATH": str(folder)}
+
+
 def wait_for(condition: Callable[[], bool]) -> None:
     """Wait until the condition holds; AssertionError after a minute."""
     for _ in range(600):

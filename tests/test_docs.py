@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from gpusimbench.evaluator.runs.validation import verify
-from tests.conftest import command
+from tests.conftest import command, distribution, run_python
 from tests.scripts import script
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -127,8 +127,7 @@ def test_commands_of_a_page(page: str, tmp_path: Path) -> None:
 def test_readme_python() -> None:
     """Run every Python block of the README from the repository's root."""
     for block in blocks(ROOT / "README.md", "python"):
-        done = subprocess.run([sys.executable, "-c", block], cwd=ROOT, capture_output=True, text=True, timeout=60)
-        assert done.returncode == 0, done.stderr
+        done = run_python(block, cwd=ROOT)
         assert "(501, 16, 27, 3)" in done.stdout
 
 
@@ -141,10 +140,7 @@ def test_the_adapter_of_the_guide(tmp_path: Path) -> None:
     (tmp_path / "ballistic.py").write_text(adapter)
     found = re.search(r'\[project.entry-points."gsb.simulators"\]\n(.*)\n', project)
     assert found is not None
-    info = tmp_path / "ballistic-1.0.dist-info"
-    info.mkdir()
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: ballistic\nVersion: 1.0\n")
-    (info / "entry_points.txt").write_text(f"[gsb.simulators]\n{found[1].replace(chr(34), '')}\n")
+    distribution(tmp_path, "ballistic", f"[gsb.simulators]\n{found[1].replace(chr(34), '')}\n")
     environment = {"PYTHONPATH": os.pathsep.join([str(tmp_path), str(ROOT)])}
     for line in commands(guide):
         done = shell(line, tmp_path, environment)

@@ -13,6 +13,7 @@ import pytest
 
 import gpusimbench
 from gpusimbench.schemas.errors import GsbError
+from tests.conftest import run_python
 from tests.test_docs import ROOT, blocks
 
 FUNCTIONS = ("compare", "diff", "evaluate", "open_recording", "verify", "wrap")
@@ -50,7 +51,7 @@ def test_names_of_the_recorder_come_when_asked_for(name: str) -> None:
         f"import sys, gpusimbench; before = 'gpusimbench.recorder' in sys.modules; gpusimbench.{name}.__doc__.strip(); "
         "print(before, 'gpusimbench.recorder' in sys.modules)"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    done = run_python(code)
     assert done.stdout.split() == ["False", "True"]
 
 

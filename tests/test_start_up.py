@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
-
 import pytest
+
+from tests.conftest import run_python
 
 HEAVY = (
     "numpy",
@@ -45,8 +44,7 @@ def test_help_imports_nothing_heavy(module: str) -> None:
         "    try:\n        main([argument])\n    except SystemExit as end:\n        assert not end.code, end.code\n"
         f"print([m for m in {heavy!r} if m in sys.modules], file=sys.stderr)"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
-    assert done.returncode == 0, done.stderr
+    done = run_python(code)
     assert done.stdout
     assert done.stderr.strip() == "[]"
 
@@ -67,6 +65,5 @@ def test_evaluation_needs_no_simulator(module: str) -> None:
         "others = ('mujoco', 'jax', 'torch', 'warp', 'pynvml', 'psutil', 'gpusimbench.recorder')\n"
         "print([m for m in others if m in sys.modules])"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
-    assert done.returncode == 0, done.stderr
+    done = run_python(code)
     assert done.stdout.strip() == "[]"

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import inspect
 import re
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +17,7 @@ from gpusimbench import RecordingWriter, UsageError, open_recording, testing
 from gpusimbench.evaluator.metrics.divergence import ulp_distance
 from gpusimbench.schemas.fields import body_field
 from gpusimbench.testing import assert_batch_invariant, assert_deterministic, assert_identical
+from tests.conftest import run_python
 
 BITS = {"float16": 16, "float32": 32, "float64": 64, "int32": 32, "uint8": 8, "int64": 64}
 
@@ -273,8 +272,7 @@ def test_arrays_of_other_libraries(library: str) -> None:
         "a = np.ones((2, 2), np.float32)\nassert_identical(make(a), a)\n"
         "try:\n    assert_identical(make(a), make(-a))\nexcept AssertionError as error:\n    print(error)\n"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=300)
-    assert done.returncode == 0, done.stderr
+    done = run_python(code)
     assert "differ first at step 0, in env 0: array: " in done.stdout
 
 

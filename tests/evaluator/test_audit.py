@@ -34,7 +34,7 @@ from gpusimbench.evaluator.audit.matching import closest
 from gpusimbench.evaluator.audit.replaying import ReplayPlan
 from gpusimbench.evaluator.audit.verdict import Level, Match, ladder
 from gpusimbench.schemas.provenance import SIMULATION
-from tests.conftest import call, wait_for
+from tests.conftest import call, distribution, wait_for
 from tests.forging import forge
 from tests.synthetic import grid, write_recording
 from tests.test_docs import ROOT, commands, shell
@@ -106,12 +106,7 @@ class Planted(MujocoC):
 def plugin(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
     """An environment in which a third party's distribution offers the simulator "planted"."""
     folder = tmp_path_factory.mktemp("plugin")
-    (folder / "planted_simulator.py").write_text(_PLUGIN)
-    info = folder / "planted_simulator-1.0.dist-info"
-    info.mkdir()
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: planted-simulator\nVersion: 1.0\n")
-    (info / "entry_points.txt").write_text("[gsb.simulators]\nplanted = planted_simulator:Planted\n")
-    return {**os.environ, "PYTHONPATH": str(folder)}
+    return distribution(folder, "planted-simulator", "[gsb.simulators]\nplanted = planted_simulator:Planted\n", _PLUGIN)
 
 
 _SHORT = ("--n-env", "4", "--steps", "5", "--phases", "capture")

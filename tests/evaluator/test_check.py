@@ -5,8 +5,6 @@ from __future__ import annotations
 import json
 import re
 import shutil
-import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -26,7 +24,7 @@ from gpusimbench.recorder.scenes.registry import make_scene
 from gpusimbench.schemas.errors import ExitCode, UsageError
 from gpusimbench.schemas.messages import message_class
 from gpusimbench.schemas.provenance import PROVENANCE, SCENE, SIMULATION
-from tests.conftest import Command
+from tests.conftest import Command, run_python
 from tests.evaluator.damaged import BYTES, whole
 from tests.synthetic import Shown, write_recording
 from tests.test_docs import blocks, commands, shell
@@ -577,8 +575,7 @@ def test_document_commands(tmp_path: Path) -> None:
 def test_document_python() -> None:
     """Run the page's Python from the repository's root."""
     (block,) = blocks(ROOT / "docs" / "check.md", "python")
-    done = subprocess.run([sys.executable, "-c", block], cwd=ROOT, capture_output=True, text=True, timeout=60)
-    assert done.returncode == 0, done.stderr
+    run_python(block, cwd=ROOT)
 
 
 def test_document_rules(tmp_path: Path) -> None:

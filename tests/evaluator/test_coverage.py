@@ -9,6 +9,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.conftest import run_python
+
 pytestmark = pytest.mark.slow
 
 ROOT = Path(__file__).parents[2]
@@ -106,6 +108,5 @@ def test_examples_of_the_page() -> None:
     examples = re.findall(r"```python\n(.*?)```\s*```text\n(.*?)```", PAGE.read_text(), flags=re.DOTALL)
     assert len(examples) == 2
     for code, shown in examples:
-        done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, timeout=300)
-        assert done.returncode == 0, done.stderr
+        done = run_python(code, cwd=ROOT)
         assert done.stdout == shown

@@ -8,8 +8,6 @@ import random
 import re
 import shutil
 import struct
-import subprocess
-import sys
 import tracemalloc
 import zipfile
 import zlib
@@ -43,6 +41,7 @@ from gpusimbench.schemas.mcap.reader import Container
 from gpusimbench.schemas.mcap.records import MAGIC
 from gpusimbench.schemas.patience import Patience, TooSlow
 from gpusimbench.schemas.remote import RemoteFile
+from tests.conftest import run_python
 from tests.evaluator.test_container import rewrite
 from tests.synthetic import grid, write_recording
 from tests.test_docs import ROOT, commands, shell
@@ -294,8 +293,7 @@ def test_missing_package() -> None:
         "from gpusimbench.evaluator.cli.info import main\n"
         "raise SystemExit(main(['--no-verify', 'https://localhost/a.mcap']))"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
-    assert done.returncode == 3
+    done = run_python(code, code=3)
     assert "pip install 'gpusimbench[remote]'" in done.stderr
 
 
@@ -306,8 +304,7 @@ def test_local_files_need_no_package(large: list[Path]) -> None:
         f"assert main(['--no-verify', {str(large[0])!r}]) == 0\n"
         "assert not {'fsspec', 'aiohttp', 'gpusimbench.schemas.remote'} & set(sys.modules)"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
-    assert done.returncode == 0, done.stderr
+    run_python(code)
 
 
 def test_secrets_stay_with_the_server(web: Web, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

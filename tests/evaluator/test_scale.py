@@ -23,6 +23,7 @@ from gpusimbench.evaluator.check.protocol import unmet_by_file
 from gpusimbench.evaluator.runs.reader import Reader
 from gpusimbench.evaluator.runs.run import Run
 from gpusimbench.evaluator.transport.pair import MATRIX_LIMIT
+from tests.conftest import run_python
 from tests.synthetic import grid, write_recording
 from tests.test_docs import blocks, commands, shell
 
@@ -71,8 +72,7 @@ def test_tables_of_the_page(folder: Path) -> None:
             done = shell(line, folder)
             assert done.returncode == 0, done.stderr
     (program,) = blocks(PAGE, "python")
-    done = subprocess.run([sys.executable, "-c", program], cwd=folder, capture_output=True, text=True, timeout=60)
-    assert done.returncode == 0, done.stderr
+    done = run_python(program, cwd=folder)
     assert lines(done.stdout) == lines(blocks(PAGE, "text")[1])
 
 

@@ -7,7 +7,6 @@ import json
 import re
 import shutil
 import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +23,7 @@ from gpusimbench.evaluator.share.dataset.contents import identity
 from gpusimbench.evaluator.share.dataset.folder import why_not
 from gpusimbench.evaluator.share.dataset.licences import HUB_NAMES, check_licence
 from gpusimbench.schemas.errors import UsageError
-from tests.conftest import call
+from tests.conftest import call, run_python
 from tests.evaluator.sets import WHEN, WORDS, described
 from tests.synthetic import grid, write_recording
 
@@ -414,7 +413,6 @@ def test_polars_is_asked_for_before_any_work(tmp_path: Path, small: Path) -> Non
         "import sys\nsys.modules['polars'] = None\nfrom gpusimbench.evaluator.cli.share import main\n"
         f"sys.exit(main({['card', str(tmp_path), *WORDS]!r}))"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
-    assert done.returncode == 2
+    done = run_python(code, code=2)
     assert "gpusimbench[tables]" in done.stderr
     assert len(list(tmp_path.iterdir())) == 1

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +18,7 @@ from gpusimbench.evaluator.player.viewer import write_view
 from gpusimbench.schemas.errors import DamagedRecording, NotARecording, UsageError
 from gpusimbench.schemas.view.rotation import about, product, rotate
 from gpusimbench.schemas.view.shapes import links_of
+from tests.conftest import run_python
 from tests.evaluator.test_share_pack import share
 from tests.evaluator.viewing import placed, read
 from tests.synthetic import grid, write_recording
@@ -211,8 +210,7 @@ def test_it_needs_no_other_package(tmp_path: Path) -> None:
         "from gpusimbench.evaluator.cli.share import main\n"
         f"sys.exit(main(['viewer', {str(SHIPPED)!r}, '--out', {str(tmp_path / 'v.mcap')!r}]))"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
-    assert done.returncode == 0, done.stderr
+    run_python(code)
 
 
 def test_the_command(tmp_path: Path) -> None:

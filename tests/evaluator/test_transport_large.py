@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import subprocess
 import sys
 from decimal import Decimal, localcontext
 
@@ -19,6 +18,7 @@ from scipy.spatial.distance import cdist
 from gpusimbench.evaluator.transport.kd_tree import DEPTH, LEAF, Tree, _bound, build, lift_planes, search, set_planes
 from gpusimbench.evaluator.transport.large import SAME_POINTS, Certified, certified_wasserstein1
 from gpusimbench.evaluator.transport.multiscale import COARSEST, RATIO, Solution, solve
+from tests.conftest import run_python
 
 COORDINATE = st.floats(-10.0, 10.0, width=32)
 # Few distinct values: ties and duplicates are the rule.
@@ -277,10 +277,9 @@ def test_one_result_and_little_memory(tmp_path) -> None:
     np.save(tmp_path / "sets.npy", np.stack([board(30_000, 1), board(30_000, 2) + [4.0, 0.0]]))
     results = []
     for threads in ("1", "2"):
-        done = subprocess.run(
-            [sys.executable, "-c", PROGRAM, str(tmp_path / "sets.npy")], check=True, capture_output=True, text=True,
-            env={**os.environ, "NUMBA_NUM_THREADS": threads, "OMP_NUM_THREADS": threads},
-        )  # fmt: skip
+        done = run_python(
+            PROGRAM, tmp_path / "sets.npy", env={**os.environ, "NUMBA_NUM_THREADS": threads, "OMP_NUM_THREADS": threads}
+        )
         first, again, kib = json.loads(done.stdout)
         assert first == again
         assert kib < 60 * 1024  # the matrix would take 7,200 MB

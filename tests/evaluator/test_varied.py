@@ -27,7 +27,7 @@ from gpusimbench.schemas import arrays
 from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.errors import DamagedRecording
 from gpusimbench.schemas.location import place
-from tests.conftest import Command, call
+from tests.conftest import Command, call, distribution
 from tests.forging import forge
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -235,11 +235,8 @@ def test_no_parameters(text: str, gsb_probe: Command) -> None:
 def test_a_mix_up_of_parameters_is_found(gsb_probe: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Find that all environments have the masses of the first one, which shows where environments change slots, and
     only of environments whose masses differ."""
-    info = tmp_path / "broken-1.0.dist-info"
-    info.mkdir()
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: broken\nVersion: 1.0\n")
-    (info / "entry_points.txt").write_text(
-        "[gsb.simulators]\nfirst-masses = tests.recorder.broken_adapters:FirstEnvsMasses\n"
+    distribution(
+        tmp_path, "broken", "[gsb.simulators]\nfirst-masses = tests.recorder.broken_adapters:FirstEnvsMasses\n"
     )
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join(map(str, (tmp_path, ROOT, ROOT / "src"))))

@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 
-from tests.conftest import wait_for
+from tests.conftest import run_python, wait_for
 from tests.evaluator.test_player_clip import diverging
 from tests.synthetic import grid, write_recording
 
@@ -88,9 +88,7 @@ def test_a_viewer_that_is_installed_is_given_a_view(tmp_path: Path, asked: str, 
     wait_for(given.exists)
     made = Path(given.read_text().strip())
     assert done.stdout == f"{made}\n"
-    info = subprocess.run(
-        [sys.executable, "-c", _ENVS, str(made)], capture_output=True, text=True, check=True, timeout=60
-    )
+    info = run_python(_ENVS, made)
     assert info.stdout.strip() == "0,2,3"
 
 

@@ -21,7 +21,7 @@ from gpusimbench.evaluator.runs.validation import verify
 from gpusimbench.schemas.blocks import decode_state
 from gpusimbench.schemas.errors import DamagedRecording, NotARecording
 from gpusimbench.schemas.messages import message_class
-from tests.conftest import Command
+from tests.conftest import Command, run_python
 from tests.encoded import encode_state
 from tests.hostile import records as mcap
 from tests.hostile.contents import with_right_digests
@@ -287,10 +287,7 @@ for read in (recording.check_digests, lambda: recording.timing, lambda: recordin
 
 def test_a_file_that_becomes_shorter_while_it_is_read(good: Path) -> None:
     """Say so, instead of dying of SIGBUS."""
-    done = subprocess.run(
-        [sys.executable, "-c", _READ_BEHIND_THE_END, str(good)], capture_output=True, text=True, timeout=60
-    )
-    assert done.returncode == 0, done.stderr
+    done = run_python(_READ_BEHIND_THE_END, good)
     assert done.stdout.count("became shorter while it was read") == 4
 
 

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import os
-
 import pytest
+
+from tests.conftest import distribution
 
 _PLUGIN = '''
 """A third party's simulator that goes wrong as it is told."""
@@ -81,9 +81,4 @@ class Faulty(Simulator):
 def plugin(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
     """An environment in which a third party's distribution offers the simulator "faulty"."""
     folder = tmp_path_factory.mktemp("plugin")
-    (folder / "faulty_simulator.py").write_text(_PLUGIN)
-    info = folder / "faulty_simulator-1.0.dist-info"
-    info.mkdir()
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: faulty-simulator\nVersion: 1.0\n")
-    (info / "entry_points.txt").write_text("[gsb.simulators]\nfaulty = faulty_simulator:Faulty\n")
-    return {**os.environ, "PYTHONPATH": str(folder)}
+    return distribution(folder, "faulty-simulator", "[gsb.simulators]\nfaulty = faulty_simulator:Faulty\n", _PLUGIN)

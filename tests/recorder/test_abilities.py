@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
@@ -19,7 +18,7 @@ from gpusimbench.recorder.scenes.registry import SCENES, make_scene
 from gpusimbench.recorder.simulators.base import Simulator
 from gpusimbench.recorder.simulators.registry import BUILT_IN, find_simulator
 from gpusimbench.schemas.errors import UsageError
-from tests.conftest import Command
+from tests.conftest import Command, distribution
 
 A = Ability
 ENGINES = [entry.name for entry in BUILT_IN]
@@ -180,12 +179,8 @@ class Idle(Simulator):
     )
     for name in ("mujoco", "warp", "jax", "torch"):
         (tmp_path / f"{name}.py").write_text("import os; os._exit(9)\n")
-    info = tmp_path / "theirs-1.0.dist-info"
-    info.mkdir()
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: theirs\nVersion: 1.0\n")
     points = "[gsb.scenes]\nwalker = theirs:walker\n[gsb.simulators]\nidle = theirs:Idle\n"
-    (info / "entry_points.txt").write_text(points)
-    return {**os.environ, "PYTHONPATH": str(tmp_path)}
+    return distribution(tmp_path, "theirs", points)
 
 
 def test_what_fits_nothing_is_listed(added: dict[str, str], gsb_record: Command) -> None:

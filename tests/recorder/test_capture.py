@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -30,7 +28,7 @@ from gpusimbench.recorder.simulators.mujoco.simulator import MujocoC
 from gpusimbench.schemas.errors import DataLost
 from gpusimbench.schemas.fields import BODY_FIELDS, body_field
 from gpusimbench.schemas.fingerprint import fingerprint
-from tests.conftest import SMALL, Command, wait_for
+from tests.conftest import SMALL, Command, run_python, wait_for
 
 FIELDS = [body_field("cubes", name, "float32", ("a", "b")) for name in BODY_FIELDS]
 
@@ -122,7 +120,7 @@ except KeyboardInterrupt:
 
 def test_an_interruption_waits_for_the_writer() -> None:
     """Be interrupted only once the thread that writes is gone: two must not write one file."""
-    done = subprocess.run([sys.executable, "-c", _INTERRUPTED], capture_output=True, text=True, timeout=60)
+    done = run_python(_INTERRUPTED, code=None)
     assert done.stdout == "3 []\n", done.stderr
 
 

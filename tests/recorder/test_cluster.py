@@ -32,7 +32,7 @@ from gpusimbench.recorder.process.launch import Result
 from gpusimbench.recorder.sets.task import Task
 from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.errors import ExitCode, UsageError
-from tests.conftest import call, command, wait_for
+from tests.conftest import call, command, run_python, wait_for
 from tests.test_docs import commands, shell
 
 pytestmark = pytest.mark.alone
@@ -556,7 +556,7 @@ def test_no_process_holds_the_output(module: str) -> None:
         "print(child.pid)\nprint('after', file=sys.stderr)\nchild.returncode = 0\n"
     )
     environment = {**os.environ, "PYTHONPATH": str(ROOT / "src")}
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=60, env=environment)
+    done = run_python(script, code=None, env=environment)
     before, pid = done.stdout.split()
     assert (before, done.stderr) == ("before", "after\n")
     os.kill(int(pid), signal.SIGTERM)  # it was there still

@@ -23,6 +23,7 @@ from gpusimbench.recorder.conformance.scene import N_STEP, UPPER
 from gpusimbench.recorder.conformance.verdict import expect_close
 from gpusimbench.recorder.simulators.mujoco.simulator import MujocoC, MujocoOptions
 from gpusimbench.recorder.simulators.registry import Entry
+from tests.conftest import distribution
 from tests.recorder import broken_adapters as broken
 
 ROOT = Path(__file__).resolve().parent.parent.parent
@@ -371,14 +372,11 @@ def test_what_cannot_be_checked(arguments: tuple[str, ...], message: str) -> Non
 @pytest.fixture
 def registered(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     """A folder with a distribution that offers adapters of this module, for this process and those that it starts."""
-    info = tmp_path / "broken-1.0.dist-info"
-    info.mkdir()
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: broken\nVersion: 1.0\n")
     names = "".join(
         f"{a.__name__.lower()} = {a.__module__}:{a.__name__}\n"
         for a in (broken.Gated, broken.StepsOtherwise, broken.Silent)
     )
-    (info / "entry_points.txt").write_text(f"[gsb.simulators]\n{names}")
+    distribution(tmp_path, "broken", f"[gsb.simulators]\n{names}")
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(tmp_path), str(ROOT)]))
     yield tmp_path
@@ -422,10 +420,7 @@ def test_the_guides_adapter_is_checked_as_shown(tmp_path: Path) -> None:
     )  # fmt: skip
     failed = re.findall(r"^FAILED test_ballistic\.py::test_conforms\[(\w+)\]", done.stdout, re.MULTILINE)
     assert failed == re.findall(r"^FAILED  (\w+)", shown, re.MULTILINE), done.stdout
-    info = tmp_path / "ballistic-1.0.dist-info"
-    info.mkdir()
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: ballistic\nVersion: 1.0\n")
-    (info / "entry_points.txt").write_text("[gsb.simulators]\nballistic = ballistic:Ballistic\n")
+    distribution(tmp_path, "ballistic", "[gsb.simulators]\nballistic = ballistic:Ballistic\n")
     printed = conformance("--sim", "ballistic", PYTHONPATH=str(tmp_path)).stdout.splitlines()
     for line in shown.splitlines():
         assert line in printed, "\n".join(printed)

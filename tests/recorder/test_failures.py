@@ -9,7 +9,6 @@ import resource
 import shutil
 import signal
 import subprocess
-import sys
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
@@ -20,7 +19,7 @@ from gpusimbench import open_recording
 from gpusimbench.evaluator.runs.validation import verify
 from gpusimbench.recorder.capture.sink import Sink
 from gpusimbench.schemas.errors import DamagedRecording, DataLost, RecordingError
-from tests.conftest import SMALL, Command, command, wait_for
+from tests.conftest import SMALL, Command, command, run_python, wait_for
 from tests.moments import descendants, has_worked, has_written, wait_until, whole
 
 
@@ -314,6 +313,5 @@ def test_without_mujoco_the_command_says_how_to_get_it(tmp_path: Path) -> None:
         "u.find_spec = lambda n, *a: None if n == 'mujoco' else f(n, *a); "
         "from gpusimbench.recorder.cli import main; sys.exit(main(['--sim', 'mujoco']))"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=tmp_path)
-    assert done.returncode == 2
+    done = run_python(code, code=2, cwd=tmp_path)
     assert "pip install 'gpusimbench[mujoco]'" in done.stderr

@@ -15,7 +15,7 @@ import pytest
 
 from gpusimbench import open_recording
 from gpusimbench.evaluator.runs.validation import verify
-from tests.conftest import Command, command, wait_for
+from tests.conftest import Command, command, distribution, run_python, wait_for
 
 pytestmark = pytest.mark.alone
 
@@ -50,10 +50,7 @@ print(outcome.status, outcome.reason)
 def test_digests_and_bytes_go_together(tmp_path: Path, kind: str) -> None:
     """Verify after an interruption between the digest of something and its writing."""
     path = tmp_path / "x.mcap"
-    done = subprocess.run(
-        [sys.executable, "-c", _INTERRUPTED_BETWEEN, kind, str(path)], capture_output=True, text=True, timeout=120
-    )
-    assert done.returncode == 0, done.stderr
+    done = run_python(_INTERRUPTED_BETWEEN, kind, path)
     assert done.stdout.startswith("FAILED interrupted in phase")
     recording = open_recording(path)
     verify(recording)
@@ -163,10 +160,7 @@ def test_an_import_that_is_interrupted_is_no_broken_one(tmp_path: Path) -> None:
         "except KeyboardInterrupt:\n    raise ImportError('initialization failed') from None\n"
         "class Hasty: pass\n"
     )
-    info = tmp_path / "hasty-1.0.dist-info"
-    info.mkdir()
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: hasty\nVersion: 1.0\n")
-    (info / "entry_points.txt").write_text("[gsb.simulators]\nhasty = hasty:Hasty\n")
+    distribution(tmp_path, "hasty", "[gsb.simulators]\nhasty = hasty:Hasty\n")
     done = subprocess.run(
         [*command("gsb-record"), "--sim", "hasty", "--out", str(tmp_path / "out")],
         env={**os.environ, "PYTHONPATH": str(tmp_path)}, capture_output=True, text=True, timeout=60,

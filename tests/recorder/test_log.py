@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +15,7 @@ from gpusimbench.recorder.log import RecordingWriter
 from gpusimbench.recorder.scenes.registry import make_scene
 from gpusimbench.schemas.errors import DataLost, UsageError
 from gpusimbench.schemas.fields import array_field, body_field
-from tests.conftest import Command
+from tests.conftest import Command, run_python
 from tests.synthetic import metrics_of
 
 NAMES = ("red", "blue")
@@ -258,9 +256,7 @@ except KeyboardInterrupt:
 def test_an_interruption_leaves_a_good_file(tmp_path: Path, seconds: float) -> None:
     """End the recording as failed at any moment of a program's Ctrl-C, with all that it holds intact."""
     path = tmp_path / "x.mcap"
-    done = subprocess.run(
-        [sys.executable, "-c", _INTERRUPTED, str(path), str(seconds)], capture_output=True, text=True, timeout=60
-    )
+    done = run_python(_INTERRUPTED, path, seconds, code=None)
     assert done.stdout == "interrupted\n", done.stderr
     if path.exists():  # it may have come before the file was begun
         recording = open_recording(path)

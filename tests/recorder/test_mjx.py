@@ -7,8 +7,6 @@ from __future__ import annotations
 
 import math
 import os
-import subprocess
-import sys
 from dataclasses import replace
 from typing import Any
 
@@ -23,6 +21,7 @@ from gpusimbench.recorder.scenes.franka import franka
 from gpusimbench.recorder.scenes.registry import make_scene
 from gpusimbench.recorder.simulators.registry import find_simulator
 from gpusimbench.schemas.errors import UsageError
+from tests.conftest import run_python
 from tests.recorder.engines import PAIR, bits, build, counts, cubes, make
 
 pytest.importorskip("jax")
@@ -45,9 +44,7 @@ def test_flags_of_a_level_are_xlas(level: str, flags: str) -> None:
     assert wanted.get("XLA_FLAGS", "") == flags
     assert set(adapter.determinism_levels) == set(LEVELS)
     script = "import jax; print(int(jax.jit(lambda x: x + 1)(1)))"
-    done = subprocess.run(
-        [sys.executable, "-c", script], env={**os.environ, **wanted}, capture_output=True, text=True, timeout=300
-    )
+    done = run_python(script, code=None, env={**os.environ, **wanted})
     assert (done.returncode, done.stdout) == (0, "2\n"), done.stderr
 
 

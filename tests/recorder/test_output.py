@@ -15,7 +15,7 @@ import pytest
 
 from gpusimbench import open_recording
 from gpusimbench.evaluator.runs.validation import verify
-from tests.conftest import SMALL, Command, command
+from tests.conftest import SMALL, Command, command, distribution
 
 
 def _on_a_terminal(arguments: list[str], stdout: Path | None = None) -> tuple[int, str]:
@@ -96,10 +96,7 @@ def test_a_path_in_another_encoding(gsb_record: Command, tmp_path: Path) -> None
 
 def test_words_that_the_output_cannot_show(tmp_path: Path) -> None:
     """Say in one line which character standard output cannot show, and end with 1."""
-    info = tmp_path / "übung-1.0.dist-info"
-    info.mkdir()
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: übung\nVersion: 1.0\n")
-    (info / "entry_points.txt").write_text("[gsb.simulators]\nübung = nowhere:Nothing\n")
+    distribution(tmp_path, "übung", "[gsb.simulators]\nübung = nowhere:Nothing\n")
     done = subprocess.run(
         [*command("gsb-record"), "--list"], capture_output=True, text=True, timeout=60,
         env={**os.environ, "PYTHONIOENCODING": "ascii", "PYTHONPATH": str(tmp_path)},

@@ -21,7 +21,7 @@ from gpusimbench.recorder.scenes.registry import make_scene
 from gpusimbench.recorder.simulators.mujoco.simulator import MujocoC
 from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.fields import BODY_FIELDS, body_field
-from tests.conftest import SMALL, Command
+from tests.conftest import SMALL, Command, distribution
 
 _NAME = re.compile(r"mujoco-inclined-collision-n4-r(\d)-\d{8}T\d{6}Z\.mcap")
 
@@ -325,10 +325,7 @@ def test_a_simulator_that_cannot_be_loaded_is_listed(
 ) -> None:
     """List a third party's simulator whose module fails, with what is wrong, and all others as ever."""
     (tmp_path / "odd.py").write_text(source + "\n")
-    info = tmp_path / "odd-1.0.dist-info"
-    info.mkdir()
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: odd\nVersion: 1.0\n")
-    (info / "entry_points.txt").write_text("[gsb.simulators]\nodd = odd:Odd\n")
+    distribution(tmp_path, "odd", "[gsb.simulators]\nodd = odd:Odd\n")
     environment = {**os.environ, "PYTHONPATH": str(tmp_path)}
     text = gsb_record("--list", env=environment, code=0)
     assert "installed, but simulator 'odd' cannot be loaded: " in text.stdout

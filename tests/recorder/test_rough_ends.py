@@ -26,7 +26,7 @@ from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.runs.validation import verify
 from gpusimbench.schemas.errors import RecordingError
 from gpusimbench.schemas.mcap.reader import Container
-from tests.conftest import SMALL, Command, call, command
+from tests.conftest import SMALL, Command, call, command, distribution
 from tests.moments import descendants, has_worked, has_written, wait_until, whole
 
 _KILLS = 50
@@ -253,12 +253,7 @@ class Jumping(Simulator):
 def jumping(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
     """An environment that offers the simulator "jumping"."""
     folder = tmp_path_factory.mktemp("jumping")
-    (folder / "jumping_clock.py").write_text(_CLOCKS)
-    info = folder / "jumping_clock-1.0.dist-info"
-    info.mkdir()
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: jumping-clock\nVersion: 1.0\n")
-    (info / "entry_points.txt").write_text("[gsb.simulators]\njumping = jumping_clock:Jumping\n")
-    return {**os.environ, "PYTHONPATH": str(folder)}
+    return distribution(folder, "jumping-clock", "[gsb.simulators]\njumping = jumping_clock:Jumping\n", _CLOCKS)
 
 
 def _record_jumps(gsb_record: Command, environment: dict[str, str], out: Path, jumps: bool) -> Recording:

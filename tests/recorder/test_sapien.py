@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import math
 import os
-import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -31,6 +30,7 @@ from gpusimbench.recorder.simulators.sapien.options import SapienOptions
 from gpusimbench.recorder.simulators.sapien.simulator import Sapien
 from gpusimbench.recorder.simulators.sapien.sizes import DEFAULTS, choose_sizes
 from gpusimbench.schemas.errors import UsageError
+from tests.conftest import run_python
 
 G = 9.81
 IMPACT = 80  # steps after which the ball has met the cubes of inclined-collision
@@ -132,10 +132,9 @@ def test_processes_agree_and_need_no_torch() -> None:
         "print(digest(states_of(make_scene('inclined-collision'), IMPACT)), 'torch' in sys.modules)\n"
     )
     root = Path(__file__).parents[2]
-    said = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=root,
-        env={**os.environ, "PYTHONPATH": os.pathsep.join([str(root), *filter(None, sys.path)])},
-    )  # fmt: skip
+    said = run_python(
+        code, cwd=root, env={**os.environ, "PYTHONPATH": os.pathsep.join([str(root), *filter(None, sys.path)])}
+    )
     own = digest(states_of(make_scene("inclined-collision"), IMPACT))
     assert said.stdout.split() == [own, "False"]
 

@@ -17,7 +17,7 @@ from gpusimbench.recorder.scenes.free_fall import DROP_HEIGHT
 from gpusimbench.recorder.scenes.inclined_collision import SLOPE_ANGLE
 from gpusimbench.recorder.scenes.registry import SCENES, make_scene
 from gpusimbench.schemas.errors import UsageError
-from tests.conftest import SMALL, Command
+from tests.conftest import SMALL, Command, distribution
 
 scenes = pytest.mark.parametrize("name", SCENES)
 
@@ -127,11 +127,8 @@ def test_an_unknown_scene_names_the_known_ones() -> None:
 def _distribution(folder: Path, code: str, names: dict[str, str]) -> None:
     # an installed one that adds scenes
     (folder / "their_scenes.py").write_text(code)
-    info = folder / "their_scenes-1.0.dist-info"
-    info.mkdir()
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: their-scenes\nVersion: 1.0\n")
     lines = "".join(f"{name} = their_scenes:{target}\n" for name, target in names.items())
-    (info / "entry_points.txt").write_text(f"[gsb.scenes]\n{lines}")
+    distribution(folder, "their-scenes", f"[gsb.scenes]\n{lines}")
 
 
 _THEIRS = """

@@ -27,7 +27,7 @@ from gpusimbench.recorder.sets.sweep import CERTAIN, Outcome, Place, Sweep, pars
 from gpusimbench.recorder.sets.sweep_lock import locked
 from gpusimbench.schemas.configuration import MAX_ENVS, RunConfiguration
 from gpusimbench.schemas.errors import GsbError, UsageError
-from tests.conftest import Command, command, wait_for
+from tests.conftest import Command, command, distribution, wait_for
 
 _TINY = ("--steps", "5", "--warmup", "1", "--timed-steps", "2", "--phases", "timed")
 
@@ -80,11 +80,7 @@ class Limited(Simulator):
 def limited(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
     """An environment in which a third party's distribution offers the simulator "limited"."""
     folder = tmp_path_factory.mktemp("plugin")
-    (folder / "limited_simulator.py").write_text(_PLUGIN)
-    info = folder / "limited_simulator-1.0.dist-info"
-    info.mkdir()
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: limited-simulator\nVersion: 1.0\n")
-    (info / "entry_points.txt").write_text("[gsb.simulators]\nlimited = limited_simulator:Limited\n")
+    distribution(folder, "limited-simulator", "[gsb.simulators]\nlimited = limited_simulator:Limited\n", _PLUGIN)
     return {**os.environ, "PYTHONPATH": str(folder), "GSB_TEST_FOLDER": str(folder)}
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import re
 import subprocess
 import sys
@@ -13,7 +12,7 @@ import pytest
 from gpusimbench import open_recording
 from gpusimbench.evaluator.runs.validation import verify
 from gpusimbench.recorder.sets.finished import read_end
-from tests.conftest import Command
+from tests.conftest import Command, distribution, run_python
 
 pytestmark = pytest.mark.alone
 
@@ -76,12 +75,7 @@ _SMALL = ("--steps", "5", "--warmup", "1", "--timed-steps", "2", "--phases", "ti
 def endless(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
     """An environment in which a third party's distribution offers the simulator "endless"."""
     folder = tmp_path_factory.mktemp("plugin")
-    (folder / "endless_simulator.py").write_text(_PLUGIN)
-    info = folder / "endless_simulator-1.0.dist-info"
-    info.mkdir()
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: endless-simulator\nVersion: 1.0\n")
-    (info / "entry_points.txt").write_text("[gsb.simulators]\nendless = endless_simulator:Endless\n")
-    return {**os.environ, "PYTHONPATH": str(folder)}
+    return distribution(folder, "endless-simulator", "[gsb.simulators]\nendless = endless_simulator:Endless\n", _PLUGIN)
 
 
 def _impatient(environment: dict[str, str], *arguments: object) -> subprocess.CompletedProcess[str]:
@@ -179,7 +173,7 @@ print([interruption.struck()], signal.getitimer(signal.ITIMER_REAL))
 )
 def test_an_end_of_time_is_one_interruption(code: str, said: str) -> None:
     """Hold the end of time back while shielded, raise one interruption in all, and know which it was."""
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
+    done = run_python(code, code=None)
     assert (done.stdout, done.stderr) == (said, "")
 
 
@@ -210,9 +204,7 @@ print(outcome.status, outcome.cause, outcome.reason)
 def test_the_time_ends_within_a_write(tmp_path: Path) -> None:
     """Write the piece whole that was being written when the time ended."""
     path = tmp_path / "x.mcap"
-    done = subprocess.run(
-        [sys.executable, "-c", _EXPIRES_IN_A_WRITE, str(path)], capture_output=True, text=True, timeout=120
-    )
+    done = run_python(_EXPIRES_IN_A_WRITE, path, code=None)
     assert done.stdout.startswith("FAILED TIMEOUT timeout: more than 3 s, in phase "), done.stderr
     verify(open_recording(path))
 

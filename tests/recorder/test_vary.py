@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -27,7 +25,7 @@ from gpusimbench.schemas import arrays
 from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.errors import DamagedRecording, UsageError
 from gpusimbench.schemas.treatment import QUANTITIES, VARIED, VARIED_SPREAD, Vary
-from tests.conftest import Command, call
+from tests.conftest import Command, call, run_python
 
 VARY = "mass:0.3,friction:0.5,size:0.01"
 _SHORT = ("--steps", "80", "--phases", "capture", "--seed", "7", "--runs", "1")
@@ -255,7 +253,7 @@ def test_refused_before_any_import() -> None:
         "except Exception as error: print(error)\n"
         "print(sorted({'mujoco', 'genesis', 'torch', 'jax', 'warp'} & sys.modules.keys()))"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    done = run_python(code)
     assert done.stdout.splitlines()[-1] == "[]"
     assert "it has no masses per environment" in done.stdout
 

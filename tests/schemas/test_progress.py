@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import subprocess
 import sys
 import textwrap
 import threading
@@ -16,6 +15,7 @@ from hypothesis import strategies as st
 from gpusimbench.schemas import progress
 from gpusimbench.schemas.progress import Progress, Stage, duration, each, moved, received, sizes, stage
 from gpusimbench.schemas.text import line, show
+from tests.conftest import run_python
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -159,11 +159,7 @@ def test_a_command_that_takes_long() -> None:
         sys.exit(main(sys.argv[1:]))
     """)
     file = ROOT / "recordings" / "mujoco-amd-r0.mcap"
-    done = subprocess.run(
-        [sys.executable, "-c", program, str(file), "--json", "-"], capture_output=True, text=True, timeout=120,
-        env={"GSB_PROGRESS": "on"},
-    )  # fmt: skip
-    assert done.returncode == 0, done.stderr
+    done = run_python(program, file, "--json", "-", env={"GSB_PROGRESS": "on"})
     assert done.stdout.startswith("{")
     assert done.stderr.splitlines()[0].startswith("gsb-check: checking recordings, ")
 
