@@ -12,9 +12,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
-from gpusimbench.evaluator.compare.finding import Change, Counted, Finding
+from gpusimbench.evaluator.compare.finding import Change, Counted, Finding, Settings
+from gpusimbench.evaluator.compare.numbers import matters
 from gpusimbench.evaluator.compare.schedule import Schedule, neighbours
 from gpusimbench.evaluator.results.metric import Axis
+from gpusimbench.evaluator.results.metrics import METRICS
 from gpusimbench.evaluator.statistics import exchange
 from gpusimbench.evaluator.statistics.exchange import (
     compare_distances,
@@ -27,6 +29,7 @@ from gpusimbench.evaluator.statistics.exchange import (
 from gpusimbench.evaluator.statistics.families import able_to_reject, fisher, holm, least_fisher
 
 ABBA = [False, True, True, False]
+MB = 10**6
 
 
 def test_an_unblocked_test_is_the_one_of_scipy() -> None:
@@ -299,3 +302,34 @@ def test_sides_of_different_size_have_no_mirror() -> None:
     assert found.difference == pytest.approx(matrix[:2, 2:].mean() - (0.1 + within2) / 2)
     assert found.p_value == found.least_p == 1 / 10
     assert least_p([False, False, True, True, True], [0] * 5) == 1 / 10
+
+
+@pytest.mark.parametrize(
+    ("name", "one", "other", "counts"),
+    [
+        ("fps", 1.0, 1.06, True),
+        ("fps", 1.0, 1.04, False),
+        ("fps", 0.0, 1e-9, True),
+        ("fps", 0.0, 0.0, False),
+        ("host_memory_peak_increment", MB, 1.99 * MB, False),
+        ("host_memory_peak_increment", MB, 2 * MB, True),
+        ("host_memory_peak_increment", 1000 * MB, 1040 * MB, False),
+        ("host_memory_peak_increment", 1000 * MB, 1060 * MB, True),
+        ("w1_run_to_run", 0.001, 0.0109, False),
+        ("w1_run_to_run", 0.001, 0.0111, True),
+        ("w1_run_to_run", 1.0, 1.04, False),
+    ],
+)
+def test_what_matters(name: str, one: float, other: float, counts: bool) -> None:
+    """Count a change above the threshold, of bytes by 1 MB and of lengths by 0.01 cm at least, up and down alike."""
+    assert matters(METRICS[name], one, other, Settings()) is counts
+    assert matters(METRICS[name], other, one, Settings()) is counts
+
+
+@pytest.mark.parametrize(("threshold", "least"), [(0.05, 1.05), (0.5, 1.5), (0.0, 1.0)])
+def test_a_threshold_is_a_factor(threshold: float, least: float) -> None:
+    """Count no change by the very threshold, and every larger one."""
+    settings = Settings(threshold=threshold)
+    assert not settings.matters(1000.0, 1000.0 * least)
+    assert settings.matters(1000.0, 1000.0 * least * (1 + 1e-9))
+    assert settings.matters(1000.0 * least * (1 + 1e-9), 1000.0)

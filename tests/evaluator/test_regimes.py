@@ -1,4 +1,4 @@
-"""How sure a published regime is."""
+"""Published regimes, and how sure one is."""
 
 from __future__ import annotations
 
@@ -10,10 +10,19 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gpusimbench.evaluator.metrics.regime import PRESENT_FROM_CM, Regime, is_present
+from gpusimbench.evaluator.metrics.regime import PRESENT_FROM_CM, REGIME_MEANING, Regime, is_present, published_regime
 from gpusimbench.evaluator.statistics.regimes import Resampling, regime_probabilities, upper_bound_of_none
 
 SAME = np.zeros((6, 6))
+PUBLISHED = [
+    ("Isaac Lab", 4.21, 0.00, 1),
+    ("ManiSkill", 4.76, 0.00, 1),
+    ("Genesis", 0.00, 0.00, 2),
+    ("MJX", 0.00, 0.00, 2),
+    ("Madrona", 32.53, 11.47, 3),
+    ("MuJoCo Warp", 4.55, 2.15, 3),
+    ("Playground", 0.00, 1.39, 4),
+]
 
 
 def clusters(*labels: int, apart: float = 1.0) -> np.ndarray:
@@ -141,3 +150,28 @@ def test_halves_are_drawn_without_repeating_a_run() -> None:
     assert found.probability(Regime.NEITHER) == pytest.approx(0.5, abs=0.03)
     assert found.leave_one_out[4] is Regime.NEITHER
     assert (found.observed, found.decided_by) == (Regime.RUN_TO_RUN_ONLY, (4,))
+
+
+@pytest.mark.parametrize(("simulator", "parallel", "run_to_run", "expected"), PUBLISHED)
+def test_published_types(simulator: str, parallel: float, run_to_run: float, expected: int) -> None:
+    """Reproduce the published type from the published figures."""
+    assert published_regime(parallel, run_to_run) == expected, simulator
+
+
+@pytest.mark.parametrize(("value", "present"), [(0.0, False), (0.0049, False), (0.0051, True)])
+def test_rounding(value: float, present: bool) -> None:
+    """Round to 0.01 cm before asking for zero."""
+    assert is_present(value) is present
+
+
+def test_every_regime_has_a_meaning() -> None:
+    """Give each type one sentence of its own."""
+    assert set(REGIME_MEANING) == set(Regime)
+    assert len(set(REGIME_MEANING.values())) == 4
+
+
+@pytest.mark.parametrize("value", [-0.1, float("nan"), float("inf")])
+def test_no_regime_of_what_is_no_distance(value: float) -> None:
+    """Refuse what is no distance."""
+    with pytest.raises(ValueError):
+        published_regime(0.0, value)

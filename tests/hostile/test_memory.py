@@ -1,4 +1,4 @@
-"""Peak memory of every command on files that would take gigabytes as objects."""
+"""Peak memory of every command on files that would take gigabytes as objects; what is said where memory is short."""
 
 from __future__ import annotations
 
@@ -9,12 +9,13 @@ from pathlib import Path
 
 import pytest
 
+from gpusimbench.evaluator.cli import eval as evaluate
 from gpusimbench.schemas.errors import ExitCode
 from tests.hostile.amplifiers import write_amplifiers
+from tests.synthetic import grid, write_recording
 
 _LIMIT = 600 << 20
 """Resident, the interpreter with its packages among it: 100 to 180 MiB. What was read before took up to 8 GiB."""
-
 _RUN = """
 import contextlib, importlib, io, json, re, sys
 name, *calls = json.loads(sys.stdin.read())
@@ -31,7 +32,6 @@ for call in calls:
     found.append([code, peak])
 print(json.dumps(found))
 """
-
 _COMMANDS: dict[str, list[str]] = {
     "info": ["FILE", "--json", "OUT.json"],
     "check": ["FILE", "--json", "OUT.json"],
@@ -43,7 +43,6 @@ _COMMANDS: dict[str, list[str]] = {
     "view": ["FILE", "--no-open", "--out", "OUT.html"],
 }
 """What each is called with; those that have --json or --html write it."""
-
 _READ = {"long texts", "metadata", "events"}
 """What is less than the bounds, or nothing that most commands look at."""
 
@@ -77,3 +76,21 @@ def test_memory_of_commands(command: str, amplifiers: dict[str, Path], tmp_path:
     if command in ("info", "check", "eval", "audit"):  # which need all of it
         assert {code for what, code in codes.items() if what not in _READ} == {3}, codes
     assert set(codes.values()) <= set(ExitCode), codes
+
+
+@pytest.mark.parametrize("error", [MemoryError(), RuntimeError("can't start new thread")], ids=["memory", "thread"])
+def test_short_memory_is_said(
+    error: Exception, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """End with one message, and leave the earlier result as it is."""
+
+    def fails(*_: object, **__: object) -> None:
+        raise error
+
+    write_recording(tmp_path, grid(1), name="a.mcap")
+    result = tmp_path / "r.json"
+    result.write_text("earlier")
+    monkeypatch.setattr("gpusimbench.evaluator.results.evaluate.evaluate", fails)
+    assert evaluate.main([str(tmp_path / "a.mcap"), "--no-cache", "--json", str(result)]) == 1
+    assert "not enough memory" in capsys.readouterr().err
+    assert result.read_text() == "earlier"

@@ -24,7 +24,6 @@ from gpusimbench.schemas.provenance import MAX_FIELDS, Deviation, Provenance, Si
 from gpusimbench.schemas.topics import StateTopic, parse_state, state
 
 _FIELDS = tuple(body_field("cubes", name, "float64", ("a", "b")) for name in BODY_FIELDS)
-
 # Numbers of fields never change once a file was shared; see the evolution rules in schemas/README.md.
 _WIRE = {
     "StateBlock": {
@@ -208,3 +207,19 @@ def test_state_topics() -> None:
 def test_times_name_steps(step: int, dt: float) -> None:
     """Recover a step from its simulated time in nanoseconds."""
     assert round(sim_time_ns(step, dt) / (dt * 1e9)) == step
+
+
+def test_a_reason_cannot_pass_for_streams() -> None:
+    """Tell a stream from a reason that spells its line, and both from any other."""
+    honest = content_hash({"a": "1", "b": "2"}, "complete", "")
+    assert content_hash({"a": "1"}, "complete", "\nb 2") != honest
+    assert content_hash({"a 1\nb": "2"}, "complete", "") != honest
+    assert content_hash({"a": "1"}, "complete", "x\ny") != content_hash({"a": "1"}, "complete", "x\\ny")
+
+
+def test_one_line_is_as_it_was() -> None:
+    """Keep the identity of recordings whose texts have one line, backslashes too."""
+    import hashlib
+
+    lines = sorted(["status failed\n", "reason C:\\new\n", "a 1\n"])
+    assert content_hash({"a": "1"}, "failed", "C:\\new") == hashlib.sha256("".join(lines).encode()).hexdigest()
