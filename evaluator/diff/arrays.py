@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gpusimbench.evaluator.diff.common import CommonField
-from gpusimbench.evaluator.diff.locate import locate
+from gpusimbench.evaluator.diff.first import locate
 from gpusimbench.evaluator.diff.numbers import Pairing
 from gpusimbench.evaluator.diff.result import Basis, Number
 from gpusimbench.evaluator.metrics.divergence import differs

@@ -30,11 +30,11 @@ from gpusimbench.recorder.probes.host import describe_host, numeric_environment,
 from gpusimbench.recorder.probes.software import describe_software, package_list
 from gpusimbench.recorder.run import vary
 from gpusimbench.recorder.run.capture_phase import CapturePhase
+from gpusimbench.recorder.run.engine import Engine
 from gpusimbench.recorder.run.environment import apply_environment
 from gpusimbench.recorder.run.flight_phase import FlightPhase
 from gpusimbench.recorder.run.journal import Journal, Phase
 from gpusimbench.recorder.run.pace import COMPILE, REBUILD
-from gpusimbench.recorder.run.engine import Engine
 from gpusimbench.recorder.run.timed_phase import warm_up_and_time
 from gpusimbench.recorder.scenes.base import Scene
 from gpusimbench.recorder.scenes.registry import scene_of

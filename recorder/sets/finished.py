@@ -1,9 +1,11 @@
-"""The finished runs of a folder, as their own recordings tell: what was asked, and how it ended."""
+"""The finished runs of a folder, as their own recordings tell: what was asked, how it ended; a lock on what is added."""
 
 from __future__ import annotations
 
+import hashlib
 import json
 from collections.abc import Iterable, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -13,6 +15,7 @@ from gpusimbench.recorder.sets.sweep import Outcome, Place
 from gpusimbench.schemas import PARTIAL, topics
 from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.errors import DamagedRecording, RecordingError
+from gpusimbench.schemas.folder_lock import held
 from gpusimbench.schemas.mcap.reader import Container
 from gpusimbench.schemas.messages import enum_values, message_class
 from gpusimbench.schemas.provenance import ENGINE_LOG, PROVENANCE, Provenance
@@ -146,3 +149,18 @@ def _name(enum: str, prefix: str, number: int) -> str:
     # of a value; empty for the unspecified one and for one that this version does not know
     names = {value: name.removeprefix(prefix) for name, value in enum_values(enum).items()}
     return names.get(number, "") if number else ""
+
+
+def locked(folder: Path, wanted: RunConfiguration, where: str) -> AbstractContextManager[None]:
+    """Hold the lock of a sweep of `wanted`, made `where` (see where_am_i), while the block runs: one command at a time
+    makes its runs there. Two sweeps have one lock where recordings of one would count for the other (see matching);
+    other sweeps, and sets of runs, may share the folder.
+
+    GsbError where another process holds it, which the message names.
+    """
+    return held(folder, f"gsb-sweep-{_key(wanted, where)}", "makes this sweep")
+
+
+def _key(wanted: RunConfiguration, where: str) -> str:
+    text = json.dumps([in_common(wanted).to_json(), where], sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()[:16]

@@ -133,7 +133,7 @@ def record_sweep(request: Request, sweep: Sweep, maker: Maker) -> tuple[int, Jso
     GsbError where another command makes the same sweep in that folder.
     """
     with shielded():  # nothing that a set of runs needs
-        from gpusimbench.recorder.sets.sweep_lock import locked
+        from gpusimbench.recorder.sets.finished import locked
 
     prepare_folder(request.out)
     where = maker.where()

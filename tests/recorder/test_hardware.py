@@ -19,9 +19,8 @@ from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.runs.validation import verify
 from gpusimbench.recorder.capture.sink import Sink
 from gpusimbench.recorder.capture.watch import HardwareWriter
-from gpusimbench.recorder.probes.cpu import Cpus
 from gpusimbench.recorder.probes.gpu import Gpus
-from gpusimbench.recorder.probes.hardware import HardwareSampler
+from gpusimbench.recorder.probes.hardware import Cpus, HardwareSampler
 from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.messages import message_class
 from gpusimbench.schemas.provenance import PROVENANCE, Provenance

@@ -22,9 +22,8 @@ from hypothesis import strategies as st
 
 from gpusimbench import open_recording
 from gpusimbench.evaluator.runs.validation import verify
-from gpusimbench.recorder.sets.finished import Finished, matching, read_folder
+from gpusimbench.recorder.sets.finished import Finished, locked, matching, read_folder
 from gpusimbench.recorder.sets.sweep import CERTAIN, Outcome, Place, Sweep, parse_points
-from gpusimbench.recorder.sets.sweep_lock import locked
 from gpusimbench.schemas.configuration import MAX_ENVS, RunConfiguration
 from gpusimbench.schemas.errors import GsbError, UsageError
 from tests.conftest import Command, command, distribution, wait_for
