@@ -42,6 +42,23 @@ def cubes_field(dtype: str, *, frame: str = "world") -> StateField:
     return replace(body_field("cubes", "position", dtype, names), frame=frame)
 
 
+def changing(attachment: str, *path: str, **values: Any) -> Callable[[str, dict[str, Any]], None]:
+    """For `change` of write_recording: other values in a JSON attachment, or in what a path of keys there leads to."""
+
+    def change(name: str, record: dict[str, Any]) -> None:
+        if name == attachment:
+            for key in path:
+                record = record[key]
+            record |= values
+
+    return change
+
+
+def configured(**values: Any) -> Callable[[str, dict[str, Any]], None]:
+    """The same of what a run was asked to do."""
+    return changing(PROVENANCE, "configuration", **values)
+
+
 @dataclass(frozen=True)
 class Shown:
     """What a recording's steps show of their work.

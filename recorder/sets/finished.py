@@ -1,4 +1,4 @@
-"""The finished runs of a folder, as their own recordings tell: what was asked, how it ended; a lock on what is added."""
+"""The finished runs of a folder, by their own recordings: what was asked and how it ended; a lock on what is added."""
 
 from __future__ import annotations
 

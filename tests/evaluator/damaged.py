@@ -21,7 +21,7 @@ from gpusimbench.schemas.blocks import encode_fingerprints
 from gpusimbench.schemas.fingerprint import fingerprint
 from gpusimbench.schemas.messages import message_class
 from gpusimbench.schemas.provenance import PACKAGES, PROVENANCE, SCENE
-from tests.synthetic import Shown, grid, write_recording
+from tests.synthetic import Shown, changing, grid, write_recording
 
 Messages = list[tuple[str, int, int, bytes]]
 """Topic, sequence, log time and content of the messages of a file."""
@@ -126,28 +126,18 @@ def _timed_hashes(**_: Any) -> dict[str, Any]:
     return {"shown": Shown(raw=raw)}
 
 
-def _nobody(name: str, record: dict[str, Any]) -> None:
-    if name == PROVENANCE:
-        record["host"] = {}
-
-
-def _other_scene(name: str, record: dict[str, Any]) -> None:
-    if name == SCENE:
-        record["dt"] = 0.02
-
-
 WRITTEN: dict[str, dict[str, Any]] = {
     "streams": {"elapsed_s": -1.0},
     "clocks": _events({"kind": 1, "phase": "a", "monotonic_ns": 9}, {"kind": 2, "phase": "a", "monotonic_ns": 8}),
     "consistent": _events({"kind": 4, "phase": "capture", "text": "contacts were dropped"}),
     "no-dropouts": {"dropout": "the disk was full"},
-    "provenance": {"change": _nobody},
+    "provenance": {"change": changing(PROVENANCE, host={})},
     "observer": _timed_hashes(),
     "end": {"end": False},
 }
 """What to write, by the rule of integrity-1 that it breaks."""
 
-SCENE_CHANGED = {"change": _other_scene}
+SCENE_CHANGED = {"change": changing(SCENE, dt=0.02)}
 
 BYTES: dict[str, tuple[str, Callable[[bytes], bytes]]] = {
     "a text": ("recording", lambda data: b"these are not the bytes that you are looking for"),

@@ -6,6 +6,7 @@ import json
 import re
 import shutil
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -23,10 +24,10 @@ from gpusimbench.evaluator.cli.check import main
 from gpusimbench.recorder.scenes.registry import make_scene
 from gpusimbench.schemas.errors import ExitCode, UsageError
 from gpusimbench.schemas.messages import message_class
-from gpusimbench.schemas.provenance import PROVENANCE, SCENE, SIMULATION
+from gpusimbench.schemas.provenance import PROVENANCE, SIMULATION
 from tests.conftest import Command, run_python
-from tests.evaluator.damaged import BYTES, whole
-from tests.synthetic import Shown, write_recording
+from tests.evaluator.damaged import BYTES, SCENE_CHANGED, whole
+from tests.synthetic import Shown, changing, configured, write_recording
 from tests.test_docs import blocks, commands, shell
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -94,46 +95,21 @@ def test_one_run_id_and_two_contents(tmp_path: Path) -> None:
     assert "one-content-a-run" not in {finding.rule.id for finding in report.findings}
 
 
-def _configured(**changed: Any) -> Callable[[str, dict[str, Any]], None]:
-    def change(name: str, record: dict[str, Any]) -> None:
-        if name == PROVENANCE:
-            record["configuration"] |= changed
-
-    return change
-
-
-def _described(name: str, record: dict[str, Any]) -> None:
-    if name == SIMULATION:
-        record["scene"]["sha256"] = "0" * 64
-
-
-def _recorder(**changed: Any) -> Callable[[str, dict[str, Any]], None]:
-    def change(name: str, record: dict[str, Any]) -> None:
-        if name == PROVENANCE:
-            record["software"]["recorder"] |= changed
-
-    return change
-
-
-def _slow_scene(name: str, record: dict[str, Any]) -> None:
-    if name == SCENE:
-        record["dt"] = 0.02
-
-
+_recorder = partial(changing, PROVENANCE, "software", "recorder")
 _ALL_PHASES = {"phases": ["timed", "capture"]}
 _BROKEN: dict[str, dict[str, Any]] = {
-    "scene": {"change": _configured(scene="mine")},
-    "scene-unchanged": {"change": _described},
+    "scene": {"change": configured(scene="mine")},
+    "scene-unchanged": {"change": changing(SIMULATION, "scene", sha256="0" * 64)},
     "environments": {},  # two
-    "power-of-two": {"change": _configured(scene="franka", n_env=12)},
+    "power-of-two": {"change": configured(scene="franka", n_env=12)},
     "trials": {"simulator": "real"},
     "dt": {},  # one second
-    "dt-of-scene": {"change": _slow_scene},
-    "throughput-timed": {"change": _configured(scene="free-fall", phases=["capture"])},
-    "outcome-captured": {"change": _configured(phases=["timed"])},
-    "sample-step": {"dt": 0.01, "change": _configured(steps=500)},  # the states end at step 5
-    "warm-up": {"change": _configured(warmup=99)},
-    "timed-steps": {"change": _configured(timed_steps=999)},
+    "dt-of-scene": SCENE_CHANGED,
+    "throughput-timed": {"change": configured(scene="free-fall", phases=["capture"])},
+    "outcome-captured": {"change": configured(phases=["timed"])},
+    "sample-step": {"dt": 0.01, "change": configured(steps=500)},  # the states end at step 5
+    "warm-up": {"change": configured(warmup=99)},
+    "timed-steps": {"change": configured(timed_steps=999)},
     "timed-phases": {},  # no events
     "captured-phases": {},
     "host-memory": {},
@@ -150,7 +126,7 @@ _BROKEN: dict[str, dict[str, Any]] = {
 def test_a_sample_step_that_was_only_asked_for(status: str, tmp_path: Path) -> None:
     """Look for the state at the sample step among the states of a run that ended before it, and of one that did not."""
     ended = {"status": status, "reason": "gone", "dt": 0.01}
-    assert "sample-step" in broken(whole(tmp_path, **ended, change=_configured(steps=500)))
+    assert "sample-step" in broken(whole(tmp_path, **ended, change=configured(steps=500)))
     assert "sample-step" in broken(whole(tmp_path, **ended, steps=501, stride=3))
     assert "sample-step" not in broken(whole(tmp_path, **ended, steps=500))
 
@@ -164,13 +140,13 @@ def test_steps_that_were_only_asked_for(tmp_path: Path) -> None:
             steps_per_interval=10, start_ns=start, end_ns=[begin + 1 for begin in start]
         )
         raw = (("/timing/warmup", "gsb.v1.StepTiming", message),)
-        return broken(whole(tmp_path, change=_configured(warmup=100), shown=Shown(raw=raw), **keywords))
+        return broken(whole(tmp_path, change=configured(warmup=100), shown=Shown(raw=raw), **keywords))
 
     rules = {"warm-up", "timed-steps"}
     assert clocked(10) & rules == set()
     assert clocked(9) & rules == {"warm-up"}
     assert clocked(10, elapsed_s=None, status="FAILED", reason="gone") & rules == set()
-    untimed = whole(tmp_path, elapsed_s=None, change=_configured(warmup=100, phases=["timed", "capture"]))
+    untimed = whole(tmp_path, elapsed_s=None, change=configured(warmup=100, phases=["timed", "capture"]))
     assert broken(untimed) & rules == rules
 
 
@@ -181,7 +157,7 @@ def test_each_rule_of_the_protocol_can_be_broken(rule: str, tmp_path: Path) -> N
 
 
 _DIFFER: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
-    "same-configuration": ({"run": 0}, {"run": 1, "change": _configured(seed=1)}),
+    "same-configuration": ({"run": 0}, {"run": 1, "change": configured(seed=1)}),
     "same-engine": ({"run": 0}, {"run": 1, "switches": {"precision": "float32"}}),
     "same-environment": ({"run": 0}, {"run": 1, "environment": {"XLA_FLAGS": "--fast"}}),
     "same-gpus": ({"run": 0}, {"run": 1, "gpu_bytes": (1, 2)}),
@@ -199,10 +175,7 @@ def test_runs_that_do_not_belong_together(rule: str, tmp_path: Path) -> None:
 def test_another_machine(tmp_path: Path) -> None:
     """Name what differs between the machines of two runs, and the run that stands out."""
 
-    def other(name: str, record: dict[str, Any]) -> None:
-        if name == PROVENANCE:
-            record["host"]["cpu"] = "another"
-
+    other = changing(PROVENANCE, "host", cpu="another")
     paths = [whole(tmp_path, run=0), whole(tmp_path, run=1), whole(tmp_path, run=2, change=other)]
     (found,) = (f for f in check([examine(p) for p in paths], [PROTOCOL]).findings if f.rule.id == "same-machine")
     assert found.found == "cpu is test in 2 files, another in 1 file"

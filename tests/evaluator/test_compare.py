@@ -17,7 +17,7 @@ from gpusimbench.evaluator.check.protocol import unmet_by_file
 from gpusimbench.evaluator.cli.compare import main
 from gpusimbench.evaluator.statistics import exchange
 from gpusimbench.schemas.provenance import PROVENANCE
-from tests.synthetic import Shown, cubes_field, grid, write_recording
+from tests.synthetic import Shown, changing, cubes_field, grid, write_recording
 
 ROOT = Path(__file__).resolve().parents[2]
 RECORDINGS = ROOT / "recordings"
@@ -479,11 +479,8 @@ def test_commits_of_the_recorder(tmp_path: Path, capsys: pytest.CaptureFixture[s
     for side, letters in (("base", "aa"), ("head", "edcb")):
         (tmp_path / side).mkdir()
         for run, letter in enumerate(letters):
-
-            def change(name: str, record: dict[str, Any], commit: str = 40 * letter) -> None:
-                if name == PROVENANCE:
-                    record["software"] = {"recorder": {"commit": commit, "modified": commit[0] == "b"}}
-
+            recorder = {"commit": 40 * letter, "modified": letter == "b"}
+            change = changing(PROVENANCE, software={"recorder": recorder})
             write_recording(tmp_path / side, None, run=run, change=change)
     _, document = compared(tmp_path / "base", tmp_path / "head", capsys=capsys)
     commits = f"{12 * 'b'}+, {12 * 'c'}, {12 * 'd'}"

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import random
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -28,18 +27,10 @@ from gpusimbench.schemas.provenance import LOGGED, PROVENANCE, SCENE, SIMULATION
 from gpusimbench.schemas.source import MappedFile
 from tests.evaluator.damaged import BYTES, REWRITTEN, SCENE_CHANGED, WRITTEN, hashes_of_others, rewritten, whole
 from tests.evaluator.test_strangers import FORGERIES
-from tests.synthetic import Shown, grid, write_recording
+from tests.synthetic import Shown, changing, configured, grid, write_recording
 
 ROOT = Path(__file__).resolve().parents[2]
 INTEGRITY = load_rules("integrity-1")
-
-
-def _configured(**changed: Any) -> Callable[[str, dict[str, Any]], None]:
-    def change(name: str, record: dict[str, Any]) -> None:
-        if name == PROVENANCE:
-            record["configuration"] |= changed
-
-    return change
 
 
 def broken(path: Path) -> set[str]:
@@ -166,7 +157,7 @@ def test_steps_without_hashes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
 
 def test_steps_beyond_what_a_file_can_hold_have_no_hashes(tmp_path: Path) -> None:
     """Count the hashes that are missing of many steps without making room for them."""
-    found = examine(whole(tmp_path, change=_configured(steps=1 << 40))).of(Kind.fingerprint)
+    found = examine(whole(tmp_path, change=configured(steps=1 << 40))).of(Kind.fingerprint)
     assert found == (f"{(1 << 40) - 5} of {(1 << 40) + 1} captured steps have none, the first is step 6",)
 
 
@@ -188,7 +179,7 @@ def test_the_same_steps_may_be_timed_several_times(tmp_path: Path) -> None:
         clocks = [[(10**9 * at + 15 * k, 10**9 * at + 15 * k + 10) for k in range(n)] for at, n in enumerate(sizes)]
         return tuple(_timing("timed", *each) for each in clocks)
 
-    asked = _configured(timed_steps=4, phases=("timed", "capture"))
+    asked = configured(timed_steps=4, phases=("timed", "capture"))
     found = open_recording(whole(tmp_path, change=asked, elapsed_s=None, shown=Shown(raw=windows(4, 4, 4)))).timing[
         "timed"
     ]
@@ -211,7 +202,7 @@ def test_the_same_steps_may_be_timed_several_times(tmp_path: Path) -> None:
 
 def test_a_warm_up_has_clocks(tmp_path: Path) -> None:
     """Ask a complete run for as many clocks of the warm-up as it says that it had steps."""
-    asked = _configured(warmup=5)
+    asked = configured(warmup=5)
     assert examine(whole(tmp_path, change=asked)).of(Kind.contradiction) == (
         "5 steps were to come first; there are clocks of 0 intervals",
     )
@@ -225,9 +216,8 @@ def test_a_program_that_logs_itself_clocks_no_warm_up(tmp_path: Path) -> None:
     """Ask no clocks of the warm-up of a program that is no adapter: it hands over those of the timed steps."""
 
     def logged(name: str, record: dict[str, Any]) -> None:
-        _configured(warmup=5)(name, record)
-        if name == SIMULATION:
-            record["fresh_start"] = LOGGED
+        configured(warmup=5)(name, record)
+        changing(SIMULATION, fresh_start=LOGGED)(name, record)
 
     assert examine(whole(tmp_path, change=logged)).of(Kind.contradiction) == ()
 
@@ -448,7 +438,7 @@ def test_a_reader_that_disagrees_is_told(tmp_path: Path, monkeypatch: pytest.Mon
 
 def test_numbers_of_environments_beyond_reason(tmp_path: Path) -> None:
     """Allocate nothing for a file that announces what it cannot hold."""
-    assert kinds(write_recording(tmp_path, np.asarray(grid(2)), change=_configured(n_env=1 << 24)))
+    assert kinds(write_recording(tmp_path, np.asarray(grid(2)), change=configured(n_env=1 << 24)))
 
 
 def test_a_file_that_becomes_shorter(tmp_path: Path) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import sys
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -15,9 +14,8 @@ from gpusimbench.evaluator.report.json import to_json
 from gpusimbench.evaluator.report.parquet import METRICS, RUNS, parquet_tables
 from gpusimbench.evaluator.results.evaluate import evaluate_files
 from gpusimbench.schemas.errors import UsageError
-from gpusimbench.schemas.provenance import PROVENANCE
 from tests.conftest import Command
-from tests.synthetic import grid, write_recording
+from tests.synthetic import configured, grid, write_recording
 
 pl = pytest.importorskip("polars")
 
@@ -58,11 +56,7 @@ def test_strange_texts_and_seeds(tmp_path: Path) -> None:
     folder = tmp_path / "caf\udce9"
     folder.mkdir()
 
-    def seeded(name: str, record: dict[str, Any]) -> None:
-        if name == PROVENANCE:
-            record["configuration"]["seed"] = 2**64 - 1
-
-    path = write_recording(folder, grid(1), status="FAILED", reason="a\x1b[2J", change=seeded)
+    path = write_recording(folder, grid(1), status="FAILED", reason="a\x1b[2J", change=configured(seed=2**64 - 1))
     evaluation = evaluate_files([path])
     (row,) = pl.read_parquet(parquet_tables(evaluation)[RUNS]).iter_rows(named=True)
     assert row["file"].endswith(f"caf\\udce9/{path.name}")
