@@ -191,14 +191,36 @@ def redeclared(
     return target
 
 
-def test_another_definition_of_a_type(small: Path, tmp_path: Path) -> None:
-    """Find a definition by which viewers would read x where y was written."""
+def _exchanged(files: Any, file: Any, vector: Any) -> None:
+    """By which viewers would read x where y was written."""
+    vector.field[0].name, vector.field[1].name = "y", "x"
+
+
+def _with_defaults(files: Any, file: Any, vector: Any) -> None:
+    """By which a number that was not written, since it is 0, would be read as another."""
+    file.syntax = "proto2"
+    vector.field[0].default_value = "5"
+
+
+def _twice(files: Any, file: Any, vector: Any) -> None:
+    """By which a type is defined twice, and a viewer may take the other one."""
+    first = descriptor_pb2.FileDescriptorProto()
+    first.CopyFrom(file)
+    first.name = "foxglove/Other.proto"
+    first.message_type[0].field[0].number = 9
+    made = descriptor_pb2.FileDescriptorSet(file=[first, *files.file])
+    files.CopyFrom(made)
+
+
+@pytest.mark.parametrize("spoil", [_exchanged, _with_defaults, _twice])
+def test_another_definition_of_a_type(spoil: Callable[[Any, Any, Any], None], small: Path, tmp_path: Path) -> None:
+    """Find a definition that is not the public one."""
 
     def other(record: Any) -> Any:
         if record.name == "foxglove.PosesInFrame":
             files = descriptor_pb2.FileDescriptorSet.FromString(record.data)
-            (vector,) = (m for f in files.file for m in f.message_type if m.name == "Vector3")
-            vector.field[0].name, vector.field[1].name = "y", "x"
+            ((file, vector),) = ((f, m) for f in files.file for m in f.message_type if m.name == "Vector3")
+            spoil(files, file, vector)
             record.data = files.SerializeToString()
         return record
 
@@ -236,42 +258,6 @@ def test_more_environments_than_any_recorder_shows(small: Path, tmp_path: Path) 
 
     found = examine(redeclared(small, tmp_path / "other.mcap", channel=other)).problems
     assert any("no recorder shows more than 4" in what or "shows environment" in what for what in found.of(Kind.view))
-
-
-def test_a_definition_with_defaults(small: Path, tmp_path: Path) -> None:
-    """Find a definition by which a number that was not written, since it is 0, would be read as another."""
-
-    def other(record: Any) -> Any:
-        if record.name == "foxglove.PosesInFrame":
-            files = descriptor_pb2.FileDescriptorSet.FromString(record.data)
-            (file,) = (f for f in files.file if any(m.name == "Vector3" for m in f.message_type))
-            file.syntax = "proto2"
-            (vector,) = (m for m in file.message_type if m.name == "Vector3")
-            vector.field[0].default_value = "5"
-            record.data = files.SerializeToString()
-        return record
-
-    found = examine(redeclared(small, tmp_path / "other.mcap", schema=other)).problems
-    assert found.of(Kind.view) == ("the definition of foxglove.PosesInFrame in the file is not the public one",)
-
-
-def test_a_definition_twice(small: Path, tmp_path: Path) -> None:
-    """Find a type that is defined twice, of which a viewer may take the other one."""
-
-    def other(record: Any) -> Any:
-        if record.name == "foxglove.PosesInFrame":
-            files = descriptor_pb2.FileDescriptorSet.FromString(record.data)
-            (file,) = (f for f in files.file if any(m.name == "Vector3" for m in f.message_type))
-            first = descriptor_pb2.FileDescriptorProto()
-            first.CopyFrom(file)
-            first.name = "foxglove/Other.proto"
-            first.message_type[0].field[0].number = 9
-            made = descriptor_pb2.FileDescriptorSet(file=[first, *files.file])
-            record.data = made.SerializeToString()
-        return record
-
-    found = examine(redeclared(small, tmp_path / "other.mcap", schema=other)).problems
-    assert found.of(Kind.view) == ("the definition of foxglove.PosesInFrame in the file is not the public one",)
 
 
 @pytest.mark.parametrize("there", [5.0, -math.inf, math.nan])

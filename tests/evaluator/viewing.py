@@ -10,6 +10,8 @@ import numpy as np
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
+from tests.rotations import rotation
+
 Messages = dict[str, list[tuple[int, Any]]]
 """By topic: log_time [ns] and decoded message, in order of time."""
 
@@ -27,13 +29,7 @@ def read(path: Path) -> tuple[Messages, Any]:
 
 def turned(q: Any, v: Any) -> Any:
     """A vector turned by a quaternion wxyz, by the matrix of it."""
-    w, x, y, z = q
-    matrix = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-    ]
-    return np.array(matrix) @ np.array(v)
+    return rotation(q) @ np.array(v)
 
 
 def chained(p: Any, q: Any) -> Any:

@@ -31,6 +31,7 @@ from gpusimbench.recorder.simulators.sapien.simulator import Sapien
 from gpusimbench.recorder.simulators.sapien.sizes import DEFAULTS, choose_sizes
 from gpusimbench.schemas.errors import UsageError
 from tests.conftest import run_python
+from tests.rotations import rotation
 
 G = 9.81
 IMPACT = 80  # steps after which the ball has met the cubes of inclined-collision
@@ -253,14 +254,8 @@ def test_principal_axes_give_the_inertia_back() -> None:
         (1.0, 2.0, 3.0, 0.0, 0.0, 0.0),
         (3.0, 1.0, 2.0, 0.5, -0.2, 0.1),
     ):
-        moments, (w, x, y, z) = principal_axes(Inertial(1.0, (0.0, 0.0, 0.0), tensor))
-        r = np.array(
-            [
-                [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-                [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-                [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-            ]
-        )
+        moments, axes = principal_axes(Inertial(1.0, (0.0, 0.0, 0.0), tensor))
+        r = rotation(axes)
         xx, yy, zz, xy, xz, yz = tensor
         assert np.allclose(r @ np.diag(moments) @ r.T, [[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
 

@@ -15,6 +15,7 @@ from gpusimbench.recorder.scenes.base import Body, Box, Capsule, Material, Plane
 from gpusimbench.recorder.scenes.emit.usd import emit_usd, identifiers
 from gpusimbench.recorder.scenes.franka import PANDA
 from gpusimbench.recorder.scenes.registry import SCENES, make_scene
+from tests.rotations import rotation
 
 NUMBER = st.floats(-1e6, 1e6, allow_subnormal=False)
 SIZE = st.floats(1e-3, 1e3)
@@ -151,16 +152,6 @@ def test_moments_of_inertia(mass: float, x: float, y: float, z: float) -> None:
     assert np.allclose(thin[:2], mass * y * y / 12, rtol=1e-4)
     with pytest.raises(ValueError, match="plane"):
         solid_inertia(Plane(), mass)
-
-
-def rotation(quaternion: tuple[float, ...]) -> np.ndarray:
-    """The matrix of a unit quaternion wxyz."""
-    w, x, y, z = quaternion
-    return np.array([
-        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-    ])  # fmt: skip
 
 
 def test_inertia_of_links() -> None:
