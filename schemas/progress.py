@@ -13,7 +13,6 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from types import TracebackType
 from typing import Any, TypeVar
 
 from gpusimbench.schemas import text
@@ -106,9 +105,7 @@ class Ticker:
                 self._thread = None
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *details: object) -> None:
         self._stop.set()
         if self._thread is not None:
             self._thread.join(_DRAWN_S)
@@ -163,9 +160,7 @@ class _Paused:
         self._lock.acquire()
         self._erase()
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *details: object) -> None:
         self._lock.release()
 
 
@@ -186,12 +181,10 @@ class Progress(Ticker):
         self._outer, _present = _present, self
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *details: object) -> None:
         global _present
         _present = self._outer
-        super().__exit__(kind, error, trace)
+        super().__exit__(*details)
 
     @contextmanager
     def stage(self, title: str, total: int = 0, weights: Sequence[float] = ()) -> Iterator[Stage]:

@@ -14,7 +14,6 @@ from collections.abc import Collection
 from contextlib import ExitStack, redirect_stdout, suppress
 from dataclasses import dataclass, field
 from importlib import import_module
-from types import TracebackType
 from typing import Any
 
 from gpusimbench.recorder.cluster import agent
@@ -106,9 +105,7 @@ class Cluster:
         self._agents = ray.remote(agent.Agent)
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *details: object) -> None:
         # shielded, since processes of a local cluster would stay behind
         with shielded(), self._quiet, unheard():
             self._ray.shutdown()

@@ -10,7 +10,6 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from queue import Empty
-from types import TracebackType
 
 from gpusimbench.recorder.cluster.batch import Batch, Ended, Phase, Said, lost
 from gpusimbench.recorder.cluster.connection import Cluster, Lost
@@ -95,9 +94,7 @@ class Team:
             say(f"left out, as machines or packages of another kind: room for {other} runs (--ray-resource chooses)")
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *details: object) -> None:
         for seat in self._seats:
             seat.close()
 

@@ -6,7 +6,6 @@ import os
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
-from types import TracebackType
 from typing import Any
 
 _NOT_SUPPORTED = 3  # NVML_ERROR_NOT_SUPPORTED
@@ -86,9 +85,7 @@ class Gpus:
                 return index
         return None
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *details: object) -> None:
         if self._nvml:
             with suppress(self._nvml.NVMLError):  # the run is over, and nothing depends on it
                 self._nvml.nvmlShutdown()

@@ -7,7 +7,6 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Protocol
 
 from gpusimbench.recorder.output import show_path
@@ -22,9 +21,7 @@ class Progress(Protocol):
 
     def __enter__(self) -> Progress: ...
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None: ...
+    def __exit__(self, *details: object) -> None: ...
 
     def update(self, run: int, phase: str, done: int, of: int) -> None:
         """`done` of `of` steps of a phase of a run (from 0) are done."""
@@ -67,10 +64,8 @@ class LineProgress:
         self._ticker.__enter__()
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._ticker.__exit__(kind, error, trace)
+    def __exit__(self, *details: object) -> None:
+        self._ticker.__exit__(*details)
 
     def update(self, run: int, phase: str, done: int, of: int) -> None:
         """See Progress.update."""
