@@ -59,6 +59,7 @@ def warm_up_and_time(
     with Phase(journal, watch, "warmup"):
         simulator.prepare(given(simulator, configuration, 0, warmup))
         progress("warmup", 0, warmup)
+        gc.collect()  # takes a good part of a second with some engines, so not before each window
         clocks = _step(simulator, warmup, interval)
         hashes = [fingerprint(simulator.state())]
         watch.checkpoint("post-warmup")
@@ -120,7 +121,6 @@ def _step(simulator: Simulator, steps: int, interval: int) -> NDArray[np.int64]:
     count = -(-steps // interval)
     clocks = np.empty((2, count), dtype=np.int64)
     clock = time.perf_counter_ns
-    gc.collect()
     gc.disable()  # a collection inside the timed loop would be charged to the engine
     try:
         for k in range(count):
