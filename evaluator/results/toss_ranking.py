@@ -1,7 +1,8 @@
 """Groups by their error against measured tosses, and who is fast at which error.
 
 A group is *as accurate as the best* where the tosses do not tell its errors of position from those of the most accurate
-group. It is *on the front* where no other group is both at least as fast and at least as accurate.
+group. It is *on the front* where no other group is faster, with errors that the tosses do not show to be larger. Who
+simulates more time in a second is faster: half the step needs twice the steps.
 
 Errors of tosses are recorded with an environment for each toss, and throughputs with as many environments as fill a
 device. How far a cube ends from where it should does not depend on how many others are simulated beside it, unless
@@ -53,6 +54,11 @@ class Ranked:
         return _fps(self.timed) if self.timed else 0.0
 
     @property
+    def pace(self) -> float:
+        """Simulated time of all environments in a time [s/s]."""
+        return self.fps * self.timed.group.key.dt if self.timed else 0.0
+
+    @property
     def with_throughput(self) -> GroupResult:
         """The group with the throughput of its configuration beside its own errors."""
         if self.timed is None:
@@ -99,19 +105,26 @@ def ranked(results: Sequence[GroupResult], timed: Sequence[GroupResult] = ()) ->
 
 
 def beaten_by(order: Sequence[Ranked]) -> dict[str, str]:
-    """By label, of the groups with a throughput, the fastest group that is faster and no less accurate; empty on the
+    """By label, of the groups with a throughput, the fastest group that beats it; empty on the
     front."""
     timed = [one for one in order if one.timed]
 
     def beats(other: Ranked, one: Ranked) -> bool:
-        gains = (other.fps - one.fps, one.error - other.error)
-        return min(gains) >= 0 and max(gains) > 0
+        if other.pace == one.pace:
+            return other.error < one.error
+        return other.pace > one.pace and (other.error <= one.error or _alike(other.result, one.result))
 
     found = {}
     for one in timed:
         better = [other for other in timed if beats(other, one)]
-        found[one.result.label] = max(better, key=lambda other: other.fps).result.label if better else ""
+        found[one.result.label] = max(better, key=lambda other: other.pace).result.label if better else ""
     return found
+
+
+def _alike(one: GroupResult, other: GroupResult) -> bool:
+    # whether the tosses do not tell the errors of two groups apart
+    errors = (_per_toss(one), _per_toss(other))
+    return len(errors[0]) == len(errors[1]) and paired(*errors).p_value >= LEVEL
 
 
 def _fps(result: GroupResult) -> float:

@@ -233,7 +233,7 @@ def test_fastest_at_equal_accuracy() -> None:
     evaluation = replace(found, results=tuple(timed))
     text = render_html(evaluation, published=False, command="")
     assert f"Fastest at equal accuracy: {one.first.result.label}, 200,000 env-steps/s" in text
-    assert "is faster and no less accurate" in text
+    assert "is faster and not measurably less accurate" in text
     drawn = next(p for p in pictures(evaluation) if "cube-toss" in p.caption or "cube-toss" in str(p))
     assert TOSS_POSITION.titled in str(drawn)
 

@@ -93,11 +93,14 @@ def _on_the_front(
     def cell(result: GroupResult) -> Cell:
         if result.label not in front:
             return Cell("not ranked", notes=(against[result.label],)) if against[result.label] else EMPTY
-        better = f"{front[result.label]} is faster and no less accurate" if front[result.label] else ""
+        better = f"{front[result.label]} is faster and not measurably less accurate" if front[result.label] else ""
         accuracy = found[result.label].less_accurate or "as accurate as the best"
         return Cell("no" if better else "yes", notes=tuple(filter(None, (better, accuracy))))
 
-    return Column("on the front", "whether no other group is both faster and no less accurate"), cell
+    return Column(
+        "on the front",
+        "whether no other group simulates more time in a time, with errors that the tosses do not show to be larger",
+    ), cell
 
 
 def _fastest_at_equal_accuracy(source: Source) -> str:
