@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 from functools import cache
 from pathlib import Path
 
@@ -78,3 +79,35 @@ def test_no_module_is_too_long(package: str) -> None:
         if (lines := len(path.read_text(encoding="utf-8").splitlines())) > LONGEST
     }
     assert long == {}
+
+
+@cache
+def names_of(module: str) -> set[str]:
+    """What can be imported from a module of the package: names that it binds, and modules in it; empty without one."""
+    path = (ROOT / "src").joinpath(*module.split("."))
+    file = path / "__init__.py" if path.is_dir() else path.with_suffix(".py")
+    if not file.exists():
+        return set()
+    inside = {other.stem for other in path.iterdir()} if path.is_dir() else set()
+    for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.FunctionDef | ast.ClassDef):
+            inside.add(node.name)
+        elif isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
+            inside.add(node.id)
+        elif isinstance(node, ast.Import | ast.ImportFrom):
+            inside |= {alias.asname or alias.name for alias in node.names}
+    return inside
+
+
+@pytest.mark.parametrize("folder", ["benchmarks", "docs", "examples", "recordings"])
+def test_scripts_import_what_is_there(folder: str) -> None:
+    """Import from the package what it has, in programs that run by hand and that mypy does not read."""
+    missing = [
+        f"{path.relative_to(ROOT)}: {node.module}.{alias.name}"
+        for path in (ROOT / folder).rglob("*.py")
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.ImportFrom) and (node.module or "").partition(".")[0] == "gpusimbench"
+        for alias in node.names
+        if alias.name not in names_of(node.module or "")
+    ]
+    assert missing == []

@@ -21,6 +21,7 @@ from gpusimbench.evaluator.results.metric import Axis, Direction, Metric, each
 from gpusimbench.evaluator.results.metrics import METRICS
 from gpusimbench.evaluator.runs.run import Run
 from gpusimbench.evaluator.statistics.exchange import Shift, compare_means, least_p
+from gpusimbench.evaluator.statistics.ratio import mean_of
 
 Values = NDArray[np.float64]
 _SPEED: Final = (Axis.THROUGHPUT, Axis.MEMORY, Axis.BUILD)
@@ -61,7 +62,7 @@ def compare_numbers(
     one, other = values[~second], values[second]
     finding = Finding(
         axis, name, title, Change.SAME, metric.direction, metric.base_unit,
-        base=_mean(one), head=_mean(other), ratio=_ratio(_mean(one), _mean(other)), n=order.n,
+        base=mean_of(one), head=mean_of(other), ratio=_ratio(mean_of(one), mean_of(other)), n=order.n,
         method=metric.method,
     )  # fmt: skip
     if np.ptp(one) == 0.0 and np.ptp(other) == 0.0:
@@ -105,7 +106,7 @@ class _Asked:
         )  # fmt: skip
         second = np.array(self.order.head)
         one, other = self.values[~second], self.values[second]
-        center = _geometric if logs else _mean
+        center = _geometric if logs else mean_of
         base, head = center(one), center(other)
         # within blocks of unequal sizes, the shift is no difference of these means: what was tested is shown
         ratio = math.exp(found.difference) if logs else _ratio(base, head)
@@ -171,13 +172,8 @@ def matters(metric: Metric, base: float, head: float, settings: Settings) -> boo
     return settings.matters(base, head) and abs(head - base) >= least
 
 
-def _mean(values: Values) -> float:
-    # equal values have their very value for a mean: sums of them round
-    return float(values[0] + (values - values[0]).mean())
-
-
 def _geometric(values: Values) -> float:
-    return math.exp(_mean(np.log(values)))
+    return math.exp(mean_of(np.log(values)))
 
 
 def _ratio(base: float, head: float) -> float | None:

@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from gpusimbench.evaluator.statistics.jackknife import CONFIDENCE
+from gpusimbench.evaluator.statistics.ratio import mean_of
 
 MIN_POINTS = 3
 """Fewer points have no spread beside a change."""
@@ -196,7 +197,7 @@ def _p_value(candidate: _Candidate, total: float, freedom: int) -> float:
 
 def _change(series: Floats, begin: int, index: int, end: int, p_value: float) -> ChangePoint:
     sides = series[begin:index], series[index:end]
-    before, after = (_mean(side) for side in sides)
+    before, after = (mean_of(side) for side in sides)
     freedom = end - begin - 2
     interval = None
     if freedom:
@@ -207,11 +208,6 @@ def _change(series: Floats, begin: int, index: int, end: int, p_value: float) ->
         reach = float(stdtrit(freedom, 0.5 + CONFIDENCE / 2.0)) * error
         interval = (after - before - reach, after - before + reach)
     return ChangePoint(index, begin, end, before, after, interval, p_value)
-
-
-def _mean(side: Floats) -> float:
-    # measured from the first value, so that equal values give exactly that mean
-    return float(side[0] + (side - side[0]).mean())
 
 
 def steps_of(values: Sequence[float]) -> list[int]:

@@ -33,7 +33,7 @@ def ratio_of_means(values: npt.ArrayLike, base: npt.ArrayLike) -> Interval:
         ValueError: a side without values, not one axis, or values that are not finite and positive.
     """
     sides = [_side(one) for one in (values, base)]
-    estimate = _mean(sides[0]) / _mean(sides[1])
+    estimate = mean_of(sides[0]) / mean_of(sides[1])
     fewest = min(len(side) for side in sides)
     if fewest < MIN_RUNS:
         return Interval(estimate, None, None, None, METHOD, f"needs at least {MIN_RUNS} runs a side, got {fewest}")
@@ -59,9 +59,9 @@ def _side(values: npt.ArrayLike) -> npt.NDArray[np.float64]:
     return side
 
 
-def _mean(side: npt.NDArray[np.float64]) -> float:
-    # measured from the first value, so that equal values give exactly that mean
-    return float(side[0] + (side - side[0]).mean())
+def mean_of(values: npt.NDArray[np.float64]) -> float:
+    """Mean of values [n], n > 0, measured from the first one: equal values have their very value for a mean."""
+    return float(values[0] + (values - values[0]).mean())
 
 
 def _squared_error(side: npt.NDArray[np.float64]) -> float:

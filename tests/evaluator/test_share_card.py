@@ -403,7 +403,7 @@ def test_the_command_as_it_is_installed(tmp_path: Path, small: Path) -> None:
     shutil.copy(small, tmp_path)
     done = call("gsb-share", "card", ".", *WORDS, *WHEN, cwd=tmp_path, code=0)
     assert "1 recording in 1 group" in done.stdout
-    done = call("gsb-share", "verify", ".", cwd=tmp_path, code=0)
+    call("gsb-share", "verify", ".", cwd=tmp_path, code=0)
 
 
 def test_polars_is_asked_for_before_any_work(tmp_path: Path, small: Path) -> None:

@@ -257,7 +257,7 @@ def test_records_in_another_python(borrowing: Path, tmp_path: Path, gsb_record: 
         "--sim", "mujoco", "--python", borrowing, "--n-env", 2, "--runs", 1, *SMALL, "--out", tmp_path / "out"
     )
     assert done.returncode == 0, done.stderr
-    done = gsb_eval(*(tmp_path / "out").glob("*.mcap"), "--sample-time", 1, code=0)
+    gsb_eval(*(tmp_path / "out").glob("*.mcap"), "--sample-time", 1, code=0)
 
 
 def test_a_sweep_goes_on_in_the_same_python_only(borrowing: Path, tmp_path: Path, gsb_record: Command) -> None:
