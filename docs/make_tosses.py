@@ -1,9 +1,10 @@
-"""Redraws the table of docs/how-to/cube-toss.md from recordings of the measured tosses, which are not in this project.
+"""Redraws tables of docs/how-to/cube-toss.md from recordings of the measured tosses, which are not in this project.
 
 usage: python docs/make_tosses.py FOLDER
 
-FOLDER holds what the commands of the page record: the reference, and a run of each simulator. The table names the
-SHA-256 of the measured set and the content hash of each recording, so that whoever makes them again can compare.
+FOLDER holds what the commands of the page record: the reference, and a run of each simulator. A table is redrawn where
+FOLDER has runs for it. It names the SHA-256 of the measured set and the content hash of each recording, so that whoever
+makes them again can compare.
 """
 
 from __future__ import annotations
@@ -13,40 +14,99 @@ from pathlib import Path
 
 from gpusimbench.evaluator.missing import known
 from gpusimbench.evaluator.render.numbers import figure, interval
+from gpusimbench.evaluator.results.details import OverTosses
 from gpusimbench.evaluator.results.evaluate import evaluate_files
+from gpusimbench.evaluator.results.evaluation import Evaluation
+from gpusimbench.evaluator.results.result import GroupResult
 from gpusimbench.evaluator.results.toss_metrics import (
     TOSS_DEPTH,
     TOSS_END_POSITION,
     TOSS_FACE,
+    TOSS_LOCAL_POSITION,
+    TOSS_LOCAL_ROTATION,
     TOSS_POSITION,
     TOSS_ROTATION,
 )
 from gpusimbench.evaluator.results.toss_ranking import Ranked, ranked
+from gpusimbench.evaluator.runs.toss_motion import MeasuredTosses
 
 PAGE = Path(__file__).resolve().parent / "how-to" / "cube-toss.md"
 BEGIN, END = "<!-- tosses: docs/make_tosses.py -->", "<!-- end of tosses -->"
+BEGIN_LOCAL, END_LOCAL = "<!-- local errors: docs/make_tosses.py -->", "<!-- end of local errors -->"
 _SAMPLE_TIME = 441 / 148
 _SHOWN = (TOSS_POSITION, TOSS_ROTATION, TOSS_END_POSITION, TOSS_FACE, TOSS_DEPTH)
 _HASH = 12
+_RATE_S = 1 / 148
 
 
-def table(folder: Path) -> str:
-    """The table, and what it was made of, as Markdown."""
-    evaluation = evaluate_files(sorted(folder.rglob("*.mcap")), sample_time=_SAMPLE_TIME)
+def table(evaluation: Evaluation) -> str:
+    """The errors of whole tosses, and what they were made of, as Markdown; empty where no run has any."""
+    order = ranked(evaluation.results)
+    if not order:
+        return ""
+    titles = ["simulator", *(metric.titled for metric in _SHOWN), "more than the first [cm]", "recording"]
+    tosses = _tosses(evaluation)
+    degrees = 180 / 3.141592653589793 * tosses.floor.rotation
+    left = f"The measurement itself leaves {100 * tosses.floor.position:.2f} cm and {degrees:.2f} deg."
+    return _drawn(titles, [_row(one) for one in order], f"{_named(tosses)} {left}")
+
+
+def local_table(evaluation: Evaluation) -> str:
+    """The local errors, a row a simulator and its settings, as Markdown; empty where no run has any."""
+    found: dict[str, dict[int, GroupResult]] = {}
+    for result in evaluation.results:
+        rows = result.metrics[TOSS_LOCAL_POSITION.name].of(OverTosses).rows
+        if rows is not None:
+            key = result.group.key
+            asked = ", ".join(result.group.recordings[0].configuration.option_words)
+            per_row = round(_RATE_S / key.dt)
+            name = f"{key.simulator}{f' [{asked}]' if asked else ''} {key.version}"
+            found.setdefault(f"{name}, {per_row} steps a row" if per_row > 1 else name, {})[rows] = result
+    if not found:
+        return ""
+    every = sorted({rows for by_rows in found.values() for rows in by_rows})
+    metrics = (TOSS_LOCAL_POSITION, TOSS_LOCAL_ROTATION)
+    columns = [(rows, metric) for metric in metrics for rows in every]
+    what = {TOSS_LOCAL_POSITION.name: "position", TOSS_LOCAL_ROTATION.name: "rotation"}
+    titles = [f"{what[m.name]} after {rows} row{'s' if rows > 1 else ''} [{m.unit}]" for rows, m in columns]
+
+    def cells(by_rows: dict[int, GroupResult]) -> list[str]:
+        shown = []
+        for rows, metric in columns:
+            estimate = by_rows[rows].metrics[metric.name] if rows in by_rows else None
+            value = None if estimate is None else known(estimate.value)
+            shown.append("-" if estimate is None or value is None else f"{value:.3g} {interval(estimate)}")
+        hashes = (by_rows[rows].group.recordings[0].content_hash[:_HASH] for rows in every if rows in by_rows)
+        return [*shown, " ".join(f"`{one}`" for one in hashes)]
+
+    def middle(by_rows: dict[int, GroupResult]) -> float:
+        rows = sorted(by_rows)[len(by_rows) // 2]
+        return known(by_rows[rows].metrics[TOSS_LOCAL_POSITION.name].value) or 0.0
+
+    floors = []
+    for rows, metric in columns:
+        of = (r[rows].metrics[metric.name].of(OverTosses).tracking_floor for r in found.values() if rows in r)
+        floor = next(of, None)
+        floors.append("-" if floor is None else f"{floor:.2g}")
+    body = [[name, *cells(by_rows)] for name, by_rows in sorted(found.items(), key=lambda item: middle(item[1]))]
+    body.append(["*the measurement, in free flight*", *floors, ""])
+    return _drawn(["simulator", *titles, "recordings"], body, _named(_tosses(evaluation)))
+
+
+def _drawn(titles: list[str], rows: list[list[str]], below: str) -> str:
+    lines = [f"| {' | '.join(titles)} |", f"|{' --- |' * len(titles)}", *(f"| {' | '.join(row)} |" for row in rows)]
+    return "\n".join([*lines, "", below])
+
+
+def _tosses(evaluation: Evaluation) -> MeasuredTosses:
     reference = evaluation.reference
     if reference is None or reference.tosses is None:
-        raise SystemExit(f"{folder} has no recording of tosses: {evaluation.reference_note}")
-    floor = reference.tosses.floor
-    titles = ["simulator", *(metric.titled for metric in _SHOWN), "more than the first [cm]", "recording"]
-    lines = [f"| {' | '.join(titles)} |", f"|{' --- |' * len(titles)}"]
-    lines += [f"| {' | '.join(_row(one))} |" for one in ranked(evaluation.results)]
-    degrees = 180 / 3.141592653589793 * floor.rotation
-    lines += [
-        "",
-        f"{reference.tosses.name()}, SHA-256 `{reference.tosses.known.sha256[:_HASH]}...`. "
-        f"The measurement itself leaves {100 * floor.position:.2f} cm and {degrees:.2f} deg.",
-    ]
-    return "\n".join(lines)
+        raise SystemExit(f"there is no recording of tosses: {evaluation.reference_note}")
+    return reference.tosses
+
+
+def _named(tosses: MeasuredTosses) -> str:
+    return f"{tosses.name()}, SHA-256 `{tosses.known.sha256[:_HASH]}...`."
 
 
 def _row(one: Ranked) -> list[str]:
@@ -69,10 +129,13 @@ def main() -> None:
     """Write the table into the page."""
     if len(sys.argv) != 2:
         raise SystemExit(__doc__)
+    evaluation = evaluate_files(sorted(Path(sys.argv[1]).rglob("*.mcap")), sample_time=_SAMPLE_TIME)
     page = PAGE.read_text(encoding="utf-8")
-    head, rest = page.split(BEGIN)
-    _, tail = rest.split(END)
-    PAGE.write_text(f"{head}{BEGIN}\n{table(Path(sys.argv[1]))}\n{END}{tail}", encoding="utf-8")
+    for begin, end, drawn in ((BEGIN, END, table(evaluation)), (BEGIN_LOCAL, END_LOCAL, local_table(evaluation))):
+        if drawn:
+            head, rest = page.split(begin)
+            page = f"{head}{begin}\n{drawn}\n{end}{rest.split(end)[1]}"
+    PAGE.write_text(page, encoding="utf-8")
     print(PAGE)
 
 

@@ -10,13 +10,24 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
-from gpusimbench.evaluator.metrics.tosses import Cube, Motion, TossErrors, TrackingFloor, toss_errors, tracking_floor
+from gpusimbench.evaluator.metrics.tosses import (
+    Cube,
+    LocalErrors,
+    Motion,
+    TossErrors,
+    TrackingFloor,
+    local_errors,
+    toss_errors,
+    tracking_floor,
+)
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.runs.positions import in_env_frame
 from gpusimbench.schemas import checks
+from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.errors import DamagedRecording
 from gpusimbench.schemas.tosses import GROUP, TOSSES, TossSet
+from gpusimbench.schemas.treatment import Intervention
 
 _ALIKE = 1e-4  # of two first states [m, and of quaternions]: float32 far from the origin rounds to 8e-6 m
 _PARTS = ("position", "orientation", "linear_velocity", "angular_velocity")  # of a Motion, in its order
@@ -78,6 +89,44 @@ def errors_of(recording: Recording, measured: MeasuredTosses) -> TossErrors | Mi
 
     Of a toss that several environments repeat, those of the first; the reason where they cannot be computed.
     """
+    if settings := set_every(recording.configuration):
+        return Missing(f"it is set to the measured tosses every {settings} steps: it has local errors")
+    found = _simulated(recording, measured, 1)
+    if isinstance(found, Missing):
+        return found
+    motion, tosses = found
+    return toss_errors(motion, _of(measured.motion, tosses), measured.counts[tosses], measured.cube, measured.dt)
+
+
+def local_errors_of(recording: Recording, measured: MeasuredTosses) -> LocalErrors | Missing:
+    """Errors after each setting to a measured state, of a recording with --intervene teacher@STEPS, in the order of
+    the tosses; the reason where they cannot be computed."""
+    settings = set_every(recording.configuration)
+    if not settings:
+        return Missing("it is not set to the measured tosses on the way: record with --intervene teacher@STEPS")
+    found = _simulated(recording, measured, settings)
+    if isinstance(found, Missing):
+        return found
+    motion, tosses = found
+    rows, counts = int(motion.rows[0]), measured.counts[tosses]
+    if rows >= counts.max():
+        return Missing(f"it is set after {rows} rows, and the longest toss has {counts.max()}")
+    return local_errors(motion, _of(measured.motion, tosses), counts, measured.cube, measured.dt, rows)
+
+
+def set_every(configuration: RunConfiguration) -> int:
+    """Steps after which a run is set to measured states again; 0 where it is not."""
+    intervention = Intervention.parse(configuration.intervention) if configuration.intervention else None
+    return intervention.step if intervention and intervention.teaches else 0
+
+
+def _simulated(
+    recording: Recording, measured: MeasuredTosses, every: int
+) -> tuple[Motion, NDArray[np.int64]] | Missing:
+    """The simulated tosses at measured rows, and which tosses these are, ascending.
+
+    every  1: at all rows that were recorded. Else after each multiple of so many steps, without the first state
+    """
     c = recording.configuration
     if not c.initial:
         return Missing("its environments did not begin as tosses: record with --tosses")
@@ -92,19 +141,21 @@ def errors_of(recording: Recording, measured: MeasuredTosses) -> TossErrors | Mi
         return matched
     tosses, envs = matched
     steps = recording.state(GROUP, "position").steps
-    steps = steps[steps % per_row == 0]
-    steps = steps[steps // per_row < len(measured.motion.rows)]
+    steps = steps[(steps % per_row == 0) & (steps // per_row < len(measured.motion.rows))]
     rows = steps // per_row
     if rows[-1] + _gap(rows) < max(measured.known.rows) - 1:
         return Missing(f"it ends after row {rows[-1]}, and the longest toss has {max(measured.known.rows)}")
+    if set_every(c):
+        steps = steps[(steps % every == 0) & (steps > 0)]
+        if every % per_row or not np.array_equal(steps, np.arange(1, len(steps) + 1) * every) or not len(steps):
+            return Missing(f"it has no states of every {every}th step, after which it is set to measured states")
+        rows = steps // per_row
     motion = _motion(recording, steps, rows, slice(0, int(envs.max()) + 1))
     if isinstance(motion, Missing):
         return motion
     if not all(np.isfinite(getattr(motion, name)).all() for name in _PARTS):
         return Missing("its states are not all finite")
-    return toss_errors(
-        _of(motion, envs), _of(measured.motion, tosses), measured.counts[tosses], measured.cube, measured.dt
-    )
+    return _of(motion, envs), tosses
 
 
 def _matched(begins: Motion, measured: MeasuredTosses) -> tuple[NDArray[np.int64], NDArray[np.int64]] | Missing:

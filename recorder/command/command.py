@@ -30,7 +30,7 @@ def configure(arguments: argparse.Namespace) -> tuple[RunConfiguration, dict[str
     cannot be."""
     with shielded():  # an import that is interrupted shows as one that is broken
         from gpusimbench.recorder.plan import check_dt, parse_snapshots, view_of
-        from gpusimbench.recorder.run import initial, intervention, keep, vary
+        from gpusimbench.recorder.run import initial, intervention, keep, teacher, vary
         from gpusimbench.recorder.scenes.model.scene import ModelScene
         from gpusimbench.recorder.sets.given import read_given
         from gpusimbench.recorder.trials.tosses import read_tosses
@@ -45,14 +45,16 @@ def configure(arguments: argparse.Namespace) -> tuple[RunConfiguration, dict[str
         raise UsageError(f"--tosses is for scene cube-toss, not for {scene.name}")
     if arguments.tosses is not None and begins:
         raise UsageError("--tosses and --initial both say how environments begin; give one of them")
-    if scene.tosses and not begins and arguments.sweep is None:
+    tossed = bool(scene.tosses and not begins and arguments.sweep is None)
+    every = teacher.rows(arguments.intervene, scene, tossed=tossed, dt=dt, stride=arguments.stride)
+    if tossed:
         tosses = read_tosses(arguments.tosses)
         if arguments.n_env is None:
             arguments.n_env = len(tosses)
         if arguments.steps is None:
             arguments.steps = round(tosses.steps(scene) * scene.dt / dt)
         if arguments.n_env >= 1:
-            begins, given = tosses.initial(arguments.n_env)
+            begins, given = tosses.initial(arguments.n_env, every)
     elif arguments.n_env is None:
         arguments.n_env = N_ENV
     if begins.startswith("random:"):
