@@ -2,15 +2,17 @@
 
 usage: python docs/make_tosses.py FOLDER
 
-FOLDER holds what the commands of the page record: the reference, and a run of each simulator. A table is redrawn where
-FOLDER has runs for it. It names the SHA-256 of the measured set and the content hash of each recording, so that whoever
-makes them again can compare.
+FOLDER holds what the commands of the page record: the reference, a run of each simulator, and what gsb-fit --json
+wrote. A table is redrawn where FOLDER has something for it. It names the SHA-256 of the measured set and the content
+hash of each recording, so that whoever makes them again can compare.
 """
 
 from __future__ import annotations
 
+import json
 import sys
 from pathlib import Path
+from typing import Any
 
 from gpusimbench.evaluator.missing import known
 from gpusimbench.evaluator.render.numbers import figure, interval
@@ -33,6 +35,7 @@ from gpusimbench.evaluator.runs.toss_motion import MeasuredTosses
 PAGE = Path(__file__).resolve().parent / "how-to" / "cube-toss.md"
 BEGIN, END = "<!-- tosses: docs/make_tosses.py -->", "<!-- end of tosses -->"
 BEGIN_LOCAL, END_LOCAL = "<!-- local errors: docs/make_tosses.py -->", "<!-- end of local errors -->"
+BEGIN_FITS, END_FITS = "<!-- fits: docs/make_tosses.py -->", "<!-- end of fits -->"
 _SAMPLE_TIME = 441 / 148
 _SHOWN = (TOSS_POSITION, TOSS_ROTATION, TOSS_END_POSITION, TOSS_FACE, TOSS_DEPTH)
 _HASH = 12
@@ -93,6 +96,34 @@ def local_table(evaluation: Evaluation) -> str:
     return _drawn(["simulator", *titles, "recordings"], body, _named(_tosses(evaluation)))
 
 
+def fits(files: list[Path]) -> str:
+    """What gsb-fit --json wrote, a row a fit, as Markdown; empty where there is no file of it."""
+    rows, below = [], ""
+    for found in (json.loads(file.read_text(encoding="utf-8")) for file in files):
+        by = {(one["of"], one["tosses"].split()[0]): one for one in found["compared"]}
+        even, odd = by["position", "even"], by["position", "odd"]
+        turned = by["rotation", "odd"]
+        start, end = (", ".join(f"{k}={v}" for k, v in found[which].items()) for which in ("start", "fitted"))
+        rows.append([
+            found["simulator"], start, end, f"{len(found['evaluations'])}",
+            f"{even['before']:.3f} / {even['after']:.3f}",
+            f"{odd['before']:.3f} / {odd['after']:.3f}", _change(odd),
+            _change(turned), " ".join(f"`{found[which][:_HASH]}`" for which in ("before", "after")),
+        ])  # fmt: skip
+        below = f"{found['source']}, SHA-256 `{found['sha256'][:_HASH]}...`."
+    titles = [
+        "simulator", "start", "fitted", "evaluations", "position, even tosses, before / after [cm]",
+        "position, odd tosses, before / after [cm]", "change on odd tosses [cm]", "of rotation [deg]", "recordings",
+    ]  # fmt: skip
+    return _drawn(titles, rows, below) if rows else ""
+
+
+def _change(one: dict[str, Any]) -> str:
+    change = one["change"]
+    low, high = change["ci95"]
+    return f"{change['mean']:.3f} [{low:.3f}, {high:.3f}], p = {change['p_value']:.2g}"
+
+
 def _drawn(titles: list[str], rows: list[list[str]], below: str) -> str:
     lines = [f"| {' | '.join(titles)} |", f"|{' --- |' * len(titles)}", *(f"| {' | '.join(row)} |" for row in rows)]
     return "\n".join([*lines, "", below])
@@ -131,7 +162,11 @@ def main() -> None:
         raise SystemExit(__doc__)
     evaluation = evaluate_files(sorted(Path(sys.argv[1]).rglob("*.mcap")), sample_time=_SAMPLE_TIME)
     page = PAGE.read_text(encoding="utf-8")
-    for begin, end, drawn in ((BEGIN, END, table(evaluation)), (BEGIN_LOCAL, END_LOCAL, local_table(evaluation))):
+    for begin, end, drawn in (
+        (BEGIN, END, table(evaluation)),
+        (BEGIN_LOCAL, END_LOCAL, local_table(evaluation)),
+        (BEGIN_FITS, END_FITS, fits(sorted(Path(sys.argv[1]).glob("*.json")))),
+    ):
         if drawn:
             head, rest = page.split(begin)
             page = f"{head}{begin}\n{drawn}\n{end}{rest.split(end)[1]}"

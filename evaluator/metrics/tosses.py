@@ -7,7 +7,7 @@ simulations to be in the order of the measurements.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,6 +55,7 @@ class TossErrors:
                   at the last row, the time of that row stands for it, which is a lower bound
     energy        difference of the mechanical energies, absolute, mean over the same rows [J]
     depth         deepest place of a corner below the table at any of the rows [m]
+    numbers       of the tosses in their set, ascending; empty where these are all of it
     """
 
     position: Floats
@@ -65,6 +66,7 @@ class TossErrors:
     rest_time: Floats
     energy: Floats
     depth: Floats
+    numbers: NDArray[np.int64] = field(default_factory=lambda: np.empty(0, dtype=np.int64))
 
 
 @dataclass(frozen=True)

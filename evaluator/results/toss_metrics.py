@@ -43,6 +43,7 @@ def _of(field: str, factor: float) -> Callable[[Metric, GroupRuns], Estimate]:
                 tosses=len(per_toss),
                 tracking_floor=floors[field] * factor if field in floors else None,
                 per_toss=tuple(per_toss.tolist()),
+                numbers=tuple(found[0].numbers.tolist()),
             ),
         )
 

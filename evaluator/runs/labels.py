@@ -22,6 +22,7 @@ _SHOWN_LENGTH = 60
 
 _ATTRIBUTES = (
     "version", "device", "scene_hash", "n_env", "dt", "seed", "determinism", "initial", "vary", "intervention", "keep",
+    "fitted",
 )  # fmt: skip
 
 _MEANINGS = (
@@ -144,6 +145,8 @@ def _shown(name: str, key: GroupKey) -> str:
         return re.sub(r"\((R|TM)\)| Processor\b", "", value)
     if name == "version":
         return str(value)
+    if name == "fitted":
+        return f"fitted {value}"
     if name == "initial":
         return f"initial={initial_words(value)}"
     return f"{name}={value:g}" if isinstance(value, float) else f"{name}={value}"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -26,7 +26,7 @@ from gpusimbench.evaluator.runs.positions import in_env_frame
 from gpusimbench.schemas import checks
 from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.errors import DamagedRecording
-from gpusimbench.schemas.tosses import GROUP, TOSSES, TossSet
+from gpusimbench.schemas.tosses import GROUP, ODD, TOSSES, TossSet, judged_on
 from gpusimbench.schemas.treatment import Intervention
 
 _ALIKE = 1e-4  # of two first states [m, and of quaternions]: float32 far from the origin rounds to 8e-6 m
@@ -84,18 +84,22 @@ def measured_tosses(recording: Recording) -> MeasuredTosses | None:
     return MeasuredTosses(known, motion, cube, c.dt, floor)
 
 
-def errors_of(recording: Recording, measured: MeasuredTosses) -> TossErrors | Missing:
+def errors_of(recording: Recording, measured: MeasuredTosses, only: str = "") -> TossErrors | Missing:
     """Errors of a simulation of measured tosses, in the order of the tosses.
 
-    Of a toss that several environments repeat, those of the first; the reason where they cannot be computed.
+    Of a toss that several environments repeat, those of the first; of a run whose options were fitted on even tosses,
+    those of odd ones. The reason where they cannot be computed.
+
+    only  EVEN or ODD, instead of the tosses that it is judged by
     """
     if settings := set_every(recording.configuration):
         return Missing(f"it is set to the measured tosses every {settings} steps: it has local errors")
-    found = _simulated(recording, measured, 1)
+    found = _simulated(recording, measured, 1, only)
     if isinstance(found, Missing):
         return found
     motion, tosses = found
-    return toss_errors(motion, _of(measured.motion, tosses), measured.counts[tosses], measured.cube, measured.dt)
+    errors = toss_errors(motion, _of(measured.motion, tosses), measured.counts[tosses], measured.cube, measured.dt)
+    return replace(errors, numbers=tosses)
 
 
 def local_errors_of(recording: Recording, measured: MeasuredTosses) -> LocalErrors | Missing:
@@ -121,13 +125,18 @@ def set_every(configuration: RunConfiguration) -> int:
 
 
 def _simulated(
-    recording: Recording, measured: MeasuredTosses, every: int
+    recording: Recording, measured: MeasuredTosses, every: int, only: str = ""
 ) -> tuple[Motion, NDArray[np.int64]] | Missing:
     """The simulated tosses at measured rows, and which tosses these are, ascending.
 
     every  1: at all rows that were recorded. Else after each multiple of so many steps, without the first state
+    only   EVEN or ODD; empty: those that it is judged by
     """
     c = recording.configuration
+    try:
+        only = only or judged_on(c.fitted)
+    except ValueError as error:
+        return Missing(str(error))
     if not c.initial:
         return Missing("its environments did not begin as tosses: record with --tosses")
     per_row = round(measured.dt / c.dt)
@@ -140,6 +149,11 @@ def _simulated(
     if isinstance(matched, Missing):
         return matched
     tosses, envs = matched
+    if only:
+        wanted = tosses % 2 == (only == ODD)
+        if not wanted.any():
+            return Missing(f"it has none of the {only}, by which it is to be judged")
+        tosses, envs = tosses[wanted], envs[wanted]
     steps = recording.state(GROUP, "position").steps
     steps = steps[(steps % per_row == 0) & (steps // per_row < len(measured.motion.rows))]
     rows = steps // per_row

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from gpusimbench.recorder.command.arguments import N_ENV, OUT, OUT_OF_REPLAYS, SCENE, SHORTHANDS, fill, parser
 from gpusimbench.recorder.interruption import shielded
-from gpusimbench.recorder.output import flush, show, show_document
+from gpusimbench.recorder.output import flush, show, show_document, show_path
 from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.errors import ExitCode, UsageError
 from gpusimbench.schemas.progress import Progress, stage
@@ -105,7 +105,7 @@ def _scene(arguments: argparse.Namespace) -> tuple[Scene, dict[str, bytes]]:
         for name in ("keyframe", "actions"):
             if getattr(arguments, name):
                 raise UsageError(f"--{name} is for a model file: --model FILE")
-        return make_scene(arguments.scene or SCENE), {}
+        return make_scene(arguments.scene or SCENE).with_options(_options(arguments)), {}
     if arguments.scene is not None:
         raise UsageError("--model and --scene both say what is simulated; give one of them")
     name = scene_name(arguments.model, scene_names())
@@ -339,5 +339,11 @@ def run(given: list[str]) -> int:
             from gpusimbench.recorder.trials.real import record_trials
 
         arguments.out = arguments.out or OUT
-        return record_trials(arguments, command)
+        path = record_trials(arguments, command)
+        if arguments.json:
+            ended = {"run": 0, "status": "complete", "cause": "", "reason": "", "file": str(path)}
+            _print_json({"runs": [ended]})
+        else:
+            show_path(path)
+        return ExitCode.OK
     return record(arguments, command)
