@@ -101,9 +101,7 @@ def ranked(results: Sequence[GroupResult], timed: Sequence[GroupResult] = ()) ->
     clocked = sorted((r for r in (*results, *timed) if _fps(r)), key=lambda r: r.group.key.n_env)
     beside = {configuration(r): r for r in clocked}
     return [
-        Ranked(
-            r, error[r.label], compared.get(r.label), adjusted.get(r.label), first, beside.get(configuration(r))
-        )
+        Ranked(r, error[r.label], compared.get(r.label), adjusted.get(r.label), first, beside.get(configuration(r)))
         for r in order
     ]
 
