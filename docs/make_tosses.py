@@ -31,6 +31,8 @@ from gpusimbench.evaluator.results.toss_metrics import (
 )
 from gpusimbench.evaluator.results.toss_ranking import Ranked, ranked
 from gpusimbench.evaluator.runs.toss_motion import MeasuredTosses
+from gpusimbench.evaluator.statistics.families import holm
+from gpusimbench.schemas.tosses import ODD
 
 PAGE = Path(__file__).resolve().parent / "how-to" / "cube-toss.md"
 BEGIN, END = "<!-- tosses: docs/make_tosses.py -->", "<!-- end of tosses -->"
@@ -99,7 +101,11 @@ def local_table(evaluation: Evaluation) -> str:
 def fits(files: list[Path]) -> str:
     """What gsb-fit --json wrote, a row a fit, as Markdown; empty where there is no file of it."""
     rows, below = [], ""
-    for found in (json.loads(file.read_text(encoding="utf-8")) for file in files):
+    read = [json.loads(file.read_text(encoding="utf-8")) for file in files]
+    judged = [one for found in read for one in found["compared"] if one["tosses"] == ODD]
+    for one, p in zip(judged, holm([one["change"]["p_value"] for one in judged]), strict=True):
+        one["change"]["p_value"] = p
+    for found in read:
         by = {(one["of"], one["tosses"].split()[0]): one for one in found["compared"]}
         even, odd = by["position", "even"], by["position", "odd"]
         turned = by["rotation", "odd"]
@@ -110,7 +116,8 @@ def fits(files: list[Path]) -> str:
             f"{odd['before']:.3f} / {odd['after']:.3f}", _change(odd),
             _change(turned), " ".join(f"`{found[which][:_HASH]}`" for which in ("before", "after")),
         ])  # fmt: skip
-        below = f"{found['source']}, SHA-256 `{found['sha256'][:_HASH]}...`."
+        below = f"{found['source']}, SHA-256 `{found['sha256'][:_HASH]}...`. "
+        below += "p: sign-flip permutation test, adjusted by Holm's method for all rows and both errors."
     titles = [
         "simulator", "start", "fitted", "evaluations", "position, even tosses, before / after [cm]",
         "position, odd tosses, before / after [cm]", "change on odd tosses [cm]", "of rotation [deg]", "recordings",

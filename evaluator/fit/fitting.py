@@ -84,8 +84,10 @@ def fit(asked: Asked) -> Fit:
         after = _recording(_made([*runs.arguments(best.options), *words], asked.out))
         command = shlex.join([COMMAND, *runs.arguments(best.options), *words])
     simulation = runs.start.simulation
+    version = simulation.version if simulation else ""
+    others = [f"{name}={value}" for name, value in asked.given.items() if name not in wanted.start]
     return Fit(
-        simulator=f"{asked.simulator} {simulation.version if simulation else ''}".rstrip(),
+        simulator=" ".join(filter(None, (asked.simulator, others and f"[{', '.join(others)}]", version))),
         source=measured.name(),
         sha256=measured.known.sha256,
         start=dict(start.options),

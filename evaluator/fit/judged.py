@@ -47,7 +47,7 @@ class Compared:
 class Fit:
     """A fit and what it is worth.
 
-    simulator      with its version
+    simulator      with the options that stay as they are, and its version
     source, sha256 of the tosses
     command        that records with the fitted options; empty where the start was the best
     evaluations    in order, the first with the start
@@ -75,14 +75,19 @@ class Fit:
     @property
     def verdict(self) -> str:
         """Whether fitting helps, in a sentence."""
-        one = self.held_out
         if not self.command:
             return "No better options were found than those of the start."
-        change = f"{one.before:.3g} cm to {one.after:.3g} cm"
-        error = f"{change} on the {one.change.cases} odd tosses (p = {one.change.p_value:.2g})"
+        one = self.held_out
+        turned = next(other for other in self.compared if (other.of, other.tosses) == ("rotation", ODD))
+        errors = f"{_said(one)} on the {one.change.cases} odd tosses; {_said(turned)}"
         if one.change.p_value >= LEVEL:
-            return f"The fit cannot be told apart from the start: error of position {error}."
-        return f"Fitting {'helps' if one.change.mean < 0 else 'harms'}: error of position {error}."
+            return f"The fit cannot be told apart from the start: {errors}."
+        return f"Fitting {'helps' if one.change.mean < 0 else 'harms'}: {errors}."
+
+
+def _said(one: Compared) -> str:
+    p = one.change.p_value
+    return f"error of {one.of} {one.before:.3g} {one.unit} to {one.after:.3g} {one.unit} (p = {p:.2g})"
 
 
 def compared(before: Recording, after: Recording, measured: MeasuredTosses) -> tuple[Compared, ...]:

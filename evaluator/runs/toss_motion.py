@@ -23,11 +23,11 @@ from gpusimbench.evaluator.metrics.tosses import (
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.runs.positions import in_env_frame
-from gpusimbench.schemas import checks
+from gpusimbench.schemas import arrays, checks
 from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.errors import DamagedRecording
 from gpusimbench.schemas.tosses import GROUP, ODD, TOSSES, TossSet, judged_on
-from gpusimbench.schemas.treatment import Intervention
+from gpusimbench.schemas.treatment import GIVEN, TEACHER, Intervention
 
 _ALIKE = 1e-4  # of two first states [m, and of quaternions]: float32 far from the origin rounds to 8e-6 m
 _PARTS = ("position", "orientation", "linear_velocity", "angular_velocity")  # of a Motion, in its order
@@ -97,7 +97,7 @@ def errors_of(recording: Recording, measured: MeasuredTosses, only: str = "") ->
     found = _simulated(recording, measured, 1, only)
     if isinstance(found, Missing):
         return found
-    motion, tosses = found
+    motion, tosses, _ = found
     errors = toss_errors(motion, _of(measured.motion, tosses), measured.counts[tosses], measured.cube, measured.dt)
     return replace(errors, numbers=tosses)
 
@@ -111,11 +111,40 @@ def local_errors_of(recording: Recording, measured: MeasuredTosses) -> LocalErro
     found = _simulated(recording, measured, settings)
     if isinstance(found, Missing):
         return found
-    motion, tosses = found
+    motion, tosses, envs = found
     rows, counts = int(motion.rows[0]), measured.counts[tosses]
     if rows >= counts.max():
         return Missing(f"it is set after {rows} rows, and the longest toss has {counts.max()}")
+    if wrong := _wrongly_set(recording, _of(measured.motion, tosses), counts, envs, rows):
+        return Missing(wrong)
     return local_errors(motion, _of(measured.motion, tosses), counts, measured.cube, measured.dt, rows)
+
+
+def _wrongly_set(
+    recording: Recording, measured: Motion, counts: NDArray[np.int64], envs: NDArray[np.int64], rows: int
+) -> str:
+    """Why environments were not set to these measured rows; empty where they were."""
+    try:
+        found = arrays.decode(GIVEN, recording.attachment(GIVEN) or b"")
+    except DamagedRecording as error:
+        return str(error)
+    first = found.get(f"{TEACHER}first", np.empty(0, dtype=np.int64))
+    given = [found.get(f"{TEACHER}{GROUP}/{name}") for name in _PARTS[:2]]
+    if first.ndim != 1 or first.dtype.kind not in "iu" or len(first) < 2 or any(one is None for one in given):
+        return "it does not have the states that it was set to"
+    begin, end = (edge[envs % (len(first) - 1)].astype(np.int64) for edge in (first[:-1], first[1:]))
+    for number, row in enumerate(range(rows, int(counts.max()), rows)):
+        there = row < counts
+        at = (begin + number)[there]
+        if (at >= end[there]).any():
+            return f"row {row} of a toss is not among the states that it was set to"
+        for name, states in zip(_PARTS, given, strict=False):
+            real = getattr(measured, name)[row, there]
+            if states is None or states.shape[1:] != (1, _WIDTHS[name]) or at.max() >= len(states) or at.min() < 0:
+                return f"{name} among the states that it was set to has another shape"
+            if not (np.abs(states[at, 0] - real).max() < _ALIKE):
+                return f"it was set to another {name} than that of the reference, at row {row}"
+    return ""
 
 
 def set_every(configuration: RunConfiguration) -> int:
@@ -126,8 +155,8 @@ def set_every(configuration: RunConfiguration) -> int:
 
 def _simulated(
     recording: Recording, measured: MeasuredTosses, every: int, only: str = ""
-) -> tuple[Motion, NDArray[np.int64]] | Missing:
-    """The simulated tosses at measured rows, and which tosses these are, ascending.
+) -> tuple[Motion, NDArray[np.int64], NDArray[np.int64]] | Missing:
+    """The simulated tosses at measured rows, which tosses these are, ascending, and their environments.
 
     every  1: at all rows that were recorded. Else after each multiple of so many steps, without the first state
     only   EVEN or ODD; empty: those that it is judged by
@@ -169,7 +198,7 @@ def _simulated(
         return motion
     if not all(np.isfinite(getattr(motion, name)).all() for name in _PARTS):
         return Missing("its states are not all finite")
-    return _of(motion, envs), tosses
+    return _of(motion, envs), tosses, envs
 
 
 def _matched(begins: Motion, measured: MeasuredTosses) -> tuple[NDArray[np.int64], NDArray[np.int64]] | Missing:

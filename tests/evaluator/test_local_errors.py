@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -20,7 +22,9 @@ from gpusimbench.evaluator.results.fidelity import Verdict
 from gpusimbench.evaluator.results.group_metrics import W1_REAL
 from gpusimbench.evaluator.results.toss_metrics import TOSS_LOCAL_METRICS, TOSS_LOCAL_POSITION, TOSS_POSITION
 from gpusimbench.evaluator.runs.toss_motion import errors_of, local_errors_of, measured_tosses
+from gpusimbench.schemas import arrays
 from gpusimbench.schemas.errors import ExitCode
+from gpusimbench.schemas.treatment import GIVEN
 from tests.conftest import Command, call, recorded
 from tests.evaluator.test_toss_errors import CUBE, DT, flight
 
@@ -70,6 +74,7 @@ def test_the_floor_is_of_free_flight() -> None:
     assert floor(grazing, 19)[2] == 2
 
 
+_POSITION = "teacher/cubes/position"
 _SHARED = ("--scene", "cube-toss", "--runs", "1", "--phases", "capture", "--no-view", "--sim", "mujoco")
 
 
@@ -183,3 +188,38 @@ def test_why_not(reference: Path, runs: dict[str, Path]) -> None:
     assert "it ends after row 40" in found.reason
     whole = errors_of(Recording(runs["10"]), measured)
     assert isinstance(whole, Missing)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda given: {}, "does not have the states that it was set to"),
+        (lambda given: {**given, "teacher/first": given["teacher/first"].astype(float)}, "does not have the states"),
+        (
+            lambda given: {**given, "teacher/first": given["teacher/first"] - (np.arange(49) == 48)},
+            "is not among the states",
+        ),
+        (lambda given: {**given, "teacher/first": given["teacher/first"] + 9**9}, "another shape"),
+        (lambda given: {**given, _POSITION: given[_POSITION][:, :, :2]}, "another shape"),
+        (lambda given: {**given, _POSITION: np.roll(given[_POSITION], -1, axis=0)}, "another position"),
+        (lambda given: {**given, _POSITION: given[_POSITION] * np.nan}, "another position"),
+    ],
+    ids=["none", "floats", "too few", "beyond", "flat", "a row ahead", "nan"],
+)
+def test_set_to_something_else(
+    change: Callable[[dict[str, Any]], dict[str, Any]], said: str, reference: Path, runs: dict[str, Path],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    """Give no local errors of a run that was set to other states than the measured ones, such as later rows."""
+    measured = measured_tosses(Recording(reference))
+    assert measured is not None
+    recording = Recording(runs["10"])
+    changed = arrays.encode(change(arrays.decode(GIVEN, recording.attachment(GIVEN) or b"")))
+    monkeypatch.setattr(recording, "attachment", lambda name: changed)
+    found = local_errors_of(recording, measured)
+    assert isinstance(found, Missing)
+    assert said in found.reason
+    monkeypatch.setattr(recording, "attachment", lambda name: b"PK")
+    found = local_errors_of(recording, measured)
+    assert isinstance(found, Missing)
+    assert "no archive of arrays" in found.reason
