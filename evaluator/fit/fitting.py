@@ -87,7 +87,7 @@ def fit(asked: Asked) -> Fit:
     version = simulation.version if simulation else ""
     others = [f"{name}={value}" for name, value in asked.given.items() if name not in wanted.start]
     return Fit(
-        simulator=" ".join(filter(None, (asked.simulator, others and f"[{', '.join(others)}]", version))),
+        simulator=" ".join(filter(None, (asked.simulator, f"[{', '.join(others)}]" if others else "", version))),
         source=measured.name(),
         sha256=measured.known.sha256,
         start=dict(start.options),

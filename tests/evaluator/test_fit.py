@@ -273,7 +273,7 @@ def test_known_contact(tmp_path: Path) -> None:
     """Find friction and the stiffness of contacts together, where the step is as fine as the truth needs."""
     done = call(
         "gsb-fit", "--sim", "mujoco", "--parameters", "friction,solref", "--option", "impratio=10",
-        "--option", "friction=0.25", "--option", "solref=0.012 1", "--dt", str(1 / 148 / 16), "--budget", "60",
+        "--option", "friction=0.25", "--option", "solref=0.012 1", "--dt", str(1 / 148 / 8), "--budget", "40",
         "--out", tmp_path / "fit", "--json", "-",
     )  # fmt: skip
     assert done.returncode == ExitCode.OK, done.stderr
