@@ -6,9 +6,8 @@ import argparse
 import sys
 from pathlib import Path
 
-from gpusimbench.evaluator.cli.arguments import local_name, local_path
+from gpusimbench.evaluator.cli.arguments import check_target, local_name, local_path, write_json
 from gpusimbench.evaluator.cli.entry import enter, new_parser
-from gpusimbench.evaluator.cli.json_target import check_target, write_json
 from gpusimbench.schemas.errors import ExitCode, UsageError
 from gpusimbench.schemas.folder_lock import held
 from gpusimbench.schemas.parser import Parser
