@@ -6,7 +6,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from gpusimbench.evaluator.cli.arguments import check_target, local_name, local_path, write_json
+from gpusimbench.evaluator.cli.arguments import add_json, check_target, local_path, write_json
 from gpusimbench.evaluator.cli.entry import enter, new_parser
 from gpusimbench.schemas.errors import ExitCode, UsageError
 from gpusimbench.schemas.folder_lock import held
@@ -63,7 +63,7 @@ def parser() -> Parser:
         "--budget", type=int, default=_BUDGET, metavar="N", help="evaluations at most (default: %(default)s)"
     )  # fmt: skip
     p.add_argument("--out", type=Path, default=_OUT, metavar="DIR", help="of what is kept (default: %(default)s/)")
-    p.add_argument("--json", type=local_name, metavar="FILE", help="write the result as JSON; - for standard output")
+    add_json(p, "result")
     p.show_first("--sim", "--parameters", "--option", "--tosses", "--budget", "--out", "--json")
     return p
 
