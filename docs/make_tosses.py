@@ -1,95 +1,184 @@
-"""Redraws the tables of docs/how-to/cube-toss.md from recordings of the measured tosses, which are not in this project.
+"""Redraws tables of docs/how-to/cube-toss.md from recordings of the measured tosses, which are not in this project.
 
-usage: python docs/make_tosses.py FOLDER            errors, a run of each simulator
-       python docs/make_tosses.py --front FOLDER    throughput against error, timed runs among them
+usage: python docs/make_tosses.py FOLDER
 
-FOLDER holds what the commands of the page record: the reference, and runs of each simulator. A table names the
-SHA-256 of the measured set and the content hash of each recording, so that whoever makes them again can compare.
+FOLDER holds what the commands of the page record: the reference, a run of each simulator, and what gsb-fit --json
+wrote. A table is redrawn where FOLDER has something for it. It names the SHA-256 of the measured set and the content
+hash of each recording, so that whoever makes them again can compare.
 """
 
 from __future__ import annotations
 
+import json
 import sys
-from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 from gpusimbench.evaluator.missing import known
 from gpusimbench.evaluator.render.numbers import figure, interval, plural
-from gpusimbench.evaluator.report.leaders import speaks_against
+from gpusimbench.evaluator.report.leaders import speaks_against_pair
+from gpusimbench.evaluator.results.details import OverTosses
 from gpusimbench.evaluator.results.evaluate import evaluate_files
+from gpusimbench.evaluator.results.evaluation import Evaluation
 from gpusimbench.evaluator.results.result import GroupResult
 from gpusimbench.evaluator.results.toss_metrics import (
     TOSS_DEPTH,
     TOSS_END_POSITION,
     TOSS_FACE,
+    TOSS_LOCAL_POSITION,
+    TOSS_LOCAL_ROTATION,
     TOSS_POSITION,
     TOSS_ROTATION,
 )
 from gpusimbench.evaluator.results.toss_ranking import Ranked, beaten_by, ranked
 from gpusimbench.evaluator.runs.labels import labels, options_given
+from gpusimbench.evaluator.runs.toss_motion import MeasuredTosses
+from gpusimbench.evaluator.statistics.families import holm
+from gpusimbench.schemas.tosses import ODD
 
 PAGE = Path(__file__).resolve().parent / "how-to" / "cube-toss.md"
-BEGIN, END = "<!-- tosses: made by a script -->", "<!-- end of tosses -->"
+BEGIN, END = "<!-- tosses: docs/make_tosses.py -->", "<!-- end of tosses -->"
+BEGIN_LOCAL, END_LOCAL = "<!-- local errors: docs/make_tosses.py -->", "<!-- end of local errors -->"
+BEGIN_FRONT, END_FRONT = "<!-- front: docs/make_tosses.py -->", "<!-- end of front -->"
+BEGIN_FITS, END_FITS = "<!-- fits: docs/make_tosses.py -->", "<!-- end of fits -->"
 _SAMPLE_TIME = 441 / 148
 _SHOWN = (TOSS_POSITION, TOSS_ROTATION, TOSS_END_POSITION, TOSS_FACE, TOSS_DEPTH)
 _FRONT = (TOSS_POSITION, TOSS_ROTATION, TOSS_DEPTH)
 _HASH = 12
+_RATE_S = 1 / 148
 
 
-def table(folder: Path, *, front: bool = False) -> str:
-    """A table, and what it was made of, as Markdown. front: with throughputs, the most accurate first."""
-    evaluation = evaluate_files(sorted(folder.rglob("*.mcap")), sample_time=_SAMPLE_TIME)
-    reference = evaluation.reference
-    if reference is None or reference.tosses is None:
-        raise SystemExit(f"{folder} has no recording of tosses: {evaluation.reference_note}")
-    floor = reference.tosses.floor
+def table(evaluation: Evaluation) -> str:
+    """The errors of whole tosses, and what they were made of, as Markdown; empty where no run has any, and where runs
+    were timed."""
     order = ranked(evaluation.results)
-    if front:
-        lines = _front(order, evaluation.results)
-    else:
-        titles = ["simulator", *(metric.titled for metric in _SHOWN), "more than the first [cm]", "recording"]
-        lines = [f"| {' | '.join(titles)} |", f"|{' --- |' * len(titles)}"]
-        lines += [f"| {' | '.join(_row(one))} |" for one in order]
-    degrees = 180 / 3.141592653589793 * floor.rotation
-    lines += [
-        "",
-        f"{reference.tosses.name()}, SHA-256 `{reference.tosses.known.sha256[:_HASH]}...`. "
-        f"The measurement itself leaves {100 * floor.position:.2f} cm and {degrees:.2f} deg.",
-    ]
-    return "\n".join(lines)
+    if not order or any(one.timed for one in order):
+        return ""
+    titles = ["simulator", *(metric.titled for metric in _SHOWN), "more than the first [cm]", "recording"]
+    tosses = _tosses(evaluation)
+    degrees = 180 / 3.141592653589793 * tosses.floor.rotation
+    left = f"The measurement itself leaves {100 * tosses.floor.position:.2f} cm and {degrees:.2f} deg."
+    return _drawn(titles, [_row(one) for one in order], f"{_named(tosses)} {left}")
 
 
-def _front(order: list[Ranked], results: Sequence[GroupResult]) -> list[str]:
-    against = {one.result.label: speaks_against(one.timed or one.result, results) for one in order}
+def front_table(evaluation: Evaluation) -> str:
+    """Throughputs against errors, the fastest first, as Markdown; empty where none was timed."""
+    order = ranked(evaluation.results)
+    timed = {one.timed.group.key.device: one.timed.group.key.n_env for one in order if one.timed}
+    if not timed:
+        return ""
+    ((device, n_env),) = timed.items()
+    against = {one.result.label: speaks_against_pair(one, evaluation.results) for one in order}
     better = beaten_by([one for one in order if not against[one.result.label]])
     runs = [run for one in order for run in one.result.group.recordings]
-    names = labels([one.result.group.key for one in order], options_given(runs))
-    by_label = {one.result.label: name for one, name in zip(order, names, strict=True)}
-    devices = {one.timed.group.key.device: one.timed.group.key.n_env for one in order if one.timed}
-    ((device, n_env),) = devices.items()
-    titles = [
-        "simulator",
-        f"env-steps/s, {n_env:,} envs",
-        "simulated s/s",
-        *(m.titled for m in _FRONT),
-        "on the front",
-        "recording",
-    ]
-    lines = [f"| {' | '.join(titles)} |", f"|{' --- |' * len(titles)}"]
+    named = labels([one.result.group.key for one in order], options_given(runs))
+    names = {one.result.label: name for one, name in zip(order, named, strict=True)}
+    titles = ["simulator", f"env-steps/s, {n_env:,} envs", "simulated s/s", *(m.titled for m in _FRONT)]
+    rows = []
     for one in sorted(order, key=lambda one: -one.pace):
-        if not one.timed:
+        if one.timed is None:
             continue
-        label, runs_timed = one.result.label, len(one.timed.group.complete)
-        if against[label]:
-            verdict = f"not ranked: {against[label]}"
-        else:
-            why = f"no: {by_label.get(better[label])} is faster and not measurably less accurate"
-            verdict = why if better[label] else "**yes**"
-        cells = [by_label[label], f"{one.fps:,.0f} ({plural(runs_timed, 'run')})", f"{one.pace:,.0f}"]
-        cells += [f"{figure(known(one.result.metrics[m.name].value) or 0.0, m.unit)} "
-                  f"{interval(one.result.metrics[m.name])}" for m in _FRONT]  # fmt: skip
-        lines.append(f"| {' | '.join([*cells, verdict, f'`{one.result.group.recordings[0].content_hash[:_HASH]}`'])} |")
-    return [*lines, "", f"On {device}."]
+        label = one.result.label
+        verdict = f"not ranked: {against[label]}" if against[label] else "**yes**"
+        if beaten := better.get(label):
+            verdict = f"no: {names[beaten]} is faster and not measurably less accurate"
+        rate = f"{one.fps:,.0f} ({plural(len(one.timed.group.complete), 'run')})"
+        estimates = [one.result.metrics[m.name] for m in _FRONT]
+        shown = [f"{figure(known(e.value) or 0.0, e.unit)} {interval(e)}" for e in estimates]
+        recording = f"`{one.result.group.recordings[0].content_hash[:_HASH]}`"
+        rows.append([names[label], rate, f"{one.pace:,.0f}", *shown, verdict, recording])
+    return _drawn([*titles, "on the front", "recording"], rows, f"{_named(_tosses(evaluation))} On {device}.")
+
+
+def local_table(evaluation: Evaluation) -> str:
+    """The local errors, a row a simulator and its settings, as Markdown; empty where no run has any."""
+    found: dict[str, dict[int, GroupResult]] = {}
+    for result in evaluation.results:
+        rows = result.metrics[TOSS_LOCAL_POSITION.name].of(OverTosses).rows
+        if rows is not None:
+            key = result.group.key
+            asked = ", ".join(result.group.recordings[0].configuration.option_words)
+            per_row = round(_RATE_S / key.dt)
+            name = f"{key.simulator}{f' [{asked}]' if asked else ''} {key.version}"
+            found.setdefault(f"{name}, {per_row} steps a row" if per_row > 1 else name, {})[rows] = result
+    if not found:
+        return ""
+    every = sorted({rows for by_rows in found.values() for rows in by_rows})
+    metrics = (TOSS_LOCAL_POSITION, TOSS_LOCAL_ROTATION)
+    columns = [(rows, metric) for metric in metrics for rows in every]
+    what = {TOSS_LOCAL_POSITION.name: "position", TOSS_LOCAL_ROTATION.name: "rotation"}
+    titles = [f"{what[m.name]} after {rows} row{'s' if rows > 1 else ''} [{m.unit}]" for rows, m in columns]
+
+    def cells(by_rows: dict[int, GroupResult]) -> list[str]:
+        shown = []
+        for rows, metric in columns:
+            estimate = by_rows[rows].metrics[metric.name] if rows in by_rows else None
+            value = None if estimate is None else known(estimate.value)
+            shown.append("-" if estimate is None or value is None else f"{value:.3g} {interval(estimate)}")
+        hashes = (by_rows[rows].group.recordings[0].content_hash[:_HASH] for rows in every if rows in by_rows)
+        return [*shown, " ".join(f"`{one}`" for one in hashes)]
+
+    def middle(by_rows: dict[int, GroupResult]) -> float:
+        rows = sorted(by_rows)[len(by_rows) // 2]
+        return known(by_rows[rows].metrics[TOSS_LOCAL_POSITION.name].value) or 0.0
+
+    floors = []
+    for rows, metric in columns:
+        of = (r[rows].metrics[metric.name].of(OverTosses).tracking_floor for r in found.values() if rows in r)
+        floor = next(of, None)
+        floors.append("-" if floor is None else f"{floor:.2g}")
+    body = [[name, *cells(by_rows)] for name, by_rows in sorted(found.items(), key=lambda item: middle(item[1]))]
+    body.append(["*the measurement, in free flight*", *floors, ""])
+    return _drawn(["simulator", *titles, "recordings"], body, _named(_tosses(evaluation)))
+
+
+def fits(files: list[Path]) -> str:
+    """What gsb-fit --json wrote, a row a fit, as Markdown; empty where there is no file of it."""
+    rows, below = [], ""
+    read = [json.loads(file.read_text(encoding="utf-8")) for file in files]
+    judged = [one for found in read for one in found["compared"] if one["tosses"] == ODD]
+    for one, p in zip(judged, holm([one["change"]["p_value"] for one in judged]), strict=True):
+        one["change"]["p_value"] = p
+    for found in read:
+        by = {(one["of"], one["tosses"].split()[0]): one for one in found["compared"]}
+        even, odd = by["position", "even"], by["position", "odd"]
+        turned = by["rotation", "odd"]
+        start, end = (", ".join(f"{k}={v}" for k, v in found[which].items()) for which in ("start", "fitted"))
+        rows.append([
+            found["simulator"], start, end, f"{len(found['evaluations'])}",
+            f"{even['before']:.3f} / {even['after']:.3f}",
+            f"{odd['before']:.3f} / {odd['after']:.3f}", _change(odd),
+            _change(turned), " ".join(f"`{found[which][:_HASH]}`" for which in ("before", "after")),
+        ])  # fmt: skip
+        below = f"{found['source']}, SHA-256 `{found['sha256'][:_HASH]}...`. "
+        below += "p: sign-flip permutation test, adjusted by Holm's method for all rows and both errors."
+    titles = [
+        "simulator", "start", "fitted", "evaluations", "position, even tosses, before / after [cm]",
+        "position, odd tosses, before / after [cm]", "change on odd tosses [cm]", "of rotation [deg]", "recordings",
+    ]  # fmt: skip
+    return _drawn(titles, rows, below) if rows else ""
+
+
+def _change(one: dict[str, Any]) -> str:
+    change = one["change"]
+    low, high = change["ci95"]
+    return f"{change['mean']:.3f} [{low:.3f}, {high:.3f}], p = {change['p_value']:.2g}"
+
+
+def _drawn(titles: list[str], rows: list[list[str]], below: str) -> str:
+    lines = [f"| {' | '.join(titles)} |", f"|{' --- |' * len(titles)}", *(f"| {' | '.join(row)} |" for row in rows)]
+    return "\n".join([*lines, "", below])
+
+
+def _tosses(evaluation: Evaluation) -> MeasuredTosses:
+    reference = evaluation.reference
+    if reference is None or reference.tosses is None:
+        raise SystemExit(f"there is no recording of tosses: {evaluation.reference_note}")
+    return reference.tosses
+
+
+def _named(tosses: MeasuredTosses) -> str:
+    return f"{tosses.name()}, SHA-256 `{tosses.known.sha256[:_HASH]}...`."
 
 
 def _row(one: Ranked) -> list[str]:
@@ -110,14 +199,20 @@ def _row(one: Ranked) -> list[str]:
 
 def main() -> None:
     """Write the table into the page."""
-    *options, folder = sys.argv[1:] or [""]
-    if options not in ([], ["--front"]) or not folder:
+    if len(sys.argv) != 2:
         raise SystemExit(__doc__)
-    begin, end = (text.replace("tosses", "front") for text in (BEGIN, END)) if options else (BEGIN, END)
+    evaluation = evaluate_files(sorted(Path(sys.argv[1]).rglob("*.mcap")), sample_time=_SAMPLE_TIME)
     page = PAGE.read_text(encoding="utf-8")
-    head, rest = page.split(begin)
-    _, tail = rest.split(end)
-    PAGE.write_text(f"{head}{begin}\n{table(Path(folder), front=bool(options))}\n{end}{tail}", encoding="utf-8")
+    for begin, end, drawn in (
+        (BEGIN, END, table(evaluation)),
+        (BEGIN_FRONT, END_FRONT, front_table(evaluation)),
+        (BEGIN_LOCAL, END_LOCAL, local_table(evaluation)),
+        (BEGIN_FITS, END_FITS, fits(sorted(Path(sys.argv[1]).glob("*.json")))),
+    ):
+        if drawn:
+            head, rest = page.split(begin)
+            page = f"{head}{begin}\n{drawn}\n{end}{rest.split(end)[1]}"
+    PAGE.write_text(page, encoding="utf-8")
     print(PAGE)
 
 

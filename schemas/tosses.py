@@ -7,6 +7,7 @@ their times. A toss that is shorter than the longest keeps its last row, and `ro
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -23,6 +24,24 @@ GROUP = "cubes"
 """The cube's group of bodies."""
 
 MAX_TOSSES = 1 << 16
+
+EVEN, ODD = "even tosses", "odd tosses"
+"""Tosses by their number from 0: options are fitted on the even ones, and judged by the odd ones."""
+
+
+def judged_on(fitted: Mapping[str, str]) -> str:
+    """The tosses that a run is judged by: ODD where its options were fitted on EVEN, empty for all where none was.
+
+    fitted  as of a RunConfiguration
+
+    ValueError where options were fitted on something else, so that no toss is left to judge by.
+    """
+    if others := sorted(f"{name} to {data}" for name, data in fitted.items() if data != EVEN):
+        raise ValueError(
+            f"it was fitted ({', '.join(others)}), and only options that were fitted to '{EVEN}' leave tosses to judge "
+            "by, which are the odd ones"
+        )
+    return ODD if fitted else ""
 
 
 @dataclass(frozen=True)

@@ -26,6 +26,14 @@ the names of bodies, links or the robot."""
 GIVEN = "initial.npz"
 """Attachment with the states that a run was given to begin with, as of schemas.arrays."""
 
+TEACHER = "teacher/"
+"""Prefix of the arrays of GIVEN that environments are set to later, by the intervention "teacher@K".
+
+teacher/first        toss t has the rows first[t] to first[t + 1] - 1 of the arrays below, shape [toss + 1]
+teacher/GROUP/FIELD  states of the group's items, shape [row, item, component]; row m of a toss, from 0, is set after
+                     step (m + 1) K. Environment e repeats toss e modulo the number of tosses
+"""
+
 SNAPSHOT = re.compile(r"snapshot-(\d{1,12})\.npz")
 """Attachment with an engine's whole state after a step."""
 
@@ -165,6 +173,8 @@ KINDS = {
     "set": "all environments are given the positions and velocities that they have",
     "poison": "environment 1 is given velocities that are not finite, as a diverged solver leaves them",
     "excursion": "all environments are saved, make so many further steps, which are not recorded, and are restored",
+    "teacher": "every environment is given the measured state of its toss, again and again after so many steps "
+    "(teacher forcing), while its toss goes on",
 }
 """Interventions after a step, and what each does."""
 
@@ -174,7 +184,7 @@ class Intervention:
     """What is done to the state of some environments after a step of the capture: "KIND@STEP", "excursion@STEP+MORE".
 
     kind  one of KINDS
-    step  after which it is done
+    step  after which it is done; "teacher": after each whole multiple of it
     more  steps of an excursion
     """
 
@@ -189,12 +199,21 @@ class Intervention:
         if not found or found["kind"] not in KINDS or (found["kind"] == "excursion") != bool(int(found["more"] or 0)):
             raise ValueError(text)
         made = cls(found["kind"], int(found["step"]), int(found["more"] or 0))
-        if str(made) != text:
+        if str(made) != text or (made.teaches and not made.step):
             raise ValueError(text)
         return made
 
     def __str__(self) -> str:
         return f"{self.kind}@{self.step}" + (f"+{self.more}" if self.more else "")
+
+    @property
+    def teaches(self) -> bool:
+        """Whether states are set to measured ones."""
+        return self.kind == "teacher"
+
+    def stops(self, last: int) -> range:
+        """The steps after which it is done, of a capture up to step `last`."""
+        return range(self.step, last, self.step) if self.teaches else range(self.step, self.step + 1)
 
     def treated(self, env: int) -> bool:
         """Whether something is done to that environment."""

@@ -7,7 +7,7 @@ simulations to be in the order of the measurements.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,6 +55,7 @@ class TossErrors:
                   at the last row, the time of that row stands for it, which is a lower bound
     energy        difference of the mechanical energies, absolute, mean over the same rows [J]
     depth         deepest place of a corner below the table at any of the rows [m]
+    numbers       of the tosses in their set, ascending; empty where these are all of it
     """
 
     position: Floats
@@ -65,6 +66,7 @@ class TossErrors:
     rest_time: Floats
     energy: Floats
     depth: Floats
+    numbers: NDArray[np.int64] = field(default_factory=lambda: np.empty(0, dtype=np.int64))
 
 
 @dataclass(frozen=True)
@@ -85,6 +87,24 @@ class TrackingFloor:
     rotation: float
     rows: float
     tosses: int
+
+
+@dataclass(frozen=True)
+class LocalErrors:
+    """Errors of predictions over a fixed number of rows, each from a measured state (teacher forcing).
+
+    rows      that each prediction goes over
+    position  distance between the centres at the end of a prediction, mean over the predictions of a toss [m], shape
+              [toss]; NaN of a toss that is too short for one
+    rotation  angle between the orientations, the same [rad]
+    floor     what no simulation can go below: the same errors of a body in free fall, of predictions that begin and end
+              before a corner is within 5 mm of the table
+    """
+
+    rows: int
+    position: Floats
+    rotation: Floats
+    floor: TrackingFloor
 
 
 @dataclass(frozen=True)
@@ -130,6 +150,68 @@ def toss_errors(simulated: Motion, measured: Motion, counts: NDArray[np.int64], 
         rest_time=rest_times(simulated, within, dt) - rest_times(real, within, dt),
         energy=_mean(energy, after),
         depth=np.where(within, depths(simulated, cube.edge), 0.0).max(axis=0),
+    )
+
+
+def local_errors(
+    simulated: Motion, measured: Motion, counts: NDArray[np.int64], cube: Cube, dt: float, rows: int
+) -> LocalErrors:
+    """Errors at the ends of predictions over `rows` measured rows.
+
+    simulated  at the rows k `rows`, k = 1, 2, ..., each just before it is set to the measured state there
+    measured   at all rows, of the same tosses in the same order
+    counts     measured rows of each toss, shape [toss]
+    dt         time between measured rows [s]
+    """
+    ends = simulated.rows
+    within = ends[:, np.newaxis] < counts
+    real = at_rows(measured, ends)
+    some = within.any(axis=0)
+
+    def mean(values: Floats) -> Floats:
+        return np.where(some, _mean(values, within), math.nan)
+
+    return LocalErrors(
+        rows,
+        mean(length(simulated.position - real.position)),
+        mean(angle(simulated.orientation, real.orientation)),
+        _local_floor(measured, counts, cube, dt, ends, rows),
+    )
+
+
+def _local_floor(
+    measured: Motion, counts: NDArray[np.int64], cube: Cube, dt: float, ends: NDArray[np.int64], rows: int
+) -> TrackingFloor:
+    begins = ends - rows
+    touched = np.cumsum(_near_table(measured, cube), axis=0)  # rows so far at which the cube is near the table
+    before = np.where(begins[:, np.newaxis] > 0, touched[np.maximum(begins - 1, 0)], 0)
+    free = (touched[ends] == before) & (ends[:, np.newaxis] < counts)
+    begin, end = at_rows(measured, begins), at_rows(measured, ends)
+    time = rows * dt
+    fall = np.array([0.0, 0.0, -cube.gravity])
+    # a measured velocity is the mean over the interval before its row
+    flown = begin.position + (begin.linear_velocity + fall * dt / 2.0) * time + fall * time**2 / 2.0
+    turned = _turned(
+        begin.orientation.reshape(-1, 4), begin.angular_velocity.reshape(-1, 3), np.array([[time]])
+    ).reshape(begin.orientation.shape)
+    return _floor(length(flown - end.position), angle(turned, end.orientation), free, float(rows))
+
+
+def _near_table(measured: Motion, cube: Cube) -> NDArray[np.bool_]:
+    # a corner that is within 5 mm of the table may touch it already
+    return depths(measured, cube.edge + 0.01) > 0.0
+
+
+def _floor(distance: Floats, turned: Floats, free: NDArray[np.bool_], rows: float) -> TrackingFloor:
+    """Means of errors [time, env] over what flies freely, then over the tosses that do."""
+    seen = free.any(axis=0)
+    if not seen.any():
+        return TrackingFloor(math.nan, math.nan, 0.0, 0)
+    return TrackingFloor(
+        position=float(_mean(distance, free)[seen].mean()),
+        rotation=float(_mean(turned, free)[seen].mean()),
+        rows=rows,
+        tosses=int(seen.sum()),
     )
 
 
@@ -187,19 +269,11 @@ def tracking_floor(measured: Motion, counts: NDArray[np.int64], cube: Cube, dt: 
     fall = np.array([0.0, 0.0, -cube.gravity])
     flown = measured.position[0] + first * time + fall * time**2 / 2.0
     turned = _turned(measured.orientation[0], measured.angular_velocity[0], np.asarray(time[..., 0]))
-    # a corner that is within 5 mm of the table may touch it already
-    near = depths(measured, cube.edge + 0.01) > 0.0
-    free = (np.cumsum(near, axis=0) == 0) & (measured.rows[:, np.newaxis] < counts)
+    free = (np.cumsum(_near_table(measured, cube), axis=0) == 0) & (measured.rows[:, np.newaxis] < counts)
     free[0] = False
-    seen = free.any(axis=0)
-    if not seen.any():
-        return TrackingFloor(math.nan, math.nan, 0.0, 0)
-    return TrackingFloor(
-        position=float(_mean(length(flown - measured.position), free)[seen].mean()),
-        rotation=float(_mean(angle(turned, measured.orientation), free)[seen].mean()),
-        rows=float(free.sum(axis=0)[seen].mean()),
-        tosses=int(seen.sum()),
-    )
+    flying = free.sum(axis=0)
+    rows = float(flying[flying > 0].mean()) if flying.any() else 0.0
+    return _floor(length(flown - measured.position), angle(turned, measured.orientation), free, rows)
 
 
 def _turned(orientation: Floats, rate: Floats, time: Floats) -> Floats:

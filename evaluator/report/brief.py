@@ -21,6 +21,7 @@ from gpusimbench.evaluator.results.joint_metrics import JOINT_METRICS
 from gpusimbench.evaluator.results.metric import Axis
 from gpusimbench.evaluator.results.metrics import METRICS
 from gpusimbench.evaluator.results.result import GroupResult
+from gpusimbench.evaluator.results.toss_metrics import TOSS_LOCAL_POSITION
 from gpusimbench.evaluator.runs.labels import labels, options_given
 
 _NOTES = 2
@@ -63,7 +64,7 @@ def _says(result: GroupResult) -> str:
 
 def _one(result: GroupResult) -> Facts:
     answers = [(q.title, _joined(q.answer([result]))) for q in QUESTIONS]
-    if (known(result.metrics[W1_REAL.name].value)) is not None:
+    if any(known(result.metrics[metric.name].value) is not None for metric in (W1_REAL, TOSS_LOCAL_POSITION)):
         answers.append((TO_REFERENCE.title, _joined(TO_REFERENCE.answer([result]))))
     figures = [
         (metric.titled, _line(estimate(result.metrics[metric.name])))

@@ -10,13 +10,14 @@ from gpusimbench.evaluator.render.document import Cell, Column, Tone
 from gpusimbench.evaluator.render.numbers import distance, figure, interval, plural
 from gpusimbench.evaluator.report import words
 from gpusimbench.evaluator.results.cost_metrics import FPS
+from gpusimbench.evaluator.results.details import OverTosses
 from gpusimbench.evaluator.results.fidelity import Verdict
 from gpusimbench.evaluator.results.group_metrics import REGIME, W1_PARALLEL, W1_REAL, W1_RUN_TO_RUN
 from gpusimbench.evaluator.results.identity_metrics import DISTINCT_ENVS, DISTINCT_RUNS, identical
 from gpusimbench.evaluator.results.joint_metrics import BETWEEN_ENVS, BETWEEN_RUNS
 from gpusimbench.evaluator.results.metric import Metric
 from gpusimbench.evaluator.results.result import GroupResult
-from gpusimbench.evaluator.results.toss_metrics import TOSS_FACE, TOSS_POSITION, TOSS_ROTATION
+from gpusimbench.evaluator.results.toss_metrics import TOSS_FACE, TOSS_LOCAL_POSITION, TOSS_POSITION, TOSS_ROTATION
 
 Results = Sequence[GroupResult]
 
@@ -54,7 +55,8 @@ def usual(results: Results) -> list[GroupResult]:
 def _for_probe(result: GroupResult) -> bool:
     key = result.group.key
     own = key.initial and not key.initial.startswith("states:")  # states that a user gave are no probe's
-    return bool(key.intervention or (own and isinstance(result.metrics[FPS.name].value, Missing)))
+    changed = key.intervention and not key.intervention.startswith("teacher@")
+    return bool(changed or (own and isinstance(result.metrics[FPS.name].value, Missing)))
 
 
 def repeats(results: Results) -> Cell:
@@ -102,7 +104,8 @@ def sound(results: Results) -> Cell:
 def real(results: Results) -> Cell:
     """How far positions are from the reference: the smallest and the largest distance of the groups [cm].
 
-    Against measured tosses it is the error of position, which compares each toss with its own simulation.
+    Against measured tosses it is the error of position, which compares each toss with its own simulation; of runs that
+    are set to measured states on the way, the smallest local error.
     """
     tossed = [r.metrics[TOSS_POSITION.name] for r in results if known(r.metrics[TOSS_POSITION.name].value) is not None]
     if len(results) == 1 and tossed:
@@ -111,6 +114,11 @@ def real(results: Results) -> Cell:
         error = known(tossed[0].value) or 0.0
         notes = (f"of {tossed[0].n} tosses", *said)
         return Cell(f"{distance(error)} cm", error, tossed[0].ci95, interval(tossed[0]), notes)
+    local = [r.metrics[TOSS_LOCAL_POSITION.name] for r in results]
+    local = [found for found in local if known(found.value) is not None]
+    if local and not tossed:
+        error, rows = min((known(found.value) or 0.0, found.of(OverTosses).rows) for found in local)
+        return Cell(f"{distance(error)} cm after {plural(rows or 0, 'row')}", error)
     found = tossed or [r.metrics[W1_REAL.name] for r in results]
     values = sorted(value for one in found if (value := known(one.value)) is not None)
     if not values:

@@ -211,11 +211,15 @@ class OverTosses(OverRuns):
     tracking_floor  the same error of a cube in free fall before its first contact, in the unit of the metric; None
                     where there is no such thing
     per_toss        the values, mean over runs, in the order of the tosses
+    numbers         of these tosses in their set
+    rows            of a local error: rows after each setting to a measured state; None of other errors
     """
 
     tosses: int = 0
     tracking_floor: float | None = field(default=None, metadata=_OPTIONAL)
+    rows: int | None = field(default=None, metadata=_OPTIONAL)
     per_toss: tuple[float, ...] = field(default=(), metadata=_HIDDEN)
+    numbers: tuple[int, ...] = field(default=(), metadata=_HIDDEN)
 
 
 @dataclass(frozen=True)

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +13,7 @@ from numpy.typing import NDArray
 from gpusimbench.evaluator.check.protocol import Protocol, Unmet, unmet_by_file
 from gpusimbench.evaluator.check.rules.rule import PROTOCOL
 from gpusimbench.evaluator.compute.work import HERE, Work
-from gpusimbench.evaluator.metrics.tosses import TossErrors
+from gpusimbench.evaluator.metrics.tosses import LocalErrors, TossErrors
 from gpusimbench.evaluator.missing import Missing, known
 from gpusimbench.evaluator.probe.questions import Probed, probed
 from gpusimbench.evaluator.read.recording import Recording
@@ -38,7 +39,13 @@ from gpusimbench.evaluator.runs.labels import footnotes, labels, options_given
 from gpusimbench.evaluator.runs.reader import Reader, Unreadable
 from gpusimbench.evaluator.runs.run import Run
 from gpusimbench.evaluator.runs.sample_time import DEFAULT_S, notes_on
-from gpusimbench.evaluator.runs.toss_motion import errors_of, measured_tosses
+from gpusimbench.evaluator.runs.toss_motion import (
+    MeasuredTosses,
+    errors_of,
+    local_errors_of,
+    measured_tosses,
+    set_every,
+)
 from gpusimbench.schemas.errors import DamagedRecording
 from gpusimbench.schemas.location import Place
 from gpusimbench.schemas.progress import each
@@ -237,14 +244,19 @@ def _use_reference(run: Run) -> tuple[Reference | None, str]:
     return Reference(label, run.path, run.provenance.run_id, measured, c.scene, planar, tosses=tosses), ""
 
 
-def _toss_errors(runs: Sequence[Run], reference: Reference | Missing) -> list[TossErrors | Missing]:
+_E = TypeVar("_E", TossErrors, LocalErrors)
+
+
+def _toss_errors(
+    errors: Callable[[Recording, MeasuredTosses], _E | Missing], runs: Sequence[Run], reference: Reference | Missing
+) -> list[_E | Missing]:
     """Errors of each run against measured tosses; states are read again."""
     if isinstance(reference, Missing) or reference.tosses is None:
         why = reference.reason if isinstance(reference, Missing) else "the reference has no tosses"
         return [Missing(why)] * len(runs)
     if any(run.configuration.scene != reference.scene for run in runs):
         return [Missing(f"the reference is of scene {reference.scene}")] * len(runs)
-    return [errors_of(Recording(run.path), reference.tosses) for run in runs]
+    return [errors(Recording(run.path), reference.tosses) for run in runs]
 
 
 def _evaluate_group(
@@ -256,7 +268,10 @@ def _evaluate_group(
     work: Work,
 ) -> _Found:
     runs = group.complete
-    group_runs = GroupRuns(runs, reference, work, _toss_errors(runs, reference))
+    errors = _toss_errors(errors_of, runs, reference), _toss_errors(local_errors_of, runs, reference)
+    if any(set_every(run.configuration) for run in runs):
+        reference = Missing("the environments are set to the reference's states on the way")
+    group_runs = GroupRuns(runs, reference, work, *errors)
     planar = group_runs.planar
     result = GroupResult(
         group=group,

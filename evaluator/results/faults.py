@@ -41,10 +41,12 @@ def faults(result: GroupResult) -> Faults:
 def faults_anywhere(result: GroupResult, results: Sequence[GroupResult]) -> tuple[str, ...]:
     """What a group and all others of its engine show against it, in any scene, each with the scene.
 
-    An engine is a simulator of one version on one device, with the options and the level that were asked for.
+    An engine is a simulator of one version on one device, with the options and the level that were asked for. What is
+    wrong with another time step of the same scene is not held against it.
     """
-    engine = _engine(result)
-    ours = [result, *(r for r in results if r is not result and _engine(r) == engine)]
+    engine, key = _engine(result), result.group.key
+    others = (r for r in results if r is not result and _engine(r) == engine)
+    ours = [result, *(r for r in others if r.group.key.scene != key.scene or r.group.key.dt == key.dt)]
     return tuple(dict.fromkeys(f"{wrong} ({r.group.key.scene})" for r in ours if (wrong := faults(r))))
 
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from gpusimbench.evaluator.compute.work import HERE, Work
 from gpusimbench.evaluator.metrics.identity import distinct_over_time
 from gpusimbench.evaluator.metrics.lost_cubes import clamped
-from gpusimbench.evaluator.metrics.tosses import TossErrors, TrackingFloor
+from gpusimbench.evaluator.metrics.tosses import LocalErrors, TossErrors, TrackingFloor
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.results.aggregate import Runs
 from gpusimbench.evaluator.results.reference import Reference
@@ -29,6 +29,7 @@ class GroupRuns:
     reference  that their positions are compared with
     work       where distances are computed
     tosses     errors against measured tosses, one a run, or why there are none
+    local      the same from each setting to a measured state on
     moved      positions instead of those at the sample step [m], shape [run, env, item, 2]; None for those
     known      estimates that were made, by the name of their metric
     """
@@ -37,6 +38,7 @@ class GroupRuns:
     reference: Reference | Missing = Missing("there is no reference")
     work: Work = HERE
     tosses: Sequence[TossErrors | Missing] = ()
+    local: Sequence[LocalErrors | Missing] = ()
     moved: NDArray[np.float64] | None = None
     known: dict[str, Any] = field(default_factory=dict)
 

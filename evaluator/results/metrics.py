@@ -16,7 +16,7 @@ from gpusimbench.evaluator.results.identity_metrics import (
 )
 from gpusimbench.evaluator.results.joint_metrics import JOINT_METRICS
 from gpusimbench.evaluator.results.metric import Metric, Table
-from gpusimbench.evaluator.results.toss_metrics import TOSS_METRICS
+from gpusimbench.evaluator.results.toss_metrics import TOSS_LOCAL_METRICS, TOSS_METRICS
 
 METRICS: dict[str, Metric] = {
     metric.name: metric
@@ -37,6 +37,7 @@ METRICS: dict[str, Metric] = {
         REGIME,
         CAPTURE_CHANGES_STATES,
         *TOSS_METRICS,
+        *TOSS_LOCAL_METRICS,
     )
 }
 """By name."""

@@ -43,6 +43,38 @@ def _of(field: str, factor: float) -> Callable[[Metric, GroupRuns], Estimate]:
                 tosses=len(per_toss),
                 tracking_floor=floors[field] * factor if field in floors else None,
                 per_toss=tuple(per_toss.tolist()),
+                numbers=tuple(found[0].numbers.tolist()),
+            ),
+        )
+
+    return estimate
+
+
+def _local(field: str, factor: float) -> Callable[[Metric, GroupRuns], Estimate]:
+    """The mean over runs and tosses of a field of LocalErrors, in the unit of the metric."""
+
+    def estimate(metric: Metric, group: GroupRuns) -> Estimate:
+        found = [errors for errors in group.local if not isinstance(errors, Missing)]
+        if not found:
+            reasons = [errors.reason for errors in group.local if isinstance(errors, Missing)]
+            return missing(metric, reasons[0] if reasons else "no run of this group is complete")
+        of_runs = np.array([getattr(errors, field) for errors in found]) * factor
+        long_enough = np.isfinite(of_runs[0])
+        per_toss = of_runs[:, long_enough].mean(axis=0)
+        rows, floor = found[0].rows, float(getattr(found[0].floor, field)) * factor
+        return Estimate(
+            metric,
+            float(per_toss.mean()),
+            method=f"{metric.method}, then over tosses and runs; k = {rows}; interval: {_INTERVAL}, {DRAWS} draws "
+            "with seed 0",
+            n=len(per_toss),
+            ci95=mean_interval(per_toss),
+            details=OverTosses(
+                per_run=tuple(float(run[long_enough].mean()) for run in of_runs),
+                tosses=len(per_toss),
+                tracking_floor=None if math.isnan(floor) else floor,
+                per_toss=tuple(per_toss.tolist()),
+                rows=rows,
             ),
         )
 
@@ -110,7 +142,27 @@ TOSS_DEPTH = replace(
     method="deepest place of a corner below the table at any row of a toss", of_group=_of("depth", _MM),
 )  # fmt: skip
 
+TOSS_LOCAL_POSITION = replace(
+    TOSS_POSITION, name="toss_local_position", title="local error of position",
+    docs="of recordings with `--intervene teacher@STEPS`: the cube is set to each k-th measured row, and this is the "
+    "distance between the centres k rows later, just before the next setting; mean over the settings of a toss, then "
+    "over tosses with more than k rows. An early error is thus no part of later ones. `tracking_floor`: the same for a "
+    "cube in free flight, over the settings with k rows of it",
+    method="distance between the centres k rows after the cube was set to a measured row, mean over a toss",
+    of_group=_local("position", _CM),
+)  # fmt: skip
+
+TOSS_LOCAL_ROTATION = replace(
+    TOSS_LOCAL_POSITION, name="toss_local_rotation", title="local error of rotation", unit="deg",
+    docs="angle between the orientations k rows after a setting, as for `toss_local_position`",
+    method="angle between the orientations k rows after the cube was set to a measured row, mean over a toss",
+    of_group=_local("rotation", _DEGREES),
+)  # fmt: skip
+
 TOSS_METRICS = (
     TOSS_POSITION, TOSS_ROTATION, TOSS_END_POSITION, TOSS_END_ROTATION, TOSS_FACE, TOSS_REST, TOSS_ENERGY, TOSS_DEPTH,
 )  # fmt: skip
-"""All of them."""
+"""Of whole tosses."""
+
+TOSS_LOCAL_METRICS = (TOSS_LOCAL_POSITION, TOSS_LOCAL_ROTATION)
+"""Of tosses that are set to measured states on the way."""

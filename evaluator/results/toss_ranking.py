@@ -11,10 +11,11 @@ gsb-probe says so. So a throughput belongs to the errors of its configuration, w
 
 from __future__ import annotations
 
+import statistics
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, replace
 
-from gpusimbench.evaluator.missing import Missing, known
+from gpusimbench.evaluator.missing import known
 from gpusimbench.evaluator.results.cost_metrics import FPS
 from gpusimbench.evaluator.results.details import OverTosses
 from gpusimbench.evaluator.results.result import GroupResult
@@ -30,23 +31,20 @@ LEVEL = 0.05
 class Ranked:
     """A group that was compared with measured tosses.
 
-    against   of its errors of position with those of the most accurate group; None of that group, and where the two
-              were not compared with the same tosses
+    error     of position [cm], mean over the tosses that all groups are judged by, or over its own where there are none
+    against   of its errors of position with those of the most accurate group, over the tosses that both are judged by;
+              None of that group, and where there are no such tosses
     adjusted  p value after Holm's adjustment for all groups
     first     the most accurate group
     timed     the group of the same configuration with a throughput; of several, that of the most environments
     """
 
     result: GroupResult
+    error: float
     against: Paired | None
     adjusted: float | None
     first: GroupResult
     timed: GroupResult | None
-
-    @property
-    def error(self) -> float:
-        """Mean error of position [cm]."""
-        return known(self.result.metrics[TOSS_POSITION.name].value) or 0.0
 
     @property
     def fps(self) -> float:
@@ -86,21 +84,31 @@ def configuration(result: GroupResult) -> Hashable:
 def ranked(results: Sequence[GroupResult], timed: Sequence[GroupResult] = ()) -> list[Ranked]:
     """Groups with errors against tosses, the smallest mean error of position first.
 
+    A group whose options were fitted is judged by odd tosses; then all are ranked by these.
+
     timed  further groups, whose throughputs may belong to these errors
     """
-    found = [r for r in results if known(r.metrics[TOSS_POSITION.name].value) is not None]
-    found.sort(key=lambda r: known(r.metrics[TOSS_POSITION.name].value) or 0.0)
+    found = {r.label: _per_toss(r) for r in results if known(r.metrics[TOSS_POSITION.name].value) is not None}
     if not found:
         return []
-    first = _per_toss(found[0])
-    compared = {
-        r.label: paired(_per_toss(r), first) for r in found[1:] if len(_per_toss(r)) == len(first)
-    }  # fmt: skip
+    shared = set.intersection(*(set(errors) for errors in found.values()))
+    error = {
+        label: statistics.fmean(value for toss, value in errors.items() if not shared or toss in shared)
+        for label, errors in found.items()
+    }
+    order = sorted((r for r in results if r.label in found), key=lambda r: error[r.label])
+    first = order[0]
+    compared = {}
+    for result in order[1:]:
+        one, other = found[result.label], found[first.label]
+        if both := sorted(one.keys() & other.keys()):
+            compared[result.label] = paired([one[toss] for toss in both], [other[toss] for toss in both])
     adjusted = dict(zip(compared, holm([one.p_value for one in compared.values()]), strict=True))
     clocked = sorted((r for r in (*results, *timed) if _fps(r)), key=lambda r: r.group.key.n_env)
     beside = {configuration(r): r for r in clocked}
     return [
-        Ranked(r, compared.get(r.label), adjusted.get(r.label), found[0], beside.get(configuration(r))) for r in found
+        Ranked(r, error[r.label], compared.get(r.label), adjusted.get(r.label), first, beside.get(configuration(r)))
+        for r in order
     ]
 
 
@@ -124,13 +132,15 @@ def beaten_by(order: Sequence[Ranked]) -> dict[str, str]:
 def _alike(one: GroupResult, other: GroupResult) -> bool:
     # whether the tosses do not tell the errors of two groups apart
     errors = (_per_toss(one), _per_toss(other))
-    return len(errors[0]) == len(errors[1]) and paired(*errors).p_value >= LEVEL
+    both = sorted(errors[0].keys() & errors[1].keys())
+    return bool(both) and paired(*([of[toss] for toss in both] for of in errors)).p_value >= LEVEL
 
 
 def _fps(result: GroupResult) -> float:
     return known(result.metrics[FPS.name].value) or 0.0
 
 
-def _per_toss(result: GroupResult) -> tuple[float, ...]:
-    found = result.metrics[TOSS_POSITION.name]
-    return () if isinstance(found.value, Missing) else found.of(OverTosses).per_toss
+def _per_toss(result: GroupResult) -> dict[int, float]:
+    """Errors of position [cm] by the number of the toss."""
+    details = result.metrics[TOSS_POSITION.name].of(OverTosses)
+    return dict(zip(details.numbers, details.per_toss, strict=True))

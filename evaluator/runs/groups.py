@@ -58,6 +58,7 @@ class GroupKey:
     determinism         level that was asked for
     initial             how environments begin, empty for all alike
     vary                which of their parameters differ, empty for none
+    fitted              options that were fitted, and to what, empty for none
     intervention        what is done to their state on the way, empty for nothing
     keep                which states are written, empty for all
     options             of the engine in force, JSON; as asked where the run ended before the engine said them
@@ -87,6 +88,7 @@ class GroupKey:
     intervention: str = ""
     keep: str = ""
     vary: str = ""
+    fitted: str = ""
 
 
 @dataclass(frozen=True)
@@ -170,6 +172,7 @@ def key_of(recording: Described) -> GroupKey:
         intervention=c.intervention,
         keep=c.keep,
         vary=c.vary,
+        fitted=", ".join(f"{name} to {data}" for name, data in sorted(c.fitted.items())),
     )
 
 

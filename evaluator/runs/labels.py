@@ -10,6 +10,7 @@ from typing import Any
 
 from gpusimbench.evaluator.runs.groups import Described, GroupKey, precisions
 from gpusimbench.schemas.text import cut
+from gpusimbench.schemas.treatment import initial_words
 
 Given = Mapping[str, frozenset[str]]
 """By simulator, the names of the options that a user gave for any of its runs."""
@@ -21,6 +22,7 @@ _SHOWN_LENGTH = 60
 
 _ATTRIBUTES = (
     "version", "device", "scene_hash", "n_env", "dt", "seed", "determinism", "initial", "vary", "intervention", "keep",
+    "fitted",
 )  # fmt: skip
 
 _MEANINGS = (
@@ -105,9 +107,12 @@ def _parts(key: GroupKey, keys: Sequence[GroupKey], given: frozenset[str], besid
 
 
 def _told_apart(name: str, key: GroupKey, rival: GroupKey) -> bool:
-    # states that are given to every environment differ with the number of environments, which tells the two apart
-    if name == "initial" and key.n_env != rival.n_env and key.initial and rival.initial:
-        return False
+    if name == "initial" and key.initial and rival.initial:
+        # states that are given to every environment differ with the number of environments, and with the measured
+        # states that environments are set to later: what these follow from tells the two apart
+        teaches = "teacher@" in key.intervention + rival.intervention
+        if key.n_env != rival.n_env or (teaches and key.intervention != rival.intervention):
+            return False
     return bool(getattr(key, name) != getattr(rival, name))
 
 
@@ -140,6 +145,10 @@ def _shown(name: str, key: GroupKey) -> str:
         return re.sub(r"\((R|TM)\)| Processor\b", "", value)
     if name == "version":
         return str(value)
+    if name == "fitted":
+        return f"fitted {value}"
+    if name == "initial":
+        return f"initial={initial_words(value)}"
     return f"{name}={value:g}" if isinstance(value, float) else f"{name}={value}"
 
 

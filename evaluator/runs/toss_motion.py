@@ -3,20 +3,31 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
-from gpusimbench.evaluator.metrics.tosses import Cube, Motion, TossErrors, TrackingFloor, toss_errors, tracking_floor
+from gpusimbench.evaluator.metrics.tosses import (
+    Cube,
+    LocalErrors,
+    Motion,
+    TossErrors,
+    TrackingFloor,
+    local_errors,
+    toss_errors,
+    tracking_floor,
+)
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.runs.positions import in_env_frame
-from gpusimbench.schemas import checks
+from gpusimbench.schemas import arrays, checks
+from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.errors import DamagedRecording
-from gpusimbench.schemas.tosses import GROUP, TOSSES, TossSet
+from gpusimbench.schemas.tosses import GROUP, ODD, TOSSES, TossSet, judged_on
+from gpusimbench.schemas.treatment import GIVEN, TEACHER, Intervention
 
 _ALIKE = 1e-4  # of two first states [m, and of quaternions]: float32 far from the origin rounds to 8e-6 m
 _PARTS = ("position", "orientation", "linear_velocity", "angular_velocity")  # of a Motion, in its order
@@ -73,12 +84,88 @@ def measured_tosses(recording: Recording) -> MeasuredTosses | None:
     return MeasuredTosses(known, motion, cube, c.dt, floor)
 
 
-def errors_of(recording: Recording, measured: MeasuredTosses) -> TossErrors | Missing:
+def errors_of(recording: Recording, measured: MeasuredTosses, only: str = "") -> TossErrors | Missing:
     """Errors of a simulation of measured tosses, in the order of the tosses.
 
-    Of a toss that several environments repeat, those of the first; the reason where they cannot be computed.
+    Of a toss that several environments repeat, those of the first; of a run whose options were fitted on even tosses,
+    those of odd ones. The reason where they cannot be computed.
+
+    only  EVEN or ODD, instead of the tosses that it is judged by
+    """
+    if settings := set_every(recording.configuration):
+        return Missing(f"it is set to the measured tosses every {settings} steps: it has local errors")
+    found = _simulated(recording, measured, 1, only)
+    if isinstance(found, Missing):
+        return found
+    motion, tosses, _ = found
+    errors = toss_errors(motion, _of(measured.motion, tosses), measured.counts[tosses], measured.cube, measured.dt)
+    return replace(errors, numbers=tosses)
+
+
+def local_errors_of(recording: Recording, measured: MeasuredTosses) -> LocalErrors | Missing:
+    """Errors after each setting to a measured state, of a recording with --intervene teacher@STEPS, in the order of
+    the tosses; the reason where they cannot be computed."""
+    settings = set_every(recording.configuration)
+    if not settings:
+        return Missing("it is not set to the measured tosses on the way: record with --intervene teacher@STEPS")
+    found = _simulated(recording, measured, settings)
+    if isinstance(found, Missing):
+        return found
+    motion, tosses, envs = found
+    rows, counts = int(motion.rows[0]), measured.counts[tosses]
+    if rows >= counts.max():
+        return Missing(f"it is set after {rows} rows, and the longest toss has {counts.max()}")
+    if wrong := _wrongly_set(recording, _of(measured.motion, tosses), counts, envs, rows):
+        return Missing(wrong)
+    return local_errors(motion, _of(measured.motion, tosses), counts, measured.cube, measured.dt, rows)
+
+
+def _wrongly_set(
+    recording: Recording, measured: Motion, counts: NDArray[np.int64], envs: NDArray[np.int64], rows: int
+) -> str:
+    """Why environments were not set to these measured rows; empty where they were."""
+    try:
+        found = arrays.decode(GIVEN, recording.attachment(GIVEN) or b"")
+    except DamagedRecording as error:
+        return str(error)
+    first = found.get(f"{TEACHER}first", np.empty(0, dtype=np.int64))
+    given = [found.get(f"{TEACHER}{GROUP}/{name}") for name in _PARTS[:2]]
+    if first.ndim != 1 or first.dtype.kind not in "iu" or len(first) < 2 or any(one is None for one in given):
+        return "it does not have the states that it was set to"
+    begin, end = (edge[envs % (len(first) - 1)].astype(np.int64) for edge in (first[:-1], first[1:]))
+    for number, row in enumerate(range(rows, int(counts.max()), rows)):
+        there = row < counts
+        at = (begin + number)[there]
+        if (at >= end[there]).any():
+            return f"row {row} of a toss is not among the states that it was set to"
+        for name, states in zip(_PARTS, given, strict=False):
+            real = getattr(measured, name)[row, there]
+            if states is None or states.shape[1:] != (1, _WIDTHS[name]) or at.max() >= len(states) or at.min() < 0:
+                return f"{name} among the states that it was set to has another shape"
+            if not (np.abs(states[at, 0] - real).max() < _ALIKE):
+                return f"it was set to another {name} than that of the reference, at row {row}"
+    return ""
+
+
+def set_every(configuration: RunConfiguration) -> int:
+    """Steps after which a run is set to measured states again; 0 where it is not."""
+    intervention = Intervention.parse(configuration.intervention) if configuration.intervention else None
+    return intervention.step if intervention and intervention.teaches else 0
+
+
+def _simulated(
+    recording: Recording, measured: MeasuredTosses, every: int, only: str = ""
+) -> tuple[Motion, NDArray[np.int64], NDArray[np.int64]] | Missing:
+    """The simulated tosses at measured rows, which tosses these are, ascending, and their environments.
+
+    every  1: at all rows that were recorded. Else after each multiple of so many steps, without the first state
+    only   EVEN or ODD; empty: those that it is judged by
     """
     c = recording.configuration
+    try:
+        only = only or judged_on(c.fitted)
+    except ValueError as error:
+        return Missing(str(error))
     if not c.initial:
         return Missing("its environments did not begin as tosses: record with --tosses")
     per_row = round(measured.dt / c.dt)
@@ -91,20 +178,27 @@ def errors_of(recording: Recording, measured: MeasuredTosses) -> TossErrors | Mi
     if isinstance(matched, Missing):
         return matched
     tosses, envs = matched
+    if only:
+        wanted = tosses % 2 == (only == ODD)
+        if not wanted.any():
+            return Missing(f"it has none of the {only}, by which it is to be judged")
+        tosses, envs = tosses[wanted], envs[wanted]
     steps = recording.state(GROUP, "position").steps
-    steps = steps[steps % per_row == 0]
-    steps = steps[steps // per_row < len(measured.motion.rows)]
+    steps = steps[(steps % per_row == 0) & (steps // per_row < len(measured.motion.rows))]
     rows = steps // per_row
     if rows[-1] + _gap(rows) < max(measured.known.rows) - 1:
         return Missing(f"it ends after row {rows[-1]}, and the longest toss has {max(measured.known.rows)}")
+    if set_every(c):
+        steps = steps[(steps % every == 0) & (steps > 0)]
+        if every % per_row or not np.array_equal(steps, np.arange(1, len(steps) + 1) * every) or not len(steps):
+            return Missing(f"it has no states of every {every}th step, after which it is set to measured states")
+        rows = steps // per_row
     motion = _motion(recording, steps, rows, slice(0, int(envs.max()) + 1))
     if isinstance(motion, Missing):
         return motion
     if not all(np.isfinite(getattr(motion, name)).all() for name in _PARTS):
         return Missing("its states are not all finite")
-    return toss_errors(
-        _of(motion, envs), _of(measured.motion, tosses), measured.counts[tosses], measured.cube, measured.dt
-    )
+    return _of(motion, envs), tosses, envs
 
 
 def _matched(begins: Motion, measured: MeasuredTosses) -> tuple[NDArray[np.int64], NDArray[np.int64]] | Missing:

@@ -18,6 +18,7 @@ from gpusimbench.recorder.cluster.node import KILLING
 from gpusimbench.recorder.cluster.seats import Seat, Spot, Wanted, needs_gpu, spots
 from gpusimbench.recorder.options import parse_options
 from gpusimbench.recorder.process.launch import Interruptions, Result
+from gpusimbench.recorder.scenes.registry import make_scene
 from gpusimbench.recorder.sets.progress import Progress, say
 from gpusimbench.recorder.sets.series import Request
 from gpusimbench.recorder.simulators.registry import find_simulator
@@ -41,7 +42,10 @@ def team(
     UsageError where there is no such cluster, no room on it, or a node that cannot make such runs.
     """
     entry = find_simulator(configuration.simulator)
-    options = parse_options(configuration.simulator, entry.adapter().Options, configuration.options)
+    scene = configuration.registered_scene
+    own = make_scene(scene).own_options if scene else frozenset[str]()
+    given = {name: value for name, value in configuration.options.items() if name not in own}
+    options = parse_options(configuration.simulator, entry.adapter().Options, given)
     named = "" if python is None else str(python if len(python.parts) == 1 else python.absolute())
     wanted = Wanted(configuration.simulator, configuration.registered_scene, named)
     with Cluster(address) as cluster:

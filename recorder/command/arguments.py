@@ -249,7 +249,8 @@ def parser() -> Parser:
         help="change the state after a captured step: reset@STEP resets every second environment; poison@STEP makes "
         "the state of one environment not finite; set@STEP writes back the current positions and velocities; "
         "excursion@STEP+MORE saves the state, makes MORE steps that are not recorded, and restores the state. "
-        "gsb-probe uses these (default: none)",
+        "gsb-probe uses these. teacher@STEPS, of cube-toss, sets every environment to the measured state of its toss "
+        "after each STEPS steps: gsb-eval then gives the error after so many steps (default: none)",
     )
     what.add_argument(
         "--from",

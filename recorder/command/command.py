@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from gpusimbench.recorder.command.arguments import N_ENV, OUT, OUT_OF_REPLAYS, SCENE, SHORTHANDS, fill, parser
 from gpusimbench.recorder.interruption import shielded
-from gpusimbench.recorder.output import flush, show, show_document
+from gpusimbench.recorder.output import flush, show, show_document, show_path
 from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.errors import ExitCode, UsageError
 from gpusimbench.schemas.progress import Progress, stage
@@ -30,7 +30,7 @@ def configure(arguments: argparse.Namespace) -> tuple[RunConfiguration, dict[str
     cannot be."""
     with shielded():  # an import that is interrupted shows as one that is broken
         from gpusimbench.recorder.plan import check_dt, parse_snapshots, view_of
-        from gpusimbench.recorder.run import initial, intervention, keep, vary
+        from gpusimbench.recorder.run import initial, intervention, keep, teacher, vary
         from gpusimbench.recorder.scenes.model.scene import ModelScene
         from gpusimbench.recorder.sets.given import read_given
         from gpusimbench.recorder.trials.tosses import read_tosses
@@ -45,14 +45,16 @@ def configure(arguments: argparse.Namespace) -> tuple[RunConfiguration, dict[str
         raise UsageError(f"--tosses is for scene cube-toss, not for {scene.name}")
     if arguments.tosses is not None and begins:
         raise UsageError("--tosses and --initial both say how environments begin; give one of them")
-    if scene.tosses and not begins and arguments.sweep is None:
+    tossed = bool(scene.tosses and not begins and arguments.sweep is None)
+    every = teacher.rows(arguments.intervene, scene, tossed=tossed, dt=dt, stride=arguments.stride)
+    if tossed:
         tosses = read_tosses(arguments.tosses)
         if arguments.n_env is None:
             arguments.n_env = len(tosses)
         if arguments.steps is None:
             arguments.steps = round(tosses.steps(scene) * scene.dt / dt)
         if arguments.n_env >= 1:
-            begins, given = tosses.initial(arguments.n_env)
+            begins, given = tosses.initial(arguments.n_env, every)
     elif arguments.n_env is None:
         arguments.n_env = N_ENV
     if begins.startswith("random:"):
@@ -103,7 +105,7 @@ def _scene(arguments: argparse.Namespace) -> tuple[Scene, dict[str, bytes]]:
         for name in ("keyframe", "actions"):
             if getattr(arguments, name):
                 raise UsageError(f"--{name} is for a model file: --model FILE")
-        return make_scene(arguments.scene or SCENE), {}
+        return make_scene(arguments.scene or SCENE).with_options(_options(arguments)), {}
     if arguments.scene is not None:
         raise UsageError("--model and --scene both say what is simulated; give one of them")
     name = scene_name(arguments.model, scene_names())
@@ -337,5 +339,11 @@ def run(given: list[str]) -> int:
             from gpusimbench.recorder.trials.real import record_trials
 
         arguments.out = arguments.out or OUT
-        return record_trials(arguments, command)
+        path = record_trials(arguments, command)
+        if arguments.json:
+            ended = {"run": 0, "status": "complete", "cause": "", "reason": "", "file": str(path)}
+            _print_json({"runs": [ended]})
+        else:
+            show_path(path)
+        return ExitCode.OK
     return record(arguments, command)

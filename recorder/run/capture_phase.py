@@ -20,6 +20,7 @@ from gpusimbench.recorder.run.given_actions import prepare, write_applied
 from gpusimbench.recorder.run.intervention import intervene
 from gpusimbench.recorder.run.journal import Journal
 from gpusimbench.recorder.run.start import saved
+from gpusimbench.recorder.run.teacher import Teacher
 from gpusimbench.recorder.scenes.base import Scene
 from gpusimbench.recorder.simulators.base import Description, Simulator
 from gpusimbench.recorder.simulators.captured import RING_BLOCKS
@@ -36,8 +37,14 @@ class CapturePhase:
     """
 
     def __init__(
-        self, journal: Journal, configuration: RunConfiguration, progress: Callable[[str, int, int], None]
+        self,
+        journal: Journal,
+        configuration: RunConfiguration,
+        progress: Callable[[str, int, int], None],
+        given: bytes | None = None,
     ) -> None:
+        """given: the attachment GIVEN of the run."""
+        self._given = given
         self._journal = journal
         self._configuration = configuration
         self._progress = progress
@@ -102,9 +109,12 @@ class CapturePhase:
             snapshots[step] = saved(simulator)
 
         between = [(step, partial(save, step)) for step in c.snapshots]
-        if intervention and intervention.step >= c.first_step:
+        if intervention and intervention.teaches:
+            teacher = Teacher(self._given, simulator, description)
+            between += [(step, partial(teacher.set, number)) for number, step in enumerate(intervention.stops(c.steps))]
+        elif intervention and intervention.step >= c.first_step:
             between.append((intervention.step, partial(intervene, simulator, description.fields, intervention, c)))
-            between.sort(key=lambda call: call[0])  # a snapshot of the same step comes first
+        between.sort(key=lambda call: call[0])  # a snapshot of the same step comes first
 
         def captured(done: int) -> None:
             interruption.check()

@@ -13,7 +13,9 @@ from gpusimbench.schemas.errors import UsageError
 from gpusimbench.schemas.fields import StateField
 from gpusimbench.schemas.treatment import KINDS, Intervention
 
-_CLAIMS = {"reset": "reset", "set": "set_state", "poison": "set_state", "excursion": "snapshot"}
+_CLAIMS = {
+    "reset": "reset", "set": "set_state", "poison": "set_state", "excursion": "snapshot", "teacher": "set_state",
+}  # fmt: skip
 """The operation of StateClaims that each kind needs."""
 
 
@@ -66,5 +68,5 @@ def parse(text: str) -> str:
     try:
         return str(Intervention.parse(text))
     except ValueError:
-        kinds = "reset@STEP, poison@STEP, set@STEP or excursion@STEP+MORE"
+        kinds = "reset@STEP, poison@STEP, set@STEP, excursion@STEP+MORE or teacher@STEPS"
         raise UsageError(f"--intervene is {kinds}, not '{text}'") from None

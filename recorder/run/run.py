@@ -119,8 +119,12 @@ class Run:
         sink = Sink(self._path, compression=self._configuration.compression, reserved=self._reserved)
         try:
             journal = Journal(sink)
-            phase = FlightPhase if self._configuration.keep else CapturePhase
-            captured = phase(journal, self._configuration, self._progress)
+            c, progress = self._configuration, self._progress
+            captured = (
+                FlightPhase(journal, c, progress)
+                if c.keep
+                else CapturePhase(journal, c, progress, self._inputs.get(GIVEN))
+            )
             status, reason, cause = self._guarded(journal, captured)
             if log := self._log():
                 sink.attach(ENGINE_LOG, "text/plain", log)

@@ -15,7 +15,7 @@ from gpusimbench.schemas import arrays
 from gpusimbench.schemas.errors import UsageError
 from gpusimbench.schemas.fields import StateField
 from gpusimbench.schemas.tosses import NOTICE
-from gpusimbench.schemas.treatment import GIVEN, Given, parse_initial
+from gpusimbench.schemas.treatment import GIVEN, TEACHER, Given, parse_initial
 
 ITEMS = "items"
 """Of given states: GROUP/items has the names of a group's bodies or joints, in the order of its arrays."""
@@ -51,7 +51,7 @@ def states_of(given: Arrays, simulator: Simulator, description: Description) -> 
     """Given positions and velocities as arrays [env, item, width] of the simulator's fields; what was not given is that
     of the scene's first state. UsageError where something does not fit."""
     names = {field.name for field in description.fields}
-    items = {name for name in given if name.endswith(f"/{ITEMS}")}
+    items = {name for name in given if name.endswith(f"/{ITEMS}") or name.startswith(TEACHER)}
     if unknown := sorted(given.keys() - names - items - {NOTICE}):
         raise UsageError(f"initial states have '{unknown[0]}', and the simulator's are {', '.join(sorted(names))}")
     found = []

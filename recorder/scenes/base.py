@@ -11,7 +11,7 @@ import json
 import math
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, fields, is_dataclass
-from typing import Any
+from typing import Any, ClassVar, Self
 
 from gpusimbench.recorder.abilities import Ability
 from gpusimbench.recorder.scenes.actions import JointTargets
@@ -233,6 +233,9 @@ class Scene:
     summary      one sentence for lists
     """
 
+    own_options: ClassVar[frozenset[str]] = frozenset()
+    """Names of options that the scene takes itself, beside those of the simulator."""
+
     name: str
     summary: str
     bodies: tuple[Body, ...]
@@ -288,6 +291,10 @@ class Scene:
         UsageError for an option that does not go with the scene.
         """
         return given
+
+    def with_options(self, given: Mapping[str, str]) -> Self:
+        """The scene with those of the given options that are its own; UsageError for a value that cannot be."""
+        return self
 
     def joint_limits(self) -> dict[str, tuple[tuple[float, float], ...]]:
         """Lower and upper limits of joints [rad or m], by group of the state and in its order."""

@@ -8,19 +8,51 @@ begin with a typical toss.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import ClassVar, Self
+
 from gpusimbench.recorder.scenes.base import Body, Box, Material, Plane, Scene
+from gpusimbench.schemas.errors import UsageError
 
 EDGE = 0.1048
 MASS = 0.37
 RATE = 148.0  # rows per second of the measurement
 ROWS = 442  # of the longest published toss
 
+MOST_FRICTION = 10.0
+
 ACRYLIC = Material("acrylic on a table", static_friction=0.18, kinetic_friction=0.18, restitution=0.0)
+
+
+class TossScene(Scene):
+    """The scene, with the option `friction`: another coefficient of both surfaces than the published one."""
+
+    own_options: ClassVar[frozenset[str]] = frozenset({"friction"})
+
+    def with_options(self, given: Mapping[str, str]) -> Self:
+        """See Scene.with_options; another friction makes another scene, with a SHA-256 of its own."""
+        if "friction" not in given:
+            return self
+        try:
+            value = float(given["friction"])
+        except ValueError:
+            value = -1.0
+        if not 0 <= value <= MOST_FRICTION:
+            raise UsageError(
+                f"option 'friction' of scene '{self.name}' is a number from 0 to {MOST_FRICTION:g}, "
+                f"not '{given['friction']}'"
+            )
+        if value == ACRYLIC.static_friction:
+            return self
+        surface = replace(ACRYLIC, static_friction=value, kinetic_friction=value)
+        bodies = tuple(replace(body, material=surface) for body in self.bodies)
+        return replace(self, bodies=bodies, parameters={**self.parameters, "friction": value})
 
 
 def cube_toss() -> Scene:
     """The scene with the published facts."""
-    return Scene(
+    return TossScene(
         name="cube-toss",
         summary="a cube of 0.37 kg is thrown onto a table, from measured initial states",
         dt=1.0 / RATE,

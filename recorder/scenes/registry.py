@@ -61,7 +61,7 @@ def scene_of(configuration: RunConfiguration, inputs: Mapping[str, bytes]) -> Sc
     UsageError as of make_scene and model_scene, and where the files are not those that the configuration names.
     """
     if not configuration.model:
-        return make_scene(configuration.scene)
+        return make_scene(configuration.scene).with_options(configuration.options)
     from gpusimbench.recorder.scenes.model.scene import model_scene
     from gpusimbench.schemas.model_files import MODEL
 

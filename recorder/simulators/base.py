@@ -48,6 +48,8 @@ class Description(EngineFacts):
     def recorded(self, scene: Scene, fresh_start: str) -> Simulation:
         """As the recording has it. fresh_start: how the capture phase came to its initial state."""
         facts = {fact.name: getattr(self, fact.name) for fact in fields(EngineFacts)}
+        own = {name: scene.parameters[name] for name in scene.own_options & scene.parameters.keys()}
+        facts["options"] = {**facts["options"], **own}
         about = {"name": scene.name, "sha256": scene.sha256(), "parameters": scene.parameters}
         return Simulation(**facts, scene=about, fresh_start=fresh_start)
 
@@ -112,6 +114,7 @@ class Simulator(ABC):
         name  of the simulator
         """
         takes_models = Ability.MODELS in cls.abilities
+        given = {option: value for option, value in given.items() if option not in scene.own_options}
         return parse_options(name, cls.Options, scene.options(given, names_of(cls.Options)) if takes_models else given)
 
     @classmethod

@@ -8,11 +8,11 @@ from __future__ import annotations
 
 import argparse
 import json
+from pathlib import Path
 
 import numpy as np
 
 from gpusimbench.recorder.capture.sink import Sink
-from gpusimbench.recorder.output import show_path
 from gpusimbench.recorder.plan import MIN_DT
 from gpusimbench.recorder.scenes.registry import make_scene
 from gpusimbench.recorder.sets.progress import say
@@ -30,8 +30,8 @@ _GROUP = "cubes"
 _SAMPLE_TIME = 5.0
 
 
-def record_trials(arguments: argparse.Namespace, argv: tuple[str, ...]) -> int:
-    """Write one recording from a CSV file, or of tosses; returns the exit code. Nothing is written unless every row is
+def record_trials(arguments: argparse.Namespace, argv: tuple[str, ...]) -> Path:
+    """Write one recording from a CSV file, or of tosses; returns its path. Nothing is written unless every row is
     good."""
     scene = make_scene(arguments.scene)
     if scene.tosses:
@@ -83,8 +83,7 @@ def record_trials(arguments: argparse.Namespace, argv: tuple[str, ...]) -> int:
     with new_recording(arguments.out, configuration, argv) as (sink, provenance):
         _write(sink, configuration, provenance, trials, cubes, scene.to_json(), scene.sha256(), data)
     say(f"{len(trials.names)} trials of {len(cubes)} cubes")
-    show_path(sink.path)
-    return 0
+    return sink.path
 
 
 def _write(

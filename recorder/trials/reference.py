@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gpusimbench.recorder.capture.sink import Sink
-from gpusimbench.recorder.output import show_path
 from gpusimbench.recorder.plan import prepare_folder, release, reserve, utc_now
 from gpusimbench.recorder.probes.software import describe_software
 from gpusimbench.recorder.scenes.base import Scene
@@ -33,8 +32,8 @@ _NOTES = {
 }
 
 
-def record_tosses(arguments: argparse.Namespace, argv: tuple[str, ...], scene: Scene) -> int:
-    """Write the recording of a set of tosses; returns the exit code."""
+def record_tosses(arguments: argparse.Namespace, argv: tuple[str, ...], scene: Scene) -> Path:
+    """Write the recording of a set of tosses; returns its path."""
     for name in ("trials", "unit", "sample_time"):
         if getattr(arguments, name) is not None:
             raise UsageError(
@@ -59,8 +58,7 @@ def record_tosses(arguments: argparse.Namespace, argv: tuple[str, ...], scene: S
         say("no LICENSE lies beside the tosses: it has to travel with every copy of the data, this recording too")
     if tosses.synthetic and arguments.tosses is None:
         say(f"these are not measured; --tosses PATH, or {VARIABLE}, names the measured set (docs/how-to/cube-toss.md)")
-    show_path(sink.path)
-    return 0
+    return sink.path
 
 
 @contextmanager

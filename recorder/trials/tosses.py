@@ -25,7 +25,7 @@ from gpusimbench.recorder.scenes.cube_toss import EDGE, RATE
 from gpusimbench.schemas import arrays
 from gpusimbench.schemas.errors import DamagedRecording, UsageError
 from gpusimbench.schemas.tosses import GROUP, MAX_TOSSES, NOTICE, TossSet
-from gpusimbench.schemas.treatment import Given
+from gpusimbench.schemas.treatment import TEACHER, Given
 
 VARIABLE = "GSB_CUBE_TOSS"
 """Environment variable with the path of the set, where --tosses is not given."""
@@ -39,6 +39,7 @@ PUBLISHED = "a402d2981dff88835edcfc3bc5fc396bd6869888cf5b5bbfaeb03e288718d310"
 _HALF = EDGE / 2  # the unit of length of the published files [m]
 _WIDTHS = {"position": 3, "quaternion": 4, "velocity": 3, "angular_velocity": 3}
 _GRAVITY = 9.81
+_NEAR = 0.005  # height above the table at which tracking cannot tell a corner that touches it [m]
 _COLUMNS = 19  # of a published file: position, quaternion, velocity, angular velocity, and six of a control, all zero
 _MOST_BYTES = 1 << 28
 _FILE = re.compile(r"(\d{1,6})\.pt")
@@ -84,6 +85,21 @@ class Tosses:
             "angular_velocity": self.angular_velocity,
         }
 
+    def states(self) -> dict[str, Floats]:
+        """The same as states that a simulation is set to.
+
+        A measured velocity is the mean over the interval before its row. Where the cube falls freely in that interval,
+        half an interval of gravity makes it the velocity of the row: at the first row of a toss, and wherever the
+        lowest corner is more than 5 mm above the table at the row and at the row before. Elsewhere a contact may have
+        changed the velocity meanwhile, and the measured number is kept.
+        """
+        free = self.position[:, 2] - lowest(self.orientation) > _NEAR
+        free[1:] &= free[:-1].copy()
+        free[self.first[:-1]] = True
+        velocity = self.linear_velocity.copy()
+        velocity[free, 2] -= _GRAVITY / RATE / 2
+        return {**self.fields(), "linear_velocity": velocity}
+
     def steps(self, scene: Scene) -> int:
         """Steps between rows that a recording of them has: up to the scene's sample time, or the longest toss."""
         return max(round(scene.sample_time * RATE), max(self.known.rows) - 1)
@@ -93,20 +109,24 @@ class Tosses:
         after = np.arange(steps + 1)[:, np.newaxis]
         return np.asarray(rows[np.minimum(self.first[:-1] + after, self.first[1:] - 1)])
 
-    def initial(self, n_env: int) -> tuple[str, bytes]:
+    def initial(self, n_env: int, every: int = 0) -> tuple[str, bytes]:
         """What environments begin with: the text of a RunConfiguration and its attachment.
 
-        Environment e begins as toss e modulo the number of tosses. The measured velocity is the mean over the interval
-        before the first row; half an interval of gravity makes it that of the row.
+        Environment e begins as toss e modulo the number of tosses, with the velocities of `states`.
+
+        every  where it is above 0, the attachment has every so manieth row after the first, too (treatment.TEACHER)
         """
-        chosen = np.arange(n_env) % len(self)
-        begin = self.first[:-1][chosen]
+        states = self.states()
+        begin = self.first[:-1][np.arange(n_env) % len(self)]
         found: dict[str, NDArray[Any]] = {
-            f"{GROUP}/{name}": rows[begin][:, np.newaxis] for name, rows in self.fields().items()
+            f"{GROUP}/{name}": rows[begin][:, np.newaxis] for name, rows in states.items()
         }
-        velocity = found[f"{GROUP}/linear_velocity"].copy()
-        velocity[..., 2] -= _GRAVITY / RATE / 2
-        found[f"{GROUP}/linear_velocity"] = velocity
+        if every:
+            used = min(n_env, len(self))
+            later = [np.arange(self.first[t] + every, self.first[t + 1], every) for t in range(used)]
+            found[f"{TEACHER}first"] = np.concatenate([[0], np.cumsum([len(rows) for rows in later])])
+            chosen = np.concatenate(later)
+            found |= {f"{TEACHER}{GROUP}/{name}": rows[chosen][:, np.newaxis] for name, rows in states.items()}
         if self.notice:
             found[NOTICE] = np.array(self.notice)
         data = arrays.encode(found)
@@ -165,6 +185,13 @@ def _corrected(raw: dict[str, Any], first: NDArray[np.int64], source: str, sha25
         rotated(raw["quaternion"], raw["angular_velocity"]),
         notice,
     )
+
+
+def lowest(quaternion: Floats) -> Floats:
+    """How far the lowest corner of the cube is below its centre [m], shape [row], of orientations [row, 4] wxyz."""
+    w, x, y, z = quaternion.T
+    vertical = np.abs(np.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)]))
+    return np.asarray(vertical.sum(axis=0) * _HALF)
 
 
 def rotated(quaternion: Floats, vector: Floats) -> Floats:

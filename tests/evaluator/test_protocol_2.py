@@ -118,6 +118,7 @@ _BROKEN: dict[str, dict[str, Any]] = {
         ),
     },
     "closed-division": {**_TOSS, "asked": {"fitted": {"solref": "even tosses"}}},
+    "held-out": {**_TOSS, "asked": {"fitted": {"solref": "even tosses", "friction": "all tosses"}}},
     "given-facts": {**_TOSS, "deviations": (_FRICTION,)},
 }
 _HELD: dict[str, dict[str, Any]] = {
@@ -125,6 +126,7 @@ _HELD: dict[str, dict[str, Any]] = {
     "window-begin-of-a-toss": _TOSS,
     "window-end-of-a-toss": _TOSS,
     "closed-division": _TOSS,
+    "held-out": {**_TOSS, "asked": {"fitted": {"solref": "even tosses"}}},
     "given-facts": {**_TOSS, "deviations": ({**_FRICTION, "used": "0.180"},)},
     "declared-evidence": {"counts": {**_ENDS, "solver_iterations": np.full((2, 2), 3)}},
     "actions-go-on": {"scene": "franka", "streams": _actions("a", "b")},

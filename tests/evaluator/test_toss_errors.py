@@ -49,7 +49,7 @@ def _quaternion(rotation: Rotation) -> np.ndarray:
     return np.roll(rotation.as_quat(), 1, axis=-1)
 
 
-def _flight(rows: int = 20, tosses: int = 3, height: float = 5.0, seed: int = 0) -> Motion:
+def flight(rows: int = 20, tosses: int = 3, height: float = 5.0, seed: int = 0) -> Motion:
     """Cubes that fall freely and turn at a constant rate, by the formulas."""
     rng = np.random.default_rng(seed)
     time = np.arange(rows)[:, None, None] * DT
@@ -76,7 +76,7 @@ def test_angle(axis: tuple[float, ...], turn: float, seed: int) -> None:
 
 def test_no_error() -> None:
     """Find nothing between equal motions, and the same face up."""
-    motion = _flight()
+    motion = flight()
     errors = toss_errors(motion, motion, np.array([20, 12, 7]), CUBE, DT)
     for name in ("position", "rotation", "end_position", "end_rotation", "rest_time", "energy"):
         assert not getattr(errors, name).any(), name
@@ -85,7 +85,7 @@ def test_no_error() -> None:
 
 def test_known_errors() -> None:
     """Measure a shift that grows with time, over the rows of each toss alone, without the first."""
-    motion = _flight()
+    motion = flight()
     shift = np.zeros_like(motion.position)
     shift[..., 0] = np.arange(20)[:, None] * 0.001
     shift[12:, 1] = 99.0  # after the end of the second toss
@@ -106,7 +106,7 @@ def test_known_errors() -> None:
 
 def test_fewer_rows() -> None:
     """Compare at the rows that a simulation has; the last of them within a toss is its end."""
-    motion = _flight()
+    motion = flight()
     rows = np.arange(0, 20, 4)
     found = Motion(rows, *(getattr(motion, name)[rows] for name in
                            ("position", "orientation", "linear_velocity", "angular_velocity")))  # fmt: skip
@@ -138,7 +138,7 @@ def test_depth() -> None:
 
 def test_rest() -> None:
     """Date the rest from the last motion: the last row of a cube that never rests, the first of an idle cube."""
-    motion = _flight(rows=10)
+    motion = flight(rows=10)
     motion.linear_velocity[:], motion.angular_velocity[:] = 0.0, 0.0
     motion.linear_velocity[:4, 0] = 0.05
     motion.angular_velocity[:7, 1] = 0.5
@@ -151,7 +151,7 @@ def test_rest() -> None:
 
 def test_floor() -> None:
     """Find no floor in an exact free fall, and in a noisy one the noise."""
-    motion = _flight()
+    motion = flight()
     counts = np.array([20, 20, 20])
     exact = tracking_floor(motion, counts, CUBE, DT, motion.linear_velocity[0])
     assert exact.position == pytest.approx(0.0, abs=1e-12)

@@ -76,14 +76,16 @@ def test_of_more_environments() -> None:
     assert np.array_equal(draw(Initial(0.1), 3, 0, (5, 2, 3)), draw(Initial(0.1), 3, 0, (64, 2, 3))[:5])
 
 
-@given(st.sampled_from(sorted(KINDS)), st.integers(0, 10**9 - 1), st.integers(1, 10**9 - 1))
+@given(st.sampled_from(sorted(KINDS)), st.integers(1, 10**9 - 1), st.integers(1, 10**9 - 1))
 def test_interventions(kind: str, step: int, more: int) -> None:
     """Read an intervention back as it is written."""
     made = Intervention(kind, step, more if kind == "excursion" else 0)
     assert Intervention.parse(str(made)) == made
 
 
-@pytest.mark.parametrize("text", ["", "reset", "reset@", "reset@-1", "set@1+2", "excursion@5", "jump@3", "reset@01"])
+@pytest.mark.parametrize(
+    "text", ["", "reset", "reset@", "reset@-1", "set@1+2", "excursion@5", "jump@3", "reset@01", "teacher@0"]
+)
 def test_no_interventions(text: str) -> None:
     """Refuse what is none."""
     with pytest.raises(ValueError):

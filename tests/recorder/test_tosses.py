@@ -225,3 +225,50 @@ def test_scene_says_what_is_not_known(gsb_record: Command, tmp_path: Path) -> No
     assert isinstance(world, World)
     assert world.restitution == 1.0
     assert json.loads(Recording(path).attachment("scene.json") or b"{}")["parameters"] == {"restitution_known": False}
+
+
+def test_another_friction(gsb_record: Command, tmp_path: Path) -> None:
+    """Simulate another friction as another scene; the published value leaves the scene as it is, to the byte."""
+    run = ("--sim", "mujoco", "--scene", "cube-toss", "--n-env", "2", "--runs", "1", "--steps", "60", "--phases")
+    paths = {}
+    for value in ("", "0.18", "0.9"):
+        option = ("--option", f"friction={value}") if value else ()
+        done = gsb_record(*run, "capture", *option, "--out", tmp_path / (value or "none"))
+        assert done.returncode == 0, done.stderr
+        (paths[value],) = (tmp_path / (value or "none")).glob("*.mcap")
+    scenes = {value: Recording(path).attachment("scene.json") for value, path in paths.items()}
+    states = {value: np.asarray(Recording(path).state("cubes", "position")) for value, path in paths.items()}
+    assert scenes[""] == scenes["0.18"] != scenes["0.9"]
+    np.testing.assert_array_equal(states[""], states["0.18"])
+    assert not np.array_equal(states[""], states["0.9"])
+    rough = Recording(paths["0.9"])
+    assert {body["material"]["kinetic_friction"] for body in rough.scene["bodies"]} == {0.9}
+    assert rough.simulation is not None
+    assert rough.simulation.options["friction"] == 0.9
+    assert gsb_record("--replay", paths["0.9"], "--out", tmp_path / "again").returncode == 0
+    (again,) = (tmp_path / "again").glob("*.mcap")
+    np.testing.assert_array_equal(states["0.9"], np.asarray(Recording(again).state("cubes", "position")))
+
+
+@pytest.mark.parametrize(
+    ("scene", "value", "said"),
+    [
+        ("cube-toss", "-1", "a number from 0 to 10"),
+        ("cube-toss", "nan", "a number from 0 to 10"),
+        ("cube-toss", "much", "a number from 0 to 10"),
+        ("free-fall", "0.3", "has no option 'friction'"),
+    ],
+)
+def test_no_friction(scene: str, value: str, said: str, gsb_record: Command, tmp_path: Path) -> None:
+    """Refuse what is no friction, and the option in scenes that do not have it."""
+    done = gsb_record("--sim", "mujoco", "--scene", scene, "--option", f"friction={value}", "--out", tmp_path)
+    assert done.returncode == 2
+    assert said in " ".join(done.stderr.split())
+
+
+def test_the_reference_as_json(gsb_record: Command, tmp_path: Path) -> None:
+    """Name the recording on standard output as runs are named."""
+    done = gsb_record("--sim", "real", "--scene", "cube-toss", "--out", tmp_path, "--json")
+    (run,) = json.loads(done.stdout)["runs"]
+    assert run["status"] == "complete"
+    assert Path(run["file"]) in set(tmp_path.glob("*.mcap"))

@@ -87,3 +87,10 @@ def test_who_is_treated(kind: str, treated: set[int], poisoned: set[int]) -> Non
     assert {env for env in range(5) if intervention.treated(env)} == treated
     assert intervention.poisoned(5) == poisoned
     assert intervention.poisoned(1) == set()
+    assert list(intervention.stops(100)) == [3]
+
+
+def test_a_teacher_comes_again() -> None:
+    """Stop after each whole multiple of the steps, and not after the last step."""
+    assert list(Intervention.parse("teacher@3").stops(9)) == [3, 6]
+    assert Intervention.parse("teacher@3").teaches

@@ -12,6 +12,7 @@ from gpusimbench.evaluator.check.rules.fact import (
     recording_of,
     simulation_of,
 )
+from gpusimbench.schemas.tosses import EVEN
 
 
 def _steps_made(file: Integrity, phase: str, asked: int) -> int:
@@ -98,6 +99,11 @@ WORK_FACTS: dict[str, Fact] = {
         lambda f: bool(configuration_of(f).initial),
     ),
     "fitted": Fact(FactType.list, "options that were fitted to tosses, and to which", _fitted),
+    "fitted_on_judged": Fact(
+        FactType.list,
+        "options that were fitted to other tosses than even ones, and to which",
+        lambda f: tuple(f"{name} on {data}" for name, data in configuration_of(f).fitted.items() if data != EVEN),
+    ),
     "facts_not_honoured": Fact(
         FactType.list,
         "friction, mass, edge or inertia that the engine has another value of",

@@ -7,16 +7,22 @@ from dataclasses import replace
 
 from gpusimbench.evaluator.missing import known
 from gpusimbench.evaluator.render.document import EMPTY, Block, Cell, Column, Section, Text
+from gpusimbench.evaluator.render.document import Table as Grid
 from gpusimbench.evaluator.render.numbers import figure, plural
-from gpusimbench.evaluator.report.leaders import fastest, speaks_against
+from gpusimbench.evaluator.report.leaders import fastest, speaks_against_pair
 from gpusimbench.evaluator.report.sections.rows import Reasons
 from gpusimbench.evaluator.report.sections.values import Written, column_of, of_groups
 from gpusimbench.evaluator.report.source import Source
 from gpusimbench.evaluator.results.cost_metrics import FPS
 from gpusimbench.evaluator.results.details import OverTosses
-from gpusimbench.evaluator.results.metric import Table
+from gpusimbench.evaluator.results.metric import Metric, Table
 from gpusimbench.evaluator.results.result import GroupResult
-from gpusimbench.evaluator.results.toss_metrics import TOSS_POSITION, TOSS_ROTATION
+from gpusimbench.evaluator.results.toss_metrics import (
+    TOSS_LOCAL_METRICS,
+    TOSS_LOCAL_POSITION,
+    TOSS_POSITION,
+    TOSS_ROTATION,
+)
 from gpusimbench.evaluator.results.toss_ranking import Ranked, beaten_by, ranked
 
 _LEGEND = (
@@ -28,17 +34,64 @@ _LEGEND = (
 )
 
 
+_LOCAL_LEGEND = (
+    "The cube is set to each k-th measured row, and is compared with the measured row k rows later, just before it is "
+    "set again. An early error is no part of later ones.",
+    "95 % intervals: tosses resampled.",
+)
+
+
 def section(source: Source) -> Section | None:
     """None where nothing was compared with tosses."""
-    order = ranked(source.shown, source.evaluation.results)
-    if not order:
+    order, local = ranked(source.shown, source.evaluation.results), _local(source)
+    blocks, said = _whole(source, order) if order else ([], "")
+    if local:
+        blocks.append(local)
+        said = "; ".join(filter(None, (said, f"{plural(len(local.rows), 'group')} with local errors")))
+    return Section("tosses", "Accuracy: measured tosses", tuple(blocks), said, folded=True) if blocks else None
+
+
+def _local(source: Source) -> Grid | None:
+    """Groups that are set to measured states on the way: the fewest rows between settings first, then the smallest
+    error."""
+    found = [r for r in source.shown if known(r.metrics[TOSS_LOCAL_POSITION.name].value) is not None]
+    if not found:
         return None
+    found.sort(key=lambda r: (_details(r).rows or 0, known(r.metrics[TOSS_LOCAL_POSITION.name].value) or 0.0))
+    reasons = Reasons()
+    columns = [column_of(metric, reasons) for metric in TOSS_LOCAL_METRICS]
+    columns.insert(0, (Column("rows", "measured rows from each setting on"), lambda r: _number(_details(r).rows)))
+    columns.append((Column("tosses", "that have more rows"), lambda r: _number(_details(r).tosses)))
+    for metric in TOSS_LOCAL_METRICS:
+        columns.append(_measured_floor(metric))
+    return of_groups("local", "Local errors against measured tosses", found, columns, reasons, _LOCAL_LEGEND)
+
+
+def _details(result: GroupResult) -> OverTosses:
+    return result.metrics[TOSS_LOCAL_POSITION.name].of(OverTosses)
+
+
+def _number(value: int | None) -> Cell:
+    return EMPTY if value is None else Cell(f"{value}", float(value))
+
+
+def _measured_floor(metric: Metric) -> tuple[Column, Written]:
+    def cell(result: GroupResult) -> Cell:
+        floor = result.metrics[metric.name].of(OverTosses).tracking_floor
+        return EMPTY if floor is None else Cell(figure(floor, metric.unit), floor)
+
+    title = f"measurement, {metric.title.removeprefix('local error of ')} [{metric.unit}]"
+    return Column(title, "the same error of a cube in free flight, which no simulation can go below"), cell
+
+
+def _whole(source: Source, order: Sequence[Ranked]) -> tuple[list[Block], str]:
+    """Whole tosses: the table of errors, what stands below it, and both in a sentence."""
     best = order[0].result
     reasons = Reasons()
     metrics = source.columns(Table.REALITY)
     columns = [column_of(metric, reasons) for metric in metrics]
     columns.insert(1, _more_than_first(order))
-    against = {one.result.label: speaks_against(one.timed or one.result, source.evaluation.results) for one in order}
+    against = {one.result.label: speaks_against_pair(one, source.evaluation.results) for one in order}
     front = beaten_by([one for one in order if not against[one.result.label]])
     if front:
         columns += [_throughput(order, reasons), _on_the_front(order, front, against)]
@@ -51,7 +104,7 @@ def section(source: Source) -> Section | None:
     if quick := _fastest_at_equal_accuracy(source):
         blocks.append(Text(quick))
         said += f"; {quick[0].lower()}{quick[1:].rstrip('.')}"
-    return Section("tosses", "Accuracy: measured tosses", tuple(blocks), said, folded=True)
+    return blocks, said
 
 
 def _more_than_first(order: Sequence[Ranked]) -> tuple[Column, Written]:

@@ -53,8 +53,8 @@ def _facts(recording: Recording, envs: tuple[tuple[int, int], ...], sank: Sunk |
             return no_states(recording)
         bodies = {Check.SANK: _sank(count_sunk(recording) if sank is None else sank)}
         return {**joint_facts(recording), **(bodies if positional(recording.fields) else {})}
-    if recording.configuration.intervention.startswith(("reset@", "poison@")):
-        return Missing("some environments were changed on the way")
+    if recording.configuration.intervention.startswith(("reset@", "poison@", "teacher@")):
+        return Missing("environments were changed on the way")
     walk = Walk(recording, envs)
     if not walk.groups:
         return Missing("no positions in three dimensions were recorded")
