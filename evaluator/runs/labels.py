@@ -91,7 +91,7 @@ def row_names(keys: Sequence[GroupKey], given: Given, marks: Sequence[str]) -> l
 
 def short_device(device: str) -> str:
     """A device without what every device of its kind has in its name."""
-    return re.sub(r"\((R|TM)\)| Processor\b|^(NVIDIA|AMD|Intel) |\bGeForce | \d+GB( HBM\w*)?$", "", device)
+    return re.sub(r"^(NVIDIA|AMD|Intel)(\(R\))? |\((R|TM)\)| Processor\b|\bGeForce | \d+GB( HBM\w*)?$", "", device)
 
 
 def footnotes(keys: Sequence[GroupKey]) -> list[tuple[str, ...]]:

@@ -69,7 +69,7 @@ def _firsts(sections: Sequence[Section]) -> Table:
     rows = []
     for number, section in enumerate(sections, 1):
         first, second = (*section.ranked[:2], None, None)[:2]
-        where = Cell(section.scene, notes=(section.device, _timed_over(section)), link=f"s{number}")
+        where = Cell(_heading(section), notes=(_timed_over(section),), link=f"s{number}")
         leaders = (_leader(first), _leader(second)) if first else (_nobody(section), EMPTY)
         rows.append(Row((where, *leaders, _barred(section)), {"scene": section.scene}))
     columns = (
