@@ -26,7 +26,7 @@ COMMANDS: dict[str, tuple[Main, list[str], list[str]]] = {
     "eval-tables": (
         evaluate.main,
         ["RUNS/a.mcap", "--no-cache", "--tables", "OUT", "--format", "parquet,csv,md,tex"],
-        ["runs.parquet", "metrics.parquet", "throughput-inclined-collision.csv", "validity.md", "variability-bits.tex"],
+        ["runs.parquet", "metrics.parquet", "throughput.csv", "validity.md", "variability.tex"],
     ),
     "eval-figures": (evaluate.main, ["RUNS/a.mcap", "--no-cache", "--figures", "OUT"], ["figures.tex"]),
     "eval-html": (evaluate.main, ["RUNS/a.mcap", "--no-cache", "--html", "OUT"], ["index.html"]),

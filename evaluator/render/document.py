@@ -73,10 +73,12 @@ class Column:
 
     title    with its unit
     meaning  what it says, for a reader who points at the title or reads the legend
+    place    whether it says where a row belongs, as its name does, and nothing of what came out
     """
 
     title: str
     meaning: str = ""
+    place: bool = False
 
 
 @dataclass(frozen=True)
@@ -84,10 +86,12 @@ class Row:
     """A row of a table; the first cell names it.
 
     facets  by which readers filter, such as simulator, scene, device and level: name to value
+    more    what a page shows below the row once a reader opens it
     """
 
     cells: tuple[Cell, ...]
     facets: Mapping[str, str] = field(default_factory=dict)
+    more: tuple[Block, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -113,7 +117,7 @@ class Table:
     def without_empty_columns(self) -> Table:
         """The table without the columns, the first aside, in which every cell is a dash."""
         kept = [i for i in range(len(self.columns)) if not i or any(row.cells[i].text != NONE for row in self.rows)]
-        rows = tuple(Row(tuple(row.cells[i] for i in kept), row.facets) for row in self.rows)
+        rows = tuple(replace(row, cells=tuple(row.cells[i] for i in kept)) for row in self.rows)
         return replace(self, columns=tuple(self.columns[i] for i in kept), rows=rows)
 
 
@@ -313,6 +317,9 @@ def walk(blocks: Sequence[Block]) -> Iterator[Block]:
                 yield from walk(column)
         elif isinstance(one, Gallery):
             yield from one.figures
+        elif isinstance(one, Table):
+            for row in one.rows:
+                yield from walk(row.more)
 
 
 def key_of(*words: object) -> str:

@@ -7,7 +7,9 @@ else; without scripts the page lacks sorting, filters, search and the buttons of
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 
 import jinja2
 from markupsafe import Markup, escape
@@ -27,6 +29,7 @@ from gpusimbench.evaluator.render.document import (
     Gallery,
     Item,
     Items,
+    Row,
     Section,
     Table,
     Text,
@@ -39,6 +42,21 @@ from gpusimbench.schemas.text import printable
 
 LARGEST_CSV = 256_000
 """Characters of a figure's numbers that a page carries; more of them are left to `gsb-eval --figures`."""
+
+FIRST_ROWS = 25
+"""Rows that a table shows until a reader asks for all."""
+
+_OPEN_ROWS = 4  # a table of more rows has each on a line, until a reader opens the row
+_FIRST_FIGURES = 6
+_FIRST_ITEMS = 8
+_SHORT_LEGEND = 2  # lines; of more, a page shows that there are some
+_LONG = 48  # characters of a cell that are cut to what its line has room for
+_ROOM = 152  # characters of a row on a page of 1280 pixels
+_GAP = 2  # characters that a column's edges take
+_NAME, _LONGEST_NAME = 42, 90  # characters of the names of rows: what a page has room for, and what is one
+_SMALL = 0.85  # width of an interval's character
+_TIGHT = "An opened row shows its intervals."
+_MARK = re.compile(r"\([a-z]{1,2}\)")
 
 _EMPTY = Markup("")
 
@@ -91,12 +109,11 @@ def _block(block: Block, level: int) -> Markup:
         case Section():
             return _section(block, level)
         case Table():
-            return _table(block)
+            return _table(block, level)
         case Figure():
             return _figure(block)
         case Gallery():
-            made = Markup("\n").join(map(_figure, block.figures))
-            return Markup('<div class="figures" data-least="{}">\n{}\n</div>').format(f"{block.least:g}", made)
+            return _gallery(block)
         case Facts():
             return _facts(block)
         case Text():
@@ -128,7 +145,7 @@ def _section(block: Section, level: int) -> Markup:
     )
 
 
-def _table(block: Table) -> Markup:
+def _table(block: Table, level: int) -> Markup:
     if not block.rows:
         return _EMPTY
     numeric = [
@@ -143,32 +160,100 @@ def _table(block: Table) -> Markup:
         )
         for i, column in enumerate(block.columns)
     )
-    rows = (
-        Markup("<tr{}>{}</tr>").format(
-            _data(row.facets), _EMPTY.join(_cell(one, i, numeric[i], block.compact) for i, one in enumerate(row.cells))
-        )
-        for row in block.rows
-    )
+    closed = (len(block.rows) > _OPEN_ROWS or any(row.more for row in block.rows)) and not block.compact
+    whole, tight = _whole(block) if closed else ([], False)
+    rows = [_row(row, numeric, block.compact, closed, tight, level) for row in block.rows]
+    bodies = Markup("<tbody>\n{}\n</tbody>").format(Markup("\n").join(rows[:FIRST_ROWS]))
+    every = _EMPTY
+    if len(rows) > FIRST_ROWS + 1:
+        bodies += Markup("<tbody class=rest>\n{}\n</tbody>").format(Markup("\n").join(rows[FIRST_ROWS:]))
+        every = Markup("\n<details class=every><summary>Show all {} rows</summary></details>").format(len(rows))
+    else:
+        bodies = Markup("<tbody>\n{}\n</tbody>").format(Markup("\n").join(rows))
     caption = Markup("<caption>{}</caption>\n").format(_text(block.caption)) if block.caption else _EMPTY
-    legend = _EMPTY
-    if block.legend:
-        lines = _EMPTY.join(Markup("<li>{}</li>").format(_text(one)) for one in block.legend)
-        legend = Markup('\n<ul class="legend">{}</ul>').format(lines)
     name = block.caption or block.key.replace("-", " ")
+    kept = Markup(' data-whole="{}"').format(" ".join(map(str, whole))) if whole else _EMPTY
+    if closed and (places := sum(column.place for column in block.columns)):
+        kept += Markup(' data-places="{}"').format(places)
+    classes = " compact" if block.compact else f" rows{' named' * _is_named(block)}{' tight' * tight}" if closed else ""
     return Markup(
-        '<div class="table{}" role="region" tabindex="0" aria-label="{}"><table>\n{}<thead><tr>{}</tr></thead>\n'
-        "<tbody>\n{}\n</tbody></table></div>{}"
+        '<div class="table{}" role="region" tabindex="0" aria-label="{}"><table{}>\n{}<thead><tr>{}</tr></thead>\n'
+        "{}</table>{}</div>{}"
     ).format(
-        Markup(" compact") if block.compact else _EMPTY,
+        classes,
         _text(name),
+        kept,
         caption,
         _EMPTY.join(heads),
-        Markup("\n").join(rows),
-        legend,
+        bodies,
+        every,
+        _legend((*block.legend, *([_TIGHT] if tight else []))),
     )
 
 
-def _cell(said: Cell, index: int, numeric: bool, compact: bool) -> Markup:
+def _is_named(block: Table) -> bool:
+    """Whether its rows have names, which are cut to what there is room for, and no sentences in place of names."""
+    return max(len(row.cells[0].text) for row in block.rows) <= _LONGEST_NAME
+
+
+def _whole(block: Table) -> tuple[list[int], bool]:
+    """Columns, from 1, whose cells are not broken: the narrowest first, as many as a page has room for.
+
+    Also whether there is no room for intervals, which are not broken either.
+    """
+    cells = [*zip(*(row.cells for row in block.rows), strict=True)]
+    wide = [max(len(f"{one.text} {one.range}".strip()) for one in column) for column in cells]
+    words = [max(map(len, " ".join([title.title, *(one.text for one in column)]).split()), default=0)
+             for title, column in zip(block.columns, cells, strict=True)]  # fmt: skip
+    ranges = [max(round(_SMALL * len(one.range)) for one in column) for column in cells]
+    least = [*map(max, words, ranges)]
+    tight = sum(least) + _GAP * len(least) > _ROOM and least != words
+    named = _is_named(block)
+    if named:
+        words[0] = least[0] = min(wide[0], _NAME)
+    room = _ROOM - sum(words if tight else least) - _GAP * len(least)
+    found = []
+    for i in sorted(range(int(named), len(wide)), key=lambda i: wide[i]):
+        longest = max(len(one.text) for one in cells[i]) if tight else wide[i]
+        more = max(0, longest - (words if tight else least)[i])
+        if longest <= _LONG and more <= room:
+            found.append(i + 1)
+            room -= more
+    return sorted(found), tight
+
+
+def _legend(lines: Sequence[str]) -> Markup:
+    if not lines:
+        return _EMPTY
+    listed = Markup("<ul class=legend>{}</ul>").format(
+        _EMPTY.join(Markup("<li>{}</li>").format(_text(one)) for one in lines)
+    )
+    if len(lines) <= _SHORT_LEGEND:
+        return Markup("\n") + listed
+    return Markup("\n<details class=key><summary>How to read this table: {} notes</summary>{}</details>").format(
+        len(lines), listed
+    )
+
+
+def _row(row: Row, numeric: Sequence[bool], compact: bool, closed: bool, tight: bool, level: int) -> Markup:
+    """A row of a table; where rows are closed, its name opens it, and what it has to say stands in a row below it."""
+    opens = bool(row.more) or (closed and any(map(_hides, row.cells)))
+    opens |= tight and any(one.range for one in row.cells)
+    cells = [_cell(one, i, numeric[i], compact, opens and not i, closed) for i, one in enumerate(row.cells)]
+    shown = Markup("<tr{}>{}</tr>").format(_data(row.facets), _EMPTY.join(cells))
+    if not row.more:
+        return shown
+    return shown + Markup("\n<tr class=more><td colspan={}>{}</td></tr>").format(
+        len(row.cells), blocks(row.more, level)
+    )
+
+
+def _hides(said: Cell) -> bool:
+    """Whether a closed row does not show all of a cell."""
+    return len(said.text) > _LONG or not all(map(_MARK.fullmatch, said.notes))
+
+
+def _cell(said: Cell, index: int, numeric: bool, compact: bool, opens: bool, closed: bool) -> Markup:
     classes = " ".join([*(["num"] if numeric else []), *([] if said.tone is Tone.PLAIN else [said.tone.value])])
     attributes = Markup(' class="{}"').format(classes) if classes else _EMPTY
     if said.value is not None:
@@ -176,18 +261,47 @@ def _cell(said: Cell, index: int, numeric: bool, compact: bool) -> Markup:
     if compact and len(said.lines) > 1:
         attributes += Markup(' title="{}"').format(_text("; ".join(said.lines)))
     name = "th scope=row" if index == 0 else "td"
-    return Markup("<{}{}>{}</{}>").format(Markup(name), attributes, _said(said), Markup(name[:2]))
+    shown = _opening(said) if opens else _said(said, closed=closed)
+    return Markup("<{}{}>{}</{}>").format(Markup(name), attributes, shown, Markup(name[:2]))
 
 
-def _said(said: Cell) -> Markup:
+def _opening(said: Cell) -> Markup:
+    """The name of a row as what opens it: where the name is a link, that stands with what is opened."""
+    plain = _said(replace(said, link="", range="", notes=()), closed=True)
+    notes = [Markup("<small>{}</small>").format(_text(one)) for one in said.notes]
+    if said.link:
+        notes.append(Markup('<small><a href="#{}">go to its section</a></small>').format(said.link))
+    return Markup("<details class=row><summary>{}</summary></details>{}").format(plain, _EMPTY.join(notes))
+
+
+def _said(said: Cell, *, closed: bool = False) -> Markup:
     shown = _text(said.text)
     if said.code:
         shown = Markup("<code>{}</code>").format(shown)
     if said.link:
         shown = Markup('<a href="#{}">{}</a>').format(said.link, shown)
+    if closed and len(said.text) > _LONG:
+        shown = Markup("<span class=long>{}</span>").format(shown)
     bounds = Markup("<small class=whole>{}</small>").format(_text(said.range)) if said.range else _EMPTY
-    notes = _EMPTY.join(Markup("<small>{}</small>").format(_text(one)) for one in said.notes)
-    return shown + bounds + notes
+    notes = (
+        Markup("<small{}>{}</small>").format(Markup(" class=mark") if _MARK.fullmatch(one) else _EMPTY, _text(one))
+        for one in said.notes
+    )
+    return shown + bounds + _EMPTY.join(notes)
+
+
+def _gallery(block: Gallery) -> Markup:
+    """Figures in a grid: the first at once, and all others once a reader asks for them."""
+    grid = Markup('<div class="figures" data-least="{}">\n{}\n</div>')
+    made = [*map(_figure, block.figures)]
+    first = len(made) if len(made) <= _FIRST_FIGURES + 1 else _FIRST_FIGURES
+    shown = grid.format(f"{block.least:g}", Markup("\n").join(made[:first]))
+    if not made[first:]:
+        return shown
+    rest = grid.format(f"{block.least:g}", Markup("\n").join(made[first:]))
+    return shown + Markup("\n<details class=key><summary>Show all {} figures</summary>\n{}\n</details>").format(
+        len(made), rest
+    )
 
 
 def _figure(block: Figure) -> Markup:
@@ -225,17 +339,27 @@ def _facts(block: Facts) -> Markup:
 
 
 def _items(of: Sequence[Item]) -> Markup:
+    """A list: what stands below an item is closed, and so is what follows the first items."""
     if not of:
         return _EMPTY
-    made = Markup("\n").join(
-        Markup("<li{}>{}{}</li>").format(
-            _class(one.tone),
-            Markup('<a href="#{}">{}</a>').format(one.link, _text(one.text)) if one.link else _text(one.text),
-            _items(one.items),
-        )
-        for one in of
+    made = [_item(one) for one in of]
+    first = len(made) if len(made) <= _FIRST_ITEMS + 1 else _FIRST_ITEMS
+    shown = Markup("<ul>\n{}\n</ul>").format(Markup("\n").join(made[:first]))
+    if not made[first:]:
+        return shown
+    rest = Markup("\n").join(made[first:])
+    return shown + Markup("\n<details class=key><summary>Show all {}</summary><ul>\n{}\n</ul></details>").format(
+        len(made), rest
     )
-    return Markup("<ul>\n{}\n</ul>").format(made)
+
+
+def _item(one: Item) -> Markup:
+    shown = _text(one.text)
+    if one.link:
+        shown = Markup('<a href="#{}">{}</a>').format(one.link, shown)
+    if one.items:
+        shown = Markup("<details class=key><summary>{}</summary>{}</details>").format(shown, _items(one.items))
+    return Markup("<li{}>{}</li>").format(_class(one.tone), shown)
 
 
 def _class(tone: Tone) -> Markup:

@@ -50,6 +50,9 @@ def _block(block: Block, level: int) -> Iterator[str]:
             yield from _section(block, level)
         case Table():
             yield from _table(block)
+            for row in block.rows:
+                if row.more:
+                    yield from _section(Section("", row.cells[0].text, row.more, folded=True), level)
         case Facts():
             yield from (f"- {prose(f'{name}:')} {_cell(said)}" for name, said in block.pairs)
             yield ""

@@ -76,6 +76,12 @@ def _print(block: Block, console: Console, indent: str) -> None:
                 _print(one, console, indent)
         case Table():
             _print_table(block, console)
+            for row in block.rows:
+                if row.more:
+                    console.print()
+                    console.print(line(row.cells[0].text), style="bold")
+                for one in row.more:
+                    _print(one, console, indent)
         case Facts():
             _print_facts(block, console)
         case Text():

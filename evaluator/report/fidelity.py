@@ -41,13 +41,6 @@ def fidelity_record(one: Fidelity) -> dict[str, Any]:
     return record
 
 
-def heading(one: Fidelity) -> str:
-    """Which group, and how much of it was looked at."""
-    runs = f"{one.runs} run{'' if one.runs == 1 else 's'}"
-    envs = f"{one.looked_at} of {one.n_env} envs" if one.exactness == "sampled" else f"{one.n_env} envs"
-    return f"{one.label}, {one.scene}: {runs}, {envs}" if one.scene else one.label
-
-
 def cells(row: FidelityRow) -> tuple[str, ...]:
     """A measured check as the texts of a table's row, in the order of its titles."""
     unit = f" [{row.check.unit}]" if row.check.unit else ""

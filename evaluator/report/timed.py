@@ -64,14 +64,17 @@ def unmet(work: TimedWork) -> str:
 
 _STEPS = Column("timed steps", steps)
 _SECONDS = Column("seconds timed", seconds)
-_SETTINGS = Column(", ".join(SETTINGS), settings)
+SETTINGS_IN_FORCE = Column(", ".join(SETTINGS), settings)
 _UNMET = Column(f"{PROTOCOL} rules not met", unmet)
 
 
 LEGEND = f"{PROTOCOL} rules not met: how many rules, and how often; gsb-check --protocol names them"
 """What the last column counts."""
 
-ALL = (_STEPS, _SECONDS, _SETTINGS, _UNMET)
+NOT_COMPARABLE = "NOT comparable by throughput"
+"""How the line on rows that were timed over other steps begins."""
+
+ALL = (_STEPS, _SECONDS, SETTINGS_IN_FORCE, _UNMET)
 """Everything that stands beside a throughput."""
 
 
@@ -151,7 +154,7 @@ def _incomparable(rows: Sequence[tuple[str, TimedWork]], *, counted: bool = Fals
     counted = counted and sum(map(len, others.values())) >= _NAMED
     said = [f"{_of(w)}: {plural(len(n), 'group') if counted else _listed(n)}" for w, n in others.items()]
     told = f"{'; '.join(said)}; {_of(usual)}: all others"
-    return [f"NOT comparable by throughput: the rows were timed over other steps of the scene: {told}"]
+    return [f"{NOT_COMPARABLE}: the rows were timed over other steps of the scene: {told}"]
 
 
 def of_sides(base: TimedWork, head: TimedWork) -> list[str]:

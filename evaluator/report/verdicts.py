@@ -49,10 +49,11 @@ class Question:
 
 def usual(results: Results) -> list[GroupResult]:
     """Without groups of runs that were made to answer a question of gsb-probe, and nothing else; all, if all are."""
-    return [r for r in results if not _for_probe(r)] or list(results)
+    return [r for r in results if not for_probe(r)] or list(results)
 
 
-def _for_probe(result: GroupResult) -> bool:
+def for_probe(result: GroupResult) -> bool:
+    """Whether the runs of a group answer a question of gsb-probe, and nothing else."""
     key = result.group.key
     own = key.initial and not key.initial.startswith("states:")  # states that a user gave are no probe's
     changed = key.intervention and not key.intervention.startswith("teacher@")

@@ -17,6 +17,9 @@ Given = Mapping[str, frozenset[str]]
 
 NONE_GIVEN: Given = {}
 
+PLACE = ("scene", "device", "n_env")
+"""What tables have columns for, and names of rows leave out."""
+
 _SHOWN_SETTINGS = 4
 _SHOWN_LENGTH = 60
 
@@ -69,6 +72,30 @@ def labels(keys: Sequence[GroupKey], given: Given = NONE_GIVEN, *, beside: Colle
     ]
 
 
+def row_names(keys: Sequence[GroupKey], given: Given, marks: Sequence[str]) -> list[str]:
+    """A name for each key in a table with columns of `PLACE`: the simulator, and what tells it from its others.
+
+    Levels of determinism stand without the word. Protocol settings and environment variables are in no name: `marks`,
+    one for each key and empty where it has none, point at footnotes that say what they mean. Names are unique together
+    with the columns: what is alike in all of that is numbered.
+    """
+    named = []
+    for key, mark in zip(keys, marks, strict=True):
+        found = _parts(key, keys, given.get(key.simulator, frozenset()), PLACE, chosen_alone=True)
+        shown = ", ".join(part.removeprefix("determinism=") for part in found)
+        named.append(" ".join(filter(None, (key.simulator, f"[{shown}]" if shown else "", mark))))
+    places = [(name, *(getattr(key, n) for n in PLACE)) for name, key in zip(named, keys, strict=True)]
+    return [
+        name if places.count(place) == 1 else f"{name} #{places[: i + 1].count(place)}"
+        for i, (name, place) in enumerate(zip(named, places, strict=True))
+    ]
+
+
+def short_device(device: str) -> str:
+    """A device without what every device of its kind has in its name."""
+    return re.sub(r"^(NVIDIA|AMD|Intel)(\(R\))? |\((R|TM)\)| Processor\b|\bGeForce | \d+GB( HBM\w*)?$", "", device)
+
+
 def footnotes(keys: Sequence[GroupKey]) -> list[tuple[str, ...]]:
     """For each key, sentences on its protocol and environment variables where these differ from its others.
 
@@ -83,7 +110,8 @@ def footnotes(keys: Sequence[GroupKey]) -> list[tuple[str, ...]]:
     ]
 
 
-def _parts(key: GroupKey, keys: Sequence[GroupKey], given: frozenset[str], beside: Collection[str]) -> list[str]:
+def _parts(key: GroupKey, keys: Sequence[GroupKey], given: frozenset[str], beside: Collection[str],
+           *, chosen_alone: bool = False) -> list[str]:  # fmt: skip
     # a run that failed before it was built knows only what was asked, and would make every default stand out
     rivals = [k for k in keys if _rivals(key, k) and (k.version or not key.version)]
     telling = [name for name in _ATTRIBUTES if any(_told_apart(name, key, rival) for rival in rivals)]
@@ -98,7 +126,7 @@ def _parts(key: GroupKey, keys: Sequence[GroupKey], given: frozenset[str], besid
         alike = [rival for rival in alike if precisions(rival) in ([], precisions(key))]
     parts += _limited(_changed(_settings(key), [_settings(rival) for rival in alike]))
     alike = [rival for rival in alike if _settings(rival) == _settings(key)]
-    for settings in (_protocol, _conditions):
+    for settings in () if chosen_alone else (_protocol, _conditions):
         parts += _fewest(settings(key), [settings(rival) for rival in alike])
         alike = [rival for rival in alike if settings(rival) == settings(key)]
     if "version" in telling and not key.version:

@@ -183,9 +183,9 @@ def test_tables_and_page(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> 
     text = capsys.readouterr().out
     printed = " ".join(text.split())
     found = tables_of(evaluate_files(files))
-    (speed,) = rows_of(found["throughput-inclined-collision"]).values()
+    (speed,) = rows_of(found["throughput"]).values()
     assert speed["throughput [env-steps/s]"].notes == ("another process on the GPU: 1 of 3 runs: 1",)
-    (costs,) = rows_of(found["costs-inclined-collision"]).values()
+    (costs,) = rows_of(found["costs"]).values()
     assert costs["GPU memory increment [GB]"].text == "1.00 ± 0.00"
     assert costs["GPU memory of the process [GB]"].text == "0.99 ± 0.00"
     assert "lower for it: synthetic (1 of 3 runs: 1)" in printed

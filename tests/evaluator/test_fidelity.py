@@ -13,10 +13,10 @@ import pytest
 from gpusimbench.evaluator.compare.finding import Change, Counted, Finding
 from gpusimbench.evaluator.compare.mechanics import compare_mechanics
 from gpusimbench.evaluator.missing import Missing
-from gpusimbench.evaluator.render.document import Document
+from gpusimbench.evaluator.render.document import Document, facts
 from gpusimbench.evaluator.render.terminal import print_document
 from gpusimbench.evaluator.report.fidelity import fidelity_record
-from gpusimbench.evaluator.report.sections.mechanics import of_group
+from gpusimbench.evaluator.report.sections.mechanics import blocks, held
 from gpusimbench.evaluator.results.fidelity import Fidelity, Verdict, fidelity
 from gpusimbench.evaluator.runs.physics.facts import Check, Measured, PhysicsFacts, measured
 
@@ -29,7 +29,7 @@ def printed(found: Fidelity) -> str:
         fidelity=found,
         group=SimpleNamespace(key=SimpleNamespace(simulator="x", scene="s", device="d", determinism="default")),
     )
-    print_document(Document("", (of_group(result),)), stream)
+    print_document(Document("", (facts(("checks held", held(result))), *blocks(result, "mechanics-of"))), stream)
     return stream.getvalue()
 
 
@@ -96,7 +96,7 @@ def test_values_of_which_none_is_finite_break() -> None:
 def test_the_table_shows_what_broke() -> None:
     """Print measured, allowed, tolerance and verdict, and the reasons beneath."""
     text = printed(fidelity("engine x", [run(2.4, 2.0)]))
-    assert "engine x, inclined-collision: 1 run, 2 envs: 0 of 1 checks held" in text
+    assert "checks held  0 of 1" in text
     assert "2 to 2.4" in text
     assert "BROKEN 1 of 2" in text
     assert "not applicable: acceleration of free fall: nothing falls" in text
@@ -121,7 +121,7 @@ def test_what_mechanics_does_not_demand_is_shown_apart() -> None:
     assert [row.check for row in found.of(Verdict.MOVING)] == [Check.END_SPIN]
     assert [row.check for row in found.of(Verdict.AT_REST)] == [Check.END_SPEED]
     text = printed(found)
-    assert "1 of 1 checks held" in text
+    assert "checks held  1 of 1" in text
     held, apart = text.split("At rest at the sample time (mechanics does not demand it)", 1)
     assert "fastest spin" not in held
     assert "still moving 1 of 2" in apart

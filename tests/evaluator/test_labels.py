@@ -10,7 +10,7 @@ import pytest
 
 from gpusimbench import open_recording
 from gpusimbench.evaluator.runs.groups import group
-from gpusimbench.evaluator.runs.labels import footnotes, labels, options_given
+from gpusimbench.evaluator.runs.labels import footnotes, labels, options_given, row_names, short_device
 from tests.synthetic import grid, write_recording
 
 
@@ -174,3 +174,34 @@ def test_given_states_that_follow_from_the_number_of_environments(small: Path) -
         "mujoco [n_env=4, initial=states:aaaaaaaa]",
         "mujoco [n_env=8]",
     ]
+
+
+def test_names_of_rows_leave_out_what_stands_beside_them(tmp_path: Path) -> None:
+    """Name groups by options and levels; size and protocol are in no name, and what is alike in all has a number."""
+    kinds = [{"determinism": level, "timed_steps": steps} for level in ("default", "full") for steps in (3, 5)]
+    recordings = [open_recording(write_recording(tmp_path, grid(n), **kind)) for n in (1, 2) for kind in kinds]
+    keys = [g.key for g in group(recordings)]
+    assert len(keys) == 8
+    given = options_given(recordings)
+    marks = ["" if key.timed_steps == 5 else "¹" for key in keys]
+    named = dict(zip(((key.determinism, key.timed_steps, key.n_env) for key in keys), row_names(keys, given, marks),
+                     strict=True))  # fmt: skip
+    assert named["full", 5, 1] == named["full", 5, 2] == "synthetic [full]"
+    assert named["full", 3, 1] == "synthetic [full] ¹"
+    assert set(row_names(keys, given, [""] * 8)) == {
+        f"synthetic [{level}] #{i}" for level in ("default", "full") for i in (1, 2)
+    }
+
+
+@pytest.mark.parametrize(
+    ("device", "short"),
+    [
+        ("NVIDIA H100 80GB HBM3", "H100"),
+        ("NVIDIA GeForce RTX 5070", "RTX 5070"),
+        ("Intel(R) Xeon(R) Processor, 16 threads", "Xeon, 16 threads"),
+        ("", ""),
+    ],
+)
+def test_devices_are_short(device: str, short: str) -> None:
+    """Leave out what all devices of a maker have in their names."""
+    assert short_device(device) == short

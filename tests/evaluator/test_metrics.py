@@ -65,7 +65,7 @@ def test_one_declaration_is_in_all_outputs(with_steps: Metric, recordings: list[
     assert f"<code>{with_steps.name}</code>" in page
     assert f"| `{with_steps.name}` | {with_steps.title} | steps | higher | {with_steps.docs}" in table()
     files = table_files(report(Source(evaluation, False, "")), [Format.CSV])
-    text = next(file.decode() for name, file in files.items() if name.startswith("costs-"))
+    text = next(file.decode() for name, file in files.items() if name.startswith("costs."))
     titles, row = list(csv.reader(text.splitlines()))[:2]
     assert float(row[titles.index(with_steps.titled)]) == expected
     pytest.importorskip("polars")

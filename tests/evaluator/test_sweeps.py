@@ -160,13 +160,13 @@ def test_a_long_sweep_is_one_table(tmp_path: Path) -> None:
     found = tables_of(evaluation)
     furthest = rows_of(found["scaling-largest-inclined-collision"])["synthetic"]
     assert (furthest["N_env^max"].text, furthest["why it ends"].text[:30]) == ("64", "failed at 256: device memory: ")
-    shown = " ".join(rows_of(found["throughput-inclined-collision"]))
-    assert "short [n_env=1]" in shown
-    assert "synthetic [n_env=64]" not in shown
-    assert "synthetic [n_env=16" in shown  # it captured states
+    shown = [(row.cells[0].text, row.cells[1].text) for row in found["throughput"].rows]
+    assert ("short", "1 x 2") in shown
+    assert not [size for _, size in shown if size.startswith("64 x")]
+    assert ("synthetic [float64]", "16 x 1") in shown  # it captured states
     page = render_html(evaluation, published=True, command="")
     throughput = part(page, "throughput")
-    assert "synthetic [n_env=64]" not in throughput
+    assert "64 x" not in throughput
     assert "of sweeps that captured no states" in throughput
     scaling = part(page, "scaling")
     assert "failed at 256: device memory: no memory for the contacts" in scaling

@@ -66,7 +66,7 @@ def files(found: Evaluation, kind: Format) -> dict[str, str]:
     return {Path(name).stem: file.decode() for name, file in made.items()}
 
 
-SPEEDS = "throughput-inclined-collision"
+SPEEDS = "throughput"
 SAID = ("100 to 1,100", "20 to 120", "elliptic", "pyramidal", "1e-08", "1e-06", "(< 1 s)")
 """What two such groups have beside their throughputs, wherever these are shown."""
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 from gpusimbench.evaluator.metrics.radar import Axis, Radar
 from gpusimbench.evaluator.render import numbers
@@ -20,13 +21,16 @@ from gpusimbench.evaluator.render.document import (
     Tone,
     table,
 )
+from gpusimbench.evaluator.render.numbers import plural
 from gpusimbench.evaluator.report import timed
 from gpusimbench.evaluator.report.sections import radar
 from gpusimbench.evaluator.report.sections.dot_plot import bars, panels
-from gpusimbench.evaluator.report.sections.rows import Reasons, facets, lines_of
+from gpusimbench.evaluator.report.sections.rows import Reasons, facets, footnotes, lines_of
 from gpusimbench.evaluator.report.source import Source
+from gpusimbench.evaluator.report.verdicts import for_probe
 from gpusimbench.evaluator.results.metrics import on_radar
 from gpusimbench.evaluator.results.ranking import Contender
+from gpusimbench.evaluator.runs.labels import options_given, row_names
 
 _HOW = (
     "Raw values, a dot for each group that can be compared, with 95 % intervals over runs. A radar scales its axes "
@@ -39,28 +43,50 @@ def section(source: Source) -> Section | None:
     compared = source.evaluation.comparison
     if compared.radar is None:
         return None
-    contenders = compared.contenders
+    contenders, names = _as_in_tables(source, compared.contenders)
+    scaled = replace(compared.radar, values={names[name]: found for name, found in compared.radar.values.items()})
     drawn = panels(contenders)
     barred = lines_of([(f"† not recommended: {why}", c.figures.name) for c in contenders if (why := bars(c))])
     empty = [Item(f"{one.label}: {one.caption}") for one in drawn if not one.svg]
-    blocks: list[Block] = [Text(_HOW), Gallery(tuple(one for one in drawn if one.svg), 28)]
+    blocks: list[Block] = [Text(_HOW), Gallery(tuple(one for one in drawn if one.svg), 20)]
     blocks += [barred] if barred else []
     blocks += [Items(tuple(empty))] if empty else []
     blocks += [
         Section(
             "radar",
             "Radar",
-            (radar.picture(contenders, compared.radar), _values(contenders, compared.radar)),
+            (radar.picture(contenders, scaled), _values(contenders, scaled)),
             "the same values on six axes, scaled over these groups",
             folded=True,
         )
     ]
-    names = {c.speed.label: c.figures.name for c in contenders if c.speed}
-    notes = timed.remarks((c.speed for c in contenders if c.speed), named=lambda r: names[r.label])
-    blocks += [Items(tuple(map(Item, notes)))] if notes else []
+    called = {c.speed.label: c.figures.name for c in contenders if c.speed}
+    notes = timed.remarks((c.speed for c in contenders if c.speed), named=lambda r: called[r.label])
+    notes += footnotes(source, (r for c in contenders if (r := c.group or c.speed)))
+    if notes:
+        title, listed = "What must be known to compare them", Items(tuple(map(Item, notes)))
+        blocks.append(Section("comparison-remarks", title, (listed,), plural(len(notes), "note"), folded=True))
     return Section(
         "comparison", "Simulators compared, with intervals", tuple(blocks), _summary(contenders), folded=True
     )
+
+
+def _as_in_tables(source: Source, contenders: Sequence[Contender]) -> tuple[tuple[Contender, ...], dict[str, str]]:
+    """Those that are shown, named as tables name their groups; and these names by those that they have elsewhere.
+
+    Groups that only gsb-probe needs are left out: they are other runs of what is compared.
+    """
+    results = [(c, c.group or c.speed) for c in contenders]
+    keys = [r.group.key for _, r in results if r]
+    marks = [source.marks.get(r.footnotes, "") for _, r in results if r]
+    given = options_given(run for _, r in results if r for run in r.group.recordings)
+    named = iter(row_names(keys, given, marks))
+    names = {c.figures.name: next(named) if r else c.figures.name for c, r in results}
+    if len(set(names.values())) < len(names):  # two devices or sizes
+        names = {name: name for name in names}
+    shown = [c for c, r in results if not (r and for_probe(r))]
+    kept = shown if len(shown) > 1 else contenders
+    return tuple(replace(c, figures=replace(c.figures, name=names[c.figures.name])) for c in kept), names
 
 
 def _summary(contenders: Sequence[Contender]) -> str:

@@ -9,17 +9,17 @@ from markupsafe import Markup
 from numpy.typing import NDArray
 
 from gpusimbench.evaluator.missing import Missing, why_missing
-from gpusimbench.evaluator.render.document import Document, Embed, Figure, Numbers, Section, Text, key_of
+from gpusimbench.evaluator.render.document import Block, Document, Embed, Figure, Numbers, Section, Text, key_of
 from gpusimbench.evaluator.render.figures import matrix
 from gpusimbench.evaluator.render.figures.tree import in_ranges
-from gpusimbench.evaluator.report.sections.rows import ordered, with_lines
+from gpusimbench.evaluator.report.sections.rows import footnotes_below, ordered, titled, with_lines
 from gpusimbench.evaluator.report.source import Source
 from gpusimbench.evaluator.results.details import BetweenEnvs, BetweenRuns, DistinctEnvs
 from gpusimbench.evaluator.results.result import GroupResult
 
 _HOW = (
-    "Each cell is the distance [cm] between two environments of one run, or between two runs. All matrices of a scene "
-    "share one logarithmic scale of colours. Exact zeros are grey and hatched, outside the scale; the diagonal, an "
+    "Each cell is the distance [cm] between two environments of one run, or between two runs. All matrices share "
+    "one logarithmic scale of colours. Exact zeros are grey and hatched, outside the scale; the diagonal, an "
     "environment or run with itself, is blank. Where some are bit-identical and some are not, rows and columns are "
     "put together by class of bits, with a line between classes; the numbers at the axes are the original ones. Where "
     "every distance is exactly 0, a line of text says so."
@@ -43,29 +43,33 @@ def section(source: Source) -> Section | None:
 
 def _of_scene(source: Source, scene: str, results: Sequence[GroupResult]) -> Section:
     envs, runs = matrices(source, results)
-    blocks = (
-        Section(key_of("consistency", scene, "envs"), "Environments of the first complete run", with_lines(envs)),
-        Section(key_of("consistency", scene, "runs"), "Runs", with_lines(runs)),
-    )
+    key = key_of("consistency", scene)
+    blocks: list[Block] = [*with_lines(titled(source, envs))]
+    if any(one.svg for one in runs):
+        found = with_lines(titled(source, runs))
+        blocks.append(Section(f"{key}-runs", "Distances between runs", found, folded=True))
+    else:
+        blocks += with_lines(titled(source, runs))
+    blocks += footnotes_below(source, results)
     n_drawn = sum(bool(one.svg) for one in (*envs, *runs))
     said = ("1 matrix" if n_drawn == 1 else f"{n_drawn} matrices") if n_drawn else "no matrix is drawn"
-    return Section(key_of("consistency", scene), scene, blocks, said, folded=True, facets={"scene": scene})
+    return Section(key, scene, tuple(blocks), said, folded=True, facets={"scene": scene})
 
 
 def matrices(source: Source, results: Sequence[GroupResult]) -> tuple[list[Figure], list[Figure]]:
-    """Of the environments of each group's first complete run, and of its runs; all matrices of a scene on one scale."""
+    """Of the environments of each group's first complete run, and of its runs; all matrices of a page on one scale."""
     numbers = {id(r): number for number, r in enumerate(source.evaluation.results)}
-    scales = {scene: _scale(found, scene) for scene, found in ordered(results, "scene").items()}
-    envs = [_envs(r, f"matrix-envs-{numbers[id(r)]}", scales[r.group.key.scene]) for r in results]
-    runs = [_runs(r, f"matrix-runs-{numbers[id(r)]}", scales[r.group.key.scene]) for r in results]
+    scale = _scale(source.shown)
+    envs = [_envs(r, f"matrix-envs-{numbers[id(r)]}", scale) for r in results]
+    runs = [_runs(r, f"matrix-runs-{numbers[id(r)]}", scale) for r in results]
     return envs, runs
 
 
-def _scale(shown: Sequence[GroupResult], scene: str) -> matrix.Scale | None:
-    """The scale of all matrices of a scene."""
-    of_scene = [r.metrics for r in shown if r.group.key.scene == scene]
-    found = [m["w1_parallel"].of(BetweenEnvs).matrix_cm for m in of_scene]
-    found += [m["w1_run_to_run"].of(BetweenRuns).matrix_cm for m in of_scene]
+def _scale(shown: Sequence[GroupResult]) -> matrix.Scale | None:
+    """The scale of all matrices."""
+    of_all = [r.metrics for r in shown]
+    found = [m["w1_parallel"].of(BetweenEnvs).matrix_cm for m in of_all]
+    found += [m["w1_run_to_run"].of(BetweenRuns).matrix_cm for m in of_all]
     return matrix.scale_of(values for values in found if values is not None)
 
 

@@ -15,7 +15,7 @@ from gpusimbench.evaluator.render.csv import Cell
 from gpusimbench.evaluator.render.document import Block, Figure, Numbers, Section, Text, key_of
 from gpusimbench.evaluator.render.figures import density_map
 from gpusimbench.evaluator.render.numbers import plural
-from gpusimbench.evaluator.report.sections.rows import with_lines
+from gpusimbench.evaluator.report.sections.rows import footnotes_below, titled, with_lines
 from gpusimbench.evaluator.report.source import Source
 from gpusimbench.evaluator.results.evaluation import Evaluation
 from gpusimbench.evaluator.results.reference import Reference
@@ -64,8 +64,16 @@ def _of_scene(source: Source, maps: SceneMaps) -> Section:
         blocks += [Text(_HOW.format(time=source.evaluation.sampled_at(maps.scene), width=maps.bin_cm)), maps.scale]
     n_drawn = sum(bool(one.svg) for one in maps.pictures)
     said = plural(n_drawn, "map") if n_drawn else "no map"
+    of_scene = [r for r in source.shown if r.group.key.scene == maps.scene]
     key, facets = key_of("density", maps.scene), {"scene": maps.scene}
-    return Section(key, maps.scene, (*blocks, *with_lines(maps.pictures)), said, folded=True, facets=facets)
+    return Section(
+        key,
+        maps.scene,
+        (*blocks, *with_lines(titled(source, maps.pictures)), *footnotes_below(source, of_scene)),
+        said,
+        folded=True,
+        facets=facets,
+    )
 
 
 def scene_maps(evaluation: Evaluation, shown: list[GroupResult]) -> Iterator[SceneMaps]:

@@ -2,24 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 from gpusimbench.evaluator.render.document import (
     EMPTY,
     Block,
     Cell,
-    Row,
+    Column,
+    Item,
     Section,
     Table,
     Text,
     Tone,
     items,
-    key_of,
-    table,
 )
 from gpusimbench.evaluator.render.numbers import NONE, plural
 from gpusimbench.evaluator.report import timed, words
-from gpusimbench.evaluator.report.sections.rows import Reasons, facets
+from gpusimbench.evaluator.report.sections.rows import Reasons, Written
+from gpusimbench.evaluator.report.sections.values import of_groups
 from gpusimbench.evaluator.report.source import Source
 from gpusimbench.evaluator.results.determinism_cost import NO_EFFECT, Cost, Family, Price
 from gpusimbench.evaluator.results.faults import faults
@@ -35,54 +36,52 @@ _HOW = (
     "runs are INVALID, has no price. Below 1 is slower, or smaller. Intervals are of 95 %."
 )
 
-_TITLES = (
-    "level", DISTINCT_ENVS.title, DISTINCT_RUNS.title, "throughput of the default's", "memory of the default's",
-    "what speaks against it",
-)  # fmt: skip
-
 
 def section(source: Source) -> Section | None:
     """None where no two groups differ in determinism alone."""
     families = source.evaluation.price_list
     if not families:
         return None
-    blocks: list[Block] = [Text(_HOW)]
-    for number, family in enumerate(families):
-        blocks.append(_table(number, family))
-        if lines := timed.remarks(of_family(family), named=lambda result: result.group.key.determinism):
-            blocks.append(items(*lines))
+    results = [result for family in families for result in of_family(family)]
+    blocks: list[Block] = [Text(_HOW), _table(source, families, results)]
+    told = [(family, timed.remarks(of_family(family), named=lambda r: r.group.key.determinism)) for family in families]
+    if remarks := [Item(family_name(one), items=tuple(map(Item, lines))) for one, lines in told if lines]:
+        title = "What must be known to compare them"
+        blocks.append(Section("prices-remarks", title, (items(*remarks),), plural(len(remarks), "note"), folded=True))
     prices = sum(price.speed.ratio is not None for family in families for price in family.prices)
     said = f"{plural(prices, 'level')} with a price, of {plural(len(families), 'configuration')}"
     return Section("prices", "What determinism costs", tuple(blocks), said, folded=True)
 
 
-def _table(number: int, family: Family) -> Table:
-    reasons, groups = Reasons(), of_family(family)
-    prices = {price.result.label: price for price in family.prices}
-    columns = timed.columns(result.timed for result in groups)
-    key = groups[0].group.key
-    caption = f"{family_name(family)}, {key.scene}, {key.n_env} envs, {key.device or 'no device'}"
-    rows = [_row(result, prices.get(result.label), columns, reasons) for result in groups]
-    titles = (*_TITLES, *(column.title for column in columns))
-    return table(key_of("prices", number, caption), caption, titles, rows, reasons.legend)
+def _table(source: Source, families: Sequence[Family], results: Sequence[GroupResult]) -> Table:
+    """The levels of every configuration, the default first."""
+    reasons = Reasons()
+    prices = {price.result.label: price for family in families for price in family.prices}
+
+    def cost(result: GroupResult, of: str) -> Cell:
+        price = prices.get(result.label)
+        found = _cost(getattr(price, of), reasons) if price else Cell("1", 1.0)
+        return replace(found, notes=(*found.notes, *_differs(result, price))) if of == "speed" else found
+
+    columns: list[tuple[Column, Written]] = [
+        (Column(DISTINCT_ENVS.title), lambda r: _bits(r, DISTINCT_ENVS, reasons)),
+        (Column(DISTINCT_RUNS.title), lambda r: _bits(r, DISTINCT_RUNS, reasons)),
+        (Column("throughput of the default's"), lambda r: cost(r, "speed")),
+        (Column("memory of the default's"), lambda r: cost(r, "memory")),
+        (Column("what speaks against it"), _against),
+    ]
+    return of_groups(source, "prices-of-levels", "Levels of each configuration", results, columns, reasons)
 
 
-def _row(result: GroupResult, price: Price | None, columns: Sequence[timed.Column], reasons: Reasons) -> Row:
+def _differs(result: GroupResult, price: Price | None) -> Iterator[str]:
+    """What the level sets, and what was timed."""
+    yield from (words.shortened(one, 120) for one in price.differs) if price else ("the default",)
+    yield from (f"{column.title}: {text}" for column in timed.ALL if (text := column.cell(result.timed)) != NONE)
+
+
+def _against(result: GroupResult) -> Cell:
     against = str(faults(result))
-    fault = Cell(against, tone=Tone.BAD) if against else Cell("no fault found" if result.group.complete else NONE)
-    differs = tuple(words.shortened(one, 120) for one in price.differs) if price else ("the default",)
-    return Row(
-        (
-            Cell(result.group.key.determinism, notes=differs),
-            _bits(result, DISTINCT_ENVS, reasons),
-            _bits(result, DISTINCT_RUNS, reasons),
-            _cost(price.speed, reasons) if price else Cell("1", 1.0),
-            _cost(price.memory, reasons) if price else Cell("1", 1.0),
-            fault,
-            *map(Cell, timed.cells(columns, result.timed)),
-        ),
-        facets(result),
-    )
+    return Cell(against, tone=Tone.BAD) if against else Cell("nothing" if result.group.complete else NONE)
 
 
 def _bits(result: GroupResult, metric: Metric, reasons: Reasons) -> Cell:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,18 +19,17 @@ from gpusimbench.evaluator.render.document import (
     Column,
     Figure,
     Numbers,
-    Row,
     Section,
     Table,
     Text,
     Tone,
-    table,
 )
 from gpusimbench.evaluator.render.figures import divergence as chart
 from gpusimbench.evaluator.render.figures.tree import members, tree_chart, window
 from gpusimbench.evaluator.render.numbers import NONE, plural
 from gpusimbench.evaluator.report import words
-from gpusimbench.evaluator.report.sections.rows import Reasons, facets, named, with_lines
+from gpusimbench.evaluator.report.sections.rows import Reasons, Written, with_lines
+from gpusimbench.evaluator.report.sections.values import of_groups
 from gpusimbench.evaluator.report.source import Source
 from gpusimbench.evaluator.results.details import DistinctEnvs, DistinctRuns
 from gpusimbench.evaluator.results.result import GroupResult, RunSpread
@@ -63,15 +62,11 @@ def section(source: Source) -> Section | None:
     if not told:
         return None
     onsets = [onset(r) for r in told]
-    of_groups = [_of_group(n, r, found) for n, r in enumerate(told) if (found := pictures(source, r))]
-    drawn = Section(
-        "divergence-figures", "Figures of each group", tuple(of_groups), _figures_said(of_groups), folded=True
-    )
     how = Text(
         "How far two runs lie apart at each step cannot be told from one file at a time: gsb-diff A B reads both files "
-        "and gives it."
+        "and gives it. An opened row shows how its environments and runs came apart."
     )
-    blocks: tuple[Block, ...] = (_table(onsets), how, *([drawn] if of_groups else []))
+    blocks: tuple[Block, ...] = (_table(source, onsets), how)
     return Section("divergence", "How environments and runs come apart", blocks, _summary(onsets), folded=True)
 
 
@@ -82,39 +77,38 @@ def _summary(onsets: Sequence[Onset]) -> str:
     return f"of {plural(len(onsets), 'group')}, environments come apart in {envs} and runs in {runs}"
 
 
-def _figures_said(found: Sequence[Section]) -> str:
-    return f"{plural(len(found), 'group')} in which anything came apart"
-
-
-def _of_group(number: int, result: GroupResult, found: Sequence[Figure]) -> Section:
-    key = f"divergence-{number}"
-    return Section(key, result.label, with_lines(found), result.group.key.scene, folded=True, facets=facets(result))
-
-
-def _table(onsets: Sequence[Onset]) -> Table:
+def _table(source: Source, onsets: Sequence[Onset]) -> Table:
     units = sorted({s.spread.unit for one in onsets for s in one.result.spreads if s.spread} or {"m"})
+    found = {one.result.label: one for one in onsets}
     limit, reasons = " or ".join(f"{FIT_LIMIT_M * _MM:g} m{unit}" for unit in units), Reasons()
-    columns = (
-        Column("group"),
-        Column("envs: first bit differs", "by hashes of the whole state at every captured step; the first of all runs"),
-        Column("runs: first bit differs", "by hashes of the whole state at every captured step"),
-        Column("distance doubles in [s]", f"median over runs, of the largest distance while it is below {limit}"),
-        Column(f"envs {limit} apart at [s]", "the first run to be so, of recorded steps"),
-    )
-    rows = [
-        Row(
-            (
-                named(one.result),
-                _first_cell(one.envs, reasons),
-                _first_cell(one.runs, reasons),
-                _number(one.doubling) if one.doubling != NONE else reasons.cell(one.no_doubling),
-                _number(one.to_1mm),
-            ),
-            facets(one.result),
-        )
-        for one in onsets
+    columns = [
+        _first_column("envs", "; the first of all runs", found, reasons),
+        _first_column("runs", "", found, reasons),
     ]
-    return table("divergence", "When environments and runs come apart", columns, rows, reasons.legend)
+    columns += [
+        (
+            Column("distance doubles in [s]", f"median over runs, of the largest distance while it is below {limit}"),
+            lambda r: _doubling(found[r.label], reasons),
+        ),
+        (
+            Column(f"envs {limit} apart at [s]", "the first run to be so, of recorded steps"),
+            lambda r: _number(found[r.label].to_1mm),
+        ),
+    ]
+    results = [one.result for one in onsets]
+    return of_groups(
+        source, "divergence", "When environments and runs come apart", results, columns, reasons,
+        more=lambda r: with_lines(pictures(source, r)),
+    )  # fmt: skip
+
+
+def _first_column(of: str, which: str, found: Mapping[str, Onset], reasons: Reasons) -> tuple[Column, Written]:
+    meaning = f"by hashes of the whole state at every captured step{which}"
+    return Column(f"{of}: first bit differs", meaning), lambda r: _first_cell(getattr(found[r.label], of), reasons)
+
+
+def _doubling(found: Onset, reasons: Reasons) -> Cell:
+    return reasons.cell(found.no_doubling) if found.doubling == NONE else _number(found.doubling)
 
 
 def _first_cell(said: str, reasons: Reasons) -> Cell:

@@ -4,10 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from gpusimbench.evaluator.render.document import Block, Cell, Row, Section, Table, Text, Tone, items, key_of, table
+from gpusimbench.evaluator.render.document import (
+    Block,
+    Cell,
+    Column,
+    Row,
+    Section,
+    Table,
+    Text,
+    Tone,
+    cell,
+    items,
+    key_of,
+    table,
+)
 from gpusimbench.evaluator.render.numbers import plural
 from gpusimbench.evaluator.report import fidelity
-from gpusimbench.evaluator.report.sections.rows import facets
+from gpusimbench.evaluator.report.sections.rows import Reasons, Written
+from gpusimbench.evaluator.report.sections.values import of_groups
 from gpusimbench.evaluator.report.source import Source
 from gpusimbench.evaluator.results.fidelity import FidelityRow, Verdict
 from gpusimbench.evaluator.results.result import GroupResult
@@ -16,7 +30,7 @@ _TONES = {Verdict.HELD: Tone.GOOD, Verdict.BROKEN: Tone.BAD}
 
 
 def section(source: Source) -> Section | None:
-    """A folded part for each group, those with a broken check first."""
+    """A row for each group, those with a broken check first."""
     checked = [r for r in source.shown if r.fidelity.of(Verdict.HELD) or r.fidelity.of(Verdict.BROKEN)]
     broken = [r for r in checked if r.fidelity.of(Verdict.BROKEN)]
     if not source.shown:
@@ -25,20 +39,33 @@ def section(source: Source) -> Section | None:
     said = "no group breaks a check" if checked else "no group could be checked"
     if broken:
         said = f"{len(broken)} of {plural(len(checked), 'group')} {'breaks' if len(broken) == 1 else 'break'} a check"
-    return Section("mechanics", "Mechanics", tuple(map(of_group, ordered)), said, folded=True)
+    columns: list[tuple[Column, Written]] = [(Column("checks held"), held), (Column("broken"), _broken)]
+    every = of_groups(
+        source, "mechanics-groups", "", ordered, columns, Reasons(), ["An opened row shows what each check measured."],
+        more=lambda r: blocks(r, key_of("mechanics", r.label)),
+    )  # fmt: skip
+    return Section("mechanics", "Mechanics", (every,), said, folded=True)
 
 
-def of_group(result: GroupResult) -> Section:
-    """What was checked of one group."""
+def held(result: GroupResult) -> Cell:
+    """How many checks of a group hold, of those that could be made."""
     found = result.fidelity
-    held, broken = len(found.of(Verdict.HELD)), len(found.of(Verdict.BROKEN))
-    said = f"not applicable: {found.why_not}" if found.why_not else f"{held} of {held + broken} checks held"
-    key = key_of("mechanics", result.label)
-    heading = fidelity.heading(found)
-    return Section(key, heading, tuple(_blocks(result, key)), said, folded=True, facets=facets(result))
+    if found.why_not:
+        return Cell("not applicable", notes=(found.why_not,), tone=Tone.QUIET)
+    kept, broken = len(found.of(Verdict.HELD)), len(found.of(Verdict.BROKEN))
+    if not kept + broken:
+        return Cell("none could be made", tone=Tone.QUIET)
+    looked = f"{found.looked_at} of {found.n_env} envs, {plural(found.runs, 'run')}"
+    tone = Tone.BAD if broken else Tone.GOOD
+    return Cell(f"{kept} of {kept + broken}", kept / (kept + broken), notes=(looked,), tone=tone)
 
 
-def _blocks(result: GroupResult, key: str) -> Iterator[Block]:
+def _broken(result: GroupResult) -> Cell:
+    return cell(", ".join(row.check.title for row in result.fidelity.of(Verdict.BROKEN)))
+
+
+def blocks(result: GroupResult, key: str) -> Iterator[Block]:
+    """What each check of a group measured, in tables whose keys begin with `key`, and what must be known of them."""
     told = [row for row in result.fidelity.rows if row.verdict is not Verdict.NOT_APPLICABLE]
     demanded = [row for row in told if row.check.demanded]
     rest = [row for row in told if not row.check.demanded]

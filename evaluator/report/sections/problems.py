@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from gpusimbench.evaluator.check.rules.rule import PROTOCOL, load_rules
 from gpusimbench.evaluator.render.document import Block, Cell, Item, Items, Row, Section, Text, Tone, table
 from gpusimbench.evaluator.render.numbers import plural
-from gpusimbench.evaluator.report.sections.rows import lines_of
 from gpusimbench.evaluator.report.source import Source
 from gpusimbench.evaluator.results.evaluation import Evaluation
 from gpusimbench.evaluator.runs.groups import shown_status, status_notes
@@ -31,8 +30,11 @@ def section(source: Source) -> Section | None:
         said = (f"{rule}, {plural(count, 'finding')}: {advice.get(rule, '')}" for rule, count in found)
         blocks.append(Items(tuple(map(Item, said))))
     notes = [(note, "") for note in evaluation.notes] + [(note, label) for label, note in _notes(evaluation)]
-    if listed := lines_of(notes):
-        blocks += [Text("Notes:"), listed]
+    if notes:
+        rows_of_notes = [*_by_note(notes)]
+        listed = table("notes", "", ["note", "groups"], rows_of_notes)
+        many = plural(len(rows_of_notes), "note")
+        blocks.append(Section("notes-of-groups", "Notes", (listed,), many, folded=True) if blocks else listed)
     if not blocks:
         return None
     parts = []
@@ -44,6 +46,18 @@ def section(source: Source) -> Section | None:
     if notes:
         parts.append(plural(len(notes), "note"))
     return Section("problems", title, tuple(blocks), ", ".join(parts), folded=True)
+
+
+def _by_note(notes: Sequence[tuple[str, str]]) -> Iterator[Row]:
+    """A row for each note; the groups that it holds for stand below, where there are several."""
+    groups: dict[str, list[str]] = {}
+    for note, label in notes:
+        groups.setdefault(note, []).extend([label] if label else [])
+    for note, labels in groups.items():
+        said = Cell("the whole set") if not labels else Cell(labels[0])
+        if len(labels) > 1:
+            said = Cell(plural(len(labels), "group"), float(len(labels)), notes=tuple(labels))
+        yield Row((Cell(note), said))
 
 
 def _rows(evaluation: Evaluation) -> Iterator[Row]:

@@ -81,7 +81,7 @@ def _blocks(number: int, result: GroupResult, machines: _Machines) -> Iterator[B
     for index, (runs, recording) in enumerate(_origins(result)):
         yield _origin(f"{number}-{index}", runs, recording, result.label, machines)
     parts = (_methods(number, result), *_not_computed(result))
-    yield Section(f"methods-{number}", "Every metric, and how it was computed", parts)
+    yield Section(f"methods-{number}", "Every metric, and how it was computed", parts, folded=True)
 
 
 def _origin(number: str, runs: str, recording: Run, label: str, machines: _Machines) -> Section:
@@ -115,7 +115,7 @@ def _records(number: int | str, caption: str, record: Mapping[str, Any]) -> Sect
     if len(rows) > _ROWS:
         rows = [*rows[:_ROWS], ("...", "the recording has more of them: gsb-info --json")]
     said: Block = Facts(tuple((name, Cell(value)) for name, value in rows)) if rows else Text("None.")
-    return Section(key_of(caption, number), caption, (said,))
+    return Section(key_of(caption, number), caption, (said,), plural(len(rows), "value"), folded=True)
 
 
 def _pairs(record: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, str]]:

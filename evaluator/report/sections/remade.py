@@ -91,7 +91,7 @@ def section(source: Source) -> Section | None:
         if notes := [line for scene in remade.CAPABILITY_SCENES for line in _timed_remarks(capability, scene)]:
             blocks.append(items(*notes))
     if rows:
-        blocks.append(_variability(rows, _no_real(source)))
+        blocks.append(_variability(source, rows))
     if missing := _missing(source):
         blocks.append(Text(f"Of the paper's simulators, no complete run is here of {', '.join(missing)}."))
     counts = (("capability", len(capability)), ("variability", len(rows)))
@@ -133,7 +133,8 @@ def _of_paper(found: AtLargest, scene: str) -> Row:
     return Row((Cell("the paper's", tone=Tone.QUIET), *(Cell(text, tone=Tone.QUIET) for text in cells)))
 
 
-def _variability(rows: Sequence[VariabilityRow], no_real: str) -> Table:
+def _variability(source: Source, rows: Sequence[VariabilityRow]) -> Table:
+    no_real = _no_real(source)
     shown: list[Row] = []
     for row in rows:
         result = row.result
@@ -143,7 +144,7 @@ def _variability(rows: Sequence[VariabilityRow], no_real: str) -> Table:
         distinct = (Cell(words.count_of(result.metrics[f"distinct_{of}"])) for of in ("envs", "runs"))
         kind = EMPTY if regime is None else Cell(f"{regime:.0f}", regime)
         against = fault if result.group.complete else EMPTY
-        shown.append(Row((named(result), kind, *distances, *distinct, against), facets(result)))
+        shown.append(Row((named(source, result), kind, *distances, *distinct, against), facets(result)))
         if row.paper:
             told = (str(one) for one in (row.paper.regime, row.paper.w1_real, row.paper.parallel, row.paper.run_to_run))
             cells = (f"{row.paper.simulator}, the paper's", *told, NONE, NONE, "published")

@@ -2,15 +2,33 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
 from itertools import groupby
 from typing import Any
 
-from gpusimbench.evaluator.render.document import EMPTY, Cell, Figure, Gallery, Item, Items, Section, Tone, key_of
+from gpusimbench.evaluator.render.document import (
+    EMPTY,
+    NONE,
+    Cell,
+    Column,
+    Figure,
+    Gallery,
+    Item,
+    Items,
+    Section,
+    Tone,
+    key_of,
+)
 from gpusimbench.evaluator.render.figures.matrix import letter
 from gpusimbench.evaluator.render.numbers import plural
 from gpusimbench.evaluator.report import words
+from gpusimbench.evaluator.report.source import Source
 from gpusimbench.evaluator.results.result import GroupResult
+from gpusimbench.evaluator.runs.labels import short_device
+
+Written = Callable[[GroupResult], Cell]
+"""Writes the cell of a group in a column."""
 
 FEW = 5
 """Groups that are listed at once; of more, a summary stands before the closed list."""
@@ -22,15 +40,36 @@ def facets(result: GroupResult) -> dict[str, str]:
     return {"simulator": key.simulator, "scene": key.scene, "device": key.device or "none", "level": key.determinism}
 
 
-def named(result: GroupResult) -> Cell:
-    """The name of a group, linked to its simulator; below it version, scene, size, and runs that are not complete."""
+def named(source: Source, result: GroupResult) -> Cell:
+    """The name of a group, linked to its simulator; below it version, scene, device and runs that are not complete."""
     key, group = result.group.key, result.group
-    what = (
-        f"{key.version or 'no version'}; {key.n_env} envs x {plural(len(group.complete), 'complete run')}; {key.scene}"
-    )
     trouble = words.trouble(group)
-    notes = (what, *([f"{trouble} of {plural(len(group.recordings), 'run')}"] if trouble else []))
-    return Cell(result.label, notes=notes, link=key_of("simulator", key.simulator))
+    notes = [f"{key.version or 'no version'}; {key.scene}; {key.device or 'no device'}"]
+    notes += [f"{trouble} of {plural(len(group.recordings), 'run')}"] if trouble else []
+    return Cell(source.names[result.label], notes=tuple(notes), link=key_of("simulator", key.simulator))
+
+
+def places(results: Sequence[GroupResult]) -> list[tuple[Column, Written]]:
+    """Columns that stand behind the names of groups: scene and device, where they differ, and the size."""
+    keys = [r.group.key for r in results]
+    found: list[tuple[Column, Written]] = []
+    if len({key.scene for key in keys}) > 1:
+        found.append((Column("scene", place=True), lambda r: Cell(r.group.key.scene)))
+    if len({key.device for key in keys}) > 1:
+        found.append((Column("device", place=True), lambda r: Cell(short_device(r.group.key.device) or NONE)))
+    found.append((Column("envs x runs", "environments of a run, and complete runs", place=True), _size))
+    return found
+
+
+def _size(result: GroupResult) -> Cell:
+    n_env = result.group.key.n_env
+    return Cell(f"{n_env:,} x {len(result.group.complete)}", float(n_env))
+
+
+def footnotes(source: Source, results: Iterable[GroupResult]) -> list[str]:
+    """The footnotes that names of groups have marks of, a line each."""
+    found = dict.fromkeys(r.footnotes for r in results if r.footnotes)
+    return [f"{source.marks[said]} {'; '.join(said)}" for said in found]
 
 
 class Reasons:
@@ -55,7 +94,19 @@ class Reasons:
         return tuple(f"{mark} {why}" for why, mark in self._letters.items())
 
 
-def with_lines(figures: Iterable[Figure], least: float = 24.0) -> tuple[Gallery | Items, ...]:
+def titled(source: Source, figures: Iterable[Figure]) -> list[Figure]:
+    """Figures of groups of one scene with the groups' titles in place of their labels."""
+    titles = {r.label: source.title(r) for r in source.shown}
+    return [replace(one, label=titles.get(one.label, one.label)) for one in figures]
+
+
+def footnotes_below(source: Source, results: Iterable[GroupResult]) -> tuple[Items, ...]:
+    """The footnotes that titles have marks of, closed."""
+    lines = footnotes(source, results)
+    return (Items((Item("Footnotes", items=tuple(map(Item, lines))),)),) if lines else ()
+
+
+def with_lines(figures: Iterable[Figure], least: float = 20.0) -> tuple[Gallery | Items, ...]:
     """Figures that have a drawing in a grid, and below it what is said in place of the others, each sentence once."""
     found = list(figures)
     drawn = tuple(one for one in found if one.svg)

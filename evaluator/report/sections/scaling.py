@@ -42,7 +42,8 @@ def section(source: Source) -> Section | None:
     blocks: list[Block] = []
     for scene in found:
         sweeps = plural(len(scene.sweeps), "sweep")
-        blocks.append(Section(f"scaling-{scene.scene}", scene.scene, tuple(_of_scene(scene)), sweeps))
+        parts, folded = tuple(_of_scene(scene)), len(found) > 1
+        blocks.append(Section(f"scaling-{scene.scene}", scene.scene, parts, sweeps, folded=folded))
     furthest = max((s for s in source.evaluation.sweeps if s.n_max), key=lambda s: s.n_max or 0, default=None)
     said = f"largest number of environments: {furthest.n_max:,} ({furthest.label})" if furthest else ""
     return Section("scaling", "Scaling over the number of environments", tuple(blocks), said, folded=True)
@@ -64,19 +65,11 @@ def _of_scene(found: SceneSweeps) -> Iterator[Block]:
             "why it ends",
             _MODEL,
         ],
-        [_sweep(sweep) for sweep in sweeps],
+        [_sweep(sweep, found) for sweep in sweeps],
+        ["An opened row shows the sweep point by point."],
     )
     if found.remarks:
         yield items(*found.remarks)
-    for sweep in sweeps:
-        yield Section(
-            f"sweep-{found.scene}-{sweeps.index(sweep)}",
-            sweep.label,
-            (_points(sweep, found),),
-            plural(len(sweep.points), "point"),
-            folded=True,
-            facets=_facets(sweep),
-        )
 
 
 def _facets(sweep: Sweep) -> dict[str, str]:
@@ -84,7 +77,7 @@ def _facets(sweep: Sweep) -> dict[str, str]:
     return {"simulator": key.simulator, "scene": key.scene, "device": key.device or "none", "level": key.determinism}
 
 
-def _sweep(sweep: Sweep) -> Row:
+def _sweep(sweep: Sweep, found: SceneSweeps) -> Row:
     where = f"{sweep.key.version or 'no version'}; {sweep.key.device or 'no device'}"
     best = sweep.at_max
     models = [f"{words.model(model)} ({SOURCES[name]})" for name, model in sweep.models.items()]
@@ -100,6 +93,7 @@ def _sweep(sweep: Sweep) -> Row:
             Cell("; ".join(models) or NONE),
         ),
         _facets(sweep),
+        (_points(sweep, found),),
     )
 
 

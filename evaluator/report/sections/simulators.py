@@ -6,16 +6,15 @@ from collections.abc import Iterator, Sequence
 
 from gpusimbench.evaluator.missing import Missing, known
 from gpusimbench.evaluator.render.cells import estimate
-from gpusimbench.evaluator.render.document import Block, Cell, Column, Facts, Section, facts, items, key_of
+from gpusimbench.evaluator.render.document import Block, Cell, Column, Facts, Item, Section, facts, items, key_of
 from gpusimbench.evaluator.render.numbers import plural
 from gpusimbench.evaluator.report.sections.divergence import onset
-from gpusimbench.evaluator.report.sections.rows import Reasons, lines_of
+from gpusimbench.evaluator.report.sections.rows import Reasons
 from gpusimbench.evaluator.report.sections.values import column_of, of_groups
 from gpusimbench.evaluator.report.source import Source
-from gpusimbench.evaluator.report.verdicts import QUESTIONS, TO_REFERENCE
+from gpusimbench.evaluator.report.verdicts import QUESTIONS, TO_REFERENCE, usual
 from gpusimbench.evaluator.results.cost_metrics import FPS
 from gpusimbench.evaluator.results.faults import faults
-from gpusimbench.evaluator.results.group_metrics import W1_PARALLEL, W1_RUN_TO_RUN
 from gpusimbench.evaluator.results.identity_metrics import DISTINCT_ENVS
 from gpusimbench.evaluator.results.result import GroupResult
 
@@ -40,27 +39,34 @@ def _of(source: Source, name: str, results: list[GroupResult]) -> Section:
 
 def _blocks(source: Source, results: list[GroupResult]) -> Iterator[Block]:
     yield _facts(results)
-    shown = [r for r in results if r in source.shown]
+    shown = [r for r in usual(results) if r in source.shown]
     reasons = Reasons()
     questions = [*QUESTIONS, *([TO_REFERENCE] if source.evaluation.reference else [])]
     answers = [(Column(q.title, q.meaning), lambda r, q=q: q.answer([r])) for q in questions]
-    metrics = [column_of(metric, reasons) for metric in (FPS, W1_RUN_TO_RUN, W1_PARALLEL)]
     if shown:
         key = key_of("groups", shown[0].group.key.simulator)
-        yield of_groups(key, "Groups", shown, [*answers, *metrics], reasons)
-    if hidden := [r for r in results if r not in shown]:
+        columns = [*answers, column_of(FPS, reasons)]
+        yield of_groups(source, key, "Groups", shown, columns, reasons, more=lambda r: _remarks(r))
+    lines = []
+    if hidden := [r for r in results if r in source.hidden]:
         sizes = sorted({r.group.key.n_env for r in hidden})
         fastest = max(hidden, key=lambda r: known(r.metrics[FPS.name].value) or 0.0)
         speed = estimate(fastest.metrics[FPS.name]).text
         said = f"{plural(len(hidden), 'group')} of sweeps, {sizes[0]:,} to {sizes[-1]:,} envs"
-        yield items(f"{said}; fastest: {speed} {FPS.unit} at {fastest.group.key.n_env:,} envs: see scaling")
-    apart = [f"{r.label}: {said}" for r in shown if (said := _apart(r))]
-    if apart:
-        yield items(*apart)
-    wrong = [(str(found), r.label) for r in results if (found := faults(r))]
-    notes = [(note, r.label) for r in results for note in r.footnotes]
-    if listed := lines_of(list(dict.fromkeys([*wrong, *notes]))):
-        yield listed
+        said = f"{said}; fastest: {speed} {FPS.unit} at {fastest.group.key.n_env:,} envs: see scaling"
+        lines.append(Item(said, link="scaling"))
+    if probed := len([r for r in results if r in source.shown]) - len(shown):
+        said = f"{plural(probed, 'group')} of runs that only gsb-probe needs: see what results depend on"
+        lines.append(Item(said, link="probed" if source.evaluation.probed else ""))
+    if lines:
+        yield items(*lines)
+
+
+def _remarks(result: GroupResult) -> Iterator[Block]:
+    """What speaks against a group, when it comes apart, and how it was run unlike others."""
+    said = [str(faults(result)), _apart(result), *result.footnotes]
+    if found := [one for one in said if one]:
+        yield items(*found)
 
 
 def _apart(result: GroupResult) -> str:

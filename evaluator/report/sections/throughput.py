@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 
-from gpusimbench.evaluator.missing import known
-from gpusimbench.evaluator.render.document import Block, Cell, Column, Items, Section, Text, items
+from gpusimbench.evaluator.missing import Missing, known
+from gpusimbench.evaluator.render.document import Block, Cell, Column, Item, Section, Text, Tone, items
 from gpusimbench.evaluator.render.numbers import NONE, plural
 from gpusimbench.evaluator.report import timed, words
 from gpusimbench.evaluator.report.leaders import fastest
-from gpusimbench.evaluator.report.sections.rows import Reasons
-from gpusimbench.evaluator.report.sections.values import Written, column_of, of_groups
+from gpusimbench.evaluator.report.sections.rows import Reasons, Written, lines_of, ordered
+from gpusimbench.evaluator.report.sections.values import column_of, of_groups
 from gpusimbench.evaluator.report.source import Source
 from gpusimbench.evaluator.results.cost_metrics import CAPTURE_OVERHEAD, FPS
 from gpusimbench.evaluator.results.details import Throughput
@@ -30,44 +30,75 @@ def section(source: Source) -> Section | None:
     """None where no group is left."""
     if not source.shown:
         return None
-    costs = [metric for metric in source.columns(Table.THROUGHPUT) if metric is not FPS]
-    scenes = dict.fromkeys(r.group.key.scene for r in source.shown)
+    ran = [r for r in source.shown if r.group.complete]
+    timed_ones = [r for r in ran if known(r.metrics[FPS.name].value) is not None]
     blocks: list[Block] = [Text(_HOW)]
     if hidden := len(source.hidden):
         blocks.append(Text(f"{plural(hidden, 'group')} of sweeps that captured no states: see scaling."))
-    for scene in scenes:
-        results = [r for r in source.shown if r.group.key.scene == scene]
-        if any(r.group.complete for r in results):
-            blocks += _of_scene(scene, results, costs)
-        else:
-            blocks.append(Text(f"{scene}: no run of {', '.join(r.label for r in results)} is complete."))
+    blocks += _speeds(source, timed_ones)
+    left = [(_why_not(r), r.label) for r in source.shown if r not in timed_ones]
+    if listed := lines_of(left):
+        blocks.append(listed)
+    if ran:
+        blocks += _costs(source, ran)
     return Section("throughput", "Throughput and memory", tuple(blocks), _summary(source.shown), folded=True)
 
 
-def _of_scene(scene: str, results: list[GroupResult], costs: list[Metric]) -> Iterator[Block]:
-    speeds, memory = Reasons(), Reasons()
-    beside = timed.columns(r.timed for r in results)
-    speed_columns = [
-        column_of(FPS, speeds, _shared),
-        (Column("runs"), lambda r: Cell(str(r.metrics[FPS.name].n), float(r.metrics[FPS.name].n))),
-        *((Column(one.title), _timed(one)) for one in beside),
-        (Column("what lies between the clocks"), _covers),
+def _speeds(source: Source, results: list[GroupResult]) -> Iterator[Block]:
+    reasons = Reasons()
+    beside = [one for one in timed.columns(r.timed for r in results) if one is not timed.SETTINGS_IN_FORCE]
+    columns = [column_of(FPS, reasons, _below), *((Column(one.title), _timed(one)) for one in beside)]
+    found = of_groups(source, "throughput", "Throughput", results, columns, reasons)
+    if found.rows:
+        yield found
+    by_scene = ordered(results, "scene")
+    lines = [
+        f"{scene}: {line}" if len(by_scene) > 1 and line != timed.LEGEND else line
+        for scene, of_scene in by_scene.items()
+        for line in timed.remarks(of_scene, named=lambda result: source.names[result.label])
     ]
-    yield of_groups(f"throughput-{scene}", f"Throughput, {scene}", results, speed_columns, speeds)
-    yield from _remarks(results)
-    costly = [column_of(metric, memory, _fewer(metric)) for metric in costs]
+    first = [Item(one, Tone.WARNING) for one in lines if timed.NOT_COMPARABLE in one]
+    if first:
+        yield items(*first)
+    if rest := [one for one in dict.fromkeys(lines) if timed.NOT_COMPARABLE not in one]:
+        title = "What must be known to compare them"
+        yield Section("throughput-remarks", title, (items(*rest),), plural(len(rest), "note"), folded=True)
+
+
+def _costs(source: Source, results: list[GroupResult]) -> Iterator[Block]:
+    reasons = Reasons()
+    costs = [metric for metric in source.columns(Table.THROUGHPUT) if metric is not FPS]
+    columns = [column_of(metric, reasons, _fewer(metric)) for metric in costs]
     slowed = any(known(r.metrics[CAPTURE_OVERHEAD.name].value) is not None for r in results)
     legend = [_OTHER_STEPS] if slowed else []
-    yield of_groups(f"costs-{scene}", f"Memory and times of preparation, {scene}", results, costly, memory, legend)
+    found = of_groups(source, "costs", "", results, columns, reasons, legend, with_any=True)
+    if found.rows:
+        said = plural(len(found.rows), "group")
+        yield Section("costs-of-groups", "Memory and times of preparation", (found,), said, folded=True)
+    elif found.legend:
+        yield items(*found.legend)
+
+
+def _why_not(result: GroupResult) -> str:
+    found = result.metrics[FPS.name].value
+    return f"no throughput: {found.reason if isinstance(found, Missing) else 'no run is complete'}"
 
 
 def _timed(column: timed.Column) -> Written:
     return lambda result: Cell(column.cell(result.timed))
 
 
-def _shared(result: GroupResult) -> Iterable[str]:
-    told = words.shared(result.metrics[FPS.name])
-    return [f"another process on the GPU: {told}"] if told else []
+def _below(result: GroupResult) -> Iterable[str]:
+    """What stands below a throughput: others on the GPU, the solver's settings, and what was timed."""
+    told, covers = words.shared(result.metrics[FPS.name]), result.metrics[FPS.name].of(Throughput).timing_covers
+    force = timed.settings(result.timed)
+    if told:
+        yield f"another process on the GPU: {told}"
+    yield from _fewer(FPS)(result)
+    if force != NONE:
+        yield f"{timed.SETTINGS_IN_FORCE.title}: {force}"
+    if covers:
+        yield f"between the clocks: {covers}"
 
 
 def _fewer(metric: Metric) -> Callable[[GroupResult], Iterable[str]]:
@@ -78,15 +109,6 @@ def _fewer(metric: Metric) -> Callable[[GroupResult], Iterable[str]]:
         return [f"of {plural(n, 'run')}"] if 0 < n < runs else []
 
     return said
-
-
-def _covers(result: GroupResult) -> Cell:
-    return Cell(result.metrics[FPS.name].of(Throughput).timing_covers or NONE)
-
-
-def _remarks(results: list[GroupResult]) -> Iterator[Items]:
-    if lines := timed.remarks(results):
-        yield items(*lines)
 
 
 def _summary(results: list[GroupResult]) -> str:

@@ -10,8 +10,8 @@ from gpusimbench.evaluator.render.document import EMPTY, Block, Cell, Column, Se
 from gpusimbench.evaluator.render.document import Table as Grid
 from gpusimbench.evaluator.render.numbers import figure, plural
 from gpusimbench.evaluator.report.leaders import fastest, speaks_against_pair
-from gpusimbench.evaluator.report.sections.rows import Reasons
-from gpusimbench.evaluator.report.sections.values import Written, column_of, of_groups
+from gpusimbench.evaluator.report.sections.rows import Reasons, Written
+from gpusimbench.evaluator.report.sections.values import column_of, of_groups
 from gpusimbench.evaluator.report.source import Source
 from gpusimbench.evaluator.results.cost_metrics import FPS
 from gpusimbench.evaluator.results.details import OverTosses
@@ -96,7 +96,9 @@ def _whole(source: Source, order: Sequence[Ranked]) -> tuple[list[Block], str]:
     if front:
         columns += [_throughput(order, reasons), _on_the_front(order, front, against)]
     blocks: list[Block] = [
-        of_groups("tosses", "Errors against measured tosses", [one.result for one in order], columns, reasons, _LEGEND),
+        of_groups(
+            source, "tosses", "Errors against measured tosses", [one.result for one in order], columns, reasons, _LEGEND
+        ),
         Text(_floor(best)),
     ]
     error = known(best.metrics[TOSS_POSITION.name].value) or 0.0

@@ -23,18 +23,18 @@ def section(source: Source) -> Section | None:
     results = [*source.shown, *source.hidden]
     if not results:
         return None
-    every = _of_groups(results)
+    every = _of_groups(source, results)
     if len(results) <= FEW:
         blocks: tuple[Block, ...] = (every,)
     else:
         listed = Section("validity-groups", "Every group", (every,), plural(len(results), "group"), folded=True)
-        blocks = (*_deviating(results), _by_simulator(results), listed)
+        blocks = (*_deviating(source, results), _by_simulator(results), listed)
     invalid = sum(any(run.status == "invalid" for run in r.group.recordings) for r in results)
     said = f"{plural(invalid, 'group')} with INVALID runs" if invalid else "no run is INVALID"
     return Section("validity", "Validity", blocks, said, folded=True)
 
 
-def _of_groups(results: Sequence[GroupResult]) -> Table:
+def _of_groups(source: Source, results: Sequence[GroupResult]) -> Table:
     columns = [
         (Column("runs"), _runs),
         (Column("counted"), _counts),
@@ -43,16 +43,16 @@ def _of_groups(results: Sequence[GroupResult]) -> Table:
         (Column("actions"), _actions),
     ]
     legend = [_COUNTED, *_meanings(results)]
-    return of_groups("validity", "", results, columns, Reasons(), legend)
+    return of_groups(source, "validity", "", results, columns, Reasons(), legend)
 
 
-def _deviating(results: Sequence[GroupResult]) -> Iterator[Table]:
+def _deviating(source: Source, results: Sequence[GroupResult]) -> Iterator[Table]:
     """Groups in which a run is not complete or a buffer overflowed."""
     found = [r for r in results if _ended(r).keys() - {"complete"} or r.validity.overflow]
     if found:
         columns = [(Column("runs"), _runs), (Column("fullest buffer"), _fullest), (Column("overflow"), _overflow)]
         caption = "Groups with runs that are not complete, or with an overflow"
-        yield of_groups("validity-deviating", caption, found, columns, Reasons())
+        yield of_groups(source, "validity-deviating", caption, found, columns, Reasons())
 
 
 def _by_simulator(results: Sequence[GroupResult]) -> Table:

@@ -7,13 +7,12 @@ from dataclasses import replace
 
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.render import numbers
-from gpusimbench.evaluator.render.document import Cell, Column, Row, Table, Tone
+from gpusimbench.evaluator.render.document import Block, Cell, Column, Row, Table, Tone
 from gpusimbench.evaluator.report import words
-from gpusimbench.evaluator.report.sections.rows import Reasons, facets, named
+from gpusimbench.evaluator.report.sections.rows import Reasons, Written, facets, footnotes, named, places
+from gpusimbench.evaluator.report.source import Source
 from gpusimbench.evaluator.results.metric import Estimate, Metric
 from gpusimbench.evaluator.results.result import GroupResult
-
-Written = Callable[[GroupResult], Cell]
 
 
 def value(found: Estimate, reasons: Reasons, *notes: str, tone: Tone = Tone.PLAIN) -> Cell:
@@ -27,12 +26,26 @@ def value(found: Estimate, reasons: Reasons, *notes: str, tone: Tone = Tone.PLAI
 
 
 def of_groups(
-    key: str, caption: str, results: Iterable[GroupResult], columns: Sequence[tuple[Column, Written]],
-    reasons: Reasons, legend: Sequence[str] = (),
+    source: Source, key: str, caption: str, results: Sequence[GroupResult], columns: Sequence[tuple[Column, Written]],
+    reasons: Reasons, legend: Sequence[str] = (), *, with_any: bool = False,
+    more: Callable[[GroupResult], Iterable[Block]] = lambda _: (),
 ) -> Table:  # fmt: skip
-    """A table with a row for each group, without the columns in which no group has anything."""
-    rows = tuple(Row((named(r), *(write(r) for _, write in columns)), facets(r)) for r in results)
-    titles = (Column("group"), *(column for column, _ in columns))
+    """A table with a row for each group, without the columns in which no group has anything; no row without any column.
+
+    with_any  leave out groups that have nothing in any column, and say how many these are
+    more      what is shown of a group once a reader opens its row
+    """
+    of_place = places(results)
+    written = [(r, [write(r) for _, write in columns]) for r in results]
+    kept = [(r, own) for r, own in written if not with_any or any(one.text != numbers.NONE for one in own)] or written
+    rows = tuple(
+        Row((named(source, r), *(write(r) for _, write in of_place), *own), facets(r), tuple(more(r)))
+        for r, own in kept
+    )
+    titles = (Column("group"), *(column for column, _ in (*of_place, *columns)))
+    bare = len(written) - len(kept)
+    legend = [*legend, *footnotes(source, (r for r, _ in kept))]
+    legend += [f"{numbers.plural(bare, 'group')} without any of these values left out"] if bare and kept else []
     whole = Table(key, caption, titles, rows, tuple(legend)).without_empty_columns()
     left_out: dict[str, list[str]] = {}
     for i, title in enumerate(titles):
@@ -41,7 +54,8 @@ def of_groups(
     marks = {note for row in whole.rows for one in row.cells for note in one.notes}
     used = [line for line in reasons.legend if line.split(" ")[0] in marks]
     missing = [f"no {', '.join(names)}: {why}" for why, names in left_out.items()]
-    return replace(whole, legend=(*whole.legend, *used, *missing))
+    has_any = len(whole.columns) > 1 + len(of_place)
+    return replace(whole, rows=whole.rows if has_any else (), legend=(*whole.legend, *used, *missing))
 
 
 def _why_empty(rows: Sequence[Row], index: int, reasons: Reasons) -> str:

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 
 from gpusimbench.evaluator.metrics.regime import REGIME_MEANING
 from gpusimbench.evaluator.missing import Missing, known
-from gpusimbench.evaluator.render.document import Block, Cell, Column, Section, Table, Text, Tone, items
+from gpusimbench.evaluator.render.document import Block, Cell, Column, Section, Text, Tone, items, key_of
 from gpusimbench.evaluator.render.numbers import NONE, distance, mean_sd, plural
 from gpusimbench.evaluator.report import words
-from gpusimbench.evaluator.report.sections.rows import Reasons
-from gpusimbench.evaluator.report.sections.values import Written, column_of, of_groups, value
+from gpusimbench.evaluator.report.sections.rows import Reasons, Written
+from gpusimbench.evaluator.report.sections.values import column_of, of_groups, value
 from gpusimbench.evaluator.report.source import Source
 from gpusimbench.evaluator.results.clamped_metrics import SUFFIX
 from gpusimbench.evaluator.results.details import (
@@ -35,9 +34,9 @@ from gpusimbench.evaluator.results.metric import Estimate, Metric
 from gpusimbench.evaluator.results.metric import Table as TableOf
 from gpusimbench.evaluator.results.result import GroupResult
 
-_BITS = "Bits: classes of equal states, and the strongest level of equality"
+_BITS = "Environments and runs with other bits, and how far apart they are"
 _OTHERS = "Bodies that were lost, growth of differences, and what capturing changed"
-_DISTANCES = "Distances W1 between planar positions, in cm"
+_DISTANCES = "W1 between planar positions: clamped to the board, and what exchanging environments gives"
 _JOINTS = "Distances in joint space: angles in rad, sliding joints in cm"
 _JOINTS_LEGEND = (
     "root mean square over the joints of the difference of two environments, or of the same environment of two runs; "
@@ -59,7 +58,7 @@ def section(source: Source) -> Section | None:
     results = source.shown
     if not results:
         return None
-    bits, apart, others = Reasons(), Reasons(), Reasons()
+    bits, apart, joints, others = Reasons(), Reasons(), Reasons(), Reasons()
     distances = [W1_PARALLEL, W1_RUN_TO_RUN, *([W1_REAL] if source.evaluation.reference else [])]
     told = {DISTINCT_ENVS, DISTINCT_RUNS, EQUALITY_ENVS, EQUALITY_RUNS, REGIME, W1_PARALLEL, W1_RUN_TO_RUN, W1_REAL}
     told |= set(JOINT_METRICS)
@@ -70,13 +69,15 @@ def section(source: Source) -> Section | None:
         (Column(REGIME.titled, REGIME.method), _type(bits)),
     ]
     of_others = [column_of(m, others) if m not in (LEFT_BOARD, SANK) else _cubes(m, others) for m in rest]
+    of_bits += [(Column(m.titled, m.method), _distance(m, bits)) for m in distances]
+    more = (
+        ("distances", _DISTANCES, [*_apart(distances, apart)], apart, _LEGEND),
+        ("joints", _JOINTS, [column_of(metric, joints) for metric in JOINT_METRICS], joints, _JOINTS_LEGEND),
+        ("others", _OTHERS, of_others, others, ()),
+    )
     blocks: list[Block] = [
-        of_groups("variability-bits", _BITS, results, of_bits, bits, list(types_of(results))),
-        *_or_why_not(
-            of_groups("variability-distances", _DISTANCES, results, [*_apart(distances, apart)], apart), _LEGEND
-        ),
-        *_of_joints(results),
-        *_or_why_not(of_groups("variability-others", _OTHERS, results, of_others, others)),
+        of_groups(source, "variability", _BITS, results, of_bits, bits, [*types_of(results), _LEGEND[0], _LEGEND[-1]]),
+        *(part for one in more for part in _closed(source, *one)),
     ]
     if not source.evaluation.reference:
         blocks.append(Text(f"No distance to real trials: {source.evaluation.reference_note}."))
@@ -88,20 +89,18 @@ def section(source: Source) -> Section | None:
     return Section("variability", "Variability", tuple(blocks), said, folded=True)
 
 
-def _or_why_not(found: Table, legend: Sequence[str] = ()) -> Iterator[Block]:
-    """A table with its legend; where no group has anything in it, the reasons alone."""
-    if len(found.columns) > 1:
-        yield replace(found, legend=(*legend, *found.legend))
-    elif found.legend:
-        yield items(*found.legend)
-
-
-def _of_joints(results: Sequence[GroupResult]) -> Iterator[Block]:
-    """Distances in joint space, where a group has any."""
-    if any(known(r.metrics[metric.name].value) is not None for r in results for metric in JOINT_METRICS):
-        reasons = Reasons()
-        columns = [column_of(metric, reasons) for metric in JOINT_METRICS]
-        yield of_groups("variability-joints", _JOINTS, results, columns, reasons, _JOINTS_LEGEND)
+def _closed(
+    source: Source, name: str, caption: str, columns: Sequence[tuple[Column, Written]], reasons: Reasons,
+    legend: Sequence[str],
+) -> Iterator[Block]:  # fmt: skip
+    """A closed table of the groups that have anything in it; where none has, the reasons in a line each, if any."""
+    key = f"variability-{name}"
+    found = of_groups(source, key, "", source.shown, columns, reasons, legend, with_any=True)
+    if found.rows:
+        said = plural(len(found.rows), "group")
+        yield Section(key_of("more", key), caption, (found,), said, folded=True)
+    elif name != "joints" and (lines := found.legend[len(legend) :]):
+        yield items(*lines)
 
 
 def _distinct(counted: Metric, level: Metric, reasons: Reasons) -> tuple[Column, Written]:
@@ -134,7 +133,8 @@ def _type(reasons: Reasons) -> Written:
             return reasons.cell(found.value.reason)
         again = words.resampled(found)
         more = [words.another(again)] if again and again.run_differs_below else []
-        return Cell(words.regime(found), notes=tuple(more))
+        number, _, why = words.regime(found).partition(" ")
+        return Cell(number, found.value, notes=tuple(filter(None, (why.strip("()"), *more))))
 
     return cell
 
@@ -147,7 +147,6 @@ def types_of(results: Sequence[GroupResult]) -> Iterator[str]:
 
 def _apart(distances: list[Metric], reasons: Reasons) -> Iterator[tuple[Column, Written]]:
     for metric in distances:
-        yield Column(metric.titled, metric.method), _distance(metric, reasons)
         yield Column(f"clamped {metric.title} [{metric.unit}]"), _clamped(metric)
         if metric is not W1_PARALLEL:
             yield Column(words.EXCHANGED), _floor(metric)

@@ -69,8 +69,9 @@ def _firsts(sections: Sequence[Section]) -> Table:
     rows = []
     for number, section in enumerate(sections, 1):
         first, second = (*section.ranked[:2], None, None)[:2]
-        where = Cell(section.scene, notes=(section.device, _timed_over(section)), link=f"s{number}")
-        rows.append(Row((where, _leader(first), _leader(second), _barred(section)), {"scene": section.scene}))
+        where = Cell(_heading(section), notes=(_timed_over(section),), link=f"s{number}")
+        leaders = (_leader(first), _leader(second)) if first else (_nobody(section), EMPTY)
+        rows.append(Row((where, *leaders, _barred(section)), {"scene": section.scene}))
     columns = (
         "scene, device", f"fastest [{FPS.unit}]", "next",
         Column("without a place", "rows that are INVALID, failed, break mechanics in any scene, or break a rule"),
@@ -78,9 +79,16 @@ def _firsts(sections: Sequence[Section]) -> Table:
     return table("first", "Who is first", columns, rows)
 
 
+def _nobody(section: Section) -> Cell:
+    """Why no row of a section has a place."""
+    if all(isinstance(row.fps.value, Missing) for row in section.unranked):
+        return Cell("not timed", notes=("none of the recordings has a timed phase",), tone=Tone.QUIET)
+    return Cell("no row has a place", tone=Tone.QUIET)
+
+
 def _leader(row: Standing | None) -> Cell:
     if row is None:
-        return Cell("none", tone=Tone.QUIET)
+        return Cell("no other row has a place", tone=Tone.QUIET)
     speed = estimate(row.fps)
     name = (row.name,) if row.name != row.key.simulator else ()
     told = f"{row.key.n_env:,} envs, {row.key.version or 'no version'}, determinism {row.key.determinism}"

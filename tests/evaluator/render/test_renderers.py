@@ -367,3 +367,93 @@ def test_a_page_sorts_filters_searches_and_opens_what_a_link_names(tmp_path: Pat
         browser.wait("document.querySelector('output').textContent.startsWith('1 section has')")
         assert names(browser) == ["a three"]
         assert browser.evaluate("document.querySelector('#other').closest('details').classList.contains('out')") is True
+
+
+def long_table(n: int) -> Document:
+    """A closed section with a table of `n` rows: each with a note, the last with more below it."""
+    rows = [
+        Row((Cell(f"row {i}", notes=(f"note {i}",)), Cell(str(i), float(i), (0.0, 9.0), "[0, 9]"))) for i in range(n)
+    ]
+    last = Row(rows[-1].cells, {}, (Section("inside", "Inside", (Text("more of the last"),)),))
+    shown = table("t", "T", ["group", "value"], [*rows[:-1], last], ["one", "two", "three"])
+    return Document("t", (Section("deep", "Deep", (shown,), folded=True),))
+
+
+def test_few_rows_are_open_and_many_are_closed() -> None:
+    few = table("t", "T", ["group"], [[Cell("a", notes=("n",))]] * 4)
+    assert "class=row" not in render_page(Document("t", (few,))).partition("<main")[2].partition("<script>")[0]
+    many = table("t", "T", ["group"], [[Cell("a", notes=("n",))]] * 5)
+    assert render_page(Document("t", (many,))).count("<details class=row>") == 5
+
+
+@needs_chromium
+@pytest.mark.parametrize("scripts", [True, False], ids=["scripts", "none"])
+def test_rows_and_the_rest_of_a_table_open_on_demand(tmp_path: Path, scripts: bool) -> None:
+    """Show 25 of 40 rows, a line each; open a row for its notes, and the table for all rows, without a script too."""
+    page = tmp_path / "page.html"
+    page.write_text(render_page(long_table(40)))
+    shown = "[...document.querySelectorAll('tbody tr')].filter(e => e.checkVisibility()).length"
+    note = "[...document.querySelectorAll('th > small')].filter(e => e.checkVisibility()).map(e => e.textContent)"
+    with Browser() as browser:
+        browser.open(page, scripts=scripts)
+        for selector in ("#deep", "th summary"):
+            browser.evaluate(f"document.querySelector('{selector}').closest('summary').focus()")
+            browser.key("Enter")
+        assert (browser.evaluate(shown), browser.evaluate(note)) == (25, ["note 0"])
+        browser.evaluate("document.querySelector('.every summary').focus()")
+        browser.key("Enter")
+        assert browser.evaluate(shown) == 40
+        browser.evaluate("[...document.querySelectorAll('th summary')].at(-1).focus()")
+        browser.key("Enter")
+        assert browser.evaluate(shown) == 41
+        assert browser.evaluate(note) == ["note 0", "note 39"]
+
+
+@needs_chromium
+def test_rows_keep_what_is_below_them_and_are_found_wherever_they_are(tmp_path: Path) -> None:
+    """Sort a row with what it holds, search rows that are not shown, and open all that a link's target stands in."""
+    page = tmp_path / "page.html"
+    page.write_text(render_page(long_table(40)))
+    with Browser() as browser:
+        browser.open(page)
+        browser.evaluate("document.querySelectorAll('thead button')[1].click()")
+        bodies = "[...document.querySelectorAll('tbody')]"
+        order = f"{bodies}.map(b => [...b.rows].map(r => r.className || r.cells[1].dataset.v))"
+        first, rest = browser.evaluate(order)
+        assert first[:3] == ["39", "more", "38"]
+        assert (len(first), len(rest)) == (26, 15)
+        browser.evaluate("document.querySelectorAll('thead button')[1].click()")
+        assert browser.evaluate(order)[1][-2:] == ["39", "more"]
+        browser.evaluate("location.hash = '#inside'")
+        browser.wait("document.getElementById('inside').checkVisibility()")
+        browser.evaluate("document.querySelectorAll('details').forEach(d => { d.open = d.matches(':has(#deep)'); })")
+        browser.evaluate(
+            "(e => { e.value = 'row 34'; e.dispatchEvent(new Event('input')); })(document.querySelector('input'))"
+        )
+        browser.wait("document.querySelector('output').textContent")
+        found = "[...document.querySelectorAll('tbody th')].filter(e => e.checkVisibility())"
+        assert browser.evaluate(f"{found}.map(e => e.textContent)") == ["row 34note 34"]
+
+
+@needs_chromium
+@pytest.mark.parametrize("width", [400, 1280, 1920])
+def test_names_and_intervals_do_not_widen_a_page(tmp_path: Path, width: int) -> None:
+    """Break nothing out of the page with names of ninety characters and a dozen columns with intervals."""
+    value = Cell("1234.567 ± 89.012", 1.0, (0.0, 2.0), "[1000.123, 2000.456]")
+    rows = [[Cell("engine [" + "option=value, " * 5 + f"{i}]", notes=("n",)), *[value] * 11] for i in range(30)]
+    shown = table("t", "T", ["group", *(f"quantity {i} [cm]" for i in range(11))], rows)
+    page = tmp_path / "page.html"
+    page.write_text(render_page(Document("t", (shown,))))
+    with Browser() as browser:
+        browser.open(page, width=width)
+        assert browser.evaluate("document.documentElement.scrollWidth") <= width
+        assert browser.evaluate("(e => e.scrollWidth - e.clientWidth)(document.querySelector('.table'))") <= 1
+
+
+def test_figures_and_lists_beyond_the_first_are_closed() -> None:
+    figures = tuple(Figure(f"figure {i}", "", Markup("<svg></svg>")) for i in range(10))
+    shown = render_page(Document("t", (Gallery(figures), items(*(f"item {i}" for i in range(20))))))
+    first, _, rest = shown.partition("Show all 10 figures")
+    assert ("figure 5" in first, "figure 6" in first, "figure 9" in rest) == (True, False, True)
+    first, _, rest = rest.partition("Show all 20")
+    assert ("item 7" in first, "item 8" in first, "item 19" in rest) == (True, False, True)
