@@ -72,7 +72,7 @@ def parser() -> Parser:
     p.add_argument("--scene", metavar="NAME", help=f"(default: {_SCENE})")
     p.add_argument(
         "--model", type=local_path, metavar="FILE.xml",
-        help="instead of --scene: a model file of your own, as of gsb-record; its actuators are given no actions",
+        help="instead of --scene: a model file of your own, as of gsb-record; its actuators are given random controls",
     )  # fmt: skip
     p.add_argument(
         "--determinism", default="default", metavar="LEVEL[,LEVEL]",
