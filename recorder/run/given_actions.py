@@ -20,7 +20,7 @@ def streams_of(configuration: RunConfiguration) -> Streams:
 
     An environment that begins in the initial state of another slot is given the actions of that slot, too.
     """
-    initial = drawn(configuration.initial) if configuration.initial else None
+    initial = drawn(configuration.initial)
     usual = Streams.usual(configuration.n_env)
     if initial is None:
         return usual
