@@ -12,7 +12,8 @@ from dataclasses import replace
 from pathlib import Path
 
 from gpusimbench.evaluator.missing import Missing, known
-from gpusimbench.evaluator.probe.questions import QUESTIONS, Answer, Finding, probed
+from gpusimbench.evaluator.probe.finding import Answer, Finding
+from gpusimbench.evaluator.probe.questions import QUESTIONS, probed
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.render.document import Cell
 from gpusimbench.evaluator.render.markdown import table_markdown

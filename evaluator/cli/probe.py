@@ -72,7 +72,7 @@ def parser() -> Parser:
     p.add_argument("--scene", metavar="NAME", help=f"(default: {_SCENE})")
     p.add_argument(
         "--model", type=local_path, metavar="FILE.xml",
-        help="instead of --scene: a model file of your own, as of gsb-record; its actuators are given no actions",
+        help="instead of --scene: a model file of your own, as of gsb-record; its actuators are given random controls",
     )  # fmt: skip
     p.add_argument(
         "--determinism", default="default", metavar="LEVEL[,LEVEL]",
@@ -112,8 +112,9 @@ def parser() -> Parser:
 
 def run(arguments: argparse.Namespace, command: str) -> int:
     """Record what is missing, compare and print; returns the exit code."""
+    from gpusimbench.evaluator.probe.finding import Answer
     from gpusimbench.evaluator.probe.json import dump_probe
-    from gpusimbench.evaluator.probe.questions import QUESTIONS, Answer, probed
+    from gpusimbench.evaluator.probe.questions import QUESTIONS, probed
     from gpusimbench.evaluator.render.terminal import print_document
     from gpusimbench.evaluator.report.evidence_json import family_record
     from gpusimbench.evaluator.report.sections.probed import probe_document
@@ -271,8 +272,9 @@ def _saved(plan: Plan, arm: Arm, out: Path) -> str:
 
 def differing(recordings: list[Recording]) -> list[Arm]:
     """Arms of which something differs: more runs of them tell whether that is more than runs do anyway."""
+    from gpusimbench.evaluator.probe.finding import Answer
     from gpusimbench.evaluator.probe.plan import arm_of
-    from gpusimbench.evaluator.probe.questions import Answer, probed
+    from gpusimbench.evaluator.probe.questions import probed
 
     at = {recording.path: arm_of(recording.configuration) for recording in recordings}
     no = (f for one in probed(recordings) for f in one.findings if f.answer is Answer.NO and f.found is not None)

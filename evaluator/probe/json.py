@@ -6,7 +6,8 @@ from collections.abc import Sequence
 from typing import Any
 
 from gpusimbench.evaluator.json_values import dump, values_of
-from gpusimbench.evaluator.probe.questions import Finding, Probed, verdict_of
+from gpusimbench.evaluator.probe.finding import Finding, verdict_of
+from gpusimbench.evaluator.probe.questions import Probed
 
 SCHEMA_VERSION = 1
 

@@ -169,7 +169,19 @@ def _incomparable(pairs: Pairs) -> str:
     in_world = any(f.field == "position" and f.frame == "world" for f in a.fields)
     if in_world and any(_origin(origins[0], e) != _origin(origins[1], f) for e, f in pairs.envs):
         return "they stand at different origins, so that their positions cannot be compared by bits"
+    if set(a.action_names) != set(b.action_names) or any(_other_actions(pairs, name) for name in a.action_names):
+        return "the environments that would be compared were given other actions"
     return ""
+
+
+def _other_actions(pairs: Pairs, name: str) -> bool:
+    """Whether any pair was given other actions, of the steps that are compared."""
+    a, b = pairs.a.actions(name), pairs.b.actions(name)
+    later = pairs.b.configuration.first_step + pairs.ahead - pairs.a.configuration.first_step  # row of a that is 0 of b
+    a, b = a[max(later, 0) :], b[max(-later, 0) :]
+    rows = min(len(a), len(b))
+    envs_a, envs_b = (np.array(envs) for envs in zip(*pairs.envs, strict=True))
+    return not np.array_equal(a[:rows, envs_a], b[:rows, envs_b])
 
 
 def _origin(origins: Sequence[tuple[float, float, float]], env: int) -> tuple[float, float, float]:

@@ -66,8 +66,7 @@ def arm_of(c: RunConfiguration) -> Arm:
 
 @dataclass(frozen=True)
 class Model:
-    """A model file that is probed in place of a registered scene. Its actuators are given no actions: those of an
-    environment belong to its slot, and would be the cause of what a change of slots shows.
+    """A model file that is probed in place of a registered scene; its actuators are given random controls.
 
     path    of the file, as gsb-record takes it
     sha256  of its files, as of a RunConfiguration
@@ -169,7 +168,7 @@ class Plan:
         if arm.continued:
             given = ["--replay", saved, "--from", str(arm.continued), *(["--allow-model"] if self.model else [])]
             return [*given, "--no-view", "--compression", "zstd", "--out", out]
-        scene = ["--model", self.model.path, "--actions", "none"] if self.model else ["--scene", self.scene]
+        scene = ["--model", self.model.path] if self.model else ["--scene", self.scene]
         given = ["--sim", self.simulator, *scene, "--determinism", self.determinism]
         given += [f"--option={option}" for option in self.options]
         given += ["--n-env", str(arm.n_env), "--runs", "1", "--steps", str(self.steps), "--seed", str(self.seed)]

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from enum import StrEnum
 from textwrap import shorten
 from typing import NamedTuple
 
@@ -18,42 +17,14 @@ import numpy as np
 from gpusimbench.evaluator.metrics.levels import Level
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.probe.arms import Arms, arms_of
+from gpusimbench.evaluator.probe.finding import Answer, Asked, Finding, first_of, same_slots, told, worst_of
+from gpusimbench.evaluator.probe.interventions import bystanders, fresh, poison, process, restored, set_states
 from gpusimbench.evaluator.probe.pairs import Found, Pairs, held
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.statistics.regimes import upper_bound_of_none
-from gpusimbench.schemas.treatment import Initial, Intervention
+from gpusimbench.schemas.treatment import Initial
 
 _WHY = 60  # characters of why an arm is missing
-
-
-class Answer(StrEnum):
-    """Of a question."""
-
-    YES = "yes"
-    NO = "no"
-    OPEN = "open"
-    NOT_ASKED = "not asked"
-
-
-@dataclass(frozen=True)
-class Finding:
-    """What was found on a question.
-
-    key, title  of the question
-    answer      to the title
-    found       the comparison that decided; None where none was made
-    compared    what was held against what, in words
-    detail      which of them differ, where there are several kinds; how sure an agreement of runs is
-    why         why the answer is open or was not asked; empty elsewhere
-    """
-
-    key: str
-    title: str
-    answer: Answer
-    found: Found | None = None
-    compared: str = ""
-    detail: str = ""
-    why: str = ""
 
 
 class Probed(NamedTuple):
@@ -61,14 +32,6 @@ class Probed(NamedTuple):
 
     arms: Arms
     findings: list[Finding]
-
-
-class Asked(NamedTuple):
-    """A comparison that decides, and its words; see Finding."""
-
-    found: Found
-    compared: str
-    detail: str = ""
 
 
 @dataclass(frozen=True)
@@ -104,18 +67,6 @@ def answers(arms: Arms) -> list[Finding]:
     return [one for question, one in found if not (question.asked_of_few and one.answer is Answer.NOT_ASKED)]
 
 
-def verdict_of(findings: Sequence[Finding]) -> str:
-    """One sentence: how many answers are yes, and which are no."""
-    asked = [one for one in findings if one.answer is not Answer.NOT_ASKED]
-    yes = [one for one in asked if one.answer is Answer.YES]
-    said = f"{len(yes)} of {len(asked)} answers are yes" if asked else "nothing was asked"
-    parts = [said]
-    for answer in (Answer.NO, Answer.OPEN):
-        if titles := [one.title for one in findings if one.answer is answer]:
-            parts.append(f"{answer.value}: {', '.join(titles)}")
-    return "; ".join(parts)
-
-
 def _answer(question: Question, arms: Arms, varies: str, unknown: str) -> Finding:
     asked = question.ask(arms)
     if isinstance(asked, Missing):
@@ -139,12 +90,12 @@ def _runs(arms: Arms) -> Asked | Missing:
     if not arms.repeated:
         return Missing("needs two runs of the same configuration")
     found = [
-        held(Pairs(runs[0], other, _same(range(runs[0].configuration.n_env))))
+        held(Pairs(runs[0], other, same_slots(range(runs[0].configuration.n_env))))
         for runs in arms.repeated
         for other in runs[1:]
     ]
     count = sum(map(len, arms.repeated))
-    asked = _worst(found, f"{count} runs of {len(arms.repeated)} configurations, each with others of the same")
+    asked = worst_of(found, f"{count} runs of {len(arms.repeated)} configurations, each with others of the same")
     if isinstance(asked, Missing) or asked.found.level is not Level.BIT_IDENTICAL:
         return asked
     agreed = sum(not isinstance(one, Missing) for one in found)
@@ -162,18 +113,18 @@ def _envs(arms: Arms) -> Asked | Missing:
         return Missing("needs two environments")
     run = arms.plain[0]
     found = held(Pairs(run, run, tuple((0, env) for env in range(1, arms.n_env))))
-    return _told(found, f"environment 0 and the {arms.n_env - 1} others of a run")
+    return told(found, f"environment 0 and the {arms.n_env - 1} others of a run")
 
 
 def _numbers(arms: Arms) -> Asked | Missing:
     """Environments of the usual run with those of the same slot and state among more, or fewer, environments."""
-    base = _first(arms.varied)
+    base = first_of(arms.varied)
     if isinstance(base, Missing):
         return base
     if not arms.by_number:
         return Missing("needs runs of other numbers of environments")
     numbers = sorted(arms.by_number)
-    found = [held(Pairs(base, arms.by_number[n], _same(range(min(n, arms.n_env))))) for n in numbers]
+    found = [held(Pairs(base, arms.by_number[n], same_slots(range(min(n, arms.n_env))))) for n in numbers]
     known = [(n, one) for n, one in zip(numbers, found, strict=True) if not isinstance(one, Missing)]
     differ = [n for n, one in known if one.first_step is not None]
     listed = ", ".join(map(str, numbers))
@@ -182,7 +133,7 @@ def _numbers(arms: Arms) -> Asked | Missing:
     parts += [
         f"not with {how.partition(' ')[0]}: {shorten(why, _WHY, placeholder=' ...')}" for how, why in others.items()
     ]
-    return _worst(found, f"{arms.n_env} environments and {listed} of the same {_begun(arms)}", "; ".join(parts))
+    return worst_of(found, f"{arms.n_env} environments and {listed} of the same {_begun(arms)}", "; ".join(parts))
 
 
 def _other_number(how: str, n_env: int) -> bool:
@@ -192,19 +143,19 @@ def _other_number(how: str, n_env: int) -> bool:
 
 def _slots(arms: Arms) -> Asked | Missing:
     """The same initial states in other slots."""
-    base = _first(arms.varied)
+    base = first_of(arms.varied)
     if isinstance(base, Missing):
         return base
     if arms.shifted is None:
         return Missing("needs a run whose initial states are in other slots")
     shift = Initial.parse(arms.shifted.configuration.initial).shift
     pairs = tuple(((env + shift) % arms.n_env, env) for env in range(arms.n_env))
-    return _told(held(Pairs(base, arms.shifted, pairs)), f"the same {_begun(arms)}, {shift} slots further")
+    return told(held(Pairs(base, arms.shifted, pairs)), f"the same {_begun(arms)}, {shift} slots further")
 
 
 def _neighbours(arms: Arms) -> Asked | Missing:
     """One environment among others that begin otherwise."""
-    base = _first(arms.varied)
+    base = first_of(arms.varied)
     if isinstance(base, Missing):
         return base
     if arms.but is None:
@@ -212,75 +163,7 @@ def _neighbours(arms: Arms) -> Asked | Missing:
     kept = Initial.parse(arms.but.configuration.initial).but
     assert kept is not None
     other = f"environment {kept} among neighbours of other {_begun(arms)}"
-    return _told(held(Pairs(base, arms.but, ((kept, kept),))), other)
-
-
-def _poison(arms: Arms) -> Asked | Missing:
-    """Environments beside one that is not finite."""
-    beside = _beside(arms, "poison")
-    if isinstance(beside, Missing):
-        return beside
-    base, recording, done = beside
-    envs = [env for env in range(arms.n_env) if not done.treated(env)]
-    return _told(held(Pairs(base, recording, _same(envs))), f"{len(envs)} environments beside one that is not finite")
-
-
-def _bystanders(arms: Arms) -> Asked | Missing:
-    """Environments that are left alone while others are reset."""
-    beside = _beside(arms, "reset")
-    if isinstance(beside, Missing):
-        return beside
-    base, recording, done = beside
-    envs = [env for env in range(arms.n_env) if not done.treated(env)]
-    if not envs:
-        return Missing("needs two environments")
-    return _told(held(Pairs(base, recording, _same(envs))), f"{len(envs)} environments beside others that are reset")
-
-
-def _fresh(arms: Arms) -> Asked | Missing:
-    """Environments that are reset with those of a run that has just begun."""
-    treated = _treated(arms, "reset")
-    if isinstance(treated, Missing):
-        return treated
-    if not arms.plain:
-        return Missing("needs a run whose environments begin as a reset leaves them")
-    recording, done = treated
-    envs = [env for env in range(arms.n_env) if done.treated(env)]
-    pairs = Pairs(recording, arms.plain[0], _same(envs), ahead=done.step, first=1)
-    return _told(held(pairs), f"{len(envs)} environments after a reset at step {done.step}, and fresh ones")
-
-
-def _restored(arms: Arms) -> Asked | Missing:
-    """All environments after an excursion from which they were restored."""
-    beside = _beside(arms, "excursion")
-    if isinstance(beside, Missing):
-        return beside
-    base, recording, done = beside
-    said = f"saved at step {done.step}, {done.more} further steps, restored"
-    return _told(held(Pairs(base, recording, _same(range(arms.n_env)))), said)
-
-
-def _process(arms: Arms) -> Asked | Missing:
-    """A run and one that continues its snapshot in a process of its own."""
-    if arms.continued is None:
-        failed = next((why for how, why in arms.failed.items() if " snapshot" in how), "")
-        needed = "needs a run with --snapshot STEP, and its --replay FILE --from STEP"
-        return Missing(f"its run is {failed}" if failed else needed)
-    base, later = arms.continued
-    step = later.configuration.first_step
-    pairs = Pairs(base, later, _same(range(base.configuration.n_env)))
-    return _told(held(pairs), f"a snapshot of step {step}, restored in another process, and the run that saved it")
-
-
-def _set(arms: Arms) -> Asked | Missing:
-    """All environments after they were given the positions and velocities that they had."""
-    beside = _beside(arms, "set")
-    if isinstance(beside, Missing):
-        return beside
-    base, recording, done = beside
-    return _told(
-        held(Pairs(base, recording, _same(range(arms.n_env)))), f"set at step {done.step} to the state that they had"
-    )
+    return told(held(Pairs(base, arms.but, ((kept, kept),))), other)
 
 
 def _captured(arms: Arms) -> Asked | Missing:
@@ -317,7 +200,7 @@ def _device(arms: Arms) -> Asked | Missing:
             continue
         for how in arms.runs.keys() & other.runs.keys():
             run, twin = arms.runs[how], other.runs[how]
-            one = held(Pairs(run, twin, _same(range(run.configuration.n_env))))
+            one = held(Pairs(run, twin, same_slots(range(run.configuration.n_env))))
             if isinstance(one, Missing):
                 continue
             found.append(one)
@@ -327,54 +210,12 @@ def _device(arms: Arms) -> Asked | Missing:
     if not found:
         return Missing("needs the same runs on another device")
     said = f"{len(found)} {'run' if len(found) == 1 else 'runs'} and the same on {', '.join(devices)}"
-    return _worst(found, said, f"differs with {', '.join(sorted(differ))}" if differ else "")
-
-
-def _first(runs: Sequence[Recording]) -> Recording | Missing:
-    return runs[0] if runs else Missing("needs a run whose environments begin differently")
+    return worst_of(found, said, f"differs with {', '.join(sorted(differ))}" if differ else "")
 
 
 def _begun(arms: Arms) -> str:
     """What differs between environments, and goes with them into other slots."""
     return "initial states and parameters" if arms.key.vary else "initial states"
-
-
-def _treated(arms: Arms, kind: str) -> tuple[Recording, Intervention] | Missing:
-    found = arms.treated.get(kind)
-    if found is None:
-        why = next((why for how, why in arms.failed.items() if f" {kind}@" in how), "")
-        return Missing(f"its run is {why}" if why else f"needs a run with --intervene {kind}@STEP")
-    return found, Intervention.parse(found.configuration.intervention)
-
-
-def _beside(arms: Arms, kind: str) -> tuple[Recording, Recording, Intervention] | Missing:
-    """A run that was left alone, and one that was not."""
-    base, treated = _first(arms.varied), _treated(arms, kind)
-    if isinstance(base, Missing):
-        return base
-    return treated if isinstance(treated, Missing) else (base, *treated)
-
-
-def _same(envs: Sequence[int]) -> tuple[tuple[int, int], ...]:
-    return tuple((env, env) for env in envs)
-
-
-def _told(found: Found | Missing, compared: str) -> Asked | Missing:
-    return found if isinstance(found, Missing) else Asked(found, compared)
-
-
-def _worst(found: Sequence[Found | Missing], compared: str, detail: str = "") -> Asked | Missing:
-    known = [one for one in found if not isinstance(one, Missing)]
-    if not known:
-        return next(one for one in found if isinstance(one, Missing))
-    worst = max(known, key=lambda one: (one.level, one.max_distance, one.max_ulp))
-    all_of_them = replace(
-        worst,
-        pairs=sum(one.pairs for one in known),
-        differing=sum(one.differing for one in known),
-        first_step=min((one.first_step for one in known if one.first_step is not None), default=None),
-    )
-    return Asked(all_of_them, compared, detail)
 
 
 QUESTIONS = (
@@ -384,12 +225,12 @@ QUESTIONS = (
     Question("number", "does not depend on the number of environments", _numbers),
     Question("slot", "does not depend on the slot", _slots),
     Question("neighbours", "does not depend on the neighbours' states", _neighbours),
-    Question("poison", "a NaN in one environment harms no other", _poison),
-    Question("bystanders", "a reset leaves other environments alone", _bystanders),
-    Question("fresh", "a reset environment is as good as a fresh one", _fresh),
-    Question("restored", "a restored state goes on as before", _restored),
-    Question("process", "a snapshot goes on in another process as before", _process),
+    Question("poison", "a NaN in one environment harms no other", poison),
+    Question("bystanders", "a reset leaves other environments alone", bystanders),
+    Question("fresh", "a reset environment is as good as a fresh one", fresh),
+    Question("restored", "a restored state goes on as before", restored),
+    Question("process", "a snapshot goes on in another process as before", process),
     Question("device", "does not depend on the device", _device, gate=False, asked_of_few=True),
-    Question("set", "positions and velocities are the whole state", _set, gate=False),
+    Question("set", "positions and velocities are the whole state", set_states, gate=False),
 )
 """In the order of the report."""

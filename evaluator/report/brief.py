@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 from gpusimbench.evaluator.missing import Missing, known
 from gpusimbench.evaluator.probe.arms import name_of
-from gpusimbench.evaluator.probe.questions import verdict_of
+from gpusimbench.evaluator.probe.finding import verdict_of
 from gpusimbench.evaluator.render.cells import estimate
 from gpusimbench.evaluator.render.document import EMPTY, Block, Cell, Document, Facts, Text, Tone, facts, table
 from gpusimbench.evaluator.render.numbers import plural

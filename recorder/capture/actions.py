@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from gpusimbench.recorder.capture.sink import Sink
 from gpusimbench.recorder.capture.states import env_block
 from gpusimbench.recorder.capture.workers import Workers
-from gpusimbench.recorder.scenes.actions import JointTargets
+from gpusimbench.recorder.scenes.actions import JointTargets, Streams
 from gpusimbench.schemas import topics
 from gpusimbench.schemas.blocks import action_parts
 from gpusimbench.schemas.configuration import sim_time_ns
@@ -60,7 +60,7 @@ def write_action_stream(
     actions: JointTargets,
     *,
     seed: int,
-    n_env: int,
+    streams: Streams,
     first_step: int,
     n_step: int,
     applied: NDArray[np.float32] | None,
@@ -69,12 +69,14 @@ def write_action_stream(
 
     applied  those actions, [env, action]; None where the engine cannot tell
     """
+    n_env = len(streams.env)
     rows = [
-        actions.draw(seed, n_env=n_env, first_step=step, n_step=1)[0] for step in (first_step, first_step + n_step - 1)
+        actions.draw(seed, n_env=n_env, first_step=step, n_step=1, streams=streams)[0]
+        for step in (first_step, first_step + n_step - 1)
     ]
     same = applied is not None and np.array_equal(applied, rows[1])
     message = message_class("gsb.v1.ActionStream")(
-        generator=actions.describe(seed),
+        generator=actions.describe(seed, streams),
         first_step=first_step,
         steps=n_step,
         envs=n_env,

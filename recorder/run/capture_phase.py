@@ -16,7 +16,7 @@ from gpusimbench.recorder.capture.states import StateWriter, row_bytes
 from gpusimbench.recorder.capture.stepping import CaptureClock, step_and_capture
 from gpusimbench.recorder.capture.view import ViewWriter
 from gpusimbench.recorder.capture.writing import Block, Writing
-from gpusimbench.recorder.run.given_actions import prepare, write_applied
+from gpusimbench.recorder.run.given_actions import begin_anew, prepare, write_applied
 from gpusimbench.recorder.run.intervention import intervene
 from gpusimbench.recorder.run.journal import Journal
 from gpusimbench.recorder.run.start import saved
@@ -120,6 +120,7 @@ class CapturePhase:
             interruption.check()
             self._progress("capture", done, c.steps)
 
+        begin_anew(simulator, c)
         simulator.reserve(min(c.captured_steps, writer.steps_per_block))
         # until it has finished, the sink is its thread's
         writing = Writing(kept.keep if kept else write)

@@ -13,7 +13,7 @@ from gpusimbench.recorder import interruption
 from gpusimbench.recorder.capture.flight import MOST, FlightWriter
 from gpusimbench.recorder.capture.states import declare_fingerprints, write_fingerprints
 from gpusimbench.recorder.capture.stepping import CaptureClock
-from gpusimbench.recorder.run.given_actions import prepare, write_applied
+from gpusimbench.recorder.run.given_actions import begin_anew, prepare, write_applied
 from gpusimbench.recorder.run.intervention import intervene
 from gpusimbench.recorder.run.journal import Journal
 from gpusimbench.recorder.simulators.base import Description, Simulator
@@ -41,6 +41,7 @@ class FlightPhase:
     def run(self, simulator: Simulator, description: Description) -> None:
         """Step from the initial state; failed environments are a gate of the journal."""
         c, sink = self._configuration, self._journal.sink
+        begin_anew(simulator, c)
         watch = watch_of(c, description)
         declare_fingerprints(sink, "capture")
         self._hash(simulator)

@@ -2,13 +2,40 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
 from gpusimbench.recorder.capture.actions import Actions, write_action_stream
 from gpusimbench.recorder.run.journal import Journal
+from gpusimbench.recorder.scenes.actions import Streams
 from gpusimbench.recorder.simulators.base import Simulator
 from gpusimbench.schemas.configuration import RunConfiguration
+from gpusimbench.schemas.treatment import Intervention, drawn
+
+
+def streams_of(configuration: RunConfiguration) -> Streams:
+    """Whose actions each environment is given, so that actions are no reason why a treatment should matter.
+
+    An environment that begins in the initial state of another slot is given the actions of that slot, too.
+    """
+    initial = drawn(configuration.initial)
+    usual = Streams.usual(configuration.n_env)
+    if initial is None:
+        return usual
+    return replace(usual, env=np.roll(usual.env, -initial.shift))
+
+
+def begin_anew(simulator: Simulator, configuration: RunConfiguration) -> None:
+    """Before the first step of a phase with an intervention: the actions of environments that will be reset begin anew
+    then, so that they are those of environments that have just begun."""
+    intervention = Intervention.parse(configuration.intervention) if configuration.intervention else None
+    if intervention is None or intervention.kind != "reset":
+        return
+    reset = [intervention.treated(env) for env in range(configuration.n_env)]
+    begun = np.where(reset, np.uint32(intervention.step), np.uint32(0))
+    simulator.streams = replace(simulator.streams, begun=begun)
 
 
 def given(
@@ -18,7 +45,9 @@ def given(
     actions = simulator.scene.actions
     if actions is None or simulator.draws_actions:
         return None
-    return actions.draw(configuration.seed, n_env=configuration.n_env, first_step=first_step, n_step=n_step)
+    return actions.draw(
+        configuration.seed, n_env=configuration.n_env, first_step=first_step, n_step=n_step, streams=simulator.streams
+    )
 
 
 def prepare(simulator: Simulator, configuration: RunConfiguration, first_step: int, n_step: int) -> Actions | None:
@@ -27,12 +56,16 @@ def prepare(simulator: Simulator, configuration: RunConfiguration, first_step: i
     simulator.prepare(array)
     if array is not None:
         return lambda envs: array[:, envs.start : envs.stop]
-    drawn = simulator.scene.actions
-    if drawn is None:
+    actions, every = simulator.scene.actions, simulator.streams
+    if actions is None:
         return None
-    return lambda envs: drawn.draw(
-        configuration.seed, n_env=len(envs), first_env=envs.start, first_step=first_step, n_step=n_step
-    )
+
+    def of(envs: range) -> NDArray[np.float32]:
+        some = slice(envs.start, envs.stop)
+        streams = Streams(every.env[some], every.begun[some])
+        return actions.draw(configuration.seed, n_env=len(envs), first_step=first_step, n_step=n_step, streams=streams)
+
+    return of
 
 
 def write_applied(
@@ -46,7 +79,7 @@ def write_applied(
         journal.phase,
         simulator.scene.actions,
         seed=configuration.seed,
-        n_env=configuration.n_env,
+        streams=simulator.streams,
         first_step=first_step,
         n_step=n_step,
         applied=simulator.applied(),

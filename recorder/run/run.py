@@ -33,6 +33,7 @@ from gpusimbench.recorder.run.capture_phase import CapturePhase
 from gpusimbench.recorder.run.engine import Engine
 from gpusimbench.recorder.run.environment import apply_environment
 from gpusimbench.recorder.run.flight_phase import FlightPhase
+from gpusimbench.recorder.run.given_actions import streams_of
 from gpusimbench.recorder.run.journal import Journal, Phase
 from gpusimbench.recorder.run.pace import COMPILE, REBUILD
 from gpusimbench.recorder.run.timed_phase import warm_up_and_time
@@ -225,6 +226,7 @@ class Run:
                     options=options,
                     determinism=configuration.determinism,
                 )
+                simulator.streams = streams_of(configuration)
                 if varied is not None:
                     simulator.vary(varied)
                 return simulator

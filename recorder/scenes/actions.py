@@ -23,6 +23,35 @@ _SMALLEST = 2.0**-102  # whose last bit is a normal float32 still
 
 
 @dataclass(frozen=True)
+class Streams:
+    """The stream of actions that each environment is given, by two counters of the generator.
+
+    env    the environment whose actions it is given, uint32 [env]
+    begun  the step with which its actions begin anew, as if it were step 0, uint32 [env]; 0: they never do
+    """
+
+    env: NDArray[np.uint32]
+    begun: NDArray[np.uint32]
+
+    @classmethod
+    def usual(cls, n_env: int) -> Streams:
+        """Every environment is given its own actions, which never begin anew."""
+        return cls(np.arange(n_env, dtype=np.uint32), np.zeros(n_env, dtype=np.uint32))
+
+    def steps(self, first_step: int, n_step: int) -> NDArray[np.uint32]:
+        """The generator's step of each step and environment, [step, env]."""
+        steps = np.arange(first_step, first_step + n_step, dtype=np.uint32)[:, None]
+        return np.where(steps >= self.begun, steps - self.begun, steps)
+
+    def describe(self) -> dict[str, Any]:
+        """What differs from the usual: by how many places environments are shifted, and with which steps actions begin
+        anew. Empty where nothing does."""
+        shift = int(self.env[0]) if self.env.size else 0
+        begun = sorted({int(step) for step in self.begun} - {0})
+        return {**({"shift": shift} if shift else {}), **({"begun": begun} if begun else {})}
+
+
+@dataclass(frozen=True)
 class JointTargets:
     """A target position for each joint at each step, uniform within its limits (to within its grid).
 
@@ -36,7 +65,8 @@ class JointTargets:
         w = mix(w + (env + 1) * G);  w = mix(w + (step + 1) * G);  w = mix(w + (joint + 1) * G)
         target = (first[joint] + ((w >> 16) * count[joint] >> 16)) * grid[joint]
 
-    with mix the finaliser of MurmurHash3 and G = 0x9E3779B9 (``schemas.mixing``).
+    with mix the finaliser of MurmurHash3 and G = 0x9E3779B9 (``schemas.mixing``). Where an environment began in the
+    initial state of another slot, or was reset, env and step are those of Streams.
 
     name          of the topic
     joints        names, in the robot's order
@@ -70,25 +100,30 @@ class JointTargets:
         word = mix32(np.array([low], dtype=np.uint32) + golden)
         return int(mix32(word + np.uint32(high) + golden)[0])
 
-    def draw(self, seed: int, *, n_env: int, first_step: int, n_step: int, first_env: int = 0) -> NDArray[np.float32]:
-        """Targets [rad], shape [step, env, joint], of n_env environments from first_env on; row i leads from the state
-        of step first_step + i to the next."""
-        counters = (
-            first_env + np.arange(n_env)[None, :, None],
-            first_step + np.arange(n_step)[:, None, None],
-            np.arange(len(self.joints))[None, None, :],
-        )
-        golden = np.uint32(GOLDEN32)
+    def draw(
+        self, seed: int, *, n_env: int, first_step: int, n_step: int, streams: Streams | None = None
+    ) -> NDArray[np.float32]:
+        """Targets [rad], shape [step, env, joint], of n_env environments; row i leads from the state of step
+        first_step + i to the next.
+
+        streams  of these environments; None: each is given its own
+        """
+        given = Streams.usual(n_env) if streams is None else streams
+        golden, one = np.uint32(GOLDEN32), np.uint32(1)
         word = np.array([[[self.seed_word(seed)]]], dtype=np.uint32)
-        for counter in counters:
-            word = mix32(word + (counter + 1).astype(np.uint32) * golden)
+        for counter in (
+            given.env[None, :, None],
+            given.steps(first_step, n_step)[:, :, None],
+            np.arange(len(self.joints), dtype=np.uint32)[None, None, :],
+        ):
+            word = mix32(word + (counter + one) * golden)
         first, count, grid = self.grid()
         index = (word >> np.uint32(32 - _WORD_BITS)) * count >> np.uint32(_WORD_BITS)
         return (first + index.astype(np.int32)).astype(np.float32) * grid
 
-    def describe(self, seed: int) -> str:
+    def describe(self, seed: int, streams: Streams) -> str:
         """The generator with all that it depends on (JSON)."""
-        return json.dumps({"generator": "murmur3-fmix32-grid13", **self._known(seed)})
+        return json.dumps({"generator": "murmur3-fmix32-grid13", **self._known(seed), **streams.describe()})
 
     def _known(self, seed: int) -> dict[str, Any]:
         return {"name": self.name, "seed": seed, "joints": self.joints, "lower": self.lower, "upper": self.upper}
@@ -119,9 +154,10 @@ class Controls(JointTargets):
     def _grids(self) -> tuple[float, ...]:
         return self.grids
 
-    def describe(self, seed: int) -> str:
+    def describe(self, seed: int, streams: Streams) -> str:
         """See JointTargets.describe."""
-        return json.dumps({"generator": "murmur3-fmix32", **self._known(seed), "grids": self.grids})
+        known = {"generator": "murmur3-fmix32", **self._known(seed), "grids": self.grids}
+        return json.dumps({**known, **streams.describe()})
 
 
 def _number(value: float) -> float:

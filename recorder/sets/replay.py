@@ -177,6 +177,12 @@ def begun(
             f"{path} has states of every {c.stride}th step up to {c.steps}: --from {from_step} is not one of those "
             "before the last"
         )
+    initial = drawn(c.initial)
+    if initial is not None and initial.shift:
+        raise UsageError(
+            f"{path} began with --initial {c.initial}: a run from a snapshot on does not know that actions were "
+            "shifted, too; replay it without --from"
+        )
     data = _attached(source, snapshot_name(from_step))
     how = Given(hashlib.sha256(data).hexdigest(), from_step)
     later = tuple(step for step in c.snapshots if step > from_step)

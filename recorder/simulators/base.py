@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 
 from gpusimbench.recorder.abilities import Ability, listed, titles
 from gpusimbench.recorder.options import names_of, parse_options
+from gpusimbench.recorder.scenes.actions import Streams
 from gpusimbench.recorder.scenes.base import Scene
 from gpusimbench.recorder.scenes.variation import Variation
 from gpusimbench.recorder.simulators.captured import Captured, Held, States
@@ -98,6 +99,7 @@ class Simulator(ABC):
         self.options = options
         self.determinism = determinism
         self.variation: Variation | None = None
+        self.streams = Streams.usual(n_env)
 
     def vary(self, variation: Variation) -> None:
         """Take the parameters of each environment, before ``build``, as far as the abilities go that are offered.
@@ -164,8 +166,8 @@ class Simulator(ABC):
         """Take the actions of the next steps, shape [step, env, action]; None where the scene has none.
 
         Outside the timed region: an adapter moves them to its device here. The steps that follow use them in order,
-        one row a step; row i is held during step i. None as well for an adapter that draws them itself: the steps that
-        follow are those after the last one made, beginning with 0.
+        one row a step; row i is held during step i. None as well for an adapter that draws them itself, by
+        ``self.streams`` as they are now: the steps that follow are those after the last one made, beginning with 0.
         """
 
     def applied(self) -> NDArray[np.float32] | None:

@@ -18,9 +18,10 @@ from numpy.typing import NDArray
 from gpusimbench.evaluator.metrics.levels import Level
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.probe.arms import arms_of
+from gpusimbench.evaluator.probe.finding import Answer, Finding, verdict_of
 from gpusimbench.evaluator.probe.pairs import Pairs, held
 from gpusimbench.evaluator.probe.plan import Arm, Plan, arm_of, interleaved
-from gpusimbench.evaluator.probe.questions import QUESTIONS, Answer, Finding, answers, verdict_of
+from gpusimbench.evaluator.probe.questions import QUESTIONS, answers
 from gpusimbench.evaluator.probe.questions import probed as judged
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.render.document import Section

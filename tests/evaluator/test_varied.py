@@ -14,8 +14,9 @@ import pytest
 from gpusimbench import open_recording
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.probe.arms import arms_of
+from gpusimbench.evaluator.probe.finding import Answer
 from gpusimbench.evaluator.probe.plan import Arm, Plan, arm_of
-from gpusimbench.evaluator.probe.questions import Answer, probed
+from gpusimbench.evaluator.probe.questions import probed
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.read.varied import factors_of
 from gpusimbench.evaluator.results.identity_metrics import comparable

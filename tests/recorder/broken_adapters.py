@@ -323,6 +323,18 @@ class OtherActions(MujocoC):
         super().prepare(None if actions is None else np.roll(actions, 1, axis=0))
 
 
+class OwnActions(MujocoC):
+    """Gives each environment the targets of its slot, whichever it is given."""
+
+    done = 0
+
+    def prepare(self, actions):
+        if actions is not None:
+            first, self.done = self.done, self.done + len(actions)
+            actions = self.scene.actions.draw(self.seed, n_env=self.n_env, first_step=first, n_step=len(actions))
+        super().prepare(actions)
+
+
 class FirstEnvOnly(MujocoC):
     """Gives all environments the first one's targets, and does not tell."""
 

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from gpusimbench import open_recording
 from gpusimbench.evaluator.runs.validation import verify
+from gpusimbench.recorder.scenes.actions import Streams
 from gpusimbench.recorder.scenes.emit.mjcf import emit_mjcf
 from gpusimbench.recorder.scenes.franka import PANDA, START, franka
 from tests.conftest import SMALL, Command
@@ -176,6 +177,21 @@ def test_actions_depend_on_seed_env_and_step_alone(seed: int, n_env: int, first:
     assert (block <= np.float32(actions.upper)).all()
     alone = actions.draw(seed, n_env=20, first_step=first + count - 1, n_step=1)
     assert np.array_equal(block[-1], alone[0, :n_env])
+
+
+@given(st.integers(0, 2**63), st.integers(2, 9), st.integers(0, 20))
+def test_streams_of_actions(seed: int, n_env: int, begun: int) -> None:
+    """Give an environment the actions of another, and begin them anew, as the streams say."""
+    actions = franka().actions
+    assert actions is not None
+    usual = actions.draw(seed, n_env=n_env, first_step=0, n_step=30)
+    anew = np.zeros(n_env, dtype=np.uint32)
+    anew[0] = begun
+    env = np.roll(np.arange(n_env, dtype=np.uint32), -1)
+    block = actions.draw(seed, n_env=n_env, first_step=0, n_step=30, streams=Streams(env, anew))
+    assert np.array_equal(block[:, 1:], np.roll(usual, -1, axis=1)[:, 1:])
+    assert np.array_equal(block[:begun, 0], usual[:begun, 1])
+    assert np.array_equal(block[begun:, 0], usual[: 30 - begun, 1])
 
 
 def test_actions_are_uniform_and_independent() -> None:

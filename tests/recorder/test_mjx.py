@@ -17,6 +17,7 @@ from hypothesis import strategies as st
 
 from gpusimbench.recorder.failure import Refused
 from gpusimbench.recorder.run.vary import refusal, variation
+from gpusimbench.recorder.scenes.actions import Streams
 from gpusimbench.recorder.scenes.franka import franka
 from gpusimbench.recorder.scenes.registry import make_scene
 from gpusimbench.recorder.simulators.registry import find_simulator
@@ -56,15 +57,21 @@ def test_the_cpu_is_asked_for_before_jax_looks_for_others() -> None:
 
 
 @settings(max_examples=20, deadline=None)
-@given(seed=st.integers(0, 2**64 - 1), step=st.integers(0, 2**31 - 2), n_env=st.integers(1, 3))
-def test_targets_are_drawn_on_the_device(seed: int, step: int, n_env: int) -> None:
-    """Make on the device, bit for bit, the targets that the scene defines."""
+@given(
+    seed=st.integers(0, 2**64 - 1),
+    step=st.integers(0, 2**31 - 2),
+    given_to=st.lists(st.tuples(st.integers(0, 9), st.integers(0, 2**31 - 1)), min_size=1, max_size=3),
+)
+def test_targets_are_drawn_on_the_device(seed: int, step: int, given_to: list[tuple[int, int]]) -> None:
+    """Make on the device, bit for bit, the targets that the scene defines, whatever streams environments follow."""
     from gpusimbench.recorder.simulators.jax.actions import device_draw
 
     actions = franka().actions
     assert actions is not None
-    drawn = np.asarray(device_draw(actions, seed=seed, n_env=n_env)(np.uint32(step)))
-    assert drawn.tobytes() == actions.draw(seed, n_env=n_env, first_step=step, n_step=1)[0].tobytes()
+    env, begun = (np.array(column, dtype=np.uint32) for column in zip(*given_to, strict=True))
+    drawn = np.asarray(device_draw(actions, seed=seed)(np.uint32(step), env, begun))
+    expected = actions.draw(seed, n_env=len(env), first_step=step, n_step=1, streams=Streams(env, begun))
+    assert drawn.tobytes() == expected[0].tobytes()
 
 
 @pytest.mark.parametrize("options", [{"impl": "vulkan"}, {"cone": "round"}, {"njmax": -1}, {"device": "tpu"}])

@@ -317,7 +317,7 @@ def test_a_probe(tmp_path: Path) -> None:
     asked = ("--sim", "mujoco", "--quick", "--steps", "30", "--n-env", "3", "--numbers", "1,4", "--out", tmp_path)
     call("gsb-probe", "--model", WALKER, *asked, "--gate", code=0)
     made = sorted(tmp_path.glob("*.mcap"))
-    assert {open_recording(path).configuration.actions for path in made} == {"none"}
+    assert {open_recording(path).configuration.actions for path in made} == {"random:1.0"}
     assert call("gsb-probe", "--model", WALKER, *asked).returncode == 0
     assert sorted(tmp_path.glob("*.mcap")) == made
     shutil.copytree(WALKER.parent, tmp_path / "heavier")

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from gpusimbench import open_recording
 from gpusimbench.recorder.run.vary import variation
+from gpusimbench.recorder.scenes.actions import Streams
 from gpusimbench.recorder.scenes.franka import franka
 from gpusimbench.recorder.scenes.inclined_collision import inclined_collision
 from gpusimbench.recorder.simulators.registry import find_simulator
@@ -53,28 +54,32 @@ def test_compiling_moves_nothing() -> None:
     assert [array.tobytes() for array in simulator.state()] == before
 
 
-@settings(max_examples=20)
-@given(seed=st.integers(0, 2**64 - 1), step=st.integers(0, 2**31 - 2), n_env=st.integers(1, 5))
-def test_targets_are_drawn_on_the_device(seed: int, step: int, n_env: int) -> None:
-    """Make on the device, bit for bit, the targets that the scene defines."""
+@settings(max_examples=20, deadline=None)
+@given(
+    seed=st.integers(0, 2**64 - 1),
+    step=st.integers(0, 2**31 - 2),
+    given_to=st.lists(st.tuples(st.integers(0, 9), st.integers(0, 2**31 - 1)), min_size=1, max_size=5),
+)
+def test_targets_are_drawn_on_the_device(seed: int, step: int, given_to: list[tuple[int, int]]) -> None:
+    """Make on the device, bit for bit, the targets that the scene defines, also after the streams were exchanged."""
     import warp as wp
 
-    from gpusimbench.recorder.simulators.warp import kernels
+    from gpusimbench.recorder.simulators.warp.actions import DeviceDraw
 
     actions = franka().actions
     assert actions is not None
-    first, count, grid = actions.grid()
-    ctrl = wp.zeros((n_env, len(first)), dtype=float, device="cpu")
-    word = wp.uint32(actions.seed_word(seed))
-    arrays = [
-        wp.array([step], dtype=wp.int32, device="cpu"),
-        wp.array(first, dtype=wp.int32, device="cpu"),
-        wp.array(count, dtype=wp.uint32, device="cpu"),
-        wp.array(grid, dtype=wp.float32, device="cpu"),
-    ]
-    wp.launch(kernels.draw_targets, dim=ctrl.shape, inputs=[word, *arrays], outputs=[ctrl], device="cpu")
-    expected = actions.draw(seed, n_env=n_env, first_step=step, n_step=1)[0]
-    assert ctrl.numpy().tobytes() == expected.tobytes()
+    env, begun = (np.array(column, dtype=np.uint32) for column in zip(*given_to, strict=True))
+    n_env = len(given_to)
+    with wp.ScopedDevice("cpu"):
+        drawn = DeviceDraw(actions, seed, Streams.usual(n_env))
+        for streams in (Streams.usual(n_env), Streams(env, begun)):
+            drawn.follow(streams)
+            ctrl = wp.zeros((n_env, len(actions.joints)), dtype=float)
+            number = wp.array([step], dtype=wp.int32)
+            drawn.launch(number, ctrl)
+            expected = actions.draw(seed, n_env=n_env, first_step=step, n_step=1, streams=streams)[0]
+            assert ctrl.numpy().tobytes() == expected.tobytes()
+            assert number.numpy().tolist() == [step + 1]
 
 
 def test_counts_of_a_resting_stack() -> None:

@@ -7,8 +7,9 @@ from collections.abc import Sequence
 
 from gpusimbench.evaluator.metrics.levels import MAX_ULP, TOLERANCE_M, Level
 from gpusimbench.evaluator.probe.arms import Arms, name_of
+from gpusimbench.evaluator.probe.finding import Answer, Finding, verdict_of
 from gpusimbench.evaluator.probe.pairs import Found
-from gpusimbench.evaluator.probe.questions import Answer, Finding, Probed, verdict_of
+from gpusimbench.evaluator.probe.questions import Probed
 from gpusimbench.evaluator.render.document import Block, Cell, Document, Item, Items, Section, Text, Tone, key_of, table
 from gpusimbench.evaluator.render.numbers import plural
 from gpusimbench.evaluator.report.sections.determinism_cost import ratio

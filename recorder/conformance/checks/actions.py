@@ -6,13 +6,16 @@ import numpy as np
 
 from gpusimbench.recorder.conformance.subject import SEED, Subject
 from gpusimbench.recorder.conformance.verdict import NotApplicable, expect
+from gpusimbench.recorder.scenes.actions import Streams
 
 _BLOCKS = (3, 2)
 _ENVS = 2
+_OTHERS = Streams(np.array([1, 0], dtype=np.uint32), np.array([0, _BLOCKS[0]], dtype=np.uint32))
 
 
 def actions_are_those_drawn(subject: Subject) -> None:
-    """applied gives the joint targets of the last step, bit for bit, and each environment's arm moves its own way."""
+    """applied gives the joint targets of the last step, bit for bit, also where environments are given the actions of
+    others, which begin anew; and each environment's arm moves its own way."""
     scene = next((scene for scene in subject.scenes if scene.actions is not None), None)
     if scene is None or scene.actions is None:
         raise NotApplicable("the adapter has not the abilities that any built-in scene with actions needs")
@@ -21,8 +24,9 @@ def actions_are_those_drawn(subject: Subject) -> None:
         before = tuple(np.array(array) for array in simulator.state())
         simulator.compile("timed")
         done = 0
-        for count in _BLOCKS:
-            drawn = targets.draw(SEED, n_env=_ENVS, first_step=done, n_step=count)
+        for count, streams in zip(_BLOCKS, (simulator.streams, _OTHERS), strict=True):
+            simulator.streams = streams
+            drawn = targets.draw(SEED, n_env=_ENVS, first_step=done, n_step=count, streams=streams)
             simulator.prepare(None if simulator.draws_actions else drawn)
             simulator.step(count)
             done += count

@@ -89,7 +89,7 @@ class JaxSimulator(Simulator):
         self._device = jax_runtime.start(self.options)
         self._physics, description = self._load(self._device)
         actions = self.scene.actions
-        self._draw = None if actions is None else device_draw(actions, seed=self.seed, n_env=self.n_env)
+        self._draw = None if actions is None else device_draw(actions, seed=self.seed)
         self._programs: dict[str, Any] = {}
         self._counted: Evidence | None = None  # of the last states; None: to be counted when asked
         self._restart()
@@ -129,8 +129,8 @@ class JaxSimulator(Simulator):
         if name not in self._programs:
             # The state's memory is handed over to the program that steps it: there is never a second copy.
             arguments = {
-                "advance": (self._state, self._bits, self._step, np.int32(1)),
-                "record": (self._state, self._step, np.int32(1)),
+                "advance": (self._state, self._bits, self._step, np.int32(1), *self._drawn_by()),
+                "record": (self._state, self._step, np.int32(1), *self._drawn_by()),
                 "count": (self._state,),
             }[name]
             traced = {
@@ -141,10 +141,14 @@ class JaxSimulator(Simulator):
             self._programs[name] = traced.lower(*arguments).compile()
         return self._programs[name]
 
-    def _one(self, state: Any, step: Any) -> Any:
-        return self._physics.advance(state, None if self._draw is None else self._draw(step))
+    def _drawn_by(self) -> tuple[NDArray[np.uint32], ...]:
+        # of scenes with actions: arguments, so that one program makes the steps of all runs, whatever their streams are
+        return () if self._draw is None else (self.streams.env, self.streams.begun)
 
-    def _advance(self, state: Any, bits: Any, first: Any, n_step: Any) -> Any:
+    def _one(self, state: Any, step: Any, streams: tuple[Any, ...]) -> Any:
+        return self._physics.advance(state, None if self._draw is None else self._draw(step, *streams))
+
+    def _advance(self, state: Any, bits: Any, first: Any, n_step: Any, *streams: Any) -> Any:
         """Traced: n_step steps, the first of them number `first`, and the overflow bits with theirs added.
 
         Of what is counted only the bits are wanted, so the compiler leaves out the rest.
@@ -153,14 +157,14 @@ class JaxSimulator(Simulator):
 
         def body(i: Any, carry: Any) -> Any:
             state, bits = carry
-            state = self._one(state, first + i.astype(np.uint32))
+            state = self._one(state, first + i.astype(np.uint32), streams)
             if not self._physics.gathers:
                 bits = bits | self._physics.count(state).get(OVERFLOW, np.uint32(0))
             return state, bits
 
         return jax.lax.fori_loop(0, n_step, body, (state, bits))
 
-    def _record(self, state: Any, first: Any, n_step: Any) -> Any:
+    def _record(self, state: Any, first: Any, n_step: Any, *streams: Any) -> Any:
         """Traced: as _advance, with observations and counts of each step in rings of `_ring` rows."""
         import jax
         import jax.numpy as jnp
@@ -170,7 +174,7 @@ class JaxSimulator(Simulator):
 
         def body(i: Any, carry: Any) -> Any:
             state, rings = carry
-            state = self._one(state, first + i.astype(np.uint32))
+            state = self._one(state, first + i.astype(np.uint32), streams)
             rings = jax.tree.map(lambda ring, value: ring.at[i].set(value), rings, row(state))
             return self._physics.forget(state), rings
 
@@ -189,7 +193,7 @@ class JaxSimulator(Simulator):
 
             begun = self.snapshot()
             bits = (self._bits,) if name == "advance" else ()
-            jax.block_until_ready(program(self._state, *bits, self._step, np.int32(1)))
+            jax.block_until_ready(program(self._state, *bits, self._step, np.int32(1), *self._drawn_by()))
             self._restart()
             self.restore(begun)
 
@@ -198,7 +202,7 @@ class JaxSimulator(Simulator):
         import jax
 
         self._state, self._bits = jax.block_until_ready(
-            self._program("advance")(self._state, self._bits, self._step, np.int32(n_step))
+            self._program("advance")(self._state, self._bits, self._step, np.int32(n_step), *self._drawn_by())
         )
         self._step = np.uint32(self._step + n_step)
         self._counted = None
@@ -259,7 +263,7 @@ class JaxSimulator(Simulator):
         parts = []
         for first in range(0, n_step, self._ring):
             rows = min(self._ring, n_step - first)
-            self._state, rings = program(self._state, self._step, np.int32(rows))
+            self._state, rings = program(self._state, self._step, np.int32(rows), *self._drawn_by())
             self._step = np.uint32(self._step + rows)
             parts.append((rows, rings))
         return JaxBlock(parts, self._split)

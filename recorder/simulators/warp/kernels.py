@@ -26,15 +26,21 @@ def mix32(word: wp.uint32) -> wp.uint32:
 def draw_targets(
     seed_word: wp.uint32,
     step: wp.array(dtype=wp.int32),
+    stream: wp.array(dtype=wp.uint32),
+    begun: wp.array(dtype=wp.uint32),
     first: wp.array(dtype=wp.int32),
     count: wp.array(dtype=wp.uint32),
     grid: wp.array(dtype=float),
     ctrl: wp.array2d(dtype=float),
 ):
-    """The targets of recorder.scenes.actions.JointTargets at step step[0], into ctrl [env, joint]."""
+    """The targets of recorder.scenes.actions.JointTargets at step step[0], into ctrl [env, joint], by the two arrays of
+    the environments' Streams."""
     env, joint = wp.tid()
-    word = mix32(seed_word + wp.uint32(env + 1) * _GOLDEN)
-    word = mix32(word + wp.uint32(step[0] + 1) * _GOLDEN)
+    word = mix32(seed_word + (stream[env] + wp.uint32(1)) * _GOLDEN)
+    now = wp.uint32(step[0])
+    if now >= begun[env]:
+        now = now - begun[env]
+    word = mix32(word + (now + wp.uint32(1)) * _GOLDEN)
     word = mix32(word + wp.uint32(joint + 1) * _GOLDEN)
     index = ((word >> wp.uint32(16)) * count[joint]) >> wp.uint32(16)
     ctrl[env, joint] = float(first[joint] + wp.int32(index)) * grid[joint]

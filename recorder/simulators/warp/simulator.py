@@ -26,6 +26,7 @@ from gpusimbench.recorder.simulators.mujoco.options import MjcfOptions
 from gpusimbench.recorder.simulators.snapshot import COMPLETE, Envs, Snapshot, StateClaims
 from gpusimbench.recorder.simulators.warp import runtime as warp_runtime
 from gpusimbench.recorder.simulators.warp import worlds
+from gpusimbench.recorder.simulators.warp.actions import DeviceDraw
 from gpusimbench.recorder.simulators.warp.block import WarpBlock, evidence_of
 from gpusimbench.recorder.simulators.warp.flight import WarpFlight
 from gpusimbench.recorder.simulators.warp.transfer import Slot, Slots
@@ -119,9 +120,8 @@ class MujocoWarp(Simulator):
         self._step_number = wp.zeros(1, dtype=wp.int32)
         self._row = wp.zeros(1, dtype=wp.int32)
         self._slots: Slots | None = None
-        if self.scene.actions is not None:
-            kinds = (wp.int32, wp.uint32, wp.float32)
-            self._range = [wp.array(a, dtype=kind) for a, kind in zip(self.scene.actions.grid(), kinds, strict=True)]
+        actions = self.scene.actions
+        self._draw = None if actions is None else DeviceDraw(actions, self.seed, self.streams)
         self._graphs: dict[str, Any] = {}
         self._counted: Evidence | None = None  # of the last states; None: to be counted when asked
         return Description(
@@ -247,19 +247,9 @@ class MujocoWarp(Simulator):
 
     def _one_step(self) -> None:
         import mujoco_warp as mjw
-        import warp as wp
 
-        from gpusimbench.recorder.simulators.warp import kernels
-
-        if self.scene.actions is not None:
-            seed_word = self.scene.actions.seed_word(self.seed)
-            wp.launch(
-                kernels.draw_targets,
-                dim=self._data.ctrl.shape,
-                inputs=[wp.uint32(seed_word), self._step_number, *self._range],
-                outputs=[self._data.ctrl],
-            )
-            wp.launch(kernels.advance, dim=1, inputs=[self._step_number])
+        if self._draw is not None:
+            self._draw.launch(self._step_number, self._data.ctrl)
         mjw.step(self._model, self._data)
 
     def _snapshot(self, slot: Slot) -> None:
@@ -295,6 +285,11 @@ class MujocoWarp(Simulator):
     def _step_and_snapshot(self, slot: Slot) -> None:
         self._one_step()
         self._snapshot(slot)
+
+    def prepare(self, actions: NDArray[np.float32] | None) -> None:
+        """See Simulator.prepare: the graph draws the actions, by the streams as they are now."""
+        if self._draw is not None:
+            self._draw.follow(self.streams)
 
     def step(self, n_step: int) -> None:
         """See Simulator.step."""
