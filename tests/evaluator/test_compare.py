@@ -488,6 +488,16 @@ def test_versions_are_what_is_compared(tmp_path: Path, capsys: pytest.CaptureFix
     assert set(document["compared"][0]["differs"]) == {"XLA_FLAGS: unset -> --new", "precision: unset -> high"}
 
 
+def test_the_first_differences_are_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Name twelve switches that differ, and count the others."""
+    switches = {f"switch{i:02d}": "on" for i in range(14)}
+    for count, more in ((12, []), (14, ["and 2 more"])):
+        head = timed(switches=dict(list(switches.items())[:count]))
+        _, document = compared(*write_sides(tmp_path / str(count), timed(), head), capsys=capsys)
+        expected = [f"switch{i:02d}: unset -> on" for i in range(12)]
+        assert document["compared"][0]["differs"] == [*expected, *more]
+
+
 def test_commits_of_the_recorder(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Name at most three commits of a side, twelve digits of each, and mark those with changes of their own."""
     for side, letters in (("base", "aa"), ("head", "edcb")):
