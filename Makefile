@@ -76,11 +76,14 @@ test-engines: environments
 
 coverage: $(VENV)/.installed-test
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt coverage
-	$(BIN)/python -m tests.reached
+	$(BIN)/coverage erase
+	-$(BIN)/coverage run -m pytest -m 'not slow and not alone' -p no:xdist
+	$(BIN)/coverage combine --quiet
+	$(BIN)/coverage report
 
-# cosmic-ray makes the mutants, coverage finds the tests that execute them; nothing else needs the two.
+# cosmic-ray makes the mutants; nothing else needs it.
 mutants: $(VENV)/.installed-test
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt cosmic-ray coverage
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt cosmic-ray
 	$(BIN)/python -m tests.mutants --sample $(SAMPLE) --seed $(SEED) --jobs $(JOBS)
 
 proto: $(VENV)/.installed-test

@@ -3,8 +3,10 @@
 A mutant is the code with one operator, number, keyword or decorator replaced, by cosmic-ray's operators. cosmic-ray's
 own runner changes files of the checkout in place, knows one command for all modules and draws no sample; so only its
 operators are used. Each mutant is written into a copy of the checkout in a temporary folder. There run the quick tests
-that execute its line (tests.reached), the shortest first, until one fails. Where all pass, so do those of the files
-that import the module by the fewest steps: what a test asks for may have been made once, for an earlier test.
+of the files that import the module by the fewest steps, the nearest file and the shortest test first, until one fails
+(tests.mutant_runner). A test that fails runs again without the mutant, and what is limited is the time of a processor:
+a busy machine neither kills a mutant nor saves it. What was killed is kept in `.cache/`, and stays killed while neither
+the mutant nor the file of the test that killed it has changed.
 
 Annotations are not mutated, because nothing evaluates them, and neither are decorators of data classes: mypy holds that
 nothing assigns to a frozen instance.
@@ -14,24 +16,31 @@ from __future__ import annotations
 
 import argparse
 import ast
-import importlib.util
+import hashlib
+import io
+import json
 import os
 import random
-import re
 import shutil
-import signal
 import subprocess
 import sys
 import tempfile
+import tokenize
 import tomllib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from queue import SimpleQueue
+from typing import Any
 
-from tests.reached import PACKAGES, QUICK, ROOT, Reached, reached
+import pytest
+
+from tests import mutant_runner
+
+ROOT = Path(__file__).resolve().parents[1]
+PACKAGES = ("schemas", "recorder", "evaluator")
 
 FOLDERS = (
     *("evaluator/metrics", "evaluator/transport", "evaluator/statistics", "evaluator/compare", "evaluator/audit"),
@@ -40,19 +49,11 @@ FOLDERS = (
 LINKED = ("recordings", "docs", ".git")
 """Read by tests and never written, so that no copy is made."""
 
-MOST_SECONDS = 60
-"""That the tests take which execute a mutant's line, at most, so far as they are run."""
-
 MOST_FILES = 6
-"""Files of tests that a mutant meets after these."""
+"""Files of tests that a mutant meets."""
 
-LIMIT_S = 60
-SLOWER = 4
-"""A mutant is killed whose tests take a minute, and so many times what they took when they were measured: it loops.
-Where they take as long without it, as on a busy machine, nothing is known of it."""
-
-ENDED = tuple(f"exit code {-number}" for number in (signal.SIGKILL, signal.SIGTERM))
-"""Tests that were ended run again: once may be something else on the machine, twice is the mutant, by its memory."""
+_COMPILED = "transport.compiled import"  # what has code in it that is compiled to machine code
+_KEPT = ROOT / ".cache" / "mutants.json"
 
 Place = tuple[int, int]
 
@@ -75,21 +76,6 @@ class Mutant:
     code: str
 
 
-@dataclass(frozen=True)
-class Result:
-    """What became of a mutant.
-
-    killed_by  the first test that failed, or that the time ran out; None where all passed
-    unknown    why nothing is known of it: its tests did not end, neither with it nor without; None where they did
-    tests      that it was to pass, and files of tests
-    """
-
-    mutant: Mutant
-    killed_by: str | None
-    unknown: str | None
-    tests: Sequence[str]
-
-
 def main() -> int:
     """Run a sample of mutants, print what became of each, the survivors, and how many were killed."""
     parser = argparse.ArgumentParser(description="Run the tests against random mutants of the code.")
@@ -99,31 +85,103 @@ def main() -> int:
     parser.add_argument("--jobs", type=int, default=2, help="how many run at once (default: 2)")
     given = parser.parse_args()
     mutants = sample(given.folders, given.sample, given.seed)
-    measured = reached()
-    with tempfile.TemporaryDirectory(prefix="gsb-mutants-") as folder, ThreadPoolExecutor(given.jobs) as pool:
-        trees: SimpleQueue[Path] = SimpleQueue()
-        for number in range(given.jobs):
-            trees.put(_copy(Path(folder) / str(number)))
-        results = []
-        for result in pool.map(lambda mutant: _run(mutant, measured, trees), mutants):
-            results.append(result)
-            print(f"{len(results):4d}/{len(mutants)}  {_told(result)}", flush=True)
-    survivors = [result for result in results if result.killed_by is None and result.unknown is None]
-    unknown = sum(result.unknown is not None for result in results)
-    known = len(results) - unknown
-    killed = known - len(survivors)
-    print(f"\n{killed} of {known} mutants killed, seed {given.seed}; survivors: {len(survivors)}, unknown: {unknown}")
-    for result in survivors:
-        m = result.mutant
-        print(f"\n{m.path}:{m.line}\n- {m.before}\n+ {m.after}\n  tests: {' '.join(result.tests[-9:])}")
+    kept = _kept()
+    killed = {n for n, mutant in enumerate(mutants) if _stays_killed(mutant, kept)}
+    print(f"{len(killed)} of {len(mutants)} mutants were killed earlier", flush=True)
+    alive: set[int] = set()
+    for result in _run(mutants, [n for n in range(len(mutants)) if n not in killed], given.jobs):
+        number, by = result["number"], result["killed_by"]
+        mutant = mutants[number]
+        place = f"{number + 1:4d}/{len(mutants)}  {mutant.path}:{mutant.line}"
+        if by:
+            killed.add(number)
+            alive.discard(number)
+            kept[_key(mutant)] = [by, _digest(by)]
+            _KEPT.parent.mkdir(exist_ok=True)
+            _KEPT.write_text(json.dumps(kept), encoding="utf-8")
+            print(f"killed    {place}  {by}: {result['how']}", flush=True)
+        else:
+            print(f"{'survived' if number in alive else 'alive   '}  {place}", flush=True)
+            alive.add(number)
+        for test in result["unsound"]:
+            print(f"          left out, because it fails without a mutant: {test}")
+    for number in sorted(alive):
+        mutant = mutants[number]
+        print(f"\n{mutant.path}:{mutant.line}\n- {mutant.before}\n+ {mutant.after}\n  {' '.join(near(mutant.path))}")
+    print(f"\n{len(killed)} of {len(mutants)} mutants killed, seed {given.seed}")
     return 0
 
 
-def _told(result: Result) -> str:
-    where = f"{result.mutant.path}:{result.mutant.line}"
-    if result.unknown is not None:
-        return f"unknown   {where}  {result.unknown}"
-    return f"survived  {where}" if result.killed_by is None else f"killed    {where}  by {result.killed_by}"
+def _key(mutant: Mutant) -> str:
+    return hashlib.sha256(f"{mutant.path}\n{mutant.code}".encode()).hexdigest()
+
+
+def _digest(test: str) -> str:
+    path = ROOT / test.partition("::")[0]
+    return hashlib.sha256(path.read_bytes()).hexdigest() if path.is_file() else ""
+
+
+def _kept() -> dict[str, list[str]]:
+    # of mutants that were killed: the test, and the digest of its file
+    return json.loads(_KEPT.read_text(encoding="utf-8")) if _KEPT.exists() else {}  # type: ignore[no-any-return]
+
+
+def _stays_killed(mutant: Mutant, kept: dict[str, list[str]]) -> bool:
+    test, digest = kept.get(_key(mutant), ("", ""))
+    return bool(digest) and digest == _digest(test)
+
+
+def _run(mutants: Sequence[Mutant], numbers: Sequence[int], jobs: int) -> Iterator[dict[str, Any]]:
+    # what became of the mutants of these numbers, as soon as it is known
+    results: SimpleQueue[dict[str, Any] | None] = SimpleQueue()
+
+    def follow(folder: Path, part: Sequence[int]) -> None:
+        try:
+            for line in _runner(folder, {number: mutants[number] for number in part}):
+                results.put(json.loads(line))
+        finally:
+            results.put(None)
+
+    parts = [part for part in (numbers[job::jobs] for job in range(jobs)) if part]
+    with tempfile.TemporaryDirectory(prefix="gsb-mutants-") as name, ThreadPoolExecutor(jobs) as pool:
+        followed = [pool.submit(follow, Path(name) / str(job), part) for job, part in enumerate(parts)]
+        for _ in parts:
+            while (result := results.get()) is not None:
+                yield result
+        for one in followed:
+            one.result()
+
+
+def _runner(folder: Path, mutants: Mapping[int, Mutant]) -> Iterator[str]:
+    # results, as JSON, of one process that runs mutants in a copy of the checkout
+    tree = _copy(folder / "tree")
+    (folder / "numba").mkdir()
+    told = [
+        {"number": number, "path": m.path, "code": m.code, "tests": near(m.path), "compiled": _COMPILED in m.code}
+        for number, m in mutants.items()
+    ]
+    (folder / "task").write_text(json.dumps({"folder": str(folder), "mutants": told}), encoding="utf-8")
+    reading, writing = os.pipe()
+    env = {name: value for name, value in os.environ.items() if name != "GSB_TESTS_SHARE"}
+    env |= {
+        mutant_runner.TASK: str(folder / "task"),
+        mutant_runner.SAY: str(writing),
+        "PYTHONPATH": f"{tree / 'src'}{os.pathsep}{tree}",
+        "NUMBA_CACHE_DIR": str(folder / "numba"),
+        "TMPDIR": str(folder),
+    }
+    tests = sorted({test for m in mutants.values() for test in near(m.path)})
+    with (folder / "said").open("w") as said:
+        child = subprocess.Popen(
+            [*mutant_runner.command(), *tests],
+            cwd=tree, env=env, stdin=subprocess.DEVNULL, stdout=said, stderr=said, pass_fds=[writing],
+        )  # fmt: skip
+    os.close(writing)
+    with os.fdopen(reading, encoding="utf-8") as results:
+        yield from results
+    if child.wait() not in (pytest.ExitCode.OK, pytest.ExitCode.NO_TESTS_COLLECTED):
+        last = (folder / "said").read_text(encoding="utf-8")[-3000:]
+        raise SystemExit(f"the runner of mutants ended with exit code {child.returncode}:\n{last}")
 
 
 def sample(folders: Sequence[str], size: int, seed: int) -> list[Mutant]:
@@ -180,7 +238,18 @@ def _spared(source: str) -> list[tuple[Place, Place]]:
             if isinstance(at, ast.expr) and at.end_lineno is not None and at.end_col_offset is not None:
                 begin = at.col_offset - (at in classes)  # with the @
                 found.append(((at.lineno, begin), (at.end_lineno, at.end_col_offset)))
-    return found
+    return [*found, *_asterisks(source)]
+
+
+def _asterisks(source: str) -> Iterator[tuple[Place, Place]]:
+    # those of signatures and arguments, which cosmic-ray takes for products: one that follows no operand
+    before = None
+    for token in tokenize.generate_tokens(io.StringIO(source).readline):
+        unary = before is None or before.type == tokenize.OP and before.string not in (")", "]", "}")
+        if token.type == tokenize.OP and token.string in ("*", "**") and unary:
+            yield token.start, token.end
+        if token.type not in (tokenize.NL, tokenize.COMMENT, tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT):
+            before = token
 
 
 def _mutant(path: str, place: Place, name: str, occurrence: int) -> Mutant | None:
@@ -217,92 +286,6 @@ def _copy(tree: Path) -> Path:
     for name in LINKED:
         (tree / name).symlink_to(ROOT / name)
     return tree
-
-
-def _run(mutant: Mutant, measured: Reached, trees: SimpleQueue[Path]) -> Result:
-    tests = tests_of(mutant.path, mutant.line, measured)
-    original = (ROOT / mutant.path).read_text(encoding="utf-8")
-    tree = trees.get()
-    killed_by = unknown = None
-    try:
-        for given in (tests, near(mutant.path)):
-            left_out: list[str] = []
-            limit = LIMIT_S + SLOWER * sum(map(measured.time_of, given))
-            while given and not killed_by:
-                _write(tree / mutant.path, mutant.code)
-                compiled = "transport.compiled import" in mutant.code
-                run = [*given, *(f"--deselect={test}" for test in left_out)]
-                killed_by = _first_failure(tree, run, limit, compiled=compiled)
-                if killed_by in ENDED:
-                    killed_by = _first_failure(tree, run, limit, compiled=compiled)
-                _write(tree / mutant.path, original)
-                if killed_by is None:
-                    break
-                failed = killed_by.startswith("tests/")
-                without = _first_failure(tree, [killed_by] if failed else run, limit, compiled=False)
-                if without is None:
-                    break
-                if not failed:
-                    killed_by, unknown = None, f"{killed_by}; without a mutant: {without}"
-                    break
-                print(f"left out, because it fails without a mutant: {killed_by}", flush=True)
-                left_out.append(killed_by)
-                killed_by = None
-    finally:
-        _write(tree / mutant.path, original)
-        trees.put(tree)
-    return Result(mutant, killed_by, None if killed_by else unknown, (*tests, *near(mutant.path)))
-
-
-def _write(path: Path, code: str) -> None:
-    path.write_text(code, encoding="utf-8")
-    # Python takes bytecode for current that is of the same second and of a file as long
-    Path(importlib.util.cache_from_source(str(path))).unlink(missing_ok=True)
-
-
-def _first_failure(tree: Path, tests: Sequence[str], limit: float, *, compiled: bool) -> str | None:
-    # compiled: machine code of callers has that of the mutated function in it, so nothing kept may be used
-    with tempfile.TemporaryDirectory(dir=tree.parent) as folder:
-        env = {
-            **{name: value for name, value in os.environ.items() if name != "GSB_TESTS_SHARE"},
-            "PYTHONPATH": f"{tree / 'src'}{os.pathsep}{tree}",
-            "TMPDIR": folder,
-            "NUMBA_CACHE_DIR": folder if compiled else str(tree.parent / "numba"),
-        }
-        child = subprocess.Popen(
-            [sys.executable, "-P", "-m", "pytest", "-x", "-q", "-m", QUICK, "--tb=no",
-             "--hypothesis-profile=mutants", "-p", "no:cacheprovider", "-p", "no:xdist", *tests],
-            cwd=tree, env=env, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
-            start_new_session=True,
-        )  # fmt: skip
-        try:
-            said, _ = child.communicate(timeout=limit)
-        except subprocess.TimeoutExpired:
-            os.killpg(child.pid, signal.SIGKILL)
-            child.communicate()
-            return f"the limit of {limit:.0f} s"
-    if child.returncode == 0:
-        return None
-    failed = re.search(r"^(?:FAILED|ERROR) (.+?)(?: - .*)?$", said, re.MULTILINE)
-    return failed[1] if failed else f"exit code {child.returncode}"
-
-
-def tests_of(path: str, line: int, measured: Reached) -> list[str]:
-    """The tests that execute a line of the code, those of the nearest files first, and of these the shortest."""
-    order = {test: turn for turn, test in enumerate(near(path))}
-    found: list[str] = []
-    left = float(MOST_SECONDS)
-    executing = measured.tests(path, line)
-
-    def turn(test: str) -> tuple[bool, int, float]:
-        return (executing[test] > 2, order.get(test.partition("::")[0], len(order)), executing[test])
-
-    for test in sorted(executing, key=turn):
-        seconds = executing[test]
-        if seconds < left:
-            found.append(test)
-            left -= seconds
-    return found
 
 
 @cache

@@ -73,7 +73,11 @@ def test_two_helps(name: str) -> None:
     shown = [a for a in options if re.search(rf"^ +(-\w, )?{a.option_strings[-1]}\b(?!-)", short.stdout, re.MULTILINE)]
     assert len(shown) <= DOZEN + 2  # and both helps
     assert "\nexamples:\n" in short.stdout
-    assert (f"{name} --help-all shows {len(options) - len(shown)} more options" in short.stdout) == (
-        len(shown) < len(options)
-    )
+    said = " ".join(short.stdout.split()).partition(f"{name} --help-all shows ")[2]
+    assert bool(said) == (len(shown) < len(options))
+    if said:
+        more, titles = said.removesuffix(".").split(" more options, and the sections ")
+        assert int(more) == len(options) - len(shown)
+        sections = re.findall(r"^(\S.*):$", whole.stdout.partition("\noptions:\n")[2], re.MULTILINE)
+        assert ", ".join(section for section in sections if section != "examples").endswith(titles)
     assert all(len(line) <= 120 for line in short.stdout.splitlines() if line.startswith(" "))

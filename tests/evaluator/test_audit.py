@@ -22,8 +22,6 @@ from hypothesis import strategies as st
 
 from gpusimbench import open_recording
 from gpusimbench.evaluator.audit.distribution import (
-    ALPHA,
-    MOST_ARRANGEMENTS,
     LawTest,
     Unit,
     least_p,
@@ -227,7 +225,7 @@ def test_runs_are_exchanged_where_there_are_enough(plugin: dict[str, str], tmp_p
     assert (law["unit"], law["originals"], law["replays"]) == ("runs", 3, 4)
     assert math.isclose(law["least_p"], 1 / 35)
     # chance draws the runs: which of the two it is depends on p, and p alone
-    assert audit["level"] == ("different" if law["p_value"] <= ALPHA else "same-distribution")
+    assert audit["level"] == ("different" if law["p_value"] <= 0.05 else "same-distribution")
 
 
 def test_what_cannot_be_replayed_here(small: Path, tmp_path: Path) -> None:
@@ -345,7 +343,7 @@ def test_all_replays_count() -> None:
 def test_least_p_counts_arrangements(a: int, b: int) -> None:
     """Give the share of one arrangement among all, two among equal sides; exchange of the sides changes nothing."""
     arrangements = math.comb(a + b, a) / (2 if a == b else 1)
-    assert math.isclose(least_p(a, b), 1 / arrangements if arrangements <= MOST_ARRANGEMENTS else 1 / 200)
+    assert math.isclose(least_p(a, b), 1 / arrangements if arrangements <= 400 else 1 / 200)
     assert least_p(a, b) == least_p(b, a)
 
 
@@ -353,8 +351,8 @@ def test_least_p_counts_arrangements(a: int, b: int) -> None:
 def test_runs_needed(originals: int, needed: int) -> None:
     """Name the fewest replays that can decide, no fewer."""
     assert runs_needed(originals) == needed
-    assert least_p(originals, needed) <= ALPHA
-    assert needed == 1 or least_p(originals, needed - 1) > ALPHA
+    assert least_p(originals, needed) <= 0.05
+    assert needed == 1 or least_p(originals, needed - 1) > 0.05
 
 
 @pytest.mark.parametrize("originals", [*range(1, 25), 60, 450])
@@ -366,7 +364,7 @@ def test_so_many_runs_do_reject(originals: int) -> None:
     )
     found = same_law(*sides, time=5.0)
     assert (found.unit, found.can_reject, found.rejects) == (Unit.RUNS, True, True)
-    assert found.exhaustive == (originals < MOST_ARRANGEMENTS)
+    assert found.exhaustive == (originals < 400)
     if found.exhaustive:
         assert found.p_value == found.least_p
     # and copies on both sides change nothing

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from gpusimbench import open_recording
 from gpusimbench.evaluator.audit.audit import Audit, Outcome, held
 from gpusimbench.evaluator.audit.checking import Check
 from gpusimbench.evaluator.audit.distribution import LawTest, Unit
-from gpusimbench.evaluator.audit.matching import Settings
+from gpusimbench.evaluator.audit.matching import Settings, sorted_out
 from gpusimbench.evaluator.audit.replaying import Replays
 from gpusimbench.evaluator.audit.sections import audit_document
 from gpusimbench.evaluator.audit.verdict import Level, Match, ladder
@@ -235,3 +236,16 @@ def test_levels_of_a_p_value_at_the_border() -> None:
     assert replace(LAW, p_value=0.05).rejects
     assert not replace(LAW, p_value=float(np.nextafter(0.05, 1))).rejects
     assert replace(LAW, least_p=0.05).can_reject
+
+
+def test_packages_that_compute_decide() -> None:
+    """Take for deciding what either recorder lists among what computes, and count other packages."""
+    original, replay = (
+        SimpleNamespace(provenance=SimpleNamespace(software={"packages": packages}))
+        for packages in ({"numpy": "1"}, {"scipy": "1"})
+    )
+    names = ("numpy", "scipy", "black", "ruff")
+    packages = tuple(Setting(f"software.packages.{name}", "1", "2") for name in names)
+    others = tuple(Setting(name, "1", "2") for name in ("compression", "timeout", "host.cpu"))
+    found = sorted_out((*packages, *others), original, replay)  # type: ignore[arg-type]
+    assert found == Settings((*packages[:2], others[2]), 2)

@@ -134,14 +134,28 @@ def test_drift_that_turns_cancel(tmp_path: Path, capsys: pytest.CaptureFixture[s
     sides = write_sides(tmp_path / "row", timed(), timed(), "AAAAAABBBBBB")
     _, document = compared(*sides, capsys=capsys)
     assert not document["compared"][0]["interleaved"]
-    assert any("not recorded in turn" in line for line in document["compared"][0]["warnings"])
+    assert document["compared"][0]["warnings"][1:] == [
+        "base and head were not recorded in turn (AAAAAABBBBBB): drift of the machine cannot be told from a change"
+    ]
+
+
+def test_few_runs_that_differ(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Count the runs of either side, and leave the amount of a change open that so few runs give no interval of."""
+    sides = write_sides(tmp_path, timed()[:4], timed(2.0)[:3], "ABABABA")
+    code, document = compared(*sides, "--alpha", "0.9", capsys=capsys)
+    fps = finding(document, "fps")
+    assert (fps["ci95"], fps["change"], fps["left_open"]) == (None, "near threshold", ["regression", "improvement"])
+    said = "few complete runs (4 of base, 3 of head): record at least 6 a side"
+    assert said in document["compared"][0]["warnings"]
 
 
 def test_orders_that_are_worse_than_others(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Warn where one side always came first, and where all recordings are of one second."""
     _, document = compared(*write_sides(tmp_path / "first", timed(), timed(), "AB" * 6), capsys=capsys)
     assert document["compared"][0]["interleaved"]
-    assert any("one side always came first" in line for line in document["compared"][0]["warnings"])
+    assert document["compared"][0]["warnings"][1:] == [
+        "one side always came first (ABABABABABAB): a steady drift favours one; A B B A cancels it"
+    ]
     for side in ("base", "head"):
         (tmp_path / side).mkdir()
         for run in timed():
@@ -472,6 +486,16 @@ def test_versions_are_what_is_compared(tmp_path: Path, capsys: pytest.CaptureFix
     code, document = compared(*write_sides(tmp_path, timed(), head), capsys=capsys)
     assert code == 0
     assert set(document["compared"][0]["differs"]) == {"XLA_FLAGS: unset -> --new", "precision: unset -> high"}
+
+
+def test_the_first_differences_are_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Name twelve switches that differ, and count the others."""
+    switches = {f"switch{i:02d}": "on" for i in range(14)}
+    for count, more in ((12, []), (14, ["and 2 more"])):
+        head = timed(switches=dict(list(switches.items())[:count]))
+        _, document = compared(*write_sides(tmp_path / str(count), timed(), head), capsys=capsys)
+        expected = [f"switch{i:02d}: unset -> on" for i in range(12)]
+        assert document["compared"][0]["differs"] == [*expected, *more]
 
 
 def test_commits_of_the_recorder(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

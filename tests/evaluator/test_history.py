@@ -186,6 +186,8 @@ def test_runs_that_are_no_longer_alike(tmp_path: Path, capsys: pytest.CaptureFix
         ("v2", "distinct_envs", "improvement"),
         ("v2", "distinct_runs", "improvement"),
     ]
+    told = {(fact["label"], fact["name"]): fact["said"] for fact in document["configurations"][0]["facts"]}
+    assert told["v1", "distinct_runs"] == {"before": "identical, all 3", "after": "3 of 3 distinct"}
 
 
 def test_a_version_that_fails(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -250,14 +252,17 @@ def test_another_scene_is_another_curve(tmp_path: Path, capsys: pytest.CaptureFi
     assert any("machine or scene changed: the curve is split" in note for note in document["notes"])
 
 
-def test_all_simulators_at_once_may_be_the_machine(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Say so where every simulator on a device became slower at one point, and not where one did."""
+@pytest.mark.parametrize(("other", "noted"), [(1.5, ["v5"]), (1.0, []), (0.7, [])])
+def test_all_simulators_at_once_may_be_the_machine(
+    other: float, noted: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Say so where every simulator on a device became slower at one point, and not where one did, or one faster."""
     for index in range(8):
         (tmp_path / f"v{index}").mkdir()
         left = ["left later"] if index < 3 else []  # recorded at no point from v3 on, where it says nothing
         for simulator in ("one", "other", *left):
             point = tmp_path / f"v{index}"
-            slow = 1.5 if index >= 5 else 1.0
+            slow = (other if simulator == "other" else 1.5) if index >= 5 else 1.0
             for run in range(3):
                 elapsed = slow * float(np.exp(NOISE[run] / 5))
                 name = f"{simulator}-{run}.mcap"
@@ -271,8 +276,11 @@ def test_all_simulators_at_once_may_be_the_machine(tmp_path: Path, capsys: pytes
                     name=name,
                 )
     _, document = history(tmp_path, capsys=capsys)
-    assert len([one for one in changes(document) if one == ("v5", "fps", "regression")]) == 2
-    assert [note for note in document["notes"] if note.startswith("v5: the throughput of all 2 simulators")]
+    slower = sum(factor > 1 for factor in (1.5, other))
+    assert len([one for one in changes(document) if one == ("v5", "fps", "regression")]) == slower
+    found = [note.partition(": ") for note in document["notes"] if "the machine may be what changed" in note]
+    assert [point for point, _, _ in found] == noted
+    assert all(note.startswith("the throughput of all 2 simulators on ") for _, _, note in found)
 
 
 @pytest.mark.parametrize("make", ["missing", "file", "empty", "folders without recordings"])

@@ -22,6 +22,7 @@ from scipy.spatial.distance import cdist
 
 from gpusimbench.evaluator.transport import kernel, small
 from gpusimbench.evaluator.transport.pair import wasserstein1
+from gpusimbench.evaluator.transport.points import in_canonical_order
 from gpusimbench.evaluator.transport.small import SUMMARY_ROWS, distinct_sets, pairwise_summary, pairwise_wasserstein1
 
 FEW = settings(max_examples=60, deadline=None)
@@ -47,6 +48,13 @@ def solved(points: np.ndarray, kernel_pairs: int) -> np.ndarray:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(small, "KERNEL_PAIRS", kernel_pairs)
         return pairwise_wasserstein1(points)
+
+
+@FEW
+@given(SETS)
+def test_canonical_order(points: np.ndarray) -> None:
+    """Sort the points of each set by their first coordinate, then by the next."""
+    assert in_canonical_order(points).tolist() == [sorted(one) for one in points.tolist()]
 
 
 @FEW

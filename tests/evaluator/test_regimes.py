@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gpusimbench.evaluator.metrics.regime import PRESENT_FROM_CM, REGIME_MEANING, Regime, is_present, published_regime
+from gpusimbench.evaluator.metrics.regime import REGIME_MEANING, Regime, is_present, published_regime
 from gpusimbench.evaluator.statistics.regimes import Resampling, regime_probabilities, upper_bound_of_none
 
 SAME = np.zeros((6, 6))
@@ -34,13 +34,13 @@ def clusters(*labels: int, apart: float = 1.0) -> np.ndarray:
 @given(st.floats(0.0, 0.02))
 def test_present_is_a_threshold(value: float) -> None:
     """Say "present" from one number on, the one that is declared, as rounding does."""
-    assert is_present(value) == (value >= PRESENT_FROM_CM)
+    assert is_present(value) == (value >= 0.005)
 
 
 def test_threshold_is_the_very_next_number() -> None:
     """Tell the numbers on the two sides of the threshold apart."""
-    assert is_present(PRESENT_FROM_CM)
-    assert not is_present(math.nextafter(PRESENT_FROM_CM, 0.0))
+    assert is_present(0.005)
+    assert not is_present(math.nextafter(0.005, 0.0))
 
 
 @pytest.mark.parametrize("method", Resampling)
@@ -65,7 +65,7 @@ def test_run_drawn_twice_is_no_evidence(method: Resampling) -> None:
 @pytest.mark.parametrize("runs", [3, 4])
 def test_runs_barely_beyond_the_rounding_stay_so(runs: int) -> None:
     """Not let distances of zero to itself pull a sample below the rounding."""
-    near = 1.01 * PRESENT_FROM_CM * (1 - np.eye(runs))
+    near = 1.01 * 0.005 * (1 - np.eye(runs))
     found = regime_probabilities(np.zeros(runs), near, np.arange(runs), seed=1, n_draw=2000)
     assert found.probability(Regime.RUN_TO_RUN_ONLY) == 1.0
 

@@ -255,6 +255,20 @@ def test_a_file_that_changes(web: Web, large: list[Path], monkeypatch: pytest.Mo
         states.at_step(100)
 
 
+def test_whoever_reads_on_asks_for_more_at_once(memory: Any) -> None:
+    """Double each request of a reader that goes on, up to 4 MiB, and ask for one block again where it jumps."""
+    block, data = 64 << 10, np.random.default_rng(0).bytes(17 << 20)
+    memory.pipe("/long", data)
+    source = RemoteFile(Location("memory://long"))
+    fetched = []
+    for begin in range(0, 16 << 20, block):
+        assert source.read(begin, begin + block) == data[begin : begin + block]
+        fetched.append(source.fetched // block)
+    assert list(dict.fromkeys(fetched)) == [1, 2, 4, 8, 16, 32, 64, 128, 192, 256]  # blocks behind each request
+    assert source.read((17 << 20) - 1, 17 << 20) == data[-1:]
+    assert source.fetched == (16 << 20) + block
+
+
 def test_verify_asks_whether_it_changed(memory: Any, large: list[Path]) -> None:
     """Notice at the end of a verification that the file is another one by now, if not before."""
     recording = open_recording(_put(memory, large[0]))

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gpusimbench.evaluator.metrics.identity import distinct_over_time
-from gpusimbench.evaluator.metrics.split_tree import MAX_BRANCHES, MAX_MEMBERS, SplitTree, split_tree
+from gpusimbench.evaluator.metrics.split_tree import SplitTree, split_tree
 
 
 def tree_of(hashes: np.ndarray) -> SplitTree:
@@ -64,15 +64,15 @@ def test_tree_against_histories(seed: int, n_row: int, n_sample: int, of_runs: b
 
 def test_many_branches_are_counted() -> None:
     """Keep the branches that left first, and count the rest; name no more members than fit."""
-    n_sample = 5 * MAX_BRANCHES
+    n_sample = 5 * 64
     hashes = np.zeros((n_sample, n_sample))
     for row in range(1, n_sample):
         hashes[row:, row] = row
     found = tree_of(hashes)
-    assert len(found.branches) == MAX_BRANCHES
-    assert found.not_kept == n_sample - MAX_BRANCHES
-    assert [b.sample for b in found.branches] == list(range(MAX_BRANCHES))
-    assert len(tree_of(np.ones((1, 99))).branches[0].members) == MAX_MEMBERS
+    assert len(found.branches) == 64
+    assert found.not_kept == n_sample - 64
+    assert [b.sample for b in found.branches] == list(range(64))
+    assert len(tree_of(np.ones((1, 99))).branches[0].members) == 16
 
 
 @pytest.mark.parametrize("n_sample", [1, 7])

@@ -37,7 +37,7 @@ from gpusimbench.evaluator.results.result import GroupResult
 from gpusimbench.evaluator.results.toss_metrics import TOSS_METRICS, TOSS_POSITION
 from gpusimbench.evaluator.results.toss_ranking import beaten_by, ranked
 from gpusimbench.evaluator.runs.toss_motion import errors_of, measured_tosses
-from gpusimbench.evaluator.statistics.cases import FEWEST, mean_interval, paired
+from gpusimbench.evaluator.statistics.cases import mean_interval, paired
 from gpusimbench.recorder.trials.tosses import Tosses, read_tosses
 from tests.conftest import Command, recorded
 
@@ -361,13 +361,13 @@ def test_false_alarms() -> None:
     assert 1 <= sum(one <= 0.05 for one in p) <= 20
 
 
-@given(st.lists(st.floats(-5, 5), min_size=FEWEST, max_size=30))
+@given(st.lists(st.floats(-5, 5), min_size=8, max_size=30))
 def test_interval(values: list[float]) -> None:
     """Enclose nothing but what the values span; of too few there is none."""
     found = mean_interval(values)
     assert found is not None
     assert min(values) - 1e-9 <= found[0] <= found[1] <= max(values) + 1e-9
-    assert mean_interval(values[: FEWEST - 1]) is None
+    assert mean_interval(values[:7]) is None
     with pytest.raises(ValueError, match="shape"):
         mean_interval([values])
 

@@ -235,3 +235,15 @@ def test_bounds_of_pairs_are_kept(env: np.ndarray, monkeypatch: pytest.MonkeyPat
     result = run_to_run_variability(runs)
     assert result.exactness == "certified"
     assert (result.low_cm, result.mean_cm) == (pytest.approx(1.5), pytest.approx(2.5))
+
+
+def test_drawn_envs_are_different_ones(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Draw no environment twice: of 21 in a row, the mean over 20 is that of all without one of them."""
+    monkeypatch.setattr(variability, "MAX_DISTINCT", 20)
+    monkeypatch.setattr(variability, "SAMPLED_ENVS", 20)
+    row = np.stack([np.arange(21.0), np.zeros(21)], axis=-1)[:, np.newaxis]
+    found = parallel_variability(row)
+    apart = np.abs(np.subtract.outer(np.arange(21.0), np.arange(21.0)))
+    without = [(apart.sum() - 2 * apart[one].sum()) / (20 * 19) * 100 for one in range(21)]
+    assert found.exactness == "sampled"
+    assert min(abs(found.mean_cm - mean) for mean in without) < 1e-9

@@ -75,7 +75,8 @@ def test_texts_of_all_channels_have_a_limit(monkeypatch: pytest.MonkeyPatch) -> 
     assert declarations.MAX_DECLARED_TEXTS == 1_048_576
     assert declarations.MAX_CHANNEL_BYTES == 1_048_576
     monkeypatch.setattr(declarations, "MAX_DECLARED_TEXTS", 5)
-    found = declared(channel(1, 0, "/one", texts=3), channel(1, 0, "/one", texts=3), channel(2, 0, "/two", texts=2))
+    three, two = channel(1, 0, "/one", texts=3), channel(2, 0, "/two", texts=2)
+    found = declared(schema(1, "a.B"), three, three, two)
     with pytest.raises(TooMuch, match="more than the 67108864 bytes or 5 texts that are read"):
         found.take(channel(3, 0, "/three", texts=1))
 

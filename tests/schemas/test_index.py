@@ -5,13 +5,16 @@ from __future__ import annotations
 import struct
 from pathlib import Path
 
+import fsspec
 import pytest
 from mcap.writer import CompressionType, Writer
 
+from gpusimbench.schemas import FORMAT
 from gpusimbench.schemas.errors import DamagedRecording
+from gpusimbench.schemas.location import Location
 from gpusimbench.schemas.mcap.index import read_index
-from gpusimbench.schemas.mcap.reader import open_source
-from gpusimbench.schemas.mcap.records import RECORD_HEAD
+from gpusimbench.schemas.mcap.reader import Container, open_source
+from gpusimbench.schemas.mcap.records import RECORD_HEAD, Op
 
 
 @pytest.mark.parametrize(("channels", "messages"), [(1, 1), (1, 5), (16, 1), (16, 3), (40, 2)])
@@ -91,3 +94,22 @@ def test_a_chunk_has_no_more_messages_than_bytes_for_them(tmp_path: Path, more: 
     with pytest.raises(DamagedRecording) as refused:
         read_index(open_source(path))
     assert ("says of the messages of the chunk" in str(refused.value)) is bool(more)
+
+
+def test_an_indexed_file_has_nothing_but_records(tmp_path: Path) -> None:
+    """Name the byte at which a file that was opened through its summary has no record before its data end."""
+    path, elsewhere = tmp_path / "one.mcap", Location("memory://nothing-but-records.mcap")
+    with path.open("wb") as stream:
+        writer = Writer(stream, enable_crcs=False)
+        writer.start(FORMAT)
+        writer.add_message(writer.register_channel("/n", "json", 0), 0, b"{}", 0)
+        writer.add_metadata("m", {})
+        writer.finish()
+    memory, data = fsspec.filesystem("memory"), bytearray(path.read_bytes())
+    memory.pipe("/nothing-but-records.mcap", bytes(data))
+    Container(elsewhere).verify()
+    begin = data.index(bytes([Op.METADATA]) + struct.pack("<QI", 9, 1) + b"m")
+    data[begin] = 0
+    memory.pipe("/nothing-but-records.mcap", bytes(data))
+    with pytest.raises(DamagedRecording, match=f"what follows at byte {begin} is no record of the file's index"):
+        Container(elsewhere).verify()
