@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 
 from gpusimbench.evaluator.missing import known
@@ -64,7 +64,7 @@ def _local(source: Source) -> Grid | None:
     columns.append((Column("tosses", "that have more rows"), lambda r: _number(_details(r).tosses)))
     for metric in TOSS_LOCAL_METRICS:
         columns.append(_measured_floor(metric))
-    return of_groups("local", "Local errors against measured tosses", found, columns, reasons, _LOCAL_LEGEND)
+    return of_groups(source, "local", "Local errors against measured tosses", found, columns, reasons, _LOCAL_LEGEND)
 
 
 def _details(result: GroupResult) -> OverTosses:
@@ -103,7 +103,7 @@ def _whole(source: Source, order: Sequence[Ranked]) -> tuple[list[Block], str]:
     ]
     error = known(best.metrics[TOSS_POSITION.name].value) or 0.0
     said = f"{plural(len(order), 'group')}; smallest error of position: {best.label}, {figure(error, 'cm')} cm"
-    if quick := _fastest_at_equal_accuracy(source):
+    if quick := _fastest_at_equal_accuracy(source, {one.result.group.key.scene for one in order}):
         blocks.append(Text(quick))
         said += f"; {quick[0].lower()}{quick[1:].rstrip('.')}"
     return blocks, said
@@ -158,10 +158,10 @@ def _on_the_front(
     ), cell
 
 
-def _fastest_at_equal_accuracy(source: Source) -> str:
+def _fastest_at_equal_accuracy(source: Source, scenes: Collection[str]) -> str:
     said = []
     for one in fastest(source.evaluation.results):
-        if one.first and known(one.first.result.metrics[TOSS_POSITION.name].value) is not None:
+        if one.first and one.scene in scenes:
             device = one.device or "an unnamed device"
             said.append(f"{one.first.result.label}, {one.first.fps:,.0f} {FPS.unit} on {device}")
     return f"Fastest at equal accuracy: {'; '.join(said)}." if said else ""
