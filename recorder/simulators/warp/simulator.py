@@ -27,6 +27,7 @@ from gpusimbench.recorder.simulators.snapshot import COMPLETE, Envs, Snapshot, S
 from gpusimbench.recorder.simulators.warp import runtime as warp_runtime
 from gpusimbench.recorder.simulators.warp import worlds
 from gpusimbench.recorder.simulators.warp.block import WarpBlock, evidence_of
+from gpusimbench.recorder.simulators.warp.drawn import Drawn
 from gpusimbench.recorder.simulators.warp.flight import WarpFlight
 from gpusimbench.recorder.simulators.warp.transfer import Slot, Slots
 from gpusimbench.schemas.errors import GsbError
@@ -116,12 +117,9 @@ class MujocoWarp(Simulator):
         if bits:
             self._model.opt.deterministic = sum(int(mjw.DeterminismType[bit]) for bit in bits)
         self._data = self._try(lambda: self._new_data(self.n_env))
-        self._step_number = wp.zeros(1, dtype=wp.int32)
+        self._drawn = None if self.scene.actions is None else Drawn(self.scene.actions, self.seed)
         self._row = wp.zeros(1, dtype=wp.int32)
         self._slots: Slots | None = None
-        if self.scene.actions is not None:
-            kinds = (wp.int32, wp.uint32, wp.float32)
-            self._range = [wp.array(a, dtype=kind) for a, kind in zip(self.scene.actions.grid(), kinds, strict=True)]
         self._graphs: dict[str, Any] = {}
         self._counted: Evidence | None = None  # of the last states; None: to be counted when asked
         return Description(
@@ -247,19 +245,9 @@ class MujocoWarp(Simulator):
 
     def _one_step(self) -> None:
         import mujoco_warp as mjw
-        import warp as wp
 
-        from gpusimbench.recorder.simulators.warp import kernels
-
-        if self.scene.actions is not None:
-            seed_word = self.scene.actions.seed_word(self.seed)
-            wp.launch(
-                kernels.draw_targets,
-                dim=self._data.ctrl.shape,
-                inputs=[wp.uint32(seed_word), self._step_number, *self._range],
-                outputs=[self._data.ctrl],
-            )
-            wp.launch(kernels.advance, dim=1, inputs=[self._step_number])
+        if self._drawn is not None:
+            self._drawn.enqueue(self._data.ctrl)
         mjw.step(self._model, self._data)
 
     def _snapshot(self, slot: Slot) -> None:
@@ -325,14 +313,15 @@ class MujocoWarp(Simulator):
 
     def snapshot(self) -> Snapshot:
         """See Simulator.snapshot."""
-        return Snapshot(int(self._step_number.numpy()[0]), worlds.kept(self._data))
+        step = 0 if self._drawn is None else int(self._drawn.step.numpy()[0])
+        return Snapshot(step, worlds.kept(self._data))
 
     def restore(self, snapshot: Snapshot, envs: Envs = None) -> None:
         """See Simulator.restore."""
         rows = slice(None) if envs is None else envs
         worlds.assign(self._data, {name: array[rows] for name, array in snapshot.arrays.items()}, envs)
-        if envs is None:
-            self._step_number.fill_(snapshot.step)
+        if envs is None and self._drawn is not None:
+            self._drawn.step.fill_(snapshot.step)
         self._counted = None
 
     def reset(self, envs: Envs = None) -> None:
@@ -346,8 +335,8 @@ class MujocoWarp(Simulator):
     def _begin(self, qpos: NDArray[np.float64], qvel: NDArray[np.float64], envs: Envs) -> None:
         worlds.reset(self._model, self._data, envs)
         worlds.assign(self._data, {"qpos": qpos, "qvel": qvel}, envs)
-        if envs is None:
-            self._step_number.zero_()
+        if envs is None and self._drawn is not None:
+            self._drawn.step.zero_()
         self._counted = None
 
     def begin_states(self, n_step: int) -> WarpBlock:
