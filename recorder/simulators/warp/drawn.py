@@ -1,4 +1,4 @@
-"""A scene's actions, made on the device step by step, as part of the step's graph."""
+"""A scene's actions, drawn or copied on the device step by step, as part of the step's graph."""
 
 from __future__ import annotations
 
@@ -17,6 +17,10 @@ class Drawn:
         import warp as wp
 
         self.step = wp.zeros(1, dtype=wp.int32)
+        table = actions.table()
+        self._rows = None if table is None else wp.array(table, dtype=wp.float32)
+        if self._rows is not None:
+            return
         self._seed_word = wp.uint32(actions.seed_word(seed))
         kinds = (wp.int32, wp.uint32, wp.float32)
         self._range = [wp.array(a, dtype=kind) for a, kind in zip(actions.grid(), kinds, strict=True)]
@@ -27,7 +31,9 @@ class Drawn:
 
         from gpusimbench.recorder.simulators.warp import kernels
 
-        wp.launch(
-            kernels.draw_targets, dim=ctrl.shape, inputs=[self._seed_word, self.step, *self._range], outputs=[ctrl]
-        )
+        if self._rows is not None:
+            wp.launch(kernels.give_row, dim=ctrl.shape, inputs=[self.step, self._rows], outputs=[ctrl])
+        else:
+            inputs = [self._seed_word, self.step, *self._range]
+            wp.launch(kernels.draw_targets, dim=ctrl.shape, inputs=inputs, outputs=[ctrl])
         wp.launch(kernels.advance, dim=1, inputs=[self.step])

@@ -41,6 +41,13 @@ def draw_targets(
 
 
 @wp.kernel(enable_backward=False)
+def give_row(step: wp.array(dtype=wp.int32), rows: wp.array3d(dtype=float), ctrl: wp.array2d(dtype=float)):
+    """Row step[0] of rows [row, env or 1, action], which begin anew after the last, into ctrl [env, action]."""
+    env, action = wp.tid()
+    ctrl[env, action] = rows[step[0] % rows.shape[0], env % rows.shape[1], action]
+
+
+@wp.kernel(enable_backward=False)
 def advance(counter: wp.array(dtype=wp.int32)):
     """counter[0] += 1"""
     counter[0] = counter[0] + 1
