@@ -16,6 +16,7 @@ pytest.importorskip("newton")
 from gpusimbench.recorder.failure import Refused
 from gpusimbench.recorder.options import names_of, parse_options
 from gpusimbench.recorder.scenes.model.scene import ModelScene, model_scene
+from gpusimbench.recorder.simulators.mujoco.drives import Places, drives
 from gpusimbench.recorder.simulators.mujoco.model import MjcfModel, compile_scene
 from gpusimbench.recorder.simulators.mujoco.options import MjcfOptions
 from gpusimbench.recorder.simulators.newton.options import FOR_MODELS
@@ -55,6 +56,10 @@ def _imported(scene: ModelScene, solver: str = "mujoco") -> tuple[Any, MjcfModel
     compiled = compile_scene(scene, dt=scene.dt, options=own)
     options = NewtonOptions(solver=solver)
     return one_world(scene, compiled, options, register(options)), compiled
+
+
+def _places(world: Any) -> Places:
+    return Places(world.imported.at_q, world.imported.at_qd, world.builder.joint_dof_count)
 
 
 def _random_state(compiled: MjcfModel, seed: int) -> tuple[Any, tuple[Any, ...]]:
@@ -232,23 +237,24 @@ FALLING = """
 @pytest.mark.parametrize("solver", [name for name in FOR_MODELS if name != "mujoco"])
 def test_other_solvers(solver: str, tmp_path: Path) -> None:
     """Drive a slide by a motor and a hinge by a position servo with each solver that takes models: both go where MuJoCo
-    takes them, and what the solver does not read is named."""
+    takes them. The joints have no damping or armature, which not every solver reads."""
     path = _written(
-        tmp_path, FALLING.replace('frictionloss="0.1"', ""),
+        tmp_path, FALLING.replace('frictionloss="0.1"', "").replace('damping="2" armature="0.1"', ""),
         '<actuator><motor name="push" joint="slide" gear="2" ctrlrange="0.5 1"/>'
         '<position name="turn" joint="hinge" kp="20" kv="2" ctrlrange="0.2 0.3"/></actuator>',
     )  # fmt: skip
     scene = _scene(path)
     assert scene.actions is not None
-    simulator, _ = engines.build("newton", scene, n_env=2, solver=solver)
+    more = {"iterations": 50} if solver == "xpbd" else {}
+    simulator, _ = engines.build("newton", scene, n_env=2, solver=solver, **more)
     other, _ = engines.build("mujoco", scene, n_env=2)
     other.prepare(scene.actions.draw(0, n_env=2, first_step=0, n_step=100))
     simulator.compile("capture")
     states, wanted = simulator.states(100)[0][-1, :, :, 0], other.states(100)[0][-1, :, :, 0]
     simulator.close()
     assert (wanted > 0.01).all()
-    away = 0.3 if solver == "xpbd" else 0.1  # xpbd has neither damping nor armature
-    np.testing.assert_allclose(states, wanted, rtol=away)
+    # how stiff a servo of xpbd is depends on its iterations
+    np.testing.assert_allclose(states, wanted, rtol=0.4 if solver == "xpbd" else 0.1)
 
 
 def test_what_a_solver_does_not_read(tmp_path: Path) -> None:
@@ -277,19 +283,15 @@ def test_what_a_solver_does_not_read(tmp_path: Path) -> None:
 )
 def test_actuators_that_a_solver_cannot_be_given(actuator: str, said: str, tmp_path: Path) -> None:
     """Refuse by name an actuator that is neither a motor nor a servo."""
-    from gpusimbench.recorder.simulators.newton.controls import drives
-
     world, compiled = _imported(_scene(_written(tmp_path, FALLING, f"<actuator>{actuator}</actuator>")), "xpbd")
     with pytest.raises(Refused, match=said):
-        drives(compiled.model, world.imported, "xpbd")
+        drives(compiled.model, _places(world), "xpbd")
 
 
 def test_a_motor_on_a_tendon() -> None:
     """Turn a tendon's force into forces of its joints, with their coefficients and the gear."""
-    from gpusimbench.recorder.simulators.newton.controls import drives
-
     world, compiled = _imported(_scene(WALKER), "xpbd")
-    made = drives(compiled.model, world.imported, "xpbd")
+    made = drives(compiled.model, _places(world), "xpbd")
     joints = [world.imported.at_qd[compiled.model.joint(name).id] for name in ("left_hip", "right_hip")]
     assert made.arms[:, 3].nonzero()[0].tolist() == sorted(joints)
     assert made.arms[joints, 3].tolist() == [1, -1]

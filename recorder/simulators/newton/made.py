@@ -20,7 +20,6 @@ not free, in MuJoCo's order."""
 _UNREAD = {
     "xpbd": ("armature", "damping", "frictionloss", "stiffness"),
     "featherstone": ("frictionloss",),
-    "semi-implicit": ("armature", "frictionloss"),
     "steel": ("stiffness",),
 }
 """By solver, what of joints it does not read (newton 1.8.0, _src/solvers)."""
