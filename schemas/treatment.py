@@ -34,15 +34,47 @@ teacher/GROUP/FIELD  states of the group's items, shape [row, item, component]; 
                      step (m + 1) K. Environment e repeats toss e modulo the number of tosses
 """
 
+CONTROLS = "controls.npz"
+"""Attachment with the controls that a model's actuators were given from a file, as of schemas.arrays: controls [step,
+actuator], or [step, env, actuator], and, if the file had them, actuators, their names."""
+
 SNAPSHOT = re.compile(r"snapshot-(\d{1,12})\.npz")
 """Attachment with an engine's whole state after a step."""
 
 _NUMBER = r"[0-9.eE+-]+"
 _INITIAL = re.compile(rf"random:(?P<spread>{_NUMBER})(?:,(?:shift:(?P<shift>\d{{1,8}})|but:(?P<but>\d{{1,8}})))?")
 _VARIED = re.compile(rf"(?P<name>[a-z]+):(?P<value>{_NUMBER})")
+_CONTROLS = re.compile(r"file(?P<each>-by-env)?:(?P<sha256>[0-9a-f]{64})")
 _GIVEN = re.compile(r"(?:states|snapshot:(?P<step>\d{1,12})):(?P<sha256>[0-9a-f]{64})")
 _KEEP = re.compile(rf"failing(?:,within:(?P<within>{_NUMBER}))?")
 _INTERVENTION = re.compile(r"(?P<kind>[a-z]+)@(?P<step>\d{1,9})(?:\+(?P<more>\d{1,9}))?")
+
+
+@dataclass(frozen=True)
+class FromFile:
+    """Controls from a file: "file:SHA256", or "file-by-env:SHA256" where each environment has its own.
+
+    sha256    of the attachment CONTROLS [hex]
+    each      each environment has its own
+    """
+
+    sha256: str
+    each: bool = False
+
+    @classmethod
+    def parse(cls, text: str) -> FromFile | None:
+        """From the actions of a RunConfiguration; None where they are not from a file."""
+        found = _CONTROLS.fullmatch(text)
+        return cls(found["sha256"], bool(found["each"])) if found else None
+
+    def __str__(self) -> str:
+        return f"file{'-by-env' if self.each else ''}:{self.sha256}"
+
+
+def alike(actions: str) -> bool:
+    """Whether the actions of a RunConfiguration are the same for all environments."""
+    found = FromFile.parse(actions)
+    return actions == "keyframe" or (found is not None and not found.each)
 
 
 @dataclass(frozen=True)
@@ -109,7 +141,7 @@ def drawn(text: str) -> Initial | None:
 
 
 def initial_words(text: str) -> str:
-    """How environments begin, short enough for a table."""
+    """How environments begin, or what actions they are given, short enough for a table."""
     return re.sub(r"([0-9a-f]{12})[0-9a-f]{52}$", r"\1", text)
 
 

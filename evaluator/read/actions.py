@@ -10,6 +10,7 @@ from gpusimbench.schemas import topics
 from gpusimbench.schemas.blocks import decode_action
 from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.fields import ENV, StateField
+from gpusimbench.schemas.treatment import alike
 
 
 def apart_by_design(actions: tuple[str, ...], fields: tuple[StateField, ...], configuration: RunConfiguration) -> str:
@@ -20,7 +21,7 @@ def apart_by_design(actions: tuple[str, ...], fields: tuple[StateField, ...], co
     """
     if any(field.group == ENV for field in fields):
         return "seeds and actions of environments differ by design"
-    if actions:
+    if actions and not alike(configuration.actions):
         return "the environments were given different actions, so they differ by design"
     if configuration.vary:
         return f"environments differ by --vary {configuration.vary}"

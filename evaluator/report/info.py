@@ -152,7 +152,7 @@ def _what(p: Provenance, s: Simulation | None) -> Iterator[tuple[str, str]]:
     model = ""
     if c.model:
         begins = f"begins in keyframe {c.keyframe}" if c.keyframe != "none" else "begins in the reference state"
-        model = f"; a model file, which is attached; {begins}; actions {c.actions}"
+        model = f"; a model file, which is attached; {begins}; actions {initial_words(c.actions)}"
     yield "scene", f"{c.scene} ({f'sha256 {digest}' if digest else 'without a description'}){model}"
     if c.simulator == REAL:
         times = f"every {c.dt:g} s, {c.steps + 1} times" if c.steps > 1 else f"at {c.dt:g} s"

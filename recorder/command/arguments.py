@@ -172,10 +172,10 @@ def parser() -> Parser:
     )
     what.add_argument(
         "--actions",
-        metavar="none|random[:SPREAD]|keyframe",
+        metavar="none|random[:SPREAD]|keyframe|FILE.npz",
         help="with --model: controls of the actuators. random draws each control anew at each step, uniformly within "
-        "its range (SPREAD: the share of the range, about its middle); keyframe holds those of the keyframe (default: "
-        "random, if the model has actuators)",
+        "its range (SPREAD: the share of the range, about its middle); keyframe holds those of the keyframe; FILE.npz "
+        "has controls [step, actuator], or [step, env, actuator] (default: random, if the model has actuators)",
     )
     what.add_argument(
         "--keyframe",

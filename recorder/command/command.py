@@ -17,7 +17,7 @@ from gpusimbench.schemas.progress import Progress, stage
 from gpusimbench.schemas.provenance import REAL
 from gpusimbench.schemas.suggestion import did_you_mean
 from gpusimbench.schemas.text import block
-from gpusimbench.schemas.treatment import GIVEN
+from gpusimbench.schemas.treatment import CONTROLS, GIVEN, FromFile
 
 if TYPE_CHECKING:
     from gpusimbench.recorder.environments.interpreter import Interpreter
@@ -61,7 +61,10 @@ def configure(arguments: argparse.Namespace) -> tuple[RunConfiguration, dict[str
         begins = initial.parse(begins, arguments.n_env)
     elif begins and given is None:
         begins, given = read_given(begins, arguments.n_env if arguments.sweep is None else 1)
-    steps = round(scene.sample_time / dt) if arguments.steps is None else arguments.steps
+    steps = arguments.steps
+    if steps is None:
+        given_rows = scene.actions.table() if scene.actions else None
+        steps = round(scene.sample_time / dt) if given_rows is None else len(given_rows)
     warmup, timed_steps = scene.timed_window()
     configuration = RunConfiguration(
         simulator=arguments.sim,
@@ -97,6 +100,7 @@ def configure(arguments: argparse.Namespace) -> tuple[RunConfiguration, dict[str
 def _scene(arguments: argparse.Namespace) -> tuple[Scene, dict[str, bytes]]:
     # what is simulated, and the files that it consists of, where it is a model of the user's own
     with shielded():
+        from gpusimbench.recorder.scenes.model.controls_file import packed
         from gpusimbench.recorder.scenes.model.scene import model_scene
         from gpusimbench.recorder.scenes.registry import make_scene, scene_names
         from gpusimbench.schemas.model_files import MODEL, pack, scene_name
@@ -109,8 +113,12 @@ def _scene(arguments: argparse.Namespace) -> tuple[Scene, dict[str, bytes]]:
     if arguments.scene is not None:
         raise UsageError("--model and --scene both say what is simulated; give one of them")
     name = scene_name(arguments.model, scene_names())
-    archive = pack(arguments.model)
-    return model_scene(name, archive, keyframe=arguments.keyframe, actions=arguments.actions), {MODEL: archive}
+    inputs = {MODEL: pack(arguments.model)}
+    actions = arguments.actions
+    if actions.endswith(".npz"):
+        actions, inputs[CONTROLS] = packed(actions)
+    archive, file = inputs[MODEL], inputs.get(CONTROLS)
+    return model_scene(name, archive, keyframe=arguments.keyframe, actions=actions, file=file), inputs
 
 
 def check_configuration(configuration: RunConfiguration, scene: Scene) -> None:
@@ -132,6 +140,8 @@ def check_configuration(configuration: RunConfiguration, scene: Scene) -> None:
             f"simulator '{simulator}' has no determinism level '{configuration.determinism}'; it has: {has}{hint}"
         )
     if refusal := adapter.refusal(simulator, scene, options):
+        raise UsageError(refusal)
+    if scene.actions and (refusal := scene.actions.refusal(configuration)):
         raise UsageError(refusal)
     keep.check(configuration, scene)
     if refusal := start.refusal(simulator, adapter, options, configuration.initial, configuration.snapshots):
@@ -178,6 +188,10 @@ def record(arguments: argparse.Namespace, argv: tuple[str, ...]) -> int:
     if points:
         arguments.n_env = points[0]
     configuration, inputs = configure(arguments)
+    if points and configuration.actions and (found := FromFile.parse(configuration.actions)) and found.each:
+        raise UsageError(
+            f"--actions {arguments.actions} has controls of each environment, whose number --sweep changes"
+        )
     interpreter = _interpreter(arguments, arguments.sim)
     out = arguments.out or OUT
     request = Request(configuration, out, argv, quiet=arguments.json, end_killed=bool(points), inputs=inputs)

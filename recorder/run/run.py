@@ -55,9 +55,9 @@ from gpusimbench.schemas.provenance import (
     Provenance,
     ReplayOf,
 )
-from gpusimbench.schemas.treatment import GIVEN, VARIED
+from gpusimbench.schemas.treatment import CONTROLS, GIVEN, VARIED
 
-INPUTS = {GIVEN: MEDIA_TYPE, model_files.MODEL: model_files.MEDIA_TYPE}
+INPUTS = {GIVEN: MEDIA_TYPE, CONTROLS: MEDIA_TYPE, model_files.MODEL: model_files.MEDIA_TYPE}
 """Files that a run may be given, and the media type of each."""
 
 Progress = Callable[[str, int, int], None]

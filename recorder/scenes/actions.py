@@ -5,12 +5,13 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.mixing import GOLDEN32, mix32
 
 GRID = 2.0**-13
@@ -121,6 +122,15 @@ class JointTargets:
         index = (word >> np.uint32(32 - _WORD_BITS)) * count >> np.uint32(_WORD_BITS)
         return (first + index.astype(np.int32)).astype(np.float32) * grid
 
+    def table(self) -> NDArray[np.float32] | None:
+        """Actions that were given and are not drawn, [step, env or 1, action], to be used row after row, and from the
+        first on again after the last; None where they are drawn."""
+        return None
+
+    def refusal(self, run: RunConfiguration) -> str:
+        """Why a run cannot be given these actions; empty where it can."""
+        return ""
+
     def describe(self, seed: int, streams: Streams) -> str:
         """The generator with all that it depends on (JSON)."""
         return json.dumps({"generator": "murmur3-fmix32-grid13", **self._known(seed), **streams.describe()})
@@ -158,6 +168,52 @@ class Controls(JointTargets):
         """See JointTargets.describe."""
         known = {"generator": "murmur3-fmix32", **self._known(seed), "grids": self.grids}
         return json.dumps({**known, **streams.describe()})
+
+
+@dataclass(frozen=True)
+class GivenControls(JointTargets):
+    """Controls from a file, the same for all environments or of each.
+
+    joints        names of the actuators
+    lower, upper  least and largest control of each
+    each          each environment has its own
+    sha256        of the file [hex]
+    rows          [step, env or 1, actuator]; the description leaves them out
+    """
+
+    unit = "of the actuator"
+    meaning = "control of each actuator, held during the step, from a file"
+
+    each: bool
+    sha256: str
+    rows: NDArray[np.float32] = field(repr=False, compare=False, metadata={"described": False})
+
+    def table(self) -> NDArray[np.float32]:
+        """See JointTargets.table."""
+        return self.rows
+
+    def draw(
+        self, seed: int, *, n_env: int, first_step: int, n_step: int, streams: Streams | None = None
+    ) -> NDArray[np.float32]:
+        """See JointTargets.draw: rows of the file."""
+        given = Streams.usual(n_env) if streams is None else streams
+        steps = given.steps(first_step, n_step) % np.uint32(len(self.rows))
+        return np.ascontiguousarray(self.rows[steps, given.env % np.uint32(self.rows.shape[1])])
+
+    def refusal(self, run: RunConfiguration) -> str:
+        """See JointTargets.refusal."""
+        steps, envs = self.rows.shape[:2]
+        if self.each and envs != run.n_env:
+            return f"the file of actions has controls of {envs} environments, and --n-env is {run.n_env}"
+        if "capture" in run.phases and run.steps > steps:
+            return f"the file of actions has controls of {steps} steps, fewer than --steps, {run.steps}"
+        return ""
+
+    def describe(self, seed: int, streams: Streams) -> str:
+        """See JointTargets.describe."""
+        steps, envs = self.rows.shape[:2]
+        about = {"name": self.name, "joints": self.joints, "sha256": self.sha256, "steps": steps, "envs": envs}
+        return json.dumps({"generator": "file", **about, **streams.describe()})
 
 
 def _number(value: float) -> float:

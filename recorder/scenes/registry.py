@@ -19,6 +19,7 @@ from gpusimbench.recorder.scenes.inclined_collision import inclined_collision
 from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.errors import UsageError
 from gpusimbench.schemas.suggestion import did_you_mean
+from gpusimbench.schemas.treatment import CONTROLS
 
 ENTRY_POINTS = "gsb.scenes"
 
@@ -68,8 +69,8 @@ def scene_of(configuration: RunConfiguration, inputs: Mapping[str, bytes]) -> Sc
     archive = inputs.get(MODEL, b"")
     if hashlib.sha256(archive).hexdigest() != configuration.model:
         raise UsageError("the model's files are not there, or are not those that the configuration names")
-    c = configuration
-    return model_scene(c.scene, archive, keyframe=c.keyframe, actions=c.actions)
+    c, file = configuration, inputs.get(CONTROLS)
+    return model_scene(c.scene, archive, keyframe=c.keyframe, actions=c.actions, file=file)
 
 
 def _added() -> dict[str, metadata.EntryPoint]:

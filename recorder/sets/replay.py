@@ -29,7 +29,7 @@ from gpusimbench.schemas.mcap.reader import Container
 from gpusimbench.schemas.model_files import MODEL
 from gpusimbench.schemas.provenance import LOGGED, PROVENANCE, REAL, SCENE, SIMULATION, Provenance, ReplayOf, Simulation
 from gpusimbench.schemas.text import cut
-from gpusimbench.schemas.treatment import GIVEN, VARIED, Given, drawn, initial_words, snapshot_name
+from gpusimbench.schemas.treatment import CONTROLS, GIVEN, VARIED, FromFile, Given, drawn, initial_words, snapshot_name
 
 """What recordings of programs that are no adapter (recorder.log) say of their fresh start."""
 
@@ -163,6 +163,8 @@ def begun(
     """
     c, path = configuration, source.path
     model = {MODEL: _attached(source, MODEL)} if c.model else {}
+    if FromFile.parse(c.actions):
+        model[CONTROLS] = _attached(source, CONTROLS)
     if from_step is None:
         if drawn(c.initial) or not c.initial:
             return c, model

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from gpusimbench.recorder.options import parse_options
 from gpusimbench.recorder.scenes.base import Scene
 from gpusimbench.recorder.scenes.inclined_collision import inclined_collision
 from gpusimbench.recorder.simulators.base import Description, Simulator, States
@@ -25,8 +24,8 @@ def make(
         pytest.skip(f"{name} is not installed")
     adapter = entry.load()
     cpu = {"device": "cpu"} if any(option.name == "device" for option in fields(adapter.Options)) else {}
-    parsed = parse_options(name, adapter.Options, {**cpu, **{k: str(v) for k, v in options.items()}})
-    return adapter(scene, n_env=n_env, dt=0.01, seed=seed, options=parsed, determinism=determinism)
+    parsed = adapter.parsed(name, scene, {**cpu, **{k: str(v) for k, v in options.items()}})
+    return adapter(scene, n_env=n_env, dt=scene.dt, seed=seed, options=parsed, determinism=determinism)
 
 
 def build(name: str, scene: Scene, **options: Any) -> tuple[Simulator, Description]:

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import hashlib
 from dataclasses import dataclass
 from typing import Any
 
-from gpusimbench.recorder.scenes.actions import Controls
+from gpusimbench.recorder.scenes.actions import Controls, JointTargets
+from gpusimbench.recorder.scenes.model.controls_file import controls_from
 from gpusimbench.schemas.errors import UsageError
 from gpusimbench.schemas.suggestion import did_you_mean
+from gpusimbench.schemas.treatment import FromFile
 
-ACTIONS = "none, random, random:SPREAD (0 to 1, of each control range about its middle) or keyframe"
+ACTIONS = "none, random, random:SPREAD (0 to 1, of each control range about its middle), keyframe or FILE.npz"
 """What actions may be."""
 
 NO_KEYFRAME = "none"
@@ -95,11 +98,12 @@ def keyframe_of(model: Any, name: str) -> tuple[str, Any]:
     return chosen, model.key(index)
 
 
-def controls_of(model: Any, actions: str, keyframe: Any) -> tuple[str, Controls | None]:
+def controls_of(model: Any, actions: str, keyframe: Any, file: bytes | None) -> tuple[str, JointTargets | None]:
     """What the actuators of a mujoco.MjModel are given at each step, and its short text; None where it is nothing.
 
     actions   as of ACTIONS; empty: random, if the model has actuators
     keyframe  a view of a keyframe, or None
+    file      what `controls_file.packed` made of the file, where actions are from one
 
     Random controls are uniform within the control range of each actuator, or within +-1 where it has none. UsageError
     where that cannot be.
@@ -110,6 +114,10 @@ def controls_of(model: Any, actions: str, keyframe: Any) -> tuple[str, Controls 
         return asked, None
     if not names:
         raise UsageError(f"--actions {asked}: the model has no actuators")
+    if asked_of_file := FromFile.parse(asked):
+        if file is None or hashlib.sha256(file).hexdigest() != asked_of_file.sha256:
+            raise UsageError("the file of actions is not there, or is not the one that the configuration names")
+        return asked, controls_from(file, model, names)
     if asked == "keyframe":
         if keyframe is None:
             raise UsageError("--actions keyframe holds the controls of a keyframe, and environments begin in none")

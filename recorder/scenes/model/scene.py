@@ -116,12 +116,15 @@ def compiled(archive: bytes, numerics: Mapping[str, str] | None = None) -> tuple
             mujoco.set_mju_user_warning(None)
 
 
-def model_scene(name: str, archive: bytes, *, keyframe: str = "", actions: str = "") -> ModelScene:
+def model_scene(
+    name: str, archive: bytes, *, keyframe: str = "", actions: str = "", file: bytes | None = None
+) -> ModelScene:
     """The scene of a model's files.
 
     name      that it is recorded under
     keyframe  as of contents.keyframe_of
     actions   as of contents.controls_of
+    file      of actions, as of contents.controls_of
 
     UsageError where MuJoCo is not there or does not compile the files, or where the model has no such keyframe or
     actions, nothing that moves, or names that a recording cannot hold.
@@ -130,22 +133,22 @@ def model_scene(name: str, archive: bytes, *, keyframe: str = "", actions: str =
         from mujoco import mjtJoint
     except ImportError:
         raise UsageError("a model file is read by MuJoCo, which is not installed here: pip install mujoco") from None
-    file, model = compiled(archive)
+    own, model = compiled(archive)
     if not model.njnt:
-        raise UsageError(f"{file} has no joint, so that nothing in it moves")
+        raise UsageError(f"{own} has no joint, so that nothing in it moves")
     chosen, key = keyframe_of(model, keyframe)
-    controls, drawn = controls_of(model, actions, key)
+    controls, drawn = controls_of(model, actions, key, file)
     free, balls = moving(model, mjtJoint.mjJNT_FREE), moving(model, mjtJoint.mjJNT_BALL)
     single = moving(model, mjtJoint.mjJNT_HINGE, mjtJoint.mjJNT_SLIDE)
-    _check(file, [*free.names], [*single.names, *balls.names], [*(drawn.joints if drawn else ())])
+    _check(own, [*free.names], [*single.names, *balls.names], [*(drawn.joints if drawn else ())])
     return ModelScene(
         name=name,
-        summary=f"the model file {file}",
+        summary=f"the model file {own}",
         bodies=(),
         actions=drawn,
         gravity=(float(model.opt.gravity[0]), float(model.opt.gravity[1]), float(model.opt.gravity[2])),
         dt=float(model.opt.timestep),
-        file=file,
+        file=own,
         files_sha256=hashlib.sha256(archive).hexdigest(),
         keyframe=chosen,
         controls=controls,

@@ -4,6 +4,8 @@ Kernels that store take the row from an array on the device, so that one CUDA gr
 Annotations are Warp's own, so they are evaluated.
 """
 
+from typing import Any
+
 import warp as wp
 
 
@@ -44,17 +46,10 @@ def gather_bodies(
 
 
 @wp.kernel(enable_backward=False)
-def store_bodies(
-    row: wp.array(dtype=wp.int32),
-    poses: wp.array(dtype=wp.transform),
-    speeds: wp.array(dtype=wp.spatial_vector),
-    stored_poses: wp.array2d(dtype=wp.transform),
-    stored_speeds: wp.array2d(dtype=wp.spatial_vector),
-):
-    """Store a state, [body]."""
-    body = wp.tid()
-    stored_poses[row[0], body] = poses[body]
-    stored_speeds[row[0], body] = speeds[body]
+def store(row: wp.array(dtype=wp.int32), values: wp.array(dtype=Any), stored: wp.array2d(dtype=Any)):
+    """Store an array of a state, [number]."""
+    i = wp.tid()
+    stored[row[0], i] = values[i]
 
 
 @wp.kernel(enable_backward=False)
@@ -112,3 +107,45 @@ def count_shapes(
 def next_row(row: wp.array(dtype=wp.int32)):
     """Go on to the next row, one thread."""
     row[0] = row[0] + 1
+
+
+@wp.kernel(enable_backward=False)
+def drive_joints(
+    ctrl: wp.array2d(dtype=float),
+    low: wp.array(dtype=float),
+    high: wp.array(dtype=float),
+    gain: wp.array(dtype=float),
+    force_low: wp.array(dtype=float),
+    force_high: wp.array(dtype=float),
+    arms: wp.array2d(dtype=float),
+    servo: wp.array2d(dtype=wp.int32),
+    reference: wp.array(dtype=float),
+    target_of: wp.array(dtype=wp.int32),
+    joint_f: wp.array2d(dtype=float),
+    target_q: wp.array2d(dtype=float),
+    target_qd: wp.array2d(dtype=float),
+):
+    """Controls [world, actuator] as joint forces and targets, [world, velocity].
+
+    low, high              to which controls are clamped
+    gain                   force of a control of 1, zero for servos
+    force_low, force_high  to which forces are clamped
+    arms                   of an actuator on a velocity, [velocity, actuator]
+    servo                  by velocity, the actuators that set its target position and its target velocity; -1: none
+    reference              to be subtracted from target positions
+    target_of              by velocity, its place in target_q
+    """
+    world, i = wp.tid()
+    force = wp.float32(0.0)
+    for a in range(ctrl.shape[1]):
+        arm = arms[i, a]
+        if arm != 0.0:
+            given = wp.clamp(ctrl[world, a], low[a], high[a])
+            force += arm * wp.clamp(gain[a] * given, force_low[a], force_high[a])
+    joint_f[world, i] = force
+    a = servo[i, 0]
+    if a >= 0:
+        target_q[world, target_of[i]] = wp.clamp(ctrl[world, a], low[a], high[a]) - reference[i]
+    a = servo[i, 1]
+    if a >= 0:
+        target_qd[world, i] = wp.clamp(ctrl[world, a], low[a], high[a])

@@ -3,28 +3,67 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 from gpusimbench.recorder.scenes.base import Body, Box, Capsule, Plane, Quaternion, Scene, Sphere, Vector, solid_inertia
+from gpusimbench.recorder.scenes.model.scene import ModelScene
+from gpusimbench.recorder.simulators.mujoco.model import MjcfModel
+from gpusimbench.recorder.simulators.newton.imported import Imported, import_files
+from gpusimbench.recorder.simulators.newton.layout import BodyLayout, Layout
 from gpusimbench.recorder.simulators.newton.options import NewtonOptions
 
 _FREE = 6  # speeds of a free joint: linear of the centre of mass, then angular, both in the world frame
 
 
-def build_model(scene: Scene, *, n_env: int, options: NewtonOptions, register: Callable[[Any], None]) -> Any:
-    """The newton.Model of n_env replicas of a scene on Warp's present device, bodies in the order of Scene.moving.
+@dataclass(frozen=True)
+class World:
+    """One environment.
 
+    builder   newton.ModelBuilder
+    layout    where the fields of a recording are
+    imported  None for registered scenes
+    """
+
+    builder: Any
+    layout: Layout
+    imported: Imported | None = None
+
+
+def one_world(scene: Scene, compiled: MjcfModel, options: NewtonOptions, register: Callable[[Any], None]) -> World:
+    """A scene in Newton's builder; bodies of a registered scene in the order of Scene.moving.
+
+    compiled  the scene as MuJoCo compiles it
     register  adds the attributes of a solver to a builder, before it has any shapes
+
+    Refused as of imported.import_files.
     """
     import newton
 
+    if isinstance(scene, ModelScene):
+
+        def prepare(builder: Any) -> None:
+            register(builder)
+            shapes = builder.default_shape_cfg  # for what a geom does not say
+            shapes.gap = detection_distance(options)
+            shapes.ke, shapes.kd, shapes.kf = options.ke, options.kd, options.kf
+
+        imported = import_files(scene, compiled, direct=options.solver == "mujoco", prepare=prepare)
+        return World(imported.builder, imported.layout, imported)
     world = newton.ModelBuilder(gravity=scene.gravity)
     register(world)
     for body in scene.bodies:
         _add(world, body, options)
-    replicas = newton.ModelBuilder(gravity=scene.gravity)
+    return World(world, BodyLayout(scene))
+
+
+def build_model(world: World, *, n_env: int, options: NewtonOptions, register: Callable[[Any], None]) -> Any:
+    """The newton.Model of n_env replicas of a world on Warp's present device; register as of one_world."""
+    import newton
+
+    replicas = newton.ModelBuilder(gravity=tuple(world.builder.gravity))
     register(replicas)
-    replicas.replicate(world, n_env)
+    replicas.replicate(world.builder, n_env)
     if options.solver == "vbd":
         replicas.color()  # groups of bodies that VBD may move at the same time
     return replicas.finalize()

@@ -7,6 +7,14 @@ from dataclasses import dataclass
 
 from gpusimbench.recorder.simulators.mujoco.options import CONES, one_of
 
+MUJOCO_SOLVERS = ("Newton", "CG")
+
+JOINT_SPACE = ("mujoco", "featherstone", "steel")
+"""Solvers whose states have coordinates of joints; those of the others are measured from poses."""
+
+FOR_MODELS = ("mujoco", "xpbd", "featherstone", "steel")
+"""Solvers that take model files; of the others, semi-implicit was tried, and a slide with a hinge on it came to NaN."""
+
 SOLVERS = ("mujoco", "xpbd", "steel", "semi-implicit", "featherstone", "vbd", "kamino")
 
 
@@ -27,6 +35,7 @@ class NewtonOptions:
                          ships (xpbd off, steel on)
     use_mujoco_contacts  mujoco: MuJoCo's collision detection instead of Newton's
     cone                 mujoco: elliptic or pyramidal friction cones
+    mujoco_solver        mujoco: of constraints: Newton or CG
     max_contacts         contacts per environment for which there is room; 0: as many as were measured, and a margin
     max_rows             mujoco, steel: the same for rows of constraints; vbd: for contacts of one body
     """
@@ -42,12 +51,14 @@ class NewtonOptions:
     restitution: str = "default"
     use_mujoco_contacts: bool = True
     cone: str = "elliptic"
+    mujoco_solver: str = "Newton"
     max_contacts: int = 0
     max_rows: int = 0
 
     def __post_init__(self) -> None:
         one_of("solver", self.solver, SOLVERS)
         one_of("cone", self.cone, CONES)
+        one_of("mujoco_solver", self.mujoco_solver, MUJOCO_SOLVERS)
         one_of("restitution", self.restitution, ("default", "on", "off"))
         if self.substeps < 1:
             raise ValueError(f"substeps is at least 1, not {self.substeps}")

@@ -10,19 +10,25 @@ from __future__ import annotations
 import gc
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gpusimbench.recorder.abilities import BODIES
+from gpusimbench.recorder.abilities import BODIES, Ability
 from gpusimbench.recorder.failure import Refused, cause_of
+from gpusimbench.recorder.options import names_of, parse_options
+from gpusimbench.recorder.scenes.actions import Streams
+from gpusimbench.recorder.scenes.base import Scene
+from gpusimbench.recorder.scenes.model.scene import ModelScene
 from gpusimbench.recorder.simulators.base import Description, Simulator, States
 from gpusimbench.recorder.simulators.evidence import Evidence
-from gpusimbench.recorder.simulators.newton.options import NewtonOptions
+from gpusimbench.recorder.simulators.mujoco.options import MjcfOptions
+from gpusimbench.recorder.simulators.newton.options import FOR_MODELS, NewtonOptions
 from gpusimbench.recorder.simulators.snapshot import COMPLETE, Envs, Snapshot, StateClaims, partial
 from gpusimbench.recorder.simulators.warp import runtime as warp_runtime
-from gpusimbench.schemas.fields import StateField, body_fields
+from gpusimbench.schemas.provenance import Deviation
 
 _BLOCK = 10  # steps in a graph; even, so that it ends with the state that it began with
 _RING_ROWS = 50
@@ -43,8 +49,9 @@ class Newton(Simulator):
     """N environments, the worlds of one newton.Model, all at the same place."""
 
     Options = NewtonOptions
-    abilities = BODIES
+    abilities = BODIES | {Ability.MODELS}
     timing_interval = _BLOCK
+    draws_actions = True
     determinism_levels = {
         "default": "as it ships: contacts, and what solvers add up by atomic operations, in the order in which the "
         "device's threads arrive",
@@ -52,6 +59,20 @@ class Newton(Simulator):
         "sorts its contacts: the same bits again on the same kind of GPU, with the same driver and Warp",
         "gpu-to-gpu": "as run-to-run, with Warp's stricter order of atomic operations, meant to hold for every GPU",
     }
+
+    @classmethod
+    def parsed(cls, name: str, scene: Scene, given: Mapping[str, str]) -> Any:
+        """See Simulator.parsed: solver mujoco is set as a model says, and 'solver' in MJCF is not Newton's."""
+        own = dict(scene.options({}, ("cone", "iterations", "solver")))
+        if own and given.get("solver", NewtonOptions.solver) == "mujoco":
+            given = {"cone": own["cone"], "iterations": own["iterations"], "mujoco_solver": own["solver"], **given}
+        return parse_options(name, cls.Options, given)
+
+    @classmethod
+    def withheld(cls, options: Any) -> dict[Ability, str]:
+        """See Simulator.withheld."""
+        takes = options.solver in FOR_MODELS
+        return {} if takes else {Ability.MODELS: f"solver={', '.join(FOR_MODELS[:-1])} or {FOR_MODELS[-1]}"}
 
     def build(self) -> Description:
         """See Simulator.build."""
@@ -62,14 +83,23 @@ class Newton(Simulator):
         import newton
         import warp as wp
 
-        from gpusimbench.recorder.simulators.newton.deviations import deviations
+        from gpusimbench.recorder.simulators.mujoco.model import compile_scene
+        from gpusimbench.recorder.simulators.newton.model import one_world
         from gpusimbench.recorder.simulators.newton.ring import Ring
         from gpusimbench.recorder.simulators.newton.sizes import choose_sizes
-        from gpusimbench.recorder.simulators.newton.solvers import in_force
+        from gpusimbench.recorder.simulators.newton.solvers import in_force, register
         from gpusimbench.recorder.simulators.newton.watch import Watch
 
         self._mode = wp.DeterministicMode[warp_runtime.MODES[level]]
-        self._sizes = choose_sizes(self.scene, dt=self.dt, seed=self.seed, options=options)
+        files = isinstance(self.scene, ModelScene)
+        physics: MjcfOptions = parse_options("mujoco", MjcfOptions, self.scene.options({}, names_of(MjcfOptions)))
+        if not files or options.solver == "mujoco":
+            physics = replace(physics, cone=options.cone)
+        compiled = compile_scene(self.scene, dt=self.dt, options=physics)
+        self._sizes = choose_sizes(self.scene, dt=self.dt, seed=self.seed, options=options, physics=physics)
+        with self._refusals():
+            self._world = one_world(self.scene, compiled, options, register(options))
+        self._compiled, self._physics = compiled, physics if files else None
         self._worlds = self._make_worlds(self.n_env)
         self._watch = Watch(self._worlds, options, self._sizes)
         self._last_step = Ring(self._worlds, self._watch, 1)  # for what is asked after `step`
@@ -77,15 +107,13 @@ class Newton(Simulator):
         self._graphs: dict[tuple[int, int, bool], Any] = {}
         self._kernels_built = False
         self._counted: Evidence | None = None
-        places = {body.name: index for index, body in enumerate(self.scene.moving())}
-        self._groups = [np.array([places[name] for name in names]) for names in self.scene.groups().values()]
         self._made = 0  # steps since the build
         self._first = self._worlds.kept()
         pipeline = self._worlds.pipeline
         return Description(
             version=newton.__version__,
             device=warp_runtime.name_of(self._device),
-            options=in_force(self._worlds.solver, options),
+            options=in_force(self._worlds.solver, options, files=files),
             switches={
                 "precision": "float32",
                 "solver": options.solver,
@@ -97,22 +125,41 @@ class Newton(Simulator):
                 "warp": wp.config.version,
                 "warnings": list(self._worlds.warnings),
             },
-            deviations=deviations(self.scene, options),
-            fields=self._fields(),
+            deviations=self._deviations(),
+            fields=self._world.layout.fields(),
             timing_covers=self._covers(),
+            attachments=compiled.attachments if files else {},
             buffers=self._watch.buffers,
             counters=self._watch.counters,
             overflow_bits=self._watch.overflow_bits,
         )
 
+    def _deviations(self) -> tuple[Deviation, ...]:
+        from gpusimbench.recorder.simulators.newton.deviations import deviations
+        from gpusimbench.recorder.simulators.newton.made import deviations_of_import
+
+        known = deviations(self.scene, self.options)
+        if self._world.imported is None:
+            return known
+        built, solver = self._worlds.model, self._worlds.solver
+        own = deviations_of_import(built, solver, self._world.imported, self._compiled.model, self.options.solver)
+        return (*(() if self.options.solver == "mujoco" else known), *own)
+
     def _make_worlds(self, n_env: int) -> Any:
+        from gpusimbench.recorder.simulators.newton.controls import ModelControls
         from gpusimbench.recorder.simulators.newton.worlds import Worlds
 
         with self._refusals():
-            return Worlds(
-                self.scene, n_env=n_env, dt=self.dt, options=self.options,
+            worlds = Worlds(
+                self._world, n_env=n_env, dt=self.dt, options=self.options, physics=self._physics,
                 sizes=self._sizes, mode=self._mode, ordered=self._ordered,
             )  # fmt: skip
+        if self.scene.actions is not None and self._world.imported is not None:
+            worlds.controls = ModelControls(
+                self.scene, self.seed, self.streams if n_env == self.n_env else Streams.usual(n_env),
+                self._world.imported, self._compiled.model, worlds.control, self.options, n_env,
+            )  # fmt: skip
+        return worlds
 
     @contextmanager
     def _refusals(self) -> Iterator[None]:
@@ -120,23 +167,22 @@ class Newton(Simulator):
         try:
             yield
         except (RuntimeError, ValueError, NotImplementedError) as error:
-            if self.determinism == "default" or cause_of(error) == "DEVICE_MEMORY":
+            if cause_of(error) == "DEVICE_MEMORY":
                 raise
-            text = " ".join(str(error).split())
-            raise Refused(
-                f"Newton's solver '{self.options.solver}' refuses determinism '{self.determinism}': {text}"
-            ) from None
-
-    def _fields(self) -> tuple[StateField, ...]:
-        notes = {"orientation": "reordered by the recorder from Newton's xyzw"}
-        return body_fields(self.scene.groups(), "float32", notes)
+            text, solver = " ".join(str(error).split()), f"Newton's solver '{self.options.solver}'"
+            if self.determinism != "default":
+                raise Refused(f"{solver} refuses determinism '{self.determinism}': {text}") from None
+            if not isinstance(self.scene, ModelScene):
+                raise
+            raise Refused(f"{solver} does not take {self.scene.file}: {text}") from None
 
     def _covers(self) -> str:
         if self._device.is_cuda:
             how = f"replay of CUDA graphs of {_BLOCK} steps (fewer for what is left over) and one synchronisation"
         else:
             how = "collision detection and solver, step by step, on the CPU"
-        return f"{how}; overflow bits are gathered on the device after each step; no state is copied"
+        drawn = "" if self.scene.actions is None else "; actions are drawn on the device"
+        return f"{how}{drawn}; overflow bits are gathered on the device after each step; no state is copied"
 
     def compile(self, phase: str) -> None:
         """See Simulator.compile: kernels are built on one throw-away environment, then graphs are captured."""
@@ -165,6 +211,7 @@ class Newton(Simulator):
         ring = Ring(spare, watch, 2)
         with self._refusals():
             for _ in range(2):
+                spare.act()
                 spare.substep()
                 watch.gather()
                 ring.store()
@@ -186,6 +233,7 @@ class Newton(Simulator):
 
     def _enqueue(self, n_step: int, storing: bool) -> None:
         for _ in range(n_step):
+            self._worlds.act()
             for _ in range(self.options.substeps):
                 self._worlds.substep()
                 self._watch.gather()
@@ -205,6 +253,11 @@ class Newton(Simulator):
             wp.capture_launch(self._graphs[size, worlds.parity, storing])
             worlds.parity = (worlds.parity + size * self.options.substeps) % 2
             n_step -= size
+
+    def prepare(self, actions: NDArray[np.float32] | None) -> None:
+        """See Simulator.prepare: actions are drawn, or copied, on the device, by the streams as they are now."""
+        if self._worlds.controls is not None:
+            self._worlds.controls.drawn.follow(self.streams)
 
     def step(self, n_step: int) -> None:
         """See Simulator.step."""
@@ -231,13 +284,23 @@ class Newton(Simulator):
         """See Simulator.restore."""
         self._put(snapshot.arrays, envs)
         if envs is None:
-            self._made = snapshot.step
+            self._go_to(snapshot.step)
 
     def reset(self, envs: Envs = None) -> None:
         """See Simulator.reset: the solver's own reset of these worlds, and the first poses and speeds."""
         self._put(self._first, envs)
         if envs is None:
-            self._made = 0
+            self._go_to(0)
+
+    def _go_to(self, step: int) -> None:
+        self._made = step
+        if self._worlds.controls is not None:
+            self._worlds.controls.drawn.step.fill_(step)
+
+    def applied(self) -> NDArray[np.float32] | None:
+        """See Simulator.applied."""
+        controls = self._worlds.controls
+        return None if controls is None else np.array(controls.ctrl.numpy())
 
     def _put(self, arrays: Mapping[str, NDArray[Any]], envs: Envs) -> None:
         rows = slice(None) if envs is None else envs
@@ -245,21 +308,14 @@ class Newton(Simulator):
         self._counted = None
 
     def set_state(self, states: States, envs: Envs = None) -> None:
-        """See Simulator.set_state: as reset, then poses and speeds of the bodies."""
+        """See Simulator.set_state: as reset, then positions and velocities."""
         self.reset(envs)
-        n_env, n_body = len(states[0]), sum(map(len, self._groups))
-        poses, speeds = np.empty((n_env, n_body, 7)), np.empty((n_env, n_body, 6))
-        left = iter(states)
-        for group in self._groups:
-            position, orientation, linear, angular = (next(left) for _ in range(4))
-            poses[:, group] = np.concatenate([position, orientation[..., [1, 2, 3, 0]]], axis=-1)
-            speeds[:, group] = np.concatenate([linear, angular], axis=-1)
-        self._worlds.place(poses, speeds, envs)
+        self._worlds.place(*self._world.layout.joined(states), envs)
 
     def state(self) -> States:
         """See Simulator.state."""
-        state = self._worlds.state
-        return tuple(array[0] for array in self._split(state.body_q.numpy()[None], state.body_qd.numpy()[None]))
+        arrays = (array.numpy().reshape(1, self.n_env, -1) for array in self._worlds.shown())
+        return tuple(array[0] for array in self._world.layout.split(*arrays))
 
     def states(self, n_step: int) -> States:
         """See Simulator.states."""
@@ -269,20 +325,10 @@ class Newton(Simulator):
             rows = min(self._ring.rows, n_step - first)
             self._ring.rewind()
             self._advance(rows, storing=True)
-            states.append(self._split(*self._ring.states(rows)))
+            states.append(self._world.layout.split(*self._ring.states(rows)))
             evidence.append(self._ring.evidence(rows))
         self._counted = _joined(evidence)
         return states[0] if len(states) == 1 else tuple(map(np.concatenate, zip(*states, strict=True)))
-
-    def _split(self, poses: NDArray[np.float32], speeds: NDArray[np.float32]) -> States:
-        """Poses [step, env * body, 7] and speeds [step, env * body, 6] as copies, the arrays of the fields."""
-        poses = poses.reshape(len(poses), self.n_env, -1, 7)
-        speeds = speeds.reshape(len(speeds), self.n_env, -1, 6)
-        arrays: list[NDArray[np.float32]] = []
-        for group in self._groups:
-            pose, speed = poses[:, :, group], speeds[:, :, group]
-            arrays += [pose[..., :3], pose[..., [6, 3, 4, 5]], speed[..., :3], speed[..., 3:]]
-        return tuple(arrays)
 
     def evidence(self) -> Evidence:
         """See Simulator.evidence."""

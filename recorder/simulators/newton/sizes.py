@@ -18,9 +18,10 @@ _MARGIN = 1.5  # Newton's collision detection makes other contacts of the same s
 _STEEL_ROWS = 2  # of a contact: one along its normal, and its part of what a patch of contacts has along the surface
 
 
-def choose_sizes(scene: Scene, *, dt: float, seed: int, options: NewtonOptions) -> Sizes:
-    """Room for what MuJoCo C needs of the same scene, and a margin; options that ask for a size get it."""
-    compiled = compile_scene(scene, dt=dt, options=MjcfOptions(cone=options.cone))
+def choose_sizes(scene: Scene, *, dt: float, seed: int, options: NewtonOptions, physics: MjcfOptions) -> Sizes:
+    """Room for what MuJoCo C needs of the same scene with these options of its physics, and a margin; options that ask
+    for a size get it."""
+    compiled = compile_scene(scene, dt=dt, options=physics)
     compiled.model.geom_gap[:] = detection_distance(options)
     need = measure(compiled, dt=dt, seed=seed)
     if options.own_contacts:

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, fields
 from typing import Any
 
+from gpusimbench.recorder.simulators.mujoco.options import MjcfOptions
 from gpusimbench.recorder.simulators.newton.model import detection_distance
 from gpusimbench.recorder.simulators.newton.options import NewtonOptions
 
@@ -42,22 +43,27 @@ def register(options: NewtonOptions) -> Callable[[Any], None]:
     return add
 
 
-def make_solver(model: Any, options: NewtonOptions, sizes: Sizes, mode: Any) -> Any:
+def make_solver(model: Any, options: NewtonOptions, physics: MjcfOptions | None, sizes: Sizes, mode: Any) -> Any:
     """The solver that the options ask for.
 
-    mode  warp.DeterministicMode; the engine raises ValueError where the solver does not have it
+    physics  options of MuJoCo's physics that a model file asks for; None of registered scenes
+    mode     warp.DeterministicMode; the engine raises ValueError where the solver does not have it
     """
     from newton import solvers
 
     chosen: dict[str, Any] = {"iterations": options.iterations} if options.iterations else {}
     match options.solver:
         case "mujoco":
+            if physics is not None:  # SolverMuJoCo's own defaults are not those of MJCF
+                chosen |= {name: getattr(physics, name) for name in ("ls_iterations", "tolerance", "impratio")}
+                chosen["integrator"] = physics.integrator.lower()
             solver = solvers.SolverMuJoCo(
                 model,
                 **chosen,
                 njmax=sizes.rows,
                 nconmax=sizes.contacts,
                 cone=options.cone,
+                solver=options.mujoco_solver.lower(),
                 use_mujoco_contacts=options.use_mujoco_contacts,
                 kinematic_switchable_roots=False,  # nothing becomes kinematic
                 deterministic=mode,
@@ -88,19 +94,22 @@ def make_solver(model: Any, options: NewtonOptions, sizes: Sizes, mode: Any) -> 
     return solvers.SolverKamino(model, config=config)
 
 
-def in_force(solver: Any, options: NewtonOptions) -> dict[str, Any]:
-    """Every option as the solver has it; None for those that it does not have."""
+def in_force(solver: Any, options: NewtonOptions, *, files: bool) -> dict[str, Any]:
+    """Every option as the solver has it; None for those that it does not have.
+
+    files  the scene is a model file, whose geoms have contact parameters of their own
+    """
     sizes = {"max_contacts", "max_rows"}  # said with the buffers
     found: dict[str, Any] = {field.name: None for field in fields(options) if field.name not in sizes}
     found |= {"solver": options.solver, "substeps": options.substeps, "device": str(solver.model.device)}
     found["gap"] = detection_distance(options)
-    return found | _of_solver(solver, options)
+    return found | _of_solver(solver, options, files)
 
 
-def _of_solver(solver: Any, options: NewtonOptions) -> dict[str, Any]:
+def _of_solver(solver: Any, options: NewtonOptions, files: bool) -> dict[str, Any]:
     match options.solver:
         case "mujoco":
-            return _mujoco(solver, options)
+            return _mujoco(solver, options, files)
         case "xpbd":
             return {
                 "iterations": solver.iterations,
@@ -138,16 +147,21 @@ def _penalty(options: NewtonOptions) -> dict[str, Any]:
     return {"ke": options.ke, "kd": options.kd, "kf": options.kf}
 
 
-def _mujoco(solver: Any, options: NewtonOptions) -> dict[str, Any]:
+def _mujoco(solver: Any, options: NewtonOptions, files: bool) -> dict[str, Any]:
     import mujoco
 
     opt, model = solver.mj_model.opt, solver.mj_model
+    of_geoms: dict[str, Any] = {}
+    if not files:  # every geom has the same
+        of_geoms = {
+            "ke": options.ke,
+            "kd": options.kd,
+            "solref": [float(number) for number in model.geom_solref[0]],
+            "solimp": [float(number) for number in model.geom_solimp[0]],
+            "condim": int(model.geom_condim[0]),
+        }
     return {
-        "ke": options.ke,
-        "kd": options.kd,
-        "solref": [float(number) for number in model.geom_solref[0]],
-        "solimp": [float(number) for number in model.geom_solimp[0]],
-        "condim": int(model.geom_condim[0]),
+        **of_geoms,
         "integrator": _word(mujoco.mjtIntegrator(opt.integrator)),
         "cone": _word(mujoco.mjtCone(opt.cone)),
         "mujoco_solver": _word(mujoco.mjtSolver(opt.solver)),

@@ -1,4 +1,4 @@
-"""N worlds of a scene in Newton: the model, its solver, its collision detection and its two states."""
+"""N worlds in Newton: the model, its solver, its collision detection and its two states."""
 
 from __future__ import annotations
 
@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gpusimbench.recorder.scenes.base import Scene
-from gpusimbench.recorder.simulators.newton.model import build_model
-from gpusimbench.recorder.simulators.newton.options import NewtonOptions
+from gpusimbench.recorder.simulators.mujoco.options import MjcfOptions
+from gpusimbench.recorder.simulators.newton.controls import ModelControls
+from gpusimbench.recorder.simulators.newton.model import World, build_model
+from gpusimbench.recorder.simulators.newton.options import JOINT_SPACE, NewtonOptions
 from gpusimbench.recorder.simulators.newton.solvers import Sizes, make_solver, register
 from gpusimbench.recorder.simulators.snapshot import Envs
 from gpusimbench.recorder.simulators.warp import worlds
@@ -27,35 +28,57 @@ class Worlds:
     solver    a newton solver
     pipeline  newton.CollisionPipeline, and
     contacts  the buffer that it fills; both None where the solver detects collisions itself
+    layout    where the fields of a recording are in its arrays
+    control   newton.Control
+    controls  what is written into it at each step; None where that is nothing
     warnings  what the engine had to say of all this
     parity    which of the two states is the present one: a step reads it and writes the other
     """
 
     def __init__(
-        self, scene: Scene, *, n_env: int, dt: float, options: NewtonOptions, sizes: Sizes, mode: Any, ordered: bool
+        self,
+        world: World,
+        *,
+        n_env: int,
+        dt: float,
+        options: NewtonOptions,
+        physics: MjcfOptions | None,
+        sizes: Sizes,
+        mode: Any,
+        ordered: bool,
     ) -> None:
         """Allocate everything on Warp's present device.
 
+        physics  options of MuJoCo's physics that a model file asks for; None of registered scenes
         mode     warp.DeterministicMode of the solver
         ordered  whether collision detection puts its contacts in order
         """
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("default")
             warnings.simplefilter("ignore", DeprecationWarning)  # of the engine against itself
-            self._allocate(scene, n_env, options, sizes, mode, ordered)
+            self._allocate(world, n_env, options, physics, sizes, mode, ordered)
         self.warnings = tuple(dict.fromkeys(str(warning.message) for warning in caught))
         self._dt = dt / options.substeps
         self.parity = 0
+        self.controls: ModelControls | None = None
 
     def _allocate(
-        self, scene: Scene, n_env: int, options: NewtonOptions, sizes: Sizes, mode: Any, ordered: bool
+        self,
+        world: World,
+        n_env: int,
+        options: NewtonOptions,
+        physics: MjcfOptions | None,
+        sizes: Sizes,
+        mode: Any,
+        ordered: bool,
     ) -> None:
         import newton
 
         self.n_env = n_env
-        self.model = build_model(scene, n_env=n_env, options=options, register=register(options))
+        self.layout = world.layout
+        self.model = build_model(world, n_env=n_env, options=options, register=register(options))
         self.model.rigid_contact_max = n_env * sizes.contacts  # before any solver sizes its own buffers by it
-        self.solver = make_solver(self.model, options, sizes, mode)
+        self.solver = make_solver(self.model, options, physics, sizes, mode)
         self.pipeline: Any = None
         self.contacts: Any = None
         if options.own_contacts:  # what it would print of its buffers is watched and recorded
@@ -64,12 +87,34 @@ class Worlds:
         self._states = (self.model.state(), self.model.state())
         for state in self._states:
             newton.eval_fk(self.model, self.model.joint_q, self.model.joint_qd, state)
-        self._control = self.model.control()
+        self.control = self.model.control()
+        self._measured: tuple[Any, Any] | None = None
+        if self.layout.names[0] == "joint_q" and options.solver not in JOINT_SPACE:
+            import warp as wp
+
+            self._measured = wp.clone(self.model.joint_q), wp.clone(self.model.joint_qd)
 
     @property
     def state(self) -> Any:
         """The present newton.State."""
         return self._states[self.parity]
+
+    def shown(self) -> tuple[Any, Any]:
+        """The present state's two arrays of the layout. Enqueued: solvers that move bodies alone have no coordinates of
+        joints, so that these are measured."""
+        import newton
+
+        state = self.state
+        if self._measured is not None:
+            newton.eval_ik(self.model, state, *self._measured)
+            return self._measured
+        positions, velocities = (getattr(state, name) for name in self.layout.names)
+        return positions, velocities
+
+    def act(self) -> None:
+        """Enqueue what actuators are given in the next step."""
+        if self.controls is not None:
+            self.controls.enqueue()
 
     def substep(self) -> None:
         """Enqueue one step of the solver."""
@@ -77,7 +122,7 @@ class Worlds:
         before.clear_forces()
         if self.pipeline is not None:
             self.pipeline.collide(before, self.contacts)
-        self.solver.step(before, after, self._control, self.contacts, self._dt)
+        self.solver.step(before, after, self.control, self.contacts, self._dt)
         self.parity = 1 - self.parity
 
     def kept(self) -> dict[str, NDArray[Any]]:
@@ -100,20 +145,24 @@ class Worlds:
             inner = {name.removeprefix("mjw."): rows for name, rows in arrays.items() if name.startswith("mjw.")}
             worlds.assign(data, inner, envs)
 
-    def place(self, poses: NDArray[np.floating], speeds: NDArray[np.floating], envs: Envs) -> None:
-        """Give the bodies of these worlds poses [env of envs, body, 7], xyzw, and speeds [env of envs, body, 6]."""
+    def place(self, positions: NDArray[np.floating], velocities: NDArray[np.floating], envs: Envs) -> None:
+        """Give these worlds a state: the two arrays of the layout, [env of envs, number]."""
         import newton
 
-        present = {"present.body_q": poses.reshape(len(poses), -1), "present.body_qd": speeds.reshape(len(speeds), -1)}
-        self.put(present, envs)
+        given = dict(zip(self.layout.names, (positions, velocities), strict=True))
+        self.put({f"present.{name}": array for name, array in given.items()}, envs)
         state = self.state
-        joint_q, joint_qd = (array.numpy().reshape(self.n_env, -1) for array in (state.joint_q, state.joint_qd))
-        newton.eval_ik(self.model, state, state.joint_q, state.joint_qd)
+        followers = [name for name in _STATE if name not in given]  # what follows from what was given
+        before = {name: getattr(state, name).numpy().reshape(self.n_env, -1).copy() for name in followers}
+        if "joint_q" in given:
+            newton.eval_fk(self.model, state.joint_q, state.joint_qd, state)
+        else:
+            newton.eval_ik(self.model, state, state.joint_q, state.joint_qd)
         rows = slice(None) if envs is None else envs
-        for array, before in ((state.joint_q, joint_q.copy()), (state.joint_qd, joint_qd.copy())):
-            whole = array.numpy().reshape(self.n_env, -1)
-            before[rows] = whole[rows]  # the others' joints keep their bits
-            array.assign(before.reshape(array.shape))
+        for name, whole in before.items():
+            array = getattr(state, name)
+            whole[rows] = array.numpy().reshape(self.n_env, -1)[rows]  # the others keep their bits
+            array.assign(whole.reshape(array.numpy().shape))
 
     @property
     def _mjw(self) -> Any:

@@ -1,4 +1,4 @@
-"""Action streams drawn on the device, bit for bit what ``recorder.scenes.actions`` draws on the host."""
+"""A scene's actions, drawn or copied on the device step by step, bit for bit what ``recorder.scenes.actions`` gives."""
 
 from __future__ import annotations
 
@@ -7,34 +7,41 @@ from typing import Any
 from gpusimbench.recorder.scenes.actions import JointTargets, Streams
 
 
-class DeviceDraw:
-    """The actions of a scene, drawn by a kernel that a graph may capture, on Warp's default device."""
+class DeviceActions:
+    """Where actions come from on Warp's present device, by kernels that a graph may capture.
+
+    step  number of the next step, an array of one
+    """
 
     def __init__(self, actions: JointTargets, seed: int, streams: Streams) -> None:
         """seed, streams  as of JointTargets.draw"""
         import warp as wp
 
+        self.step = wp.zeros(1, dtype=wp.int32)
+        self._streams = [wp.array(a, dtype=wp.uint32) for a in (streams.env, streams.begun)]
+        table = actions.table()
+        self._rows = None if table is None else wp.array(table, dtype=wp.float32)
+        if self._rows is not None:
+            return
         kinds = (wp.int32, wp.uint32, wp.float32)
         self._range = [wp.array(a, dtype=kind) for a, kind in zip(actions.grid(), kinds, strict=True)]
-        self._streams = [wp.array(a, dtype=wp.uint32) for a in (streams.env, streams.begun)]
         self._seed_word = wp.uint32(actions.seed_word(seed))
 
     def follow(self, streams: Streams) -> None:
-        """Draw by these streams from now on, also in graphs that were captured before."""
+        """Go by these streams from now on, also in graphs that were captured before."""
         for array, numbers in zip(self._streams, (streams.env, streams.begun), strict=True):
             array.assign(numbers)
 
-    def launch(self, step: Any, ctrl: Any) -> None:
-        """Into ctrl, a Warp array [env, action], the actions of the step that `step`, an array of one, holds; counts
-        it up."""
+    def enqueue(self, ctrl: Any) -> None:
+        """Write the actions of the next step into ctrl [env, action], and go on to the step after it."""
         import warp as wp
 
         from gpusimbench.recorder.simulators.warp import kernels
 
-        wp.launch(
-            kernels.draw_targets,
-            dim=ctrl.shape,
-            inputs=[self._seed_word, step, *self._streams, *self._range],
-            outputs=[ctrl],
-        )
-        wp.launch(kernels.advance, dim=1, inputs=[step])
+        if self._rows is not None:
+            inputs = [self.step, *self._streams, self._rows]
+            wp.launch(kernels.give_row, dim=ctrl.shape, inputs=inputs, outputs=[ctrl])
+        else:
+            inputs = [self._seed_word, self.step, *self._streams, *self._range]
+            wp.launch(kernels.draw_targets, dim=ctrl.shape, inputs=inputs, outputs=[ctrl])
+        wp.launch(kernels.advance, dim=1, inputs=[self.step])

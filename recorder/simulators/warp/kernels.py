@@ -47,6 +47,23 @@ def draw_targets(
 
 
 @wp.kernel(enable_backward=False)
+def give_row(
+    step: wp.array(dtype=wp.int32),
+    stream: wp.array(dtype=wp.uint32),
+    begun: wp.array(dtype=wp.uint32),
+    rows: wp.array3d(dtype=float),
+    ctrl: wp.array2d(dtype=float),
+):
+    """Row step[0] of rows [row, env or 1, action], which begin anew after the last, into ctrl [env, action], by the two
+    arrays of the environments' Streams."""
+    env, action = wp.tid()
+    now = wp.uint32(step[0])
+    if now >= begun[env]:
+        now = now - begun[env]
+    ctrl[env, action] = rows[wp.int32(now) % rows.shape[0], wp.int32(stream[env]) % rows.shape[1], action]
+
+
+@wp.kernel(enable_backward=False)
 def advance(counter: wp.array(dtype=wp.int32)):
     """counter[0] += 1"""
     counter[0] = counter[0] + 1

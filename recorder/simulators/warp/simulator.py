@@ -26,7 +26,7 @@ from gpusimbench.recorder.simulators.mujoco.options import MjcfOptions
 from gpusimbench.recorder.simulators.snapshot import COMPLETE, Envs, Snapshot, StateClaims
 from gpusimbench.recorder.simulators.warp import runtime as warp_runtime
 from gpusimbench.recorder.simulators.warp import worlds
-from gpusimbench.recorder.simulators.warp.actions import DeviceDraw
+from gpusimbench.recorder.simulators.warp.actions import DeviceActions
 from gpusimbench.recorder.simulators.warp.block import WarpBlock, evidence_of
 from gpusimbench.recorder.simulators.warp.flight import WarpFlight
 from gpusimbench.recorder.simulators.warp.transfer import Slot, Slots
@@ -117,11 +117,10 @@ class MujocoWarp(Simulator):
         if bits:
             self._model.opt.deterministic = sum(int(mjw.DeterminismType[bit]) for bit in bits)
         self._data = self._try(lambda: self._new_data(self.n_env))
-        self._step_number = wp.zeros(1, dtype=wp.int32)
+        actions = self.scene.actions
+        self._drawn = None if actions is None else DeviceActions(actions, self.seed, self.streams)
         self._row = wp.zeros(1, dtype=wp.int32)
         self._slots: Slots | None = None
-        actions = self.scene.actions
-        self._draw = None if actions is None else DeviceDraw(actions, self.seed, self.streams)
         self._graphs: dict[str, Any] = {}
         self._counted: Evidence | None = None  # of the last states; None: to be counted when asked
         return Description(
@@ -248,8 +247,8 @@ class MujocoWarp(Simulator):
     def _one_step(self) -> None:
         import mujoco_warp as mjw
 
-        if self._draw is not None:
-            self._draw.launch(self._step_number, self._data.ctrl)
+        if self._drawn is not None:
+            self._drawn.enqueue(self._data.ctrl)
         mjw.step(self._model, self._data)
 
     def _snapshot(self, slot: Slot) -> None:
@@ -288,8 +287,8 @@ class MujocoWarp(Simulator):
 
     def prepare(self, actions: NDArray[np.float32] | None) -> None:
         """See Simulator.prepare: the graph draws the actions, by the streams as they are now."""
-        if self._draw is not None:
-            self._draw.follow(self.streams)
+        if self._drawn is not None:
+            self._drawn.follow(self.streams)
 
     def step(self, n_step: int) -> None:
         """See Simulator.step."""
@@ -320,14 +319,15 @@ class MujocoWarp(Simulator):
 
     def snapshot(self) -> Snapshot:
         """See Simulator.snapshot."""
-        return Snapshot(int(self._step_number.numpy()[0]), worlds.kept(self._data))
+        step = 0 if self._drawn is None else int(self._drawn.step.numpy()[0])
+        return Snapshot(step, worlds.kept(self._data))
 
     def restore(self, snapshot: Snapshot, envs: Envs = None) -> None:
         """See Simulator.restore."""
         rows = slice(None) if envs is None else envs
         worlds.assign(self._data, {name: array[rows] for name, array in snapshot.arrays.items()}, envs)
-        if envs is None:
-            self._step_number.fill_(snapshot.step)
+        if envs is None and self._drawn is not None:
+            self._drawn.step.fill_(snapshot.step)
         self._counted = None
 
     def reset(self, envs: Envs = None) -> None:
@@ -341,8 +341,8 @@ class MujocoWarp(Simulator):
     def _begin(self, qpos: NDArray[np.float64], qvel: NDArray[np.float64], envs: Envs) -> None:
         worlds.reset(self._model, self._data, envs)
         worlds.assign(self._data, {"qpos": qpos, "qvel": qvel}, envs)
-        if envs is None:
-            self._step_number.zero_()
+        if envs is None and self._drawn is not None:
+            self._drawn.step.zero_()
         self._counted = None
 
     def begin_states(self, n_step: int) -> WarpBlock:

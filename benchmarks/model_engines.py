@@ -1,0 +1,119 @@
+"""Which of Gymnasium's models run on which engine, and how far from MuJoCo C they are after some steps.
+
+usage: python -m benchmarks.model_engines [--models NAME,NAME] [--engines NAME,NAME] [--steps 20]
+
+Each engine runs in a process of its own, on the CPU, with two environments and random controls, the same for all
+engines. A cell is the largest difference of a position, orientation or joint coordinate from MuJoCo C after the steps
+[m, rad], what of the model the engine has otherwise, or why it was refused. Where an engine does not know the file's
+constraint solver (PGS), it is asked for Newton instead, which is marked with *. Prints a Markdown table, which
+docs/how-to/my-robot.md has.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import subprocess
+import sys
+from collections.abc import Mapping
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gpusimbench.recorder.failure import Refused
+from gpusimbench.recorder.scenes.model.scene import ModelScene, model_scene
+from gpusimbench.recorder.simulators.registry import find_simulator
+from gpusimbench.schemas.errors import UsageError
+from gpusimbench.schemas.model_files import pack
+
+ENGINES: dict[str, tuple[str, dict[str, str], dict[str, str]]] = {
+    "warp": ("warp", {}, {"solver": "Newton"}),
+    "mjx": ("mjx", {}, {"solver": "Newton"}),
+    "newton": ("newton", {}, {"mujoco_solver": "Newton"}),
+    "newton-xpbd": ("newton", {"solver": "xpbd"}, {}),
+    "newton-featherstone": ("newton", {"solver": "featherstone"}, {}),
+}
+"""By name of a column, the simulator, its options, and those that replace a constraint solver that it does not know."""
+
+N_ENV = 2
+_COMPARED = ("position", "orientation", "qpos")
+_EXPECTED = ("option", "contact.solref", "contact.friction_combination", "option.disableflags")
+"""Deviations that every model has on an engine, or none that moves."""
+
+
+def main() -> None:
+    """Measure and print."""
+    p = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    p.add_argument("--models", default="")
+    p.add_argument("--engines", default=",".join(ENGINES))
+    p.add_argument("--steps", type=int, default=20)
+    p.add_argument("--one", help=argparse.SUPPRESS)
+    asked = p.parse_args()
+    models = [path for path in _models() if not asked.models or path.stem in asked.models.split(",")]
+    if asked.one:
+        for path in models:
+            print(json.dumps([path.stem, _cell(path, asked.one, asked.steps)]), flush=True)
+        return
+    columns = {}
+    for engine in asked.engines.split(","):
+        again = [sys.executable, "-m", "benchmarks.model_engines", "--one", engine, "--steps", str(asked.steps)]
+        chosen = ["--models", ",".join(path.stem for path in models)]
+        said = subprocess.run([*again, *chosen], capture_output=True, text=True, check=False).stdout
+        columns[engine] = dict(json.loads(line) for line in said.splitlines() if line.startswith("["))
+    print("| model | " + " | ".join(columns) + " |")
+    print("| --- |" + " --- |" * len(columns))
+    for path in models:
+        cells = [column.get(path.stem, "the engine's process ended") for column in columns.values()]
+        print(f"| {path.stem} | " + " | ".join(cells) + " |")
+
+
+def _models() -> list[Path]:
+    found = find_spec("gymnasium")
+    if found is None:
+        raise SystemExit("gymnasium is not installed: pip install gymnasium")
+    return sorted((Path(str(found.origin)).parent / "envs" / "mujoco" / "assets").glob("*.xml"))
+
+
+def _cell(path: Path, engine: str, steps: int) -> str:
+    simulator, options, instead = ENGINES[engine]
+    scene = model_scene(path.stem, pack(path))
+    wanted, _ = _run("mujoco", scene, {}, steps)
+    marks = ("", "*") if instead and scene.solver["solver"] == "PGS" else ("",)
+    for mark in marks:
+        try:
+            found, lost = _run(simulator, scene, {**options, **(instead if mark else {})}, steps)
+        except (Refused, UsageError) as error:
+            reason = f"refused: {str(error).partition('; an option of')[0]}"
+            continue
+        off = max(float(np.abs(a - b).max()) for a, b in zip(found, wanted, strict=True))
+        return (
+            f"{off:.0e}{mark}" + (f"; {', '.join(lost)}" if lost else "") if np.isfinite(off) else f"not finite{mark}"
+        )
+    return reason.replace("|", "/")
+
+
+def _run(
+    simulator: str, scene: ModelScene, options: Mapping[str, str], steps: int
+) -> tuple[list[np.ndarray[Any, Any]], list[str]]:
+    """Positions after the steps, and what of the model is otherwise."""
+    adapter = find_simulator(simulator).load()
+    parsed = adapter.parsed(simulator, scene, options)
+    if refusal := adapter.refusal(simulator, scene, parsed):
+        raise UsageError(refusal)
+    made = adapter(scene, n_env=N_ENV, dt=scene.dt, seed=0, options=parsed)
+    try:
+        description = made.build()
+        if scene.actions is not None and not made.draws_actions:
+            made.prepare(scene.actions.draw(0, n_env=N_ENV, first_step=0, n_step=steps))
+        made.step(steps)
+        states = made.state()
+    finally:
+        made.close()
+    chosen = [a for f, a in zip(description.fields, states, strict=True) if f.field in _COMPARED]
+    return chosen, [d.parameter for d in description.deviations if d.parameter not in _EXPECTED]
+
+
+if __name__ == "__main__":
+    main()

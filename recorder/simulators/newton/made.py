@@ -1,0 +1,328 @@
+"""What Newton made of a model file, in the terms of MuJoCo's compiled model, and what of it is not as MuJoCo has it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from gpusimbench.recorder.scenes.model.contents import choices, solver_options
+from gpusimbench.recorder.simulators.newton.imported import Imported
+from gpusimbench.schemas.provenance import Deviation
+
+Quantities = dict[str, NDArray[np.float64]]
+"""Arrays by dotted name, "body.mass" or "joint.damping": a row for each body but the world, or for each joint that is
+not free, in MuJoCo's order."""
+
+_UNREAD = {
+    "xpbd": ("armature", "damping", "frictionloss", "stiffness"),
+    "featherstone": ("frictionloss",),
+    "steel": ("stiffness",),
+}
+"""By solver, what of joints it does not read (newton 1.8.0, _src/solvers)."""
+
+_UNLIMITED = 1e9  # beyond it, Newton's limits stand for none
+_RELATIVE, _ABSOLUTE = 5e-5, 1e-7  # of single precision, with which Newton computes all of this
+_SHOWN = 4  # items of a deviation
+
+_NUMBERS = (
+    "iterations", "ls_iterations", "tolerance", "impratio", "density", "viscosity", "wind", "magnetic", "gravity",
+)  # fmt: skip
+_ACTUATOR = (
+    "trntype", "dyntype", "gaintype", "biastype", "gear", "gainprm", "biasprm", "dynprm", "ctrllimited", "ctrlrange",
+    "forcelimited", "forcerange", "actlimited", "actrange",
+)  # fmt: skip
+_GEOM = ("type", "size", "friction", "condim", "solref", "solimp", "margin", "gap", "priority")
+_WRAP = ("type", "prm")
+_TENDON = ("num", "stiffness", "damping", "frictionloss", "limited", "range")
+_EQUALITY = ("type", "data", "solref", "solimp", "active0")
+
+
+def as_mujoco_has_it(model: Any) -> Quantities:
+    """The quantities of a mujoco.MjModel [SI]. Inertias are about the centre of mass, in the body's frame, [body, 9];
+    ranges are infinite where joints have none."""
+    joints = _joints(model)
+    dofs = model.jnt_dofadr[joints]
+    turned = np.stack([_rotation(quaternion) for quaternion in model.body_iquat])
+    inertia = np.einsum("bij,bj,bkj->bik", turned, model.body_inertia, turned)
+    limited = np.asarray(model.jnt_limited[joints], dtype=bool)[:, None]
+    return {
+        "body.mass": model.body_mass[1:, None].copy(),
+        "body.centre_of_mass": model.body_ipos[1:].copy(),
+        "body.inertia": inertia[1:].reshape(-1, 9),
+        "joint.anchor": np.where(_turning(model, joints), model.jnt_pos[joints], 0.0),
+        "joint.axis": np.where(_simple(model, joints), model.jnt_axis[joints], 0.0),
+        "joint.range": np.where(limited, model.jnt_range[joints], (-np.inf, np.inf)),
+        "joint.armature": model.dof_armature[dofs][:, None],
+        "joint.damping": model.dof_damping[dofs][:, None],
+        "joint.frictionloss": model.dof_frictionloss[dofs][:, None],
+        "joint.stiffness": model.jnt_stiffness[joints][:, None],
+        "joint.spring_reference": _springs(model, joints, model.qpos_spring[model.jnt_qposadr[joints]]),
+    }
+
+
+def as_newton_has_it(newton_model: Any, imported: Imported, model: Any, solver: str) -> Quantities:
+    """The same of a newton.Model, the first of its worlds, as far as the solver reads it: what it does not is zero.
+
+    model  the mujoco.MjModel that MuJoCo itself makes of the file
+    """
+    joints = _joints(model)
+    bodies = imported.bodies[1:]
+    q, qd, own = imported.at_q[joints], imported.at_qd[joints], imported.joints[joints]
+    inertia = newton_model.body_inertia.numpy()[bodies].reshape(-1, 9)
+    anchors = newton_model.joint_X_c.numpy()[own, :3]
+    reference = model.qpos0[model.jnt_qposadr[joints]]
+    limits = np.stack([getattr(newton_model, f"joint_limit_{end}").numpy()[qd] for end in ("lower", "upper")], axis=1)
+    balls = model.jnt_type[joints] == mujoco.mjtJoint.mjJNT_BALL
+    limits = np.where((np.abs(limits) >= _UNLIMITED) | balls[:, None], (-np.inf, np.inf), limits + reference[:, None])
+    found = {
+        "body.mass": newton_model.body_mass.numpy()[bodies][:, None],
+        "body.centre_of_mass": newton_model.body_com.numpy()[bodies],
+        "body.inertia": inertia,
+        "joint.anchor": np.where(_turning(model, joints), anchors, 0.0),
+        "joint.axis": np.where(_simple(model, joints), newton_model.joint_axis.numpy()[qd], 0.0),
+        "joint.range": limits,
+        "joint.armature": newton_model.joint_armature.numpy()[qd][:, None],
+        "joint.damping": newton_model.joint_damping.numpy()[qd][:, None],
+        "joint.frictionloss": newton_model.joint_friction.numpy()[qd][:, None],
+        "joint.stiffness": newton_model.joint_stiffness.numpy()[qd][:, None],
+        "joint.spring_reference": _springs(model, joints, newton_model.joint_rest_q.numpy()[q] + reference),
+    }
+    for name in _UNREAD.get(solver, ()):
+        found[f"joint.{name}"] = np.zeros_like(found[f"joint.{name}"])
+    return {name: array.astype(np.float64) for name, array in found.items()}
+
+
+def deviations_of_import(newton_model: Any, solver: Any, imported: Imported, model: Any, name: str) -> list[Deviation]:
+    """Where a model in Newton is not as MuJoCo compiles it.
+
+    solver  that was made of newton_model
+    name    of the solver
+    """
+    unread = _UNREAD.get(name, ())
+    wanted, found = as_mujoco_has_it(model), as_newton_has_it(newton_model, imported, model, name)
+    items = {"body": _bodies(model), "joint": [_joint(model, j) for j in _joints(model)]}
+    said: list[Deviation] = []
+    for quantity, array in wanted.items():
+        kind, _, what = quantity.partition(".")
+        reason = f"solver {name} has no {what}" if what in unread else "so Newton's importer makes it"
+        said += _different(quantity, items[kind], (array, found[quantity]), reason)
+    if name == "mujoco":
+        return said + list(_of_mujoco(solver, imported, model))
+    return said + list(_not_of_others(model, name))
+
+
+def _of_mujoco(solver: Any, imported: Imported, model: Any) -> Iterator[Deviation]:
+    """What SolverMuJoCo's own mujoco.MjModel has otherwise, beyond bodies and joints."""
+    made = solver.mj_model
+    reason = "so Newton's importer and SolverMuJoCo make it"
+    for option in _NUMBERS:
+        values = [np.atleast_1d(getattr(m.opt, option)).astype(float)[None] for m in (model, made)]
+        yield from _different(f"option.{option}", [""], values, reason)
+    for option, words in _words().items():
+        said = [", ".join(w for w, at in words.items() if _has(m.opt, option, at)) or "none" for m in (model, made)]
+        if said[0] != said[1]:
+            yield Deviation(f"option.{option}", said[0], said[1], reason)
+    actuators = [model.actuator(a).name or f"actuator{a}" for a in range(model.nu)]
+    yield from _table("actuator", _ACTUATOR, actuators, model, made, reason)
+    places = solver.mjc_jnt_to_newton_dof.numpy()[0]
+    targets = [_target(m, at) for m, at in ((model, imported.at_qd), (made, places))]
+    yield from _different("actuator.target", actuators, [t[:, None] for t in targets], reason)
+    tendons = [model.tendon(t).name or f"tendon{t}" for t in range(model.ntendon)]
+    yield from _table("tendon", _TENDON, tendons, model, made, reason)
+    if model.nwrap == made.nwrap:
+        yield from _table("wrap", _WRAP, [str(w) for w in range(model.nwrap)], model, made, reason)
+    yield from _table(
+        "eq", _EQUALITY, [model.equality(e).name or f"{e}" for e in range(model.neq)], model, made, reason
+    )
+    at = np.full(made.nbody, -1)
+    of_newton = solver.mjc_body_to_newton.numpy()[0]
+    for body, newton_body in enumerate(of_newton):
+        found = np.flatnonzero(imported.bodies == newton_body)
+        at[body] = found[0] if len(found) else 0
+    yield from _contacts(model, made, at, reason)
+
+
+def _words() -> dict[str, dict[str, int]]:
+    """Options that are a choice, and flags, by the words for them; MuJoCo's numbers."""
+    flags: dict[str, dict[str, int]] = {}
+    for option, kind, prefix in (
+        ("disableflags", mujoco.mjtDisableBit, "mjDSBL_"),
+        ("enableflags", mujoco.mjtEnableBit, "mjENBL_"),
+    ):
+        names = [name for name in dir(kind) if name.startswith(prefix) and name != "mjDSBL_AUTORESET"]  # engines set it
+        flags[option] = {name.removeprefix(prefix).lower(): int(getattr(kind, name)) for name in names}
+    return {**choices(), **flags}
+
+
+def _has(options: Any, option: str, number: int) -> bool:
+    value = int(getattr(options, option))
+    return bool(value & number) if option.endswith("flags") else value == number
+
+
+def _contacts(model: Any, made: Any, at: NDArray[np.int64], reason: str) -> Iterator[Deviation]:
+    """Shapes that collide, body by body, and pairs of bodies that may; at is by body of `made`, that of `model`."""
+    names = ["world", *_bodies(model)]
+    for body in range(model.nbody):
+        own = [_colliding(model, body), _colliding(made, int(np.flatnonzero(at == body)[0]))]
+        if len(own[0]) != len(own[1]):
+            yield Deviation(f"{names[body]}.shapes", f"{len(own[0])} that collide", str(len(own[1])), reason)
+        if len(own[0]) != len(own[1]) or not own[0]:
+            continue
+        for what in _GEOM:
+            if what == "size":
+                sizes = [_sizes(m, geoms) for m, geoms in zip((model, made), own, strict=True)]
+            else:
+                sizes = [getattr(m, f"geom_{what}")[geoms] for m, geoms in zip((model, made), own, strict=True)]
+            rows = [np.asarray(a, dtype=float).reshape(len(geoms), -1) for a, geoms in zip(sizes, own, strict=True)]
+            labels = [model.geom(g).name or f"geom{g}" for g in own[0]]
+            yield from _different(f"{names[body]}.{what}", labels, rows, reason)
+    wanted, used = _pairs(model, np.arange(model.nbody)), _pairs(made, at)
+    for pairs, word in ((wanted - used, "collide"), (used - wanted, "do not collide")):
+        if pairs:
+            listed = [f"{names[a]} and {names[b]}" for a, b in sorted(pairs)]
+            opposite = "do not collide" if word == "collide" else "collide"
+            yield Deviation("contact.pairs", f"{_some(listed)} {word}", opposite, reason)
+
+
+def _not_of_others(model: Any, name: str) -> Iterator[Deviation]:
+    """What solvers other than MuJoCo's have nothing for."""
+    options = ", ".join(f"{key} {value}" for key, value in solver_options(model).items())
+    yield Deviation("option", options, f"those of solver {name}", "they are of MuJoCo's integrator and solver")
+    fluid = {key: getattr(model.opt, key) for key in ("density", "viscosity")}
+    for key, value in fluid.items():
+        if value:
+            yield Deviation(f"option.{key}", f"{value:g}", "0", f"solver {name} has no forces of a medium")
+    for t in range(model.ntendon):
+        words = ("stiffness", "damping", "frictionloss", "limited")
+        if has := [w for w in words if np.any(getattr(model, f"tendon_{w}")[t])]:
+            label = model.tendon(t).name or f"tendon{t}"
+            yield Deviation(f"{label}.{has[0]}", "of a tendon", "none", f"solver {name} has no tendons")
+    if np.any(model.body_gravcomp):
+        yield Deviation("body.gravcomp", _some(_bodies(model)), "0", f"solver {name} has no compensation of gravity")
+    if np.any(model.jnt_actfrclimited):
+        yield Deviation("joint.actuatorfrcrange", "limited", "unlimited", f"solver {name} does not limit drives")
+    yield Deviation(
+        "contact.solref", "of each geom", "ke and kd of each shape, where the solver has them",
+        f"solver {name} has contacts of its own: no solimp, condim, margin or priority",
+    )  # fmt: skip
+
+
+def _table(
+    kind: str, names: tuple[str, ...], items: list[str], model: Any, made: Any, reason: str
+) -> Iterator[Deviation]:
+    wanted, used = (len(getattr(m, f"{kind}_{names[0]}")) for m in (model, made))
+    if wanted != used:
+        yield Deviation(f"{kind}.count", str(wanted), str(used), reason)
+    if wanted != used or not wanted:
+        return
+    for name in names:
+        rows = [np.asarray(getattr(m, f"{kind}_{name}"), dtype=float).reshape(wanted, -1) for m in (model, made)]
+        yield from _different(f"{kind}.{name}", items, rows, reason)
+
+
+def _different(parameter: str, items: list[str], arrays: Sequence[NDArray[Any]], reason: str) -> Iterator[Deviation]:
+    """A deviation for the rows of two arrays, wanted and used, that differ by more than single precision explains, if
+    any do."""
+    wanted, used = arrays
+    if not wanted.size:
+        return
+    finite = np.abs(wanted[np.isfinite(wanted)])
+    allowed = np.maximum(_RELATIVE * np.max(np.where(np.isfinite(wanted), np.abs(wanted), 0), axis=1), _ABSOLUTE * (
+        1 if not finite.size else min(1.0, float(finite.max()) or 1.0)))  # fmt: skip
+    with np.errstate(invalid="ignore"):
+        off = np.where(wanted == used, 0.0, np.abs(wanted - used))
+    rows = np.flatnonzero((off > allowed[:, None]).any(axis=1))
+    if len(rows):
+        texts = [
+            [f"{items[row]} {' '.join(f'{x:.6g}' for x in array[row])}".strip() for row in rows]
+            for array in (wanted, used)
+        ]
+        yield Deviation(parameter, _some(texts[0]), _some(texts[1]), reason)
+
+
+def _some(texts: list[str]) -> str:
+    more = f" and {len(texts) - _SHOWN} more" if len(texts) > _SHOWN else ""
+    return ", ".join(texts[:_SHOWN]) + more
+
+
+def _joints(model: Any) -> NDArray[np.int64]:
+    return np.flatnonzero(model.jnt_type != mujoco.mjtJoint.mjJNT_FREE)
+
+
+def _joint(model: Any, joint: int) -> str:
+    return str(model.joint(joint).name or f"joint{joint}")
+
+
+def _bodies(model: Any) -> list[str]:
+    return [str(model.body(body).name or f"body{body}") for body in range(1, model.nbody)]
+
+
+def _turning(model: Any, joints: NDArray[np.int64]) -> NDArray[np.bool_]:
+    return np.asarray(model.jnt_type[joints] != mujoco.mjtJoint.mjJNT_SLIDE)[:, None]
+
+
+def _simple(model: Any, joints: NDArray[np.int64]) -> NDArray[np.bool_]:
+    return np.asarray(model.jnt_type[joints] != mujoco.mjtJoint.mjJNT_BALL)[:, None]
+
+
+def _springs(model: Any, joints: NDArray[np.int64], reference: NDArray[Any]) -> NDArray[np.float64]:
+    # where there is a spring
+    return np.where(_simple(model, joints)[:, 0] & (model.jnt_stiffness[joints] != 0), reference, 0.0)[:, None]
+
+
+def _rotation(quaternion: NDArray[np.float64]) -> NDArray[np.float64]:
+    matrix = np.zeros(9)
+    mujoco.mju_quat2Mat(matrix, quaternion)
+    return matrix.reshape(3, 3)
+
+
+def _target(model: Any, at_qd: NDArray[np.int64]) -> NDArray[np.float64]:
+    of_joints = np.isin(model.actuator_trntype, [mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT])
+    targets = np.where(of_joints, model.actuator_trnid[:, 0], 0)
+    return np.where(of_joints, at_qd[targets] if len(at_qd) else 0, -1).astype(float)
+
+
+def _colliding(model: Any, body: int) -> list[int]:
+    return [
+        g for g in range(model.ngeom)
+        if model.geom_bodyid[g] == body and (model.geom_contype[g] or model.geom_conaffinity[g])
+    ]  # fmt: skip
+
+
+def _sizes(model: Any, geoms: list[int]) -> NDArray[np.float64]:
+    # of planes nothing, as those of engines have no edge; of meshes their number of points
+    sizes = np.array(model.geom_size[geoms], dtype=float).reshape(-1, 3)
+    kinds = model.geom_type[geoms]
+    sizes[kinds == mujoco.mjtGeom.mjGEOM_PLANE] = 0
+    sizes[kinds == mujoco.mjtGeom.mjGEOM_MESH] = 0
+    for kind, used in ((mujoco.mjtGeom.mjGEOM_SPHERE, 1), (mujoco.mjtGeom.mjGEOM_CAPSULE, 2)):
+        sizes[kinds == kind, used:] = 0
+    return sizes
+
+
+def _pairs(model: Any, at: NDArray[np.int64]) -> set[tuple[int, int]]:
+    """Pairs of bodies, by their numbers in `at`, that may touch as MuJoCo decides it."""
+    excluded = {(int(s) >> 16, int(s) & 0xFFFF) for s in model.exclude_signature}
+    parents_apart = not int(model.opt.disableflags) & int(mujoco.mjtDisableBit.mjDSBL_FILTERPARENT)
+    found: set[tuple[int, int]] = set()
+    shapes = [_colliding(model, body) for body in range(model.nbody)]
+    weld = model.body_weldid
+    for a in range(model.nbody):
+        for b in range(a + 1, model.nbody):
+            if weld[a] == weld[b] or (a, b) in excluded or (b, a) in excluded:
+                continue
+            up_a, up_b = (weld[model.body_parentid[weld[body]]] for body in (a, b))
+            if parents_apart and weld[a] and weld[b] and (weld[a] == up_b or weld[b] == up_a):
+                continue
+            if any(_may_touch(model, g, h) for g in shapes[a] for h in shapes[b]):
+                found.add((min(int(at[a]), int(at[b])), max(int(at[a]), int(at[b]))))
+    return found
+
+
+def _may_touch(model: Any, a: int, b: int) -> bool:
+    kind, with_ = model.geom_contype, model.geom_conaffinity
+    return bool(kind[a] & with_[b] or kind[b] & with_[a])

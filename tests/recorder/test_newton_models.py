@@ -1,0 +1,372 @@
+"""Model files on Newton: layout, states, controls and energy against MuJoCo's, and what Newton has otherwise."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+
+pytest.importorskip("newton")
+
+from gpusimbench.recorder.failure import Refused
+from gpusimbench.recorder.options import names_of, parse_options
+from gpusimbench.recorder.scenes.model.scene import ModelScene, model_scene
+from gpusimbench.recorder.simulators.mujoco.drives import Places, drives
+from gpusimbench.recorder.simulators.mujoco.model import MjcfModel, compile_scene
+from gpusimbench.recorder.simulators.mujoco.options import MjcfOptions
+from gpusimbench.recorder.simulators.newton.options import FOR_MODELS
+from gpusimbench.schemas.errors import ExitCode, UsageError
+from gpusimbench.schemas.model_files import pack
+from tests.conftest import call
+from tests.recorder import engines
+
+WALKER = Path(__file__).parents[2] / "examples" / "walker" / "walker.xml"
+
+
+def _gymnasium(name: str) -> Path:
+    found = find_spec("gymnasium")
+    if found is None:
+        pytest.skip("gymnasium is not installed")
+    return Path(str(found.origin)).parent / "envs" / "mujoco" / "assets" / f"{name}.xml"
+
+
+def _scene(path: Path, **more: str) -> ModelScene:
+    return model_scene(path.stem, pack(path), **more)
+
+
+def _written(folder: Path, body: str, rest: str = "") -> Path:
+    path = folder / "robot.xml"
+    path.write_text(f"<mujoco><worldbody>{body}</worldbody>{rest}</mujoco>")
+    return path
+
+
+def _imported(scene: ModelScene, solver: str = "mujoco") -> tuple[Any, MjcfModel]:
+    from gpusimbench.recorder.simulators.newton.model import one_world
+    from gpusimbench.recorder.simulators.newton.options import NewtonOptions
+    from gpusimbench.recorder.simulators.newton.solvers import register
+    from gpusimbench.recorder.simulators.warp import runtime
+
+    runtime.start("cpu")
+    own = parse_options("mujoco", MjcfOptions, scene.options({}, names_of(MjcfOptions)))
+    compiled = compile_scene(scene, dt=scene.dt, options=own)
+    options = NewtonOptions(solver=solver)
+    return one_world(scene, compiled, options, register(options)), compiled
+
+
+def _places(world: Any) -> Places:
+    return Places(world.imported.at_q, world.imported.at_qd, world.builder.joint_dof_count)
+
+
+def _random_state(compiled: MjcfModel, seed: int) -> tuple[Any, tuple[Any, ...]]:
+    """A mujoco.MjData with a random state of everything that moves, and that state as a recording has it."""
+    rng = np.random.default_rng(seed)
+    model, data = compiled.model, mujoco.MjData(compiled.model)
+    mujoco.mj_integratePos(model, data.qpos, rng.normal(size=model.nv), 1.0)
+    data.qvel[:] = rng.normal(size=model.nv)
+    mujoco.mj_forward(model, data)
+    return data, compiled.split(data.qpos[None], data.qvel[None])
+
+
+MODELS = [WALKER, *(name for name in ("ant", "humanoid", "half_cheetah", "reacher", "swimmer", "inverted_pendulum"))]
+
+
+@pytest.mark.parametrize("which", MODELS, ids=lambda which: which if isinstance(which, str) else which.stem)
+def test_kinematics(which: Path | str) -> None:
+    """Put the bodies of random states where MuJoCo puts them, as fast and turning as fast, and read the states back:
+    quaternions, frames of velocities, centres of mass and reference angles are all taken as Newton means them."""
+    import newton
+    import warp as wp
+
+    scene = _scene(which if isinstance(which, Path) else _gymnasium(which))
+    world, compiled = _imported(scene)
+    model = world.builder.finalize(device="cpu")
+    state = model.state()
+    for seed in range(5):
+        data, given = _random_state(compiled, seed)
+        joint_q, joint_qd = world.layout.joined(given)
+        q, qd = (wp.array(a[0].astype(np.float32), device="cpu") for a in (joint_q, joint_qd))
+        newton.eval_fk(model, q, qd, state)
+        bodies = world.imported.bodies[1:]
+        poses, velocities = state.body_q.numpy()[bodies], state.body_qd.numpy()[bodies]
+        np.testing.assert_allclose(poses[:, :3], data.xpos[1:], atol=2e-5)
+        turned = np.abs(np.sum(poses[:, [6, 3, 4, 5]] * data.xquat[1:], axis=1))
+        np.testing.assert_allclose(turned, 1, atol=1e-5)
+        for body, velocity in enumerate(velocities, start=1):
+            found = np.zeros(6)  # angular, then linear of the centre of mass
+            mujoco.mj_objectVelocity(compiled.model, data, mujoco.mjtObj.mjOBJ_BODY, body, found, 0)
+            np.testing.assert_allclose(velocity[3:], found[:3], atol=5e-5)
+            np.testing.assert_allclose(velocity[:3], found[3:], atol=2e-4)
+        back = world.layout.split(q.numpy()[None, None], qd.numpy()[None, None])
+        for field, a, b in zip(world.layout.fields(), back, given, strict=True):
+            np.testing.assert_allclose(a[0], b, atol=2e-5, err_msg=field.name)
+
+
+@pytest.fixture(scope="module")
+def walker() -> Iterator[tuple[Any, Any, Any, Any]]:
+    """The walker on Newton's solver mujoco: simulator, description, states of 40 steps, and those of MuJoCo C."""
+    scene = _scene(WALKER)
+    newton, description = engines.build("newton", scene, n_env=3)
+    other, _ = engines.build("mujoco", scene, n_env=3)
+    assert scene.actions is not None
+    other.prepare(scene.actions.draw(0, n_env=3, first_step=0, n_step=40))
+    newton.compile("capture")
+    yield newton, description, newton.states(40), other.states(40)
+    newton.close()
+
+
+def test_the_same_motion(walker: tuple[Any, Any, Any, Any]) -> None:
+    """Move as on MuJoCo C under the same controls, in the same layout: position, velocity and torque actuators, one of
+    them on a tendon, a floating base, a ball joint, a free body and a mesh."""
+    simulator, description, states, others = walker
+    other, _ = engines.build("mujoco", simulator.scene, n_env=3)
+    names = [(f.name, f.items, f.units, f.frame, f.components) for f in description.fields]
+    assert names == [(f.name, f.items, f.units, f.frame, f.components) for f in other._compiled.fields("float32")]
+    for field, a, b in zip(description.fields, states, others, strict=True):
+        assert a.dtype == np.float32
+        atol = 1e-3 if "vel" in field.name else 2e-5
+        np.testing.assert_allclose(a, b, rtol=1e-5, atol=atol, err_msg=field.name)
+    assert (states[0][-1, 0] != states[0][-1, 1]).any()  # environments have controls of their own
+    evidence = simulator.evidence()
+    assert evidence.overflow is not None
+    assert not evidence.overflow.any()
+    assert evidence.counts["contacts"].max() > 0
+
+
+def test_its_controls(walker: tuple[Any, Any, Any, Any]) -> None:
+    """Hold the controls that are drawn for the last step, to the bit."""
+    simulator = walker[0]
+    drawn = simulator.scene.actions.draw(0, n_env=3, first_step=39, n_step=1)[0]
+    np.testing.assert_array_equal(simulator.applied(), drawn)
+
+
+def test_what_it_has_otherwise(walker: tuple[Any, Any, Any, Any]) -> None:
+    """Say of the walker that nothing is lost but what SolverMuJoCo switches off."""
+    assert {d.parameter for d in walker[1].deviations} == {"option.disableflags"}
+
+
+def test_its_states(walker: tuple[Any, Any, Any, Any]) -> None:
+    """Save, restore and set states of some worlds; the others keep their bits, and steps go on the same way."""
+    simulator = walker[0]
+    saved = simulator.snapshot()
+    after = simulator.states(3)
+    simulator.restore(saved)
+    again = simulator.states(3)
+    assert all(a.tobytes() == b.tobytes() for a, b in zip(after, again, strict=True))
+    simulator.restore(saved)
+    before = simulator.state()
+    _, given = _random_state(simulator._compiled, 3)
+    simulator.set_state(given, np.array([1]))
+    for field, was, now, wanted in zip(simulator._world.layout.fields(), before, simulator.state(), given, strict=True):
+        np.testing.assert_allclose(now[1], wanted[0], atol=1e-5, err_msg=field.name)
+        assert now[[0, 2]].tobytes() == was[[0, 2]].tobytes()
+
+
+def test_energy() -> None:
+    """Begin with MuJoCo's mass and energy, in every Gymnasium model whose bodies are imported as MuJoCo has them."""
+    for name in ("ant", "hopper", "inverted_double_pendulum", "reacher", "swimmer", "walker2d"):
+        world, compiled = _imported(_scene(_gymnasium(name)))
+        data, given = _random_state(compiled, 1)
+        if name in ("hopper", "walker2d"):  # whose rooty turns about another point, see below
+            data.qpos[:], data.qvel[:] = compiled.qpos0, 0
+            mujoco.mj_forward(compiled.model, data)
+            given = compiled.split(data.qpos[None], data.qvel[None])
+        compiled.model.opt.enableflags |= int(mujoco.mjtEnableBit.mjENBL_ENERGY)
+        mujoco.mj_forward(compiled.model, data)
+        assert not compiled.model.jnt_stiffness.any()
+        potential, kinetic = _energy(world, given, compiled.scene.gravity)
+        assert sum(world.builder.body_mass) == pytest.approx(compiled.model.body_mass.sum(), rel=1e-6)
+        assert potential == pytest.approx(data.energy[0], rel=1e-4, abs=1e-4)
+        assert kinetic == pytest.approx(data.energy[1], rel=1e-3, abs=1e-4)
+
+
+def _energy(world: Any, given: tuple[Any, ...], gravity: tuple[float, ...]) -> tuple[float, float]:
+    import newton
+    import warp as wp
+
+    model = world.builder.finalize(device="cpu")
+    state = model.state()
+    arrays = (wp.array(a[0].astype(np.float32), device="cpu") for a in world.layout.joined(given))
+    newton.eval_fk(model, *arrays, state)
+    poses, velocities = state.body_q.numpy().astype(float), state.body_qd.numpy().astype(float)
+    mass, inertia, centres = (getattr(model, f"body_{name}").numpy() for name in ("mass", "inertia", "com"))
+    potential = kinetic = 0.0
+    for body, (pose, velocity) in enumerate(zip(poses, velocities, strict=True)):
+        turn = np.zeros(9)
+        mujoco.mju_quat2Mat(turn, pose[[6, 3, 4, 5]])
+        turn = turn.reshape(3, 3)
+        centre = pose[:3] + turn @ centres[body]
+        potential -= mass[body] * float(np.dot(gravity, centre))
+        turning = turn.T @ velocity[3:]
+        kinetic += mass[body] * float(velocity[:3] @ velocity[:3]) / 2 + float(turning @ inertia[body] @ turning) / 2
+    armature = model.joint_armature.numpy()
+    speeds = world.layout.joined(given)[1][0]
+    return potential, kinetic + float(armature @ speeds**2) / 2
+
+
+def _made(scene: ModelScene, solver: str) -> dict[str, tuple[str, str, str]]:
+    simulator, description = engines.build("newton", scene, n_env=1, solver=solver)
+    simulator.close()
+    return {d.parameter: (d.wanted, d.used, d.reason) for d in description.deviations}
+
+
+@pytest.mark.slow
+def test_what_the_importer_loses() -> None:
+    """Name what Newton's importer makes otherwise: masses that the compiler scales, a hinge's anchor, tiny inertias."""
+    cheetah = _made(_scene(_gymnasium("half_cheetah")), "mujoco")
+    assert cheetah["body.mass"][0].startswith("torso 6.25")
+    assert cheetah["body.mass"][1].startswith("torso 9.45")
+    hopper = _made(_scene(_gymnasium("hopper")), "mujoco")
+    assert hopper["joint.anchor"][:2] == ("rooty 0 0 0", "rooty 0 0 -1.25")
+    pusher = _made(_scene(_gymnasium("pusher")), "mujoco")
+    assert "object" in pusher["body.inertia"][0]
+
+
+FALLING = """
+<body name="a" pos="0 0 2"><joint name="slide" type="slide" axis="1 0 0" damping="2" armature="0.1"/>
+<geom size="0.1" mass="1"/><body name="b" pos="0 0 0.3"><joint name="hinge" axis="0 1 0" frictionloss="0.1"/>
+<geom size="0.1" pos="0.2 0 0" mass="1"/></body></body>
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("solver", [name for name in FOR_MODELS if name != "mujoco"])
+def test_other_solvers(solver: str, tmp_path: Path) -> None:
+    """Drive a slide by a motor and a hinge by a position servo with each solver that takes models: both go where MuJoCo
+    takes them. The joints have no damping or armature, which not every solver reads."""
+    path = _written(
+        tmp_path, FALLING.replace('frictionloss="0.1"', "").replace('damping="2" armature="0.1"', ""),
+        '<actuator><motor name="push" joint="slide" gear="2" ctrlrange="0.5 1"/>'
+        '<position name="turn" joint="hinge" kp="20" kv="2" ctrlrange="0.2 0.3"/></actuator>',
+    )  # fmt: skip
+    scene = _scene(path)
+    assert scene.actions is not None
+    more = {"iterations": 50} if solver == "xpbd" else {}
+    simulator, _ = engines.build("newton", scene, n_env=2, solver=solver, **more)
+    other, _ = engines.build("mujoco", scene, n_env=2)
+    other.prepare(scene.actions.draw(0, n_env=2, first_step=0, n_step=100))
+    simulator.compile("capture")
+    states, wanted = simulator.states(100)[0][-1, :, :, 0], other.states(100)[0][-1, :, :, 0]
+    simulator.close()
+    assert (wanted > 0.01).all()
+    # how stiff a servo of xpbd is depends on its iterations
+    np.testing.assert_allclose(states, wanted, rtol=0.4 if solver == "xpbd" else 0.1)
+
+
+def test_what_a_solver_does_not_read(tmp_path: Path) -> None:
+    """Name damping, armature and dry friction of joints where a solver has none of them."""
+    from gpusimbench.recorder.simulators.newton.made import deviations_of_import
+
+    scene = _scene(_written(tmp_path, FALLING))
+    world, compiled = _imported(scene, "xpbd")
+    model = world.builder.finalize(device="cpu")
+    found = {d.parameter: d for d in deviations_of_import(model, None, world.imported, compiled.model, "xpbd")}
+    assert (found["joint.damping"].wanted, found["joint.damping"].used) == ("slide 2", "slide 0")
+    assert found["joint.armature"].reason == "solver xpbd has no armature"
+    assert found["joint.frictionloss"].wanted == "hinge 0.1"
+    assert "body.mass" not in found
+    assert "integrator Euler" in found["option"].wanted
+
+
+@pytest.mark.parametrize(
+    ("actuator", "said"),
+    [
+        ('<general name="a" joint="hinge" gaintype="affine" gainprm="1 1"/>', "cannot be given actuator 'a'"),
+        ('<position name="a" joint="hinge" gear="2"/>', "cannot be given actuator 'a'"),
+        ('<muscle name="a" joint="hinge" lengthrange="0 1"/>', "cannot be given actuator 'a'"),
+        ('<position joint="hinge"/><velocity name="v" joint="hinge"/>', "actuator 'v' is another on its joint"),
+    ],
+)
+def test_actuators_that_a_solver_cannot_be_given(actuator: str, said: str, tmp_path: Path) -> None:
+    """Refuse by name an actuator that is neither a motor nor a servo."""
+    world, compiled = _imported(_scene(_written(tmp_path, FALLING, f"<actuator>{actuator}</actuator>")), "xpbd")
+    with pytest.raises(Refused, match=said):
+        drives(compiled.model, _places(world), "xpbd")
+
+
+def test_a_motor_on_a_tendon() -> None:
+    """Turn a tendon's force into forces of its joints, with their coefficients and the gear."""
+    world, compiled = _imported(_scene(WALKER), "xpbd")
+    made = drives(compiled.model, _places(world), "xpbd")
+    joints = [world.imported.at_qd[compiled.model.joint(name).id] for name in ("left_hip", "right_hip")]
+    assert made.arms[:, 3].nonzero()[0].tolist() == sorted(joints)
+    assert made.arms[joints, 3].tolist() == [1, -1]
+    assert made.servo[joints[1]].tolist() == [1, -1]
+
+
+@pytest.mark.parametrize(
+    ("body", "said"),
+    [
+        (
+            '<body><joint axis="0 1 0"/><joint type="slide"/><geom size=".1"/></body>',
+            "puts the slides of body 'body1' before its hinges",
+        ),
+        (
+            '<body><joint type="slide"/><joint type="ball"/><geom size=".1"/></body>',
+            "importer does not read robot.xml: ValueError",
+        ),
+    ],
+)
+def test_models_that_it_would_move_otherwise(body: str, said: str, tmp_path: Path) -> None:
+    """Refuse joints of which Newton would make others."""
+    with pytest.raises(Refused, match=said):
+        _imported(_scene(_written(tmp_path, body)))
+
+
+def test_names(tmp_path: Path) -> None:
+    """Find bodies and joints by name where the importer reads bodies in frames after their siblings, and those without
+    names in their order."""
+    path = _written(
+        tmp_path,
+        '<body name="base"><freejoint/><geom size=".1"/><frame pos="0 0 .2"><body name="x-1"><joint name="j1"/>'
+        '<geom size=".1" mass="1"/></body></frame><body name="two"><joint name="j2"/><geom size=".1" mass="2"/></body>'
+        '<body pos="0 .3 0"><joint type="slide"/><geom size=".1" mass="3"/></body></body>',
+    )  # fmt: skip
+    world, compiled = _imported(_scene(path))
+    masses = [world.builder.body_mass[body] for body in world.imported.bodies[1:]]
+    np.testing.assert_allclose(masses, compiled.model.body_mass[1:], rtol=1e-5)
+    assert {f.name: f.items for f in world.layout.fields()}["joints/qpos"] == ("j1", "j2", "joint3")
+
+
+def test_urdf(tmp_path: Path) -> None:
+    """Say that Newton is given MJCF alone."""
+    path = tmp_path / "robot.urdf"
+    path.write_text(
+        '<robot name="r"><link name="a"><inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" '
+        'iyz="0"/></inertial></link><link name="b"><inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" '
+        'ixz="0" iyz="0"/></inertial></link><joint name="j" type="continuous"><parent link="a"/><child link="b"/>'
+        '<axis xyz="0 0 1"/></joint></robot>'
+    )
+    with pytest.raises(Refused, match="is URDF"):
+        _imported(_scene(path))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (("--solver", "vbd"), "with these options it has no model files: use solver=mujoco, xpbd"),
+        (("--option", "mujoco_solver=PGS"), "mujoco_solver is one of Newton, CG, not 'PGS'"),
+    ],
+)
+def test_options_that_cannot_be(arguments: tuple[str, ...], said: str, tmp_path: Path) -> None:
+    """Refuse solvers that take no models, and a constraint solver that Newton has not."""
+    done = call("gsb-record", "--sim", "newton", "--model", WALKER, *arguments, "--out", tmp_path)
+    assert done.returncode == ExitCode.USAGE
+    assert said in done.stderr
+
+
+def test_pgs() -> None:
+    """Take the file's own solver for an option, refuse PGS, and read the model where another is asked for."""
+    from gpusimbench.recorder.simulators.newton.simulator import Newton
+
+    scene = _scene(_gymnasium("humanoid"))
+    with pytest.raises(UsageError, match="not 'PGS'"):
+        Newton.parsed("newton", scene, {})
+    options = Newton.parsed("newton", scene, {"mujoco_solver": "Newton"})
+    assert (options.iterations, options.cone) == (50, "pyramidal")
+    assert Newton.parsed("newton", scene, {"solver": "xpbd"}).iterations == 0
+    assert _imported(scene)[0].imported is not None
