@@ -32,6 +32,7 @@ _READS = {
     "gsb-check": ("GSB_PROGRESS", "TMPDIR"),
     "gsb-diff": ("GSB_PROGRESS",),
     "gsb-probe": ("CUDA_VISIBLE_DEVICES", "GSB_ENVIRONMENTS", "GSB_MADRONA_MODULE", "GSB_PROGRESS"),
+    "gsb-import": ("CUDA_VISIBLE_DEVICES", "GSB_ENVIRONMENTS", "GSB_PROGRESS"),
     "gsb-bisect": ("CUDA_VISIBLE_DEVICES", "GSB_MADRONA_MODULE", "GSB_PROGRESS"),
     "gsb-view": ("GSB_PROGRESS",),
     "gsb-share": ("GSB_CACHE", "GSB_PROGRESS"),
@@ -45,6 +46,7 @@ _FILES = {
     ),
     "gsb-audit": ("OUT/NAME.mcap  a replay, a recording like any other",),
     "gsb-probe": ("OUT/NAME.mcap  a run, a recording like any other",),
+    "gsb-import": ("OUT/NAME.mcap  a run, a recording like any other",),
     "gsb-bisect": (
         "OUT/VERSION/NAME.mcap  a run of that release, a recording like any other",
         "OUT/environments/VERSION  a virtual environment with that release",
@@ -67,6 +69,8 @@ _SEE_ALSO = {
     "gsb-compare": "gsb-eval, for one set; gsb-diff, for two files; docs/compare.md; docs/history.md; "
     "docs/how-to/ci.md",
     "gsb-probe": "gsb-record, which makes its runs; gsb-diff, which shows where two part; docs/probe.md",
+    "gsb-import": "gsb-record --model, which makes its runs; gsb-probe; docs/how-to/my-robot.md; "
+    "docs/how-to/what-the-importer-lost.md",
     "gsb-bisect": "gsb-diff, which shows where two releases part; gsb-compare; docs/bisect.md",
     "gsb-view": "gsb-diff, which says in numbers where two part; gsb-share viewer; docs/view.md; docs/viewers.md",
     "gsb-share": "gsb-check, for what recover made; docs/share.md; docs/dataset.md; docs/strangers.md",
