@@ -18,7 +18,8 @@ from typing import Any
 ROOT = Path(__file__).resolve().parent.parent
 PAGE = ROOT / "docs" / "how-to" / "what-the-importer-lost.md"
 BEGIN, END = "<!-- imports: docs/make_imports.py -->", "<!-- end of imports -->"
-ENGINES = ("warp", "mjx")
+ENGINES = ("warp", "mjx", "newton")
+_NO_PGS = {"warp": "solver=Newton", "mjx": "solver=Newton", "newton": "mujoco_solver=Newton"}
 
 
 def models() -> dict[str, Path]:
@@ -35,8 +36,8 @@ def measured(model: Path, engine: str, folder: Path) -> dict[str, Any]:
     target = folder / f"{model.stem}-{engine}.json"
     if not target.exists():
         given = [str(model), "--sim", engine, "--out", str(folder / "runs"), "--json", str(target)]
-        if "PGS" in model.read_text() and engine == "warp":
-            given += ["--option", "solver=Newton"]  # MuJoCo Warp has no PGS
+        if "PGS" in model.read_text() and engine in _NO_PGS:
+            given += ["--option", _NO_PGS[engine]]
         command = [sys.executable, "-m", "gpusimbench.evaluator.cli.imported", *given]
         done = subprocess.run(command, capture_output=True, text=True)
         assert done.returncode in (0, 4), done.stderr

@@ -115,7 +115,7 @@ Values = NDArray[np.float64] | NDArray[np.str_]
 class Imported:
     """The parameters that an engine holds.
 
-    names   of the things of a kind, in the engine's order; a kind that the engine does not have is left out
+    names   of the things of a kind, in the engine's order; a kind that is not read is left out
     values  by KIND/PARAMETER: a row for each name, [item, component], float64 or texts
     unread  by KIND/PARAMETER, or by KIND for all of it: why there are no values
     """

@@ -105,6 +105,8 @@ def poses(reference: Trials, engine: Trials, items: tuple[Items, Items]) -> Pose
     wanted, found = _by_item(reference.given, items[0]), _by_item(engine.given, items[1])
     if why := _other(wanted, found, "in other poses"):
         return Missing(why)
+    if len(reference.position) != len(engine.position):
+        return Missing("they were tried in different numbers of poses")
     links = [link for link in reference.links if link in set(engine.links)]
     errors = []
     for link in links:
@@ -162,6 +164,8 @@ def _late(
         if theirs is None:
             return Missing(f"the engine has no {key[1]} in {key[0]}")
         y = theirs[:, trials[1]]
+        if x.shape != y.shape:
+            return Missing(f"{key[1]} in {key[0]} has another number of components")
         if rest is not None:
             x, y = x - ours[:, rest[0]], y - theirs[:, rest[1]]
         change = max(change, _most(np.abs(np.diff(x, axis=0))))

@@ -78,7 +78,10 @@ def compare(reference: Imported, engine: Imported) -> tuple[Compared, ...]:
 
 
 def _compared(kind: str, reference: Imported, engine: Imported) -> Compared:
-    wanted, found = reference.names.get(kind, ()), engine.names.get(kind, ())
+    if kind not in engine.names:
+        why = engine.unread.get(kind, "the engine's are not read")
+        return Compared(kind, 0, 0, (), (("all of them", why),))
+    wanted, found = reference.names.get(kind, ()), engine.names[kind]
     common = [name for name in wanted if name in set(found)]
     findings = list(_presence(kind, wanted, found, engine.unread.get(kind, "")))
     rows = [(wanted.index(name), found.index(name)) for name in common]
@@ -89,7 +92,7 @@ def _compared(kind: str, reference: Imported, engine: Imported) -> Compared:
         ours = reference.values[parameter.key][[row for row, _ in rows]]
         theirs = engine.values.get(parameter.key)
         if theirs is None:
-            why = engine.unread.get(parameter.key) or engine.unread.get(kind) or "the engine's value is not read"
+            why = engine.unread.get(parameter.key) or "the engine's value is not read"
             used = _used(parameter, ours)
             if used is None:
                 left.append((parameter.name, why))
@@ -146,6 +149,8 @@ def _rows(
                 yield Finding(Verdict.DIFFERS, parameter.kind, name, parameter.name, text_of(a), text_of(b))
             continue
         x, y = _alike(parameter, a.astype(np.float64), b.astype(np.float64))
+        if not x.size:
+            continue  # nothing that has a meaning in the reference
         apart = angle(x, y) if parameter.unit == "wxyz" else _apart(x, y)
         if apart > _tolerance(parameter, x):
             unit = "rad" if parameter.unit == "wxyz" else parameter.unit
@@ -177,7 +182,7 @@ def _apart(ours: NDArray[np.float64], theirs: NDArray[np.float64]) -> float:
 def angle(ours: NDArray[np.float64], theirs: NDArray[np.float64]) -> float:
     """Between two orientations wxyz [rad]; the same with both signs. Infinite for what is none."""
     norms = np.linalg.norm(ours) * np.linalg.norm(theirs)
-    if not norms > 0 or len(theirs) != len(ours):
+    if not norms > 0 or not len(ours) == len(theirs) == 4:
         return float("inf")
     w, u = ours[0], ours[1:]
     s, v = theirs[0], theirs[1:]

@@ -94,6 +94,8 @@ def _kind_row(kind: Compared) -> list[Cell | str]:
     things = f"{kind.things} x {plural(kind.values // kind.things, 'parameter')}" if kind.values else f"{kind.things}"
     if kind.kind == "model":
         things = plural(kind.values, "parameter")
+    if not kind.things and not kind.findings:
+        return [kind.kind, "-", Cell("not compared", tone=Tone.QUIET)]
     wrong = len(kind.findings)
     result = Cell(plural(wrong, "difference"), tone=Tone.BAD) if wrong else Cell("agrees", tone=Tone.GOOD)
     return [kind.kind, things, result]

@@ -12,6 +12,7 @@ import pytest
 
 from gpusimbench.evaluator.imports.motion import MAX_DISTANCE, Poses, Responses, poses, responses
 from gpusimbench.evaluator.imports.parameters import Compared, Finding, Verdict, compare
+from gpusimbench.evaluator.missing import Missing
 from gpusimbench.recorder.run.import_phase import tried
 from gpusimbench.recorder.scenes.base import Scene
 from gpusimbench.recorder.scenes.model.scene import ModelScene, model_scene
@@ -149,10 +150,11 @@ class Held:
     trials: Trials
 
 
-def _held(path: Path, engine: str = "mujoco") -> Held:
+def _held(path: Path, engine: str = "mujoco", given: dict[str, str] | None = None) -> Held:
     scene = model_scene(path.stem, pack(path), actions="none")
     adapter = find_simulator(engine).load()
-    given = {"solver": "Newton"} if engine != "mujoco" and scene.solver["solver"] == "PGS" else {}
+    if given is None:
+        given = {"solver": "Newton"} if engine == "warp" and scene.solver["solver"] == "PGS" else {}
     options = adapter.parsed(engine, scene, given)
 
     def make(of: Scene, n_env: int) -> Simulator:
@@ -309,9 +311,13 @@ def test_what_an_engine_does_not_have(reference: Held) -> None:
     assert [kind.not_compared for kind in found if kind.not_compared] == [
         (("solmix", "the engine's value is not read"),)
     ]
-    without = Imported({k: v for k, v in held.names.items() if k != "tendons"}, held.values, {"tendons": "no tendons"})
+    without = Imported({**held.names, "tendons": ()}, held.values, {"tendons": "no tendons"})
     (missing,) = _findings(compare(held, without))
     assert (missing.verdict, missing.item, missing.found) == (Verdict.MISSING, "pair", "no tendons")
+    not_read = Imported({k: v for k, v in held.names.items() if k != "tendons"}, held.values, {"tendons": "not read"})
+    found = compare(held, not_read)
+    assert not _findings(found)
+    assert [kind.not_compared for kind in found if kind.not_compared] == [(("all of them", "not read"),)]
 
 
 def test_signs_of_orientations(reference: Held) -> None:
@@ -321,6 +327,50 @@ def test_signs_of_orientations(reference: Held) -> None:
     assert not _findings(compare(held, Imported(held.names, turned)))
     none = {**held.values, "bodies/mass": np.full_like(held.values["bodies/mass"], np.nan)}
     assert {f.parameter for f in _findings(compare(held, Imported(held.names, none)))} == {"mass"}
+
+
+def test_what_a_stranger_may_write(reference: Held) -> None:
+    """Say what cannot be compared where rows and trials are of other widths than ours, and raise nothing."""
+    held, trials, items = reference.imported, reference.trials, (_items(reference), _items(reference))
+    narrow = {**held.values, "bodies/orientation": np.zeros((6, 2)), "joints/axis": np.full((6, 1), np.inf)}
+    found = _findings(compare(held, Imported(held.names, narrow)))
+    assert {finding.parameter for finding in found} == {"orientation", "axis"}
+    assert _findings(compare(Imported(held.names, narrow), held))
+    wide = {name: np.concatenate([array, array], axis=-1) for name, array in trials.velocity.items()}
+    found_responses = responses(trials, Trials(**{**vars(trials), "velocity": wide}), items)
+    assert isinstance(found_responses, Responses) and all(one.agrees is None for one in found_responses.each)
+    empty = Trials(
+        **{**vars(trials), "given": {}, "position": trials.position[:3], "orientation": trials.orientation[:3]}
+    )
+    assert isinstance(poses(empty, Trials(**{**vars(trials), "given": {}}), items), Missing)
+    assert isinstance(poses(trials, empty, items), Missing)
+    nothing = {name: np.full_like(array, np.nan) for name, array in trials.velocity.items()}
+    found_responses = responses(trials, Trials(**{**vars(trials), "velocity": nothing}), items)
+    assert isinstance(found_responses, Responses) and len(found_responses.wrong) == 9
+
+
+@pytest.mark.slow
+def test_newton(reference: Held, tmp_path: Path) -> None:
+    """Find nothing in what Newton's own importer made for its solver mujoco, and what solver xpbd has nothing for."""
+    path = _write(tmp_path, MODEL)
+    held = _held(path, "newton")
+    found = compare(reference.imported, held.imported)
+    assert not _findings(found)
+    assert {name for kind in found for name, _ in kind.not_compared} == {"timestep", "contype", "conaffinity"}
+    placed, responded = _moved(reference, held)
+    assert not placed.wrong and not responded.wrong and all(one.agrees for one in responded.each)
+    xpbd = _held(path, "newton", {"solver": "xpbd"})
+    named = {(f.verdict, f.kind, f.item, f.parameter) for f in _findings(compare(reference.imported, xpbd.imported))}
+    assert named >= {
+        (Verdict.MISSING, "tendons", "pair", ""),
+        (Verdict.MISSING, "equalities", "coupled", ""),
+        (Verdict.DIFFERS, "joints", "pan", "armature"),
+        (Verdict.DIFFERS, "joints", "pan", "frictionloss"),
+        (Verdict.DIFFERS, "joints", "slide", "damping"),
+        (Verdict.DIFFERS, "joints", "lift", "stiffness"),
+    }
+    placed, responded = _moved(reference, xpbd)
+    assert not placed.wrong and responded.wrong
 
 
 def test_a_damaged_attachment(reference: Held) -> None:

@@ -6,7 +6,7 @@ Names come from the compiled model, whose numbering the others keep; every numbe
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 import mujoco
@@ -26,13 +26,10 @@ _PLAIN = {
         "position": "body_pos", "orientation": "body_quat", "mass": "body_mass", "centre_of_mass": "body_ipos",
         "gravity_compensation": "body_gravcomp",
     },
-    "joints": {
-        "anchor": "jnt_pos", "axis": "jnt_axis", "stiffness": "jnt_stiffness", "limit_solref": "jnt_solref",
-        "limit_solimp": "jnt_solimp", "margin": "jnt_margin",
-    },
+    "joints": {"stiffness": "jnt_stiffness"},
     "geoms": {
-        "size": "geom_size", "position": "geom_pos", "orientation": "geom_quat", "friction": "geom_friction",
-        "condim": "geom_condim", "contype": "geom_contype", "conaffinity": "geom_conaffinity",
+        "friction": "geom_friction", "condim": "geom_condim", "contype": "geom_contype",
+        "conaffinity": "geom_conaffinity",
         "priority": "geom_priority", "solref": "geom_solref", "solimp": "geom_solimp", "solmix": "geom_solmix",
         "margin": "geom_margin", "gap": "geom_gap",
     },
@@ -61,20 +58,21 @@ _RANGES = {
 _DATA = {  # of an equality constraint, how many of its numbers have a meaning
     mjtEq.mjEQ_CONNECT: 6, mjtEq.mjEQ_WELD: 11, mjtEq.mjEQ_JOINT: 5, mjtEq.mjEQ_TENDON: 5,
 }  # fmt: skip
-_SIZES = {  # of a geom, likewise: compilers keep what they like in the rest
-    mjtGeom.mjGEOM_PLANE: 3, mjtGeom.mjGEOM_SPHERE: 1, mjtGeom.mjGEOM_CAPSULE: 2, mjtGeom.mjGEOM_CYLINDER: 2,
-    mjtGeom.mjGEOM_ELLIPSOID: 3, mjtGeom.mjGEOM_BOX: 3, mjtGeom.mjGEOM_MESH: 3,
+_SIZES = {  # of a geom, likewise: compilers keep what they like in the rest; planes have no edge
+    mjtGeom.mjGEOM_PLANE: 0, mjtGeom.mjGEOM_SPHERE: 1, mjtGeom.mjGEOM_CAPSULE: 2, mjtGeom.mjGEOM_CYLINDER: 2,
+    mjtGeom.mjGEOM_ELLIPSOID: 3, mjtGeom.mjGEOM_BOX: 3,
 }  # fmt: skip
 
 
-def imported(model: Any, read: Read, engine: str) -> Imported:
+def imported(model: Any, read: Read, engine: str, names: Mapping[str, Sequence[str]] | None = None) -> Imported:
     """What an engine holds.
 
     model   the mujoco.MjModel with the names
     read    the engine's own arrays
     engine  its name, for the reasons why something is not there
+    names   by kind, of bodies, joints, geoms or actuators, where they are others than in the MjModel
     """
-    reader = _Reader(model, read)
+    reader = _Reader(model, read, names or {})
     values: dict[str, Values] = {}
     unread: dict[str, str] = {}
     for parameter in PARAMETERS:
@@ -101,16 +99,19 @@ def of_c(model: Any) -> Imported:
 
 
 class _Reader:
-    def __init__(self, model: Any, read: Read) -> None:
+    def __init__(self, model: Any, read: Read, names: Mapping[str, Sequence[str]]) -> None:
         self._model, self._read = model, read
-        self._body = _named([model.body(i).name or f"body{i}" for i in range(model.nbody)])
+        actuators = range(len(model.actuator_trntype))
+        self._body = _named(names.get("bodies") or [model.body(i).name or f"body{i}" for i in range(model.nbody)])
         self._joint = _named(
-            [model.joint(i).name or self._joint_name(i) for i in range(model.njnt)],
+            names.get("joints") or [model.joint(i).name or self._joint_name(i) for i in range(model.njnt)]
         )
-        self._geom = _named([model.geom(i).name or self._geom_name(i) for i in range(model.ngeom)])
+        self._geom = _named(
+            names.get("geoms") or [model.geom(i).name or self._geom_name(i) for i in range(model.ngeom)]
+        )
         self._site = [model.site(i).name or f"site{i}" for i in range(model.nsite)]
         self._tendon = _named([model.tendon(i).name or f"tendon{i}" for i in range(model.ntendon)])
-        self._actuator = _named([model.actuator(i).name or f"actuator{i}" for i in range(len(model.actuator_trntype))])
+        self._actuator = _named(names.get("actuators") or [model.actuator(i).name or f"actuator{i}" for i in actuators])
         self.names: dict[str, tuple[str, ...]] = {
             "model": ("model",),
             "bodies": self._body,
@@ -152,13 +153,7 @@ class _Reader:
         if kind == "model":
             return self._read(f"opt.{name}").reshape(1, -1)
         if field := _PLAIN.get(kind, {}).get(name):
-            found = self._read(field)
-            if name == "size":
-                kinds = self._read("geom_type")
-                return np.array(
-                    [_first(row, _SIZES.get(mjtGeom(int(k)), 0)) for row, k in zip(found, kinds, strict=True)]
-                )
-            return found
+            return self._read(field)
         if pair := _RANGES.get(f"{kind}/{name}"):
             limited, found = (self._read(field) for field in pair)
             return np.where(limited.reshape(-1, 1).astype(bool), found, [[-np.inf, np.inf]])
@@ -178,11 +173,35 @@ class _Reader:
     def _joints_body(self) -> Sequence[str]:
         return [self._body[int(body)] for body in self._read("jnt_bodyid")]
 
+    def _joints_anchor(self) -> NDArray[np.float64]:
+        return self._of_kinds("jnt_pos", mjtJoint.mjJNT_HINGE, mjtJoint.mjJNT_BALL)  # others turn about nothing
+
+    def _joints_axis(self) -> NDArray[np.float64]:
+        return self._of_kinds("jnt_axis", mjtJoint.mjJNT_HINGE, mjtJoint.mjJNT_SLIDE)
+
+    def _of_kinds(self, field: str, *kinds: mjtJoint) -> NDArray[np.float64]:
+        # NaN for joints of other kinds, of which it has no meaning
+        meant = np.isin(self._read("jnt_type"), [int(kind) for kind in kinds])
+        return np.where(meant[:, np.newaxis], self._read(field), np.nan)
+
+    def _joints_limit_solref(self) -> NDArray[np.float64]:
+        return self._of_limits("jnt_solref")
+
+    def _joints_limit_solimp(self) -> NDArray[np.float64]:
+        return self._of_limits("jnt_solimp")
+
+    def _joints_margin(self) -> NDArray[np.float64]:
+        return self._of_limits("jnt_margin")
+
+    def _of_limits(self, field: str) -> NDArray[np.float64]:
+        limited = self._read("jnt_limited").astype(bool).reshape(-1, 1)
+        return np.where(limited, self._read(field).reshape(len(limited), -1), np.nan)
+
     def _joints_reference(self) -> Sequence[float]:
         return self._of_single("qpos0")
 
-    def _joints_spring_reference(self) -> Sequence[float]:
-        return self._of_single("qpos_spring")
+    def _joints_spring_reference(self) -> NDArray[np.float64]:
+        return np.where(self._read("jnt_stiffness") != 0, self._of_single("qpos_spring"), np.nan)
 
     def _of_single(self, field: str) -> Sequence[float]:
         # of hinges and slides; of others it is a pose, of which the body's is
@@ -211,6 +230,31 @@ class _Reader:
 
     def _geoms_body(self) -> Sequence[str]:
         return [self._body[int(body)] for body in self._read("geom_bodyid")]
+
+    def _geoms_size(self) -> NDArray[np.float64]:
+        kinds, sizes = self._read("geom_type"), self._read("geom_size")
+        found = [_first(size, _SIZES.get(mjtGeom(int(kind)), 0)) for kind, size in zip(kinds, sizes, strict=True)]
+        return self._with_boxes(np.array(found), 1)
+
+    def _geoms_position(self) -> NDArray[np.float64]:
+        return self._with_boxes(np.array(self._read("geom_pos"), dtype=np.float64), 0)
+
+    def _geoms_orientation(self) -> NDArray[np.float64]:
+        found = np.array(self._read("geom_quat"), dtype=np.float64)
+        found[self._read("geom_type") == int(mjtGeom.mjGEOM_MESH)] = np.nan
+        return found
+
+    def _with_boxes(self, rows: NDArray[np.float64], which: int) -> NDArray[np.float64]:
+        # Each compiler moves a mesh into a frame of its own. What a mesh is in the end is compared by the box around
+        # its points, along the body's axes: its centre (0) and half its edges (1).
+        for geom in np.flatnonzero(self._read("geom_type") == int(mjtGeom.mjGEOM_MESH)):
+            mesh = int(self._read("geom_dataid")[geom])
+            first, count = (int(self._read(f"mesh_{name}")[mesh]) for name in ("vertadr", "vertnum"))
+            turn = _rotation(self._read("geom_quat")[geom])
+            points = self._read("mesh_vert").reshape(-1, 3)[first : first + count] @ turn.T
+            low, high = points.min(axis=0), points.max(axis=0)
+            rows[geom] = (high - low) / 2 if which else (low + high) / 2 + self._read("geom_pos")[geom]
+        return rows
 
     def _tendons_path(self) -> Sequence[str]:
         kinds, objects, numbers = (self._read(f"wrap_{name}") for name in ("type", "objid", "prm"))
@@ -278,11 +322,15 @@ class _Reader:
 
 def tensor(moments: NDArray[Any], orientation: NDArray[Any]) -> NDArray[np.float64]:
     """Principal moments [3] and the orientation of their axes, wxyz, as xx, yy, zz, xy, xz, yz."""
-    matrix = np.empty(9)
-    mujoco.mju_quat2Mat(matrix, np.asarray(orientation, dtype=np.float64))
-    turn = matrix.reshape(3, 3)
+    turn = _rotation(orientation)
     full = turn @ np.diag(np.asarray(moments, dtype=np.float64)) @ turn.T
     return six(full)
+
+
+def _rotation(orientation: NDArray[Any]) -> NDArray[np.float64]:
+    matrix = np.empty(9)
+    mujoco.mju_quat2Mat(matrix, np.asarray(orientation, dtype=np.float64))
+    return matrix.reshape(3, 3)
 
 
 def six(full: NDArray[Any]) -> NDArray[np.float64]:
