@@ -2,7 +2,7 @@
 
 usage: python docs/make_imports.py [--sim warp,mjx,...] [--models walker,ant,...] [--folder FOLDER]
 
-Results that are in the folder already are taken from there, so that engines can be added one by one.
+Measures these engines and models, and shows all results that are in the folder, so that they can be added one by one.
 """
 
 from __future__ import annotations
@@ -65,14 +65,13 @@ def short(found: dict[str, Any]) -> str:
     return f"agrees ({', '.join(parts)})"
 
 
-def table(engines: list[str], chosen: dict[str, Path], folder: Path) -> str:
-    """A row for each model, a column for each engine, in Markdown."""
-    rows = [["model", *engines], ["---"] * (len(engines) + 1)]
-    for name, path in chosen.items():
-        rows.append([name])
-        for engine in engines:
-            rows[-1].append(short(measured(path, engine, folder)))
-            print(name, engine, rows[-1][-1], flush=True)
+def table(folder: Path) -> str:
+    """A row for each model, a column for each engine, in Markdown; a dash for what is not in the folder."""
+    rows = [["model", *ENGINES], ["---"] * (len(ENGINES) + 1)]
+    for name, path in models().items():
+        there = [(folder / f"{name}-{engine}.json").exists() for engine in ENGINES]
+        cells = [short(measured(path, e, folder)) if known else "-" for e, known in zip(ENGINES, there, strict=True)]
+        rows.append([name, *cells])
     return "\n".join(f"| {' | '.join(row)} |" for row in rows)
 
 
@@ -85,10 +84,11 @@ def main() -> None:
     given = parser.parse_args()
     given.folder.mkdir(parents=True, exist_ok=True)
     known = models()
-    chosen = {name: known[name] for name in given.models.split(",")} if given.models else known
-    shown = table(given.sim.split(","), chosen, given.folder)
+    for name in given.models.split(",") if given.models else known:
+        for engine in given.sim.split(","):
+            print(name, engine, short(measured(known[name], engine, given.folder)), flush=True)
     head, rest = PAGE.read_text().split(BEGIN)
-    PAGE.write_text(f"{head}{BEGIN}\n{shown}\n{END}{rest.split(END)[1]}")
+    PAGE.write_text(f"{head}{BEGIN}\n{table(given.folder)}\n{END}{rest.split(END)[1]}")
 
 
 if __name__ == "__main__":

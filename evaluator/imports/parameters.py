@@ -17,6 +17,9 @@ RELATIVE = 1e-5
 ABSOLUTE = {"m": 1e-6, "wxyz": 1e-5, "": 1e-7}
 """By unit, what may differ beside that: metres; radians between two orientations; numbers without a unit."""
 
+_FOLLOWING = ("joints/limit_solref", "joints/limit_solimp", "joints/margin", "joints/spring_reference")
+"""What has a meaning where there is a limit or a spring, which is named where there is none."""
+
 _SIX = ("xx", "yy", "zz", "xy", "xz", "yz")
 _COMPONENTS = {"m": "xyz", "m/s": "xyz", "m/s^2": "xyz", "kg m^2": _SIX}
 
@@ -149,8 +152,8 @@ def _rows(
                 yield Finding(Verdict.DIFFERS, parameter.kind, name, parameter.name, text_of(a), text_of(b))
             continue
         x, y = _alike(parameter, a.astype(np.float64), b.astype(np.float64))
-        if not x.size:
-            continue  # nothing that has a meaning in the reference
+        if not x.size or (parameter.key in _FOLLOWING and np.isnan(y).all()):
+            continue  # nothing that has a meaning
         apart = angle(x, y) if parameter.unit == "wxyz" else _apart(x, y)
         if apart > _tolerance(parameter, x):
             unit = "rad" if parameter.unit == "wxyz" else parameter.unit

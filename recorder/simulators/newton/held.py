@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -23,7 +24,6 @@ _DOFS = {0: 6, 1: 3}  # of mujoco.mjtJoint's free and ball joints; others have o
 _FRAMES = "Newton holds frames of joints; the kinematics compare them"
 _KINDS = "Newton holds other kinds of joints; the kinematics compare them"
 _MASKS = "Newton decides by groups of shapes; excludes and pairs are compared"
-_STEP = "Newton is told it at each step"
 _UNLIMITED = 1e6  # [N m or N] Newton's default stands for no limit
 _OF_NEWTON = {
     "mass": "body.mass", "centre_of_mass": "body.centre_of_mass", "inertia": "body.inertia", "anchor": "joint.anchor",
@@ -34,17 +34,17 @@ _OF_NEWTON = {
 _OF_DOFS = {"armature": "joint_armature", "damping": "joint_damping", "frictionloss": "joint_friction"}
 
 
-def held(newton_model: Any, solver: Any, places: Places, model: Any, name: str) -> Imported:
+def held(newton_model: Any, solver: Any, places: Places, model: Any, *, name: str, dt: float) -> Imported:
     """What a newton.Model holds, the first of its worlds.
 
     solver  that was made of it
     places  where bodies and joints are in it
     model   the mujoco.MjModel that MuJoCo itself makes of the file
     name    of the solver
+    dt      that it is told at each step [s]
     """
-    if name == "mujoco":
-        return _of_solver(solver, places, model)
-    return _of_newton(newton_model, places, model, name)
+    found = _of_solver(solver, places, model) if name == "mujoco" else _of_newton(newton_model, places, model, name)
+    return replace(found, values={**found.values, "model/timestep": np.array([[dt]])})
 
 
 def _of_solver(solver: Any, places: Places, model: Any) -> Imported:
@@ -63,7 +63,7 @@ def _of_solver(solver: Any, places: Places, model: Any) -> Imported:
     equalities = tuple(_constraint(found, number, reference) for number in range(len(found.names["equalities"])))
     unread = dict(found.unread)
     values = dict(found.values)
-    for key, why in (("geoms/contype", _MASKS), ("geoms/conaffinity", _MASKS), ("model/timestep", _STEP)):
+    for key, why in (("geoms/contype", _MASKS), ("geoms/conaffinity", _MASKS)):
         values.pop(key, None)
         unread[key] = why
     if "joints/force_range" in values:
@@ -86,7 +86,7 @@ def _of_newton(newton_model: Any, places: Places, model: Any, name: str) -> Impo
     names |= {kind: tuple(reference.names[kind][int(i)] for i in rows) for kind, rows in order.items()}
     values: dict[str, Values] = {"model/gravity": newton_model.gravity.numpy()[:1].astype(np.float64)}
     unread = {
-        "model/timestep": _STEP, "bodies/parent": _FRAMES, "bodies/position": _FRAMES,
+        "bodies/parent": _FRAMES, "bodies/position": _FRAMES,
         "bodies/orientation": _FRAMES, "joints/type": _KINDS, "joints/body": _KINDS, "joints/reference": _KINDS,
         **_lost(name),
     }  # fmt: skip

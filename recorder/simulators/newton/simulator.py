@@ -318,7 +318,8 @@ class Newton(Simulator):
         places = self._world.imported
         if places is None:
             return None
-        return held(self._worlds.model, self._worlds.solver, places, self._compiled.model, self.options.solver)
+        worlds, name = self._worlds, self.options.solver
+        return held(worlds.model, worlds.solver, places, self._compiled.model, name=name, dt=self.dt)
 
     def link_poses(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """See Simulator.link_poses: newton.eval_fk."""
