@@ -86,9 +86,13 @@ def _compared(kind: str, reference: Imported, engine: Imported) -> Compared:
         return Compared(kind, 0, 0, (), (("all of them", why),))
     wanted, found = reference.names.get(kind, ()), engine.names[kind]
     common = [name for name in wanted if name in set(found)]
-    findings = list(_presence(kind, wanted, found, engine.unread.get(kind, "")))
+    unseen = _only_shown(reference) if kind == "geoms" else frozenset()
+    needed = [name for name in wanted if name in set(found) or name not in unseen]
+    findings = list(_presence(kind, needed, found, engine.unread.get(kind, "")))
     rows = [(wanted.index(name), found.index(name)) for name in common]
     values, left = 0, []
+    if away := len(wanted) - len(needed):
+        left.append(("shapes", f"{away} that collide with nothing are not there"))
     for parameter in (p for p in PARAMETERS if p.kind == kind and common):
         if parameter.key not in reference.values:
             continue
@@ -105,6 +109,18 @@ def _compared(kind: str, reference: Imported, engine: Imported) -> Compared:
         values += len(common)
         findings += _rows(parameter, common, ours, theirs[[row for _, row in rows]])
     return Compared(kind, len(common), values, tuple(findings), tuple(left))
+
+
+def _only_shown(reference: Imported) -> frozenset[str]:
+    # shapes that collide with nothing: an engine that leaves them out loses no more than their looks
+    masks = [reference.values.get(f"geoms/{name}") for name in ("contype", "conaffinity")]
+    if any(mask is None for mask in masks):
+        return frozenset()
+    paired = {name for pair in reference.names.get("pairs", ()) for name in pair.split(" - ")}
+    still = np.logical_and.reduce([np.asarray(mask, dtype=np.float64)[:, 0] == 0 for mask in masks])
+    return frozenset(
+        name for name, alone in zip(reference.names["geoms"], still, strict=True) if alone and name not in paired
+    )
 
 
 def _presence(kind: str, wanted: Sequence[str], found: Sequence[str], why: str) -> Iterator[Finding]:

@@ -320,6 +320,19 @@ def test_what_an_engine_does_not_have(reference: Held) -> None:
     assert [kind.not_compared for kind in found if kind.not_compared] == [(("all of them", "not read"),)]
 
 
+def test_shapes_that_are_only_shown(tmp_path: Path) -> None:
+    """Take a shape that collides with nothing for no loss where it is not there, and any other for one."""
+    shown = MODEL.replace('name="arm"', 'name="arm" contype="0" conaffinity="0"')
+    held = _held(_write(tmp_path, shown)).imported
+    for name, verdicts in (("arm", []), ("forearm", [Verdict.MISSING])):
+        kept = [i for i, geom in enumerate(held.names["geoms"]) if geom != name]
+        names = {**held.names, "geoms": tuple(held.names["geoms"][i] for i in kept)}
+        values = {key: rows[kept] if key.startswith("geoms/") else rows for key, rows in held.values.items()}
+        found = compare(held, Imported(names, values))
+        assert [finding.verdict for finding in _findings(found)] == verdicts
+        assert sum(bool(kind.not_compared) for kind in found) == (not verdicts)
+
+
 def test_signs_of_orientations(reference: Held) -> None:
     """Take both signs of a quaternion for the same orientation, and a NaN for none."""
     held = reference.imported

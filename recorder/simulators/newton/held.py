@@ -157,6 +157,9 @@ def _geom(made: Any, geom: int, at: NDArray[np.int64], model: Any, names: Sequen
     # SolverMuJoCo calls a geom by its label in Newton, a path that ends with its name or number in its body
     body = int(at[made.geom_bodyid[geom]])
     own = [g for g in range(model.ngeom) if model.geom_bodyid[g] == body]
+    collide = [g for g in own if model.geom_contype[g] or model.geom_conaffinity[g]]
+    if int((made.geom_bodyid == made.geom_bodyid[geom]).sum()) == len(collide):
+        own = collide  # SolverMuJoCo has no others
     last = re.sub(r"_\d+$", "", str(made.geom(geom).name).rpartition("/")[2])
     named = [g for g in own if model.geom(g).name == last]
     numbered = re.search(r"_geom_(\d+)$", last)
