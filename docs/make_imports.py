@@ -50,7 +50,7 @@ def short(found: dict[str, Any]) -> str:
     if found["refused"]:
         return f"refused: {found['refused'].split(': ', 1)[-1].split(';')[0]}"
     findings = [finding for kind in found["kinds"] for finding in kind["findings"]]
-    wrong = [f"{len(findings)} parameters"] if findings else []
+    wrong = [f"{len(findings)} parameter{'s' if len(findings) > 1 else ''}"] if findings else []
     poses, responses = found["poses"], found["responses"]
     distance = max((link["distance"] for link in poses["links"]), default=0.0) if poses else None
     if distance is not None and distance > 1e-5:

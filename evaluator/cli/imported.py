@@ -7,9 +7,8 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from gpusimbench.evaluator.cli.arguments import local_name
+from gpusimbench.evaluator.cli.arguments import check_target, local_name, write_json
 from gpusimbench.evaluator.cli.entry import enter, new_parser
-from gpusimbench.evaluator.cli.json_target import check_target, write_json
 from gpusimbench.schemas.errors import ExitCode, GsbError, UsageError
 from gpusimbench.schemas.location import place
 from gpusimbench.schemas.parser import Parser
