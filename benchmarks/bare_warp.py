@@ -22,7 +22,7 @@ def main() -> None:
     import warp as wp
 
     from gpusimbench.recorder.simulators.mujoco.model import compile_scene
-    from gpusimbench.recorder.simulators.warp.simulator import WarpOptions
+    from gpusimbench.recorder.simulators.warp.options import WarpOptions
 
     work = Work(Path(sys.argv[1]), WarpOptions)
     asked = work.asked

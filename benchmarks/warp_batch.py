@@ -19,7 +19,8 @@ from numpy.typing import NDArray
 
 from gpusimbench.recorder.scenes.registry import make_scene
 from gpusimbench.recorder.simulators.base import Simulator
-from gpusimbench.recorder.simulators.warp.simulator import MujocoWarp, WarpOptions
+from gpusimbench.recorder.simulators.warp.options import WarpOptions
+from gpusimbench.recorder.simulators.warp.simulator import MujocoWarp
 
 GROUPS = "_jtdaj_groups_per_world"
 

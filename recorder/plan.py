@@ -10,6 +10,7 @@ from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 
+from gpusimbench.recorder.abilities import listed
 from gpusimbench.schemas import PARTIAL
 from gpusimbench.schemas.configuration import CAPTURE_MODES, MAX_ENVS, MAX_VIEW, OPTIONAL_PHASES, RunConfiguration
 from gpusimbench.schemas.errors import DataLost, GsbError, UsageError
@@ -66,10 +67,12 @@ def check(configuration: RunConfiguration) -> None:
         raise UsageError(f"--view-env names at most {MAX_VIEW} environments, each once, not {_listed(c.view)}")
     if not all(0 <= env < c.n_env for env in c.view):
         raise UsageError(f"--view-env is from 0 to {c.n_env - 1}, as --n-env is {c.n_env}, not {_listed(c.view)}")
+    if "import" in c.phases and not c.model:
+        raise UsageError("--phases import is of a model file: --model FILE")
     unknown = set(c.phases) - set(OPTIONAL_PHASES)
     if unknown or not c.phases or len(set(c.phases)) < len(c.phases):
         raise UsageError(
-            f"--phases takes {' and '.join(OPTIONAL_PHASES)}, comma separated, each at most once, "
+            f"--phases takes {listed(OPTIONAL_PHASES)}, comma separated, each at most once, "
             f"not '{','.join(c.phases)}'{did_you_mean(min(unknown), OPTIONAL_PHASES) if unknown else ''}"
         )
 

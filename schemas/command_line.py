@@ -33,6 +33,7 @@ _READS = {
     "gsb-diff": ("GSB_PROGRESS",),
     "gsb-probe": ("CUDA_VISIBLE_DEVICES", "GSB_ENVIRONMENTS", "GSB_MADRONA_MODULE", "GSB_PROGRESS"),
     "gsb-fit": ("CUDA_VISIBLE_DEVICES", "GSB_CUBE_TOSS", "GSB_ENVIRONMENTS", "GSB_PROGRESS"),
+    "gsb-import": ("CUDA_VISIBLE_DEVICES", "GSB_ENVIRONMENTS", "GSB_PROGRESS"),
     "gsb-bisect": ("CUDA_VISIBLE_DEVICES", "GSB_MADRONA_MODULE", "GSB_PROGRESS"),
     "gsb-view": ("GSB_PROGRESS",),
     "gsb-share": ("GSB_CACHE", "GSB_PROGRESS"),
@@ -50,6 +51,7 @@ _FILES = {
         "OUT/NAME.mcap  the reference, the start and the fitted options, recordings like any other",
         "OUT/evaluations.csv  a row for each evaluation",
     ),
+    "gsb-import": ("OUT/NAME.mcap  a run, a recording like any other",),
     "gsb-bisect": (
         "OUT/VERSION/NAME.mcap  a run of that release, a recording like any other",
         "OUT/environments/VERSION  a virtual environment with that release",
@@ -73,6 +75,8 @@ _SEE_ALSO = {
     "docs/how-to/ci.md",
     "gsb-probe": "gsb-record, which makes its runs; gsb-diff, which shows where two part; docs/probe.md",
     "gsb-fit": "gsb-record --fitted, which says what was fitted; gsb-eval; docs/how-to/cube-toss.md; docs/check.md",
+    "gsb-import": "gsb-record --model, which makes its runs; gsb-probe; docs/how-to/my-robot.md; "
+    "docs/how-to/what-the-importer-lost.md",
     "gsb-bisect": "gsb-diff, which shows where two releases part; gsb-compare; docs/bisect.md",
     "gsb-view": "gsb-diff, which says in numbers where two part; gsb-share viewer; docs/view.md; docs/viewers.md",
     "gsb-share": "gsb-check, for what recover made; docs/share.md; docs/dataset.md; docs/strangers.md",

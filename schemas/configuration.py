@@ -10,7 +10,10 @@ from gpusimbench.schemas import checks
 from gpusimbench.schemas.errors import DamagedRecording
 from gpusimbench.schemas.treatment import Given, Initial, Intervention, Keep, Vary, parse_initial
 
-OPTIONAL_PHASES = ("timed", "capture")
+USUAL_PHASES = ("timed", "capture")
+"""Phases where nothing says which."""
+
+OPTIONAL_PHASES = (*USUAL_PHASES, "import")
 """Phases that a run can leave out; "warmup" belongs to "timed"."""
 
 CAPTURE_MODES = ("lossless", "memory")
@@ -69,7 +72,7 @@ class RunConfiguration:
     stride: int = 1
     warmup: int = 100
     timed_steps: int = 1000
-    phases: tuple[str, ...] = OPTIONAL_PHASES
+    phases: tuple[str, ...] = USUAL_PHASES
     seed: int = 0
     run_index: int = 0
     compression: str = "none"

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from gpusimbench.schemas.command_line import add_common
-from gpusimbench.schemas.configuration import CAPTURE_MODES, OPTIONAL_PHASES
+from gpusimbench.schemas.configuration import CAPTURE_MODES, USUAL_PHASES
 from gpusimbench.schemas.errors import UsageError
 from gpusimbench.schemas.parser import Parser
 from gpusimbench.schemas.provenance import REAL
@@ -89,7 +89,7 @@ _SIMULATED: dict[str, Any] = {
     "snapshot": "",
     "determinism": "default",
     "timeout": 0.0,
-    "phases": ",".join(OPTIONAL_PHASES),
+    "phases": ",".join(USUAL_PHASES),
     "steps": None,
     "stride": 1,
     "capture": CAPTURE_MODES[0],
@@ -270,7 +270,8 @@ def parser() -> Parser:
     how.add_argument(
         "--phases",
         metavar="LIST",
-        help=f"timed (throughput), capture (states) or both (default: {_SIMULATED['phases']}; --replay: as recorded)",
+        help="any of timed (throughput), capture (states) and, with --model, import (what the engine made of the "
+        f"model, which gsb-import uses) (default: {_SIMULATED['phases']}; --replay: as recorded)",
     )
     how.add_argument("--steps", type=int, metavar="N", help="number of captured steps (default: 5 s of simulated time)")
     how.add_argument(

@@ -5,6 +5,7 @@
     warmup     steps that are excluded from throughput; the first pays for compilation
     timed      nothing is recorded but clocks, memory and clock rates of the hardware
     capture    a fresh simulator; the full state of every environment, or the last states of those that fail
+    import     of a model file: what the engine made of it, tried on a simulator of its own
 
 Validity gates are asked after the warm-up, after the timed phase and after the capture. What the engine counts
 (contacts, rows, overflow bits) is kept for every captured step, and for the last step of the warm-up and of the timed
@@ -34,10 +35,12 @@ from gpusimbench.recorder.run.engine import Engine
 from gpusimbench.recorder.run.environment import apply_environment
 from gpusimbench.recorder.run.flight_phase import FlightPhase
 from gpusimbench.recorder.run.given_actions import streams_of
+from gpusimbench.recorder.run.import_phase import write_imported, write_trials
 from gpusimbench.recorder.run.journal import Journal, Phase
 from gpusimbench.recorder.run.pace import COMPILE, REBUILD
 from gpusimbench.recorder.run.timed_phase import warm_up_and_time
 from gpusimbench.recorder.scenes.base import Scene
+from gpusimbench.recorder.scenes.model.scene import ModelScene
 from gpusimbench.recorder.scenes.registry import scene_of
 from gpusimbench.recorder.scenes.variation import Variation
 from gpusimbench.recorder.simulators.base import Description, Simulator
@@ -217,15 +220,18 @@ class Run:
                 raise trouble or GsbError("no scene")
             built = scene
 
-            def new_simulator() -> Simulator:
-                simulator = adapter(
-                    built,
-                    n_env=configuration.n_env,
+            def make(of: Scene, n_env: int) -> Simulator:
+                return adapter(
+                    of,
+                    n_env=n_env,
                     dt=configuration.dt,
                     seed=configuration.seed,
                     options=options,
                     determinism=configuration.determinism,
                 )
+
+            def new_simulator() -> Simulator:
+                simulator = make(built, configuration.n_env)
                 simulator.streams = streams_of(configuration)
                 if varied is not None:
                     simulator.vary(varied)
@@ -237,10 +243,10 @@ class Run:
                     description = journal.clocked("build", engine.start)
                     self._write_description(sink, built, description)
                     watch.use_allocator(engine.simulator.allocator_bytes)
-                    self._progress(COMPILE, 0, 1)
-                    journal.compile(
-                        engine.simulator, configuration.phases[0] if len(configuration.phases) == 1 else "timed"
-                    )
+                    write_imported(journal, engine.simulator)
+                    if stepped := [phase for phase in ("timed", "capture") if phase in configuration.phases]:
+                        self._progress(COMPILE, 0, 1)
+                        journal.compile(engine.simulator, stepped[0])
                     watch.checkpoint("post-init")
                 if "timed" in configuration.phases:
                     warm_up_and_time(journal, watch, engine, description, configuration, self._progress)
@@ -257,6 +263,11 @@ class Run:
                 if "timed" not in configuration.phases:
                     watch.checkpoint("final")
                 watch.drain()
+            if "import" in configuration.phases and isinstance(built, ModelScene) and not journal.problems:
+                watch.use_allocator(None)
+                self._progress("import", 0, 1)
+                with Phase(journal, watch, "import"):
+                    write_trials(journal, built, make, dt=configuration.dt, seed=configuration.seed)
         except DataLost:
             watch.stop()  # the file takes nothing more
             raise

@@ -256,6 +256,8 @@ def announcement(source: Source, configuration: RunConfiguration) -> str:
     if "capture" in c.phases:
         from_step = f" from step {c.first_step} on" if c.first_step else ""
         steps.append(f"{c.captured_steps} captured steps{from_step}")
+    if "import" in c.phases:
+        steps.append("the model's import")
     given = "".join(f", {name}={value}" for name, value in c.options.items())
     level = "" if c.determinism == "default" else f", determinism {c.determinism}"
     initial = c.initial and f"initial {initial_words(c.initial)}"

@@ -32,6 +32,7 @@ from gpusimbench.recorder.simulators.evidence import Evidence
 from gpusimbench.recorder.simulators.flight import Flight, HostFlight, Watch
 from gpusimbench.recorder.simulators.snapshot import Envs, Extent, Snapshot, StateClaims
 from gpusimbench.schemas.errors import UsageError
+from gpusimbench.schemas.imported import Imported
 from gpusimbench.schemas.provenance import EngineFacts, Simulation
 
 __all__ = ["Ability", "Captured", "Description", "Envs", "Evidence", "Held", "Simulator", "Snapshot", "States"]
@@ -244,6 +245,26 @@ class Simulator(ABC):
         """Give environments positions and velocities; all else is as ``reset`` leaves it.
 
         states  one array [env of envs, item, width] per field of the Description, as ``state`` returns them
+        """
+        raise NotImplementedError
+
+    def imported(self) -> Imported | None:
+        """The parameters of a model file as the engine holds them, read from what it steps; None where it tells none.
+
+        Called after ``build``, where the scene is a model file. Things have the model's own names; what the engine has
+        no name for is called as recorder.simulators.mujoco.imported calls it.
+        """
+        return None
+
+    def link_poses(self) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
+        """Where the engine's own kinematics place the bodies that ``imported`` names, in the present state: positions
+        [env, body, 3] in the world's frame [m], and orientations wxyz [env, body, 4]. For who offers ``imported``."""
+        raise NotImplementedError
+
+    def hold(self, controls: NDArray[np.float64]) -> None:
+        """Hold these controls, [env, actuator] in the order of ``imported``, in all steps until the next ``set_state``.
+
+        For model files without actions. NotImplementedError where environments cannot have controls of their own.
         """
         raise NotImplementedError
 

@@ -52,6 +52,7 @@ COMMANDS = {
     "info": Command("what a recording is", f"{_EVALUATOR}.info"),
     "probe": Command("whether results depend on what should not matter", f"{_EVALUATOR}.probe"),
     "fit": Command("options of a simulator fitted to measured tosses", f"{_EVALUATOR}.fit"),
+    "import": Command("what engines made of a model file, and what they lost of it", f"{_EVALUATOR}.imported"),
     "bisect": Command("which release of an engine changed what is recorded", f"{_EVALUATOR}.bisect"),
     "view": Command("recordings in motion", f"{_EVALUATOR}.view"),
     "share": Command("pack, recover, describe, verify and rank recordings", f"{_EVALUATOR}.share"),

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from gpusimbench.recorder.abilities import VARIED, Ability
 from gpusimbench.recorder.simulators.jax.simulator import Physics
 from gpusimbench.recorder.simulators.mjx import physics as mjx_physics
@@ -25,14 +28,14 @@ class Mjx(MjxSimulator):
         """See Simulator.withheld."""
         return {} if options.impl == "jax" else dict.fromkeys(VARIED.values(), "--impl jax")
 
-    def _physics_of(self, model: MjxModel, device: Any) -> Physics:
+    def _physics_of(self, model: MjxModel, on_device: Any, device: Any) -> Physics:
         import jax
         import jax.numpy as jnp
         from mujoco import mjx
 
         from gpusimbench.recorder.simulators.mjx.varied import batched
 
-        model_on_device, axes = batched(model.put(device), model.varied) if model.varied else (model.put(device), None)
+        model_on_device, axes = batched(on_device, model.varied) if model.varied else (on_device, None)
         step = jax.vmap(mjx.step, (axes, 0))
 
         def initial(qpos: Any, qvel: Any) -> Any:
@@ -54,3 +57,9 @@ class Mjx(MjxSimulator):
             lazy=model.impl == "warp",
             gathers=model.impl == "warp",
         )
+
+    def hold(self, controls: NDArray[np.float64]) -> None:
+        """See Simulator.hold."""
+        import jax.numpy as jnp
+
+        self._state = self._physics.put(self._state, {"ctrl": jnp.asarray(controls, jnp.float32)})

@@ -6,6 +6,7 @@ from abc import abstractmethod
 from importlib import metadata
 from typing import TYPE_CHECKING, Any, ClassVar
 
+import numpy as np
 from numpy.typing import NDArray
 
 from gpusimbench.recorder.abilities import BODIES, ROBOTS, Ability
@@ -14,6 +15,7 @@ from gpusimbench.recorder.simulators.jax import runtime as jax_runtime
 from gpusimbench.recorder.simulators.jax.simulator import JaxSimulator, Physics
 from gpusimbench.recorder.simulators.mjx import physics as mjx_physics
 from gpusimbench.recorder.simulators.mjx.physics import MjxModel
+from gpusimbench.schemas.imported import Imported
 
 if TYPE_CHECKING:  # it imports MuJoCo
     from gpusimbench.recorder.simulators.mujoco.model import MjcfModel
@@ -44,7 +46,8 @@ class MjxSimulator(JaxSimulator):
                 impl=impl,
                 variation=self.variation,
             )
-            physics = self._physics_of(model, device)
+            self._on_device = model.put(device)
+            physics = self._physics_of(model, self._on_device, device)
         actions = "" if self.scene.actions is None else "the actions of each step are made in it; "
         return physics, Description(
             version=metadata.version(self.distribution),
@@ -74,8 +77,33 @@ class MjxSimulator(JaxSimulator):
         return impl
 
     @abstractmethod
-    def _physics_of(self, model: MjxModel, device: Any) -> Physics:
-        """How the model is stepped on a jax.Device."""
+    def _physics_of(self, model: MjxModel, on_device: Any, device: Any) -> Physics:
+        """How the model is stepped on a jax.Device, on which its mjx.Model is."""
+
+    def imported(self) -> Imported:
+        """See Simulator.imported."""
+        from gpusimbench.recorder.simulators.mujoco.imported import imported
+
+        def read(name: str) -> NDArray[Any]:
+            owner, _, field = name.rpartition(".")
+            return np.asarray(getattr(self._on_device.opt if owner else self._on_device, field))
+
+        return imported(self._compiled.model, read, f"MJX (impl={self._model.impl})")
+
+    def link_poses(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """See Simulator.link_poses: mjx.kinematics."""
+        import jax
+        from mujoco import mjx
+
+        kept = self._physics.kept(self._state)
+        first = self._model.first_data(self._device, kept["qpos"][0], kept["qvel"][0])
+
+        def poses(qpos: Any) -> Any:
+            data = mjx.kinematics(self._on_device, first.replace(qpos=qpos))
+            return data.xpos, data.xquat
+
+        positions, orientations = jax.jit(jax.vmap(poses))(kept["qpos"])
+        return np.asarray(positions), np.asarray(orientations)
 
     def _program(self, name: str) -> Any:
         with mjx_physics.refusals(self._model.impl):

@@ -19,6 +19,7 @@ from gpusimbench.recorder.simulators.counters import CONSTRAINT_ROWS, CONTACTS
 from gpusimbench.recorder.simulators.evidence import Evidence
 from gpusimbench.recorder.simulators.mujoco.options import MjcfOptions, one_of
 from gpusimbench.recorder.simulators.snapshot import COMPLETE, Envs, Snapshot, StateClaims
+from gpusimbench.schemas.imported import Imported
 
 STEPPING = ("auto", "batch", "mj_step")
 
@@ -147,6 +148,29 @@ class MujocoC(Simulator):
         if envs is None:
             self._made = 0
         self._counts = None
+
+    def imported(self) -> Imported:
+        """See Simulator.imported."""
+        from gpusimbench.recorder.simulators.mujoco.imported import of_c
+
+        return of_c(self._compiled.model)
+
+    def link_poses(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """See Simulator.link_poses: mj_kinematics."""
+        import mujoco
+
+        model, poses = self._compiled.model, []
+        data = mujoco.MjData(model)
+        for qpos in self._worlds.read("qpos"):
+            data.qpos[:] = qpos
+            mujoco.mj_kinematics(model, data)
+            poses.append((data.xpos.copy(), data.xquat.copy()))
+        positions, orientations = zip(*poses, strict=True)
+        return np.array(positions), np.array(orientations)
+
+    def hold(self, controls: NDArray[np.float64]) -> None:
+        """See Simulator.hold."""
+        self._worlds.write("ctrl", controls)
 
     def states(self, n_step: int) -> States:
         """See Simulator.states."""

@@ -17,7 +17,7 @@ Quantities = dict[str, NDArray[np.float64]]
 """Arrays by dotted name, "body.mass" or "joint.damping": a row for each body but the world, or for each joint that is
 not free, in MuJoCo's order."""
 
-_UNREAD = {
+UNREAD = {
     "xpbd": ("armature", "damping", "frictionloss", "stiffness"),
     "featherstone": ("frictionloss",),
     "steel": ("stiffness",),
@@ -91,7 +91,7 @@ def as_newton_has_it(newton_model: Any, imported: Imported, model: Any, solver: 
         "joint.stiffness": newton_model.joint_stiffness.numpy()[qd][:, None],
         "joint.spring_reference": _springs(model, joints, newton_model.joint_rest_q.numpy()[q] + reference),
     }
-    for name in _UNREAD.get(solver, ()):
+    for name in UNREAD.get(solver, ()):
         found[f"joint.{name}"] = np.zeros_like(found[f"joint.{name}"])
     return {name: array.astype(np.float64) for name, array in found.items()}
 
@@ -102,7 +102,7 @@ def deviations_of_import(newton_model: Any, solver: Any, imported: Imported, mod
     solver  that was made of newton_model
     name    of the solver
     """
-    unread = _UNREAD.get(name, ())
+    unread = UNREAD.get(name, ())
     wanted, found = as_mujoco_has_it(model), as_newton_has_it(newton_model, imported, model, name)
     items = {"body": _bodies(model), "joint": [_joint(model, j) for j in _joints(model)]}
     said: list[Deviation] = []
@@ -180,7 +180,7 @@ def _contacts(model: Any, made: Any, at: NDArray[np.int64], reason: str) -> Iter
             rows = [np.asarray(a, dtype=float).reshape(len(geoms), -1) for a, geoms in zip(sizes, own, strict=True)]
             labels = [model.geom(g).name or f"geom{g}" for g in own[0]]
             yield from _different(f"{names[body]}.{what}", labels, rows, reason)
-    wanted, used = _pairs(model, np.arange(model.nbody)), _pairs(made, at)
+    wanted, used = colliding_bodies(model, np.arange(model.nbody)), colliding_bodies(made, at)
     for pairs, word in ((wanted - used, "collide"), (used - wanted, "do not collide")):
         if pairs:
             listed = [f"{names[a]} and {names[b]}" for a, b in sorted(pairs)]
@@ -304,7 +304,7 @@ def _sizes(model: Any, geoms: list[int]) -> NDArray[np.float64]:
     return sizes
 
 
-def _pairs(model: Any, at: NDArray[np.int64]) -> set[tuple[int, int]]:
+def colliding_bodies(model: Any, at: NDArray[np.int64]) -> set[tuple[int, int]]:
     """Pairs of bodies, by their numbers in `at`, that may touch as MuJoCo decides it."""
     excluded = {(int(s) >> 16, int(s) & 0xFFFF) for s in model.exclude_signature}
     parents_apart = not int(model.opt.disableflags) & int(mujoco.mjtDisableBit.mjDSBL_FILTERPARENT)

@@ -28,6 +28,7 @@ from gpusimbench.recorder.simulators.mujoco.options import MjcfOptions
 from gpusimbench.recorder.simulators.newton.options import FOR_MODELS, NewtonOptions
 from gpusimbench.recorder.simulators.snapshot import COMPLETE, Envs, Snapshot, StateClaims, partial
 from gpusimbench.recorder.simulators.warp import runtime as warp_runtime
+from gpusimbench.schemas.imported import Imported
 from gpusimbench.schemas.provenance import Deviation
 
 _BLOCK = 10  # steps in a graph; even, so that it ends with the state that it began with
@@ -316,6 +317,32 @@ class Newton(Simulator):
         """See Simulator.state."""
         arrays = (array.numpy().reshape(1, self.n_env, -1) for array in self._worlds.shown())
         return tuple(array[0] for array in self._world.layout.split(*arrays))
+
+    def imported(self) -> Imported | None:
+        """See Simulator.imported."""
+        from gpusimbench.recorder.simulators.newton.held import held
+
+        places = self._world.imported
+        if places is None:
+            return None
+        worlds, name = self._worlds, self.options.solver
+        return held(worlds.model, worlds.solver, places, self._compiled.model, name=name, dt=self.dt)
+
+    def link_poses(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """See Simulator.link_poses: newton.eval_fk."""
+        from gpusimbench.recorder.simulators.newton.held import link_poses
+
+        known, places = self.imported(), self._world.imported
+        assert known is not None and places is not None
+        poses = self._worlds.state.body_q.numpy().reshape(self.n_env, -1, 7)
+        return link_poses(poses, places, self._compiled.model, known.names)
+
+    def hold(self, controls: NDArray[np.float64]) -> None:
+        """See Simulator.hold: with solver mujoco."""
+        given = getattr(self._worlds.control, "mujoco", None) if self.options.solver == "mujoco" else None
+        if given is None or given.ctrl.size != controls.size:
+            raise NotImplementedError
+        given.ctrl.assign(controls.astype(np.float32).ravel())
 
     def states(self, n_step: int) -> States:
         """See Simulator.states."""

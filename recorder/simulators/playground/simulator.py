@@ -44,11 +44,11 @@ class Playground(MjxSimulator):
     def _implementation(self) -> str:
         return self.options.impl or self._default
 
-    def _physics_of(self, model: MjxModel, device: Any) -> Physics:
+    def _physics_of(self, model: MjxModel, on_device: Any, device: Any) -> Physics:
         import jax
         import jax.numpy as jnp
 
-        environment = _environment(model, self.dt, device)
+        environment = _environment(model, self.dt, on_device, device)
         step = jax.vmap(environment.step)
         no_actions = jnp.zeros((self.n_env, environment.action_size), jnp.float32)
 
@@ -81,7 +81,7 @@ def _package() -> Any:
     return mujoco_playground
 
 
-def _environment(model: MjxModel, dt: float, device: Any) -> Any:
+def _environment(model: MjxModel, dt: float, on_device: Any, device: Any) -> Any:
     """A mujoco_playground.MjxEnv of a scene: no reward, no end, the whole state as observation."""
     import jax.numpy as jnp
     from ml_collections import config_dict
@@ -94,7 +94,7 @@ def _environment(model: MjxModel, dt: float, device: Any) -> Any:
 
         def __init__(self) -> None:
             super().__init__(config_dict.create(ctrl_dt=dt, sim_dt=dt, impl=model.impl, **model.sizes))
-            self._mjx_model = model.put(device)
+            self._mjx_model = on_device
 
         def reset(self, rng: Any) -> Any:
             """The scene's initial state; nothing is drawn."""

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable
-from dataclasses import dataclass
 from importlib.metadata import version
 from typing import Any
 
@@ -22,51 +21,19 @@ from gpusimbench.recorder.simulators.base import Description, Simulator, States
 from gpusimbench.recorder.simulators.counters import CONSTRAINT_ROWS, CONTACTS, SOLVER_ITERATIONS
 from gpusimbench.recorder.simulators.evidence import Evidence
 from gpusimbench.recorder.simulators.flight import Flight, Watch
-from gpusimbench.recorder.simulators.mujoco.options import MjcfOptions
 from gpusimbench.recorder.simulators.snapshot import COMPLETE, Envs, Snapshot, StateClaims
 from gpusimbench.recorder.simulators.warp import runtime as warp_runtime
 from gpusimbench.recorder.simulators.warp import worlds
 from gpusimbench.recorder.simulators.warp.actions import DeviceActions
 from gpusimbench.recorder.simulators.warp.block import WarpBlock, evidence_of
 from gpusimbench.recorder.simulators.warp.flight import WarpFlight
+from gpusimbench.recorder.simulators.warp.options import LEVELS, SETTINGS, WarpOptions
 from gpusimbench.recorder.simulators.warp.transfer import Slot, Slots
 from gpusimbench.schemas.errors import GsbError
+from gpusimbench.schemas.imported import Imported
 from gpusimbench.schemas.provenance import Buffer, OverflowBit
 
 _HARMLESS = ("ITERATIONS", "LS_ITERATIONS")  # a limit was reached, nothing was dropped
-
-# of opt.deterministic (mujoco_warp.DeterminismType), and of warp.config.deterministic
-_LEVELS = {
-    "default": ((), "off"),
-    "off": (("NONE",), "off"),
-    "contacts": (("CONTACTS",), "off"),
-    "constraint": (("CONSTRAINT",), "off"),
-    "contacts-constraint": (("CONTACTS", "CONSTRAINT"), "off"),
-    "atomics": (("ATOMICS",), "off"),
-    "warp-run-to-run": (("NONE",), "run-to-run"),
-    "run-to-run": (("ALL",), "off"),
-    "gpu-to-gpu": (("ALL",), "gpu-to-gpu"),
-}
-
-
-@dataclass(frozen=True)
-class WarpOptions(MjcfOptions):
-    """Options of MuJoCo Warp.
-
-    device   auto (the first GPU that CUDA shows, else the CPU), cpu or cuda
-    nconmax  contacts (and candidate pairs) per env, in a pool that all environments share; 0: measured
-    njmax    constraint rows per env; 0: measured
-    """
-
-    device: str = "auto"
-    nconmax: int = 0
-    njmax: int = 0
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        for name in ("nconmax", "njmax"):
-            if getattr(self, name) < 0:
-                raise ValueError(f"{name} is 0 (measured) or a positive number, not {getattr(self, name)}")
 
 
 class MujocoWarp(Simulator):
@@ -77,22 +44,12 @@ class MujocoWarp(Simulator):
     timing_interval = 10
     draws_actions = True
     blocks_ahead = 2
-    determinism_levels = {
-        "default": "the engine as it ships: opt.deterministic is NONE",
-        "off": "opt.deterministic NONE, whatever the engine's default",
-        "contacts": "opt.deterministic CONTACTS: contacts are sorted",
-        "constraint": "opt.deterministic CONSTRAINT: constraint rows have a canonical order",
-        "contacts-constraint": "both of these",
-        "atomics": "opt.deterministic ATOMICS: sums by atomic operations have a fixed order",
-        "run-to-run": "opt.deterministic ALL: the three together",
-        "warp-run-to-run": "warp.config.deterministic RUN_TO_RUN for all kernels, opt.deterministic NONE",
-        "gpu-to-gpu": "opt.deterministic ALL and warp.config.deterministic GPU_TO_GPU",
-    }
+    determinism_levels = LEVELS
 
     def build(self) -> Description:
         """See Simulator.build."""
         options: WarpOptions = self.options
-        bits, mode = _LEVELS[self.determinism]
+        bits, mode = SETTINGS[self.determinism]
         if "mujoco_warp" in sys.modules and not warp_runtime.has_mode(mode):
             raise GsbError("Warp's determinism mode must be chosen before MuJoCo Warp is imported: use a fresh process")
         self._device = warp_runtime.start(options.device, mode)
@@ -316,6 +273,23 @@ class MujocoWarp(Simulator):
     def state_claims(cls, options: Any) -> StateClaims:
         """See Simulator.state_claims."""
         return StateClaims(COMPLETE, COMPLETE, COMPLETE, COMPLETE)
+
+    def imported(self) -> Imported:
+        """See Simulator.imported."""
+        from gpusimbench.recorder.simulators.mujoco.imported import imported
+
+        return imported(self._compiled.model, worlds.reader(self._model), "MuJoCo Warp")
+
+    def link_poses(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """See Simulator.link_poses: mujoco_warp.kinematics."""
+        import mujoco_warp as mjw
+
+        mjw.kinematics(self._model, self._data)
+        return self._data.xpos.numpy().copy(), self._data.xquat.numpy().copy()
+
+    def hold(self, controls: NDArray[np.float64]) -> None:
+        """See Simulator.hold."""
+        self._data.ctrl.assign(controls.astype(np.float32))
 
     def snapshot(self) -> Snapshot:
         """See Simulator.snapshot."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields
 from typing import Any
 
@@ -53,6 +53,36 @@ def put_model(model: Any, models: Sequence[Any]) -> Any:
     for name, array in varied.items():
         getattr(put, name).assign(array)
     return put
+
+
+def reader(model: Any) -> Callable[[str], NDArray[Any]]:
+    """Reads an array of a mujoco_warp.Model by its name in MjModel, "opt." before those of options; of the first world,
+    where each has its own. AttributeError where there is none of that name."""
+    import mujoco_warp as mjw
+
+    axes: dict[str, tuple[Any, ...]] = {
+        prefix + field.name: getattr(field.type, "shape", ())
+        for prefix, owner in (("", mjw.Model), ("opt.", mjw.Option))
+        for field in fields(owner)
+    }
+
+    def read(name: str) -> NDArray[Any]:
+        owner, _, field = name.rpartition(".")
+        found = getattr(model.opt if owner else model, field)
+        array: NDArray[Any] = np.asarray(found.numpy() if hasattr(found, "numpy") else found)
+        if axes[name][:1] == ("*",):
+            first: NDArray[Any] = array[0]
+            return first
+        return _excluded(model, array) if name == "exclude_signature" else array
+
+    return read
+
+
+def _excluded(model: Any, signatures: NDArray[Any]) -> NDArray[Any]:
+    # excludes that the list of pairs, which collision detection goes by, follows
+    of = model.geom_bodyid.numpy()
+    tested = {tuple(sorted(pair)) for pair in of[model.nxn_geom_pair_filtered.numpy()].tolist()}
+    return np.array([s for s in signatures if tuple(sorted((int(s) >> 16, int(s) & 0xFFFF))) not in tested], dtype=int)
 
 
 def model_fields(model: Any, models: Sequence[Any]) -> dict[str, NDArray[Any]]:

@@ -1,0 +1,95 @@
+"""Redraws the tables of docs/how-to/what-the-importer-lost.md: what engines make of the walker and Gymnasium's models.
+
+usage: python docs/make_imports.py [--sim warp,mjx,...] [--models walker,ant,...] [--folder FOLDER]
+
+Measures these engines and models, and shows all results that are in the folder, so that they can be added one by one.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import subprocess
+import sys
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).resolve().parent.parent
+PAGE = ROOT / "docs" / "how-to" / "what-the-importer-lost.md"
+BEGIN, END = "<!-- imports: docs/make_imports.py -->", "<!-- end of imports -->"
+ENGINES = ("warp", "mjx", "newton")
+_NO_PGS = {"warp": "solver=Newton", "mjx": "solver=Newton", "newton": "mujoco_solver=Newton"}
+
+
+def models() -> dict[str, Path]:
+    """The walker of the examples, and the models of Gymnasium as it is installed."""
+    found = find_spec("gymnasium")
+    assert found is not None and found.origin is not None
+    assets = Path(found.origin).parent / "envs" / "mujoco" / "assets"
+    files = [ROOT / "examples" / "walker" / "walker.xml", *sorted(assets.glob("*.xml"))]
+    return {path.stem: path for path in files}
+
+
+def measured(model: Path, engine: str, folder: Path) -> dict[str, Any]:
+    """What gsb-import says of an engine, from the folder if it was asked before."""
+    target = folder / f"{model.stem}-{engine}.json"
+    if not target.exists():
+        given = [str(model), "--sim", engine, "--out", str(folder / "runs"), "--json", str(target)]
+        if "PGS" in model.read_text() and engine in _NO_PGS:
+            given += ["--option", _NO_PGS[engine]]
+        command = [sys.executable, "-m", "gpusimbench.evaluator.cli.imported", *given]
+        done = subprocess.run(command, capture_output=True, text=True)
+        assert done.returncode in (0, 4), done.stderr
+    result: dict[str, Any] = json.loads(target.read_text())["engines"][0]
+    return result
+
+
+def short(found: dict[str, Any]) -> str:
+    """A cell: what differs, or how near what agrees is."""
+    if found["refused"]:
+        return f"refused: {found['refused'].split(': ', 1)[-1].split(';')[0]}"
+    findings = [finding for kind in found["kinds"] for finding in kind["findings"]]
+    wrong = [f"{len(findings)} parameter{'s' if len(findings) > 1 else ''}"] if findings else []
+    poses, responses = found["poses"], found["responses"]
+    distance = max((link["distance"] for link in poses["links"]), default=0.0) if poses else None
+    if distance is not None and distance > 1e-5:
+        wrong.append(f"bodies by {distance:.2g} m")
+    late = [one["steps"] for one in responses["each"] if one["steps"] is not None] if responses else []
+    if late and max(late) > 0.1:
+        wrong.append(f"responses by {max(late):.2g} steps")
+    if wrong:
+        return "**differs**: " + ", ".join(wrong)
+    parts = [f"{distance:.0e} m" if distance is not None else "no poses"]
+    parts.append(f"{max(late):.0e} steps" if late else "no response without contact")
+    return f"agrees ({', '.join(parts)})"
+
+
+def table(folder: Path) -> str:
+    """A row for each model, a column for each engine, in Markdown; a dash for what is not in the folder."""
+    rows = [["model", *ENGINES], ["---"] * (len(ENGINES) + 1)]
+    for name, path in models().items():
+        there = [(folder / f"{name}-{engine}.json").exists() for engine in ENGINES]
+        cells = [short(measured(path, e, folder)) if known else "-" for e, known in zip(ENGINES, there, strict=True)]
+        rows.append([name, *cells])
+    return "\n".join(f"| {' | '.join(row)} |" for row in rows)
+
+
+def main() -> None:
+    """Measure, and write the table into the page."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--sim", default=",".join(ENGINES))
+    parser.add_argument("--models", default="")
+    parser.add_argument("--folder", type=Path, default=Path("import-results"))
+    given = parser.parse_args()
+    given.folder.mkdir(parents=True, exist_ok=True)
+    known = models()
+    for name in given.models.split(",") if given.models else known:
+        for engine in given.sim.split(","):
+            print(name, engine, short(measured(known[name], engine, given.folder)), flush=True)
+    head, rest = PAGE.read_text().split(BEGIN)
+    PAGE.write_text(f"{head}{BEGIN}\n{table(given.folder)}\n{END}{rest.split(END)[1]}")
+
+
+if __name__ == "__main__":
+    main()

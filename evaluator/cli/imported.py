@@ -1,0 +1,167 @@
+"""gsb-import: what engines made of a model file, compared with MuJoCo C: parameters, kinematics, responses."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from gpusimbench.evaluator.cli.arguments import check_target, local_name, write_json
+from gpusimbench.evaluator.cli.entry import enter, new_parser
+from gpusimbench.schemas.errors import ExitCode, GsbError, UsageError
+from gpusimbench.schemas.location import place
+from gpusimbench.schemas.parser import Parser
+from gpusimbench.schemas.progress import each, sizes
+
+if TYPE_CHECKING:
+    from gpusimbench.evaluator.imports.audit import Audit
+    from gpusimbench.evaluator.read.recording import Recording
+    from gpusimbench.schemas.location import Place
+
+_OUT = Path("imports")
+_REFERENCE = "mujoco"
+
+_EPILOG = """\
+Every engine reads a model file by an importer of its own, and what an importer does not know is often dropped without
+a word. gsb-import records, for MuJoCo C and for each engine, the parameters that the engine holds (masses, inertias,
+joints, gains, limits, friction, equalities, ...), where its kinematics place the bodies in 16 drawn poses, and how each
+joint moves that begins with a speed, and each actuator that is given a control, within 10 steps. It compares them by
+name and says what differs, by how much, and what is missing.
+
+Tolerances: numbers may differ by what single precision rounds, bodies by 1e-05 m and 0.0001 rad, velocities of a
+response by 0.1 of what the reference changes in a time step. Trials in which bodies touch are not compared.
+
+The recordings lie in --out. With recordings or folders instead of --sim nothing is recorded: each recording of a model
+is compared with that of MuJoCo C among them. Every recording of a model file has the parameters; one that was made with
+--phases import has poses and responses, too.
+
+exit codes:
+  0  all engines agree with MuJoCo C
+  1  a run could not be recorded
+  2  wrong usage
+  3  a recording is damaged
+  4  an engine differs, or refuses the model
+  5  nothing can be compared
+
+examples:
+  gsb-import robot.xml --sim warp,mjx
+  gsb-import robot.xml --sim warp --option solver=Newton --json -
+  gsb-import imports --all
+"""
+
+
+def parser() -> Parser:
+    """The command's arguments."""
+    p = new_parser(
+        "gsb-import",
+        "Compare what engines made of a model file with what MuJoCo C made of it: parameters, kinematics, responses.",
+        _EPILOG,
+    )
+    p.add_argument(
+        "files", nargs="+", type=place, metavar="FILE",
+        help="with --sim: a model file, MJCF or URDF; else recordings of a model, or folders of them",
+    )  # fmt: skip
+    p.add_argument("--sim", metavar="NAME[,NAME]", help="engines that are to read the model; see gsb-record --list")
+    p.add_argument(
+        "--option", action="append", default=[], metavar="NAME=VALUE",
+        help="of these engines, not of MuJoCo C, which compiles the model as it is; repeatable",
+    )  # fmt: skip
+    p.add_argument("--seed", type=int, default=0, metavar="N", help="of the drawn poses (default: %(default)s)")
+    p.add_argument("--out", type=Path, default=_OUT, metavar="DIR", help="of the recordings (default: %(default)s/)")
+    p.add_argument("--all", action="store_true", help="show every difference, and what was not compared")
+    p.add_argument("--json", type=local_name, metavar="FILE", help="write the result as JSON; - for standard output")
+    return p
+
+
+def run(arguments: argparse.Namespace, command: str) -> int:
+    """Record if asked to, compare and print; returns the exit code."""
+    from gpusimbench.evaluator.imports.audit import audited
+    from gpusimbench.evaluator.imports.sections import dump_import, import_document
+    from gpusimbench.evaluator.read.addresses import expand
+    from gpusimbench.evaluator.render.terminal import print_document
+
+    check_target(arguments.json)
+    if arguments.sim:
+        audits = _recorded(arguments)
+    else:
+        _check_recordings(arguments)
+        audits = audited(_verified(list(expand(arguments.files))))
+    if arguments.json:
+        write_json(arguments.json, dump_import(audits))
+    if arguments.json != "-":
+        print_document(import_document(audits, every=arguments.all), sys.stdout)
+    return int(ExitCode.OK if all(audit.agrees for audit in audits) else ExitCode.GATE_FAILED)
+
+
+def _check_recordings(arguments: argparse.Namespace) -> None:
+    if models := [path for path in arguments.files if str(path).lower().endswith((".xml", ".urdf", ".mjcf"))]:
+        raise UsageError(f"{models[0]} is a model file: name the engines that are to read it, such as --sim warp,mjx")
+    if arguments.option:
+        raise UsageError("--option is of engines that --sim names; recordings were made with theirs")
+
+
+def _verified(files: list[Place]) -> list[Recording]:
+    from gpusimbench.evaluator.read.recording import Recording
+    from gpusimbench.evaluator.runs.validation import verify
+
+    found = []
+    for path in each(files, "verifying recordings", sizes(files)):
+        recording = Recording(path)
+        verify(recording)
+        found.append(recording)
+    return found
+
+
+def _recorded(arguments: argparse.Namespace) -> tuple[Audit, ...]:
+    from gpusimbench.evaluator.compute.recorder import about
+    from gpusimbench.evaluator.imports.audit import audited, refused
+
+    names = list(dict.fromkeys(filter(None, (part.strip() for part in arguments.sim.split(",")))))
+    engines = [name for name in names if name != _REFERENCE]
+    if len(arguments.files) > 1 or not isinstance(arguments.files[0], Path):
+        raise UsageError("--sim takes one model file of this machine")
+    if not engines:
+        raise UsageError(f"--sim names engines to be compared with MuJoCo C, such as warp,mjx, not '{arguments.sim}'")
+    for name in engines:
+        about(name)  # wrong usage where there is none
+    model = arguments.files[0]
+    reference, why = _make(model, _REFERENCE, [], arguments)
+    if reference is None:
+        raise UsageError(why)
+    audits = []
+    for name in each(engines, "recording what engines make of the model"):
+        recording, why = _make(model, name, arguments.option, arguments)
+        if recording is None:
+            audits.append(refused(name, arguments.option, why))
+        else:
+            audits += audited([reference, recording])
+    return tuple(audits)
+
+
+def _make(
+    model: Path, simulator: str, options: list[str], arguments: argparse.Namespace
+) -> tuple[Recording | None, str]:
+    """The recording of an engine; None, and why, where it takes no such model."""
+    from gpusimbench.evaluator.compute.recorder import as_path, record
+
+    given = ["--sim", simulator, "--model", as_path(model), "--phases", "import", "--runs", "1", "--n-env", "1"]
+    given += [f"--option={option}" for option in options]
+    given += ["--seed", str(arguments.seed), "--compression", "zstd", "--out", str(arguments.out)]
+    made, why = record(given, lambda text: None)
+    if why:
+        return None, why
+    (one,) = made
+    if one.path is None or one.status == "stopped":
+        raise GsbError(f"{simulator} could not be recorded: {one.status}: {one.reason}")
+    (recording,) = _verified([place(str(one.path))])
+    return recording, ""
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Entry point of gsb-import."""
+    return enter(parser(), run, argv)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

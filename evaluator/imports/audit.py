@@ -1,0 +1,135 @@
+"""Recordings of a model file, each compared with that of MuJoCo C."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from gpusimbench.evaluator.imports.motion import Items, Poses, Responses, poses, responses
+from gpusimbench.evaluator.imports.parameters import Compared, Finding, compare
+from gpusimbench.evaluator.missing import Missing
+from gpusimbench.evaluator.read.recording import Recording
+from gpusimbench.schemas.errors import DamagedRecording, NothingComparable
+from gpusimbench.schemas.imported import IMPORTED, TRIALS, Imported, Trials
+from gpusimbench.schemas.location import Place
+
+REFERENCE = "mujoco"
+"""The simulator whose compiled model is the reference."""
+
+
+@dataclass(frozen=True)
+class Audit:
+    """What an engine made of a model file.
+
+    simulator, version, device, options  of the run
+    model      the model's own file
+    same_file  whether the reference has the same files, to the byte
+    path       of the recording; None where none was made
+    refused    why the engine does not take the model; empty where it does
+    kinds      parameters, by kind of things
+    poses      the engine's kinematics
+    responses  the engine's dynamics
+    """
+
+    simulator: str
+    version: str
+    device: str
+    options: tuple[str, ...]
+    model: str
+    same_file: bool
+    path: Place | None
+    refused: str
+    kinds: tuple[Compared, ...]
+    poses: Poses | Missing
+    responses: Responses | Missing
+
+    @property
+    def findings(self) -> tuple[Finding, ...]:
+        """All differences of parameters."""
+        return tuple(finding for kind in self.kinds for finding in kind.findings)
+
+    @property
+    def agrees(self) -> bool:
+        """Whether nothing differs, is missing, or is refused; what could not be compared aside."""
+        moved = [part.wrong for part in (self.poses, self.responses) if not isinstance(part, Missing)]
+        return not self.refused and not self.findings and not any(moved)
+
+
+def refused(simulator: str, options: Sequence[str], why: str) -> Audit:
+    """Of an engine that does not take the model."""
+    none = Missing("the model was refused")
+    return Audit(simulator, "", "", tuple(options), "", True, None, why, (), none, none)
+
+
+def audited(recordings: Sequence[Recording]) -> tuple[Audit, ...]:
+    """Each recording of a model that is not of MuJoCo C, compared with MuJoCo C's of the same files; where there is
+    none, and one of other files alone, with that.
+
+    NothingComparable where there is no recording to be compared, or nothing to compare with.
+    """
+    of_models = [recording for recording in recordings if recording.configuration.model]
+    references = [r for r in of_models if r.configuration.simulator == REFERENCE and r.attachment(IMPORTED) is not None]
+    others = [r for r in of_models if r.configuration.simulator != REFERENCE]
+    if not others:
+        raise NothingComparable("these recordings hold no model file on another simulator than MuJoCo C")
+    if not references:
+        raise NothingComparable(
+            "there is no recording of MuJoCo C to compare with: gsb-record --sim mujoco --model FILE.xml "
+            "--phases import"
+        )
+    return tuple(_audit(other, _reference_of(other, references)) for other in others)
+
+
+def _reference_of(recording: Recording, references: Sequence[Recording]) -> Recording:
+    same = [r for r in references if r.configuration.model == recording.configuration.model]
+    files = {r.configuration.model for r in references}
+    if not same and len(files) > 1:
+        raise NothingComparable(f"{recording.path} has other model files than any recording of MuJoCo C")
+    # one that was tried, if there is any; of several, the latest
+    return max(same or references, key=lambda r: (r.attachment(TRIALS) is not None, r.provenance.created_utc))
+
+
+def _audit(recording: Recording, reference: Recording) -> Audit:
+    c, simulation = recording.configuration, recording.simulation
+    held = recording.attachment(IMPORTED)
+    if held is None:
+        why = recording.reason or "the recording does not say what the engine holds of the model"
+        if recording.status == "complete":
+            raise NothingComparable(f"{recording.path}: {why}")
+        return refused(c.simulator, c.option_words, why)
+    ours = reference.attachment(IMPORTED)
+    assert ours is not None
+    try:
+        kinds = compare(Imported.decoded(ours), Imported.decoded(held))
+        moved: tuple[Poses | Missing, Responses | Missing] = _moved(recording, reference)
+    except DamagedRecording as error:
+        raise DamagedRecording(f"{recording.path} or {reference.path}: {error}") from None
+    return Audit(
+        simulator=c.simulator,
+        version=simulation.version if simulation else "",
+        device=simulation.device if simulation else "",
+        options=tuple(c.option_words),
+        model=str(recording.scene.get("file", c.scene)),
+        same_file=c.model == reference.configuration.model,
+        path=recording.path,
+        refused="",
+        kinds=kinds,
+        poses=moved[0],
+        responses=moved[1],
+    )
+
+
+def _moved(recording: Recording, reference: Recording) -> tuple[Poses | Missing, Responses | Missing]:
+    data = [one.attachment(TRIALS) for one in (reference, recording)]
+    for one, found in zip((reference, recording), data, strict=True):
+        if found is None:
+            said = f": {one.reason}" if one.reason else "; --phases import records it"
+            why = Missing(f"{one.configuration.simulator} was not tried{said}")
+            return why, why
+    ours, theirs = (Trials.decoded(found) for found in data if found is not None)
+    items = _items(reference), _items(recording)
+    return poses(ours, theirs, items), responses(ours, theirs, items)
+
+
+def _items(recording: Recording) -> Items:
+    return {field.name: field.items for field in recording.fields}
