@@ -258,16 +258,20 @@ def test_other_solvers(solver: str, tmp_path: Path) -> None:
 
 
 def test_what_a_solver_does_not_read(tmp_path: Path) -> None:
-    """Name damping, armature and dry friction of joints where a solver has none of them."""
+    """Name damping, armature and dry friction of joints, and equalities, where a solver has none of them."""
     from gpusimbench.recorder.simulators.newton.made import deviations_of_import
 
-    scene = _scene(_written(tmp_path, FALLING))
+    held = '<equality><joint name="held" joint1="hinge"/><weld body1="a"/></equality>'
+    scene = _scene(_written(tmp_path, FALLING, held))
     world, compiled = _imported(scene, "xpbd")
     model = world.builder.finalize(device="cpu")
     found = {d.parameter: d for d in deviations_of_import(model, None, world.imported, compiled.model, "xpbd")}
     assert (found["joint.damping"].wanted, found["joint.damping"].used) == ("slide 2", "slide 0")
     assert found["joint.armature"].reason == "solver xpbd has no armature"
     assert found["joint.frictionloss"].wanted == "hinge 0.1"
+    assert (found["held"].wanted, found["equality1"].wanted) == (
+        "constraint of equality, joint", "constraint of equality, weld"
+    )  # fmt: skip
     assert "body.mass" not in found
     assert "integrator Euler" in found["option"].wanted
 

@@ -201,6 +201,10 @@ def _not_of_others(model: Any, name: str) -> Iterator[Deviation]:
         if has := [w for w in words if np.any(getattr(model, f"tendon_{w}")[t])]:
             label = model.tendon(t).name or f"tendon{t}"
             yield Deviation(f"{label}.{has[0]}", "of a tendon", "none", f"solver {name} has no tendons")
+    for e in range(model.neq):
+        kind = mujoco.mjtEq(model.eq_type[e]).name.removeprefix("mjEQ_").lower()
+        label = model.equality(e).name or f"equality{e}"
+        yield Deviation(label, f"constraint of equality, {kind}", "none", f"solver {name} is given none of MuJoCo's")
     if np.any(model.body_gravcomp):
         yield Deviation("body.gravcomp", _some(_bodies(model)), "0", f"solver {name} has no compensation of gravity")
     if np.any(model.jnt_actfrclimited):
