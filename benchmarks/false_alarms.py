@@ -296,7 +296,7 @@ def read_run(run: Run, run_id: str, placed: NDArray[np.float64] | None = None) -
     none = Missing("no states were captured")
     return ReadRun(
         Path(f"{run_id}.mcap"), "complete", "", "", run_id, provenance, simulation, elapsed_s=run.elapsed_s,
-        host=Checkpoints(baseline=run.host_baseline, peak=run.host_peak), stalled_s=0.0,
+        timed_steps=TIMED_STEPS, host=Checkpoints(baseline=run.host_baseline, peak=run.host_peak), stalled_s=0.0,
         positions=none if placed is None else Positions(placed, None, 5.0),
         physics=PhysicsFacts("free-fall", N_ENV, (), none),
     )  # fmt: skip

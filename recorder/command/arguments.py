@@ -270,8 +270,8 @@ def parser() -> Parser:
     how.add_argument(
         "--phases",
         metavar="LIST",
-        help="any of timed (throughput), capture (states) and, with --model, import (what the engine made of the "
-        f"model, which gsb-import uses) (default: {_SIMULATED['phases']}; --replay: as recorded)",
+        help="any of timed (throughput), capture (states) and import (what the engine made of a model file, which "
+        f"gsb-import uses) (default: {_SIMULATED['phases']}; --replay: as recorded)",
     )
     how.add_argument("--steps", type=int, metavar="N", help="number of captured steps (default: 5 s of simulated time)")
     how.add_argument(

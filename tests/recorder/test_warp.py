@@ -64,22 +64,22 @@ def test_targets_are_drawn_on_the_device(seed: int, step: int, given_to: list[tu
     """Make on the device, bit for bit, the targets that the scene defines, also after the streams were exchanged."""
     import warp as wp
 
-    from gpusimbench.recorder.simulators.warp.actions import DeviceDraw
+    from gpusimbench.recorder.simulators.warp.actions import DeviceActions
 
     actions = franka().actions
     assert actions is not None
     env, begun = (np.array(column, dtype=np.uint32) for column in zip(*given_to, strict=True))
     n_env = len(given_to)
     with wp.ScopedDevice("cpu"):
-        drawn = DeviceDraw(actions, seed, Streams.usual(n_env))
+        drawn = DeviceActions(actions, seed, Streams.usual(n_env))
         for streams in (Streams.usual(n_env), Streams(env, begun)):
             drawn.follow(streams)
             ctrl = wp.zeros((n_env, len(actions.joints)), dtype=float)
-            number = wp.array([step], dtype=wp.int32)
-            drawn.launch(number, ctrl)
+            drawn.step.fill_(step)
+            drawn.enqueue(ctrl)
             expected = actions.draw(seed, n_env=n_env, first_step=step, n_step=1, streams=streams)[0]
             assert ctrl.numpy().tobytes() == expected.tobytes()
-            assert number.numpy().tolist() == [step + 1]
+            assert drawn.step.numpy().tolist() == [step + 1]
 
 
 def test_counts_of_a_resting_stack() -> None:
