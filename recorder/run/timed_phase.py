@@ -81,13 +81,15 @@ def warm_up_and_time(
         journal.count(simulator.evidence(), counted, warmup + steps)
         journal.ask_gates(simulator)
         write_applied(journal, simulator, configuration, warmup, steps)
-        for again in _timed_again(engine, configuration, clocks):
+        for again in () if journal.problems else _timed_again(engine, configuration, clocks):
             journal.timing("timed", again, warmup, interval, covers)
             if evidence := simulator.evidence():
                 for fired in counted.overflowed(evidence, first_step=warmup + steps):
                     journal.gate(fired, "BUFFER")
             _ask_finite(journal, simulator.state(), steps)
             journal.ask_gates(simulator)
+            if journal.problems:
+                break  # the run is INVALID, whatever else is timed
 
 
 def _timed_again(
