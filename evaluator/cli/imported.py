@@ -7,17 +7,16 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from gpusimbench.evaluator.cli.arguments import check_target, local_name, write_json
+from gpusimbench.evaluator.cli.arguments import add_json, check_target, verified, write_json
 from gpusimbench.evaluator.cli.entry import enter, new_parser
 from gpusimbench.schemas.errors import ExitCode, GsbError, UsageError
 from gpusimbench.schemas.location import place
 from gpusimbench.schemas.parser import Parser
-from gpusimbench.schemas.progress import each, sizes
+from gpusimbench.schemas.progress import each
 
 if TYPE_CHECKING:
     from gpusimbench.evaluator.imports.audit import Audit
     from gpusimbench.evaluator.read.recording import Recording
-    from gpusimbench.schemas.location import Place
 
 _OUT = Path("imports")
 _REFERENCE = "mujoco"
@@ -70,7 +69,7 @@ def parser() -> Parser:
     p.add_argument("--seed", type=int, default=0, metavar="N", help="of the drawn poses (default: %(default)s)")
     p.add_argument("--out", type=Path, default=_OUT, metavar="DIR", help="of the recordings (default: %(default)s/)")
     p.add_argument("--all", action="store_true", help="show every difference, and what was not compared")
-    p.add_argument("--json", type=local_name, metavar="FILE", help="write the result as JSON; - for standard output")
+    add_json(p, "result")
     return p
 
 
@@ -86,7 +85,7 @@ def run(arguments: argparse.Namespace, command: str) -> int:
         audits = _recorded(arguments)
     else:
         _check_recordings(arguments)
-        audits = audited(_verified(list(expand(arguments.files))))
+        audits = audited(verified(list(expand(arguments.files))))
     if arguments.json:
         write_json(arguments.json, dump_import(audits))
     if arguments.json != "-":
@@ -99,18 +98,6 @@ def _check_recordings(arguments: argparse.Namespace) -> None:
         raise UsageError(f"{models[0]} is a model file: name the engines that are to read it, such as --sim warp,mjx")
     if arguments.option:
         raise UsageError("--option is of engines that --sim names; recordings were made with theirs")
-
-
-def _verified(files: list[Place]) -> list[Recording]:
-    from gpusimbench.evaluator.read.recording import Recording
-    from gpusimbench.evaluator.runs.validation import verify
-
-    found = []
-    for path in each(files, "verifying recordings", sizes(files)):
-        recording = Recording(path)
-        verify(recording)
-        found.append(recording)
-    return found
 
 
 def _recorded(arguments: argparse.Namespace) -> tuple[Audit, ...]:
@@ -154,7 +141,7 @@ def _make(
     (one,) = made
     if one.path is None or one.status == "stopped":
         raise GsbError(f"{simulator} could not be recorded: {one.status}: {one.reason}")
-    (recording,) = _verified([place(str(one.path))])
+    (recording,) = verified([place(str(one.path))])
     return recording, ""
 
 

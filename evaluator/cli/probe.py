@@ -8,13 +8,13 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from gpusimbench.evaluator.cli.arguments import check_target, local_name, local_path, write_json
+from gpusimbench.evaluator.cli.arguments import check_target, local_name, local_path, verified, write_json
 from gpusimbench.evaluator.cli.entry import complain, enter, new_parser
 from gpusimbench.schemas.errors import DataLost, ExitCode, NothingComparable, UsageError
 from gpusimbench.schemas.folder_lock import held
 from gpusimbench.schemas.location import place
 from gpusimbench.schemas.parser import Parser
-from gpusimbench.schemas.progress import each, sizes
+from gpusimbench.schemas.progress import each
 from gpusimbench.schemas.text import line, show
 from gpusimbench.schemas.treatment import QUANTITIES, VARIED_SPREAD, Vary
 
@@ -175,14 +175,7 @@ def _given(arguments: argparse.Namespace) -> list[Place]:
 
 
 def _verified(files: list[Place]) -> list[Recording]:
-    from gpusimbench.evaluator.read.recording import Recording
-    from gpusimbench.evaluator.runs.validation import verify
-
-    found = []
-    for path in each(files, "verifying recordings", sizes(files)):
-        recording = Recording(path)
-        verify(recording)
-        found.append(recording)
+    found = verified(files)
     if lost := [recording for recording in found if recording.status == "incomplete"]:
         raise DataLost(f"{lost[0].path} is incomplete: {lost[0].reason}")
     return found

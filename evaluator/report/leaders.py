@@ -10,6 +10,7 @@ from gpusimbench.evaluator.report import timed
 from gpusimbench.evaluator.results.faults import faults_anywhere
 from gpusimbench.evaluator.results.result import GroupResult
 from gpusimbench.evaluator.results.timed_work import most_common, window_key
+from gpusimbench.evaluator.results.toss_metrics import TOSS_POSITION
 from gpusimbench.evaluator.results.toss_ranking import Ranked, configuration, ranked
 from gpusimbench.evaluator.runs.groups import is_instrument
 
@@ -61,14 +62,15 @@ def fastest(results: Sequence[GroupResult]) -> Iterator[Fastest]:
         windows = [window_key(r.group.key, r.timed) for r in found]
         usual = most_common(windows)
         alike = [r for r, window in zip(found, windows, strict=True) if window == usual]
-        faults = {r.label: speaks_against(r, results) for r in alike}
         if len({r.group.key.simulator for r in alike}) < 2:
             continue
+        faults = {r.label: speaks_against(r, results) for r in alike}
         # where errors against tosses are known: among those that cannot be told apart from the most accurate
         measured = [r for r in results if (r.group.key.scene, r.group.key.device) == (scene, device)]
+        measured = [r for r in measured if known(r.metrics[TOSS_POSITION.name].value) is not None]
         against = {r.label: speaks_against(r, results) for r in measured}
         if accurate := ranked([r for r in measured if not against[r.label]]):
-            errs = {configuration(one.result): against[one.result.label] for one in ranked(measured)}
+            errs = {configuration(r): against[r.label] for r in measured}
             errs |= {configuration(one.result): one.less_accurate for one in accurate}
             unknown = "no run of this configuration has errors against measured tosses"
             faults |= {r.label: errs.get(configuration(r), unknown) for r in alike if not faults[r.label]}
@@ -88,14 +90,17 @@ def fastest(results: Sequence[GroupResult]) -> Iterator[Fastest]:
 
 def speaks_against(result: GroupResult, results: Sequence[GroupResult]) -> str:
     """Why a throughput is not named, in words; empty where nothing speaks against it."""
-    return "; ".join(filter(None, (*faults_anywhere(result, results), result.timed.unmet.of_throughput)))
+    return _against([result], results)
 
 
 def speaks_against_pair(one: Ranked, results: Sequence[GroupResult]) -> str:
     """The same of errors against tosses, and of the throughput that stands beside them."""
-    both = [one.result] if one.timed is None or one.timed is one.result else [one.result, one.timed]
-    found = [*(wrong for each in both for wrong in faults_anywhere(each, results))]
-    return "; ".join(dict.fromkeys(filter(None, (*found, *(each.timed.unmet.of_throughput for each in both)))))
+    return _against([one.result, *([one.timed] if one.timed else ())], results)
+
+
+def _against(groups: Sequence[GroupResult], results: Sequence[GroupResult]) -> str:
+    found = [wrong for each in groups for wrong in faults_anywhere(each, results)]
+    return "; ".join(dict.fromkeys(filter(None, (*found, *(each.timed.unmet.of_throughput for each in groups)))))
 
 
 def _best(results: Sequence[GroupResult], scene: str, device: str) -> list[Speed]:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gpusimbench.evaluator.metrics.tosses import TossErrors
+from gpusimbench.evaluator.metrics.tosses import LocalErrors, TossErrors
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.results.details import OverTosses
 from gpusimbench.evaluator.results.group_runs import GroupRuns
@@ -21,14 +22,23 @@ _CM, _MM, _MJ = 100.0, 1000.0, 1000.0
 _DEGREES = 180.0 / math.pi
 
 
+_Errors = TypeVar("_Errors", TossErrors, LocalErrors)
+
+
+def _told(of_runs: Sequence[_Errors | Missing]) -> list[_Errors] | Missing:
+    """Errors of the runs that have any, or why none has."""
+    found = [errors for errors in of_runs if not isinstance(errors, Missing)]
+    reasons = [errors.reason for errors in of_runs if isinstance(errors, Missing)]
+    return found or Missing(reasons[0] if reasons else "no run of this group is complete")
+
+
 def _of(field: str, factor: float) -> Callable[[Metric, GroupRuns], Estimate]:
     """The mean over runs and tosses of a field of TossErrors, in the unit of the metric."""
 
     def estimate(metric: Metric, group: GroupRuns) -> Estimate:
-        found = [errors for errors in group.tosses if not isinstance(errors, Missing)]
-        if not found:
-            reasons = [errors.reason for errors in group.tosses if isinstance(errors, Missing)]
-            return missing(metric, reasons[0] if reasons else "no run of this group is complete")
+        found = _told(group.tosses)
+        if isinstance(found, Missing):
+            return missing(metric, found.reason)
         per_toss = _per_toss(found, field) * factor
         floor = group.toss_floor
         floors = {"position": floor.position, "rotation": floor.rotation} if floor else {}
@@ -54,10 +64,9 @@ def _local(field: str, factor: float) -> Callable[[Metric, GroupRuns], Estimate]
     """The mean over runs and tosses of a field of LocalErrors, in the unit of the metric."""
 
     def estimate(metric: Metric, group: GroupRuns) -> Estimate:
-        found = [errors for errors in group.local if not isinstance(errors, Missing)]
-        if not found:
-            reasons = [errors.reason for errors in group.local if isinstance(errors, Missing)]
-            return missing(metric, reasons[0] if reasons else "no run of this group is complete")
+        found = _told(group.local)
+        if isinstance(found, Missing):
+            return missing(metric, found.reason)
         of_runs = np.array([getattr(errors, field) for errors in found]) * factor
         long_enough = np.isfinite(of_runs[0])
         per_toss = of_runs[:, long_enough].mean(axis=0)
