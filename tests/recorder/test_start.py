@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from gpusimbench import open_recording
+from gpusimbench.recorder.environments.choice import interpreter_for
 from gpusimbench.recorder.plan import check
 from gpusimbench.recorder.run.start import begin
 from gpusimbench.recorder.scenes.registry import make_scene
@@ -62,6 +63,10 @@ def rest(whole: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 )
 def test_the_rest_of_a_run(arguments: tuple[str, ...], tmp_path: Path) -> None:
     """Continue in a fresh process with the same bits, actions included; what a run saves does not change it."""
+    try:
+        interpreter_for(find_simulator(arguments[0]))
+    except UsageError as nowhere:
+        pytest.skip(str(nowhere))
     asked = ("--sim", *arguments, *_SHORT, "--steps", _STEPS)
     plain = _record(*asked, "--out", tmp_path)
     saved = _record(*asked, "--snapshot", _MIDDLE, "--out", tmp_path)
