@@ -96,6 +96,7 @@ figures: install
 	$(BIN)/python docs/make_figures.py
 	$(BIN)/python docs/make_h200.py
 	$(BIN)/python docs/make_physics.py
+	$(BIN)/python docs/make_friction.py
 	$(BIN)/python -m docs.make_metrics
 	$(BIN)/python -m docs.make_loop
 

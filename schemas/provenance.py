@@ -170,6 +170,11 @@ class OverflowBit:
     fatal: bool
 
 
+MODIFIED = "modified"
+"""The switch that says, in a clause, how the engine that computed differs from the one that its makers released. It is
+absent where there is no difference. Tables put MODIFIED behind the name of such a simulator."""
+
+
 @dataclass(frozen=True)
 class EngineFacts:
     """What a built simulator says of itself.
@@ -247,6 +252,11 @@ class Simulation(EngineFacts):
             )
         except DamagedRecording as error:
             raise DamagedRecording(f"{SIMULATION}: {error}") from None
+
+
+def engine_name(simulator: str, simulation: Simulation | None) -> str:
+    """What tables call a simulator: by its name alone only where the engine is the released one, see MODIFIED."""
+    return f"{simulator} MODIFIED" if simulation and simulation.switches.get(MODIFIED) else simulator
 
 
 _HOST: dict[str, type] = {

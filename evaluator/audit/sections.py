@@ -23,6 +23,7 @@ from gpusimbench.evaluator.render.document import (
 )
 from gpusimbench.evaluator.render.numbers import plural
 from gpusimbench.evaluator.runs.groups import shown_status
+from gpusimbench.schemas.provenance import engine_name
 from gpusimbench.schemas.text import cut, few
 
 _TICKS = {True: "[x]", False: "[ ]", None: "[?]"}  # plain characters: no terminal shows them alike
@@ -127,7 +128,8 @@ def _recording(audit: Audit) -> Pairs:
     where = original.provenance.host.get("cpu", "")
     device = simulation.device if simulation else ""
     machine = where if device in ("", "cpu", where) else f"{device}, {where}"
-    said = f"{c.simulator}{version}, {c.scene}, {plural(c.n_env, 'env')}, dt {c.dt:g} s, {shown_status(original)}"
+    engine = engine_name(c.simulator, simulation)
+    said = f"{engine}{version}, {c.scene}, {plural(c.n_env, 'env')}, dt {c.dt:g} s, {shown_status(original)}"
     return [("recording", said), ("recorded", f"{original.provenance.created_utc}, {machine}")]
 
 

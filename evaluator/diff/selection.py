@@ -12,6 +12,7 @@ from gpusimbench.evaluator.diff.result import Contacts, Side
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.schemas.errors import UsageError
 from gpusimbench.schemas.fields import StateField
+from gpusimbench.schemas.provenance import engine_name
 
 
 @dataclass(frozen=True)
@@ -30,7 +31,7 @@ class Selection:
         """What the result says of it."""
         r = self.recording
         version = r.simulation.version if r.simulation else ""
-        label = f"{r.configuration.simulator} {version}".strip()
+        label = f"{engine_name(r.configuration.simulator, r.simulation)} {version}".strip()
         return Side(r.path, r.provenance.run_id, label, r.configuration.dt, self.envs, r.status, lost(r))
 
     def offsets(self, field: StateField) -> NDArray[np.float64]:

@@ -12,6 +12,7 @@ from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.schemas.errors import DamagedRecording, NothingComparable
 from gpusimbench.schemas.imported import IMPORTED, TRIALS, Imported, Trials
 from gpusimbench.schemas.location import Place
+from gpusimbench.schemas.provenance import engine_name
 
 REFERENCE = "mujoco"
 """The simulator whose compiled model is the reference."""
@@ -105,7 +106,7 @@ def _audit(recording: Recording, reference: Recording) -> Audit:
     except DamagedRecording as error:
         raise DamagedRecording(f"{recording.path} or {reference.path}: {error}") from None
     return Audit(
-        simulator=c.simulator,
+        simulator=engine_name(c.simulator, simulation),
         version=simulation.version if simulation else "",
         device=simulation.device if simulation else "",
         options=tuple(c.option_words),

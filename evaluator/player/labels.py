@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from gpusimbench.evaluator.read.recording import Recording
+from gpusimbench.schemas.provenance import engine_name
 from gpusimbench.schemas.text import printable
 
 
@@ -62,7 +63,7 @@ def labels_of(recordings: Sequence[Recording]) -> Labels:
 
 def _kind(recording: Recording) -> str:
     version = recording.simulation.version if recording.simulation else ""
-    return f"{recording.configuration.simulator} {version}".strip()
+    return f"{engine_name(recording.configuration.simulator, recording.simulation)} {version}".strip()
 
 
 def _letter(index: int) -> str:

@@ -22,7 +22,7 @@ from gpusimbench.schemas import __version__
 from gpusimbench.schemas.configuration import MAX_VIEW, RunConfiguration
 from gpusimbench.schemas.errors import GsbError
 from gpusimbench.schemas.location import Place
-from gpusimbench.schemas.provenance import REAL, Provenance, Simulation
+from gpusimbench.schemas.provenance import REAL, Provenance, Simulation, engine_name
 from gpusimbench.schemas.treatment import VARIED, initial_words
 
 SCHEMA_VERSION = 1
@@ -147,7 +147,10 @@ def _who(p: Provenance) -> Iterator[tuple[str, str]]:
 
 def _what(p: Provenance, s: Simulation | None) -> Iterator[tuple[str, str]]:
     c = p.configuration
-    yield "simulator", f"{c.simulator} {s.version} on {s.device}" if s else f"{c.simulator}, which was never built"
+    yield (
+        "simulator",
+        f"{engine_name(c.simulator, s)} {s.version} on {s.device}" if s else f"{c.simulator}, which was never built",
+    )
     digest = str(brief(s.scene.get("sha256", "")))[:12] if s else ""
     model = ""
     if c.model:

@@ -11,7 +11,7 @@ from typing import Any, Generic, Protocol, TypeVar
 from gpusimbench.schemas.configuration import RunConfiguration
 from gpusimbench.schemas.fields import StateField
 from gpusimbench.schemas.location import Place
-from gpusimbench.schemas.provenance import REAL, Provenance, Simulation
+from gpusimbench.schemas.provenance import REAL, Provenance, Simulation, engine_name
 
 
 class Described(Protocol):
@@ -50,7 +50,8 @@ class GroupKey:
     Two runs of one key were asked for the same, on the same device, with the same settings, versions of what computes,
     GPU driver and environment variables; only how long and how densely states were captured may differ.
 
-    simulator, version  of the engine; the version is empty where the run ended before the engine said it
+    simulator, version  of the engine, MODIFIED behind the name where it is not the released one; the version is empty
+                        where the run ended before the engine said it
     device              that steps, by name
     scene, scene_hash   name and SHA-256 of the description
     n_env, dt, seed     as asked; dt in seconds
@@ -151,7 +152,7 @@ def key_of(recording: Described) -> GroupKey:
     timed = "timed" in c.phases
     conditions = _conditions(recording)
     return GroupKey(
-        simulator=c.simulator,
+        simulator=engine_name(c.simulator, simulation),
         version=simulation.version if simulation else "",
         device=_device(recording),
         scene=c.scene,
@@ -220,8 +221,9 @@ def asked(recording: Described) -> GroupKey:
     """What is known of a run's key before its simulator is built: enough to tell which runs were asked for the same."""
     host, gpus = recording.provenance.host, recording.provenance.gpus
     machine = [host.get("cpu"), host.get("usable_threads"), *(gpu.get("name") for gpu in gpus)]
+    c = recording.configuration
     known = replace(key_of(recording), version="", scene_hash="", switches="", layout="", origins="")
-    return replace(known, device=json.dumps(machine), options=_canonical(recording.configuration.options))
+    return replace(known, simulator=c.simulator, device=json.dumps(machine), options=_canonical(c.options))
 
 
 def settings_asked(recordings: Sequence[Described]) -> GroupKey:

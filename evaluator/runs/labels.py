@@ -9,6 +9,7 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import Any
 
 from gpusimbench.evaluator.runs.groups import Described, GroupKey, precisions
+from gpusimbench.schemas.provenance import engine_name
 from gpusimbench.schemas.text import cut
 from gpusimbench.schemas.treatment import initial_words
 
@@ -42,8 +43,8 @@ def options_given(recordings: Iterable[Described]) -> Given:
     """Names of the options that a user gave for any of some recordings, by simulator."""
     found: dict[str, frozenset[str]] = {}
     for recording in recordings:
-        configuration = recording.configuration
-        found[configuration.simulator] = found.get(configuration.simulator, frozenset()) | set(configuration.options)
+        name = engine_name(recording.configuration.simulator, recording.simulation)
+        found[name] = found.get(name, frozenset()) | set(recording.configuration.options)
     return found
 
 

@@ -69,6 +69,7 @@ def _about(entry: Entry, scenes: list[Scene]) -> Json:
     adapter, problem = _adapter(entry)
     abilities: frozenset[Ability] = adapter.offered(adapter.Options()) if adapter else frozenset()
     missing = {scene.name: titles(scene.needs() - abilities) for scene in scenes} if adapter else {}
+    refused = _refused(adapter, entry, scenes) if adapter else {}
     levels = adapter.determinism_levels if adapter and (installed or prepared) else {}
     return {
         "name": entry.name,
@@ -83,8 +84,26 @@ def _about(entry: Entry, scenes: list[Scene]) -> Json:
         "abilities": titles(abilities),
         "scenes": [name for name, lacks in missing.items() if not lacks],
         "missing_for": {name: lacks for name, lacks in missing.items() if lacks},
+        "refused_on": refused,
         "determinism": {str(level): str(meaning) for level, meaning in levels.items()},
     }
+
+
+def _refused(adapter: type[Simulator], entry: Entry, scenes: list[Scene]) -> Json:
+    # by kind of device, scenes that the engine simulates elsewhere, with the abilities that it does not have there
+    if "device" not in getattr(adapter.Options, "__dataclass_fields__", {}):
+        return {}
+    found: Json = {}
+    offered = adapter.offered(adapter.Options())
+    for device in entry.devices:
+        try:
+            withheld = adapter.withheld(adapter.Options(device=device)).keys()
+        except ValueError:  # a third party's devices have other names than kinds
+            continue
+        lacks = {scene.name: titles(scene.needs() & withheld) for scene in scenes if scene.needs() <= offered}
+        if lacks := {name: missing for name, missing in lacks.items() if missing}:
+            found[device] = lacks
+    return found
 
 
 def _about_real(scenes: list[Scene]) -> Json:
@@ -101,6 +120,7 @@ def _about_real(scenes: list[Scene]) -> Json:
         "abilities": [],
         "scenes": [scene.name for scene in scenes if "cubes" in scene.groups()],
         "missing_for": {},
+        "refused_on": {},
         "determinism": {},
     }
 
@@ -130,7 +150,12 @@ def details(about: Json) -> list[str]:
     """Where a simulator is installed, its devices, precision and scenes, a line each."""
     lines = _where(about)
     lines += [f"{what}: {', '.join(about[what])}" for what in ("devices", "precision", "scenes") if about[what]]
-    return lines + [f"not {scene}: it has no {listed(missing)}" for scene, missing in about["missing_for"].items()]
+    lines += [f"not {scene}: it has no {listed(missing)}" for scene, missing in about["missing_for"].items()]
+    return lines + [
+        f"not {scene} on {device}: it has no {listed(missing)} there"
+        for device, scenes in about["refused_on"].items()
+        for scene, missing in scenes.items()
+    ]
 
 
 def _where(about: Json) -> list[str]:
@@ -149,6 +174,8 @@ def _where(about: Json) -> list[str]:
 def _in_short(about: Json, scenes: int) -> list[str]:
     """Where it is installed; then its devices and scenes; then its levels, where it has any beside the default."""
     able = "all" if len(about["scenes"]) == scenes else ", ".join(about["scenes"])
+    for device, refused in about["refused_on"].items():
+        able += f" ({device}: not {', '.join(refused)})"
     told = [f"{what}: {said}" for what, said in (("devices", ", ".join(about["devices"])), ("scenes", able)) if said]
     levels = [f"determinism levels: {', '.join(about['determinism'])}"] if len(about["determinism"]) > 1 else []
     return [*_where(about), *(["; ".join(told)] if told else []), *levels]

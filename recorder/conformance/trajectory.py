@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from gpusimbench.recorder.conformance.frames import drift, local, rounding
 from gpusimbench.recorder.conformance.verdict import NotApplicable
 from gpusimbench.recorder.scenes.base import Body, Scene
 from gpusimbench.recorder.simulators.base import Description, States
@@ -55,10 +56,22 @@ class Trajectory:
 
         Positions are relative to the env's origin.
         """
-        found = recorded(self.description, self.states, name, field)
-        if field == "position" and self.description.env_origins:
-            return np.asarray(found - np.array(self.description.env_origins)[None])
-        return found
+        for layout, array in zip(self.description.fields, self.states, strict=False):
+            if layout.field == field and name in layout.items:
+                item = layout.items.index(name)
+                part = array[..., item : item + 1, :]
+                return (local(self.description, layout, part) if field == "position" else part)[..., 0, :]
+        raise NotApplicable(f"the adapter does not record {field} of {name}")
+
+    @property
+    def rounding(self) -> NDArray[np.float64]:
+        """What the origin of each environment leaves of a position, to go with `of`: [env, 1] [m]; 0 at zero."""
+        return rounding(self.description, self.n_env)[:, None]
+
+    @property
+    def drift(self) -> NDArray[np.float64]:
+        """How far a body may go astray in all steps because positions are rounded, [env, 1] [m]."""
+        return drift(self.description, self.n_env, sum(self.blocks))[:, None]
 
     def count(self, name: str) -> NDArray[np.integer]:
         """One counter at every step but the initial state, [step, env]; NotApplicable where it is not counted."""
@@ -68,11 +81,3 @@ class Trajectory:
         if not rows:
             raise AssertionError(f"counter '{name}' is declared, and evidence() never had it")
         return np.concatenate(rows)
-
-
-def recorded(description: Description, states: States, body: str, field: str) -> NDArray[np.floating]:
-    """One field of one body out of a state [..., item, width]; NotApplicable where it is not recorded."""
-    for layout, array in zip(description.fields, states, strict=False):
-        if layout.field == field and body in layout.items:
-            return array[..., layout.items.index(body), :]
-    raise NotApplicable(f"the adapter does not record {field} of {body}")

@@ -31,7 +31,7 @@ def expect_close(
     found: NDArray[np.floating],
     expected: ArrayLike,
     *,
-    atol: float,
+    atol: ArrayLike,
     what: str,
     unit: str,
     rtol: float = 0.0,
@@ -40,18 +40,20 @@ def expect_close(
     """Compare arrays, expected broadcast to found; says where they differ most. Not-a-number is close to nothing.
 
     found       its first axes are [step, env]
+    atol        broadcast to found, too
     first_step  of found
     """
     wanted = np.broadcast_to(np.asarray(expected, dtype=np.float64), found.shape)
     error = np.abs(found.astype(np.float64) - wanted)
-    excess = np.where(np.isnan(error), np.inf, error - (atol + rtol * np.abs(wanted)))
+    allowed = np.broadcast_to(np.asarray(atol, dtype=np.float64), found.shape) + rtol * np.abs(wanted)
+    excess = np.where(np.isnan(error), np.inf, error - allowed)
     if not found.size or excess.max() <= 0:
         return
     step, env, *rest = (int(i) for i in np.unravel_index(int(excess.argmax()), excess.shape))
     place = tuple(rest[:-1])  # the last axis holds the components of one vector, which are shown together
     got, want = found[(step, env, *place)], wanted[(step, env, *place)]
     fail(
-        f"{what}: expected {_numbers(want)} {unit} within {atol + rtol * np.abs(want).max():.2g}, "
+        f"{what}: expected {_numbers(want)} {unit} within {allowed[(step, env, *place)].max():.2g}, "
         f"found {_numbers(got)} (step {first_step + step}, env {env})"
     )
 

@@ -177,7 +177,7 @@ BUILT_IN = (
     ),
     Entry(
         "sapien",
-        "SAPIEN: PhysX, one system for each environment on the CPU",
+        "SAPIEN: PhysX, one system for each environment on the CPU, one for all on a GPU",
         "gpusimbench.recorder.simulators.sapien.simulator:Sapien",
         requires=("sapien", "psutil"),
         install=_set_up("sapien"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -11,6 +12,7 @@ import pytest
 from gpusimbench import open_recording
 from gpusimbench.evaluator.runs.groups import group
 from gpusimbench.evaluator.runs.labels import footnotes, labels, options_given, row_names, short_device
+from tests.conftest import Command, call
 from tests.synthetic import grid, write_recording
 
 
@@ -205,3 +207,37 @@ def test_names_of_rows_leave_out_what_stands_beside_them(tmp_path: Path) -> None
 def test_devices_are_short(device: str, short: str) -> None:
     """Leave out what all devices of a maker have in their names."""
     assert short_device(device) == short
+
+
+def test_a_modified_engine_does_not_stand_under_the_name_of_the_released_one(tmp_path: Path, gsb_eval: Command) -> None:
+    """Put MODIFIED behind its name in every table, keep its options, and compare it with nothing that was published."""
+    why = "PhysX 5.8.0, where SAPIEN 3.0.3 is released with 105.1"
+    kinds = ({"switches": {"modified": why}, "options": {"enable_tgs": value}} for value in ("true", "false"))
+    runs = [*kinds, {"options": {"enable_tgs": "true"}}]
+    assert named(tmp_path, *({"simulator": "maniskill", **run} for run in runs)) == [
+        "maniskill",
+        "maniskill MODIFIED [enable_tgs=false]",
+        "maniskill MODIFIED [enable_tgs=true]",
+    ]
+    files = sorted(map(str, tmp_path.glob("*.mcap")))
+    results = json.loads(gsb_eval(*files, "--json", "-").stdout)
+    simulators = sorted(result["simulator"] for result in results["groups"])
+    assert simulators == ["maniskill", "maniskill MODIFIED", "maniskill MODIFIED"]
+    alone = tmp_path / "alone"
+    alone.mkdir()
+    write_recording(alone, grid(1), simulator="maniskill", switches={"modified": why}, name="m.mcap")
+    page = tmp_path / "page"
+    gsb_eval(str(alone), "--html", str(page))
+    assert "maniskill MODIFIED" in (page / "index.html").read_text()
+    assert why in (page / "index.html").read_text()
+    assert "maniskill MODIFIED 1.0 on" in call("gsb-info", str(alone / "m.mcap")).stdout
+    assert "maniskill MODIFIED 1.0" in call("gsb-diff", str(alone / "m.mcap"), files[0]).stdout
+
+
+def test_a_run_that_failed_joins_those_of_a_modified_engine(tmp_path: Path) -> None:
+    """A run that ended before its engine said anything is counted among those that were asked for the same."""
+    modified = {"switches": {"modified": "another PhysX"}}
+    write_recording(tmp_path, grid(1), name="a.mcap", **modified)
+    write_recording(tmp_path, grid(1), name="b.mcap", run=1, built=False, status="FAILED")
+    groups = group([open_recording(path) for path in sorted(tmp_path.glob("*.mcap"))])
+    assert [len(found.recordings) for found in groups] == [2]

@@ -43,6 +43,93 @@ class Spoiled(MujocoC):
         return tuple(self.spoil(f, a, steps) for f, a in zip(self.fields, arrays, strict=True))
 
 
+class Apart(Spoiled):
+    """Not broken: records float32 in the world's frame, with environments at origins."""
+
+    origins: tuple[Any, ...] = ((0.0, 0.0, 0.0), (-5.0, 0.0, 0.0), (0.0, 1e4, 0.0))
+    frame = "world"
+
+    def build(self):
+        description = super().build()
+        self.fields = tuple(
+            replace(f, dtype="float32", frame=self.frame if f.field == "position" else f.frame)
+            for f in description.fields
+        )
+        return replace(description, fields=self.fields, env_origins=self.said())
+
+    def said(self):
+        return self.origins[: self.n_env]
+
+    def added(self):
+        return np.array(self.origins[: self.n_env])[:, None]
+
+    def spoil(self, field, array, step):
+        return (array + self.added() if field.field == "position" else array).astype(np.float32)
+
+    def set_state(self, states, envs=None):
+        rows = slice(None) if envs is None else envs
+        layouts = zip(self.fields, states, strict=True)
+        given = (a.astype(np.float64) - (self.added()[rows] if f.field == "position" else 0) for f, a in layouts)
+        super().set_state(tuple(given), envs)
+
+
+class ApartAndRelative(Apart):
+    """Not broken: as SAPIEN on a GPU, it has origins and gives positions without them."""
+
+    frame = "env"
+
+    def spoil(self, field, array, step):
+        there = super().spoil(field, array, step)
+        return (there - self.added().astype(np.float32)) if field.field == "position" else there
+
+    def set_state(self, states, envs=None):
+        Spoiled.set_state(self, tuple(array.astype(np.float64) for array in states), envs)
+
+
+class OtherOrigin(Apart):
+    """Says another origin than the one at which it puts an environment."""
+
+    def said(self):
+        return tuple((-x, y, z) for x, y, z in super().said())
+
+
+class NoOrigins(Apart):
+    """Says nothing of origins that are in its positions."""
+
+    def said(self):
+        return ()
+
+
+class OriginTwice(Apart):
+    """Calls positions relative to the environment, which are not."""
+
+    frame = "env"
+
+
+class OtherFrame(MujocoC):
+    """Gives positions in a frame that the format does not have."""
+
+    def build(self):
+        description = super().build()
+        fields = (replace(f, frame="body") if f.field == "position" else f for f in description.fields)
+        return replace(description, fields=tuple(fields))
+
+
+class EndlessOrigin(Apart):
+    """Has an origin that is nowhere."""
+
+    def said(self):
+        return ((float("nan"), 0.0, 0.0), *super().said()[1:])
+
+
+class FallsAside(Apart):
+    """Far away, bodies creep by a little more than rounding would move them."""
+
+    def spoil(self, field, array, step):
+        creep = 1.2e-3 * np.asarray(step) * np.array([0.0, 1.0, 0.0])
+        return super().spoil(field, array + creep if field.name == "cubes/position" else array, step)
+
+
 class Xyzw(Spoiled):
     """Gives quaternions xyzw."""
 

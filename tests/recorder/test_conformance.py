@@ -21,6 +21,7 @@ from gpusimbench.recorder.conformance import CHECKS, NotApplicable, Subject, con
 from gpusimbench.recorder.conformance.checks.motion import turn_between
 from gpusimbench.recorder.conformance.scene import N_STEP, UPPER
 from gpusimbench.recorder.conformance.verdict import expect_close
+from gpusimbench.recorder.simulators.flight import HostFlight
 from gpusimbench.recorder.simulators.mujoco.simulator import MujocoC, MujocoOptions
 from gpusimbench.recorder.simulators.registry import Entry
 from tests.conftest import distribution
@@ -55,6 +56,26 @@ BROKEN = [
     (broken.StepsWhileBuilding, "first_state_is_the_scenes", "first position of ball"),
     (broken.StepsWhileCompiling, "compile_moves_nothing", "compile changes balls/position"),
     (broken.EnvsApart, "envs_start_alike", "balls/position of envs 1 and 0 starts differently, by 1e-09"),
+    (
+        broken.OtherOrigin,
+        "first_state_is_the_scenes",
+        r"of env 1 are \(-10, 0, 0\) m from the scene's: env_origins say that its origin is \(5, 0, 0\), and the "
+        r"bodies stand as if it were \(-5, 0, 0\)",
+    ),
+    (broken.OtherOrigin, "registered_scenes_start_as_described", "scene inclined-collision: all positions of env 1"),
+    (
+        broken.NoOrigins,
+        "first_state_is_the_scenes",
+        r"env 1 are \(-5, 0, 0\) m .* its origin is \(0, 0, 0\), and the bodies stand as if it were \(-5, 0, 0\)",
+    ),
+    (
+        broken.OriginTwice,
+        "first_state_is_the_scenes",
+        r"env 1 are \(-5, 0, 0\) m .* frame is 'env', which has no origin in it .*\(-5, 0, 0\)\): subtract the origin",
+    ),
+    (broken.OtherFrame, "layout_is_as_the_format_asks", "balls/position: frame is 'world' or 'env', not 'body'"),
+    (broken.EndlessOrigin, "says_what_it_is", "env_origins are not all finite"),
+    (broken.FallsAside, "stack_at_rest_stays", "position of lower_cube at rest"),
     (broken.OtherUnit, "layout_is_as_the_format_asks", "unit is 'rad/s', not 'deg/s'"),
     (broken.OtherDtype, "layout_is_as_the_format_asks", "as float32, not float64"),
     (broken.OtherOrder, "layout_is_as_the_format_asks", "in the scene's order"),
@@ -144,6 +165,55 @@ def test_what_is_sound_passes(sound: Subject, check: Any) -> None:
             }
     else:
         assert check.__name__ not in ONLY_REGISTERED
+
+
+@pytest.fixture(scope="module", params=[broken.Apart, broken.ApartAndRelative], ids=["world", "env"])
+def apart(request: pytest.FixtureRequest) -> Subject:
+    """MuJoCo C with environments 5 m and 10 km away, in float32."""
+    return Subject(request.param)
+
+
+@pytest.mark.parametrize("check", CHECKS, ids=lambda check: check.__name__)
+def test_environments_may_stand_anywhere(apart: Subject, check: Any) -> None:
+    """Pass all checks with origins, in either frame; skip what is skipped without."""
+    try:
+        check(apart)
+    except NotApplicable as reason:
+        assert "not deterministic" not in str(reason)  # noqa: PT017
+        assert check.__name__ in ONLY_REGISTERED | {
+            "overflow_stays_silent",
+            "buffers_are_larger_than_what_they_held",
+            "blocks_ahead_are_the_same",
+            "flights_hold_the_captured_states",
+        }
+
+
+def test_flights_of_environments_that_stand_apart() -> None:
+    """Measure from its origin how far an environment's bodies are."""
+
+    class Flying(broken.Apart):
+        def flight(self, watch):
+            return HostFlight(self, watch)
+
+    class FromTheWorlds(broken.Apart):
+        def flight(self, watch):
+            return HostFlight(self, replace(watch, origins=None))
+
+    CHECK["flights_hold_the_captured_states"](Subject(Flying))
+    with pytest.raises(AssertionError, match="finds the first failures"):
+        CHECK["flights_hold_the_captured_states"](Subject(FromTheWorlds))
+
+
+@pytest.mark.parametrize("displaced", [0.02, -5.0], ids=lambda x: f"{x:g}")
+def test_far_away_a_wrong_origin_is_still_seen(displaced: float) -> None:
+    """Find an origin that is wrong by the length of a cube at 10 km, where float32 has steps of a millimetre."""
+
+    class Displaced(broken.Apart):
+        def said(self):
+            return tuple((x, y + displaced * (y > 0), z) for x, y, z in super().said())
+
+    with pytest.raises(AssertionError, match="all positions of env 2 are "):
+        CHECK["first_state_is_the_scenes"](Subject(Displaced))
 
 
 def test_a_ball_that_slides_does_not_roll() -> None:

@@ -506,3 +506,10 @@ def test_a_refused_module_ends_the_run_with_its_reason(tmp_path: Path) -> None:
     done = subprocess.run(command, env={**os.environ, "PYTHONPATH": PATHS}, capture_output=True, text=True, timeout=300)
     assert done.returncode == 1
     assert "madrona module 'no_such_module': cannot be imported" in done.stderr
+
+
+def test_a_changed_madrona_says_so(use: Use) -> None:
+    """Take what the module says of its changes as the switch that tables look at."""
+    simulator = made(use(**settings(modified="friction is multiplied")))
+    assert simulator.build().switches["modified"] == "friction is multiplied"
+    assert "modified" not in made(use()).build().switches

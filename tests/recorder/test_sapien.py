@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import math
 import os
+import re
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -21,7 +22,7 @@ from gpusimbench.recorder.scenes.base import Body, Box, Capsule, Inertial, Mater
 from gpusimbench.recorder.scenes.registry import make_scene
 from gpusimbench.recorder.simulators.base import States
 from gpusimbench.recorder.simulators.counters import AWAKE_BODIES, CONTACTS
-from gpusimbench.recorder.simulators.sapien import gpu_library
+from gpusimbench.recorder.simulators.sapien import gpu_library, released
 from gpusimbench.recorder.simulators.sapien.arm import principal_axes
 from gpusimbench.recorder.simulators.sapien.bodies import make_component
 from gpusimbench.recorder.simulators.sapien.complaints import OVERFLOW_BITS, Complaints, bits_of
@@ -312,6 +313,76 @@ def test_torch_is_asked_for_on_a_gpu(no_downloads: Path, monkeypatch: pytest.Mon
     monkeypatch.setattr(gpu_library, "find_spec", lambda _: None)
     with pytest.raises(UsageError, match="through torch, which is not installed"):
         gpu_library.enable_gpu()
+
+
+def test_another_physx_has_no_published_library(no_downloads: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Say for which version there is a file, and of another one that it belongs to its own build."""
+    monkeypatch.setattr("sapien.physx.version", lambda: "5.8.0")
+    with pytest.raises(UsageError, match=r"has PhysX 5\.8\.0, for which its makers publish none") as refusal:
+        gpu_library.check_gpu()
+    assert "releases/download" not in str(refusal.value)
+
+
+def test_the_release_is_known_by_its_library(tmp_path: Path) -> None:
+    """What pip installed is SAPIEN; a changed byte, another PhysX and a release that nobody looked at are not."""
+    import sapien
+    from sapien import physx
+
+    found = released.library()
+    assert found is not None
+    digest = released.sha256(found)
+    assert released.modification(sapien.__version__, physx.version(), digest) == ""
+    changed = tmp_path / "libsapien.so"
+    changed.write_bytes(found.read_bytes()[:-1] + b"?")
+    other = released.sha256(changed)
+    assert re.fullmatch(
+        r"libsapien\.so has SHA-256 [0-9a-f]{12}, which is not that of the released SAPIEN 3\.0\.3",
+        released.modification("3.0.3", physx.version(), other),
+    )
+    assert "was not found" in released.modification("3.0.3", physx.version(), released.sha256(tmp_path / "none.so"))
+    assert released.modification("3.0.3", "5.8.0", digest).startswith(
+        "PhysX 5.8.0, where SAPIEN 3.0.3 is released with"
+    )
+    assert "no release known here: SAPIEN 9.9.9" in released.modification("9.9.9", physx.version(), digest)
+
+
+def test_a_build_says_which_libraries_it_has(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Record the hash of libsapien, and nothing of a modification unless there is one."""
+    simulator = made(make_scene("free-fall"))
+    try:
+        switches = simulator.build().switches
+    finally:
+        simulator.close()
+    assert switches["libsapien_sha256"] == released.sha256(released.library())
+    assert "modified" not in switches
+    monkeypatch.setattr(released, "_LIBRARIES", {"3.0.3": frozenset({"0" * 64})})
+    simulator = made(make_scene("free-fall"))
+    try:
+        assert simulator.build().switches["modified"].startswith("libsapien.so has SHA-256 ")
+    finally:
+        simulator.close()
+
+
+def test_sizes_are_counted_before_the_gpu_is_on(no_downloads: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """SAPIEN warns of a system on the CPU that is made while the GPU is on."""
+    order: list[str] = []
+
+    def counted(*_: object, **__: object) -> tuple[int, int, int]:
+        order.append("count")
+        return 1, 1, 1
+
+    def enabled() -> None:
+        order.append("enable")
+        raise UsageError("no GPU here")
+
+    monkeypatch.setattr(gpu_library, "check_gpu", lambda: order.append("check"))
+    monkeypatch.setattr("gpusimbench.recorder.simulators.sapien.sizes.measure", counted)
+    monkeypatch.setattr(gpu_library, "enable_gpu", enabled)
+    simulator = made(make_scene("free-fall"), device="cuda")
+    with pytest.raises(UsageError, match="no GPU here"):
+        simulator.build()
+    simulator.close()
+    assert order == ["check", "count", "enable"]
 
 
 def test_the_published_address_is_sapiens_own() -> None:

@@ -109,7 +109,13 @@ VARIANTS = (
     Variant("newton", ("solver=steel",)),
     Variant("genesis"),
     Variant("physx", skipped={**_NO_COUNTS, **_NO_BUFFERS, **_PARTIAL_STATE}),
+    Variant("physx", ("spacing=1000",), skipped={**_NO_COUNTS, **_NO_BUFFERS, **_PARTIAL_STATE}),
     Variant("isaaclab", ("backend=ovphysx",), skipped={**_NO_COUNTS, **_NO_BUFFERS, **_NO_STATE}),
+    Variant(
+        "isaaclab",
+        ("backend=ovphysx", "spacing=1000"),
+        skipped={**_NO_COUNTS, **_NO_BUFFERS, **_NO_STATE},
+    ),
     Variant("isaaclab", ("backend=newton",), skipped=_NO_STATE),
     Variant("sapien", skipped={**_NO_BITS, **_NO_BUFFERS, **_PARTIAL_STATE}),
     Variant(

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import math
 
 from gpusimbench.recorder.abilities import titles
+from gpusimbench.recorder.conformance.frames import FRAMES
 from gpusimbench.recorder.conformance.subject import Subject
 from gpusimbench.recorder.conformance.verdict import expect
 from gpusimbench.recorder.scenes.base import Scene
@@ -60,6 +62,8 @@ def says_what_it_is(subject: Subject) -> None:
         expect(bool(media_type) and isinstance(data, bytes), f"attachment {name} is (media type, bytes)")
     origins = len(description.env_origins)
     expect(origins in (0, subject.trajectory.n_env), f"{origins} env_origins for {subject.trajectory.n_env} envs")
+    finite = all(math.isfinite(x) for origin in description.env_origins for x in origin)
+    expect(finite, f"env_origins are not all finite: {description.env_origins}")
     memory = subject.trajectory.allocator
     expect(memory is None or 0 <= memory[0] <= memory[1], f"allocator_bytes is (in use, peak), not {memory}")
     if subject.entry and subject.entry.devices:
@@ -92,7 +96,10 @@ def expect_layout(subject: Subject, scene: Scene, description: Description, stat
         expect(layout.dtype in DTYPES, f"{layout.name}: dtype is one of {', '.join(DTYPES)}, not {layout.dtype}")
         promised = subject.entry.precision if subject.entry else ()
         expect(not promised or layout.dtype in promised, f"{layout.name} is {layout.dtype}; the registry: {promised}")
-        expect(layout.frame == kind.frame, f"{layout.name}: frame is '{kind.frame}', not '{layout.frame}'")
+        allowed = FRAMES if layout.field == "position" else (kind.frame,)
+        expect(
+            layout.frame in allowed, f"{layout.name}: frame is {' or '.join(map(repr, allowed))}, not '{layout.frame}'"
+        )
         if layout.field in _JOINT_FIELDS:
             expected, units = joints, tuple(kind.unit.split(" or "))
             expect(layout.group == "robot", f"{layout.name}: joints are recorded as group 'robot'")

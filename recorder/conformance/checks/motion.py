@@ -1,4 +1,7 @@
-"""The motion of the conformance scene, held against formulas."""
+"""The motion of the conformance scene, held against formulas.
+
+Where environments have origins, tolerances grow by what the precision of positions leaves there: see Trajectory.
+"""
 
 from __future__ import annotations
 
@@ -7,10 +10,12 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from gpusimbench.recorder.conformance.frames import SUBSTEPS
 from gpusimbench.recorder.conformance.scene import BALL, DT, LOWER, MARBLE, N_STEP, STONE, UPPER
 from gpusimbench.recorder.conformance.subject import Subject
 from gpusimbench.recorder.conformance.verdict import expect, expect_close
 from gpusimbench.recorder.scenes.base import Sphere
+from gpusimbench.recorder.scenes.cube_stack import EDGE
 from gpusimbench.recorder.scenes.inclined_collision import SLOPE_ANGLE
 
 _FLIERS = (STONE, MARBLE)
@@ -69,13 +74,15 @@ def free_flight_follows_gravity(subject: Subject) -> None:
         body = trajectory.body(name)
         start, speed = np.array(body.position), np.array(body.linear_velocity)
         velocity = trajectory.of(name, "linear_velocity")
-        expect_close(velocity, speed + gravity * time, atol=_SPEED, what=f"velocity of {name}", unit="m/s")
+        tolerance = _SPEED + trajectory.rounding / trajectory.dt  # of engines that tell velocities from positions
+        expect_close(velocity, speed + gravity * time, atol=tolerance, what=f"velocity of {name}", unit="m/s")
         position = trajectory.of(name, "position").astype(np.float64)
         expected = start + speed * time + gravity * time**2 / 2
         # whatever of the difference the integrator's order explains, on either side, counts as none
         error = position - expected
         unexplained = np.sign(error) * np.maximum(np.abs(error) - first_order, 0)
-        expect_close(expected + unexplained, expected, atol=_LENGTH, what=f"position of {name}", unit="m")
+        tolerance = _LENGTH + trajectory.drift
+        expect_close(expected + unexplained, expected, atol=tolerance, what=f"position of {name}", unit="m")
 
 
 def stack_at_rest_stays(subject: Subject) -> None:
@@ -85,7 +92,7 @@ def stack_at_rest_stays(subject: Subject) -> None:
         expect_close(
             trajectory.of(name, "position")[_RESTING:],
             trajectory.body(name).position,
-            atol=_DRIFT,
+            atol=_DRIFT + trajectory.drift,
             what=f"position of {name} at rest",
             unit="m",
             first_step=_RESTING,
@@ -93,7 +100,8 @@ def stack_at_rest_stays(subject: Subject) -> None:
     for name in _CUBES:
         orientation = trajectory.of(name, "orientation")
         turned = turn_between(orientation[:1], orientation[_RESTING:])
-        expect_close(turned, 0.0, atol=_TILT, what=f"turn of {name} at rest", unit="rad", first_step=_RESTING)
+        tolerance = _TILT + 2 * trajectory.rounding / EDGE  # corners that are found half a rounding too high or low
+        expect_close(turned, 0.0, atol=tolerance, what=f"turn of {name} at rest", unit="rad", first_step=_RESTING)
 
 
 def ball_rolls_down_the_slope(subject: Subject) -> None:
@@ -101,10 +109,12 @@ def ball_rolls_down_the_slope(subject: Subject) -> None:
     trajectory = subject.trajectory
     velocity = trajectory.of(BALL, "linear_velocity")[[_SETTLED, N_STEP]].astype(np.float64)
     before, speed = np.linalg.norm(velocity, axis=-1)[..., None]
+    duration = (N_STEP - _SETTLED) * DT
+    blur = SUBSTEPS * trajectory.rounding / DT  # of a contact that is found a rounding too high or low in a substep
     expect_close(
-        (speed - before)[None] / ((N_STEP - _SETTLED) * DT),
+        (speed - before)[None] / duration,
         5 / 7 * -trajectory.scene.gravity[2] * math.sin(SLOPE_ANGLE),
-        atol=0.0,
+        atol=2 * blur / duration,
         rtol=_ROLLING,
         what=f"acceleration of the ball from step {_SETTLED} on (7/5 of it would be sliding without friction)",
         unit="m/s2",
@@ -112,13 +122,14 @@ def ball_rolls_down_the_slope(subject: Subject) -> None:
     )
     downhill = np.array([math.cos(SLOPE_ANGLE), 0.0, -math.sin(SLOPE_ANGLE)])
     direction = velocity[1:] / speed
-    expect_close(direction, downhill, atol=_ROLLING, what="direction of the ball", unit="", first_step=N_STEP)
+    tolerance = _ROLLING + blur / float(speed.min())
+    expect_close(direction, downhill, atol=tolerance, what="direction of the ball", unit="", first_step=N_STEP)
     shape = trajectory.body(BALL).shape
     assert isinstance(shape, Sphere)
     expect_close(
         trajectory.of(BALL, "angular_velocity")[N_STEP:],
         speed / shape.radius * np.array([0.0, 1.0, 0.0]),
-        atol=_ROLLING * float(speed.max()) / shape.radius,
+        atol=(_ROLLING * float(speed.max()) + blur) / shape.radius,
         what="angular velocity of the rolling ball",
         unit="rad/s",
         first_step=N_STEP,

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gpusimbench.recorder.conformance.checks.description import expect_layout
+from gpusimbench.recorder.conformance.frames import expect_origins, local, rounding
 from gpusimbench.recorder.conformance.subject import Subject
 from gpusimbench.recorder.conformance.verdict import NotApplicable, expect, expect_close, fail
 from gpusimbench.recorder.scenes.base import Scene
@@ -26,7 +27,7 @@ def first_state_is_the_scenes(subject: Subject) -> None:
 def envs_start_alike(subject: Subject) -> None:
     """All environments begin with the same bits, but for positions where they have origins of their own."""
     trajectory = subject.trajectory
-    apart = bool(trajectory.description.env_origins)
+    apart = bool(np.any(trajectory.rounding))
     for layout, array in zip(trajectory.description.fields, trajectory.described, strict=True):
         if apart and layout.field == "position":
             continue  # rounded differently at each origin; held to the scene by first_state_is_the_scenes
@@ -65,18 +66,29 @@ def registered_scenes_start_as_described(subject: Subject) -> None:
 
 
 def _expect_first_state(scene: Scene, description: Description, state: States) -> None:
+    displaced = {
+        item: local(description, layout, array)[:, index].astype(np.float64) - _described(scene, layout)[index]
+        for layout, array in zip(description.fields, state, strict=True)
+        if layout.field == "position"
+        for index, item in enumerate(layout.items)
+    }
+    if displaced:
+        expect_origins(description, displaced)
     for layout, array in zip(description.fields, state, strict=True):
         expected = _described(scene, layout)
-        if layout.field == "position" and description.env_origins:
-            expected = expected + np.array(description.env_origins)[:, None]
-        found = array[None]  # one step
+        found, tolerance = array[None], np.array(_TOLERANCE)  # one step
+        if layout.field == "position":
+            found, tolerance = (
+                local(description, layout, found),
+                _TOLERANCE + rounding(description, len(array))[:, None],
+            )
         if layout.field == "orientation":  # a quaternion and its negative are one orientation
             found = found * np.where(np.sum(found * expected, axis=-1, keepdims=True) < 0, -1.0, 1.0)
         for index, item in enumerate(layout.items):
             expect_close(
                 found[:, :, index],
                 np.broadcast_to(expected, array.shape)[None, :, index],
-                atol=_TOLERANCE,
+                atol=tolerance,
                 rtol=_TOLERANCE,
                 what=f"first {layout.field} of {item}",
                 unit=layout.unit,

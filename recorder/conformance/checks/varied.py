@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from gpusimbench.recorder.abilities import VARIED, listed, titles
 from gpusimbench.recorder.conformance.checks.agreement import differences, expect_repeatable
+from gpusimbench.recorder.conformance.frames import drift, local
 from gpusimbench.recorder.conformance.scene import DT, N_STEP, G
 from gpusimbench.recorder.conformance.subject import SEED, Subject
 from gpusimbench.recorder.conformance.verdict import NotApplicable, fail
@@ -75,27 +76,33 @@ def varied_envs_are_those_of_their_scenes(subject: Subject) -> None:
     variation = vary.variation(",".join(spreads), scene, n_env=_ENVS, seed=SEED)
     assert variation is not None
     description, varied = _captured(subject, scene, variation)
+    tolerance = _TOLERANCE_M + drift(description, _ENVS, N_STEP)
     for env in range(_ENVS):
         _, alone = _captured(subject, variation.of(scene, env), None)
         own, as_written = (tuple(np.ascontiguousarray(a[:, [env]]) for a in states) for states in (varied, alone))
         if differences(description, own, as_written):
             body, apart = _farthest(description, own, as_written)
-            if not apart <= _TOLERANCE_M:
+            if not apart <= tolerance[env]:
                 expect_repeatable(subject)
                 fail(
                     f"'{body}' of environment {env}, which has parameters of its own, is {apart:.2g} m from where it "
                     "is in a scene that is written with them"
                 )
     body, apart = _farthest(description, *(tuple(a[:, [env]] for a in varied) for env in range(_ENVS)))
-    if not apart > _TOLERANCE_M:
+    if not apart > tolerance.max():
         fail(f"environments whose parameters differ move alike, '{body}' within {apart:.2g} m")
 
 
 def _captured(subject: Subject, scene: Scene, variation: Variation | None) -> tuple[Description, States]:
+    # positions relative to the origins of their environments
     with subject.built(scene, n_env=_ENVS, variation=variation) as (simulator, description):
         simulator.compile("capture")
         simulator.prepare(None)
-        return description, tuple(np.array(array) for array in simulator.states(N_STEP))
+        states = (np.array(array) for array in simulator.states(N_STEP))
+        return description, tuple(
+            local(description, layout, array) if layout.field == "position" else array
+            for layout, array in zip(description.fields, states, strict=True)
+        )
 
 
 def _farthest(description: Description, one: States, other: States) -> tuple[str, float]:

@@ -18,6 +18,7 @@ from gpusimbench.recorder.simulators.madrona.columns import HostColumns, TorchCo
 from gpusimbench.recorder.simulators.madrona.module import SimulatorModule, breach
 from gpusimbench.recorder.simulators.madrona.options import MadronaOptions
 from gpusimbench.schemas.fields import StateField, body_fields
+from gpusimbench.schemas.provenance import MODIFIED
 
 _WIDTHS = {"position_tensor": 3, "rotation_tensor": 4, "velocity_tensor": 6}
 _COUNTS = "contact_count_tensor"
@@ -68,7 +69,12 @@ class Madrona(Simulator):
             version=module.version,
             device=self._columns.device,
             options={"module": module.name, "device": options.device, **settings},
-            switches={"precision": "float32", "solver": settings["solver"], "module_sha256": module.digest},
+            switches={
+                "precision": "float32",
+                "solver": settings["solver"],
+                "module_sha256": module.digest,
+                **({MODIFIED: settings[MODIFIED]} if settings.get(MODIFIED) else {}),
+            },
             deviations=deviations,
             fields=self._fields(),
             timing_covers="SimManager.step of all worlds, once a step, until the device is done; on the CPU Madrona "

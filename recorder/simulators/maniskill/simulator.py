@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from dataclasses import replace
 from typing import Any
 
 from gpusimbench.recorder.abilities import BODIES
@@ -77,15 +78,17 @@ class ManiSkill(SapienStepper):
 
     def _on_gpu(self, frequency: int, complaints: Complaints) -> Made:
         from gpusimbench.recorder.simulators.sapien.gpu import GpuWorlds
-        from gpusimbench.recorder.simulators.sapien.gpu_library import enable_gpu
+        from gpusimbench.recorder.simulators.sapien.gpu_library import check_gpu, enable_gpu, library_path
+        from gpusimbench.recorder.simulators.sapien.released import sha256
         from gpusimbench.recorder.simulators.sapien.sizes import choose_sizes
 
         try:
-            enable_gpu()
+            check_gpu()
         except UsageError as error:
             raise UsageError(f"ManiSkill steps {self.n_env} environments on a GPU; {error}") from None
         import torch
         from mani_skill.utils.structs.types import GPUMemoryConfig
+        from sapien import physx
 
         from gpusimbench.recorder.simulators.maniskill.environment import components_of
 
@@ -93,6 +96,7 @@ class ManiSkill(SapienStepper):
         configure(options, gravity=self.scene.gravity, enhanced_determinism=self.enhanced)
         shipped = GPUMemoryConfig().dict()
         buffers = choose_sizes(self.scene, n_env=self.n_env, dt=self.dt, options=options, defaults=shipped)
+        enable_gpu()
         environment = self._environment(frequency, "cuda", {buffer.name: buffer.asked for buffer in buffers})
         system = environment.scene.px
         offsets = [system.get_scene_offset(scene) for scene in environment.scene.sub_scenes]
@@ -108,7 +112,9 @@ class ManiSkill(SapienStepper):
             timing_covers=f"{_COVERS}, which fetches the state of all bodies",
         )
         torch.cuda.synchronize()
-        return self._made_of(environment, worlds)
+        made = self._made_of(environment, worlds)
+        digest = sha256(library_path(physx.version()))
+        return replace(made, switches={**made.switches, "physx_gpu_library_sha256": digest})
 
 
 def _only(actor: Any) -> Any:

@@ -1,6 +1,7 @@
 """Environments on a GPU: scenes at a distance from each other in one PhysxGpuSystem.
 
-Written against the interface that SAPIEN documents; it has not been run, for want of PhysX's library for GPUs.
+Written against the interface that SAPIEN documents. With the PhysX that SAPIEN is released with it has not been run,
+for want of that library for GPUs.
 """
 
 from __future__ import annotations

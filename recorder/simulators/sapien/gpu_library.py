@@ -7,6 +7,7 @@ import platform
 from importlib.util import find_spec
 from pathlib import Path
 
+from gpusimbench.recorder.simulators.sapien.released import PHYSX
 from gpusimbench.schemas.errors import UsageError
 
 _PUBLISHED = "https://github.com/sapien-sim/physx-precompiled/releases/download"  # as in sapien/physx/__init__.py
@@ -19,8 +20,8 @@ def library_path(version: str) -> Path:
     return Path.home() / ".sapien" / "physx" / version / "libPhysXGpu_64.so"
 
 
-def enable_gpu() -> None:
-    """Let PhysX use a GPU, with a library that is there already.
+def check_gpu() -> None:
+    """Look for what PhysX needs to use a GPU, without turning it on.
 
     UsageError where something is missing that the user has to bring; nothing is downloaded.
     """
@@ -32,10 +33,9 @@ def enable_gpu() -> None:
         return
     path = library_path(physx.version())
     if not path.is_file():
-        archive = _ARCHIVES.get(platform.machine().lower(), "linux-so.zip")
+        whence = _whence(physx.version(), path.parent)
         raise UsageError(
-            f"on a GPU SAPIEN needs PhysX's library {path}, which is not there; SAPIEN's makers publish it as "
-            f"{_PUBLISHED}/{physx.version()}/{archive}, to be unzipped into {path.parent}; "
+            f"on a GPU SAPIEN needs PhysX's library {path}, which is not there; {whence}; "
             "this program downloads nothing"
         )
     try:
@@ -45,4 +45,22 @@ def enable_gpu() -> None:
             f"on a GPU SAPIEN loads the driver's library by the name {_DRIVER}, without a number, which failed "
             f"({error}); on a machine with an NVIDIA driver a link of that name to libcuda.so.1 is enough"
         ) from None
-    physx.enable_gpu()
+
+
+def enable_gpu() -> None:
+    """Let PhysX use a GPU, with a library that is there already: see check_gpu, and its errors."""
+    from sapien import physx
+
+    check_gpu()
+    if not physx.is_gpu_enabled():
+        physx.enable_gpu()
+
+
+def _whence(version: str, folder: Path) -> str:
+    if version != PHYSX:
+        return (
+            f"this SAPIEN has PhysX {version}, for which its makers publish none (they do for {PHYSX}): "
+            "build it together with libsapien.so"
+        )
+    archive = _ARCHIVES.get(platform.machine().lower(), "linux-so.zip")
+    return f"SAPIEN's makers publish it as {_PUBLISHED}/{version}/{archive}, to be unzipped into {folder}"

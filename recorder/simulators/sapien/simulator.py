@@ -69,13 +69,16 @@ class Sapien(SapienStepper):
         from sapien import physx
 
         from gpusimbench.recorder.simulators.sapien.gpu import GpuWorlds, square_grid
-        from gpusimbench.recorder.simulators.sapien.gpu_library import enable_gpu
+        from gpusimbench.recorder.simulators.sapien.gpu_library import check_gpu, enable_gpu, library_path
+        from gpusimbench.recorder.simulators.sapien.released import sha256
         from gpusimbench.recorder.simulators.sapien.sizes import DEFAULTS, choose_sizes
 
         options: SapienOptions = self.options
-        enable_gpu()
+        check_gpu()
         configure(options, gravity=self.scene.gravity, enhanced_determinism=self.enhanced)
+        # counted before the GPU is on: SAPIEN then warns of every system on the CPU
         buffers = choose_sizes(self.scene, n_env=self.n_env, dt=self.dt, options=options, defaults=DEFAULTS)
+        enable_gpu()
         physx.set_gpu_memory_config(**{buffer.name: buffer.asked for buffer in buffers})
         system: Any = physx.PhysxGpuSystem("cuda")
         system.timestep = self.dt
@@ -102,6 +105,9 @@ class Sapien(SapienStepper):
         return Made(
             worlds,
             sapien.__version__,
-            {"system": "one PhysxGpuSystem, a scene at an origin of its own for each environment"},
+            {
+                "system": "one PhysxGpuSystem, a scene at an origin of its own for each environment",
+                "physx_gpu_library_sha256": sha256(library_path(physx.version())),
+            },
             keep=(scenes,),
         )

@@ -15,8 +15,10 @@ from gpusimbench.recorder.simulators.sapien.complaints import Complaints
 from gpusimbench.recorder.simulators.sapien.cpu import CpuWorlds
 from gpusimbench.recorder.simulators.sapien.deviations import deviations
 from gpusimbench.recorder.simulators.sapien.options import SapienOptions
+from gpusimbench.recorder.simulators.sapien.released import library, modification, sha256
 from gpusimbench.recorder.simulators.sapien.worlds import Worlds
 from gpusimbench.recorder.simulators.snapshot import Envs, Snapshot, StateClaims, absent, partial
+from gpusimbench.schemas.provenance import MODIFIED
 
 LEVELS = {
     "default": "PhysX as it ships, without enhanced determinism",
@@ -53,6 +55,7 @@ class SapienStepper(Simulator):
 
     def build(self) -> Description:
         """See Simulator.build."""
+        import sapien
         from sapien import physx
 
         complaints = self._complaints = Complaints()
@@ -61,6 +64,8 @@ class SapienStepper(Simulator):
         self._done = 0  # steps since the build
         options: SapienOptions = self.options
         buffers = {buffer.name: buffer.asked for buffer in worlds.buffers} if worlds.device != "cpu" else None
+        digest = sha256(library())
+        modified = modification(sapien.__version__, physx.version(), digest)
         return Description(
             version=made.version,
             device=worlds.device,
@@ -70,6 +75,8 @@ class SapienStepper(Simulator):
                 "determinism": self.determinism,
                 "enable_enhanced_determinism": self.enhanced,
                 "physx": physx.version(),
+                "libsapien_sha256": digest,
+                **({MODIFIED: modified} if modified else {}),
                 **made.switches,
             },
             deviations=deviations(self.scene, options),
