@@ -453,3 +453,10 @@ def test_what_cannot_be_compared(recorded_folder: Path, tmp_path: Path) -> None:
     assert "has no model files" in " ".join(refused.stdout.split())
     done = call("gsb-record", "--sim", "mujoco", "--phases", "import", "--out", tmp_path)
     assert done.returncode == 2 and "--phases import is of a model file" in done.stderr
+
+
+def test_where_trials_begin(tmp_path: Path) -> None:
+    """Begin trials in the middle of all limits, where no limit acts on what is tried."""
+    path = _write(tmp_path, MODEL.replace('range="-60 100"', 'range="20 100"').replace('pos="1 0 0.3"', 'pos="3 0 0.3"'))
+    started = _held(path).trials.start["joints/qpos"].ravel()
+    np.testing.assert_allclose(started, np.radians([0, 60, 0, 0, 0, 0])[: len(started)], atol=1e-9)
