@@ -457,6 +457,8 @@ def test_what_cannot_be_compared(recorded_folder: Path, tmp_path: Path) -> None:
 
 def test_where_trials_begin(tmp_path: Path) -> None:
     """Begin trials in the middle of all limits, where no limit acts on what is tried."""
-    path = _write(tmp_path, MODEL.replace('range="-60 100"', 'range="20 100"').replace('pos="1 0 0.3"', 'pos="3 0 0.3"'))
+    path = _write(
+        tmp_path, MODEL.replace('range="-60 100"', 'range="20 100"').replace('pos="1 0 0.3"', 'pos="3 0 0.3"')
+    )
     started = _held(path).trials.start["joints/qpos"].ravel()
     np.testing.assert_allclose(started, np.radians([0, 60, 0, 0, 0, 0])[: len(started)], atol=1e-9)
