@@ -254,7 +254,7 @@ def test_no_false_alarm(engine: str, reference: Held, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "instead", "links", "targets"),
     [
-        ('pos="0 0.01 0"', 'pos="0.002 0.01 0"', {"upper", "lower"}, {"lift"}),
+        ('pos="0 0.01 0"', 'pos="0.01 0.01 0"', {"upper", "lower"}, {"lift"}),
         ('mass="0.7"', 'mass="1"', set(), {"slide", "push"}),
         ('gear="3"', 'gear="4"', set(), {"push"}),
         ('kv="0.5"', 'kv="1"', set(), {"spin"}),
