@@ -71,7 +71,7 @@ test-engines: environments
 	  python="$(GSB_ENVIRONMENTS)/$$engine/bin/python"; tools="$(abspath $(VENV))/lent/$$engine"; \
 	  test "$$tools/.whole" -nt "$$python" || { rm -rf "$$tools" && "$$python" -m pip install --quiet \
 	    --disable-pip-version-check --target "$$tools" -c constraints.txt pytest hypothesis && touch "$$tools/.whole"; } || exit; \
-	  PYTHONPATH="$(CURDIR)/src:$(CURDIR):$$tools" "$$python" -P -m pytest tests/recorder/test_$$engine.py || exit; \
+	  PYTHONPATH="$(CURDIR)/src:$(CURDIR):$$tools" "$$python" -P -m pytest tests/recorder/test_$$engine*.py || exit; \
 	done
 
 coverage: $(VENV)/.installed-test

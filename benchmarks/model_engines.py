@@ -2,9 +2,10 @@
 
 usage: python -m benchmarks.model_engines [--models NAME,NAME] [--engines NAME,NAME] [--steps 20]
 
-Each engine runs in a process of its own, on the CPU, with two environments and random controls, the same for all
-engines. A cell is the largest difference of a position, orientation or joint coordinate from MuJoCo C after the steps
-[m, rad], what of the model the engine has otherwise, or why it was refused. Where an engine does not know the file's
+Each engine runs in a process of its own, of the Python that gsb-record would take for it, on the CPU, with two
+environments and random controls, the same for all engines. A cell is the largest difference of a position, orientation
+or joint coordinate from MuJoCo C after the steps [m, rad], what of the model the engine has otherwise, or why it was
+refused. Where an engine does not know the file's
 constraint solver (PGS), it is asked for Newton instead, which is marked with *. Prints a Markdown table, which
 docs/how-to/my-robot.md has.
 """
@@ -13,8 +14,9 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import subprocess
-import sys
+import tempfile
 from collections.abc import Mapping
 from importlib.util import find_spec
 from pathlib import Path
@@ -22,6 +24,7 @@ from typing import Any
 
 import numpy as np
 
+from gpusimbench.recorder.environments.choice import interpreter_for
 from gpusimbench.recorder.failure import Refused
 from gpusimbench.recorder.scenes.model.scene import ModelScene, model_scene
 from gpusimbench.recorder.simulators.registry import find_simulator
@@ -34,12 +37,16 @@ ENGINES: dict[str, tuple[str, dict[str, str], dict[str, str]]] = {
     "newton": ("newton", {}, {"mujoco_solver": "Newton"}),
     "newton-xpbd": ("newton", {"solver": "xpbd"}, {}),
     "newton-featherstone": ("newton", {"solver": "featherstone"}, {}),
+    "physx": ("physx", {"device": "cpu"}, {}),
+    "physx-pgs": ("physx", {"device": "cpu", "solver": "PGS"}, {}),
 }
 """By name of a column, the simulator, its options, and those that replace a constraint solver that it does not know."""
 
 N_ENV = 2
 _COMPARED = ("position", "orientation", "qpos")
-_EXPECTED = ("option", "contact.solref", "contact.friction_combination", "option.disableflags")
+_EXPECTED = (
+    "option", "contact.solref", "contact.friction_combination", "contact.friction", "option.disableflags",
+)  # fmt: skip
 """Deviations that every model has on an engine, or none that moves."""
 
 
@@ -50,18 +57,23 @@ def main() -> None:
     p.add_argument("--engines", default=",".join(ENGINES))
     p.add_argument("--steps", type=int, default=20)
     p.add_argument("--one", help=argparse.SUPPRESS)
+    p.add_argument("files", nargs="*", type=Path, help=argparse.SUPPRESS)
     asked = p.parse_args()
-    models = [path for path in _models() if not asked.models or path.stem in asked.models.split(",")]
     if asked.one:
-        for path in models:
+        for path in asked.files:
             print(json.dumps([path.stem, _cell(path, asked.one, asked.steps)]), flush=True)
         return
+    models = [path for path in _models() if not asked.models or path.stem in asked.models.split(",")]
     columns = {}
     for engine in asked.engines.split(","):
-        again = [sys.executable, "-m", "benchmarks.model_engines", "--one", engine, "--steps", str(asked.steps)]
-        chosen = ["--models", ",".join(path.stem for path in models)]
-        said = subprocess.run([*again, *chosen], capture_output=True, text=True, check=False).stdout
-        columns[engine] = dict(json.loads(line) for line in said.splitlines() if line.startswith("["))
+        given = ["--one", engine, "--steps", str(asked.steps), *map(str, models)]
+        chosen = interpreter_for(find_simulator(ENGINES[engine][0]))
+        with tempfile.TemporaryDirectory() as folder:
+            environment = chosen.environment(Path(folder))
+            environment["PYTHONPATH"] = os.pathsep.join([environment["PYTHONPATH"], str(Path(__file__).parents[1])])
+            again = chosen.command("-m", "benchmarks.model_engines", *given)
+            said = subprocess.run(again, capture_output=True, text=True, check=False, env=environment).stdout
+        columns[engine] = dict(json.loads(line) for line in said.splitlines() if line.startswith('["'))
     print("| model | " + " | ".join(columns) + " |")
     print("| --- |" + " --- |" * len(columns))
     for path in models:
@@ -111,7 +123,11 @@ def _run(
         states = made.state()
     finally:
         made.close()
-    chosen = [a for f, a in zip(description.fields, states, strict=True) if f.field in _COMPARED]
+    origins = np.array(description.env_origins or np.zeros((N_ENV, 3)))[:, np.newaxis]
+    chosen = [
+        a - origins if f.field == "position" else a
+        for f, a in zip(description.fields, states, strict=True) if f.field in _COMPARED
+    ]  # fmt: skip
     return chosen, [d.parameter for d in description.deviations if d.parameter not in _EXPECTED]
 
 

@@ -2,7 +2,8 @@
 
 usage: python docs/make_imports.py [--sim warp,mjx,...] [--models walker,ant,...] [--folder FOLDER]
 
-Measures these engines and models, and shows all results that are in the folder, so that they can be added one by one.
+Measures these engines and models, and shows all results that are in the folder; what is not there stays as the page has
+it, so that engines can be added one by one.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from typing import Any
 ROOT = Path(__file__).resolve().parent.parent
 PAGE = ROOT / "docs" / "how-to" / "what-the-importer-lost.md"
 BEGIN, END = "<!-- imports: docs/make_imports.py -->", "<!-- end of imports -->"
-ENGINES = ("warp", "mjx", "newton")
+ENGINES = ("warp", "mjx", "newton", "physx")
 _NO_PGS = {"warp": "solver=Newton", "mjx": "solver=Newton", "newton": "mujoco_solver=Newton"}
 
 
@@ -65,12 +66,17 @@ def short(found: dict[str, Any]) -> str:
     return f"agrees ({', '.join(parts)})"
 
 
-def table(folder: Path) -> str:
-    """A row for each model, a column for each engine, in Markdown; a dash for what is not in the folder."""
+def table(folder: Path, present: str) -> str:
+    """A row for each model, a column for each engine, in Markdown; what is not in the folder is as in `present`, or a
+    dash."""
+    lines = [[cell.strip() for cell in line.strip("| ").split("|")] for line in present.strip().splitlines()]
+    shown = {(row[0], engine): cell for row in lines[2:] for engine, cell in zip(lines[0][1:], row[1:], strict=True)}
     rows = [["model", *ENGINES], ["---"] * (len(ENGINES) + 1)]
     for name, path in models().items():
-        there = [(folder / f"{name}-{engine}.json").exists() for engine in ENGINES]
-        cells = [short(measured(path, e, folder)) if known else "-" for e, known in zip(ENGINES, there, strict=True)]
+        cells = []
+        for engine in ENGINES:
+            there = (folder / f"{name}-{engine}.json").exists()
+            cells.append(short(measured(path, engine, folder)) if there else shown.get((name, engine), "-"))
         rows.append([name, *cells])
     return "\n".join(f"| {' | '.join(row)} |" for row in rows)
 
@@ -88,7 +94,8 @@ def main() -> None:
         for engine in given.sim.split(","):
             print(name, engine, short(measured(known[name], engine, given.folder)), flush=True)
     head, rest = PAGE.read_text().split(BEGIN)
-    PAGE.write_text(f"{head}{BEGIN}\n{table(given.folder)}\n{END}{rest.split(END)[1]}")
+    present, tail = rest.split(END)
+    PAGE.write_text(f"{head}{BEGIN}\n{table(given.folder, present)}\n{END}{tail}")
 
 
 if __name__ == "__main__":

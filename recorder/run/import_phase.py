@@ -10,7 +10,7 @@ import numpy as np
 from gpusimbench.recorder.run.journal import Journal
 from gpusimbench.recorder.scenes.base import Scene
 from gpusimbench.recorder.scenes.model.scene import ModelScene
-from gpusimbench.recorder.simulators.base import Simulator, States
+from gpusimbench.recorder.simulators.base import Description, Simulator, States
 from gpusimbench.recorder.simulators.counters import CONTACTS
 from gpusimbench.schemas.arrays import MEDIA_TYPE
 from gpusimbench.schemas.imported import IMPORTED, TRIALS, Trials
@@ -49,22 +49,22 @@ def tried(scene: ModelScene, make: Make, *, dt: float, seed: int) -> Trials | No
         held = simulator.imported()
         if held is None:
             return None
-        simulator.set_state(_padded(asked.poses, n_env))
+        simulator.set_state(_placed(description, _padded(asked.poses, n_env), 1))
         position, orientation = simulator.link_poses()
         if description.env_origins:
             position = position - np.array(description.env_origins)[:, np.newaxis]
-        given = tuple(np.array(array[:n_pose]) for array in simulator.state())
+        given = tuple(np.array(array[:n_pose]) for array in _placed(description, simulator.state(), -1))
         simulator.compile("capture")
         simulator.reserve(N_STEP)
         simulator.prepare(None)
-        simulator.set_state(_padded(asked.starts, n_env))
+        simulator.set_state(_placed(description, _padded(asked.starts, n_env), 1))
         controls = np.zeros((n_env, asked.controls.shape[1]))
         controls[:n_trial] = asked.controls
         try:
             simulator.hold(controls)
         except NotImplementedError:
             n_trial = sum(kind != "actuator" for kind in asked.kinds)
-        first = tuple(np.array(array[:n_trial]) for array in simulator.state())
+        first = tuple(np.array(array[:n_trial]) for array in _placed(description, simulator.state(), -1))
         after = tuple(np.array(array[:, :n_trial]) for array in simulator.states(N_STEP))
         counted = simulator.evidence()
     finally:
@@ -97,3 +97,12 @@ def _is_velocity(field: str) -> bool:
 def _padded(states: States, n_env: int) -> States:
     # environments that nothing is tried in are as the first
     return tuple(np.concatenate([array, np.repeat(array[:1], n_env - len(array), axis=0)]) for array in states)
+
+
+def _placed(description: Description, states: States, sign: int) -> States:
+    # with positions moved to where environments stand, or back
+    if not description.env_origins:
+        return states
+    origins = np.array(description.env_origins)[:, np.newaxis]
+    world = [field.field == "position" and field.frame == "world" for field in description.fields]
+    return tuple(array + sign * origins if is_world else array for array, is_world in zip(states, world, strict=True))

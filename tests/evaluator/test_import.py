@@ -254,7 +254,7 @@ def test_no_false_alarm(engine: str, reference: Held, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "instead", "links", "targets"),
     [
-        ('pos="0 0.01 0"', 'pos="0.002 0.01 0"', {"upper", "lower"}, {"lift"}),
+        ('pos="0 0.01 0"', 'pos="0.01 0.01 0"', {"upper", "lower"}, {"lift"}),
         ('mass="0.7"', 'mass="1"', set(), {"slide", "push"}),
         ('gear="3"', 'gear="4"', set(), {"push"}),
         ('kv="0.5"', 'kv="1"', set(), {"spin"}),
@@ -453,3 +453,12 @@ def test_what_cannot_be_compared(recorded_folder: Path, tmp_path: Path) -> None:
     assert "has no model files" in " ".join(refused.stdout.split())
     done = call("gsb-record", "--sim", "mujoco", "--phases", "import", "--out", tmp_path)
     assert done.returncode == 2 and "--phases import is of a model file" in done.stderr
+
+
+def test_where_trials_begin(tmp_path: Path) -> None:
+    """Begin trials in the middle of all limits, where no limit acts on what is tried."""
+    path = _write(
+        tmp_path, MODEL.replace('range="-60 100"', 'range="20 100"').replace('pos="1 0 0.3"', 'pos="3 0 0.3"')
+    )
+    started = _held(path).trials.start["joints/qpos"].ravel()
+    np.testing.assert_allclose(started, np.radians([0, 60, 0, 0, 0, 0])[: len(started)], atol=1e-9)

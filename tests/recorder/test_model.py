@@ -267,8 +267,8 @@ def test_arguments_that_cannot_be(arguments: tuple[str, ...], said: str, tmp_pat
 
 def test_engines_that_take_no_models(tmp_path: Path) -> None:
     """Name the ability that an engine lacks."""
-    done = call("gsb-record", "--sim", "physx", "--model", WALKER, "--out", tmp_path, code=ExitCode.USAGE)
-    assert "simulator 'physx' cannot simulate scene 'walker': it has no model files" in done.stderr
+    done = call("gsb-record", "--sim", "sapien", "--model", WALKER, "--out", tmp_path, code=ExitCode.USAGE)
+    assert "simulator 'sapien' cannot simulate scene 'walker': it has no model files" in done.stderr
 
 
 @pytest.mark.parametrize(

@@ -289,13 +289,13 @@ def test_actuators_that_a_solver_cannot_be_given(actuator: str, said: str, tmp_p
     """Refuse by name an actuator that is neither a motor nor a servo."""
     world, compiled = _imported(_scene(_written(tmp_path, FALLING, f"<actuator>{actuator}</actuator>")), "xpbd")
     with pytest.raises(Refused, match=said):
-        drives(compiled.model, _places(world), "xpbd")
+        drives(compiled.model, _places(world), "xpbd", remedy="")
 
 
 def test_a_motor_on_a_tendon() -> None:
     """Turn a tendon's force into forces of its joints, with their coefficients and the gear."""
     world, compiled = _imported(_scene(WALKER), "xpbd")
-    made = drives(compiled.model, _places(world), "xpbd")
+    made = drives(compiled.model, _places(world), "xpbd", remedy="")
     joints = [world.imported.at_qd[compiled.model.joint(name).id] for name in ("left_hip", "right_hip")]
     assert made.arms[:, 3].nonzero()[0].tolist() == sorted(joints)
     assert made.arms[joints, 3].tolist() == [1, -1]

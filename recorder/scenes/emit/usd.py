@@ -41,7 +41,7 @@ from gpusimbench.recorder.scenes.base import (
 
 ENVS = "/World/envs"
 SCENE = "/World/physicsScene"
-_MATERIALS = "/World/materials"
+MATERIALS = "/World/materials"
 
 Value = bool | int | float | str
 Apis = Mapping[str, Mapping[str, Value]]
@@ -67,7 +67,7 @@ def identifiers(names: Iterable[str]) -> dict[str, str]:
 
 
 @dataclass
-class _Prim:
+class Prim:
     """A prim on its way into the text.
 
     apis        schemas applied
@@ -78,9 +78,9 @@ class _Prim:
     name: str
     apis: list[str] = field(default_factory=list)
     properties: list[str] = field(default_factory=list)
-    children: list[_Prim] = field(default_factory=list)
+    children: list[Prim] = field(default_factory=list)
 
-    def add(self, child: _Prim) -> _Prim:
+    def add(self, child: Prim) -> Prim:
         """Put a prim below this one."""
         self.children.append(child)
         return child
@@ -90,7 +90,7 @@ class _Prim:
         for name in names:
             if name in apis:
                 self.apis.append(name)
-                self.properties += [f"{key} = {_literal(value)}" for key, value in apis[name].items()]
+                self.properties += [f"{key} = {literal(value)}" for key, value in apis[name].items()]
 
     def lines(self) -> list[str]:
         """The text; braces stand on lines of their own, without which some readers fail."""
@@ -120,21 +120,26 @@ def emit_usd(scene: Scene, *, apis: Apis, shared: Collection[str] = ()) -> str:
     materials = {body.material.name: body.material for body in scene.bodies}
     if scene.robot is not None:
         materials[scene.robot.material.name] = scene.robot.material
-    paths = {name: f"{_MATERIALS}/{word}" for name, word in identifiers(materials).items()}
+    paths = {name: f"{MATERIALS}/{word}" for name, word in identifiers(materials).items()}
 
-    world = _Prim("Xform", "World")
-    world.add(_physics_scene(scene, apis))
-    place = world.add(_Prim("Scope", "materials"))
+    world = Prim("Xform", "World")
+    world.add(physics_scene(scene.gravity, apis))
+    place = world.add(Prim("Scope", "materials"))
     for name, material in materials.items():
-        place.add(_material(material, paths[name].rpartition("/")[2], apis))
-    common = world.add(_Prim("Scope", "shared"))
-    env = world.add(_Prim("Scope", "envs")).add(_Prim("Xform", "env0"))
+        place.add(material_prim(material, paths[name].rpartition("/")[2], apis))
+    common = world.add(Prim("Scope", "shared"))
+    env = world.add(Prim("Scope", "envs")).add(Prim("Xform", "env0"))
     names = prim_names(scene)
     for body in scene.bodies:
         parent = common if body.name in shared else env
         parent.add(_body(body, names[body.name], paths[body.material.name], apis))
     if scene.robot is not None:
         env.add(_robot(scene.robot, names[scene.robot.name], paths[scene.robot.material.name], apis))
+    return stage_text(world)
+
+
+def stage_text(world: Prim) -> str:
+    """A stage of this default prim: metres, kilograms, z up."""
     header = ["#usda 1.0", "(", '    defaultPrim = "World"', "    kilogramsPerUnit = 1", "    metersPerUnit = 1"]
     return "\n".join([*header, '    upAxis = "Z"', ")", "", *world.lines(), ""])
 
@@ -145,53 +150,56 @@ def prim_names(scene: Scene) -> dict[str, str]:
     return identifiers([*(body.name for body in scene.bodies), *robot])
 
 
-def _physics_scene(scene: Scene, apis: Apis) -> _Prim:
-    magnitude = math.hypot(*scene.gravity)
-    direction = tuple(g / magnitude for g in scene.gravity) if magnitude else (0.0, 0.0, -1.0)
-    prim = _Prim("PhysicsScene", SCENE.rpartition("/")[2])
+def physics_scene(gravity: Vector, apis: Apis) -> Prim:
+    """The prim at SCENE; gravity [m/s^2]."""
+    magnitude = math.hypot(*gravity)
+    direction = tuple(g / magnitude for g in gravity) if magnitude else (0.0, 0.0, -1.0)
+    prim = Prim("PhysicsScene", SCENE.rpartition("/")[2])
     prim.properties = [
-        f"vector3f physics:gravityDirection = {_tuple(direction)}",
-        f"float physics:gravityMagnitude = {_literal(magnitude)}",
+        f"vector3f physics:gravityDirection = {tuple_text(direction)}",
+        f"float physics:gravityMagnitude = {literal(magnitude)}",
     ]
     prim.apply(apis, "PhysxSceneAPI")
     return prim
 
 
-def _material(material: Material, name: str, apis: Apis) -> _Prim:
-    prim = _Prim("Material", name, ["PhysicsMaterialAPI"])
+def material_prim(material: Material, name: str, apis: Apis) -> Prim:
+    """Contact parameters as a prim of that name."""
+    prim = Prim("Material", name, ["PhysicsMaterialAPI"])
     prim.properties = [
-        f"float physics:staticFriction = {_literal(material.static_friction)}",
-        f"float physics:dynamicFriction = {_literal(material.kinetic_friction)}",
-        f"float physics:restitution = {_literal(material.restitution)}",
+        f"float physics:staticFriction = {literal(material.static_friction)}",
+        f"float physics:dynamicFriction = {literal(material.kinetic_friction)}",
+        f"float physics:restitution = {literal(material.restitution)}",
     ]
     prim.apply(apis, "PhysxMaterialAPI")
     return prim
 
 
-def _body(body: Body, name: str, material: str, apis: Apis) -> _Prim:
-    prim = _Prim("Xform", name)
-    prim.properties = _pose(body.position, body.orientation)
+def _body(body: Body, name: str, material: str, apis: Apis) -> Prim:
+    prim = Prim("Xform", name)
+    prim.properties = pose_lines(body.position, body.orientation)
     if body.mass is not None:
         prim.apis += ["PhysicsRigidBodyAPI", "PhysicsMassAPI"]
         prim.properties += [
-            f"vector3f physics:velocity = {_tuple(body.linear_velocity)}",
-            f"vector3f physics:angularVelocity = {_tuple(math.degrees(w) for w in body.angular_velocity)}",
-            f"float physics:mass = {_literal(body.mass)}",
+            f"vector3f physics:velocity = {tuple_text(body.linear_velocity)}",
+            f"vector3f physics:angularVelocity = {tuple_text(math.degrees(w) for w in body.angular_velocity)}",
+            f"float physics:mass = {literal(body.mass)}",
             "point3f physics:centerOfMass = (0, 0, 0)",
-            f"float3 physics:diagonalInertia = {_tuple(solid_inertia(body.shape, body.mass))}",
+            f"float3 physics:diagonalInertia = {tuple_text(solid_inertia(body.shape, body.mass))}",
             "quatf physics:principalAxes = (1, 0, 0, 0)",
         ]
         prim.apply(apis, "PhysxRigidBodyAPI")
-    prim.add(_collider(body.shape, "shape", material, apis))
+    prim.add(collider(body.shape, "shape", material, apis))
     return prim
 
 
-def _collider(shape: Shape, name: str, material: str, apis: Apis) -> _Prim:
+def collider(shape: Shape, name: str, material: str, apis: Apis) -> Prim:
+    """A shape at the origin of its parent, bound to the material of that path."""
     kind, properties, scale = _geometry(shape)
-    prim = _Prim(kind, name, ["PhysicsCollisionAPI", "MaterialBindingAPI"], properties)
+    prim = Prim(kind, name, ["PhysicsCollisionAPI", "MaterialBindingAPI"], properties)
     prim.properties.append(f"rel material:binding:physics = <{material}>")
     if scale is not None:
-        prim.properties += _operations({"double3 xformOp:scale": _tuple(scale)})
+        prim.properties += operation_lines({"double3 xformOp:scale": tuple_text(scale)})
     prim.apply(apis, "PhysxCollisionAPI")
     return prim
 
@@ -199,20 +207,20 @@ def _collider(shape: Shape, name: str, material: str, apis: Apis) -> _Prim:
 def _geometry(shape: Shape) -> tuple[str, list[str], Vector | None]:
     match shape:
         case Box((x, y, z)) if x == y == z:
-            return "Cube", [f"double size = {_literal(x)}"], None
+            return "Cube", [f"double size = {literal(x)}"], None
         case Box(size):
             return "Cube", ["double size = 1"], size
         case Sphere(radius):
-            return "Sphere", [f"double radius = {_literal(radius)}"], None
+            return "Sphere", [f"double radius = {literal(radius)}"], None
         case Capsule(radius, length):
-            sizes = [f"double radius = {_literal(radius)}", f"double height = {_literal(length)}"]
+            sizes = [f"double radius = {literal(radius)}", f"double height = {literal(length)}"]
             return "Capsule", [*sizes, 'uniform token axis = "Z"'], None
         case Plane():
             return "Plane", ['uniform token axis = "Z"'], None
 
 
-def _robot(robot: Robot, name: str, material: str, apis: Apis) -> _Prim:
-    root = _Prim("Xform", name, ["PhysicsArticulationRootAPI"])
+def _robot(robot: Robot, name: str, material: str, apis: Apis) -> Prim:
+    root = Prim("Xform", name, ["PhysicsArticulationRootAPI"])
     root.apply(apis, "PhysxArticulationAPI")
     words = identifiers([*(link.name for link in robot.links), *(joint.name for joint in robot.joints())])
     path = f"{env_path(0)}/{name}"
@@ -234,61 +242,61 @@ def _apart(robot: Robot, link: Link, path: str, words: Mapping[str, str]) -> lis
     return [f"<{path}/{words[other]}>" for one, other in robot.apart if one == link.name]
 
 
-def _link(link: Link, name: str, pose: tuple[Vector, Quaternion], material: str, apis: Apis, apart: list[str]) -> _Prim:
-    prim = _Prim("Xform", name, ["PhysicsRigidBodyAPI", "PhysicsMassAPI"], _pose(*pose))
+def _link(link: Link, name: str, pose: tuple[Vector, Quaternion], material: str, apis: Apis, apart: list[str]) -> Prim:
+    prim = Prim("Xform", name, ["PhysicsRigidBodyAPI", "PhysicsMassAPI"], pose_lines(*pose))
     moments, axes = _principal(link.inertial)
     prim.properties += [
-        f"float physics:mass = {_literal(link.inertial.mass)}",
-        f"point3f physics:centerOfMass = {_tuple(link.inertial.centre)}",
-        f"float3 physics:diagonalInertia = {_tuple(moments)}",
-        f"quatf physics:principalAxes = {_tuple(axes)}",
+        f"float physics:mass = {literal(link.inertial.mass)}",
+        f"point3f physics:centerOfMass = {tuple_text(link.inertial.centre)}",
+        f"float3 physics:diagonalInertia = {tuple_text(moments)}",
+        f"quatf physics:principalAxes = {tuple_text(axes)}",
     ]
     prim.apply(apis, "PhysxRigidBodyAPI")
     if apart:
         prim.apis.append("PhysicsFilteredPairsAPI")
         prim.properties.append(f"rel physics:filteredPairs = [{', '.join(apart)}]")
     for index, placed in enumerate(link.shapes):
-        place = prim.add(_Prim("Xform", f"shape_{index}"))
-        place.properties = _pose(placed.position, placed.orientation)
-        place.add(_collider(placed.shape, "shape", material, apis))
+        place = prim.add(Prim("Xform", f"shape_{index}"))
+        place.properties = pose_lines(placed.position, placed.orientation)
+        place.add(collider(placed.shape, "shape", material, apis))
     return prim
 
 
-def _joint(link: Link, path: str, words: Mapping[str, str], angles: Mapping[str, float], apis: Apis) -> _Prim:
+def _joint(link: Link, path: str, words: Mapping[str, str], angles: Mapping[str, float], apis: Apis) -> Prim:
     """What holds a link: its hinge, or a weld to its parent or to the world."""
     joint = link.joint
-    prim = _Prim("PhysicsFixedJoint", f"{words[link.name]}_weld")
+    prim = Prim("PhysicsFixedJoint", f"{words[link.name]}_weld")
     if joint is not None:
-        prim = _Prim("PhysicsRevoluteJoint", words[joint.name], ["PhysicsDriveAPI:angular"])
+        prim = Prim("PhysicsRevoluteJoint", words[joint.name], ["PhysicsDriveAPI:angular"])
         prim.properties = [
             'uniform token physics:axis = "Z"',
-            f"float physics:lowerLimit = {_literal(math.degrees(joint.lower))}",
-            f"float physics:upperLimit = {_literal(math.degrees(joint.upper))}",
+            f"float physics:lowerLimit = {literal(math.degrees(joint.lower))}",
+            f"float physics:upperLimit = {literal(math.degrees(joint.upper))}",
             'uniform token drive:angular:physics:type = "force"',
-            f"float drive:angular:physics:stiffness = {_literal(math.radians(joint.stiffness))}",
-            f"float drive:angular:physics:damping = {_literal(math.radians(joint.damping))}",
-            f"float drive:angular:physics:maxForce = {_literal(joint.max_torque)}",
-            f"float drive:angular:physics:targetPosition = {_literal(math.degrees(angles[joint.name]))}",
+            f"float drive:angular:physics:stiffness = {literal(math.radians(joint.stiffness))}",
+            f"float drive:angular:physics:damping = {literal(math.radians(joint.damping))}",
+            f"float drive:angular:physics:maxForce = {literal(joint.max_torque)}",
+            f"float drive:angular:physics:targetPosition = {literal(math.degrees(angles[joint.name]))}",
         ]
         prim.apis.append("PhysicsJointStateAPI:angular")
         prim.properties += [
-            f"float state:angular:physics:position = {_literal(math.degrees(angles[joint.name]))}",
+            f"float state:angular:physics:position = {literal(math.degrees(angles[joint.name]))}",
             "float state:angular:physics:velocity = 0",
         ]
         axis = "PhysxJointAxisAPI:angular"
         prim.apis.append(axis)
         prim.properties += [
-            f"float physxJointAxis:angular:armature = {_literal(joint.armature)}",
-            f"float physxJointAxis:angular:viscousFrictionCoefficient = {_literal(math.radians(joint.friction))}",
+            f"float physxJointAxis:angular:armature = {literal(joint.armature)}",
+            f"float physxJointAxis:angular:viscousFrictionCoefficient = {literal(math.radians(joint.friction))}",
         ]
-        prim.properties += [f"{key} = {_literal(value)}" for key, value in apis.get(axis, {}).items()]
+        prim.properties += [f"{key} = {literal(value)}" for key, value in apis.get(axis, {}).items()]
     if link.parent:
         prim.properties.append(f"rel physics:body0 = <{path}/{words[link.parent]}>")
     w, x, y, z = link.orientation
     prim.properties += [
         f"rel physics:body1 = <{path}/{words[link.name]}>",
-        f"point3f physics:localPos0 = {_tuple(link.position)}",
-        f"quatf physics:localRot0 = {_tuple((w, x, y, z))}",
+        f"point3f physics:localPos0 = {tuple_text(link.position)}",
+        f"quatf physics:localRot0 = {tuple_text((w, x, y, z))}",
         "point3f physics:localPos1 = (0, 0, 0)",
         "quatf physics:localRot1 = (1, 0, 0, 0)",
     ]
@@ -331,23 +339,27 @@ def _compose(outer: tuple[Vector, Quaternion], inner: tuple[Vector, Quaternion])
     return (x, y, z), (float(ow * iw - u @ v), i, j, k)
 
 
-def _pose(position: Vector, orientation: Quaternion) -> list[str]:
-    operations = {"double3 xformOp:translate": _tuple(position)}
+def pose_lines(position: Vector, orientation: Quaternion) -> list[str]:
+    """Properties of a prim that stands there in its parent's frame [m], turned by a quaternion wxyz."""
+    operations = {"double3 xformOp:translate": tuple_text(position)}
     if orientation != IDENTITY:
-        operations["quatd xformOp:orient"] = _tuple(orientation)
-    return _operations(operations)
+        operations["quatd xformOp:orient"] = tuple_text(orientation)
+    return operation_lines(operations)
 
 
-def _operations(operations: Mapping[str, str]) -> list[str]:
+def operation_lines(operations: Mapping[str, str]) -> list[str]:
+    """Transformations by their declarations, and their order."""
     order = ", ".join(f'"{name.partition(" ")[2]}"' for name in operations)
     return [*(f"{name} = {value}" for name, value in operations.items()), f"uniform token[] xformOpOrder = [{order}]"]
 
 
-def _tuple(values: Iterable[float]) -> str:
-    return f"({', '.join(_literal(value) for value in values)})"
+def tuple_text(values: Iterable[float]) -> str:
+    """Numbers as USD has them, every bit kept."""
+    return f"({', '.join(literal(value) for value in values)})"
 
 
-def _literal(value: Value) -> str:
+def literal(value: Value) -> str:
+    """A value as USD has it."""
     match value:
         case bool():
             return "true" if value else "false"

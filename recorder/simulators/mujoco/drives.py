@@ -59,10 +59,11 @@ class Places:
     count: int
 
 
-def drives(model: Any, places: Places, engine: str, *, limited_servos: bool = False) -> Drives:
+def drives(model: Any, places: Places, engine: str, *, remedy: str, limited_servos: bool = False) -> Drives:
     """What the actuators of a mujoco.MjModel do to an engine's joints; Refused where that is not possible.
 
     engine          as a message calls it
+    remedy          what a message says to do
     limited_servos  the engine clamps the force of a servo itself
     """
     nv, nu = places.count, model.nu
@@ -79,6 +80,7 @@ def drives(model: Any, places: Places, engine: str, *, limited_servos: bool = Fa
         if model.jnt_type[joint] in (_HINGE, _SLIDE):
             reference[places.at_qd[joint]] = model.qpos0[model.jnt_qposadr[joint]]
             target_of[places.at_qd[joint]] = places.at_q[joint]
+    alone = "" if limited_servos else " and without a force range"
     for a in range(nu):
         found = _arms(model, places, a)
         name = model.actuator(a).name or f"actuator{a}"
@@ -97,9 +99,8 @@ def drives(model: Any, places: Places, engine: str, *, limited_servos: bool = Fa
             servo[place, kind] = a
         else:
             raise Refused(
-                f"{engine} cannot be given actuator '{name}': it takes motors of joints and of "
-                "fixed tendons, and position and velocity servos of a joint with gear 1 and without a force range; "
-                "use --option solver=mujoco"
+                f"{engine} cannot be given actuator '{name}': it takes motors of joints and of fixed tendons, and "
+                f"position and velocity servos of a joint with gear 1{alone}; {remedy}"
             )
     single = np.float32
     return Drives(

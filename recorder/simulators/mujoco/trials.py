@@ -132,7 +132,8 @@ def _start(model: Any, drawn: NDArray[np.float64]) -> NDArray[np.float64]:
     data = mujoco.MjData(model)
     first = np.asarray(model.qpos0.copy())
     for joint in range(model.njnt):
-        if model.jnt_limited[joint] and model.jnt_type[joint] in (mjtJoint.mjJNT_HINGE, mjtJoint.mjJNT_SLIDE):
+        single = mjtJoint(int(model.jnt_type[joint])) in (mjtJoint.mjJNT_HINGE, mjtJoint.mjJNT_SLIDE)
+        if single and model.jnt_limited[joint]:
             first[int(model.jnt_qposadr[joint])] = model.jnt_range[joint].mean()
     for pose in (first, *drawn):
         data.qpos[:] = _lifted(model, pose)

@@ -50,7 +50,8 @@ class ModelControls:
             return
         self.ctrl = wp.zeros((n_env, mujoco_model.nu), dtype=float)
         places = Places(imported.at_q, imported.at_qd, imported.builder.joint_dof_count)
-        made = drives(mujoco_model, places, f"solver '{options.solver}' of Newton")
+        engine = f"solver '{options.solver}' of Newton"
+        made = drives(mujoco_model, places, engine, remedy="use --option solver=mujoco")
         self._inputs = [wp.array(getattr(made, one.name)) for one in fields(made)]
         arrays = control.joint_f, control.joint_target_q, control.joint_target_qd
         self._driven = [array.reshape((n_env, -1)) for array in arrays]

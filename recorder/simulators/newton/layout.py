@@ -23,7 +23,10 @@ from gpusimbench.recorder.simulators.mujoco.layout import (
 from gpusimbench.schemas.fields import StateField, ball_fields, body_fields
 
 _TO_WXYZ, _TO_XYZW = [3, 0, 1, 2], [1, 2, 3, 0]
-_REORDERED = "reordered by the recorder from Newton's xyzw"
+
+
+def _reordered(engine: str) -> str:
+    return f"reordered by the recorder from {engine}'s xyzw"
 
 
 class Layout(ABC):
@@ -60,7 +63,7 @@ class BodyLayout(Layout):
 
     def fields(self) -> tuple[StateField, ...]:
         """See Layout.fields."""
-        return body_fields(self._names, "float32", {"orientation": _REORDERED})
+        return body_fields(self._names, "float32", {"orientation": _reordered("Newton")})
 
     def split(self, positions: Array, velocities: Array) -> States:
         """See Layout.split."""
@@ -120,14 +123,17 @@ class NewtonFreeBodies(FreeBodies):
     velocity, both in the world's frame (newton.State.joint_qd).
 
     centres  of mass in the bodies' frames, [item, 3] [m]
+    engine   that holds them so
     """
 
     centres: NDArray[np.float32]
+    engine: str = "Newton"
 
     def fields(self, dtype: str) -> tuple[StateField, ...]:
         """See Part.fields."""
-        note = "of the body's frame, made by the recorder from Newton's, which is of the centre of mass"
-        return body_fields({self.group: self.names}, dtype, {"orientation": _REORDERED, "linear_velocity": note})
+        note = f"of the body's frame, made by the recorder from {self.engine}'s, which is of the centre of mass"
+        notes = {"orientation": _reordered(self.engine), "linear_velocity": note}
+        return body_fields({self.group: self.names}, dtype, notes)
 
     def split(self, qpos: Array, qvel: Array) -> list[Array]:
         """See Part.split."""

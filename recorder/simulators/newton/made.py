@@ -109,7 +109,7 @@ def deviations_of_import(newton_model: Any, solver: Any, imported: Imported, mod
     for quantity, array in wanted.items():
         kind, _, what = quantity.partition(".")
         reason = f"solver {name} has no {what}" if what in unread else "so Newton's importer makes it"
-        said += _different(quantity, items[kind], (array, found[quantity]), reason)
+        said += different(quantity, items[kind], (array, found[quantity]), reason)
     if name == "mujoco":
         return said + list(_of_mujoco(solver, imported, model))
     return said + list(_not_of_others(model, name))
@@ -121,7 +121,7 @@ def _of_mujoco(solver: Any, imported: Imported, model: Any) -> Iterator[Deviatio
     reason = "so Newton's importer and SolverMuJoCo make it"
     for option in _NUMBERS:
         values = [np.atleast_1d(getattr(m.opt, option)).astype(float)[None] for m in (model, made)]
-        yield from _different(f"option.{option}", [""], values, reason)
+        yield from different(f"option.{option}", [""], values, reason)
     for option, words in _words().items():
         said = [", ".join(w for w, at in words.items() if _has(m.opt, option, at)) or "none" for m in (model, made)]
         if said[0] != said[1]:
@@ -130,7 +130,7 @@ def _of_mujoco(solver: Any, imported: Imported, model: Any) -> Iterator[Deviatio
     yield from _table("actuator", _ACTUATOR, actuators, model, made, reason)
     places = solver.mjc_jnt_to_newton_dof.numpy()[0]
     targets = [_target(m, at) for m, at in ((model, imported.at_qd), (made, places))]
-    yield from _different("actuator.target", actuators, [t[:, None] for t in targets], reason)
+    yield from different("actuator.target", actuators, [t[:, None] for t in targets], reason)
     tendons = [model.tendon(t).name or f"tendon{t}" for t in range(model.ntendon)]
     yield from _table("tendon", _TENDON, tendons, model, made, reason)
     if model.nwrap == made.nwrap:
@@ -179,7 +179,7 @@ def _contacts(model: Any, made: Any, at: NDArray[np.int64], reason: str) -> Iter
                 sizes = [getattr(m, f"geom_{what}")[geoms] for m, geoms in zip((model, made), own, strict=True)]
             rows = [np.asarray(a, dtype=float).reshape(len(geoms), -1) for a, geoms in zip(sizes, own, strict=True)]
             labels = [model.geom(g).name or f"geom{g}" for g in own[0]]
-            yield from _different(f"{names[body]}.{what}", labels, rows, reason)
+            yield from different(f"{names[body]}.{what}", labels, rows, reason)
     wanted, used = colliding_bodies(model, np.arange(model.nbody)), colliding_bodies(made, at)
     for pairs, word in ((wanted - used, "collide"), (used - wanted, "do not collide")):
         if pairs:
@@ -225,10 +225,10 @@ def _table(
         return
     for name in names:
         rows = [np.asarray(getattr(m, f"{kind}_{name}"), dtype=float).reshape(wanted, -1) for m in (model, made)]
-        yield from _different(f"{kind}.{name}", items, rows, reason)
+        yield from different(f"{kind}.{name}", items, rows, reason)
 
 
-def _different(parameter: str, items: list[str], arrays: Sequence[NDArray[Any]], reason: str) -> Iterator[Deviation]:
+def different(parameter: str, items: list[str], arrays: Sequence[NDArray[Any]], reason: str) -> Iterator[Deviation]:
     """A deviation for the rows of two arrays, wanted and used, that differ by more than single precision explains, if
     any do."""
     wanted, used = arrays

@@ -107,6 +107,11 @@ class Arms:
             wp.copy(stored[row, quantity], array)
         return True
 
+    def fields(self) -> tuple[StateField, ...]:
+        """Layout of the state."""
+        joints = tuple(self._joints)
+        return joint_field("robot", "qpos", "float32", joints), joint_field("robot", "qvel", "float32", joints)
+
     def split(self, stored: NDArray[np.float32]) -> States:
         """Stored states as copies, the arrays of `fields`."""
         return tuple(stored[:, quantity, self._rows, :, None] for quantity in range(_WIDTH))
@@ -135,9 +140,3 @@ class Arms:
         for binding in self._bindings.values():
             binding.destroy()
         self._bindings.clear()
-
-
-def fields(robot: Robot) -> tuple[StateField, ...]:
-    """Layout of the state."""
-    joints = tuple(joint.name for joint in robot.joints())
-    return joint_field("robot", "qpos", "float32", joints), joint_field("robot", "qvel", "float32", joints)

@@ -28,7 +28,7 @@ class Bodies:
 
     def __init__(self, session: Session, scene: Scene, *, n_env: int, device: Any) -> None:
         """device  warp.Device of the engine's arrays"""
-        self._session = session
+        self._session, self._scene = session, scene
         self._device = device
         self._n_env = n_env
         self._names = [prim_names(scene)[body.name] for body in scene.moving()]
@@ -110,16 +110,15 @@ class Bodies:
                 rows[:, group, part] = next(left)
         return {"bodies": rows.reshape(len(rows), -1)}
 
+    def fields(self) -> tuple[StateField, ...]:
+        """Layout of the state."""
+        notes = {"orientation": "reordered by the recorder from PhysX's xyzw"}
+        return body_fields(self._scene.groups(), "float32", notes)
+
     def split(self, stored: NDArray[np.float32]) -> States:
         """Stored states [step, body, number] as copies, the arrays of `fields`."""
         shaped = stored.reshape(len(stored), self._n_env, -1, _WIDTH)
         return tuple(shaped[:, :, group][..., part] for group in self._groups for part in _PARTS)
-
-
-def fields(scene: Scene) -> tuple[StateField, ...]:
-    """Layout of the state."""
-    notes = {"orientation": "reordered by the recorder from PhysX's xyzw"}
-    return body_fields(scene.groups(), "float32", notes)
 
 
 def described(scene: Scene, origins: tuple[Vector, ...], n_env: int) -> NDArray[np.float32]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from gpusimbench.recorder.scenes.base import Scene
 from gpusimbench.recorder.scenes.emit.deviations import unlimited_speed
+from gpusimbench.recorder.scenes.model.scene import ModelScene
 from gpusimbench.recorder.simulators.physx.options import NO_THRESHOLD, PhysxOptions
 from gpusimbench.schemas.provenance import Deviation
 
@@ -30,20 +31,25 @@ def deviations(scene: Scene, options: PhysxOptions) -> tuple[Deviation, ...]:
 
     Only scenes with contacts have any.
     """
-    if not scene.bodies and scene.robot is None:
+    model = isinstance(scene, ModelScene)  # whose materials are compared pair by pair
+    if not scene.bodies and scene.robot is None and not model:
         return ()
-    found = [
-        Deviation(
-            f"contact.{name}_combination",
-            "not given",
-            f"of a pair {_RULES[mode]}, for {what}",
-            f"option '{name}_combine'",
-        )
-        for name, mode, what in (
-            ("friction", options.friction_combine, "static and kinetic friction"),
-            ("restitution", options.restitution_combine, "restitution"),
-        )
-    ]
+    found = (
+        []
+        if model
+        else [
+            Deviation(
+                f"contact.{name}_combination",
+                "not given",
+                f"of a pair {_RULES[mode]}, for {what}",
+                f"option '{name}_combine'",
+            )
+            for name, mode, what in (
+                ("friction", options.friction_combine, "static and kinetic friction"),
+                ("restitution", options.restitution_combine, "restitution"),
+            )
+        ]
+    )
     if options.bounce_threshold > NO_THRESHOLD:
         found.append(
             Deviation(

@@ -18,7 +18,10 @@ from numpy.typing import NDArray
 
 from gpusimbench.recorder.abilities import BODIES, ROBOTS, Ability
 from gpusimbench.recorder.failure import Refused
+from gpusimbench.recorder.options import parse_options
+from gpusimbench.recorder.scenes.base import Scene
 from gpusimbench.recorder.scenes.emit.usd import emit_usd
+from gpusimbench.recorder.scenes.model.scene import ModelScene
 from gpusimbench.recorder.simulators.base import Description, Simulator, States
 from gpusimbench.recorder.simulators.physx import grid
 from gpusimbench.recorder.simulators.physx.deviations import deviations
@@ -26,8 +29,10 @@ from gpusimbench.recorder.simulators.physx.options import OF_THE_GPU, PhysxOptio
 from gpusimbench.recorder.simulators.snapshot import Envs, Snapshot, StateClaims, partial
 from gpusimbench.recorder.simulators.warp import runtime as warp_runtime
 from gpusimbench.schemas.errors import GsbError, UsageError
+from gpusimbench.schemas.imported import Imported
 from gpusimbench.schemas.provenance import Buffer
 
+_OF_MODELS = {"friction_combine": "max"}  # options where a model is simulated and the user says nothing
 _RING_ROWS = 50
 _RING_BYTES = 512 << 20
 
@@ -36,7 +41,7 @@ class Physx(Simulator):
     """N environments in one PhysX scene."""
 
     Options = PhysxOptions
-    abilities = BODIES | ROBOTS - {Ability.ROBOT_AMONG_BODIES}
+    abilities = BODIES | ROBOTS - {Ability.ROBOT_AMONG_BODIES} | {Ability.MODELS}
     determinism_levels = {
         "default": "the engine as it ships: what an environment does may depend on how many others there are",
         "enhanced": "physxScene:enableEnhancedDeterminism: what an environment does does not depend on the others, "
@@ -45,6 +50,12 @@ class Physx(Simulator):
     levels_without_effect = {
         "cuda": {"enhanced": "on an H100 and an H200, runs have the same bits with and without it"},
     }
+
+    @classmethod
+    def parsed(cls, name: str, scene: Scene, given: Mapping[str, str]) -> Any:
+        """See Simulator.parsed: of a model's pair of geoms, friction is the larger one, as it is in MuJoCo."""
+        given = {option: value for option, value in given.items() if option not in scene.own_options}
+        return parse_options(name, cls.Options, {**_OF_MODELS, **given} if isinstance(scene, ModelScene) else given)
 
     @classmethod
     def withheld(cls, options: Any) -> dict[Ability, str]:
@@ -73,11 +84,15 @@ class Physx(Simulator):
             capacities = {buffer.name: buffer.asked for buffer in buffers}
             capacities |= {"gpuHeapCapacity": options.heap, "gpuTempBufferCapacity": options.temp_buffer}
         enhanced = self.determinism == "enhanced"
-        usd = emit_usd(
-            self.scene,
-            apis=apis(options, gpu=gpu, enhanced=enhanced, capacities=capacities),
-            shared=grid.shared_bodies(self.scene, options.spacing),
-        )
+        settings = apis(options, gpu=gpu, enhanced=enhanced, capacities=capacities)
+        self._model: Any = None  # of a model file
+        if isinstance(self.scene, ModelScene):
+            from gpusimbench.recorder.simulators.physx.model import Model
+
+            self._model = Model(self.scene, dt=self.dt)
+            usd = self._model.usd(settings, spacing=options.spacing)
+        else:
+            usd = emit_usd(self.scene, apis=settings, shared=grid.shared_bodies(self.scene, options.spacing))
         threads = options.threads or len(os.sched_getaffinity(0))
         libraries.load()
         session = self._session = Session(gpu=gpu, threads=threads)
@@ -87,13 +102,15 @@ class Physx(Simulator):
             raise GsbError(f"out of memory: {said[0]}")
         self._start: States | None = None  # until the engine tells its state
         self._first: dict[str, NDArray[Any]]
-        self._arms: Any = None
+        self._arms: Any = None  # what is given actions
         if robot is not None:
             self._arms = arms.Arms(session, self.scene, robot, n_env=self.n_env, device=device)
+        elif self._model is not None:
+            self._arms = self._model.articulations(session, n_env=self.n_env, origins=origins, device=device)
         self._source: Any = self._arms or bodies.Bodies(session, self.scene, n_env=self.n_env, device=device)
         self._last = self._source.rows(1)
         self._ring: Any = None
-        if gpu and robot is None:
+        if gpu and self._arms is None:
             if self._source.store(self._last, 0):
                 raise GsbError("PhysX did not take the GPU: its states are on the host; its messages say why")
             described = bodies.described(self.scene, origins, self.n_env)
@@ -115,19 +132,26 @@ class Physx(Simulator):
                 "readback": "suppressed (DirectGPU)" if gpu else "on the host",
                 "sleeping": "off",
                 "environments": "grid" if options.spacing else "co-located, told apart by ids",
-                "first_state": _first_state(gpu=gpu, robot=robot is not None),
+                "first_state": _first_state(gpu=gpu, tensors=self._arms is not None),
                 **libraries.versions(),
             },
-            deviations=deviations(self.scene, options),
-            fields=bodies.fields(self.scene) if robot is None else arms.fields(robot),
+            deviations=(
+                *deviations(self.scene, options),
+                *(self._model.deviations(options, gpu=gpu) if self._model else ()),
+            ),
+            fields=self._source.fields(),
             timing_covers=self._covers(gpu),
-            attachments={"scene.usda": ("model/vnd.usda", usd.encode())},
+            attachments={
+                "scene.usda": ("model/vnd.usda", usd.encode()),
+                **(self._model.compiled.attachments if self._model else {}),
+            },
             env_origins=origins,
             buffers=buffers,
         )
 
     def _covers(self, gpu: bool) -> str:
-        given = "the targets of the drives, which are on the device, and " if self.scene.robot is not None else ""
+        acts = self._arms is not None and self.scene.actions is not None
+        given = "the targets of the drives, which are on the device, and " if acts else ""
         done = " and one synchronisation" if gpu else ""
         return f"{given}PhysX.step_sync of the one scene with all environments{done}; no state is copied"
 
@@ -155,6 +179,19 @@ class Physx(Simulator):
     def applied(self) -> NDArray[np.float32] | None:
         """See Simulator.applied."""
         return None if self._arms is None else self._arms.applied()
+
+    def imported(self) -> Imported | None:
+        """See Simulator.imported: PhysX's tensors of links and degrees of freedom."""
+        return None if self._model is None else self._model.imported(self.dt)
+
+    def link_poses(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """See Simulator.link_poses: where PhysX has the links."""
+        positions, orientations = self._model.link_poses()
+        return positions, orientations
+
+    def hold(self, controls: NDArray[np.float64]) -> None:
+        """See Simulator.hold."""
+        self._arms.hold(controls)
 
     def step(self, n_step: int) -> None:
         """See Simulator.step."""
@@ -194,7 +231,10 @@ class Physx(Simulator):
     @classmethod
     def state_claims(cls, options: Any) -> StateClaims:
         """See Simulator.state_claims."""
-        contacts = "what PhysX keeps to itself of contacts and joints, such as impulses and friction"
+        contacts = (
+            "what PhysX keeps to itself of contacts and joints, such as impulses and friction, and of a model file the "
+            "last bits of the pose of a body on a free joint"
+        )
         order = (
             "the order in which PhysX solves contacts, which changes as bodies leave the simulation and return to it"
             if options.device == "cpu"
@@ -253,8 +293,8 @@ def _rows(envs: Envs) -> Any:
     return slice(None) if envs is None else envs
 
 
-def _first_state(*, gpu: bool, robot: bool) -> str:
+def _first_state(*, gpu: bool, tensors: bool) -> str:
     """How the first state that is recorded is known."""
-    if robot:
+    if tensors:
         return "written, and read, after a step of 1 ns"
     return "as given to the engine, which tells none before its first step" if gpu else "read from the engine"

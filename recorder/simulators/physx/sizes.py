@@ -6,7 +6,9 @@ from dataclasses import dataclass
 from importlib.util import find_spec
 
 from gpusimbench.recorder.failure import Refused
+from gpusimbench.recorder.options import names_of, parse_options
 from gpusimbench.recorder.scenes.base import Plane, Scene
+from gpusimbench.recorder.scenes.model.scene import ModelScene
 from gpusimbench.recorder.simulators.physx.options import LARGEST, PhysxOptions
 from gpusimbench.schemas.provenance import Buffer
 
@@ -44,7 +46,7 @@ def choose_buffers(scene: Scene, *, n_env: int, dt: float, seed: int, options: P
         _chosen("gpuFoundLostPairsCapacity", options.max_pairs, need.pairs, n_env, need.found_by),
     ]
     for name in ("gpuFoundLostAggregatePairsCapacity", "gpuTotalAggregatePairsCapacity"):
-        needed = need.pairs if scene.robot is not None else 0
+        needed = need.pairs if scene.robot is not None or isinstance(scene, ModelScene) else 0
         buffers.append(_chosen(name, options.max_aggregate_pairs, needed, n_env, need.found_by))
     # An estimate must not end a sweep: the most there is gets its chance, and an overflow shows in the log.
     stack = min(LARGEST, max(_STACK_LEAST, _STACK_OF_PAIR * pairs * n_env))
@@ -74,7 +76,8 @@ def measure(scene: Scene, *, dt: float, seed: int, options: PhysxOptions) -> Nee
     from gpusimbench.recorder.simulators.mujoco.model import compile_scene
     from gpusimbench.recorder.simulators.mujoco.options import MjcfOptions
 
-    compiled = compile_scene(scene, dt=dt, options=MjcfOptions())
+    own = parse_options("mujoco", MjcfOptions, scene.options({}, names_of(MjcfOptions)))
+    compiled = compile_scene(scene, dt=dt, options=own)
     compiled.model.geom_gap[:] = options.contact_offset
     bounded = compiled.model.geom_rbound > 0  # planes are not
     compiled.model.geom_rbound[bounded] += options.contact_offset

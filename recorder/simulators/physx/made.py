@@ -1,0 +1,269 @@
+"""What PhysX holds of a model file, read from the engine, and what of the model it has otherwise or not at all."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from gpusimbench.recorder.scenes.model.contents import solver_options
+from gpusimbench.recorder.simulators.mujoco import imported as of_mujoco
+from gpusimbench.recorder.simulators.newton.made import Quantities, as_mujoco_has_it, different
+from gpusimbench.recorder.simulators.physx.articulations import Articulations
+from gpusimbench.recorder.simulators.physx.contacts import apart, friction_of, frictions, may_touch
+from gpusimbench.recorder.simulators.physx.options import PhysxOptions
+from gpusimbench.recorder.simulators.physx.servos import Servo
+from gpusimbench.recorder.simulators.physx.stage import FAR
+from gpusimbench.recorder.simulators.physx.trees import ADDED_SHARE, Plan, collides
+from gpusimbench.schemas.imported import PARAMETERS, Imported, Values
+from gpusimbench.schemas.provenance import Deviation
+
+_FRAMES = "PhysX does not tell the frames of joints; the kinematics compare them"
+_SHAPES = "PhysX does not tell shapes by name"
+_HELD = "so PhysX holds it"
+_SHOWN = 4  # names of a deviation
+_HULL = 64  # corners of a convex hull, at most
+
+_OF_PHYSX = {
+    "bodies": {"mass": "body.mass", "centre_of_mass": "body.centre_of_mass", "inertia": "body.inertia"},
+    "joints": {
+        "range": "joint.range", "stiffness": "joint.stiffness", "damping": "joint.damping",
+        "armature": "joint.armature", "frictionloss": "joint.frictionloss",
+    },
+}  # fmt: skip
+_COMBINED: dict[str, Callable[[float, float], float]] = {
+    "max": max,
+    "min": min,
+    "average": lambda a, b: (a + b) / 2,
+    "multiply": lambda a, b: a * b,
+}
+_OFF = (
+    "CONSTRAINT", "FRICTIONLOSS", "LIMIT", "CONTACT", "SPRING", "DAMPER", "PASSIVE", "CLAMPCTRL", "ACTUATION",
+)  # fmt: skip
+"""Of what MuJoCo's flags switch off, what PhysX would do all the same."""
+
+
+@dataclass(frozen=True)
+class Held:
+    """What PhysX holds, the first environment.
+
+    quantities  as of newton.made.as_mujoco_has_it: rows of all bodies but the world, and of all joints that are not
+                free; what PhysX does not tell is left out. Bodies that never move are not in it: their rows are
+                MuJoCo's
+    added       names and masses of links that are no bodies of the model's
+    """
+
+    quantities: Quantities
+    added: dict[str, float]
+
+
+def held(plan: Plan, servos: dict[int, Servo], source: Articulations) -> Held:
+    """Read it from the engine's tensors."""
+    model = plan.model
+    found = {name: array.copy() for name, array in as_mujoco_has_it(model).items()}
+    joints = [int(j) for j in np.flatnonzero(model.jnt_type != mujoco.mjtJoint.mjJNT_FREE)]
+    added: dict[str, float] = {}
+    for tree in plan.trees:
+        links = {link.prim: link for link in tree.links}
+        read = {name: source.held(tree, f"BODY_{name}") for name in ("MASS", "COM_POSE", "INERTIA")}
+        names = read["MASS"][0]
+        for number, name in enumerate(names):
+            body, mass = links[name].body, float(read["MASS"][2][number])
+            if body < 0:
+                added |= {name: mass} if links[name].parent >= 0 else {}  # the first is fixed to the world
+                continue
+            found["body.mass"][body - 1] = mass
+            found["body.centre_of_mass"][body - 1] = read["COM_POSE"][2][number, :3]
+            found["body.inertia"][body - 1] = read["INERTIA"][2][number]
+        if not tree.joints():
+            continue
+        of = {plan.joint_prims[joint]: joint for joint in tree.joints()}
+        words = ("LIMIT", "ARMATURE", "FRICTION_PROPERTIES", "STIFFNESS", "DAMPING")
+        tensors = {word: source.held(tree, f"DOF_{word}") for word in words}
+        for number, name in enumerate(tensors["LIMIT"][1]):
+            joint, servo = of[name], servos[of[name]]
+            row = joints.index(joint)
+            limits = tensors["LIMIT"][2][number].astype(np.float64)
+            reference = model.qpos0[model.jnt_qposadr[joint]]
+            found["joint.range"][row] = np.where(np.abs(limits) >= FAR, np.copysign(np.inf, limits), limits + reference)
+            found["joint.armature"][row] = tensors["ARMATURE"][2][number]
+            found["joint.frictionloss"][row] = tensors["FRICTION_PROPERTIES"][2][number, 0]
+            found["joint.stiffness"][row] = tensors["STIFFNESS"][2][number] - servo.kp
+            found["joint.damping"][row] = tensors["DAMPING"][2][number] - servo.kv - servo.hold
+    for name in ("joint.anchor", "joint.axis", "joint.spring_reference"):
+        del found[name]
+    return Held(found, added)
+
+
+def deviations_of_model(plan: Plan, known: Held, options: PhysxOptions, *, file: str, gpu: bool) -> list[Deviation]:
+    """What PhysX has otherwise than MuJoCo compiles a model file: the engine's numbers compared with MuJoCo's, and what
+    is not the same by the nature of the engine."""
+    model = plan.model
+    wanted = as_mujoco_has_it(model)
+    names = {
+        "body": [model.body(b).name or f"body{b}" for b in range(1, model.nbody)],
+        "joint": [
+            model.joint(j).name or f"joint{j}"
+            for j in range(model.njnt) if model.jnt_type[j] != mujoco.mjtJoint.mjJNT_FREE
+        ],
+    }  # fmt: skip
+    found: list[Deviation] = []
+    for quantity, array in known.quantities.items():
+        found += different(quantity, names[quantity.partition(".")[0]], (wanted[quantity], array), _HELD)
+    found += _of_added(known, plan, file)
+    found += _of_joints(model)
+    found += _of_contacts(plan, options, gpu=gpu)
+    found += _of_the_rest(model)
+    return found
+
+
+def _of_added(known: Held, plan: Plan, file: str) -> Iterator[Deviation]:
+    if known.added:
+        several = [plan.model.body(b).name or f"body{b}" for b in np.flatnonzero(plan.model.body_jntnum > 1)]
+        yield Deviation(
+            "bodies.added", f"the bodies of {file}", f"{len(known.added)} more, of {sum(known.added.values()):.3g} kg",
+            f"a link of PhysX has one joint, so that between the joints of {_some(several)} are links with a share of "
+            f"{ADDED_SHARE:g} of the body's mass",
+        )  # fmt: skip
+
+
+def _of_joints(model: Any) -> Iterator[Deviation]:
+    if np.any(model.jnt_limited):
+        yield Deviation(
+            "joint.solreflimit", "of each limit", "none: a joint never passes its limit",
+            "PhysX's limits are not soft; a joint that begins beyond its limit is put back in the first step",
+        )  # fmt: skip
+    if np.any(model.dof_frictionloss):
+        yield Deviation(
+            "joint.solreffriction", "of each joint", "none: friction holds a joint up to its effort",
+            "PhysX's friction of joints is not soft",
+        )  # fmt: skip
+    free = [j for j in range(model.njnt) if model.jnt_type[j] == mujoco.mjtJoint.mjJNT_FREE]
+    for what in ("damping", "armature", "frictionloss"):
+        dofs = [model.jnt_dofadr[j] for j in free]
+        values = [float(getattr(model, f"dof_{what}")[d : d + 6].max()) for d in dofs]
+        if any(values):
+            yield Deviation(f"bodies.{what}", f"up to {max(values):g}", "0", f"a free body of PhysX has no {what}")
+
+
+def _of_contacts(plan: Plan, options: PhysxOptions, *, gpu: bool) -> Iterator[Deviation]:
+    model = plan.model
+    shapes = [g for g in range(model.ngeom) if collides(model, g)]
+    names = [model.geom(g).name or f"geom{g}" for g in range(model.ngeom)]
+    pairs = [(g, h) for g in shapes for h in shapes if g < h and may_touch(model, g, h)]
+    if not pairs:
+        return
+    yield Deviation(
+        "contact.solref", "of each geom", "rigid contacts",
+        "PhysX's contacts have no solref, solimp, condim or priority, and MuJoCo's no restitution, which is 0 here",
+    )  # fmt: skip
+    of_a_pair, given = {}, frictions(model)
+    for g, h in pairs:
+        used = _COMBINED[options.friction_combine](given[g], given[h])
+        if abs(used - (wanted := friction_of(model, g, h))) > 1e-6:
+            of_a_pair[f"{names[g]} and {names[h]}"] = wanted, used
+    if of_a_pair:
+        texts = [[f"{pair} {values[k]:g}" for pair, values in of_a_pair.items()] for k in (0, 1)]
+        yield Deviation(
+            "contact.pair_friction", _some(texts[0]), _some(texts[1]),
+            f"option 'friction_combine' ({options.friction_combine})",
+        )  # fmt: skip
+    if turning := [names[g] for g in shapes if model.geom_condim[g] > 3]:
+        yield Deviation(
+            "contact.condim", f"torsional or rolling friction of {_some(turning)}", "none",
+            "PhysX's contacts have friction against sliding alone",
+        )  # fmt: skip
+    if apart_by := [names[g] for g in shapes if model.geom_margin[g]]:
+        yield Deviation("contact.margin", f"of {_some(apart_by)}", "0", "contacts of PhysX begin where shapes touch")
+    if lost := apart(plan).lost:
+        bodies = [model.body(b).name or f"body{b}" for b in range(model.nbody)]
+        listed = _some([f"{bodies[a]} and {bodies[b]}" for a, b in lost])
+        yield Deviation("contact.pairs", f"{listed} collide", "do not collide", "PhysX keeps neighbouring links apart")
+    kinds = mujoco.mjtGeom
+    if meshes := [names[g] for g in shapes if model.geom_type[g] == kinds.mjGEOM_MESH]:
+        yield Deviation(
+            "contact.meshes", f"convex hulls of {_some(meshes)}", f"hulls of at most {_HULL} corners",
+            "PhysX cooks meshes that are convex and small",
+        )  # fmt: skip
+    if gpu and (round_ := [names[g] for g in shapes if model.geom_type[g] == kinds.mjGEOM_CYLINDER]):
+        yield Deviation("contact.cylinders", _some(round_), "as PhysX has them on a GPU", "not examined there")
+
+
+def _of_the_rest(model: Any) -> Iterator[Deviation]:
+    said = ", ".join(f"{key} {value}" for key, value in solver_options(model).items())
+    yield Deviation(
+        "option", said, "those of PhysX's solver",
+        "they are of MuJoCo's integrator and solver; springs, damping and servos are implicit here, and TGS moves "
+        "positions in as many parts of a step as it has iterations",
+    )  # fmt: skip
+    for key in ("density", "viscosity"):
+        if value := getattr(model.opt, key):
+            yield Deviation(f"option.{key}", f"{value:g}", "0", "PhysX has no forces of a medium")
+    flags = int(model.opt.disableflags)
+    off = [name.lower() for name in _OFF if flags & int(getattr(mujoco.mjtDisableBit, f"mjDSBL_{name}", 0))]
+    if off:
+        yield Deviation("option.disableflags", f"without {', '.join(off)}", "with it", "PhysX is given no such flag")
+    against = model.body_gravcomp
+    if partly := [model.body(b).name or f"body{b}" for b in range(1, model.nbody) if against[b] not in (0, 1)]:
+        yield Deviation("body.gravcomp", _some(partly), "0", "gravity acts on a link of PhysX, or does not")
+    massless = [
+        model.body(b).name or f"body{b}"
+        for b in range(1, model.nbody) if model.body_weldid[b] and not model.body_mass[b]
+    ]  # fmt: skip
+    if massless:
+        yield Deviation("bodies.massless", _some(massless), "nearly so", "a link of PhysX has a mass")
+
+
+def imported_of(plan: Plan, known: Held, *, dt: float) -> Imported:
+    """The parameters that PhysX holds, by MuJoCo's names."""
+    model = plan.model
+    reference = of_mujoco.of_c(model)
+    bodies, joints = list(reference.names["bodies"]), list(reference.names["joints"])
+    single = np.flatnonzero(model.jnt_type != mujoco.mjtJoint.mjJNT_FREE)
+    extra = list(known.added)
+    names = {
+        "model": ("model",), "bodies": (*bodies, *extra), "joints": tuple(joints), "tendons": (), "equalities": (),
+        "pairs": (),
+    }  # fmt: skip
+    values: dict[str, Values] = {"model/timestep": np.array([[dt]])}
+    for parameter in PARAMETERS:
+        quantity = _OF_PHYSX.get(parameter.kind, {}).get(parameter.name)
+        if quantity is None:
+            continue
+        rows = known.quantities[quantity]
+        if parameter.name == "inertia":
+            rows = np.array([of_mujoco.six(row.reshape(3, 3)) for row in rows])
+        whole = np.full((len(names[parameter.kind]), rows.shape[1]), np.nan)
+        if parameter.kind == "bodies":
+            whole[0] = 0.0
+            whole[1 : len(bodies)] = rows
+            if parameter.name == "mass":
+                whole[len(bodies) :, 0] = list(known.added.values())
+        else:
+            whole[single] = rows
+            if parameter.name == "range":
+                whole[[j for j in range(model.njnt) if j not in single]] = (-np.inf, np.inf)
+        values[parameter.key] = whole
+    unread = {
+        "model/gravity": "PhysX does not tell it; the trials compare what it does",
+        **{f"model/{word}": "PhysX has no forces of a medium" for word in ("wind", "density", "viscosity")},
+        **{f"bodies/{word}": _FRAMES for word in ("parent", "position", "orientation")},
+        "bodies/gravity_compensation": "PhysX has none but that a link has no gravity",
+        **{f"joints/{word}": _FRAMES for word in ("type", "body", "anchor", "axis", "reference")},
+        "joints/spring_reference": "PhysX holds one target of a drive; the trials compare what it does",
+        "joints/force_range": "not read; the recorder clamps the forces of motors",
+        **{f"joints/limit_{word}": "PhysX's limits are not soft" for word in ("solref", "solimp")},
+        "joints/margin": "PhysX's limits have no margin",
+        "geoms": _SHAPES,
+        "excludes": _SHAPES,
+        "actuators": "not read; the recorder makes forces and targets of controls",
+    }
+    return Imported(names, values, unread)
+
+
+def _some(texts: list[str]) -> str:
+    more = f" and {len(texts) - _SHOWN} more" if len(texts) > _SHOWN else ""
+    return ", ".join(texts[:_SHOWN]) + more

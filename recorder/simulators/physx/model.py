@@ -1,0 +1,79 @@
+"""A model file on its way into PhysX: compiled by MuJoCo, planned, written as USD, and what is lost."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from gpusimbench.recorder.options import names_of, parse_options
+from gpusimbench.recorder.scenes.base import Vector
+from gpusimbench.recorder.scenes.emit.usd import Apis
+from gpusimbench.recorder.scenes.model.scene import ModelScene
+from gpusimbench.recorder.simulators.mujoco.imported import of_c
+from gpusimbench.recorder.simulators.mujoco.model import compile_scene
+from gpusimbench.recorder.simulators.mujoco.options import MjcfOptions
+from gpusimbench.recorder.simulators.physx.articulations import Articulations
+from gpusimbench.recorder.simulators.physx.made import Held, deviations_of_model, held, imported_of
+from gpusimbench.recorder.simulators.physx.options import PhysxOptions
+from gpusimbench.recorder.simulators.physx.servos import Driven
+from gpusimbench.recorder.simulators.physx.session import Session
+from gpusimbench.recorder.simulators.physx.stage import emit_model
+from gpusimbench.recorder.simulators.physx.trees import plan
+from gpusimbench.schemas.imported import Imported
+from gpusimbench.schemas.provenance import Deviation
+
+
+class Model:
+    """A model file as PhysX is given it.
+
+    compiled  by MuJoCo
+    plan      which links and joints it becomes
+    driven    what its controls do to them
+    """
+
+    def __init__(self, scene: ModelScene, *, dt: float) -> None:
+        """Refused as of trees.plan and servos.Driven."""
+        own = parse_options("mujoco", MjcfOptions, scene.options({}, names_of(MjcfOptions)))
+        self.compiled = compile_scene(scene, dt=dt, options=own)
+        self.plan = plan(self.compiled.model, scene.file)
+        self._file = scene.file
+        self.driven = Driven(self.compiled.model, "PhysX", "other engines take such models")
+
+    def usd(self, apis: Apis, *, spacing: float) -> str:
+        """One environment; apis and spacing as of stage.emit_model."""
+        options = self.compiled.model.opt
+        off = int(options.disableflags) & int(mujoco.mjtDisableBit.mjDSBL_GRAVITY)
+        x, y, z = (0.0, 0.0, 0.0) if off else map(float, options.gravity)
+        return emit_model(self.plan, self.driven.servos, gravity=(x, y, z), apis=apis, spacing=spacing)
+
+    def articulations(self, session: Session, *, n_env: int, origins: Sequence[Vector], device: Any) -> Articulations:
+        """All environments, once they are in the session."""
+        self._source = Articulations(
+            session, self.plan, self.compiled, self.driven, n_env=n_env, origins=origins, device=device
+        )
+        return self._source
+
+    def deviations(self, options: PhysxOptions, *, gpu: bool) -> list[Deviation]:
+        """What PhysX has otherwise, once it has all environments."""
+        return deviations_of_model(self.plan, self._held(), options, file=self._file, gpu=gpu)
+
+    def imported(self, dt: float) -> Imported:
+        """What PhysX holds, once it has all environments."""
+        return imported_of(self.plan, self._held(), dt=dt)
+
+    def link_poses(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Positions and orientations wxyz of what `imported` calls bodies, [env, body, ...]; an added link is where
+        its body is."""
+        poses = self._source.link_poses()
+        bodies = of_c(self.compiled.model).names["bodies"]
+        frames = {link.prim: link.frame for tree in self.plan.trees for link in tree.links if link.body < 0}
+        extra = [frames[name] for name in self._held().added]
+        poses = np.concatenate([poses[:, : len(bodies)], poses[:, extra]], axis=1)
+        return poses[..., :3], poses[..., 3:]
+
+    def _held(self) -> Held:
+        return held(self.plan, self.driven.servos, self._source)

@@ -1,0 +1,179 @@
+"""A compiled model file as articulations: one of PhysX's for each tree of MuJoCo's bodies that moves.
+
+An articulation has one joint between two links, and a link has one parent. A body with several joints therefore hangs
+on a chain of links, all but the last of which are added here and nearly massless; a tree whose root is not free begins
+with a link that is fixed to the world.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from gpusimbench.recorder.failure import Refused
+from gpusimbench.recorder.scenes.emit.usd import identifiers
+
+ADDED_SHARE = 1e-5
+"""Mass and inertia of a link that is added between the joints of a body, as a share of the body's."""
+
+_SHAPES = {f"mjGEOM_{word}" for word in ("PLANE", "SPHERE", "CAPSULE", "BOX", "CYLINDER", "MESH")}
+_WORLD = 0  # number of MuJoCo's body
+
+
+@dataclass(frozen=True)
+class Link:
+    """A rigid body of PhysX.
+
+    prim    name
+    frame   MuJoCo's body whose frame the link has in the reference state
+    body    MuJoCo's body that the link is; -1 for one that is added
+    parent  number of a link of the same tree; -1 for the first
+    joint   MuJoCo's joint to the parent; -1 for a weld, or none
+    within  whether the parent has the same frame
+    """
+
+    prim: str
+    frame: int
+    body: int
+    parent: int
+    joint: int = -1
+    within: bool = False
+
+
+@dataclass(frozen=True)
+class Tree:
+    """An articulation.
+
+    prim   name of the prim that holds links and joints
+    free   MuJoCo's joint by which the first link moves freely; -1: the first link is fixed to the world
+    links  parents first
+    """
+
+    prim: str
+    free: int
+    links: tuple[Link, ...]
+
+    def joints(self) -> tuple[int, ...]:
+        """MuJoCo's hinges and slides, in the order of the links."""
+        return tuple(link.joint for link in self.links if link.joint >= 0)
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What PhysX is given of a mujoco.MjModel.
+
+    model         itself
+    trees         in the order of MuJoCo's bodies
+    joint_prims   by MuJoCo's joint, the name of its prim
+    fixed_geoms   MuJoCo's geoms that collide and never move
+    fixed_prims   by such a geom, the name of its prim
+    """
+
+    model: Any
+    trees: tuple[Tree, ...]
+    joint_prims: dict[int, str]
+    fixed_prims: dict[int, str]
+
+    def place_of(self) -> dict[int, tuple[Tree, Link]]:
+        """By MuJoCo's body, where it is among the links; without bodies that never move."""
+        return {link.body: (tree, link) for tree in self.trees for link in tree.links if link.body >= 0}
+
+
+def plan(model: Any, file: str) -> Plan:
+    """Which links and joints a mujoco.MjModel becomes. Refused where it has something that PhysX is not given here."""
+    _refuse(model, file)
+    roots = [
+        b for b in range(1, model.nbody) if model.body_weldid[b] and not _moves(model, int(model.body_parentid[b]))
+    ]
+    labels = [model.body(b).name or f"body{b}" for b in range(model.nbody)]
+    words = list(identifiers([f"{label} {b}" for b, label in enumerate(labels)]).values())  # numbers keep them apart
+    trees = tuple(_tree(model, root, words) for root in roots)
+    named = [f"{model.joint(j).name or 'joint'} {j} joint" for j in range(model.njnt)]
+    still = [
+        g for g in range(model.ngeom)
+        if collides(model, g) and not _moves(model, int(model.geom_bodyid[g]))
+    ]  # fmt: skip
+    prims = identifiers([f"{model.geom(g).name or 'geom'} {g} fixed" for g in still])
+    return Plan(
+        model, trees, dict(enumerate(identifiers(named).values())), dict(zip(still, prims.values(), strict=True))
+    )
+
+
+def _tree(model: Any, root: int, words: list[str]) -> Tree:
+    free = -1
+    links: list[Link] = []
+    at: dict[int, int] = {}
+    if model.body_jntnum[root] and model.jnt_type[model.body_jntadr[root]] == mujoco.mjtJoint.mjJNT_FREE:
+        free = int(model.body_jntadr[root])
+        links.append(Link(words[root], root, root, -1))
+    else:
+        links.append(Link(f"{words[root]}_base", int(model.body_parentid[root]), -1, -1))
+        links += _hung(model, root, 0, len(links), words[root])
+    at[root] = len(links) - 1
+    for body in range(root + 1, model.nbody):
+        parent = int(model.body_parentid[body])
+        if parent in at:
+            links += _hung(model, body, at[parent], len(links), words[body])
+            at[body] = len(links) - 1
+    return Tree(f"{words[root]}_tree", free, tuple(links))
+
+
+def _hung(model: Any, body: int, parent: int, count: int, word: str) -> Iterator[Link]:
+    """The links of a body: one for each joint, the last of which is the body."""
+    first, number = int(model.body_jntadr[body]), int(model.body_jntnum[body])
+    if not number:
+        yield Link(word, body, body, parent)
+    for k in range(number):
+        last = k == number - 1
+        name = word if last else f"{word}_{k}"
+        yield Link(name, body, body if last else -1, parent if k == 0 else count + k - 1, first + k, within=k > 0)
+
+
+def _moves(model: Any, body: int) -> bool:
+    return bool(model.body_weldid[body] != _WORLD)
+
+
+def collides(model: Any, geom: int) -> bool:
+    """Whether MuJoCo lets a geom touch anything by its masks."""
+    return bool(model.geom_contype[geom] or model.geom_conaffinity[geom])
+
+
+def _refuse(model: Any, file: str) -> None:
+    """Name what PhysX is not given here, and what would otherwise be missing."""
+    kinds = mujoco.mjtGeom
+    said: list[str] = []
+    balls = [j for j in range(model.njnt) if model.jnt_type[j] == mujoco.mjtJoint.mjJNT_BALL]
+    said += [f"ball joint '{model.joint(j).name or f'joint{j}'}'" for j in balls]
+    for g in range(model.ngeom):
+        if not collides(model, g):
+            continue
+        kind, name = kinds(int(model.geom_type[g])), model.geom(g).name or f"geom{g}"
+        if kind.name not in _SHAPES:
+            said.append(f"{kind.name.removeprefix('mjGEOM_').lower()} '{name}', which collides")
+        elif kind == kinds.mjGEOM_PLANE and _moves(model, int(model.geom_bodyid[g])):
+            said.append(f"plane '{name}', which moves")
+    said += [
+        f"constraint of equality '{model.equality(e).name or f'equality{e}'}'"
+        for e in range(model.neq) if model.eq_active0[e]
+    ]  # fmt: skip
+    for t in range(model.ntendon):
+        words = ("stiffness", "damping", "frictionloss", "limited", "armature")
+        if has := [word for word in words if np.any(getattr(model, f"tendon_{word}")[t])]:
+            said.append(f"tendon '{model.tendon(t).name or f'tendon{t}'}', which has {', '.join(has)}")
+    said += [f"contact pair {p}, with parameters of its own" for p in range(model.npair)]
+    if said:
+        more = f", and {len(said) - 3} more" if len(said) > 3 else ""
+        raise Refused(f"PhysX is not given the {', '.join(said[:3])}{more} of {file}; MuJoCo's engines and Newton are")
+
+
+def joint_frame(model: Any, joint: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Origin and orientation wxyz, in the body's frame, of a hinge or slide whose axis is the frame's z."""
+    origin = model.jnt_pos[joint] if model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_HINGE else np.zeros(3)
+    turn = np.zeros(4)
+    mujoco.mju_quatZ2Vec(turn, model.jnt_axis[joint])
+    return np.array(origin), turn
