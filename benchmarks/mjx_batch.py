@@ -1,211 +1,282 @@
-"""Which operation of MJX (impl=jax) depends on how many environments there are.
+"""Why a step of MJX (impl=jax) on a GPU depends on how many environments there are.
 
-The state of a run of many environments is handed to each part of a step alone, compiled for that many environments and
-for fewer. The environments that both have must get the same bits; a part in which they do not depends on the batch.
-Then whole runs are made in which some parts are computed environment by environment (`jax.lax.map`): where environment
-0 no longer depends on the number of environments, these parts are the cause.
+Environments of inclined-collision that begin in states of their own are stepped as a batch of MANY; the first FEW of
+them are also stepped as a batch of their own. Inputs are the same bits, so the results must be. Two tables:
 
-    XLA_FLAGS="--xla_gpu_deterministic_ops=true --xla_gpu_autotune_level=0" python -m benchmarks.mjx_batch
+1. Each primitive of a step by itself, as jaxprs have them, none fused with another: those whose result differs in the
+   other batch. For each of them the step is computed once more in which it alone gives the first FEW environments what
+   it gives them in the other batch: does what moves (positions, velocities, the solver's warm start) change?
+2. Whole compiled steps, in four processes: triangular systems solved by the primitive or column by column, with XLA's
+   fusion of operations and without: the first step at which the first FEW environments differ.
+
+    python -m benchmarks.mjx_batch [--many 64] [--few 16] [--at 2] [--steps 40]
+
+It compiles for one to two minutes for each line of the second table, and as long for the first.
 """
 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack
+import os
+import subprocess
+import sys
+from collections.abc import Sequence
+from contextlib import nullcontext
 from typing import Any
 from unittest import mock
 
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.warp_batch import first_difference, of_first
 from gpusimbench.evaluator.metrics.divergence import differs, ulp_distance
 from gpusimbench.recorder.scenes.registry import make_scene
 from gpusimbench.recorder.simulators.mjx.physics import MjxOptions
 from gpusimbench.recorder.simulators.mjx.simulator import Mjx
 from gpusimbench.schemas.treatment import Initial
 
-Part = Callable[[Any], Any]
+RUN_TO_RUN = "--xla_gpu_deterministic_ops=true --xla_gpu_autotune_level=0"
+NO_FUSION = "--xla_disable_hlo_passes=" + ",".join(
+    (
+        "fusion", "fusion_merger", "fusion-block-level-rewriter", "horizontal-loop-fusion", "horizontal_input_fusion",
+        "horizontal_loop_fusion", "multi_output_fusion", "priority-fusion", "triton-softmax-rewriter",
+    )
+)  # fmt: skip
+"""Each operation stays a kernel of its own. XLA ignores names of passes that it does not have."""
+
+MOVES = ("qpos", "qvel", "qacc_warmstart")
+"""What the next step reads of a state; everything else is computed anew."""
+
+EXACT = {"transpose", "reshape", "broadcast_in_dim", "slice", "dynamic_slice", "squeeze", "concatenate", "gather"}
+"""Primitives that only move numbers, which are not compared."""
+
+Place = tuple[str, str, str]
+"""Of a primitive: its name, where MJX calls it, and the shapes of its operands for FEW environments."""
 
 
-def simulator_of(n_env: int, device: str) -> Mjx:
-    """Inclined-collision, built; every environment begins in a state of its own."""
+def by_columns(factor: tuple[Any, bool], right: Any) -> Any:
+    """x of A x = b, as ``jax.scipy.linalg.cho_solve``, without a sum whose order a batch could decide.
+
+    factor  of ``cho_factor``: (triangle [n, n], whether it is the lower one)
+    right   b [n]
+
+    Each column of the triangle, times the element of x that it yields, is subtracted from what is left of b.
+    """
+    import jax
+    import jax.numpy as jnp
+
+    triangle, is_lower = factor
+    lower = triangle if is_lower else triangle.T
+    n = lower.shape[0]
+    rows = jnp.arange(n)
+
+    def down(j: Any, x: Any) -> Any:
+        at = x[j] / lower[j, j]
+        return jnp.where(rows == j, at, jnp.where(rows > j, x - lower[:, j] * at, x))
+
+    def up(turn: Any, x: Any) -> Any:
+        j = n - 1 - turn
+        at = x[j] / lower[j, j]
+        return jnp.where(rows == j, at, jnp.where(rows < j, x - lower[j, :] * at, x))
+
+    half = jax.lax.fori_loop(0, n, down, right, unroll=4)
+    return jax.lax.fori_loop(0, n, up, half, unroll=4)
+
+
+def batched_step(many: int, device: str) -> tuple[Any, Any]:
+    """mjx.Data -> mjx.Data of a batch, and the batch of MANY initial states."""
+    import jax
+    from mujoco import mjx
+
     from gpusimbench.recorder.run.start import begin
 
     scene = make_scene("inclined-collision")
-    simulator = Mjx(scene, n_env=n_env, dt=scene.dt, seed=0, options=MjxOptions(device=device))
-    description = simulator.build()
-    begin(simulator, description, str(Initial(0.1)), None)
-    return simulator
+    simulator = Mjx(scene, n_env=many, dt=scene.dt, seed=0, options=MjxOptions(device=device))
+    begin(simulator, simulator.build(), str(Initial(0.1)), None)
+    model = simulator._model.put(simulator._device)
+    return jax.vmap(lambda data: mjx.step(model, data)), simulator._state
 
 
-def parts_of(model: Any) -> dict[str, Part]:
-    """The parts of a step of one environment, in order: mjx.Data -> what the part computes."""
-    import jax
-    from mujoco.mjx._src import collision_driver, constraint, forward, smooth, solver, support
-
-    def hessian(data: Any) -> Any:
-        impl = data._impl
-        active = impl.efc_D > 0
-        found = (impl.efc_J.T * impl.efc_D * active) @ impl.efc_J + support.full_m(model, data)
-        return (found + found.T) * 0.5
-
-    def factor(data: Any) -> Any:
-        return jax.scipy.linalg.cho_factor(hessian(data))[0]
-
-    def factor_alone(data: Any) -> Any:
-        return jax.scipy.linalg.cho_factor(support.full_m(model, data))[0]
-
-    def solved(data: Any) -> Any:
-        return jax.scipy.linalg.cho_solve((support.full_m(model, data), False), data.qfrc_smooth)
-
-    return {
-        "kinematics": lambda data: smooth.kinematics(model, data),
-        "centres of mass": lambda data: smooth.com_pos(model, data),
-        "inertia matrix": lambda data: smooth.crb(model, data),
-        "its factor": lambda data: smooth.factor_m(model, data),
-        "collision": lambda data: collision_driver.collision(model, data),
-        "constraint rows": lambda data: constraint.make_constraint(model, data),
-        "velocities": lambda data: forward.fwd_velocity(model, data),
-        "smooth acceleration": lambda data: forward.fwd_acceleration(model, data),
-        "J v": lambda data: data._impl.efc_J @ data.qvel,
-        "J^T f": lambda data: data._impl.efc_J.T @ data._impl.efc_D,
-        "Hessian J^T D J + M": hessian,
-        "Hessian and its Cholesky factor": factor,
-        "Cholesky factor of M": factor_alone,
-        "triangular solves": solved,
-        "constraint solver": lambda data: solver.solve(model, data),
-        "integration": lambda data: forward.implicit(model, data),
-    }
+def moved(data: Any) -> list[Any]:
+    """What the next step reads."""
+    return [getattr(data, name) for name in MOVES]
 
 
-def compared(part: Part, data: Any, number: int) -> str:
-    """A part compiled for all environments of `data` and for the first `number` of them: what differs in these."""
+def first(tree: Any, few: int) -> Any:
+    """The first environments of a batch."""
     import jax
 
-    program = jax.jit(jax.vmap(part))
-    first = jax.tree.map(lambda array: array[:number], data)
-    alike, differing, most = 0, 0, 0
-    for many, few in zip(_leaves(program(data)), _leaves(program(first)), strict=True):
-        mask = differs(many[:number], few)
-        alike += int(mask.size - mask.sum())
-        differing += int(mask.sum())
-        if mask.any():
-            most = max(most, int(ulp_distance(many[:number], few)[mask].max()))
-    return f"{differing} of {alike + differing} numbers, up to {most} ULP" if differing else "same"
+    return jax.tree.map(lambda array: array[:few], tree)
 
 
-def _leaves(tree: Any) -> list[NDArray[Any]]:
-    import jax
-
-    arrays = (np.asarray(leaf) for leaf in jax.tree.leaves(tree))
-    return [array for array in arrays if array.dtype == np.float32]
-
-
-def one_by_one(function: Callable[..., Any]) -> Callable[..., Any]:
-    """The same, computed environment by environment wherever it is mapped over environments."""
-    import jax
-
-    return jax.custom_batching.sequential_vmap(function)  # type: ignore[no-any-return]
+def difference(ours: Sequence[Any], theirs: Sequence[Any]) -> tuple[int, int]:
+    """How many float32 numbers differ in their bits, and by how many units in the last place at most."""
+    count, most = 0, 0
+    for a, b in zip(ours, theirs, strict=True):
+        x, y = np.asarray(a), np.asarray(b)
+        if x.dtype == np.float32 and (mask := differs(x, y)).any():
+            count, most = count + int(mask.sum()), max(most, int(ulp_distance(x, y)[mask].max()))
+    return count, most
 
 
-def replacements() -> dict[str, Callable[[ExitStack], None]]:
-    """What is computed environment by environment in a whole run, by name."""
-    import jax
-    from mujoco.mjx._src import smooth, solver
-
-    centres = smooth.com_pos
-    factor, solve, gradient = jax.scipy.linalg.cho_factor, jax.scipy.linalg.cho_solve, solver._update_gradient
-
-    def alone_factor(matrix: Any) -> Any:
-        return one_by_one(lambda one: factor(one)[0])(matrix), False
-
-    def alone_solve(known: Any, right: Any) -> Any:
-        return one_by_one(lambda one, b: solve((one, False), b))(known[0], right)
-
-    def alone_gradient(model: Any, data: Any, context: Any) -> Any:
-        return one_by_one(lambda d, c: gradient(model, d, c))(data, context)
-
-    def alone_centres(model: Any, data: Any) -> Any:
-        def found(one: Any) -> Any:
-            done = centres(model, one)
-            return done.subtree_com, done._impl.cinert, done.cdof
-
-        names = ("subtree_com", "_impl.cinert", "cdof")
-        return data.tree_replace(dict(zip(names, one_by_one(found)(data), strict=True)))
-
-    def masses(stack: ExitStack) -> None:
-        stack.enter_context(mock.patch.object(smooth, "com_pos", alone_centres))
-
-    def cholesky(stack: ExitStack) -> None:
-        stack.enter_context(mock.patch.object(jax.scipy.linalg, "cho_factor", alone_factor))
-        stack.enter_context(mock.patch.object(jax.scipy.linalg, "cho_solve", alone_solve))
-
-    def newton(stack: ExitStack) -> None:
-        stack.enter_context(mock.patch.object(solver, "_update_gradient", alone_gradient))
-
-    def both(stack: ExitStack) -> None:
-        cholesky(stack)
-        newton(stack)
-
-    def all_three(stack: ExitStack) -> None:
-        both(stack)
-        masses(stack)
-
-    return {
-        "nothing": lambda stack: None,
-        "Cholesky factors and solves": cholesky,
-        "the solver's Newton direction": newton,
-        "both": both,
-        "centres of mass": masses,
-        "all three": all_three,
-    }
+def cut(array: Any, shape: Sequence[int]) -> Any:
+    """The part of a batch's array that has the shape which the smaller batch's has."""
+    return array[tuple(slice(0, n) for n in shape)] if array.shape != tuple(shape) else array
 
 
-def trajectory(n_env: int, steps: int, device: str) -> list[NDArray[Any]]:
-    """The states of environment 0 after each step, one array a step."""
-    return of_first(simulator_of(n_env, device), steps)
+class Step:
+    """The jaxpr of a step for MANY environments, run equation by equation beside that for FEW.
+
+    perturbed  a place at which the first FEW environments get what the smaller batch's primitive gives them; None:
+               primitives are compared instead, into `found`
+    """
+
+    def __init__(self, many: Any, few: Any, perturbed: Place | None = None) -> None:
+        self.many, self.few, self.perturbed = many, few, perturbed
+        self.found: dict[Place, tuple[int, int, int]] = {}
+        self.executed = 0
+
+    def __call__(self, arguments: Sequence[Any]) -> list[NDArray[Any]]:
+        """What moves, after the step."""
+        return self._run(self.many, self.few, arguments)
+
+    def _run(self, many: Any, few: Any, arguments: Sequence[Any]) -> list[Any]:
+        from jax.extend.core import Literal
+
+        jaxpr, small, consts = getattr(many, "jaxpr", many), getattr(few, "jaxpr", few), getattr(many, "consts", ())
+        values = dict(zip([*jaxpr.constvars, *jaxpr.invars], [*consts, *arguments], strict=True))
+
+        def read(atom: Any) -> Any:
+            return atom.val if isinstance(atom, Literal) else values[atom]
+
+        for equation, smaller in zip(jaxpr.eqns, small.eqns, strict=True):
+            results = self._equation(equation, smaller, [read(atom) for atom in equation.invars])
+            values.update(zip(equation.outvars, results, strict=True))
+        return [read(atom) for atom in jaxpr.outvars]
+
+    def _equation(self, equation: Any, smaller: Any, operands: list[Any]) -> list[Any]:
+        called = [e.params.get("jaxpr", e.params.get("call_jaxpr")) for e in (equation, smaller)]
+        name = equation.primitive.name
+        if name in ("jit", "pjit", "closed_call", "custom_jvp_call", "custom_vjp_call"):
+            return self._run(*called, operands)
+        if name == "while":
+            return self._loop(equation.params, smaller.params, operands)
+        results = _results(equation, operands)
+        if name in EXACT or (self.perturbed and self.perturbed != place_of(smaller)):
+            return results
+        fewer = [cut(np.asarray(o), v.aval.shape) for o, v in zip(operands, smaller.invars, strict=True)]
+        others = _results(smaller, fewer)
+        if self.perturbed:
+            rows = [tuple(slice(0, n) for n in other.shape) for other in others]
+            return [r if r.shape == o.shape else r.at[s].set(o) for r, o, s in zip(results, others, rows, strict=True)]
+        self.executed += 1
+        count, most = difference([cut(r, o.shape) for r, o in zip(results, others, strict=True)], others)
+        if count:
+            times, numbers, worst = self.found.get(place_of(smaller), (0, 0, 0))
+            self.found[place_of(smaller)] = times + 1, numbers + count, max(worst, most)
+        return results
+
+    def _loop(self, many: dict[str, Any], few: dict[str, Any], operands: list[Any]) -> list[Any]:
+        import jax
+        import jax.numpy as jnp
+
+        n, m = many["cond_nconsts"], many["body_nconsts"]
+        asked, consts, carry = operands[:n], operands[n : n + m], operands[n + m :]
+        going_on = jax.jit(jax.extend.core.jaxpr_as_fun(many["cond_jaxpr"]))
+        while bool((going := going_on(*asked, *carry)[0]).any()):
+            done = self._run(many["body_jaxpr"], few["body_jaxpr"], [*consts, *carry])
+            if going.ndim:  # of each environment: those that have ended keep what they have
+                wide = [going.reshape(going.shape + (1,) * (new.ndim - going.ndim)) for new in done]
+                done = [jnp.where(w, new, old) for w, new, old in zip(wide, done, carry, strict=True)]
+            carry = done
+        return carry
 
 
-def table(head: Sequence[str], rows: Iterator[list[str]]) -> None:
-    """As Markdown, each row as soon as it is known."""
-    print("| " + " | ".join(head) + " |\n|" + " --- |" * len(head))
-    for row in rows:
-        print("| " + " | ".join(row) + " |", flush=True)
+def _results(equation: Any, operands: Sequence[Any]) -> list[Any]:
+    results = equation.primitive.bind(*operands, **equation.params)
+    return list(results) if equation.primitive.multiple_results else [results]
+
+
+def place_of(equation: Any) -> Place:
+    """Of a primitive of the smaller batch."""
+    from jax._src import source_info_util
+
+    where = source_info_util.summarize(equation.source_info).rsplit("/", 1)[-1]
+    shapes = " ".join(str(tuple(atom.aval.shape)) for atom in equation.invars)
+    return equation.primitive.name, where, shapes
+
+
+def primitives(many: int, few: int, at: int, device: str) -> None:
+    """The first table, for the step number `at`."""
+    import jax.extend
+    from jax.interpreters import partial_eval
+
+    step, data = batched_step(many, device)
+    program = jax.jit(step)
+    for _ in range(at - 1):
+        data = program(data)
+    leaves, tree = jax.tree.flatten(data)
+
+    def traced(batch: list[Any]) -> Any:
+        closed = jax.make_jaxpr(lambda *args: moved(step(jax.tree.unflatten(tree, args))))(*batch)
+        alive, _ = partial_eval.dce_jaxpr(closed.jaxpr, [True] * len(MOVES), instantiate=True)
+        return type(closed)(alive, closed.consts)
+
+    pair = traced(leaves), traced(first(leaves, few))
+    compared = Step(*pair)
+    plain = first(compared(leaves), few)
+    print(f"step {at}: {compared.executed} executions of primitives in a batch of {many} and in a batch of {few}")
+    print("| primitive | at | operands | times | numbers that differ | at most, ULP | what moves |")
+    print("| --- | --- | --- | --- | --- | --- | --- |")
+    for place, counts in compared.found.items():
+        changed, _ = difference(plain, first(Step(*pair, place)(leaves), few))
+        reaches = f"{changed} numbers change" if changed else "the same bits"
+        print("| " + " | ".join(str(cell) for cell in (*place, *counts, reaches)) + " |", flush=True)
+
+
+def parting(many: int, few: int, steps: int, device: str, columns: bool) -> str:
+    """The first step after which the first FEW of MANY environments differ from FEW alone."""
+    import jax.scipy.linalg
+
+    solve = mock.patch.object(jax.scipy.linalg, "cho_solve", by_columns) if columns else nullcontext()
+    with solve:
+        step, data = batched_step(many, device)
+        alone = first(data, few)
+        programs = [jax.jit(step).lower(batch).compile() for batch in (data, alone)]
+    for number in range(1, steps + 1):
+        data, alone = programs[0](data), programs[1](alone)
+        if difference(moved(first(data, few)), moved(alone))[0]:
+            return f"from step {number}"
+    return f"not in {steps} steps"
 
 
 def main() -> None:
     """Print both tables."""
     p = argparse.ArgumentParser(description=(__doc__ or "").split("\n\n", maxsplit=1)[0])
     p.add_argument("--many", type=int, default=64, help="environments")
-    p.add_argument("--numbers", default="1,2,16,32", help="of environments that are held against the first of these")
-    p.add_argument("--at", type=int, default=12, help="step whose state is handed to the parts")
-    p.add_argument("--steps", type=int, default=50, help="of whole runs; 0: none")
+    p.add_argument("--few", type=int, default=16, help="environments of the smaller batch")
+    p.add_argument("--at", type=int, default=2, help="step of the first table; 0: none")
+    p.add_argument("--steps", type=int, default=40, help="of the second table; 0: none")
     p.add_argument("--device", default="auto")
-    arguments = p.parse_args()
-    numbers = [int(number) for number in arguments.numbers.split(",")]
-
-    simulator = simulator_of(arguments.many, arguments.device)
-    simulator.step(arguments.at)
-    model, data = simulator._model.put(simulator._device), simulator._state
-    parts = parts_of(model)
-    head = [f"part of a step, {arguments.many} environments against", *map(str, numbers)]
-    table(head, ([name, *(compared(part, data, number) for number in numbers)] for name, part in parts.items()))
-    simulator.close()
-    if not arguments.steps:
+    p.add_argument("--columns", choices=("no", "yes"), help=argparse.SUPPRESS)
+    a = p.parse_args()
+    if a.columns:
+        print(parting(a.many, a.few, a.steps, a.device, a.columns == "yes"))
         return
-
-    def runs() -> Iterator[list[str]]:
-        for name, replace in replacements().items():
-            with ExitStack() as stack:
-                replace(stack)
-                base = trajectory(arguments.many, arguments.steps, arguments.device)
-                others = (trajectory(number, arguments.steps, arguments.device) for number in numbers)
-                yield [name, *(first_difference(base, other) for other in others)]
-
-    print()
-    table([f"one by one; {arguments.many} environments differ from step, against", *map(str, numbers)], runs())
+    if a.at:
+        os.environ.setdefault("XLA_FLAGS", RUN_TO_RUN)
+        primitives(a.many, a.few, a.at, a.device)
+    if a.steps:
+        print(
+            f"\n| triangular systems | fusion | the first {a.few} of {a.many} environments differ from {a.few} alone |"
+        )
+        print("| --- | --- | --- |")
+    for columns in ("no", "yes") if a.steps else ():
+        for fused, flags in (("yes", RUN_TO_RUN), ("no", f"{RUN_TO_RUN} {NO_FUSION}")):
+            command = [sys.executable, "-m", "benchmarks.mjx_batch", *sys.argv[1:], "--columns", columns]
+            done = subprocess.run(command, env={**os.environ, "XLA_FLAGS": flags}, capture_output=True, text=True)
+            said = done.stdout.strip() or f"failed: {done.stderr.strip().splitlines()[-1]}"
+            solved = "column by column" if columns == "yes" else "as shipped"
+            print(f"| {solved} | {fused} | {said} |", flush=True)
 
 
 if __name__ == "__main__":
