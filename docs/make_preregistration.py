@@ -187,7 +187,7 @@ def result_table(evaluation: Evaluation) -> str:
         lines.append(f"| {' | '.join(cells)} |")
     tosses = evaluation.reference.tosses
     count = made[0].found.cases if made else 0
-    below = [f"{count} tosses of {tosses.name()}, SHA-256 `{tosses.known.sha256[:_HASH]}...`."]
+    below = [f"{tosses.name()}, SHA-256 `{tosses.known.sha256[:_HASH]}...`; {count} judged."]
     below += [f"Not judged: {why}." for why in missing]
     return "\n".join([*lines, "", *below])
 
