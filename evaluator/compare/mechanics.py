@@ -65,7 +65,8 @@ def _found(one: FidelityRow, other: FidelityRow, base: Runs, head: Runs, *, cert
 
 
 def _said(row: FidelityRow) -> str:
-    return f"BROKEN {row.broken} of {row.count}" if row.verdict is Verdict.BROKEN else row.verdict.value
+    said = f"BROKEN {row.broken} of {row.count}" if row.verdict is Verdict.BROKEN else row.verdict.value
+    return f"{said} ({NEWEST.value})"
 
 
 def _broken(check: Check, runs: Runs) -> tuple[int, int]:
