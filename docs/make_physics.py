@@ -1,11 +1,14 @@
 """Redraws the tables of docs/physics.md from the shipped recordings, and from a folder with every step if one is given.
 
+The verdicts that physics-2 changes are listed from all recordings that ship.
+
 usage: python docs/make_physics.py [FOLDER]
 """
 
 from __future__ import annotations
 
 import sys
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
@@ -15,7 +18,7 @@ from gpusimbench.evaluator.report.fidelity import allowed, number
 from gpusimbench.evaluator.results.fidelity import Fidelity, FidelityRow, Verdict, fidelity
 from gpusimbench.evaluator.runs.groups import group
 from gpusimbench.evaluator.runs.labels import labels, options_given
-from gpusimbench.evaluator.runs.physics.facts import Check
+from gpusimbench.evaluator.runs.physics.facts import Check, Revision
 from gpusimbench.evaluator.runs.physics.measure import physics_of
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -49,6 +52,28 @@ def shipped() -> list[tuple[Fidelity, float]]:
     """Those of the recordings that ship."""
     folder = ROOT / "recordings"
     return judged([*sorted(folder.glob("*.mcap")), *sorted((folder / "h200").glob("*.mcap"))])
+
+
+def changed() -> str:
+    """A row for each engine, scene and check whose verdict physics-2 changed, over all recordings that ship."""
+    recordings = [one for path in sorted((ROOT / "recordings").rglob("*.mcap")) if (one := Recording(path)).usable]
+    groups, became = Counter[tuple[str, str, str]](), dict[tuple[str, ...], list[FidelityRow]]()
+    for one in group(recordings):
+        both = [fidelity("", [physics_of(run, revision=of) for run in one.complete]) for of in Revision]
+        for before, after in zip(both[0].rows, both[1].rows, strict=True):
+            where = (one.key.simulator, one.key.scene, before.check.title)
+            groups[where] += before.verdict is not Verdict.NOT_APPLICABLE
+            if before.verdict is not after.verdict:
+                became.setdefault((*where, before.verdict.value, after.verdict.value), []).append(after)
+    lines = [
+        "| simulator | scene | check | physics-1 | physics-2 | groups | largest [m] | physics-2 allows [m] |",
+        "| --- | --- | --- | --- | --- | --- | --- | --- |",
+    ]
+    for (simulator, scene, title, old, new), rows in sorted(became.items()):
+        counted = f"{len(rows)} of {groups[simulator, scene, title]}"
+        most, tolerance = (number(max(getattr(row, name) for row in rows)) for name in ("most", "tolerance"))
+        lines.append(f"| {simulator} | {scene} | {title} | {old} | {new} | {counted} | {most} | {tolerance} |")
+    return "\n".join(lines)
 
 
 def cell(row: FidelityRow | None) -> str:
@@ -100,6 +125,7 @@ def with_block(page: str, name: str, shown: str) -> str:
 def main() -> None:
     """Write the page."""
     page = with_block(PAGE.read_text(encoding="utf-8"), "shipped", at_the_end(shipped()))
+    page = with_block(page, "changed by physics-2", changed())
     if len(sys.argv) > 1:
         found = judged(sorted(Path(sys.argv[1]).rglob("*.mcap")))
         for scene in ("inclined-collision", "free-fall"):

@@ -42,6 +42,19 @@ def actions_change(recording: Recording) -> bool:
     return stream is not None and bool(stream.last_sha256) and stream.first_sha256 != stream.last_sha256
 
 
+def actions_verified(recording: Recording) -> bool:
+    """Whether the engine held, after the last timed step, the actions that it was given for that step."""
+    stream = recording.action_streams.get("timed")
+    return stream is not None and stream.verified
+
+
+def moving(recording: Recording) -> float | None:
+    """Joints and bodies of an environment that move, on average, at the begin or the end of the timed phase, whichever
+    is less; None where they are not counted at both."""
+    found = recording.counts.get("timed", {}).get("moving")
+    return float(min(found.mean)) if found is not None and len(found.mean) > 1 else None
+
+
 def facts_not_honoured(simulation: Simulation) -> tuple[str, ...]:
     """Friction, mass, edge or inertia of a body that the engine has another value of, each with both values."""
     return tuple(

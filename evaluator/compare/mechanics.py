@@ -9,7 +9,7 @@ from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.results.aggregate import Runs
 from gpusimbench.evaluator.results.fidelity import Fidelity, FidelityRow, Verdict, fidelity
 from gpusimbench.evaluator.results.metric import Axis, Direction
-from gpusimbench.evaluator.runs.physics.facts import Check, Measured
+from gpusimbench.evaluator.runs.physics.facts import NEWEST, Check, Measured
 
 _NAME, _TITLE = "mechanics", "checks of mechanics"
 
@@ -38,10 +38,8 @@ def compare_mechanics(base: Runs, head: Runs, *, certain: bool) -> Sequence[Find
 
 
 def _unchanged(one: Fidelity, other: Fidelity, n: tuple[int, int]) -> Finding:
-    held = [
-        f"{len(f.of(Verdict.HELD))} of {len(f.of(Verdict.HELD)) + len(f.of(Verdict.BROKEN))} held" for f in (one, other)
-    ]
-    method = "verdicts of the checks that apply to both sides, as gsb-eval --all prints them"
+    held = [f"{f.held} of {f.checkable} held, {f.not_checkable} not checkable" for f in (one, other)]
+    method = f"verdicts of the checks that apply to both sides, by {one.revision.value}, as gsb-eval --all prints them"
     return Finding(
         Axis.PHYSICS, _NAME, _TITLE, Change.SAME, Direction.HIGHER, said=(held[0], held[1]), n=n, method=method
     )  # fmt: skip
@@ -59,14 +57,16 @@ def _found(one: FidelityRow, other: FidelityRow, base: Runs, head: Runs, *, cert
     finding = Finding(
         Axis.PHYSICS, f"mechanics.{one.check.key}", one.check.title,
         Change.REGRESSION if worse * n1 > bad * n2 else Change.IMPROVEMENT, Direction.HIGHER,
-        said=(_said(one), _said(other)), n=(n1, n2), method="verdict of gsb-eval --all over all runs",
+        said=(_said(one), _said(other)), n=(n1, n2),
+        method=f"verdict of gsb-eval --all over all runs, by {NEWEST.value}",
         note=f"broken in {bad} of {n1} runs of base, {worse} of {n2} of head",
     )  # fmt: skip
     return finding if certain else Counted(finding, *counts, of="in which it is broken")
 
 
 def _said(row: FidelityRow) -> str:
-    return f"BROKEN {row.broken} of {row.count}" if row.verdict is Verdict.BROKEN else row.verdict.value
+    said = f"BROKEN {row.broken} of {row.count}" if row.verdict is Verdict.BROKEN else row.verdict.value
+    return f"{said} ({NEWEST.value})"
 
 
 def _broken(check: Check, runs: Runs) -> tuple[int, int]:

@@ -12,6 +12,7 @@ from gpusimbench.evaluator.render.document import EMPTY, Block, Cell, Document, 
 from gpusimbench.evaluator.render.numbers import plural
 from gpusimbench.evaluator.report import timed
 from gpusimbench.evaluator.report.leaders import fastest
+from gpusimbench.evaluator.report.sections.convergence import sentence
 from gpusimbench.evaluator.report.verdicts import QUESTIONS, TO_REFERENCE, another_run, usual
 from gpusimbench.evaluator.results.cost_metrics import FPS
 from gpusimbench.evaluator.results.evaluation import Evaluation
@@ -129,6 +130,8 @@ def _several(evaluation: Evaluation) -> Iterator[Block]:
         yield Text(f"{plural(hidden, 'group')} of runs that only gsb-probe needs: --all", Tone.QUIET)
     for asked in evaluation.probed:
         yield Text(f"{name_of(asked.arms)}: {verdict_of(asked.findings)}")
+    for family in evaluation.convergences:
+        yield Text(sentence(family))
     for one in fastest(results):
         if one.first:
             device = one.device or "an unnamed device"

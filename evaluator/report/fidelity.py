@@ -23,6 +23,10 @@ def fidelity_record(one: Fidelity) -> dict[str, Any]:
         "looked_at": one.looked_at,
         "exactness": one.exactness,
         "why_not": one.why_not,
+        "revision": one.revision.value,
+        "held": one.held,
+        "checkable": one.checkable,
+        "not_checkable": one.not_checkable,
         "checks": {},
     }
     for row in one.rows:

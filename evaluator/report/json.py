@@ -8,7 +8,7 @@ from typing import Any
 from gpusimbench.evaluator.check.rules.rule import PROTOCOL
 from gpusimbench.evaluator.json_values import dump, values_of
 from gpusimbench.evaluator.metrics.memory_model import MemoryModel
-from gpusimbench.evaluator.missing import known, why_missing
+from gpusimbench.evaluator.missing import Missing, known, why_missing
 from gpusimbench.evaluator.probe.json import probe_record
 from gpusimbench.evaluator.report.evidence_json import (
     capability_record,
@@ -19,6 +19,7 @@ from gpusimbench.evaluator.report.evidence_json import (
 )
 from gpusimbench.evaluator.report.fidelity import fidelity_record
 from gpusimbench.evaluator.report.timed import timed_record
+from gpusimbench.evaluator.results.convergence import Convergence
 from gpusimbench.evaluator.results.evaluation import SCHEMA_VERSION, Evaluation
 from gpusimbench.evaluator.results.faults import faults
 from gpusimbench.evaluator.results.metric import Estimate
@@ -50,6 +51,7 @@ def to_json(evaluation: Evaluation) -> dict[str, Any]:
         ],
         "sweeps": [_sweep(sweep) for sweep in evaluation.sweeps],
         "accumulation": list(evaluation.accumulation),
+        "convergence": [_convergence(one) for one in evaluation.convergences],
         "radar": {
             name: {axis.value: value for axis, value in axes.items()}
             for name, axes in (comparison.radar.values if comparison.radar else {}).items()
@@ -63,6 +65,25 @@ def to_json(evaluation: Evaluation) -> dict[str, Any]:
     }
     plain: dict[str, Any] = values_of(document)
     return plain
+
+
+def _convergence(one: Convergence) -> dict[str, Any]:
+    """A reason stands in `why_not` where there is no order, and in `no_interval` where there is no interval."""
+    found = one.found
+    record = {name: getattr(one, name) for name in ("label", "scene", "time", "finest", "what", "unit", "left_out")}
+    if isinstance(found, Missing):
+        return {**record, "order": None, "why_not": found.reason}
+    return {
+        **record,
+        "order": found.order,
+        "why_not": "",
+        "ci95": None if isinstance(found.ci95, Missing) else list(found.ci95),
+        "no_interval": found.ci95.reason if isinstance(found.ci95, Missing) else "",
+        "asymptotic": found.asymptotic,
+        "dt": list(found.steps),
+        "error": list(found.errors),
+        "local_orders": list(found.local),
+    }
 
 
 def dump_json(evaluation: Evaluation) -> str:

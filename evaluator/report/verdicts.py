@@ -18,6 +18,7 @@ from gpusimbench.evaluator.results.joint_metrics import BETWEEN_ENVS, BETWEEN_RU
 from gpusimbench.evaluator.results.metric import Metric
 from gpusimbench.evaluator.results.result import GroupResult
 from gpusimbench.evaluator.results.toss_metrics import TOSS_FACE, TOSS_LOCAL_POSITION, TOSS_POSITION, TOSS_ROTATION
+from gpusimbench.evaluator.runs.physics.facts import NEWEST
 
 Results = Sequence[GroupResult]
 
@@ -89,13 +90,13 @@ def valid(results: Results) -> Cell:
 
 def sound(results: Results) -> Cell:
     """Whether states keep to mechanics."""
-    checked = [r for r in results if r.fidelity.of(Verdict.BROKEN) or r.fidelity.of(Verdict.HELD)]
+    checked = [r for r in results if r.fidelity.checkable]
     broken = [r for r in checked if r.fidelity.of(Verdict.BROKEN)]
     if not checked:
         return Cell("not checked", tone=Tone.QUIET)
-    checks = sum(len(r.fidelity.of(Verdict.HELD)) + len(r.fidelity.of(Verdict.BROKEN)) for r in checked)
     if not broken:
-        return Cell("yes", notes=(f"{plural(checks, 'check')} held",), tone=Tone.GOOD)
+        held, not_made = sum(r.fidelity.held for r in checked), sum(r.fidelity.not_checkable for r in checked)
+        return Cell("yes", notes=(f"{plural(held, 'check')} held, {not_made} not checkable",), tone=Tone.GOOD)
     names = dict.fromkeys(row.check.title for r in broken for row in r.fidelity.of(Verdict.BROKEN))
     if len(results) == 1:
         return Cell("no", notes=(f"broken: {', '.join(names)}",), tone=Tone.BAD)
@@ -143,7 +144,12 @@ QUESTIONS = (
         alike,
     ),
     Question("valid", "yes: no run dropped contacts or constraints, as far as the engine reports it", valid),
-    Question("mechanics", "yes: every check of mechanics that could be made holds", sound),
+    Question(
+        f"mechanics, {NEWEST.value}",
+        f"yes: every check of mechanics that could be made holds, by the tolerances of {NEWEST.value}",
+        sound,
+        NEWEST.value,
+    ),
 )
 """Asked of every simulator."""
 

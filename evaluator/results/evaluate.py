@@ -18,6 +18,7 @@ from gpusimbench.evaluator.missing import Missing, known
 from gpusimbench.evaluator.probe.questions import Probed, probed
 from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.evaluator.results.accumulation import accumulations
+from gpusimbench.evaluator.results.convergence import convergences
 from gpusimbench.evaluator.results.density_maps import reference_density, shared_map, with_cloud
 from gpusimbench.evaluator.results.details import SunkCubes
 from gpusimbench.evaluator.results.determinism_cost import price_list
@@ -133,6 +134,7 @@ def evaluate(
         price_list=price_list(results),
         unmet=protocol.whole,
         probed=_probed(distinct),
+        convergences=convergences(results, times),
         shorter={scene: time for scene, time in times.items() if time != sample_time},
     )
 

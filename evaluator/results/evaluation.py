@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from gpusimbench.evaluator.check.protocol import Unmet
 from gpusimbench.evaluator.probe.questions import Probed
 from gpusimbench.evaluator.results.accumulation import Accumulation
+from gpusimbench.evaluator.results.convergence import Convergence
 from gpusimbench.evaluator.results.determinism_cost import Family
 from gpusimbench.evaluator.results.ranking import Comparison
 from gpusimbench.evaluator.results.reference import Reference
@@ -37,6 +38,7 @@ class Evaluation:
     shorter      by scene, the time at which positions are compared instead of `sample_time` [s]: no recording of the
                  scene is as long
     probed       what results depend on, of configurations of which runs were treated as gsb-probe does
+    convergences  of groups that differ in the time step alone: how fast states approach those of the finest step
     """
 
     sample_time: float
@@ -53,6 +55,7 @@ class Evaluation:
     unmet: Unmet = Unmet()
     shorter: Mapping[str, float] = field(default_factory=dict)
     probed: tuple[Probed, ...] = ()
+    convergences: tuple[Convergence, ...] = ()
 
     def sampled_at(self, scene: str) -> float:
         """Simulated time at which positions of a scene are compared [s]."""

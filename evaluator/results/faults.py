@@ -76,4 +76,5 @@ def _sunk(result: GroupResult) -> str:
 
 def _broken(result: GroupResult) -> str:
     rows = [row for row in result.fidelity.of(Verdict.BROKEN) if row.check is not Check.SANK]
-    return "broken: " + ", ".join(row.check.title for row in rows) if rows else ""
+    titles = ", ".join(row.check.title for row in rows)
+    return f"broken by {result.fidelity.revision.value}: {titles}" if rows else ""

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from enum import Enum
 
 from gpusimbench.evaluator.missing import Missing
-from gpusimbench.evaluator.runs.physics.facts import Check, Facts, Measured, PhysicsFacts
+from gpusimbench.evaluator.runs.physics.facts import NEWEST, Check, Facts, Measured, PhysicsFacts, Revision
 
 
 class Verdict(Enum):
@@ -25,6 +25,10 @@ class Verdict(Enum):
     AT_REST = "at rest"
     MOVING = "still moving"
     NOT_APPLICABLE = "not applicable"
+
+
+DEMANDED = sum(check.demanded for check in Check)
+"""How many checks of mechanics exist."""
 
 
 @dataclass(frozen=True)
@@ -70,6 +74,7 @@ class Fidelity:
     n_env      environments of each; `looked_at` of them were measured
     exactness  "exact" where that is all, else "sampled"
     rows       in the order of the checks; empty where `why_not` says why nothing can be said
+    revision   whose tolerances judged
     """
 
     label: str
@@ -80,6 +85,22 @@ class Fidelity:
     exactness: str
     rows: tuple[FidelityRow, ...]
     why_not: str = ""
+    revision: Revision = NEWEST
+
+    @property
+    def held(self) -> int:
+        """Checks of mechanics that hold."""
+        return len(self.of(Verdict.HELD))
+
+    @property
+    def checkable(self) -> int:
+        """Checks of mechanics that could be made."""
+        return self.held + len(self.of(Verdict.BROKEN))
+
+    @property
+    def not_checkable(self) -> int:
+        """Checks of mechanics, of all that exist, that could not be made."""
+        return DEMANDED - self.checkable
 
     def of(self, verdict: Verdict) -> tuple[FidelityRow, ...]:
         """The rows of that verdict."""
@@ -96,7 +117,7 @@ def fidelity(label: str, facts: Sequence[PhysicsFacts]) -> Fidelity:
     reasons = dict.fromkeys(one.facts.reason for one in facts if isinstance(one.facts, Missing))
     why_not = "" if told else "; ".join(reasons)
     return Fidelity(
-        label, first.scene, len(facts), first.n_env, first.looked_at, first.exactness, rows, why_not
+        label, first.scene, len(facts), first.n_env, first.looked_at, first.exactness, rows, why_not, first.revision
     )  # fmt: skip
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -12,6 +14,7 @@ from gpusimbench.recorder.simulators.evidence import Evidence
 from gpusimbench.schemas import topics
 from gpusimbench.schemas.configuration import sim_time_ns
 from gpusimbench.schemas.messages import message_class
+from gpusimbench.schemas.provenance import Counter
 
 _QUANTILE = 0.95
 
@@ -19,8 +22,9 @@ _QUANTILE = 0.95
 class EvidenceWriter:
     """Writes what one phase counted.
 
-    stride   steps between two rows; with more than 1, overflow bits are those of all steps since the row before
-    workers  threads that share the counters
+    stride    steps between two rows; with more than 1, overflow bits are those of all steps since the row before
+    workers   threads that share the counters
+    counters  what is counted; None: what the engine counts
     """
 
     def __init__(
@@ -32,6 +36,7 @@ class EvidenceWriter:
         dt: float,
         stride: int,
         workers: Workers | None = None,
+        counters: Sequence[Counter] | None = None,
     ) -> None:
         self._sink = sink
         self._workers = workers or Workers(alone=True)
@@ -40,8 +45,9 @@ class EvidenceWriter:
         self._stride = stride
         self._buffers = description.buffers
         self._fatal = {bit.bit: bit.name for bit in description.overflow_bits if bit.fatal}
-        self._counters = {counter.name: counter for counter in description.counters}
-        for counter in description.counters:
+        counters = description.counters if counters is None else counters
+        self._counters = {counter.name: counter for counter in counters}
+        for counter in counters:
             metadata = {"meaning": counter.meaning, "over": "environments"}
             sink.channel(topics.count(phase, counter.name), "gsb.v1.StepCounts", metadata)
         self._fired: set[int] = set()

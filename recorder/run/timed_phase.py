@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gpusimbench.recorder.capture.evidence import EvidenceWriter
+from gpusimbench.recorder.capture.motion import MOVING, with_motion
 from gpusimbench.recorder.capture.states import declare_fingerprints, write_fingerprints
 from gpusimbench.recorder.capture.watch import Watch
 from gpusimbench.recorder.run.engine import Engine
@@ -54,18 +55,21 @@ def warm_up_and_time(
     simulator = engine.simulator
     covers = f"{description.timing_covers}; {_SAMPLED}"
     interval = simulator.timing_interval
-    counted = EvidenceWriter(sink, description, "timed", dt=configuration.dt, stride=max(1, steps))
+    counted = EvidenceWriter(
+        sink, description, "timed", dt=configuration.dt, stride=max(1, steps), counters=(*description.counters, MOVING)
+    )
     # The whole warm-up's clocks are kept too: its first step shows what compilation costs.
     with Phase(journal, watch, "warmup"):
         simulator.prepare(given(simulator, configuration, 0, warmup))
         progress("warmup", 0, warmup)
         gc.collect()  # takes a good part of a second with some engines, so not before each window
         clocks = _step(simulator, warmup, interval)
-        hashes = [fingerprint(simulator.state())]
+        begun = simulator.state()
+        hashes = [fingerprint(begun)]
         watch.checkpoint("post-warmup")
     journal.timing("warmup", clocks, 0, interval, covers)
     if warmup:
-        journal.count(simulator.evidence(), counted, warmup)
+        journal.count(with_motion(simulator.evidence(), description.fields, begun), counted, warmup)
     journal.ask_gates(simulator)
     simulator.prepare(given(simulator, configuration, warmup, steps))
     with Phase(journal, watch, "timed"):
@@ -78,7 +82,7 @@ def warm_up_and_time(
         declare_fingerprints(sink, "timed")
         write_fingerprints(sink, "timed", np.stack(hashes), first_step=warmup, stride=steps, dt=configuration.dt)
         _ask_finite(journal, state, steps)
-        journal.count(simulator.evidence(), counted, warmup + steps)
+        journal.count(with_motion(simulator.evidence(), description.fields, state), counted, warmup + steps)
         journal.ask_gates(simulator)
         write_applied(journal, simulator, configuration, warmup, steps)
         for again in () if journal.problems else _timed_again(engine, configuration, clocks):

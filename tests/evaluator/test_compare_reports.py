@@ -161,7 +161,7 @@ def test_a_check_of_mechanics_that_is_broken_now(tmp_path: Path, capsys: pytest.
     sides = write_sides(tmp_path, [{"final": grid(2)}] * 2, [{"final": sunk}] * 2, "ABBA", elapsed_s=None)
     code_, document = compared(*sides, capsys=capsys)
     sank = finding(document, "mechanics.sank")
-    assert (code_, sank["change"], sank["said"]["base"], sank["p_value"]) == (4, "regression", "held", None)
+    assert (code_, sank["change"], sank["said"]["base"], sank["p_value"]) == (4, "regression", "held (physics-2)", None)
     assert sank["said"]["head"].startswith("BROKEN 4 of 4")
     code_, document = compared(*sides[::-1], capsys=capsys)
     assert finding(document, "mechanics.sank")["change"] == "improvement"

@@ -96,7 +96,7 @@ def test_values_of_which_none_is_finite_break() -> None:
 def test_the_table_shows_what_broke() -> None:
     """Print measured, allowed, tolerance and verdict, and the reasons beneath."""
     text = printed(fidelity("engine x", [run(2.4, 2.0)]))
-    assert "checks held  0 of 1" in text
+    assert "checks held 0 of 1 21 of 22 not checkable physics-2 2 of 2 envs, 1 run" in " ".join(text.split())
     assert "2 to 2.4" in text
     assert "BROKEN 1 of 2" in text
     assert "not applicable: acceleration of free fall: nothing falls" in text
@@ -107,6 +107,7 @@ def test_json_has_every_check() -> None:
     record = json.loads(json.dumps(fidelity_record(fidelity("x", [run(2.4, 2.0)])), allow_nan=False))
     assert record["checks"]["rolling_acceleration"]["verdict"] == "broken"
     assert record["checks"]["rolling_acceleration"]["least"] == 2.0
+    assert [record[key] for key in ("revision", "held", "checkable", "not_checkable")] == ["physics-2", 0, 1, 21]
     assert record["checks"]["fall_acceleration"] == {
         "title": "acceleration of free fall", "unit": "m/s2", "demanded": True, "verdict": "not applicable",
         "reason": "nothing falls",
@@ -152,7 +153,9 @@ def test_runs_that_break_a_check_are_counted(base: Any, head: Any, change: Chang
     assert (asked.finding.change, asked.finding.n) == (change, (len(base), len(head)))
 
 
-@pytest.mark.parametrize(("value", "said"), [(2.4, "1 of 1 held"), (3.0, "0 of 1 held")])
+@pytest.mark.parametrize(
+    ("value", "said"), [(2.4, "1 of 1 held, 21 not checkable"), (3.0, "0 of 1 held, 21 not checkable")]
+)
 def test_a_check_that_every_run_says_the_same_of(value: float, said: str) -> None:
     """Ask nothing of a check that all runs hold, or all break."""
     (found,) = compare_mechanics(runs_of(value, value), runs_of(value), certain=False)

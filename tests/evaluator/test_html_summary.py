@@ -164,7 +164,7 @@ def test_many_simulators_have_a_line_each(tmp_path: Path) -> None:
     evaluation = evaluate_files(sorted(tmp_path.glob("*.mcap")))
     (found,) = [t for t in report(Source(evaluation, False, "")).tables() if t.key == "simulators"]
     assert found.compact
-    assert [c.title for c in found.columns] == ["simulator", "envs alike", "valid", "mechanics"]
+    assert [c.title for c in found.columns] == ["simulator", "envs alike", "valid", "mechanics, physics-2"]
     assert '<div class="table compact"' in render_html(evaluation, published=False, command="")
 
 

@@ -12,7 +12,7 @@ import pytest
 
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.read.recording import Recording
-from gpusimbench.evaluator.runs.physics.facts import Check, Measured, PhysicsFacts
+from gpusimbench.evaluator.runs.physics.facts import Check, Measured, PhysicsFacts, Revision
 from gpusimbench.evaluator.runs.physics.measure import physics_of
 from gpusimbench.evaluator.runs.physics.states import MOST_ENVS, drawn_envs
 from gpusimbench.recorder.scenes.base import Scene
@@ -116,10 +116,16 @@ def test_depths_at_rest_allow_for_the_number_type(tmp_path: Path) -> None:
 
 
 def test_a_fall_in_float32_keeps_its_shape(tmp_path: Path) -> None:
-    """Hold a stack that falls as one from 200 m above the origin, where rounding alone parts its cubes."""
+    """Hold a stack that falls as one from 50 m up; from 200 m, say that rounding may part its cubes by more than 1 mm,
+    which physics-1 allowed."""
     motion = falling(make_scene("free-fall"), dt=0.001, rows=400)
-    path = write_motion(tmp_path, "free-fall", motion, dtype="float32", origins=((0.0, 0.0, 200.0),), dt=0.001)
-    found = measured(facts_of(path), Check.FALL_SHAPE)
+    low, high = (
+        write_motion(tmp_path, "free-fall", motion, dtype="float32", origins=((0.0, 0.0, height),), dt=0.001)
+        for height in (50.0, 200.0)
+    )
+    assert not measured(facts_of(low), Check.FALL_SHAPE).broken
+    assert "rounded by up to 0.0038 m, more than 5%" in why(facts_of(high), Check.FALL_SHAPE)
+    found = measured(physics_of(Recording(high), revision=Revision.FIRST), Check.FALL_SHAPE)
     assert (found.most or 0.0) > 9.81 * 0.001**2
     assert not found.broken
 
@@ -228,6 +234,52 @@ def test_cubes_in_each_other_break(tmp_path: Path) -> None:
     assert measured(facts, Check.PAIR_REST).most == pytest.approx(2e-3)
     assert measured(facts, Check.PAIR_EVER).most == pytest.approx(2e-3)
     assert Check.PAIR_REST in broken(facts)
+
+
+def test_no_step_excuses_a_cube_that_is_deep_in_another(tmp_path: Path) -> None:
+    """Break on 1.1 mm between cubes of 20 mm at a step of 10 ms, hold 0.9 mm, and hold both by physics-1."""
+    for depth, breaks in ((1.1e-3, True), (0.9e-3, False)):
+        motion = at_rest(make_scene("inclined-collision"), 20)
+        motion["position"][10, :, 1:10, 0] += depth  # the layer of the smallest x toward the next
+        motion["position"][10, :, 27, 2] -= depth  # a cube of the lowest layer, or in the cube below it
+        path = write_motion(tmp_path, "inclined-collision", motion)
+        facts = facts_of(path)
+        assert measured(facts, Check.PAIR_EVER).most == pytest.approx(depth)
+        assert measured(facts, Check.PAIR_EVER).tolerance == pytest.approx(1e-3)
+        assert (Check.PAIR_EVER in broken(facts)) is breaks
+        first = physics_of(Recording(path), revision=Revision.FIRST)
+        assert first.revision is Revision.FIRST
+        assert Check.PAIR_EVER not in broken(first)
+        assert measured(first, Check.PAIR_EVER).tolerance == pytest.approx(0.0157617, rel=1e-4)
+
+
+def test_long_steps_excuse_no_depth_at_rest_and_no_energy(tmp_path: Path) -> None:
+    """Limit g dt^2 = 25 mm of a step of 50 ms to 1 mm, and the energy to M g times 1 mm; hold all by physics-1."""
+    motion = at_rest(make_scene("inclined-collision"), 6)
+    motion["position"][-1, :, 1, 2] -= 5e-3
+    path = write_motion(tmp_path, "inclined-collision", motion, dt=0.05)
+    found, first = facts_of(path), physics_of(Recording(path), revision=Revision.FIRST)
+    assert measured(found, Check.DEPTH_REST).tolerance == pytest.approx(1e-3)
+    assert {Check.DEPTH_REST, Check.DISPLACEMENT} <= broken(found)
+    weight = (0.17782 + 27 * 0.005) * 9.81
+    assert measured(found, Check.ENERGY_START).tolerance == pytest.approx(weight * 1e-3)
+    assert not broken(first)
+    assert measured(first, Check.ENERGY_START).tolerance == pytest.approx(weight * 9.81 * 0.05**2)
+
+
+def test_rounding_beyond_the_limit_is_a_reason(tmp_path: Path) -> None:
+    """Judge no depth where float32 at 10 km rounds by 2 mm, more than 1 mm, which cubes of 20 mm are allowed."""
+    motion, far = at_rest(make_scene("inclined-collision"), 20), ((1e4, 0.0, 0.0),)
+    facts = facts_of(write_motion(tmp_path, "inclined-collision", motion, dtype="float32", origins=far))
+    for check in (Check.DEPTH_REST, Check.PAIR_REST, Check.DEPTH_EVER, Check.PAIR_EVER, Check.DISPLACEMENT):
+        assert (
+            why(facts, check) == "positions are rounded by up to 0.0024 m, more than 5% of the smallest body (0.001 m)"
+        )
+
+
+def test_every_check_has_a_value_or_a_reason(tmp_path: Path, roll: Motion) -> None:
+    """Leave no check out, so that what could not be made can be counted."""
+    assert set(facts_of(write_motion(tmp_path, "inclined-collision", roll)).facts) == set(Check)
 
 
 def test_a_jump_without_velocity_breaks(tmp_path: Path) -> None:
@@ -362,9 +414,11 @@ def test_scenes_that_cannot_be_are_refused(tmp_path: Path, mass: float) -> None:
 
 
 def test_mujoco_keeps_to_mechanics() -> None:
-    """Hold every check of the shipped float64 recording; its rolling is 0.6 % slow, by the give of its contacts."""
+    """Hold every check of the shipped float64 recording but the depths of the impact, and all by physics-1; its rolling
+    is 0.6 % slow, by the give of its contacts."""
     facts = facts_of(RECORDINGS / "mujoco-xeon-r0.mcap")
-    assert not broken(facts)
+    assert broken(facts) == {Check.DEPTH_EVER, Check.PAIR_EVER}
+    assert not broken(physics_of(Recording(RECORDINGS / "mujoco-xeon-r0.mcap"), revision=Revision.FIRST))
     assert measured(facts, Check.ROLLING).mean == pytest.approx(0.9942 * A, rel=1e-4)
     assert measured(facts, Check.SLIP).most == pytest.approx(0.00948, rel=1e-2)
 

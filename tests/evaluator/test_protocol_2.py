@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
@@ -12,14 +13,16 @@ import pytest
 from gpusimbench.evaluator.check.integrity import examine
 from gpusimbench.evaluator.check.rules.findings import check
 from gpusimbench.evaluator.check.rules.rule import PROTOCOL, Scope, load_rules, parse_rules
+from gpusimbench.evaluator.read.recording import Recording
 from gpusimbench.recorder.scenes.registry import make_scene
 from gpusimbench.schemas.errors import ExitCode, UsageError
 from gpusimbench.schemas.messages import message_class
 from gpusimbench.schemas.provenance import PROVENANCE, SIMULATION
-from tests.conftest import call, recorded
+from tests.conftest import call, distribution, recorded
 from tests.evaluator.damaged import whole
 from tests.synthetic import Shown, cubes_field
 
+ROOT = Path(__file__).parents[2]
 RULES = load_rules(PROTOCOL)
 OLDER = load_rules("protocol-1")
 NEW = {rule.id for rule in RULES.rules} - {rule.id for rule in OLDER.rules}
@@ -49,8 +52,10 @@ def _hashes(begin: list[int], end: list[int]) -> tuple[tuple[str, str, Any], ...
     return (("/fingerprint/timed", "gsb.v1.FingerprintBlock", block),)
 
 
-def _actions(first: str, last: str) -> dict[str, Any]:
-    stream = message_class("gsb.v1.ActionStream")(envs=2, steps=1000, first_sha256=first * 64, last_sha256=last * 64)
+def _actions(first: str, last: str, *, verified: bool = True) -> dict[str, Any]:
+    stream = message_class("gsb.v1.ActionStream")(
+        envs=2, steps=1000, first_sha256=first * 64, last_sha256=last * 64, verified=verified
+    )
     return {"timed": stream}
 
 
@@ -109,6 +114,8 @@ _BROKEN: dict[str, dict[str, Any]] = {
     "contacts-at-the-end": {"counts": {"contacts": np.array([[27, 27], [1, 0]])}},
     "not-frozen": {"hashes": _hashes([1, 2], [1, 4])},
     "actions-go-on": {"scene": "franka", "streams": _actions("a", "a")},
+    "actions-held": {"scene": "franka", "streams": _actions("a", "b", verified=False)},
+    "robot-moves": {"scene": "franka", "counts": {**_ENDS, "moving": np.array([[7, 7], [6, 0]])}},
     "clocks-sampled": {"hardware": _hardware((0.2, 0.9, 1.95), "host", other_cpus=0.0)},
     "no-throttling": {
         "gpu_bytes": (1, 2),
@@ -130,6 +137,8 @@ _HELD: dict[str, dict[str, Any]] = {
     "given-facts": {**_TOSS, "deviations": ({**_FRICTION, "used": "0.180"},)},
     "declared-evidence": {"counts": {**_ENDS, "solver_iterations": np.full((2, 2), 3)}},
     "actions-go-on": {"scene": "franka", "streams": _actions("a", "b")},
+    "actions-held": {"scene": "franka", "streams": _actions("a", "b")},
+    "robot-moves": {"scene": "franka", "counts": {**_ENDS, "moving": np.array([[7, 7], [3, 4]])}},
     "clocks-sampled": {"hardware": _hardware((0.9, 1.8), "host", other_cpus=0.0)},
     "no-throttling": {
         "gpu_bytes": (1, 2),
@@ -139,6 +148,8 @@ _HELD: dict[str, dict[str, Any]] = {
 _OTHERWISE = {
     "not-frozen": {"hashes": ()},
     "actions-go-on": {"scene": "franka"},
+    "actions-held": {"scene": "franka"},
+    "robot-moves": {"scene": "franka", "counts": {**_ENDS, "moving": np.array([[0, 0], [7, 7]])}},
     "clocks-sampled": {"hardware": ()},
     "work-evidence": {"counts": {"contacts": np.full((1, 2), 27)}},
 }
@@ -215,6 +226,47 @@ def test_a_world_at_rest_is_rejected(tmp_path: Path) -> None:
     assert broken(path) - MACHINE == {"own-start"}
     said = call("gsb-check", "--protocol", path, code=ExitCode.GATE_FAILED)
     assert "error own-start: Environments begin in a state that was given or drawn" in " ".join(said.stdout.split())
+
+
+# The submission of genesis-world#181 itself: the robot gets the action of the first step, and then 999 steps without.
+_IDLE = """
+from gpusimbench.recorder.simulators.mujoco.simulator import MujocoC
+
+class Idle(MujocoC):  # MuJoCo C, which is given the first action alone
+    def step(self, n_step):
+        actions = None if self._made else self._actions
+        if actions is not None:
+            self._worlds.write("ctrl", actions[0])
+        self._counts = None
+        self._made += n_step
+        self._worlds.step(n_step)
+
+class Silent(Idle):  # and does not tell which actions it holds
+    def applied(self):
+        return None
+
+class Liar(Idle):  # and says that it holds those that it was given
+    def applied(self):
+        return self._actions[-1]
+"""
+
+
+def test_one_action_and_999_idle_steps_are_rejected(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Reject a robot that is given one action, whatever the engine says of it, and hold the same robot that goes on."""
+    names = "\n".join(f"{name} = idle_worlds:{name.title()}" for name in ("idle", "silent", "liar"))
+    distribution(tmp_path, "idle-worlds", f"[gsb.simulators]\n{names}\n", _IDLE)
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(map(str, (tmp_path, ROOT, ROOT / "src"))))
+    arguments = ("--scene", "franka", "--n-env", 32, "--runs", 1, "--phases", "timed", "--timed-steps", 999)
+    found, status = {}, {}
+    for name in ("mujoco", "idle", "silent", "liar"):
+        done = call("gsb-record", "--sim", name, *arguments, "--out", tmp_path)
+        recording = Recording(Path(done.stdout.strip()))
+        found[name], status[name] = broken(recording.path) - MACHINE, recording.status
+    assert status == {"mujoco": "complete", "idle": "invalid", "silent": "complete", "liar": "complete"}
+    assert found["mujoco"] == set()
+    assert found["silent"] == {"actions-held", "robot-moves"}
+    assert found["liar"] == {"robot-moves"}
 
 
 def test_the_newest_protocol_is_the_default(tmp_path: Path) -> None:

@@ -124,7 +124,11 @@ def test_who_has_no_place(runs: Path, tmp_path: Path) -> None:
     top = page.partition("<caption>Who is first</caption>")[2].partition("</table>")[0]
     assert "<td>good: 400" in top
     rule = "breaks a rule of integrity-1"
-    for name, reason in (("invalid", "1 of 2 runs INVALID"), ("unsaid", rule), ("sunk", "states break mechanics")):
+    for name, reason in (
+        ("invalid", "1 of 2 runs INVALID"),
+        ("unsaid", rule),
+        ("sunk", "states break mechanics (physics-2)"),
+    ):
         assert f"<small>{name} (1 row): {reason}</small>" in top
     assert "untimed" not in top
     assert "control" not in top

@@ -236,6 +236,10 @@ CONDITIONS: dict[str, tuple[str, Callable[[Integrity], bool]]] = {
     "captured": ("a capture phase was asked for", lambda f: "capture" in configuration_of(f).phases),
     "complete": ("the run is complete by its own word", lambda f: recording_of(f).status == "complete"),
     "counted": ("contacts are counted in the timed phase", lambda f: work.contacts(recording_of(f)) is not None),
+    "motion-counted": (
+        "the recorder counted what moves at the begin and the end of the timed phase",
+        lambda f: work.moving(recording_of(f)) is not None,
+    ),
     "throttling-known": (
         "the GPU tells in the timed phase why its clocks are not higher",
         lambda f: hardware.timed_throttled_share(recording_of(f)) is not None,

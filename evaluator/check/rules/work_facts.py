@@ -83,6 +83,17 @@ WORK_FACTS: dict[str, Fact] = {
         "the actions of the last timed step differ from those of the first",
         lambda f: work.actions_change(recording_of(f)),
     ),
+    "timed_actions_verified": Fact(
+        FactType.flag,
+        "the engine held the actions of the last timed step, as it was given them",
+        lambda f: work.actions_verified(recording_of(f)),
+    ),
+    "timed_moving": Fact(
+        FactType.number,
+        "joints and bodies of an environment that move, on average, at the begin or the end of the timed phase, "
+        "whichever is less",
+        lambda f: _known(work.moving(recording_of(f)), "what moves is not counted"),
+    ),
     "timed_unsampled_s": Fact(
         FactType.number,
         "longest time of the timed phase without a reading of the clocks of what the simulator steps on [s]",

@@ -17,9 +17,10 @@ from gpusimbench.evaluator.report.scaling import steps_label
 from gpusimbench.evaluator.results.fidelity import Verdict
 from gpusimbench.evaluator.results.metrics import on_radar
 from gpusimbench.evaluator.results.ranking import Contender
+from gpusimbench.evaluator.runs.physics.facts import NEWEST
 
 _TITLES = ("group", "value", "low", "high", "note")
-_MECHANICS = "broken checks of mechanics"
+_MECHANICS = f"broken checks of mechanics, {NEWEST.value}"
 
 
 def panels(contenders: tuple[Contender, ...]) -> list[Figure]:
@@ -88,7 +89,7 @@ def _mechanics(contenders: tuple[Contender, ...]) -> Figure:
             missing.setdefault(why_not, []).append(name)
             continue
         broken = found.of(Verdict.BROKEN)
-        said = ", ".join(row.check.title for row in broken) or f"all {len(found.of(Verdict.HELD))} that were made hold"
+        said = ", ".join(row.check.title for row in broken) or f"all {found.held} that could be made hold"
         dots.append(Dot(index, name, float(len(broken)), said=f"{name}: {said}"))
     return _picture(_MECHANICS, "checks", dots, missing, larger=False)
 

@@ -23,15 +23,17 @@ from gpusimbench.evaluator.report import fidelity
 from gpusimbench.evaluator.report.sections.rows import Reasons, Written
 from gpusimbench.evaluator.report.sections.values import of_groups
 from gpusimbench.evaluator.report.source import Source
-from gpusimbench.evaluator.results.fidelity import FidelityRow, Verdict
+from gpusimbench.evaluator.results.fidelity import DEMANDED, FidelityRow, Verdict
 from gpusimbench.evaluator.results.result import GroupResult
+from gpusimbench.evaluator.runs.physics.facts import NEWEST
 
+_SAID = f"An opened row shows what each check measured. Tolerances are those of {NEWEST.value}."
 _TONES = {Verdict.HELD: Tone.GOOD, Verdict.BROKEN: Tone.BAD}
 
 
 def section(source: Source) -> Section | None:
     """A row for each group, those with a broken check first."""
-    checked = [r for r in source.shown if r.fidelity.of(Verdict.HELD) or r.fidelity.of(Verdict.BROKEN)]
+    checked = [r for r in source.shown if r.fidelity.checkable]
     broken = [r for r in checked if r.fidelity.of(Verdict.BROKEN)]
     if not source.shown:
         return None
@@ -39,25 +41,28 @@ def section(source: Source) -> Section | None:
     said = "no group breaks a check" if checked else "no group could be checked"
     if broken:
         said = f"{len(broken)} of {plural(len(checked), 'group')} {'breaks' if len(broken) == 1 else 'break'} a check"
-    columns: list[tuple[Column, Written]] = [(Column("checks held"), held), (Column("broken"), _broken)]
+    columns: list[tuple[Column, Written]] = [
+        (Column("checks held", f"by the tolerances of {NEWEST.value}"), held),
+        (Column("broken"), _broken),
+    ]
     every = of_groups(
-        source, "mechanics-groups", "", ordered, columns, Reasons(), ["An opened row shows what each check measured."],
+        source, "mechanics-groups", "", ordered, columns, Reasons(), [_SAID],
         more=lambda r: blocks(r, key_of("mechanics", r.label)),
     )  # fmt: skip
     return Section("mechanics", "Mechanics", (every,), said, folded=True)
 
 
 def held(result: GroupResult) -> Cell:
-    """How many checks of a group hold, of those that could be made."""
+    """How many checks of a group hold, of those that could be made, and how many of all could not be made."""
     found = result.fidelity
     if found.why_not:
         return Cell("not applicable", notes=(found.why_not,), tone=Tone.QUIET)
-    kept, broken = len(found.of(Verdict.HELD)), len(found.of(Verdict.BROKEN))
-    if not kept + broken:
+    if not found.checkable:
         return Cell("none could be made", tone=Tone.QUIET)
     looked = f"{found.looked_at} of {found.n_env} envs, {plural(found.runs, 'run')}"
-    tone = Tone.BAD if broken else Tone.GOOD
-    return Cell(f"{kept} of {kept + broken}", kept / (kept + broken), notes=(looked,), tone=tone)
+    notes = (f"{found.not_checkable} of {DEMANDED} not checkable", found.revision.value, looked)
+    tone = Tone.BAD if found.held < found.checkable else Tone.GOOD
+    return Cell(f"{found.held} of {found.checkable}", found.held / found.checkable, notes=notes, tone=tone)
 
 
 def _broken(result: GroupResult) -> Cell:

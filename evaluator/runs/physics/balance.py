@@ -13,7 +13,7 @@ from gpusimbench.evaluator.metrics.physics.solids import FixedBox
 from gpusimbench.evaluator.metrics.physics.vectors import largest, square
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.runs.physics.facts import Check, Fact, Facts, measured
-from gpusimbench.evaluator.runs.physics.setting import Setting
+from gpusimbench.evaluator.runs.physics.setting import SHARE, Setting
 from gpusimbench.evaluator.runs.physics.states import States
 from gpusimbench.evaluator.runs.physics.world import FixedBody
 
@@ -68,20 +68,19 @@ class Balance:
             return dict.fromkeys(_CHECKS, Missing(self._why_not))
         weight = float(self._mass.sum()) * setting.world.gravity
         rounded = setting.walk.epsilon * self._terms
-        step = weight * setting.sink
+        step, of = weight * min(setting.fall, setting.limit), "M g^2 dt^2, and rounding"
+        if setting.limit < setting.fall:
+            of = f"M g times {SHARE:.0%} of the smallest body, and rounding"
         start = {
             Check.ENERGY_START: measured(
                 self._rises.above_start, low=None, high=0.0, tolerance=step + rounded,
-                of="M g^2 dt^2, and rounding", note=setting.sparse,
+                of=of, note=setting.sparse,
             )
         }  # fmt: skip
         if setting.sparse:
             return {**start, **dict.fromkeys(_CHECKS[1:], Missing(setting.sparse))}
         slack = self._friction * weight * setting.dt
-        rise = measured(
-            self._rises.unpaid, low=None, high=0.0, tolerance=step + rounded,
-            of="M g^2 dt^2, and rounding",
-        )  # fmt: skip
+        rise = measured(self._rises.unpaid, low=None, high=0.0, tolerance=step + rounded, of=of)
         return {
             **start,
             Check.ENERGY_ROW: rise,
@@ -105,10 +104,10 @@ class Balance:
         }
 
     def _displacement(self) -> Fact:
-        return measured(
-            self._displacements.largest, low=None, high=0.0,
-            tolerance=self._setting.sink + self._resolution, of="g dt^2, and rounding",
-        )  # fmt: skip
+        slack = self._setting.slack(self._setting.fall, self._resolution, "g dt^2, and rounding")
+        if isinstance(slack, Missing):
+            return slack
+        return measured(self._displacements.largest, low=None, high=0.0, tolerance=slack.size, of=slack.of)
 
     def _level_only(self, position: Array) -> Mask:
         clear = np.ones(position.shape[:2], dtype=bool)

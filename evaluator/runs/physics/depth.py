@@ -17,7 +17,7 @@ from gpusimbench.evaluator.metrics.physics.solids import (  # fmt: skip
 from gpusimbench.evaluator.metrics.physics.vectors import square
 from gpusimbench.evaluator.missing import Missing
 from gpusimbench.evaluator.runs.physics.facts import Check, Facts, measured
-from gpusimbench.evaluator.runs.physics.setting import Setting
+from gpusimbench.evaluator.runs.physics.setting import Setting, Slack
 from gpusimbench.evaluator.runs.physics.states import States
 
 Array = npt.NDArray[np.float64]
@@ -38,6 +38,7 @@ class Depths:
         self._cubes = [i for i, body in enumerate(bodies) if body.half]
         self._half = np.array([bodies[i].half for i in self._cubes])
         self._fixed = self._pair = np.zeros(0)  # of what touches nothing, zero
+        self._resolution = 0.0
         self._last: States | None = None
 
     def feed(self, states: States) -> None:
@@ -46,6 +47,7 @@ class Depths:
         self._last = states
         if states.orientation is None:
             return
+        self._resolution = max(self._resolution, self._setting.resolution(states.position))
         turn = rotations(states.orientation[:, :, self._cubes])
         fixed = self._in_fixed(states, turn).max(axis=(0, 2))
         pair = self._in_each_other(states, turn)
@@ -63,12 +65,16 @@ class Depths:
         fastest = setting.fastest
         if isinstance(fastest, Missing):
             return dict.fromkeys((Check.DEPTH_EVER, Check.PAIR_EVER), fastest)
-        slack = fastest * setting.dt + setting.sink
-        note = "" if setting.stride == 1 else setting.sparse
-        of = "sqrt(2 g H) dt + g dt^2"
+        coarse = setting.slack(0.0, self._resolution, "rounding")
+        slack = setting.slack(fastest * setting.dt + setting.fall, 0.0, "sqrt(2 g H) dt + g dt^2")
+        for told in (coarse, slack):
+            if isinstance(told, Missing):
+                return dict.fromkeys((Check.DEPTH_EVER, Check.PAIR_EVER), told)
+        assert isinstance(slack, Slack)
+        of, note = slack.of, setting.sparse
         return {
-            Check.DEPTH_EVER: measured(self._fixed, low=None, high=0.0, tolerance=slack, of=of, note=note),
-            Check.PAIR_EVER: measured(self._pair, low=None, high=0.0, tolerance=slack, of=of, note=note),
+            Check.DEPTH_EVER: measured(self._fixed, low=None, high=0.0, tolerance=slack.size, of=of, note=note),
+            Check.PAIR_EVER: measured(self._pair, low=None, high=0.0, tolerance=slack.size, of=of, note=note),
         }
 
     def _at_rest(self, last: States) -> Facts:
@@ -84,12 +90,15 @@ class Depths:
         turn = rotations(last.orientation[-1:, :, self._cubes])
         deep = np.where(still, self._in_fixed(end, turn)[0], 0.0).max(axis=1, initial=0.0)
         note = f"{np.count_nonzero(still)} of {still.size} bodies are at rest"
-        slack = self._setting.sink + self._setting.resolution(end.position[0][still])
-        pairs = self._pairs_at_rest(end, turn[0], still)
-        of = "g dt^2, and rounding"
+        rounding = self._setting.resolution(end.position[0][still])
+        slack = self._setting.slack(self._setting.fall, rounding, "g dt^2, and rounding")
+        if isinstance(slack, Missing):
+            return dict.fromkeys(checks, slack)
+        pairs, size = self._pairs_at_rest(end, turn[0], still), slack.size
+        deepest = deep[still.any(axis=1)]
         return {
-            Check.DEPTH_REST: measured(deep[still.any(axis=1)], low=None, high=0.0, tolerance=slack, of=of, note=note),
-            Check.PAIR_REST: measured(pairs, low=None, high=0.0, tolerance=slack, of=of),
+            Check.DEPTH_REST: measured(deepest, low=None, high=0.0, tolerance=size, of=slack.of, note=note),
+            Check.PAIR_REST: measured(pairs, low=None, high=0.0, tolerance=size, of=slack.of),
         }
 
     def _in_fixed(self, states: States, turn: Array) -> Array:

@@ -9,6 +9,21 @@ from enum import Enum
 from gpusimbench.evaluator.missing import Missing
 
 
+class Revision(Enum):
+    """A version of the tolerances; those of a version never change. docs/physics.md says how they differ.
+
+    FIRST   "physics-1": tolerances of the step and the number type alone
+    SECOND  "physics-2": no tolerance of a length is more than a share of the smallest body that moves
+    """
+
+    FIRST = "physics-1"
+    SECOND = "physics-2"
+
+
+NEWEST = Revision.SECOND
+"""By which every command judges."""
+
+
 class Check(Enum):
     """What is looked at; the first of each value is its name in the JSON.
 
@@ -81,16 +96,18 @@ Facts = Mapping[Check, Fact]
 class PhysicsFacts:
     """All that was measured of one run.
 
-    scene    its name
-    n_env    environments of the run
-    envs     first and last environment of each range that was looked at
-    facts    of the checks that are about such a scene, in their order; Missing where nothing can be said of the run
+    scene     its name
+    n_env     environments of the run
+    envs      first and last environment of each range that was looked at
+    facts     of every check, in their order; Missing where nothing can be said of the run
+    revision  by whose tolerances
     """
 
     scene: str
     n_env: int
     envs: tuple[tuple[int, int], ...]
     facts: Facts | Missing
+    revision: Revision = NEWEST
 
     @property
     def looked_at(self) -> int:

@@ -48,6 +48,7 @@ def _falling(setting: Setting, fall: Fall, rows: int) -> Facts:
         rows * setting.stride, dt, largest_place=reach, largest_speed=fall.speed, epsilon=setting.walk.epsilon
     )
     method = -fit.lead / (gravity * dt)
+    shape = setting.slack(setting.fall, carried, "g dt^2, and rounding")
     return {
         Check.FALL: measured(
             -fit.acceleration, low=gravity, high=gravity, tolerance=slack, of="rounding of every step"
@@ -56,9 +57,8 @@ def _falling(setting: Setting, fall: Fall, rows: int) -> Facts:
             method, low=-0.5, high=0.5, tolerance=slack * fall.duration / (gravity * dt),
             of="rounding of every step", note=_method(float(method.mean())),
         ),
-        Check.FALL_SHAPE: measured(
-            deformation(states.position), low=None, high=0.0, tolerance=setting.sink + carried,
-            of="g dt^2, and rounding",
+        Check.FALL_SHAPE: shape if isinstance(shape, Missing) else measured(
+            deformation(states.position), low=None, high=0.0, tolerance=shape.size, of=shape.of
         ),
     }  # fmt: skip
 

@@ -11,7 +11,7 @@ from gpusimbench.evaluator.runs.outcome import joint_fields, positional
 from gpusimbench.evaluator.runs.physics.balance import Balance
 from gpusimbench.evaluator.runs.physics.depth import Depths
 from gpusimbench.evaluator.runs.physics.ending import end_facts
-from gpusimbench.evaluator.runs.physics.facts import Check, Fact, Facts, PhysicsFacts, measured
+from gpusimbench.evaluator.runs.physics.facts import NEWEST, Check, Fact, Facts, PhysicsFacts, Revision, measured
 from gpusimbench.evaluator.runs.physics.fall import fall_facts
 from gpusimbench.evaluator.runs.physics.joints import joint_facts, limits_of
 from gpusimbench.evaluator.runs.physics.setting import Setting
@@ -27,32 +27,41 @@ from gpusimbench.schemas.provenance import REAL
 
 _BLOWN = 1e9  # in any SI unit: the simulation blew up
 _LONGEST = 1e9  # [s]
+_WITH_JOINTS = Missing("the scene has joints; contacts and energy are looked at in scenes of balls and cubes alone")
+_NO_JOINTS = Missing("the scene has no joints")
 
 
-def physics_of(recording: Recording, sank: Sunk | Missing | None = None) -> PhysicsFacts:
+def physics_of(recording: Recording, sank: Sunk | Missing | None = None, revision: Revision = NEWEST) -> PhysicsFacts:
     """What can be measured of a usable recording.
 
-    sank  what evaluator.runs.sunk_cubes.count_sunk found, where it is known already
+    sank      what evaluator.runs.sunk_cubes.count_sunk found, where it is known already
+    revision  of the tolerances
 
     Raises DamagedRecording where the file does not hold what it should.
     """
     n_env = recording.configuration.n_env
     envs = drawn_envs(n_env)
 
-    facts = _facts(recording, envs, sank)
+    facts = _facts(recording, envs, sank, revision)
     if not isinstance(facts, Missing):
-        facts = {check: facts[check] for check in Check if check in facts}
-    return PhysicsFacts(recording.configuration.scene, n_env, envs, facts)
+        facts = {check: facts.get(check, _NO_JOINTS) for check in Check}
+    return PhysicsFacts(recording.configuration.scene, n_env, envs, facts, revision)
 
 
-def _facts(recording: Recording, envs: tuple[tuple[int, int], ...], sank: Sunk | Missing | None) -> Facts | Missing:
+def _facts(
+    recording: Recording, envs: tuple[tuple[int, int], ...], sank: Sunk | Missing | None, revision: Revision
+) -> Facts | Missing:
     if recording.configuration.simulator == REAL:
         return Missing("these are measured trials, with one row each")
     if joint_fields(recording.fields):
         if not len(recording.state(*_first(recording))):
             return no_states(recording)
         bodies = {Check.SANK: _sank(count_sunk(recording) if sank is None else sank)}
-        return {**joint_facts(recording), **(bodies if positional(recording.fields) else {})}
+        return {
+            **dict.fromkeys(Check, _WITH_JOINTS),
+            **joint_facts(recording),
+            **(bodies if positional(recording.fields) else {}),
+        }
     if recording.configuration.intervention.startswith(("reset@", "poison@", "teacher@")):
         return Missing("environments were changed on the way")
     walk = Walk(recording, envs)
@@ -64,7 +73,7 @@ def _facts(recording: Recording, envs: tuple[tuple[int, int], ...], sank: Sunk |
     if isinstance(world, Missing):
         return world
     c = recording.configuration
-    setting = Setting(walk, world, c.dt, c.stride, _sample_time(recording), c.initial)
+    setting = Setting(walk, world, c.dt, c.stride, _sample_time(recording), c.initial, revision)
     found = _of_states(setting)
     if c.vary:
         why = Missing(f"environments have other parameters than the scene, by which it is checked (--vary {c.vary})")

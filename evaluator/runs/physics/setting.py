@@ -2,15 +2,28 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
 from gpusimbench.evaluator.missing import Missing
+from gpusimbench.evaluator.runs.physics.facts import NEWEST, Revision
 from gpusimbench.evaluator.runs.physics.states import Walk
 from gpusimbench.evaluator.runs.physics.world import World
 from gpusimbench.schemas.treatment import drawn
+
+SHARE = 0.05
+"""Of the smallest body, to which physics-2 limits tolerances of lengths: docs/physics.md says why."""
+
+
+@dataclass(frozen=True)
+class Slack:
+    """A tolerance of a length [m], and its formula in words."""
+
+    size: float
+    of: str
 
 
 @dataclass(frozen=True)
@@ -23,6 +36,7 @@ class Setting:
     stride       steps between rows
     sample_time  when the scene's outcome is read [s]
     initial      how the run began, as RunConfiguration.initial; empty: in the scene's first state
+    revision     of the tolerances
     """
 
     walk: Walk
@@ -31,6 +45,7 @@ class Setting:
     stride: int
     sample_time: float
     initial: str = ""
+    revision: Revision = NEWEST
 
     @property
     def begun_otherwise(self) -> Missing | None:
@@ -43,9 +58,31 @@ class Setting:
         return self.dt * self.stride
 
     @property
-    def sink(self) -> float:
+    def fall(self) -> float:
         """g dt^2 [m]: how far gravity moves a body from rest in a step of semi-implicit Euler."""
         return self.world.gravity * self.dt**2
+
+    @property
+    def limit(self) -> float:
+        """The largest tolerance of a length [m]: SHARE of the smallest edge or diameter of a body that moves."""
+        if self.revision is Revision.FIRST:
+            return math.inf
+        return SHARE * min(2.0 * (body.radius or body.half) for body in self.world.moving)
+
+    def slack(self, method: float, rounding: float, of: str) -> Slack | Missing:
+        """The tolerance of a length, at most `limit`; Missing where rounding alone is more.
+
+        method    what the step accounts for [m], by the formula `of`
+        rounding  what the number type accounts for [m]
+        """
+        if rounding > self.limit:
+            return Missing(
+                f"positions are rounded by up to {rounding:.2g} m, more than {SHARE:.0%} of the smallest body "
+                f"({self.limit:.2g} m)"
+            )
+        if method + rounding > self.limit:
+            return Slack(self.limit, f"{SHARE:.0%} of the smallest body, less than {of}")
+        return Slack(method + rounding, of)
 
     def resolution(self, place: npt.NDArray[np.float64]) -> float:
         """What the number type may add to a distance between two of some places [m], shape [...], in env frames.

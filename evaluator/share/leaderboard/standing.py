@@ -210,7 +210,8 @@ def _no_place(result: GroupResult, results: Sequence[GroupResult], entries: Sequ
     if wrong := result.fidelity.of(Verdict.BROKEN):
         sank = result.metrics["sank"]
         also = f" ({sunk:.3g} of {sank.of(SunkCubes).cubes})" if (sunk := known(sank.value)) else ""
-        return f"states break mechanics: {'; '.join(row.check.title for row in wrong)}{also}"
+        titles = "; ".join(row.check.title for row in wrong)
+        return f"states break mechanics ({result.fidelity.revision.value}): {titles}{also}"
     fps = result.metrics["fps"]
     if isinstance(fps.value, Missing):
         return fps.value.reason

@@ -1,0 +1,125 @@
+"""The order in which a method converges with its step, from errors at several steps.
+
+An error of order p is C h^p for small steps h. Against a finer step h0 of the same method, instead of the exact motion,
+it is C (h^p - h0^p), which is fitted here, so that h0 need not be far below the others (Roache, Verification and
+Validation in Computational Science and Engineering, 1998, chapter 5).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from scipy.optimize import minimize_scalar
+
+from gpusimbench.evaluator.missing import Missing
+
+Array = npt.NDArray[np.float64]
+
+FEWEST_STEPS = 3
+"""Steps with an error: two give one local order, which nothing contradicts."""
+
+FEWEST_ENVS = 8
+"""Environments for an interval."""
+
+AGREE = 0.2
+"""How far the local order of two neighbouring steps may be from the fitted order in the asymptotic range."""
+
+DRAWS = 400
+"""Resampled sets of environments behind an interval."""
+
+_ORDERS = (0.05, 8.0)  # between which an order is looked for
+
+
+@dataclass(frozen=True)
+class Order:
+    """A fitted order of convergence.
+
+    steps        h, from large to small [s]
+    errors       root mean square over environments, of each step
+    order        p, by least squares of log error
+    ci95         by resampling environments; or why there is none
+    local        order of each two neighbouring steps
+    """
+
+    steps: tuple[float, ...]
+    errors: tuple[float, ...]
+    order: float
+    ci95: tuple[float, float] | Missing
+    local: tuple[float, ...]
+
+    @property
+    def asymptotic(self) -> bool:
+        """Whether all local orders are within AGREE of the fitted order, so that it is that of the method."""
+        return all(abs(one - self.order) <= AGREE for one in self.local)
+
+
+def fit_order(steps: npt.ArrayLike, errors: npt.ArrayLike, *, finest: float = 0.0, seed: int = 0) -> Order | Missing:
+    """The order of errors at several steps.
+
+    steps   h [s], shape [step], all different
+    errors  of each step and environment, not negative, shape [step, env]
+    finest  h0 [s], the step that the errors are against, smaller than all others; 0: they are against the exact motion
+    seed    of the resampling
+
+    Missing where there are fewer than FEWEST_STEPS steps, where a step has no error at all, or where an error is not
+    finite. ValueError where shapes or steps are not as said.
+    """
+    h, found = np.asarray(steps, dtype=np.float64), np.asarray(errors, dtype=np.float64)
+    if h.ndim != 1 or found.ndim != 2 or len(h) != len(found) or not found.shape[1]:
+        raise ValueError(f"steps and errors have the shapes [step] and [step, env], not {h.shape} and {found.shape}")
+    if len(np.unique(h)) != len(h) or not (h > finest).all() or finest < 0:
+        raise ValueError(f"steps are different numbers above {finest:g}")
+    if len(h) < FEWEST_STEPS:
+        return Missing(f"an order needs errors at {FEWEST_STEPS} steps or more, and there are {len(h)}")
+    if not np.isfinite(found).all():
+        return Missing("an error is not finite")
+    down = np.argsort(-h)
+    h, found = h[down], found[down]
+    whole = _rms(found)
+    if not whole.all():
+        return Missing(f"there is no error at a step of {h[int(np.argmin(whole))]:g} s")
+    pairs = [slice(i, i + 2) for i in range(len(h) - 1)]
+    return Order(
+        tuple(h.tolist()),
+        tuple(whole.tolist()),
+        _fitted(h, whole, finest),
+        _interval(h, found, finest, seed),
+        tuple(_fitted(h[pair], whole[pair], finest) for pair in pairs),
+    )
+
+
+def _interval(h: Array, errors: Array, finest: float, seed: int) -> tuple[float, float] | Missing:
+    count = errors.shape[1]
+    if count < FEWEST_ENVS:
+        return Missing(f"an interval needs {FEWEST_ENVS} environments, and there are {count}")
+    if (errors == errors[:, :1]).all():
+        return Missing("the environments are alike")
+    draw = np.random.default_rng(seed)
+    orders = []
+    for _ in range(DRAWS):
+        drawn = _rms(errors[:, draw.integers(count, size=count)])
+        if drawn.all():
+            orders.append(_fitted(h, drawn, finest))
+    if len(orders) < DRAWS:
+        return Missing("some draws of environments have no error at all")
+    low, high = np.quantile(orders, (0.025, 0.975))
+    return float(low), float(high)
+
+
+def _rms(errors: Array) -> Array:
+    return np.asarray(np.sqrt(np.square(errors).mean(axis=1)))
+
+
+def _fitted(h: Array, error: Array, finest: float) -> float:
+    wanted = np.log(error)
+    if finest == 0.0:
+        return float(np.polyfit(np.log(h), wanted, 1)[0])
+
+    def missed(order: float) -> float:
+        # log(h^p - h0^p), with the common factor h0^p taken out so that small steps to a high power stay numbers
+        rest = wanted - order * np.log(finest) - np.log(np.expm1(order * np.log(h / finest)))
+        return float(np.square(rest - rest.mean()).sum())
+
+    return float(minimize_scalar(missed, bounds=_ORDERS, method="bounded", options={"xatol": 1e-6}).x)

@@ -1,0 +1,152 @@
+"""The order of convergence in the time step: known orders are found, and what is no order is not called one."""
+
+from __future__ import annotations
+
+import io
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from gpusimbench.evaluator.missing import Missing
+from gpusimbench.evaluator.render.document import Document, Table
+from gpusimbench.evaluator.render.terminal import print_document
+from gpusimbench.evaluator.report.brief import brief
+from gpusimbench.evaluator.report.json import to_json
+from gpusimbench.evaluator.report.sections import convergence as page
+from gpusimbench.evaluator.report.source import Source
+from gpusimbench.evaluator.results.convergence import Convergence
+from gpusimbench.evaluator.results.evaluate import evaluate_files
+from gpusimbench.evaluator.statistics.convergence import Order, fit_order
+from tests.conftest import recorded
+
+_STEPS = np.array([0.04, 0.02, 0.01, 0.005])
+_PENDULUM = """
+<mujoco>
+  <option timestep="0.01"><flag contact="disable"/></option>
+  <worldbody>
+    <body pos="0 0 1">
+      <joint name="hinge" type="hinge" axis="0 1 0"/>
+      <geom type="capsule" fromto="0 0 0 0 0 -0.5" size="0.02" mass="1"/>
+    </body>
+  </worldbody>
+</mujoco>
+"""
+
+
+def shown(document: Document) -> str:
+    """What a terminal shows."""
+    stream = io.StringIO()
+    print_document(document, stream)
+    return stream.getvalue()
+
+
+def fitted(found: Order | Missing) -> Order:
+    """An order that must be there."""
+    assert isinstance(found, Order), found
+    return found
+
+
+@pytest.mark.parametrize("order", [1.0, 2.0, 4.0])
+@pytest.mark.parametrize("finest", [0.0, 0.0025])
+def test_a_known_order_is_found(order: float, finest: float) -> None:
+    """Find the order of errors C h^p against the exact motion, and of C (h^p - h0^p) against a finer step."""
+    scale = np.linspace(0.5, 2.0, 16)
+    errors = scale * (_STEPS**order - finest**order)[:, None]
+    found = fitted(fit_order(_STEPS, errors, finest=finest))
+    assert found.order == pytest.approx(order, abs=1e-4)
+    assert found.asymptotic
+    assert not isinstance(found.ci95, Missing)
+    assert found.ci95 == pytest.approx((order, order), abs=1e-3)
+
+
+def test_the_interval_covers_the_order() -> None:
+    """Cover the order in most of 100 sets of 24 environments whose errors vary by half, and in not all."""
+    draw, covered = np.random.default_rng(5), 0
+    for seed in range(100):
+        errors = _STEPS[:, None] * np.exp(0.5 * draw.standard_normal((4, 24)))
+        # the truth is the order of the root mean square over all environments there could be, which is 1
+        found = fitted(fit_order(_STEPS, errors, seed=seed)).ci95
+        assert not isinstance(found, Missing)
+        covered += found[0] <= 1.0 <= found[1]
+    assert 85 <= covered <= 99
+
+
+def test_errors_that_stop_falling_have_no_order() -> None:
+    """Say that local orders disagree where a rounding error of 1e-4 lies below errors of second order."""
+    errors = np.tile((_STEPS**2 + 1e-4)[:, None], (1, 8))
+    found = fitted(fit_order(_STEPS, errors))
+    assert not found.asymptotic
+    assert found.local[0] > 1.5 > 1.0 > found.local[-1]
+    assert found.ci95 == Missing("the environments are alike")
+
+
+@pytest.mark.parametrize(
+    ("steps", "errors", "why"),
+    [
+        ([0.2, 0.1], [[1.0], [0.5]], "an order needs errors at 3 steps or more, and there are 2"),
+        ([0.3, 0.2, 0.1], [[1.0], [0.0], [0.5]], "there is no error at a step of 0.2 s"),
+        ([0.3, 0.2, 0.1], [[1.0], [np.nan], [0.5]], "an error is not finite"),
+    ],
+)
+def test_what_has_no_order_says_why(steps: list[float], errors: list[list[float]], why: str) -> None:
+    """Give a reason instead of a number."""
+    assert fit_order(steps, errors) == Missing(why)
+
+
+def test_steps_that_are_none_are_refused() -> None:
+    """Refuse equal steps, a finest step that is not the smallest, and shapes that do not fit."""
+    for steps, errors, finest in (([1, 1, 2], np.ones((3, 1)), 0.0), ([1, 2, 3], np.ones((3, 1)), 1.0),
+                                  ([1, 2, 3], np.ones((2, 1)), 0.0)):  # fmt: skip
+        with pytest.raises(ValueError, match="step"):
+            fit_order(steps, errors, finest=finest)
+
+
+@pytest.fixture(scope="module")
+def pendulums(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    """A pendulum from eight angular velocities, by two integrators of MuJoCo C at four steps, until 1 s."""
+    model = tmp_path_factory.mktemp("model") / "pendulum.xml"
+    model.write_text(_PENDULUM)
+    return [
+        path
+        for integrator in ("Euler", "RK4")
+        for dt in _STEPS
+        for path in recorded(
+            "--sim", "mujoco", "--model", model, "--n-env", 8, "--runs", 1, "--phases", "capture", "--dt", dt,
+            "--steps", round(1 / dt), "--stride", round(1 / dt), "--initial", "random:2.0",
+            "--option", f"integrator={integrator}", "--no-view",
+        )
+    ]  # fmt: skip
+
+
+def test_integrators_of_mujoco_have_their_orders(pendulums: list[Path]) -> None:
+    """Find 1 for semi-implicit Euler and 4 for Runge-Kutta on a pendulum, from recordings alone, and show both."""
+    evaluation = evaluate_files(pendulums, sample_time=1.0)
+    by_label = {one.label: one for one in evaluation.convergences}
+    assert len(by_label) == 2
+    for integrator, order in (("Euler", 1.0), ("RK4", 4.0)):
+        (one,) = (one for label, one in by_label.items() if integrator in label)
+        assert isinstance(one, Convergence)
+        assert (one.what, one.unit, one.finest, one.left_out) == ("joints", "rad", 0.005, ())
+        found = fitted(one.found)
+        assert found.order == pytest.approx(order, abs=0.1)
+        assert found.asymptotic
+        assert not isinstance(found.ci95, Missing)
+        assert found.ci95[0] < found.order < found.ci95[1]
+    section = page.section(Source(evaluation, False, ""))
+    assert section is not None
+    (table,) = (block for block in section.blocks if isinstance(block, Table))
+    assert len(table.rows) == 2
+    assert "order of convergence in dt 3.9" in shown(brief(evaluation))
+    document = json.loads(json.dumps(to_json(evaluation)["convergence"], allow_nan=False))
+    assert sorted(round(one["order"]) for one in document) == [1, 4]
+
+
+def test_a_step_that_misses_the_time_is_left_out(pendulums: list[Path]) -> None:
+    """Leave out steps of which no whole number makes the time, with the reason, and fit nothing to the rest."""
+    euler = pendulums[:4]
+    (one,) = evaluate_files(euler, sample_time=0.98).convergences
+    assert isinstance(one.found, Missing)
+    assert any("0.04 s: 0.98 s is no whole number of steps" in why for why in one.left_out)
+    assert evaluate_files(euler[:3], sample_time=1.0).convergences == ()
