@@ -99,6 +99,7 @@ def test_nothing_changes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> 
     assert (code, changes(document)) == (0, [])
     assert 1.0 < curve(document, "fps")["smallest_visible"] < 1.1
     assert document["verdict"] == "NO CHANGE found over 8 points"
+    assert document["notes"] == []
 
 
 @pytest.mark.parametrize(
@@ -133,6 +134,7 @@ def test_a_gate_after_an_accepted_change(tmp_path: Path, capsys: pytest.CaptureF
     code, document = history(tmp_path, "--gate", "throughput", capsys=capsys)
     assert (code, changes(document)[-1][1:]) == (4, ("fps", "regression"))
     assert {label for label, _, _ in changes(document)} == {"v7", f"v{last + 1}"}
+    assert document["undecided"] == []
 
 
 def test_a_gate_that_few_points_cannot_decide(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

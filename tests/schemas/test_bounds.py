@@ -27,11 +27,12 @@ from gpusimbench.schemas import (
     model_files,
     provenance,
     remote,
+    tosses,
     web,
 )
 from gpusimbench.schemas import messages as types
 from gpusimbench.schemas.errors import GsbError
-from gpusimbench.schemas.fields import body_field
+from gpusimbench.schemas.fields import StateField, body_field
 from gpusimbench.schemas.mcap import chunks, contents, declarations, decompression, index, reader, records
 from gpusimbench.schemas.view import geometry, shapes
 from tests.schemas.test_view_geometry import GOOD, changed
@@ -200,3 +201,76 @@ def test_what_is_as_large_as_the_bound_is_read(what: str, tmp_path: Path, monkey
         GsbError, match="more than|at most|not a whole number from 1 to 1:|none that is drawn|no list of names"
     ):
         read(path)
+
+
+CONFIGURATION: dict[str, Any] = {
+    "simulator": "mujoco", "scene": "free-fall", "n_env": 4, "dt": 0.01, "steps": 10, "stride": 1, "warmup": 1,
+    "timed_steps": 5, "phases": ["timed", "capture"], "seed": 0, "run_index": 0, "view": [0], "snapshots": [1],
+    "timeout": 1.0,
+}  # fmt: skip
+SIMULATION: dict[str, Any] = {
+    "version": "1", "device": "cpu", "buffers": [{"name": "b", "asked": 1, "per": "env"}],
+    "overflow_bits": [{"bit": 1, "name": "o", "fatal": True}],
+}  # fmt: skip
+TOSS_SET: dict[str, Any] = {"source": "s", "sha256": "0", "rows": [5], "length_scale": 1.0, "corrections": []}
+
+
+def _simulation_of(record: dict[str, Any]) -> object:
+    return provenance.Simulation.from_json(json.dumps(record))
+
+
+NUMBERS: list[tuple[Callable[[dict[str, Any]], object], dict[str, Any], str, float, float, float]] = [
+    *(
+        (configuration.RunConfiguration.from_json, CONFIGURATION, path, low, high, step)
+        for path, low, high, step in (
+            ("n_env", 1, 1 << 24, 1), ("dt", 1e-9, 1e9, 1e-10), ("steps", 1, 1 << 40, 1), ("stride", 1, 1 << 40, 1),
+            ("warmup", 0, 1 << 40, 1), ("timed_steps", 1, 1 << 40, 1), ("seed", -(1 << 63), 1 << 64, 1),
+            ("run_index", 0, 1 << 40, 1), ("view/0", 0, 3, 1), ("snapshots/0", 0, 1 << 40, 1),
+            ("timeout", 0, 1e9, 1e-3),
+        )
+    ),
+    (_simulation_of, SIMULATION, "buffers/0/asked", 0, 1 << 63, 1),
+    (_simulation_of, SIMULATION, "overflow_bits/0/bit", 0, 31, 1),
+    (lambda r: tosses.TossSet.from_json(json.dumps(r).encode(), 1), TOSS_SET, "rows/0", 2, 1 << 40, 1),
+    (lambda r: tosses.TossSet.from_json(json.dumps(r).encode(), 1), TOSS_SET, "length_scale", 0.1, 10.0, 1e-3),
+]  # fmt: skip
+
+
+def _with(record: dict[str, Any], path: str, value: float) -> dict[str, Any]:
+    found: Any = json.loads(json.dumps(record))
+    *parents, last = (int(part) if part.isdigit() else part for part in path.split("/"))
+    at = found
+    for part in parents:
+        at = at[part]
+    at[last] = value
+    return dict(found)
+
+
+@pytest.mark.parametrize(("read", "record", "path", "low", "high", "step"), NUMBERS, ids=[n[2] for n in NUMBERS])
+def test_numbers_of_a_record_have_bounds(
+    read: Callable[[dict[str, Any]], object], record: dict[str, Any], path: str, low: float, high: float, step: float
+) -> None:
+    """Read the lowest and the highest value that the format allows, and name a value that is just beyond."""
+    for value in (low, high):
+        read(_with(record, path, value))
+    for value in (low - step, high + max(step, high * 1e-9 * isinstance(high, float))):
+        with pytest.raises(GsbError, match=f"{path.replace('/0', '').split('/')[-1]} is not"):
+            read(_with(record, path, value))
+
+
+@pytest.mark.parametrize(
+    ("most", "read"),
+    [
+        (20, lambda text: StateField.from_json({"dtype": text})),
+        (20, lambda text: geometry.look_of({}, changed("bodies.2.joints.0.kind", text))),
+        (40, lambda text: configuration.RunConfiguration.from_json({**CONFIGURATION, "keep": text})),
+        (40, lambda text: decompression.decompress(text, memoryview(b""), 0)),
+        (60, lambda text: model_files._safe(f"/{text[1:]}")),
+    ],
+)
+def test_how_much_of_a_text_is_quoted(most: int, read: Callable[[str], object]) -> None:
+    """Show the beginning of a text that cannot be, however long it is."""
+    with pytest.raises((GsbError, ValueError)) as refused:
+        read("x" * 1000)
+    assert str(refused.value).replace("/", "x").count("x" * most) == 1
+    assert "x" * (most + 1) not in str(refused.value).replace("/", "x")
