@@ -368,8 +368,9 @@ def test_interval(values: list[float]) -> None:
     assert found is not None
     assert min(values) - 1e-9 <= found[0] <= found[1] <= max(values) + 1e-9
     assert mean_interval(values[:7]) is None
-    with pytest.raises(ValueError, match="shape"):
-        mean_interval([values])
+    for wrong in ([values], values[0]):
+        with pytest.raises(ValueError, match="shape"):
+            mean_interval(wrong)
 
 
 @pytest.mark.parametrize(
