@@ -171,6 +171,19 @@ def test_memory_and_bits_are_facts(tmp_path: Path, capsys: pytest.CaptureFixture
     assert (change["before"], change["after"], change["p_value"], change["ci95"]) == (100.0, 200.0, None, None)
 
 
+def test_a_point_without_a_value_says_why(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Keep a point whose runs measured no memory among those that did, with the metric's own reason."""
+    for index in range(3):
+        write_point(tmp_path, index, host_bytes=None if index == 1 else (10**8, 2 * 10**8))
+    _, document = history(tmp_path, capsys=capsys)
+    told = [(p["value"], p["why_not"]) for p in curve(document, "host_memory_peak_increment")["points"]]
+    assert told == [
+        (100.0, None),
+        (None, "the timed phase was left out, or no memory was sampled in it"),
+        (100.0, None),
+    ]
+
+
 def test_runs_that_are_no_longer_alike(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Tell at which version runs stopped being bit-identical, and where they are again."""
     rng = np.random.default_rng(0)
