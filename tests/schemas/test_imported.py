@@ -22,9 +22,9 @@ def _imported(draw: st.DrawFn) -> Imported:
     kinds = draw(st.lists(st.sampled_from(list(KINDS)), unique=True))
     names = {kind: tuple(draw(st.lists(_TEXTS, unique=True, max_size=3))) for kind in KINDS if kind in kinds}
     values: dict[str, Any] = {}
-    for parameter in (
-        draw(st.lists(st.sampled_from([p for p in PARAMETERS if p.kind in names]), unique=True)) if names else ()
-    ):
+    for parameter in draw(st.lists(st.sampled_from(PARAMETERS), unique=True)):
+        if parameter.kind not in names:
+            continue
         shape = len(names[parameter.kind]), draw(st.integers(1, 3))
         cells = _TEXTS if parameter.unit == "name" else st.floats(allow_nan=False)
         drawn = draw(st.lists(cells, min_size=shape[0] * shape[1], max_size=shape[0] * shape[1]))
